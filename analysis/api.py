@@ -385,7 +385,10 @@ def judge(
     robots: int | None = None,
     *,
     starts: ArrayLike | None = None,
+    actions: Literal["moves", "areas"] = "moves",
     view: int | None = None,
+    rule: Policy | None = None,
+    offers: int | None = None,
     max_steps: int | None = None,
     rollouts: int = 1000,
     seed: int = 0,
@@ -397,10 +400,11 @@ def judge(
     """What is a policy of one's own worth: its coverage, and its score between a random walk and the proven bound.
 
     Args:
-        policy: a function of what all robots observe, float32 `[K, 6, h, w]` (`env`), that returns an action for each;
-            of two arguments, then of a random key (a NumPy generator) of the rollout too. Under `jax.jit` it runs
-            inside the compiled rollouts. It is asked for many rollouts in turn, and is to remember none.
-        robots, starts, view, max_steps: as of `env`.
+        policy: a function of what all robots observe, float32 `[K, 6, h, w]`, or of areas `[K, offers, 8]` (`env`),
+            that returns an action for each; of two arguments, then of a random key (a NumPy generator) of the rollout
+            too. Under `jax.jit` it runs inside the compiled rollouts, if its actions are moves.
+            It is asked for many rollouts in turn, and is to remember none.
+        robots, starts, actions, view, rule, offers, max_steps: as of `env`.
         rollouts, seed: rollout r of the seed has the luck that it has in `evaluate`.
         against: policies of the planner that are rolled out on the same luck, and ended at the same step.
         processes: that ask a policy in Python; the figures are the same. None: one a core, where it can be imported.
@@ -412,7 +416,8 @@ def judge(
     _check_world(world)
     if not callable(policy):
         raise UsageError(argument("policy", policy), expected="a function of what the robots observe")
-    env = of_jax("environment")(world, robots, starts=starts, view=view, max_steps=max_steps)
+    given: dict[str, Any] = {"starts": starts, "actions": actions, "view": view, "rule": rule, "offers": offers}
+    env = of_jax("environment")(world, robots, **given, max_steps=max_steps)
     choices = RolloutChoices(rollouts=rollouts, seed=seed)
 
     def work(tell: Progress, doing: Doing) -> Judged:

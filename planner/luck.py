@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
+from copy import copy
 from functools import cache
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,18 +25,22 @@ class Luck:
         self, world: World, seed: int, rollout: int, luck: LuckName = "tolerance", bearing: Bearing = PLAIN
     ) -> None:
         bearing.check_luck(luck)
-        self._world, self._seed, self._rollout, self._bearing = world, seed, rollout, bearing
+        self._world, self._seed, self._rollout, self._bearing, self._luck = world, seed, rollout, bearing, luck
         self._tolerance: dict[int, int] = {}
         self._spent: set[int] = set()
         self._exposure: defaultdict[int, int] = defaultdict(int)
-        self._stops: Callable[[int, int, np.float32], bool] = (
-            self._by_tolerance if luck == "tolerance" else self._by_step
-        )
+
+    def fork(self) -> Self:
+        """The luck of a run that goes on from here by itself."""
+        other = copy(self)
+        other._spent, other._exposure = self._spent.copy(), self._exposure.copy()
+        return other
 
     def hits(self, robot: int, step: int, cell: int) -> bool:
         """Whether the robot is stopped as it enters the cell at this step."""
         chance = self._chance(cell)
-        if chance == 0 or not self._stops(robot, step, chance):
+        stops = self._by_tolerance if self._luck == "tolerance" else self._by_step
+        if chance == 0 or not stops(robot, step, chance):
             return False
         if isinstance(self._world.doubt, Hazard) and self._world.doubt.kind == "consumed":
             self._spent.add(cell)

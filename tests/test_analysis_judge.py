@@ -106,7 +106,9 @@ def test_hazards_are_those_of_plans(kind: str, tmp_path: Path) -> None:
 
 
 def test_what_is_for_plans_alone_is_refused_of_a_policy() -> None:
-    with pytest.raises(mrac.InputError, match=r"no argument 'loop' for a policy; expected one of starts, view"):
+    with pytest.raises(
+        mrac.InputError, match=r"no argument 'loop' for a policy; expected one of starts, actions, view"
+    ):
         mrac.evaluate(CORRIDOR, policy=mostly_east, loop="open")
     with pytest.raises(mrac.InputError, match="both a plan and a policy"):
         mrac.evaluate(CORRIDOR, mrac.plan(CORRIDOR), policy=mostly_east)  # type: ignore[call-overload]

@@ -106,7 +106,7 @@ def test_a_picture() -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    for wrong in ({"face": "gym"}, {"num_envs": 0}, {"robots": 0}, {"starts": [[0, 99]]}, {"actions": "areas"}):
+    for wrong in ({"face": "gym"}, {"num_envs": 0}, {"robots": 0}, {"starts": [[0, 99]]}, {"actions": "area"}):
         with pytest.raises(mrac.InputError):
             mrac.env(world(), **wrong)
 

@@ -42,7 +42,8 @@ class Judged(Answer):
 
     Attributes:
         starts: int64 `[K, 2]`. cells: accessible ones. max_steps: at which every rollout was cut off.
-        coverage, random: mean visited coverage of the policy and of a random walk, fractions of the accessible cells.
+        coverage, random: mean visited coverage of the policy and of a random walk (of areas: random areas), fractions
+            of the accessible cells. walk: what that is, in words.
         losses: robots lost. steps: of a rollout.
         bound: coverage that no strategy exceeds on average, certified.
         score: (coverage - random) / (bound - random); None where the two do not differ.
@@ -61,6 +62,7 @@ class Judged(Answer):
     bound: float
     score: Estimate | None
     plans: dict[str, Beside]
+    walk: str
     partial: bool = False
 
 
@@ -88,7 +90,7 @@ def judge(
     return Judged(
         world, env.starts, cells, env.max_steps, choices, share_of(visited, cells), mean_of(lost, robots),
         mean_of(steps, env.max_steps), share_of(walked, cells), bound, None if scores is None else estimate_of(scores),
-        plans,
+        plans, env.walk,
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from planner.shown import counted
 
 
 def report(judged: Judged) -> Report:
-    """What the policy is worth, between a random walk and the bound."""
+    """What the policy is worth, between a random walk, or random areas, and the bound."""
     robots = len(judged.starts)
     score = [] if judged.score is None else [KeyFigure(judged.score.columns(100.0)[0] + " %", "score")]
     table = make_table(("", "visited, %", "from .. to", "lost", "policy ahead, points"))
@@ -21,9 +21,9 @@ def report(judged: Judged) -> Report:
     for name, plan in judged.plans.items():
         ahead = plan.ahead.said(100)
         table.add_row(name, *plan.coverage.columns(100.0), plan.losses.columns()[0], ahead)
-    table.add_row("random walk", *judged.random.columns(100.0), "", "")
+    table.add_row(judged.walk, *judged.random.columns(100.0), "", "")
     table.add_row("no strategy exceeds", f"{100 * judged.bound:.2f}", "proven", "", "")
-    note = "score: (policy - random walk) / (bound - random walk); all on the same luck, ended at the same step"
+    note = f"score: (policy - {judged.walk}) / (bound - {judged.walk}); all on the same luck, ended at the same step"
     return Report(
         "policy", "judge", asked(judged.world, robots, "what is the policy worth?"), headline(judged),
         lambda: _json(judged), figures=[share_figure(judged.coverage, "visited on average"), *score],
@@ -38,8 +38,9 @@ def headline(judged: Judged) -> str:
     """The policy's coverage, the best of the planner's, and the bound."""
     best = max(judged.plans.items(), key=lambda item: item[1].coverage.mean, default=None)
     beside = "" if best is None else f"; `{best[0]}`: {percent(best[1].coverage.mean)}"
+    said = "a random walk" if judged.walk == "random walk" else judged.walk
     walk, bound = percent(judged.random.mean), percent(judged.bound)
-    return f"It covers {judged.coverage.said(100, ' %')}{beside}; a random walk: {walk}, no strategy more than {bound}."
+    return f"It covers {judged.coverage.said(100, ' %')}{beside}; {said}: {walk}, no strategy more than {bound}."
 
 
 def _json(judged: Judged) -> Json:

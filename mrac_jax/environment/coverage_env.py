@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mrac_jax.environment.spaces import Box, Discrete
 from mrac_jax.threefry import threefry2x32
 from mrac_jax.two_words import is_reached, less, tolerance_words, two_words
 from planner.arguments import Numbers, whole
@@ -63,31 +64,16 @@ class State:
     harmless: jax.Array | None = None
 
 
-class Discrete(NamedTuple):
-    """Actions 0 .. n - 1, named as in JaxMARL."""
-
-    n: int
-    shape: tuple[int, ...] = ()
-    dtype: Any = jnp.int32
-
-
-class Box(NamedTuple):
-    """Arrays of a shape between two numbers, named as in JaxMARL."""
-
-    low: float
-    high: float
-    shape: tuple[int, ...]
-    dtype: Any = jnp.float32
-
-
 class CoverageEnv:
     """The mission of a team on a world, `[K, ...]` inside and keyed by agent outside.
 
     Attributes:
         agents: "agent_0" .. "agent_K-1". num_agents: K. accessible: cells that count.
         max_steps: at which an episode is cut off. view: how far a robot sees, in cells; None: the whole map.
-        worth: what a lost robot takes off its reward, in cells.
+        worth: what a lost robot takes off its reward, in cells. walk: what a policy without a thought does, in words.
     """
+
+    walk = "random walk"
 
     def __init__(
         self,

@@ -11,15 +11,21 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from mrac_jax.environment.area_env import AreaEnv
 from mrac_jax.environment.coverage_env import CoverageEnv
-from mrac_jax.environment.running import Runs, Told
+from mrac_jax.environment.kinds import make_env, runs_of
+from mrac_jax.environment.running import Told
 from planner.worlds.world import World
 
 ID = "mrac/Coverage-v0"
 
 
-def _spaces(env: CoverageEnv) -> tuple[spaces.Box, spaces.MultiDiscrete]:
-    """Of what all robots observe, float32 `[K, P, h, w]`, and of an action for each."""
+def _made(world: World | CoverageEnv | AreaEnv, robots: int | None, more: dict[str, Any]) -> CoverageEnv | AreaEnv:
+    return make_env(world, robots, **more) if isinstance(world, World) else world
+
+
+def _spaces(env: CoverageEnv | AreaEnv) -> tuple[spaces.Box, spaces.MultiDiscrete]:
+    """Of what all robots observe, float32 `[K, ...]`, and of an action for each."""
     box, actions = env.observation_space(env.agents[0]), env.action_space(env.agents[0]).n
     seen = spaces.Box(box.low, box.high, (env.num_agents, *box.shape), np.float32)
     return seen, spaces.MultiDiscrete([actions] * env.num_agents)
@@ -30,9 +36,16 @@ class TeamEnv(gymnasium.Env):
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 8}  # noqa: RUF012 - Gymnasium's
 
-    def __init__(self, world: World, robots: int | None = None, *, render_mode: str | None = None, **more: Any) -> None:
-        """`more`: as of `mrac.env`."""
-        self._runs, self.render_mode = Runs(CoverageEnv(world, robots, **more)), render_mode
+    def __init__(
+        self,
+        world: World | CoverageEnv | AreaEnv,
+        robots: int | None = None,
+        *,
+        render_mode: str | None = None,
+        **more: Any,
+    ) -> None:
+        """`world`: or the environment that this is a face of; `more`: as of `mrac.env`."""
+        self._runs, self.render_mode = runs_of(_made(world, robots, more)), render_mode
         self.observation_space, self.action_space = _spaces(self._runs.env)
 
     def reset(
@@ -50,8 +63,7 @@ class TeamEnv(gymnasium.Env):
         return told.seen[0], float(told.rewards[0].sum()), bool(told.done[0]) and not cut, cut, self._info(told)
 
     def _info(self, told: Told) -> dict[str, Any]:
-        covered, lost = float(told.covered[0]), int(told.lost[0])
-        return {"action_mask": told.legal[0].astype(np.int8), "covered": covered, "lost": lost}
+        return {"action_mask": told.legal[0].astype(np.int8), **told.figures(0)}
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture `[H, W, 3]`, with `render_mode="rgb_array"`."""
@@ -63,9 +75,11 @@ class TeamVectorEnv(VectorEnv):
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 - Gymnasium's
 
-    def __init__(self, world: World, robots: int | None = None, *, num_envs: int = 1, **more: Any) -> None:
-        """`more`: as of `mrac.env`."""
-        self._runs, self.num_envs = Runs(CoverageEnv(world, robots, **more), num_envs), num_envs
+    def __init__(
+        self, world: World | CoverageEnv | AreaEnv, robots: int | None = None, *, num_envs: int = 1, **more: Any
+    ) -> None:
+        """As of `TeamEnv`."""
+        self._runs, self.num_envs = runs_of(_made(world, robots, more), num_envs), num_envs
         self.single_observation_space, self.single_action_space = _spaces(self._runs.env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -85,7 +99,12 @@ class TeamVectorEnv(VectorEnv):
         return told.seen, rewards, told.done & ~told.truncated, told.truncated, self._info(told)
 
     def _info(self, told: Told) -> dict[str, Any]:
-        return {"action_mask": told.legal.astype(np.int8), "covered": told.covered, "lost": told.lost}
+        return {
+            "action_mask": told.legal.astype(np.int8),
+            "covered": told.covered,
+            "lost": told.lost,
+            "step": told.step,
+        }
 
 
 if ID not in gymnasium.registry:

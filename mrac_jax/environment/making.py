@@ -7,9 +7,11 @@ from typing import Any, Literal, get_args
 
 from numpy.typing import ArrayLike
 
-from mrac_jax.environment.coverage_env import CoverageEnv
+from mrac_jax.environment.area_env import AreaEnv
+from mrac_jax.environment.kinds import Actions, make_env
 from planner.arguments import argument, check_word, whole
 from planner.errors import UsageError
+from planner.settings import Policy
 from planner.worlds.world import World
 
 Face = Literal["pettingzoo", "gymnasium", "vector", "jax", "jumanji", "pymarl"]
@@ -23,8 +25,10 @@ def env(
     robots: int | None = None,
     *,
     starts: ArrayLike | None = None,
-    actions: Literal["moves"] = "moves",
+    actions: Actions = "moves",
     view: int | None = None,
+    rule: Policy | None = None,
+    offers: int | None = None,
     worth: float = 0.0,
     max_steps: int | None = None,
     face: Face = "pettingzoo",
@@ -39,38 +43,45 @@ def env(
 
     Args:
         robots, starts: as of `plan`.
-        actions: "moves".
+        actions: "moves"; "areas": a step goes on until a robot needs an area, which is its action, and the planner
+            drives it there and over it. Observed are its offers, float32 `[offers, 8]`
+            (`mrac_jax.environment.area_env`).
         view: how many rows and columns away a robot sees; None: the whole map.
+        rule: by which robots travel and cover, and offers are in order: a policy of `plan`; None: "mrac".
+        offers: areas that a robot is shown at most; None: 8.
         worth: what a lost robot takes off its reward, in cells.
-        max_steps: at which an episode is cut off; None: twice the accessible cells.
+        max_steps: at which an episode is cut off; None: twice the accessible cells, with areas the planner's own end.
         face: "pettingzoo": a `ParallelEnv`; "gymnasium": an `Env`, "vector": a `VectorEnv` of `num_envs`, the team as
             one agent; "jax": the class that all stand on, by JaxMARL's conventions; "jumanji": by Jumanji's;
-            "pymarl": by PyMARL's, with the state of MAPS.
+            "pymarl": by PyMARL's, with the state of MAPS. The last three have moves alone.
         render_mode: of the first two.
     """
     check_word("face", face, FACES)
     whole(1).check("num_envs", num_envs)
-    if actions != "moves":
-        raise UsageError(argument("actions", actions), expected="'moves'", fix="leave it out: areas are not built yet")
     package = "gymnasium" if face == "vector" else face
     if package in EXTRA and find_spec(package) is None:
         raise UsageError(f"{package} is not installed", fix=f"pip install '{EXTRA[package]}'")
-    given: dict[str, Any] = {"starts": starts, "view": view, "worth": worth, "max_steps": max_steps}
-    if face in ("gymnasium", "vector"):
-        from mrac_jax.environment.gymnasium_env import TeamEnv, TeamVectorEnv
+    given: dict[str, Any] = {"starts": starts, "actions": actions, "view": view, "worth": worth, "rule": rule}
+    made = make_env(world, robots, **given, offers=offers, max_steps=max_steps)
+    if face == "vector":
+        from mrac_jax.environment.gymnasium_env import TeamVectorEnv
 
-        if face == "vector":
-            return TeamVectorEnv(world, robots, num_envs=num_envs, **given)
-        return TeamEnv(world, robots, render_mode=render_mode, **given)
-    made = CoverageEnv(world, robots, **given)
-    if face == "jumanji":
-        from mrac_jax.environment.jumanji_env import CoverageJumanji
+        return TeamVectorEnv(made, num_envs=num_envs)
+    if face == "gymnasium":
+        from mrac_jax.environment.gymnasium_env import TeamEnv
 
-        return CoverageJumanji(made)
+        return TeamEnv(made, render_mode=render_mode)
     if face == "pettingzoo":
         from mrac_jax.environment.pettingzoo_env import CoverageParallelEnv
 
         return CoverageParallelEnv(made, render_mode)
+    if isinstance(made, AreaEnv):
+        problem = f"{argument('face', face)}, with {argument('actions', actions)}"
+        raise UsageError(problem, expected="'pettingzoo', 'gymnasium' or 'vector'")
+    if face == "jumanji":
+        from mrac_jax.environment.jumanji_env import CoverageJumanji
+
+        return CoverageJumanji(made)
     if face == "pymarl":
         from mrac_jax.environment.pymarl_env import PymarlEnv
 

@@ -9,32 +9,34 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
+from mrac_jax.environment.area_env import AreaEnv
 from mrac_jax.environment.coverage_env import CoverageEnv
-from mrac_jax.environment.running import Runs, Told
+from mrac_jax.environment.kinds import runs_of
+from mrac_jax.environment.running import Told
 
 Dicts = tuple[dict[str, NDArray], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]
 
 
 class CoverageParallelEnv(ParallelEnv):
-    """Robots that stay or move to a neighbour; `infos[agent]["action_mask"]` says which actions are open.
+    """Robots that move, or that are given areas; `infos[agent]["action_mask"]` says which actions are open.
 
     `reset(seed=s)` begins rollout 0 of that seed, a `reset()` after it rollout 1, and so on: the luck of `evaluate`.
     """
 
-    def __init__(self, env: CoverageEnv, render_mode: str | None = None) -> None:
+    def __init__(self, env: CoverageEnv | AreaEnv, render_mode: str | None = None) -> None:
         self.metadata = {"name": "mrac_coverage_v0", "render_modes": ["rgb_array"], "is_parallelizable": True}
         self.render_mode, self.possible_agents, self.agents = render_mode, list(env.agents), list[str]()
-        self._runs, box = Runs(env), env.observation_space(env.agents[0])
+        self._runs, box = runs_of(env), env.observation_space(env.agents[0])
         self.observation_spaces = {name: spaces.Box(box.low, box.high, box.shape, np.float32) for name in env.agents}
         actions = env.action_space(env.agents[0]).n
         self.action_spaces = {name: spaces.Discrete(actions) for name in env.agents}
 
     def observation_space(self, agent: str) -> spaces.Space:
-        """float32 `[P, h, w]`: the planes of `mrac_jax.environment.coverage_env.PLANES`."""
+        """float32 `[P, h, w]`, PLANES of `coverage_env`, or `[M, F]`, COLUMNS of `area_env`."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space:
-        """A number of `mrac_jax.environment.coverage_env.ACTIONS`."""
+        """A number of ACTIONS of `coverage_env`, or 0 or one of the M offers."""
         return self.action_spaces[agent]
 
     def reset(
@@ -63,7 +65,7 @@ class CoverageParallelEnv(ParallelEnv):
         return {name: of for name, of in zip(self.possible_agents, each, strict=True) if name in self.agents}
 
     def _infos(self, told: Told) -> dict[str, dict[str, Any]]:
-        of_all = {"covered": float(told.covered[0]), "lost": int(told.lost[0])}
+        of_all = told.figures(0)
         masks = self._of_agents(told.legal[0].astype(np.int8))
         return {name: {"action_mask": mask, **of_all} for name, mask in masks.items()}
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from mrac_jax.environment.area_env import AreaEnv
 from mrac_jax.environment.coverage_env import ACTIONS, CoverageEnv, State
 from planner.errors import UsageError
 from planner.threefry import key_of
@@ -31,27 +32,30 @@ class PolicyRollouts:
         compiled: they run without Python.
     """
 
-    def __init__(self, env: CoverageEnv, policy: Callable[..., Any] | None, seed: int, count: int) -> None:
-        """policy: a function of the observations of all robots, float32 `[K, P, h, w]`, that returns an action each.
+    def __init__(self, env: CoverageEnv | AreaEnv, policy: Callable[..., Any] | None, seed: int, count: int) -> None:
+        """policy: a function of the observations of all robots, float32 `[K, ...]`, that returns an action each.
 
         Of two arguments, then of a random key too (a NumPy generator where it is not compiled), its own for every
-        rollout. Under `jax.jit` it runs inside the compiled rollouts. None: a random walk over the actions that are
-        open. What is no policy is a UsageError when it is asked.
+        rollout. Under `jax.jit` it runs inside the compiled rollouts, if its actions are moves. None: a random walk
+        over the actions that are open. What is no policy is a UsageError when it is asked.
         """
         self._env, self._policy, self._seed = env, policy, seed
-        self.compiled = policy is None or hasattr(policy, "lower")
+        self.compiled = isinstance(env, CoverageEnv) and (policy is None or hasattr(policy, "lower"))
         seen = 4 * env.num_agents * int(np.prod(env.observation_space(env.agents[0]).shape))
         self._width = min(count, AT_ONCE if self.compiled else max(1, min(AT_ONCE, SEEN // seen)))
         self.spans = [(start, min(start + self._width, count)) for start in range(0, count, self._width)]
 
     @cached_property
     def _run(self) -> Callable[[jax.Array, jax.Array], State]:
+        assert isinstance(self._env, CoverageEnv)
         if self._policy is None or self.compiled:
             return jax.jit(jax.vmap(_compiled(self._env, self._policy), (None, 0)))
         return _Asked(self._env, self._policy, self._seed)
 
     def __call__(self, span: tuple[int, int]) -> Ended:
         """Rollouts `start .. stop - 1`."""
+        if isinstance(self._env, AreaEnv):
+            return self._env.roll_out(_chooser(self._env, self._policy), self._seed, *span)
         words, (start, stop) = jnp.asarray(key_of(self._seed), jnp.uint32), span
         last = start + self._width if self.compiled else stop  # one width, one program
         state = self._run(words, jnp.arange(start, last, dtype=jnp.uint32))
@@ -78,7 +82,31 @@ def _asking(policy: Callable[..., Any]) -> Callable[[Any, Any], Any]:
     return ask
 
 
-def _check(env: CoverageEnv, shape: tuple[int, ...]) -> None:
+def _chooser(
+    env: AreaEnv, policy: Callable[..., Any] | None
+) -> Callable[[NDArray[np.float32], NDArray[np.bool_], np.random.Generator], NDArray[np.int64]]:
+    """What `AreaEnv.roll_out` asks; no policy: one of the offers, or none of them, with equal chances."""
+    ask, compiled = None if policy is None else _asking(policy), hasattr(policy, "lower")
+
+    def act(seen: NDArray[np.float32], legal: NDArray[np.bool_], draws: np.random.Generator) -> NDArray[np.int64]:
+        if ask is None:
+            return draws.integers(0, legal.sum(axis=1))
+        key = jax.random.key(int(draws.integers(2**32))) if compiled else draws
+        return _checked(env, ask(seen, key), env.offers + 1)
+
+    return act
+
+
+def _checked(env: CoverageEnv | AreaEnv, actions: Any, most: int) -> NDArray[Any]:
+    """What a policy returned, if it is an action below `most` for each robot."""
+    given = np.asarray(actions)
+    _check(env, given.shape)
+    if given.dtype.kind not in "iu" or not ((given >= 0) & (given < most)).all():
+        raise UsageError(f"the policy returned {given.tolist()}", expected=f"whole numbers, 0 to {most - 1}")
+    return given
+
+
+def _check(env: CoverageEnv | AreaEnv, shape: tuple[int, ...]) -> None:
     if shape != (env.num_agents,):
         raise UsageError(f"the policy returned actions of shape {shape}", expected=f"({env.num_agents},), one a robot")
 
@@ -128,10 +156,4 @@ class _Asked:
         return jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, after)
 
     def _asked(self, seen: NDArray[np.float32], draws: np.random.Generator) -> NDArray[np.int32]:
-        given = np.asarray(self.ask(seen, draws))
-        _check(self.env, given.shape)
-        if given.dtype.kind not in "iu" or not ((given >= 0) & (given < len(ACTIONS))).all():
-            raise UsageError(
-                f"the policy returned {given.tolist()}", expected=f"whole numbers, 0 to {len(ACTIONS) - 1}"
-            )
-        return given
+        return _checked(self.env, self.ask(seen, draws), len(ACTIONS))

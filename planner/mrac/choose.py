@@ -18,13 +18,18 @@ def first_area(board: Board, robot: Robot, *, own: bool = False, refusing: bool 
     """
     if board.rule.nearest:
         return _nearest(board, robot)
-    reachable = board.unassigned if board.open_levels(robot) else set()
-    numbers = sorted(reachable | ({robot.area} if own else set()))
-    cost = board.problem.paths.to_all(robot.cell) if numbers else np.zeros(0, dtype=np.int64)
-    seen = [choice for number in numbers if (choice := _see(board, number, cost)) is not None]
+    seen = offered(board, robot, own=own)
     if refusing and board.rule.limited:
         seen = [choice for choice in seen if not _is_refused(board, choice)]
     return min(seen, key=lambda choice: (board.rule.key(choice.offer), choice.area), default=None)
+
+
+def offered(board: Board, robot: Robot, *, own: bool = False) -> list[Choice]:
+    """The unassigned areas that the robot can reach, with its own one if that is asked for, by id."""
+    reachable = board.unassigned if board.open_levels(robot) else set()
+    numbers = sorted(reachable | ({robot.area} if own else set()))
+    cost = board.problem.paths.to_all(robot.cell) if numbers else np.zeros(0, dtype=np.int64)
+    return [choice for number in numbers if (choice := _see(board, number, cost)) is not None]
 
 
 def first_of_idle(board: Board, robot: Robot) -> Choice | None:

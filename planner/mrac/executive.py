@@ -193,7 +193,7 @@ class Executive(Board):
 
     def _look_again(self, robot: Robot) -> None:
         """Another area may be better by now than the one behind the danger; or none is worth it any more."""
-        first = first_area(self, robot, own=True)
+        first = self.choose(robot, own=True)
         if first is not None and first.area == robot.area:
             return
         self._note(EventKind.LOOKED_AGAIN, robot, robot.area, robot.ahead[-1])
@@ -260,12 +260,19 @@ class Executive(Board):
 
     # --- who gets what ---
 
+    def choose(self, robot: Robot, *, idle: bool = False, own: bool = False) -> Choice | None:
+        """The area that the robot is to have next, by the rule; None: none of those that nobody has.
+
+        `idle`: it has been without one. `own`: the one that it has is among them.
+        """
+        return first_of_idle(self, robot) if idle else first_area(self, robot, own=own)
+
     def _allocate_next(self, robot: Robot, *, idle: bool = False) -> bool:
         """`Allocate Next Area`, else `Find Area To Share`, else done. True if the robot got an area.
 
         `idle`: it has been without one; unless it is held, it does not try to share again.
         """
-        first = first_of_idle(self, robot) if idle else first_area(self, robot)
+        first = self.choose(robot, idle=idle)
         if first is None:
             return self._share_or_rest(robot) if not idle or robot.held else False
         if has_to_wait(self, robot, first):

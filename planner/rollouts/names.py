@@ -13,7 +13,7 @@ ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 OF_JAX = {
     "open loop": "mrac_jax.open_loop.jax_engine:JaxOpenLoop",
     "closed loop": "mrac_jax.closed_loop.jax_engine:JaxClosedLoop",
-    "environment": "mrac_jax.environment.coverage_env:CoverageEnv",
+    "environment": "mrac_jax.environment.kinds:make_env",
     "policy": "mrac_jax.environment.rolling:PolicyRollouts",
     "accelerator": "mrac_jax.accelerator:accelerator",
 }

@@ -1,0 +1,221 @@
+"""Areas as actions: the rule's first offers are its closed loop; conformance; rewards and masks; many side by side."""
+
+from __future__ import annotations
+
+import pickle
+import warnings
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from closed_loop_compare import assert_same_trace
+
+import mrac_jax as mrac
+from analysis.judging.rolling import roll_policy
+from analysis.sampling import RolloutChoices, make_singles
+from mrac_jax.environment.area_env import COLUMNS, AreaEnv
+from planner.luck import Luck
+from planner.missions.chosen import ChosenRun
+from planner.mrac.make_plan import make_plan
+from planner.mrac.recorder import Recorder
+from planner.mrac.reference import ReferenceLoop
+from planner.mrac.takeover import ready_loop
+from planner.policies import RULES, Rule
+from planner.policies.offer import Offer
+from planner.settings import Policy, Settings
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
+from planner.worlds.wrong_maps import with_hazard
+
+BY_SIZE = Rule("by_size", lambda offer: ((offer.level, 1), (-offer.unvisited, 1)))
+POLICIES: dict[str, Policy] = {
+    **RULES,
+    "by_size": BY_SIZE,
+    "own": lambda offer: (-offer.level, offer.cost, offer.unvisited),
+}
+SEEN = {name: place for place, name in enumerate(COLUMNS)}
+
+
+@cache
+def world(seed: int = 1) -> World:
+    pattern = ThreatPattern("contiguous" if seed % 2 else "scattered", areas=3, seed=seed)
+    return random_world(8 + seed % 5, 9, pattern, obstacles=0.2, threats=0.35)
+
+
+class Repeated(Recorder):
+    """Of a step that is played again with every answer, the last time."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now: list[Any] = []
+
+    def note(self, *event: Any) -> None:
+        self.now.append(event)
+
+    def look(self, robots: list[Any]) -> None:
+        for event in self.now:
+            super().note(*event)
+        self.now.clear()
+        super().look(robots)
+
+
+@pytest.mark.parametrize("policy", POLICIES.values(), ids=list(POLICIES))
+def test_the_first_offers_of_a_rule_are_its_closed_loop(policy: Policy) -> None:
+    """Event for event, in worlds of both kinds and with hazards that are consumed, with robots that are lost."""
+    choices = 0
+    for seed in range(5):
+        there = world(seed)
+        if seed > 2:
+            there = with_hazard(there, "consumed", 3 * np.nan_to_num(there.threat), 0.4)
+        plan = make_plan(there, place_starts(there, 4)[0], Settings(policy=policy))
+        loop = ReferenceLoop(plan, there)
+        for rollout in range(3):
+            recorder = Repeated()
+            run = ChosenRun(*ready_loop(plan, there), Luck(there, seed, rollout), recorder=recorder)
+            run.go_on()
+            while run.decision is not None:
+                recorder.now.clear()
+                run.go_on(0)
+                choices += 1
+            assert run.outcome is not None
+            assert_same_trace(recorder.trace(rollout, run.team.area_of, run.outcome), loop.trace(seed, rollout))
+    assert choices > 100
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_so_it_is_when_it_is_judged(rule: str) -> None:
+    """On the luck of plans, id for id: none ahead, none behind; another process would find the same."""
+
+    def first(seen: np.ndarray) -> np.ndarray:
+        assert seen.shape == (3, 5, len(COLUMNS)) and (seen[:, 0, 0] == seen[:, :, 0].max(axis=1)).all()
+        return np.ones(len(seen), np.int64)
+
+    given: dict[str, Any] = {"rule": rule, "offers": 5}
+    visited, lost, steps = roll_policy(AreaEnv(world(), 3, **given), first, 4, 60)
+    found = make_singles(world(), mrac.plan(world(), 3, policy=rule), RolloutChoices(rollouts=60, seed=4))(0, 60)
+    sent = pickle.loads(pickle.dumps(AreaEnv(world(), 3, **given)))
+    assert (roll_policy(sent, first, 4, 60)[0] == visited).all()
+    assert (visited == found.visited).all() and (lost == 3 - found.alive).all() and (steps == found.time).all()
+    judged = mrac.judge(world(), first, 3, actions="areas", **given, rollouts=60, seed=4, against=[rule])
+    assert judged.plans[rule].ahead.mean == 0 and 0 < judged.losses.mean == lost.mean() < 3
+    assert judged.coverage.mean > judged.random.mean + 3 * judged.random.se
+    assert "random areas" in repr(judged)
+
+
+def of_offer(order: Any) -> Any:
+    """A policy of the observations: the first by the order of what a rule sees."""
+
+    def policy(seen: np.ndarray) -> list[int]:
+        names = ("level", "cost", "unvisited", "entry")
+        told = [[Offer(*(int(offer[SEEN[name]]) for name in names), int(offer[SEEN["unvisited"]]), 0)
+                 for offer in robot if offer[0]] for robot in seen]  # fmt: skip
+        return [1 + min(range(len(offers)), key=lambda one: order(offers[one])) if offers else 0 for offers in told]
+
+    return policy
+
+
+def test_observations_are_what_a_rule_sees() -> None:
+    """A policy that orders them by another rule covers as that rule, whose robots travel and cover alike."""
+    order = POLICIES["own"]
+    assert callable(order)
+    there = (AreaEnv(world(2), 4, rule=rule, offers=64) for rule in (BY_SIZE, order))
+    mine, theirs = (roll_policy(env, policy, 7, 20) for env, policy in
+                    zip(there, (of_offer(order), lambda seen: [1] * 4), strict=True))  # fmt: skip
+    assert all((one == other).all() for one, other in zip(mine, theirs, strict=True))
+    assert (roll_policy(AreaEnv(world(2), 4, rule=BY_SIZE), lambda seen: [1] * 4, 7, 20)[0] != mine[0]).any()
+
+
+def test_rewards_masks_and_the_end() -> None:
+    """Rewards sum up to the cells visited less the worth of the lost; one robot at a time has offers."""
+    env = mrac.env(world(), 4, actions="areas", worth=3.0, face="gymnasium")
+    draw, asked, lost = np.random.default_rng(1), 0, 0
+    env.reset(seed=5)
+    for episode in range(15):
+        (seen, info), total, over = env.reset(), 0.0, False
+        assert not seen.any() and info["action_mask"].sum() == 4 and info["step"] == 0
+        while not over:
+            masks = info["action_mask"]
+            action = [draw.choice(np.flatnonzero(mask)) for mask in masks]
+            step = info["step"]
+            seen, reward, ended, cut, info = env.step(action)
+            total, over = total + reward, ended or cut
+            offered = info["action_mask"][:, 1:].sum(axis=1)
+            assert (offered > 0).sum() == (not over) and (seen[..., 0].sum(axis=1) == offered).all()
+            assert info["step"] >= step
+            asked += not over
+        cells = env.unwrapped._runs.env.accessible
+        assert total == round(info["covered"] * cells) - 3 * info["lost"], episode
+        lost += info["lost"]
+    assert asked > 60 and lost > 10
+
+
+def test_who_takes_none_rests_until_areas_change() -> None:
+    """Nobody takes an area that it was not given before t = 0: called off, and no robot is asked twice in vain."""
+    env = AreaEnv(world(), 3)
+    run, asked = env.begin(0, 0), []
+    run.go_on()
+    while run.decision is not None:
+        asked.append((run.team.step, run.decision.robot))
+        run.go_on(None)
+    assert run.outcome is not None and run.outcome.name == "CALLED_OFF"
+    assert 0 < len(set(asked)) == len(asked) < 40 and run.team.unvisited > 0
+
+
+def test_pettingzoo_and_gymnasium_conform() -> None:
+    gymnasium = pytest.importorskip("gymnasium")
+    pytest.importorskip("pettingzoo")
+    from gymnasium.utils.env_checker import check_env
+    from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+    from mrac_jax.environment.gymnasium_env import ID
+
+    def make(**more: Any) -> Any:
+        return mrac.env(world(), 3, actions="areas", render_mode="rgb_array", **more)
+
+    parallel_api_test(make(), num_cycles=100)
+    parallel_seed_test(make, num_cycles=60)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*maximum value is infinity|.*not within the observation|.*Casting")
+        check_env(gymnasium.make(ID, world=world(), robots=3, actions="areas", render_mode="rgb_array").unwrapped)
+    env = make()
+    env.reset(seed=0)
+    assert env.render().shape == (8 * world().shape[0], 72, 3)
+
+
+def test_many_are_single_ones_side_by_side() -> None:
+    given: dict[str, Any] = {"robots": 3, "actions": "areas", "rule": "per_cell", "worth": 1.0}
+    many = mrac.env(world(), face="vector", num_envs=2, **given)
+    ones = [mrac.env(world(), face="gymnasium", **given) for _ in range(2)]
+    seen, _ = many.reset(seed=9)
+    for place, one in enumerate(ones):
+        one.reset(seed=9)
+        for _ in range(place):
+            one.reset()
+    draw, over = np.random.default_rng(3), [False, False]
+    for _ in range(120):
+        actions = draw.integers(0, 4, (2, 3))
+        seen, rewards, ends, cuts, infos = many.step(actions)
+        for place, one in enumerate(ones):
+            if over[place]:
+                one.reset()
+                told = one.reset()
+                assert rewards[place] == 0 and (told[0] == seen[place]).all()
+                over[place] = False
+            else:
+                observed, reward, end, cut, info = one.step(actions[place])
+                assert (observed == seen[place]).all() and reward == rewards[place]
+                assert (end, cut) == (ends[place], cuts[place]) and info["step"] == infos["step"][place]
+                over[place] = end or cut
+
+
+def test_what_cannot_be_is_refused() -> None:
+    for wrong in ({"view": 2}, {"rule": "best"}, {"offers": 0}, {"face": "jax"}, {"face": "pymarl"}, {"worth": -1}):
+        with pytest.raises(mrac.InputError):
+            mrac.env(world(), 2, actions="areas", **wrong)
+    for also in ({"rule": "mrac"}, {"offers": 3}, {"actions": "area"}):
+        with pytest.raises(mrac.InputError):
+            mrac.env(world(), 2, **also)
+    with pytest.raises(mrac.InputError, match="policy returned"):
+        mrac.judge(world(), lambda seen: [9] * 2, 2, actions="areas", rollouts=2)
