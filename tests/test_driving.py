@@ -193,8 +193,20 @@ class Stub:
 
 
 def test_the_ros_node_reports_cells_and_sends_goals(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """With a stub of the interfaces where ROS is not installed: two robots drive a map to its end."""
+    """With a stub of the interfaces where ROS is not installed: two robots drive to the end, one slowly."""
     sent: list[tuple[int, Any]] = []
+    clock = [0.0]
+
+    class Moment:
+        def __init__(self) -> None:
+            self.at = clock[0]
+
+        def __sub__(self, other: Moment) -> Stub:
+            return Stub(nanoseconds=(self.at - other.at) * 1e9)
+
+    class Node(Stub):
+        def get_clock(self) -> Stub:
+            return Stub(now=Moment)
 
     class Client(Stub):
         def __init__(self, node: Any, kind: Any, name: str) -> None:
@@ -209,7 +221,7 @@ def test_the_ros_node_reports_cells_and_sends_goals(monkeypatch: pytest.MonkeyPa
             pass
 
     modules = {
-        "rclpy": {}, "rclpy.action": {"ActionClient": Client}, "rclpy.node": {"Node": Stub},
+        "rclpy": {}, "rclpy.action": {"ActionClient": Client}, "rclpy.node": {"Node": Node},
         "geometry_msgs": {}, "geometry_msgs.msg": {"PoseStamped": Stub, "PoseWithCovarianceStamped": Stub},
         "nav2_msgs": {}, "nav2_msgs.action": {"NavigateToPose": Action},
     }  # fmt: skip
@@ -221,7 +233,7 @@ def test_the_ros_node_reports_cells_and_sends_goals(monkeypatch: pytest.MonkeyPa
     world.save(tmp_path / "map.npz")
     command = [sys.executable, "-m", "mrac_jax", "drive", str(tmp_path / "map.npz")]
     node = example("ros_node").Driver(world, 2, command)
-    until, done, cells = time.monotonic() + 120, 0, set()
+    until, done, cells, missed = time.monotonic() + 120, 0, set(), []
     while len(cells) < 8 and time.monotonic() < until:
         if done == len(sent):
             time.sleep(0.01)
@@ -229,13 +241,19 @@ def test_the_ros_node_reports_cells_and_sends_goals(monkeypatch: pytest.MonkeyPa
         robot, goal = sent[done]
         done += 1
         assert goal.pose.header.frame_id == "map"
-        node.pose(robot, goal)
         place = goal.pose.pose.position
-        cells.add(tuple(world.to_cells([place.x, place.y]).tolist()))
+        cell = tuple(world.to_cells([place.x, place.y]).tolist())
+        if robot == 1 and node.step in (1, 2):  # it stays where it is, and the others are not to wait for ever
+            missed.append(cell)
+            clock[0] += 21
+            node.look_round()
+            continue
+        node.pose(robot, goal)
+        cells.add(cell)
     with node.mission:
         node.mission.kill()
         node.listener.join()
-    assert len(cells) == 8
+    assert len(cells) == 8 and len(missed) == 2 and missed[0] == missed[1] and not node.lost
 
 
 def test_a_mission_that_has_ended_says_so_again(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

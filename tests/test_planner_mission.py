@@ -221,6 +221,22 @@ def test_late_reports_are_where_a_robot_was() -> None:
     assert places(mission)[0] == here and 15 in mission.state.visited
 
 
+def test_of_two_reports_in_a_step_the_fresher_one_is_where_it_is(tmp_path: Path) -> None:
+    """The report of step 1 is lost, that of step 2 comes in step 3, before that of step 3; a crash between them."""
+    for late in (False, True):
+        mission = of_two()
+        for _ in range(2):
+            mission.advance()
+        for said in ({"cell": [0, 2], "step": 2}, {"cell": [0, 3]})[:: -1 if late else 1]:
+            mission.report(0, **said)
+            mission.save(tmp_path / "now.json")
+            mission = Mission.resume(tmp_path / "now.json", ROW, make_plan(ROW, ROW.starts))
+        with pytest.raises(StateError, match=r"\[0, 3\] and \[0, 4\] in step 3"):
+            mission.report(0, cell=[0, 4])
+        mission.advance()
+        assert places(mission)[0] == (0, 3) and {2, 3} <= set(mission.state.visited.tolist())
+
+
 def test_a_robot_without_progress_loses_its_work_until_it_moves() -> None:
     mission = Mission(ROW, make_plan(ROW, ROW.starts), patience=3)
     for _ in range(4):

@@ -3,13 +3,11 @@
 Source your ROS, then `python ros_node.py depot.yaml 4`.
 """
 
-from __future__ import annotations
-
 import json
-import subprocess
 import sys
 import threading
 from functools import partial
+from subprocess import PIPE, Popen
 from typing import Any
 
 import rclpy
@@ -22,6 +20,8 @@ import mrac_jax as mrac
 
 SILENCE = 30.0
 """Seconds without a pose after which a robot is given up for lost."""
+SLOW = 20.0
+"""Seconds for a step; who has not got to its goal by then is where it is, and the others go on."""
 
 
 class Driver(Node):
@@ -29,14 +29,14 @@ class Driver(Node):
 
     def __init__(self, world: mrac.World, robots: int, command: list[str]) -> None:
         super().__init__("mrac_driver")
-        self.world, self.last = world, [self.get_clock().now()] * robots
-        self.goals: dict[int, tuple[int, int]] = {}
-        self.lost: set[int] = set()
-        self.mission = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.world, self.step, self.since = world, 0, self.get_clock().now()
+        self.last, self.lost = [self.since] * robots, set[int]()
+        self.goals, self.at = dict[int, tuple[int, int]](), dict[int, tuple[int, int]]()
+        self.mission = Popen(command, stdin=PIPE, stdout=PIPE, text=True, bufsize=1)
         self.clients_ = [ActionClient(self, NavigateToPose, f"/robot_{i}/navigate_to_pose") for i in range(robots)]
         for i in range(robots):
             self.create_subscription(PoseWithCovarianceStamped, f"/robot_{i}/amcl_pose", partial(self.pose, i), 10)
-        self.create_timer(1.0, self.look_for_lost)
+        self.create_timer(1.0, self.look_round)
         self.listener = threading.Thread(target=self.listen, daemon=True)
         self.listener.start()
 
@@ -44,23 +44,26 @@ class Driver(Node):
         """A line to the mission."""
         assert self.mission.stdin is not None
         self.mission.stdin.write(json.dumps(said) + "\n")
-        self.mission.stdin.flush()
 
     def pose(self, robot: int, message: Any) -> None:
         """A robot is somewhere: it is reported once it is in the cell of its order."""
         self.last[robot] = self.get_clock().now()
         place = message.pose.pose.position
-        row, col = (int(one) for one in self.world.to_cells([place.x, place.y]))
-        if robot in self.lost:
+        row, col = self.at[robot] = tuple(self.world.to_cells([place.x, place.y]).tolist())
+        found = {"found": True} if robot in self.lost else {}
+        if found or self.goals.get(robot) == (row, col):
             self.lost.discard(robot)
-            self.tell(type="report", robot=robot, cell=[row, col], found=True)
-        elif self.goals.get(robot) == (row, col):
-            del self.goals[robot]
-            self.tell(type="report", robot=robot, cell=[row, col])
+            self.goals.pop(robot, None)
+            self.tell(type="report", robot=robot, cell=[row, col], **found)
 
-    def look_for_lost(self) -> None:
-        """Report who has been silent for too long."""
-        now = self.get_clock().now()
+    def look_round(self) -> None:
+        """Report who has been silent for too long; end a step that takes too long, with where everybody is."""
+        now, step = self.get_clock().now(), self.step
+        if (now - self.since).nanoseconds > SLOW * 1e9:
+            self.since = now
+            for robot in {*self.goals} & {*self.at} - self.lost:
+                self.tell(type="report", robot=robot, cell=self.at[robot], step=step)
+            self.tell(type="step", step=step)
         for robot, last in enumerate(self.last):
             if robot not in self.lost and (now - last).nanoseconds > SILENCE * 1e9:
                 self.lost.add(robot)
@@ -72,6 +75,7 @@ class Driver(Node):
         for line in self.mission.stdout:
             said = json.loads(line)
             if said["type"] == "orders":
+                self.step, self.since = said["step"], self.get_clock().now()
                 for order in said["orders"]:
                     self.send(order["robot"], (order["cell"][0], order["cell"][1]))
             elif said["type"] == "error":

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from planner.mrac.board import Robot
-from planner.mrac.choose import first_area, has_to_wait, offer_of
+from planner.mrac.choose import has_to_wait, offer_of
 from planner.mrac.executive import Executive
 from planner.none import NO_AREA
 from planner.trace import Doing, EventKind
@@ -29,7 +29,7 @@ class Fleet(Executive):
 
     def _look_round(self, robot: Robot) -> None:
         """The first of the areas that nobody has, if the policy has it before its own, and the way saves enough."""
-        first, left = first_area(self, robot), self._cost(robot.ahead)
+        first, left = self.choose(robot), self._cost(robot.ahead)
         if first is None or not self._saves(first.offer.cost, left) or has_to_wait(self, robot, first):
             return
         if self.rule.key(first.offer) < self.rule.key(offer_of(self, robot.area, left)):

@@ -208,7 +208,7 @@ class Mission:
             cell: (row, col) where it is, ordered or not; None: where it was.
             stopped: it is lost there. found: it was lost before, and is back.
             moves_left: that it can still make, as after a look at its battery, or a swap of it.
-            step: of which that was said; None: this one. What is said late is where it was, if it said more since.
+            step: of which that was said; None: this one. What is said late is where it was, if it says more.
 
         Raises StateError for what cannot be, and the mission is as before.
         """
@@ -223,8 +223,12 @@ class Mission:
             self._passed.append((number, at))
             self._orders = None
             return
+        before = self._reports.get(number)
+        if before is not None and said > self._heard[number] and not before.stopped and at != before.cell:
+            self._passed.append((number, before.cell))  # it was late itself
+            self._reports[number] = replace(before, cell=at)
         report = self._agreed(number, Report(at, bool(stopped), bool(found), moves_left))
-        self._heard[number] = said
+        self._heard[number] = max(said, self._heard[number])
         if report == self._reports.get(number):
             return
         self._reports[number] = report
@@ -376,7 +380,7 @@ class Mission:
             on = {robot.cell} if robot.alive else set()
             for at in (on | ({report.cell} if report else set())) & set(closed.tolist()):
                 problem = f"robot {robot.number} is at {list(divmod(at, width))}, which is to be closed"
-                raise StateError(problem, expected="cells where no robot is")
+                raise StateError(problem, expected="cells where no robot is", fix="close it when the robot has left it")
         world = closed_world(self.world, closed)
         part = world.components().ravel()
         for number, report in self._reports.items():
@@ -413,6 +417,9 @@ class Mission:
         mission.closed = [one.value for one in keys["closed"].items("a list of cells", least=0)]
         for report in keys["reports"].items("a list of reports", least=0):
             hand_on(mission.report, report)
+        step = whole(NOT_BEGUN, mission.step, what="a step that is not to come")
+        heard = [one.number(step) for one in keys["heard"].items("a list of steps", least=0)]
+        mission._heard[: len(heard)] = heard[: mission.robots]
         return mission
 
     def save(self, path: str | Path) -> None:
@@ -421,7 +428,8 @@ class Mission:
         What is written is on the disk before this returns. Raises StateError, also for another planner's paths.
         """
         state = self.state.to_json() if self.step > 0 else None
-        more: Json = {"closed": self.closed, "range": self.settings.range, "aside": self._aside, "reports": self.said()}
+        more: Json = {"closed": self.closed, "range": self.settings.range, "aside": self._aside}
+        more |= {"reports": self.said(), "heard": self._heard}
         more |= {} if self.outcome is None else {"ended": self.known()}
         write_mission(path, self.world, state, more)
 

@@ -1,8 +1,8 @@
 """A mission as a file, written whole and on the disk before orders are given: whatever ends the process, it goes on.
 
-It is a state file (SPEC section 12) that also holds what was reported of the step under way, what was closed, what
-robots said of their range, which make no progress, and how the mission ended. Before step 0 has ended there is no
-state, and the rest alone is kept.
+It is a state file (SPEC section 12) that also holds what was reported of the step under way, of which step each robot
+reported last, what was closed, what robots said of their range, which make no progress, and how the mission ended.
+Before step 0 has ended there is no state, and the rest alone is kept.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ DEFAULTS: dict[str, Any] = {
     "range": None,
     "aside": [],
     "reports": [],
+    "heard": [],
     "ended": None,
 }
 """What a file holds beside a state, or in its place, and may leave out."""
