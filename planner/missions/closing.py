@@ -5,15 +5,45 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from planner.errors import StateError
+from planner.missions.reports import Reports, whole_numbers
 from planner.mrac.areas import connected_parts
 from planner.none import NO_AREA, NO_ROBOT
-from planner.plans.state import ON_ITS_WAY, AreaState, MissionState, RobotState
+from planner.plans.reading import at
+from planner.plans.state import NO_CELLS, ON_ITS_WAY, AreaState, MissionState, RobotState
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 
-NOTHING = np.zeros(0, dtype=np.int64)
+
+def closed_by(given: ArrayLike, reports: Reports) -> tuple[NDArray[np.int64], World]:
+    """Cells, `[[row, col], ...]`, as rising indices, and the world of the fleet without them.
+
+    Raises StateError where a robot is on one of them, or has reported so; where they would lie between a robot and what
+    it reported in this step; and for what is no cell of the map.
+    """
+    fleet, found = reports.fleet, whole_numbers(given)
+    world, (height, width) = fleet.problem.world, fleet.problem.world.shape
+    if found.ndim != 2 or found.shape[1] != 2 or not len(found):
+        raise StateError(f"cells to close are {given!r:.60}", expected="[[row, col], ...]")
+    if not ((found >= 0) & (found < (height, width))).all():
+        raise StateError("cells to close lie off the map", expected=f"row 0..{height - 1} and col 0..{width - 1}")
+    if not any(robot.alive for robot in fleet.robots):
+        raise StateError("every robot is lost", expected="a robot that goes on")
+    cells = np.unique(found.astype(np.int64) @ (width, 1))
+    reported = [(number, report.cell) for number, report in reports.now.items()]
+    for number, cell in sorted({(robot.number, robot.cell) for robot in fleet.robots if robot.alive} | {*reported}):
+        if cell in cells:
+            problem = f"robot {number} is at {at(cell, world)}, which is to be closed"
+            raise StateError(problem, expected="cells where no robot is", fix="close it when the robot has left it")
+    without = closed_world(world, cells)
+    part = without.components().ravel()
+    for number, cell in reported:
+        if part[cell] != part[fleet.robots[number].cell]:
+            problem = f"what is to be closed cuts robot {number} off from {at(cell, world)}"
+            raise StateError(problem, expected="cells to close once the step in which it went there is over")
+    return cells, without
 
 
 def closed_world(world: World, cells: NDArray[np.int64]) -> World:
@@ -46,7 +76,7 @@ def closed_state(state: MissionState, world: World, levels: int) -> MissionState
     areas: list[AreaState] = []
     own: dict[int, int] = {}
     for area in state.areas:
-        left, mine = area.cells[kept[area.cells]], NOTHING
+        left, mine = area.cells[kept[area.cells]], NO_CELLS
         parts = [left] if len(left) == len(area.cells) else connected_parts(world.shape, left)
         if area.robot != NO_ROBOT:
             here = labels[state.robots[area.robot].cell]
@@ -75,7 +105,7 @@ def _still(robot: RobotState, area: int, areas: list[AreaState], kept: NDArray[n
     if robot.status not in ON_ITS_WAY:
         return robot
     if area == NO_AREA:
-        return replace(robot, status="idle", area=NO_AREA, ahead=NOTHING, to_do=NOTHING)
+        return robot.at_rest
     if kept[robot.ahead].all() and np.isin([*robot.to_do, robot.ahead[-1]], areas[area].cells).all():
         return replace(robot, area=area)
-    return replace(robot, area=area, status="traveling", ahead=NOTHING, to_do=NOTHING)
+    return replace(robot, area=area, status="traveling", ahead=NO_CELLS, to_do=NO_CELLS)

@@ -6,20 +6,21 @@ closed loop, event for event (`planner.mrac.simulate` is that, without what robo
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from planner.arguments import FRACTION, as_whole, is_whole, whole
+from planner.arguments import FRACTION, is_whole, whole
 from planner.errors import StateError
 from planner.files import Json
 from planner.limits import MAX_STEP
-from planner.missions.closing import NOTHING, closed_state, closed_world
+from planner.missions.closing import closed_by, closed_state
 from planner.missions.fleet import Fleet
 from planner.missions.orders import Order, Report, Why
+from planner.missions.reports import Reports
 from planner.missions.saved import hand_on, read_rest, write_mission
 from planner.mrac.board import Robot
 from planner.mrac.executive import NOT_BEGUN
@@ -28,9 +29,8 @@ from planner.mrac.problem import NO_LIMIT
 from planner.mrac.recorder import Recorder
 from planner.mrac.resume import state_of
 from planner.mrac.takeover import ready_loop
-from planner.none import NO_AREA
 from planner.plans.plan import Plan
-from planner.plans.state import MissionState, RobotState
+from planner.plans.state import MissionState
 from planner.settings import Settings
 from planner.tally import Outcome
 from planner.tolerance import exposure_of
@@ -79,9 +79,7 @@ class Mission:
         self._fleet.gain = self.gain
         robots = len(self._fleet.robots)
         self._borne = list(plan.state.exposures) if plan.state is not None else [0] * robots
-        self._waits, self._heard = [0] * robots, [self._fleet.step] * robots
-        self._reports: dict[int, Report] = {}
-        self._passed: list[tuple[int, int]] = []
+        self._waits, self._reports = [0] * robots, Reports(self._fleet)
         self._orders: dict[int, Order] | None = None
 
     # --- where it stands ---
@@ -151,11 +149,7 @@ class Mission:
             raise StateError(
                 "robots follow the paths of another planner", expected="a plan with areas", fix="plan with `mrac.plan`"
             )
-        state = state_of(fleet)
-        if fleet.problem.settings.wear == 1:
-            return state
-        robots = zip(state.robots, self._borne, strict=True)
-        return replace(state, robots=tuple(replace(robot, exposure=borne) for robot, borne in robots))
+        return state_of(fleet, self._borne)
 
     def rest(self, without: tuple[int, ...] = (), *, nominal: bool = True, **changes: Any) -> Plan:
         """The plan of what is left, from `state`; before the first step has ended, of the whole.
@@ -177,7 +171,7 @@ class Mission:
             fleet.retire(number)
         state, settings = self._state_of(fleet), replace(self._settings_of(fleet), **changes)
         if settings.policy != self.settings.policy:  # another rule goes on from other paths: areas are given anew
-            state = replace(state, areas=(), robots=tuple(map(_free, state.robots)))
+            state = replace(state, areas=(), robots=tuple(robot.at_rest for robot in state.robots))
         return planned(replace(self.world, doubt=None), state.starts, settings, state=state)
 
     # --- orders out, reports in ---
@@ -212,28 +206,11 @@ class Mission:
 
         Raises StateError for what cannot be, and the mission is as before.
         """
-        number = self._number(robot)
-        at = self._cell(number, cell)
-        if moves_left is not None and not is_whole(moves_left, 0, MAX_STEP):
-            raise StateError(f"robot {number}: moves_left is {moves_left!r}", expected=f"0 to {MAX_STEP}")
-        said = self.step if step is None else as_whole(step)
-        if not is_whole(said, 0, self.step):
-            raise StateError(f"robot {number} reports of step {said!r}", expected=f"a step up to {self.step}")
-        if said < self.step and said <= self._heard[number] and not stopped and not found:
-            self._passed.append((number, at))
-            self._orders = None
-            return
-        before = self._reports.get(number)
-        if before is not None and said > self._heard[number] and not before.stopped and at != before.cell:
-            self._passed.append((number, before.cell))  # it was late itself
-            self._reports[number] = replace(before, cell=at)
-        report = self._agreed(number, Report(at, bool(stopped), bool(found), moves_left))
-        self._heard[number] = max(said, self._heard[number])
-        if report == self._reports.get(number):
-            return
-        self._reports[number] = report
+        number, late = self._number(robot), len(self._reports.passed)
+        new = self._reports.hear(number, cell, step, moves_left, stopped=bool(stopped), found=bool(found))
         due = None if self._orders is None else self._orders.get(number)
-        if due is None or report != Report(self._index(due.cell)):
+        as_told = due is not None and new == Report(self._index(due.cell)) and len(self._reports.passed) == late
+        if new is not None and not as_told:
             self._orders = None
 
     def _number(self, robot: int) -> int:
@@ -245,46 +222,11 @@ class Mission:
     def _index(self, cell: tuple[int, int]) -> int:
         return cell[0] * self.world.shape[1] + cell[1]
 
-    def _cell(self, number: int, cell: ArrayLike | None) -> int:
-        """The index of the cell that a robot says it is at."""
-        if cell is None:
-            return self._reports[number].cell if number in self._reports else self._fleet.robots[number].cell
-        (height, width), found = self.world.shape, _whole_numbers(cell)
-        expected = f"[row, col] of a cell that it can reach, row 0..{height - 1} and col 0..{width - 1}"
-        if found.shape != (2,):
-            raise StateError(f"robot {number} is at {cell!r:.60}", expected=expected)
-        row, col = map(int, found)
-        if not (0 <= row < height and 0 <= col < width):
-            raise StateError(f"robot {number} is at [{row}, {col}], off the map", expected=expected)
-        if not self.world.free[row, col]:
-            raise StateError(f"robot {number} is at [{row}, {col}], an obstacle", expected=expected)
-        part = self._fleet.problem.part
-        if part[row * width + col] != part[self._fleet.robots[number].cell]:
-            raise StateError(f"robot {number} is at [{row}, {col}], with no way there", expected=expected)
-        return row * width + col
-
-    def _agreed(self, number: int, new: Report) -> Report:
-        """The report, if it can be true with what is known; what it leaves out as it was said before in this step."""
-        robot, before = self._fleet.robots[number], self._reports.get(number)
-        lost = (not robot.alive and (before is None or not before.found)) or (before is not None and before.stopped)
-        where = robot.cell if before is None else before.cell
-        if lost and not new.found:
-            if new.stopped and new.cell == where:
-                return before or replace(new, moves_left=None)
-            what = "moves" if new.cell != where else "reports"
-            raise StateError(f"robot {number} is lost, and {what}", expected="found, if it was found again")
-        if before is None or lost:
-            return replace(new, found=lost and new.found)
-        if new.cell != before.cell:
-            places = " and ".join(str(list(divmod(cell, self.world.shape[1]))) for cell in (before.cell, new.cell))
-            raise StateError(f"robot {number} is at {places} in step {self.step}", expected="one place a step")
-        moves_left = before.moves_left if new.moves_left is None else new.moves_left
-        return Report(new.cell, new.stopped, before.found, moves_left)
-
     def advance(self) -> None:
         """End the step: every robot is where it reported; who did not is where it was, or at t = 0 where it starts."""
         self._play(self._fleet, False)
-        self._reports, self._passed, self._orders = {}, [], None
+        self._reports.clear()
+        self._orders = None
 
     @property
     def awaited(self) -> tuple[int, ...]:
@@ -295,7 +237,7 @@ class Mission:
         return tuple(
             order.robot
             for order in orders
-            if order.robot not in self._reports and (begins or self._index(order.cell) != cells[order.robot])
+            if order.robot not in self._reports.now and (begins or self._index(order.cell) != cells[order.robot])
         )
 
     def _play(self, fleet: Fleet, ahead: bool) -> dict[int, Order]:
@@ -304,10 +246,10 @@ class Mission:
         if ahead:
             fleet.recorder = None
         fleet.begin_step()
-        for number, cell in self._passed:
+        for number, cell in self._reports.passed:
             fleet.visit(number, cell)
         for robot in fleet.robots:
-            number, report = robot.number, self._reports.get(robot.number)
+            number, report = robot.number, self._reports.now.get(robot.number)
             if report is not None and report.found and not robot.alive:
                 fleet.find(number)
             if report is not None and (report.cell != robot.cell or report.moves_left):
@@ -367,38 +309,17 @@ class Mission:
         Raises StateError where a robot is on one of them, or has reported so; where they would lie between a robot and
         what it reported in this step; and for what is no cell of the map.
         """
-        found, (height, width) = _whole_numbers(cells), self.world.shape
-        if found.ndim != 2 or found.shape[1] != 2 or not len(found):
-            raise StateError(f"cells to close are {cells!r:.60}", expected="[[row, col], ...]")
-        if not ((found >= 0) & (found < (height, width))).all():
-            raise StateError("cells to close lie off the map", expected=f"row 0..{height - 1} and col 0..{width - 1}")
-        if len(self.lost) == self.robots:
-            raise StateError("every robot is lost", expected="a robot that goes on")
-        closed = np.unique(found.astype(np.int64) @ (width, 1))
-        for robot in self._fleet.robots:
-            report = self._reports.get(robot.number)
-            on = {robot.cell} if robot.alive else set()
-            for at in (on | ({report.cell} if report else set())) & set(closed.tolist()):
-                problem = f"robot {robot.number} is at {list(divmod(at, width))}, which is to be closed"
-                raise StateError(problem, expected="cells where no robot is", fix="close it when the robot has left it")
-        world = closed_world(self.world, closed)
-        part = world.components().ravel()
-        for number, report in self._reports.items():
-            if part[report.cell] != part[self._fleet.robots[number].cell]:
-                problem = f"what is to be closed cuts robot {number} off from {list(divmod(report.cell, width))}"
-                raise StateError(problem, expected="cells to close once the step in which it went there is over")
+        closed, world = closed_by(cells, self._reports)
         if self._fleet.step == NOT_BEGUN:
             plan = make_plan(world, self._plan.starts, self.settings)
         else:
             state = closed_state(self.state, world, self.settings.levels)
             plan = make_plan(replace(world, doubt=None), state.starts, self.settings, state=state)
-        kept = self._borne, self._waits, self._heard, self._reports
-        late, aside = self._passed, self._aside
+        kept, reports, aside = (self._borne, self._waits), self._reports, self._aside
         self._begin(world, plan)
-        for number in aside:
-            self._fleet.robots[number].aside = True
-        self._borne, self._waits, self._heard, self._reports = kept
-        self._passed = [one for one in late if self._fleet.problem.part[one[1]]]
+        self._borne, self._waits = kept
+        self._reports.carry(reports)
+        self._set_aside(aside)
         self.closed = sorted({*self.closed, *closed.tolist()})
 
     # --- kept in a file ---
@@ -412,14 +333,13 @@ class Mission:
         world, rest, keys = read_rest(path, world, plan)
         mission = cls(world, rest, **how)
         robot = whole(0, mission.robots - 1, what="the number of a robot")
-        for one in keys["aside"].items("a list of robots", least=0):
-            mission._fleet.robots[one.number(robot)].aside = True
+        mission._set_aside([one.number(robot) for one in keys["aside"].items("a list of robots", least=0)])
         mission.closed = [one.value for one in keys["closed"].items("a list of cells", least=0)]
         for report in keys["reports"].items("a list of reports", least=0):
             hand_on(mission.report, report)
         step = whole(NOT_BEGUN, mission.step, what="a step that is not to come")
         heard = [one.number(step) for one in keys["heard"].items("a list of steps", least=0)]
-        mission._heard[: len(heard)] = heard[: mission.robots]
+        mission._reports.heard[: len(heard)] = heard[: mission.robots]
         return mission
 
     def save(self, path: str | Path) -> None:
@@ -429,7 +349,7 @@ class Mission:
         """
         state = self.state.to_json() if self.step > 0 else None
         more: Json = {"closed": self.closed, "range": self.settings.range, "aside": self._aside}
-        more |= {"reports": self.said(), "heard": self._heard}
+        more |= {"reports": self.said(), "heard": self._reports.heard}
         more |= {} if self.outcome is None else {"ended": self.known()}
         write_mission(path, self.world, state, more)
 
@@ -440,25 +360,9 @@ class Mission:
 
     def said(self) -> list[Json]:
         """The reports of the step under way, as files hold them."""
-        width = self.world.shape[1]
-        late = [
-            {"robot": robot, "cell": list(divmod(cell, width)), "step": self.step - 1} for robot, cell in self._passed
-        ]
-        return late + [
-            {"robot": number, **asdict(report), "cell": list(divmod(report.cell, width))}
-            for number, report in self._reports.items()
-        ]
+        return self._reports.said()
 
-
-def _whole_numbers(given: ArrayLike) -> NDArray[np.int64]:
-    """They as an array; an empty one for anything else."""
-    try:
-        found = np.asarray(given)
-    except ValueError:  # ragged
-        found = np.zeros(0)
-    return found if found.dtype.kind in "iu" else np.zeros(0, dtype=np.int64)
-
-
-def _free(robot: RobotState) -> RobotState:
-    """A robot that is about nothing."""
-    return replace(robot, status="idle" if robot.alive else "dead", area=NO_AREA, ahead=NOTHING, to_do=NOTHING)
+    def _set_aside(self, robots: list[int]) -> None:
+        """As it was known before, in another fleet."""
+        for number in robots:
+            self._fleet.robots[number].aside = True

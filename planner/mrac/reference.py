@@ -6,8 +6,6 @@ It is slow and shares no kernel with them; use it to check one, or to follow one
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from planner.luck import Luck, rows_met
@@ -68,11 +66,7 @@ class ReferenceLoop:
             play_step(team, hit)
         if team.step != step or team.outcome(last) is not None:
             return None
-        state = state_of(team)
-        if self._bearing.shape == 1:
-            return state
-        robots = (replace(robot, exposure=luck.borne(number)) for number, robot in enumerate(state.robots))
-        return replace(state, robots=tuple(robots))
+        return state_of(team, [luck.borne(number) for number in range(len(team.robots))])
 
     def _luck_of(self, seed: int, rollout: int) -> Luck:
         return Luck(self._world, seed, rollout, self._luck, self._bearing)

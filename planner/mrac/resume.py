@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from planner.errors import StateError
 from planner.mrac.allocate import allocate_areas_to_robots
-from planner.mrac.areas import connected_parts
+from planner.mrac.areas import find_areas
 from planner.mrac.board import Robot
 from planner.mrac.executive import Executive
 from planner.mrac.partition import metis_parts
@@ -20,10 +21,14 @@ from planner.plans.plan import Area
 from planner.plans.state import NAT, ON_ITS_WAY, AreaState, MissionState, RobotState
 from planner.tolerance import MOST
 from planner.trace import Doing
+from planner.worlds.levels import NO_LEVEL
 
 
-def state_of(run: Executive) -> MissionState:
-    """Where a run stands between two steps. Completed areas without cells are left out, the others close up."""
+def state_of(run: Executive, borne: Sequence[int] | None = None) -> MissionState:
+    """Where a run stands between two steps. Completed areas without cells are left out, the others close up.
+
+    borne: what each robot has borne, in units of 2**-32 nat, which is kept where robots wear.
+    """
     world = run.problem.world
     kept = [number for number, area in enumerate(run.areas) if len(area.cells)]
     place = {number: index for index, number in enumerate(kept)}
@@ -36,6 +41,7 @@ def state_of(run: Executive) -> MissionState:
             to_do=_still_to_do(run, robot),
             moves=int(run.problem.range[robot.number]) - robot.moves,
             held=robot.held,
+            exposure=None if borne is None or run.problem.settings.wear == 1 else borne[robot.number],
         )
         for robot in run.robots
     )
@@ -120,12 +126,8 @@ def _allocated(problem: Problem, state: MissionState, able: list[int]) -> Missio
     seen = np.zeros(problem.costs.size, dtype=np.bool_)
     seen[state.visited] = True
 
-    def parts(of: np.ndarray) -> list[tuple[int, np.ndarray]]:
-        return [
-            (level, part)
-            for level in range(len(levels.values))
-            for part in connected_parts(shape, np.flatnonzero(of & levels.accessible & (levels.of_cell == level)))
-        ]
+    def parts(of: NDArray[np.bool_]) -> list[tuple[int, NDArray[np.int64]]]:
+        return find_areas(shape, replace(levels, of_cell=np.where(of, levels.of_cell, NO_LEVEL)))
 
     starts, density = problem.starts[able], problem.settings.density
     given = allocate_areas_to_robots(parts(~seen), starts, shape, problem.paths, density, metis_parts)

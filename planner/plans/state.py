@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from planner.errors import StateError
 from planner.files import Json, write_json
 from planner.limits import MAX_PLAN_BYTES
+from planner.none import NO_AREA
 
 FORMAT, VERSION = "mrac-state", 1
 NAT = 2**32
 """Units of exposure in a nat."""
 ON_ITS_WAY = ("traveling", "covering")
 STATUSES = ("idle", *ON_ITS_WAY, "done", "dead")
+NO_CELLS = np.zeros(0, dtype=np.int64)
 AREA_STATES = ("unassigned", "assigned", "completed")
 
 
@@ -45,6 +47,12 @@ class RobotState:
     def alive(self) -> bool:
         """Not lost."""
         return self.status != "dead"
+
+    @property
+    def at_rest(self) -> RobotState:
+        """The robot about nothing."""
+        rests = "idle" if self.status in ON_ITS_WAY else self.status
+        return replace(self, status=rests, area=NO_AREA, ahead=NO_CELLS, to_do=NO_CELLS)
 
 
 @dataclass(frozen=True, eq=False)

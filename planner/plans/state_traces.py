@@ -13,7 +13,7 @@ from planner.errors import MapError, StateError, UsageError
 from planner.files import read_npy
 from planner.limits import MAX_STEP
 from planner.none import NO_AREA
-from planner.plans.state import MissionState, RobotState
+from planner.plans.state import NO_CELLS, MissionState, RobotState
 from planner.plans.state_file import check_state, load_state
 from planner.worlds.georeference import WGS84
 from planner.worlds.grid import Frame
@@ -28,7 +28,6 @@ HALF = 0.5
 """Share of a cell's pixels that must be marked for the cell to count as visited."""
 SUFFIXES = (".json", ".csv", ".npy", ".yaml", ".yml", ".mcap", *IMAGES)
 """Files that a state is read from."""
-NOTHING = np.zeros(0, dtype=np.int64)
 
 
 class Found(NamedTuple):
@@ -79,7 +78,7 @@ def _check_no_starts(starts: ArrayLike | None, path: Path) -> None:
 
 
 def _robot(cell: int, status: str = "idle", moves: int = 0) -> RobotState:
-    return RobotState(cell, status, NO_AREA, NOTHING, NOTHING, moves, False)
+    return RobotState(cell, status, NO_AREA, NO_CELLS, NO_CELLS, moves, False)
 
 
 def _state(found: Found, world: World, path: Path) -> tuple[MissionState, tuple[str, ...]]:
