@@ -65,7 +65,7 @@ def check_file(path: Path, expected: str) -> None:
 def atomic_write(path: Path, mode: str = "w", *, sync: bool = False) -> Iterator[IO[Any]]:
     """Open a temporary file beside `path`; on success it replaces `path`, on any error it is removed.
 
-    `sync`: what is written is on the disk before that.
+    `sync`: what is written is on the disk before that, and its name before this returns.
     A link is followed: its target is replaced. Raises MapError where nothing can be written, and for a target that is
     there and no regular file.
     """
@@ -80,6 +80,10 @@ def atomic_write(path: Path, mode: str = "w", *, sync: bool = False) -> Iterator
                 out.flush()
                 os.fsync(out.fileno())
         beside.replace(target)
+        if sync and os.name == "posix":
+            folder = os.open(target.parent, os.O_RDONLY)
+            os.fsync(folder)  # its new name too
+            os.close(folder)
     except OSError as error:
         problem = f"cannot be written ({error.strerror or error})"
         raise MapError(problem, source=printable(path), expected="a file that can be written") from error

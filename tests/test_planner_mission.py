@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
+from stat import S_ISDIR
 from typing import Any
 
 import numpy as np
 import pytest
 from closed_loop_compare import assert_same_trace
 
-from planner.errors import InputError, StateError
+from planner.errors import InputError, StateError, WorldError
 from planner.luck import Luck
 from planner.missions.mission import Mission
 from planner.mrac.make_plan import make_plan
@@ -20,12 +22,14 @@ from planner.none import NO_AREA
 from planner.plans.plan import Plan
 from planner.plans.plan_file import parse_plan
 from planner.plans.state_file import parse_state
+from planner.policies.rule import Rule
 from planner.settings import Settings
 from planner.tally import Outcome
 from planner.worlds.generate import Stream, ThreatPattern, random_world
+from planner.worlds.learning import with_sense, with_truth
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
-from planner.worlds.wrong_maps import with_hazard
+from planner.worlds.wrong_maps import with_hazard, with_maps
 
 SETTINGS: dict[str, dict[str, Any]] = {
     "mrac": {},
@@ -37,6 +41,8 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "reserve": {"policy": "per_cell", "reserve": 0.3},
     "worth": {"policy": "per_cell", "worth": 12.0, "reserve": 0.5},
     "per_cell, range": {"policy": "per_cell", "range": (20, 30, 40, 50)},
+    "wear": {"wear": 2.0, "susceptibility": (1.0, 0.5, 2.0, 1.0)},
+    "own rule": {"policy": Rule("by_size", lambda offer: ((offer.level, 1), (-offer.unvisited, 1)))},
 }
 
 
@@ -105,13 +111,24 @@ def test_so_it_is_under_hazards_and_on_the_paths_of_another_planner() -> None:
     assert len(ends) > 1
 
 
+def test_so_it_is_on_maps_in_doubt_and_where_cells_have_a_value() -> None:
+    for seed in range(3):
+        world, plan = case(seed)
+        doubtful = with_maps(world, [world.threat, world.threat / 2, np.where(world.threat > 0, 0.5, world.threat)])
+        valued = world.with_values(np.arange(world.threat.size).reshape(world.shape) % 5)
+        for there, policy in ((doubtful, "mrac"), (valued, "per_cell")):
+            planned = make_plan(there, plan.starts, Settings(policy=policy))
+            for rollout in range(3):
+                assert_driven_is_the_closed_loop(there, planned, seed, rollout)
+
+
 @pytest.mark.parametrize("more", SETTINGS.values(), ids=list(SETTINGS))
 def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], tmp_path: Path) -> None:
     """Saved and gone on with between all steps, and in the middle of them, it ends as the run that was not."""
     for seed in range(2):
         world, plan = case(seed, **more)
         whole = ReferenceLoop(plan, world).run(seed, 1)
-        luck, mission = Luck(world, seed, 1), Mission(world, plan)
+        luck, mission = Luck(world, seed, 1, "tolerance", plan.bearing), Mission(world, plan)
         while mission.outcome is None:
             robots = list(mission.orders().values())
             for number, order in enumerate(robots):
@@ -130,6 +147,52 @@ def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], tmp_pa
         assert (mission.outcome, mission.step - 1) == (whole.outcome, whole.time)
         np.testing.assert_array_equal(mission._fleet.visited, whole.visited)
         assert mission.lost == tuple(np.flatnonzero(~whole.alive))
+        if plan.bearing.shape > 1:
+            assert mission.state.exposures == tuple(luck.borne(robot) for robot in range(mission.robots))
+
+
+def test_in_which_order_robots_report_in_a_step_is_all_one() -> None:
+    world, plan = case(2, policy="per_cell", reserve=0.3)
+    stream, missions = Stream(5, 32), [Mission(world, plan) for _ in range(3)]
+    luck = Luck(world, 5, 0)
+    while missions[0].outcome is None:
+        said = []
+        for order in missions[0].orders().values():
+            cell = order.cell if stream.below(10) else places(missions[0])[order.robot]
+            moved = cell != places(missions[0])[order.robot]
+            stopped = moved and luck.hits(order.robot, missions[0].step, cell[0] * world.shape[1] + cell[1])
+            said.append({"robot": order.robot, "cell": cell, "stopped": stopped})
+        for mission, order_of in zip(missions, (said, said[::-1], said[1:] + said[:1]), strict=True):
+            for report in order_of:
+                mission.report(**report)
+                mission.orders()
+            mission.advance()
+        assert told(missions[0]) == told(missions[1]) == told(missions[2])
+    assert missions[0].known() == missions[1].known() == missions[2].known()
+    assert missions[0].state.to_json() == missions[1].state.to_json() == missions[2].state.to_json()
+
+
+def test_what_no_file_can_hold_and_no_mission_drives_is_said_at_once(tmp_path: Path) -> None:
+    paths = parse_plan({"paths": [[[0, 0], [0, 1]], [[1, 0]]]}, ROW, "paths")
+    with pytest.raises(StateError, match="paths of another planner"):
+        Mission(ROW, paths).save(tmp_path / "now.json")
+    assert not list(tmp_path.iterdir())
+    unknown = with_sense(with_truth(ROW, np.where(ROW.threat > 0, 0, ROW.threat)), 1)
+    with pytest.raises(WorldError, match="presumes a map that robots are told"):
+        Mission(unknown, make_plan(unknown, ROW.starts))  # type: ignore[arg-type]
+
+
+def test_a_mission_is_on_the_disk_before_it_is_in_the_place_of_what_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, synced = tmp_path / "now.json", []
+
+    def fsync(number: int) -> None:
+        synced.append(("folder" if S_ISDIR(os.fstat(number).st_mode) else "file", file.exists()))
+
+    monkeypatch.setattr("os.fsync", fsync)
+    of_two().save(file)
+    assert synced == [("file", False), ("folder", True)]
 
 
 # --- what cannot be, and what was not ordered ---

@@ -55,7 +55,7 @@ class Mission:
     Attributes:
         world: the map, with what was closed. closed: those cells, indices.
 
-    Raises PlanError for a plan of another map.
+    Raises PlanError for a plan of another map, WorldError for one that robots are not told.
     """
 
     def __init__(
@@ -68,6 +68,7 @@ class Mission:
         recorder: Recorder | None = None,
     ) -> None:
         FRACTION.check("gain", gain)
+        world.check_told("a mission that is driven")
         self.world, self.patience, self.gain, self._recorder = world, patience, gain, recorder
         self.closed: list[int] = []
         self._begin(world, plan)
@@ -143,13 +144,15 @@ class Mission:
         return self._state_of(self._fleet)
 
     def _state_of(self, fleet: Fleet) -> MissionState:
+        self._check_kept(fleet)
         if fleet.step == NOT_BEGUN:
             raise StateError("the mission has not begun", expected="a mission whose step 0 is over")
-        if any(robot.status is Doing.FOLLOWING for robot in fleet.robots):
-            raise StateError(
-                "robots follow the paths of another planner", expected="a plan with areas", fix="plan with `mrac.plan`"
-            )
         return state_of(fleet, self._borne)
+
+    def _check_kept(self, fleet: Fleet) -> None:
+        if any(robot.status is Doing.FOLLOWING for robot in fleet.robots):
+            problem = "robots follow the paths of another planner, which no state of a mission holds"
+            raise StateError(problem, expected="a plan with areas", fix="plan with `plan`, for the closed loop")
 
     def rest(self, without: tuple[int, ...] = (), *, nominal: bool = True, **changes: Any) -> Plan:
         """The plan of what is left, from `state`; before the first step has ended, of the whole.
@@ -347,6 +350,7 @@ class Mission:
 
         What is written is on the disk before this returns. Raises StateError, also for another planner's paths.
         """
+        self._check_kept(self._fleet)
         state = self.state.to_json() if self.step > 0 else None
         more: Json = {"closed": self.closed, "range": self.settings.range, "aside": self._aside}
         more |= {"reports": self.said(), "heard": self._reports.heard}
