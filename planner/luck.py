@@ -15,6 +15,7 @@ from planner.luck_names import LuckName
 from planner.threefry import own_key, threefry2x32, uniform
 from planner.tolerance import exposure_of
 from planner.worlds.doubt import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Uncertain
+from planner.worlds.movers import Movers
 from planner.worlds.world import World
 
 
@@ -63,7 +64,7 @@ class Luck:
         """That a visit of the cell, as it is in this rollout, stops a robot."""
         doubt = self._world.doubt
         place = np.unravel_index(cell, self._world.shape)
-        if doubt is None:
+        if doubt is None or isinstance(doubt, Movers):
             return self._world.met[place]
         if isinstance(doubt, Hazard):
             there = cell not in self._spent and self._number(HAZARD_DRAW, cell) < float(doubt.q[place]) * UNIT

@@ -80,7 +80,7 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
     return {
         "map": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
-        **({} if world.doubt is None else {"in doubt": world.doubt.said}),
+        **({} if world.doubt is None else {"in doubt" if world.movers is None else "movers": world.doubt.said}),
         **({"what p means": evaluation.p_means} if evaluation.p_means else {}),
         "plan": f"{plan.origin if plan.is_foreign else plan_words(plan)}, {span_words(plan)}",
         "rollouts": f"{whole}{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, "
@@ -91,7 +91,12 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
 def _in_lines(evaluation: Evaluation, looked_at: Mapping[str, str]) -> list[str]:
     """The same for a terminal, and how fast it was."""
     plan, rate = evaluation.plan, evaluation.tally.rollouts / max(evaluation.seconds, 1e-9)
-    before = {"map": f"{evaluation.world.source}: ", "in doubt": "in doubt: ", "plan": "plan: " * (not plan.is_foreign)}
+    before = {
+        "map": f"{evaluation.world.source}: ",
+        "in doubt": "in doubt: ",
+        "movers": "",
+        "plan": "plan: " * (not plan.is_foreign),
+    }
     lines = [before.get(name, "") + what for name, what in looked_at.items()]
     return [*lines[:-1], f"{lines[-1]}: {rate:,.0f} a second"]
 

@@ -12,6 +12,7 @@ from analysis.recording.pick import Picker, parse_picks
 from analysis.sampling import RolloutChoices, make_engine_for
 from planner.none import NO_STEP
 from planner.plans.plan import Plan
+from planner.roaming import ways_of_movers
 from planner.shown import counted
 from planner.trace import Doing, Trace
 from planner.worlds.world import World
@@ -63,10 +64,13 @@ def picked(world: World, plan: Plan, choices: RolloutChoices, total: int) -> tup
     ids = [picker.choose(pick, choices.seed) for pick in PICKS]
     shares = [100 * int(results.visited[number]) / engine.accessible for number in ids]
     names = [f"{pick.name}, {share:.1f} %" for pick, share in zip(PICKS, shares, strict=True)]
-    return [run_of(name, trace) for name, trace in zip(names, engine.traces(ids), strict=True)], ids, count
+    traces = zip(names, engine.traces(ids), strict=True)
+    return [run_of(name, trace, world, choices.seed) for name, trace in traces], ids, count
 
 
-def run_of(name: str, trace: Trace) -> Run:
+def run_of(name: str, trace: Trace, world: World, seed: int) -> Run:
     """A rollout as the page plays it."""
     dead = trace.doing == Doing.DEAD
-    return Run(name, trace.cells, np.where(dead.any(axis=0), dead.argmax(axis=0), NO_STEP))
+    told = world.movers is not None
+    movers = ways_of_movers(world, seed, trace.rollout, len(trace.cells)) if told else None
+    return Run(name, trace.cells, np.where(dead.any(axis=0), dead.argmax(axis=0), NO_STEP), movers)

@@ -31,6 +31,13 @@ function player(group) {
     return mark;
   });
 
+  const threats = Array.from({ length: Math.max(...about.runs.map((one) => (one.movers ? one.movers.starts.length : 0))) }, () => {
+    const mark = make("i", "mover");
+    mark.title = "a threat that moves";
+    box.append(mark);
+    return mark;
+  });
+
   // --- the controls ---
   const panel = make("div", "player"), bar = make("div", "controls"), track = make("div", "track-box");
   const press = (look, name, text, act) => {
@@ -57,7 +64,10 @@ function player(group) {
   async function load(number) {
     if (!known.has(number)) {
       const packed = about.runs[number], moves = await Promise.all(packed.moves.map(inflate));
-      known.set(number, unfold(moves.map((buffer) => new Uint8Array(buffer)), packed.starts, packed.lost, packed.time, rows, cols));
+      const found = unfold(moves.map((buffer) => new Uint8Array(buffer)), packed.starts, packed.lost, packed.time, rows, cols);
+      const moving = packed.movers || { starts: [], moves: [] }, ways = await Promise.all(moving.moves.map(inflate));
+      found.movers = ways.map((way, mover) => ({ at: cellsOf(new Uint8Array(way), moving.starts[mover], BY_MOVE(cols)) }));
+      known.set(number, found);
     }
     return known.get(number);
   }
@@ -78,6 +88,10 @@ function player(group) {
     }));
     draw(run.time);
   }
+  function put(mark, cell, shift) {
+    mark.style.left = (100 * ((cell % cols) + shift)) / cols + "%";
+    mark.style.top = (100 * (Math.floor(cell / cols) + shift)) / rows + "%";
+  }
   function draw(to) {
     if (!replay) return;
     step = Math.min(Math.max(Math.floor(to), 0), run.time);
@@ -86,10 +100,13 @@ function player(group) {
     for (; drawn > covered; drawn--) context.fillRect(order[drawn - 1] % cols, Math.floor(order[drawn - 1] / cols), 1, 1);
     replay.robots.forEach((robot, number) => {
       const cell = cellAt(robot, step), mark = marks[number], shift = about.shifts[number] + 0.5;
-      mark.style.left = (100 * ((cell % cols) + shift)) / cols + "%";
-      mark.style.top = (100 * (Math.floor(cell / cols) + shift)) / rows + "%";
+      put(mark, cell, shift);
       mark.classList.toggle("lost", isLost(robot, step));
       if (lines[number]) lines[number].setAttribute("d", trail(robot, step, cols));
+    });
+    threats.forEach((mark, number) => {
+      mark.hidden = number >= replay.movers.length;
+      if (!mark.hidden) put(mark, cellAt(replay.movers[number], step), 0.5);
     });
     const gone = run.lost.map((at, robot) => [at, robot]).filter(([at]) => at >= 0 && at <= step).sort((a, b) => a[0] - b[0]);
     const part = written((100 * covered) / about.accessible, 1), left = marks.length - gone.length;

@@ -1,18 +1,24 @@
 // A run from its moves: where everybody is, and what is covered, at any step. Nothing here touches the page.
 const BY_MOVE = (cols) => [0, -cols, cols, -1, 1];
 
+// Where a way of such codes leads from a cell: the cell of every step.
+function cellsOf(codes, start, by) {
+  const at = new Int32Array(codes.length + 1);
+  at[0] = start;
+  codes.forEach((code, step) => { at[step + 1] = at[step] + by[code]; });
+  return at;
+}
+
 // moves: a Uint8Array a robot (codes of BY_MOVE, one a step); starts: its first cell; lost: the step it is stopped, or -1.
 function unfold(moves, starts, lost, time, rows, cols) {
   const by = BY_MOVE(cols), when = new Int32Array(rows * cols).fill(-1), who = new Int32Array(rows * cols).fill(-1);
   const robots = moves.map((codes, number) => {
-    const at = new Int32Array(codes.length + 1);
+    const at = cellsOf(codes, starts[number], by);
     const letters = ["M" + (starts[number] % cols) + " " + Math.floor(starts[number] / cols)], ends = [0];
-    at[0] = starts[number];
     let last = 0, times = 0;
     const stroke = () => { if (times) letters.push((last < 3 ? "v" : "h") + (last % 2 ? -times : times)); };
     for (let step = 1; step <= codes.length; step++) {
       const code = codes[step - 1];
-      at[step] = at[step - 1] + by[code];
       if (code === 0) continue;
       if (code !== last) {
         stroke();

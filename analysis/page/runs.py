@@ -27,11 +27,13 @@ class Run:
     Attributes:
         name: on its button. cells: int32 `[T, K]`, cell (row * W + col) of each robot at the end of each step.
         lost: int64 `[K]`, the step at which each robot was stopped; NO_STEP.
+        movers: int64 `[T, M]`, cells of the threats that move; None where they are not told.
     """
 
     name: str
     cells: NDArray[np.int32]
     lost: NDArray[np.int64]
+    movers: NDArray[np.int64] | None = None
 
 
 def packed_runs(runs: Sequence[Run], accessible: NDArray[np.bool_]) -> Json:
@@ -39,7 +41,7 @@ def packed_runs(runs: Sequence[Run], accessible: NDArray[np.bool_]) -> Json:
     packed, letters = [], 0
     for run in runs:
         told = pack(run, accessible.shape[1])
-        letters += sum(map(len, told["moves"]))
+        letters += sum(map(len, told["moves"] + told.get("movers", {"moves": []})["moves"]))
         if letters > MOST_LETTERS:
             break
         packed.append(told)
@@ -55,20 +57,26 @@ def pack(run: Run, width: int) -> Json:
 
     A code is 0 (stay), 1 (up), 2 (down), 3 (left) or 4 (right). Raises ValueError for a robot that jumps.
     """
-    steps = np.diff(run.cells, axis=0)
+    told = {} if run.movers is None else {"starts": run.movers[0].tolist(), "moves": moves_of(run.movers, width)}
+    return ({"movers": told} if told else {}) | {
+        "name": run.name,
+        "time": len(run.cells) - 1,
+        "starts": run.cells[0].tolist(),
+        "lost": run.lost.tolist(),
+        "moves": moves_of(run.cells, width),
+    }
+
+
+def moves_of(cells: NDArray[np.integer], width: int) -> list[str]:
+    """The codes of each way, a column of `cells` `[T, K]`, until it stays for good."""
+    steps = np.diff(cells, axis=0)
     codes = np.zeros(steps.shape, dtype=np.uint8)
     for code, step in ((4, 1), (3, -1), (2, width), (1, -width)):  # a map of one column has up and down alone
         codes[steps == step] = code
     if ((codes == 0) & (steps != 0)).any():
-        raise ValueError("a robot does not move from cell to cell")
+        raise ValueError("a way does not lead from cell to cell")
     moves = []
     for way in codes.T:
         until = int(np.flatnonzero(way)[-1]) + 1 if way.any() else 0
         moves.append(base64.b64encode(zlib.compress(way[:until].tobytes(), 9)).decode())
-    return {
-        "name": run.name,
-        "time": len(steps),
-        "starts": run.cells[0].tolist(),
-        "lost": run.lost.tolist(),
-        "moves": moves,
-    }
+    return moves

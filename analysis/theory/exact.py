@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.theory.doubt import alone, ways
+from analysis.theory.moving import passed_movers
 from planner.bearing import PLAIN, Bearing
 from planner.plans.plan import Plan, RobotPlan, entries
 from planner.worlds.doubt import Hazard, Uncertain
@@ -75,6 +76,20 @@ def chances_along(
     first = np.zeros(len(cells), dtype=np.bool_)
     first[np.unique(cells, return_index=True)[1]] = True
     return RobotChances(steps, cells, threat, reach, first)
+
+
+def chances_among(robot: RobotPlan, world: World, bearing: Bearing = PLAIN) -> RobotChances:
+    """The chances of one robot alone, where threats move: of every step, waits too (`theory.moving`)."""
+    moves = entries(robot.path)
+    path = robot.path[: moves[-1] + 1]
+    own = chances_along(robot, world.met.ravel()[robot.path[moves]].astype(np.float64), bearing)
+    passed = np.ones(len(path))
+    passed[moves] = 1.0 - own.threat
+    passed *= passed_movers(path, world)
+    first = np.zeros(len(path), dtype=np.bool_)
+    first[moves[own.first]] = True
+    reach = np.concatenate([[1.0], np.cumprod(passed)[:-1]])
+    return RobotChances(np.arange(len(path)), path, 1.0 - passed, reach, first)
 
 
 def chances_of(plan: Plan, world: World) -> list[RobotChances]:
@@ -151,10 +166,13 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
 
     `S_i(c)` is the chance that robot i gets as far as its first entry of c, before that entry's own hit check for
     `visited` and after it for `survived`. Cost: linear in the total length of the paths. Where the map is in doubt: the
-    mean over the ways that it may be (`theory.doubt`); where they are too many, NaN in all that is not known.
+    mean over the ways that it may be (`theory.doubt`); where they are too many, NaN in all that is not known. Where
+    threats move robots are not independent: known of one robot alone (`chances_among`).
     """
     if world.doubt is None:
         return exact_of(plan, chances_of(plan, world), world.threat.size)
+    if world.movers is not None and len(plan.robots) == 1:
+        return exact_of(plan, [chances_among(plan.robots[0], world, plan.bearing)], world.threat.size)
     plain = plan.bearing.is_plain
     known = ways(plan, world) if plain or (isinstance(world.doubt, Uncertain) and world.doubt.whole) else None
     if known is None:
@@ -196,7 +214,7 @@ def _of_each_alone(plan: Plan, world: World) -> OpenLoopExact:
     robots = [chances_along(robot, threat) for robot, threat in zip(plan.robots, alone(plan, world), strict=True)]
     found = exact_of(plan, robots, world.threat.size)
     consumed = isinstance(world.doubt, Hazard) and world.doubt.kind == "consumed"
-    kept = () if consumed or not plan.bearing.is_plain else ("stops_by_cell", "survival")
+    kept = () if consumed or world.movers is not None or not plan.bearing.is_plain else ("stops_by_cell", "survival")
     return OpenLoopExact(
         **{
             name: getattr(found, name) if name in kept else np.full_like(getattr(found, name), np.nan)

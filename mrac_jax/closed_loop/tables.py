@@ -152,6 +152,8 @@ def check_supported(loop: ClosedLoop) -> None:
     if int(loop.tables.cost_to.max()) * 2 >= UNREACHABLE:
         expected = "threats whose ratios keep the costs of eq. (3) below that for the closed loop in JAX"
         raise WorldError("costs of 2**29 and more", expected=expected, fix=f"{fix}, or fewer {argument('levels')}")
+    if loop.movers is not None:
+        raise WorldError(loop.movers.said, expected="threats that stand still in JAX", fix=fix)
     check_policy(loop)
 
 

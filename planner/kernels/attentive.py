@@ -17,9 +17,10 @@ from planner.kernels.choose import could_go_on, first_to_share, has_to_wait, hea
 from planner.kernels.first import first_area, first_of_idle, see
 from planner.kernels.follow import offer_of
 from planner.kernels.handed import hand
+from planner.kernels.meet import is_meeting
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
 from planner.kernels.rollouts import begin_next, go_on_with, level_of
-from planner.kernels.runs import count_new, end_of, enter, lose, moves_on, only_mover, stay, survive, waits
+from planner.kernels.runs import after_turns, count_new, end_of, enter, lose, moves_on, only_mover, stay, survive, waits
 from planner.kernels.state import (
     ACTS,
     AHEAD,
@@ -40,6 +41,7 @@ from planner.kernels.state import (
     LEFT_IN,
     NEXT,
     OPEN,
+    PARTED,
     PASSED,
     PROGRESS,
     QUIET,
@@ -297,6 +299,8 @@ def advance(t, p, s, c, w, log, how, ids):
     size, step, robot, verdict = marks[LAST] - marks[FIRST], marks[STEP], marks[ROBOT], marks[VERDICT]
     word, cell, progress = robot // WORD, np.int64(robots[robot, CELL]), marks[PROGRESS]
     bits = actors(p, s, word, robot % WORD if verdict != ACTS else NONE)
+    if is_meeting(s):
+        word, bits, verdict = len(s.movers) - 1, np.uint64(0), ACTS if verdict == PASSED else verdict
     # What `first_of_idle` keeps is of one level of the stack, and scratch is of the thread.
     for other in range(len(robots)):
         w.kept[other, 0] = NONE
@@ -305,6 +309,11 @@ def advance(t, p, s, c, w, log, how, ids):
             while bits == 0:
                 word += 1
                 if word == len(s.movers):
+                    if len(s.entered) > 0:
+                        marks[PROGRESS] = progress
+                        verdict = after_turns(t, s, c, w, how, ids, size)
+                        if verdict != ACTS:
+                            break
                     look(log, s, step)
                     marks[QUIET] = 0 if progress else marks[QUIET] + 1
                     outcome = ending(t, p, s, w, how, step)
@@ -317,6 +326,11 @@ def advance(t, p, s, c, w, log, how, ids):
                     step, word, progress = step + 1, 0, 0
                     marks[STEP] = step
                 bits = actors(p, s, word, NONE)
+            if verdict == PARTED:
+                return verdict
+            if verdict == HIT:
+                robot, word = marks[ROBOT], word - 1
+                continue
             robot = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
             got = 0
@@ -347,10 +361,14 @@ def advance(t, p, s, c, w, log, how, ids):
             if not lose(t, s, c, w, log, robot, size):
                 return AREAS_FULL
             unsettle(s)
+            if is_meeting(s):
+                bits = np.uint64(0)
+                continue
         else:
             if verdict == PASSED:
                 verdict = np.int64(ACTS)
-                survive(s, c, step, cell, size)
+                if len(s.entered) == 0:
+                    survive(s, c, step, cell, size)
             if step == s.team[robot, UNTIL]:
                 if not stay(t, s, w, log, robot):
                     return AREAS_FULL

@@ -24,6 +24,7 @@ from planner.none import NO_AREA
 from planner.plans.plan import Area, Plan
 from planner.plans.state import MissionState
 from planner.policies.in_area import cheapest_first
+from planner.roaming import check_counters
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
 from planner.trace import EventKind, Trace
 from planner.worlds.world import World
@@ -64,6 +65,7 @@ def compile_closed_loop(
         )
     if problem.unknown is not None and problem.unknown.learns:
         world.check_told("the compiled closed loop")
+    check_counters(world, len(problem.starts), problem.max_steps)
     cells = np.flatnonzero(problem.levels.accessible)
     return ClosedLoop(
         identity=_identity(problem, areas, first_only, plan.state),
@@ -80,6 +82,7 @@ def compile_closed_loop(
         purpose=purpose_of(world),
         luck=luck,
         bearing=plan.bearing,
+        movers=world.movers,
     )
 
 

@@ -17,7 +17,9 @@ from planner.kernels.state import State, Tables, first_state
 from planner.kernels.tables import luck_tables
 from planner.luck_names import LuckName
 from planner.plans.state import MissionState
+from planner.roaming import first_places
 from planner.tally import Tally, tally_key
+from planner.worlds.movers import Movers
 from planner.worlds.world import World
 
 NO_COUNTS = np.zeros(0, dtype=np.int64)
@@ -49,6 +51,7 @@ class ClosedLoop:
         luck: by which robots are stopped. bearing: what they bear.
         purpose: of the key under which is drawn what is in doubt about the map (`planner.worlds.doubt.Draws`).
         state: of the mission that rollouts go on from; None: they begin at t = 0.
+        movers: threats that move, which are told for each rollout; None: there are none.
     """
 
     identity: str
@@ -64,6 +67,7 @@ class ClosedLoop:
     purpose: int = 0
     luck: LuckName = "tolerance"
     bearing: Bearing = PLAIN
+    movers: Movers | None = None
 
     @property
     def robots(self) -> int:
@@ -85,6 +89,11 @@ class ClosedLoop:
         """True if what is left of each robot's tolerance is kept for every rollout: they bear different things."""
         return self.in_doubt and self.luck == "tolerance"
 
+    @property
+    def keeps_apart(self) -> bool:
+        """True if something is kept for every rollout."""
+        return self.keeps_tolerances or self.movers is not None
+
     @cached_property
     def _first(self) -> dict[int, State]:
         return {}
@@ -97,6 +106,16 @@ class ClosedLoop:
                 set_back_to(self.state, first, self.tables, self.cells)
             self._first[room] = State._make(row[None] for row in first)
         return self._first[room]
+
+    def first_places(self, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
+        """`planner.kernels.state.Work.at` of these rollouts before movers have moved."""
+        assert self.movers is not None
+        places = first_places(self.movers, seed, ids)
+        walks = np.array([not one.patrols for one in self.movers.members])
+        number = np.full(self.shape[0] * self.shape[1], len(self.cells), dtype=np.int64)
+        number[self.cells] = np.arange(len(self.cells))
+        places[:, walks] = number[places[:, walks]]
+        return places
 
     def empty_tally(self, seed: int) -> Tally:
         """The tally of no rollouts."""

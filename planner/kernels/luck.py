@@ -199,7 +199,7 @@ def part_in_doubt(t, ids, w, how, first, last, step, robot, cell):
             word = threefry(how.key0, how.key1, mine[index], counter)[0] >> np.uint32(8)
             own = own_word(t, how, mine[index], cell)
             room[index] = word >= as_it_is(t.bound, t.table, t.there, t.column, cell, own)
-    return first + _split(mine, room, 1)
+    return first + split_ids(mine, room, 1)
 
 
 @kernel
@@ -217,7 +217,7 @@ def as_it_is(of, table, there, columns, place, word):
 
 
 @kernel
-def _split(ids, words, bound):
+def split_ids(ids, words, bound):
     """Part `ids` by which of `words`, which become scratch, are below the bound; returns how many are not."""
     gone = 0
     for index in range(len(ids)):

@@ -14,8 +14,9 @@ from planner.trace import EventKind, Trace
 
 def nominal_trace(loop: ClosedLoop) -> Trace:
     """The run of a closed loop with no hits."""
-    safe = replace(loop, tables=loop.tables._replace(bound=np.zeros_like(loop.tables.bound)))
-    return trace_rollouts(safe, 0, (0,))[0]
+    tables = loop.tables
+    safe = tables._replace(bound=np.zeros_like(tables.bound), movers=tables.movers[:0])
+    return trace_rollouts(replace(loop, tables=safe, movers=None), 0, (0,))[0]
 
 
 def with_nominal_run(plan: Plan, loop: ClosedLoop) -> Plan:

@@ -72,7 +72,7 @@ def level_of(stack, level):
     return State(
         stack.home[level], stack.order[level], stack.areas[level], stack.robots[level], stack.legs[level],
         stack.marks[level], stack.team[level], stack.movers[level], stack.waiting[level], stack.open[level],
-        stack.lowest[level], stack.spent[level], stack.passes[level],
+        stack.lowest[level], stack.spent[level], stack.passes[level], stack.entered[level],
     )  # fmt: skip
 
 
@@ -102,6 +102,7 @@ def copy_state(of, to):
     copy_row(of.lowest, to.lowest, (areas + WORD - 1) // WORD)
     copy_row(of.spent, to.spent, len(of.spent))
     copy_row(of.passes, to.passes, len(of.passes))
+    copy_row(of.entered, to.entered, len(of.entered))
 
 
 @rare_kernel

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -45,13 +46,14 @@ from planner.kernels.state import (
 )
 from planner.kernels.trace import Log, make_log
 from planner.none import NONE
+from planner.roaming import MOVERS_DRAWS
 from planner.threefry import own_key
 from planner.tolerance import LEAST, key_of_luck
 
 LARGEST_SET = 2**20
 """Rollouts that a thread takes at a time, of 8 bytes each, 12 where histories are shared out: more gain nothing."""
 MOST_KEPT = 2**16
-"""The same where tolerances are kept, of 8 bytes more for each robot."""
+"""The same where tolerances are kept, of 8 bytes more for each robot, or the places of movers, as many for each."""
 LEAST_SHARED, MOST_ASIDE = 2**13, 2**8
 """Rollouts a thread from which on histories are shared out, and sets that each thread then puts aside, at most."""
 TRIALS = 4
@@ -74,7 +76,7 @@ def run_sets(
     known = KNOWN.pop(loop, [])
     runners = _in_rounds(loop, seed, start, count, threads, singles, known)
     if runners is None:
-        most = MOST_KEPT if loop.keeps_tolerances else LARGEST_SET
+        most = MOST_KEPT if loop.keeps_apart else LARGEST_SET
         runners = on_threads(loop, seed, start, count, most, threads, work, known)
     KNOWN.clear()  # of one loop alone: it may be a fourth of a gigabyte a thread
     # A state that grew may count longer paths than the next call's first one can.
@@ -130,7 +132,7 @@ def _in_rounds(
     workers = _workers(threads, count)
     rounds = max(1, -(-count // (workers * LARGEST_SET)))
     most = -(-count // (workers * rounds))
-    if workers == 1 or most < LEAST_SHARED or loop.keeps_tolerances:
+    if workers == 1 or most < LEAST_SHARED or loop.keeps_apart:
         return None
     runners = [Runner(loop, seed, most, known) for _ in range(workers)]
     waiting = runners[0].make_levels((MOST_ASIDE + 1) * workers)
@@ -259,7 +261,8 @@ class Runner:
         self._tables, self._policy = plain(loop.tables), None if loop.policy is None else plain(loop.policy)
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of_luck(seed, loop.luck), *own))
-        self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside, 0)
+        moves, meetings = ((np.uint32(a), np.uint32(b)) for a, b in map(partial(own_key, seed), MOVERS_DRAWS))
+        self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside, 0, *moves, *meetings)
         remembers = loop.policy is None and not loop.stay_inside
         self.work = make_work(loop.tables, most, remembers, known.pop() if known else None)
         self._done: list[tuple[int, int]] = []
@@ -299,12 +302,11 @@ class Runner:
         begin, most = self._loop.first_state(self._room), self.largest_set
         for at in range(first, stop, most):
             ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
-            log.events[:1] = 0
+            log.events[:1], self.work.begin[0] = 0, at
             if self._loop.keeps_tolerances:
-                self.work.begin[0], self.work.left[: len(ids)] = (
-                    at,
-                    self._loop.bearing.tolerances(self._seed, ids, self._loop.robots),
-                )
+                self.work.left[: len(ids)] = self._loop.bearing.tolerances(self._seed, ids, self._loop.robots)
+            if self._loop.movers is not None:
+                self.work.at[: len(ids)] = self._loop.first_places(self._seed, ids)
             if not self.take(begin, whole_set(ids), ids, singles, log):
                 return False
         return True

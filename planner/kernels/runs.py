@@ -15,6 +15,7 @@ from planner.jit import kernel, rare_kernel, spliced
 from planner.kernels.areas import close, find_next_area, give, replace, share
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
 from planner.kernels.luck import fresh, stopped_from
+from planner.kernels.meet import has_entered, is_meeting, meet
 from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
 from planner.kernels.remember import can_be_remembered, remember
 from planner.kernels.state import (
@@ -173,11 +174,14 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     fresh = s.home[cell] & VISITED == 0
     safe = t.bound[cell] == 0
     verdict = ACTS if safe else PASSED
-    if safe:
+    survives = safe and len(s.entered) == 0
+    if survives:
         count_pass(s, cell)
+    elif len(s.entered) > 0:
+        put(s.entered, robot)
     if fresh:
-        visit(s, c, log, step, robot, cell, size, VISITED | SURVIVED if safe else VISITED)
-        if not safe:
+        visit(s, c, log, step, robot, cell, size, VISITED | SURVIVED if survives else VISITED)
+        if not survives:
             # Marked before the check, as Algorithm 2 does: visited at once, survived only if it is (`survive`).
             c.late[step] -= size
             c.unsurvived[cell] += size
@@ -245,6 +249,8 @@ def lose(t, s, c, w, log, robot, size):
         put(s.spent, cell)
     s.marks[ALIVE] -= 1
     drop(s.movers, robot)
+    if len(s.entered) > 0:
+        drop(s.waiting, robot)
     s.robots[robot, DOING] = DEAD
     note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
     # Nobody is left to take what it leaves.
@@ -268,6 +274,18 @@ def survive(s, c, step, cell, size):
         c.late[step] += size
         c.unsurvived[cell] -= size
         s.marks[UNSURVIVED] -= 1
+
+
+@rare_kernel
+def after_turns(t, s, c, w, how, ids, size):
+    """After the robots' turns: `planner.kernels.meet.meet`; at the end of it is said who has survived."""
+    verdict = meet(t, s, w, how, ids)
+    if verdict == ACTS:
+        for robot in range(len(s.robots)):
+            if has_entered(s, robot):
+                survive(s, c, s.marks[STEP], s.robots[robot, CELL], size)
+        s.entered[:] = np.uint64(0)
+    return verdict
 
 
 @spliced
@@ -356,13 +374,13 @@ def end_of(s, how, step):
 def only_mover(s, log):
     """The robot that alone can do something until the next hit, NONE if there are several, or none.
 
-    Also NONE where what it does is written down, or its visits are counted.
+    Also NONE where what it does is written down, its visits are counted, or threats move.
     """
     bits = s.movers[0]
     # bits & (bits - 1) takes the lowest bit away: 0 if it was the only one. One word of robots is enough for most
     # teams.
     alone = bits != 0 and bits & (bits - ONE) == 0 and (s.marks[OPEN] == 0 or s.waiting[0] == 0)
-    if not alone or len(s.movers) != 1 or len(log.frames) > 0 or len(s.passes) > 0:
+    if not alone or len(s.movers) != 1 or len(log.frames) > 0 or len(s.passes) > 0 or len(s.entered) > 0:
         return NONE
     robot = lowest_bit(bits)
     return robot if s.robots[robot, DOING] != FOLLOWING else NONE
@@ -441,11 +459,18 @@ def advance(t, s, c, w, log, how, ids):
     # A set goes on in the middle of a step: after the check of the robot at which it parted.
     word, cell, progress, moves = robot // WORD, robots[robot, CELL], marks[PROGRESS], True
     bits = actors(s, word, robot % WORD if verdict != ACTS else NONE)
+    if is_meeting(s):
+        word, bits, verdict = len(s.movers) - 1, np.uint64(0), ACTS if verdict == PASSED else verdict
     while True:
         if verdict == ACTS:
             while bits == 0:
                 word += 1
                 if word == len(s.movers):
+                    if len(s.entered) > 0:
+                        marks[PROGRESS] = progress
+                        verdict = after_turns(t, s, c, w, how, ids, size)
+                        if verdict != ACTS:
+                            break
                     look(log, s, step)
                     marks[STEP], marks[QUIET] = step, 0 if progress else marks[QUIET] + 1
                     outcome = end_of(s, how, step)
@@ -457,6 +482,11 @@ def advance(t, s, c, w, log, how, ids):
                     step, word, progress = step + 1, 0, 0
                     marks[STEP] = step
                 bits = actors(s, word, NONE)
+            if verdict == PARTED:
+                return verdict
+            if verdict == HIT:
+                robot, word = marks[ROBOT], word - 1
+                continue
             robot = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
             moves = robots[robot, DOING] != IDLE and robots[robot, DOING] != DONE
@@ -472,11 +502,12 @@ def advance(t, s, c, w, log, how, ids):
             verdict = ACTS
             if not lose(t, s, c, w, log, robot, size):
                 return AREAS_FULL
-            bits = actors(s, word, robot % WORD)
+            bits = np.uint64(0) if is_meeting(s) else actors(s, word, robot % WORD)
             continue
         if verdict == PASSED:
             verdict = ACTS
-            survive(s, c, step, cell, size)
+            if len(s.entered) == 0:
+                survive(s, c, step, cell, size)
         if step == s.team[robot, UNTIL] and moves:
             if not stay(t, s, w, log, robot):
                 return AREAS_FULL

@@ -74,6 +74,8 @@ class Tables(NamedTuple):
         chance: float64 `[A]`, p, by which a tree parts.
         nodes, times, begun: what robots bear, if that is not plain (`planner.bearing`), else empty: `wear_nodes`;
             int64 `[K]`, susceptibilities; int64 `[K]`, what each has borne before, to a fresh robot.
+        movers: int64 `[M, MOVER_WORDS]`, threats that move, none in most worlds (`planner.kernels.meet`); routes:
+            int64, the cells of their routes, one route after the other.
         starts: int32 `[K]`. range: int64 `[K]`, moves that each robot can make.
         order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
         level, owner: int32 `[M]`, the allocation at t = 0.
@@ -108,6 +110,8 @@ class Tables(NamedTuple):
     nodes: NDArray
     times: NDArray
     begun: NDArray
+    movers: NDArray
+    routes: NDArray
     starts: NDArray
     range: NDArray
     order: NDArray
@@ -121,6 +125,8 @@ class Tables(NamedTuple):
 class How(NamedTuple):
     """What else a call depends on: the halves of luck's key, those of the key for what is in doubt, T_max, two options.
 
+    `move0` .. `meet1`: those of the keys of movers' moves and of meetings.
+
     `aside`: 0, or how many sets of those who are hit the call puts aside, at most (`planner.kernels.rollouts.run_set`).
     `cut`: 0, or the mass below which a branch of a tree is left (`planner.kernels.tree`); `most`: histories of it.
     """
@@ -133,6 +139,10 @@ class How(NamedTuple):
     first_only: bool
     stay_inside: bool
     aside: int
+    move0: np.uint32
+    move1: np.uint32
+    meet0: np.uint32
+    meet1: np.uint32
     cut: int = 0
     most: int = 0
 
@@ -150,11 +160,14 @@ UNTIL, BORNE, BEARS, TEAM_WORDS = range(4)
 """`team`: the step of the last move of a robot that moves from now on, of who waits the moves left; the exposure that
 it has borne; no rollout of the set has less tolerance."""
 STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
-AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, CHANGES, COVERED, UNSURVIVED, MARKS = range(7, 18)
+AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, CHANGES, COVERED, UNSURVIVED, ROAMED, MARKS = range(7, 19)
 """`marks`: who acts in which step and what became of it, steps without progress, progress in this one, the set's part
 of the ids; areas so far, unassigned ones, the level of `State.lowest`, areas with unvisited cells, robots alive, areas
 shared by bisection, areas shared that lay in several components already, changes of the unassigned areas, cells
-visited, and those of them in which nobody has survived yet."""
+visited, those of them in which nobody has survived yet, and the steps that movers have made."""
+STAYS, HITS, ROUTE, ROUTE_LENGTH, MOVER_WORDS = range(5)
+"""`Tables.movers`: of 24 bits that are below, one that walks stays, and who is met is stopped; where its route begins
+in `routes`, and how many cells it has, 0: it walks."""
 ACTS, HIT, PASSED = range(3)
 """VERDICT: the next robot acts; the robot is hit in the cell that it has entered; it is not."""
 WORD = 64
@@ -175,6 +188,8 @@ class State(NamedTuple):
         lowest: like open, those of level `marks[LOWEST]`; no unassigned area has a lower one.
         spent: uint64 `[A / 64]`, bits of the cells that a hit made harmless, or empty.
         passes: uint8 `[A]`, survived visits of each cell, MOST_PASSES for more; empty where nobody asks.
+        entered: uint64 `[K / 64]`, bits of the robots that have entered a cell in this step; empty where nothing moves
+            but robots: only then it is not said by the end of their turns whether they survive there.
     """
 
     home: NDArray
@@ -190,6 +205,7 @@ class State(NamedTuple):
     lowest: NDArray
     spent: NDArray
     passes: NDArray
+    entered: NDArray
 
 
 class Work(NamedTuple):
@@ -199,6 +215,8 @@ class Work(NamedTuple):
         seen: int64 `[A + 1]`, cells met in the search of this number; stamp: int64 `[1]`, searches so far.
         stack, listed: uint32 `[A]`, cells. words: uint32 `[B]`, random words and ids of a set.
         left: int64 `[B, K]`, what is left of tolerances where the map is in doubt, of ids from `begin` int64 `[1]` on.
+        at: int64 `[B, M]`, where movers are in each rollout, a cell (A: out of reach) or a place on the route; met:
+            int64 `[B]`, the robot that is met next; both of ids from `begin` on. here: int64 `[A + 1]`, zeros.
         kept: int64 `[K, 5]`, of a robot that waits: what its first area was at so many changes, seen from which cell.
         rows: like cost_to `[R, A + 1]` or empty, from some cells to every one, NONE if unreachable, and at the end;
             row_costs, row_entries: like area_cost and area_entry `[R, M]`, from the same cells. row_of: int32 `[A]`,
@@ -230,6 +248,9 @@ class Work(NamedTuple):
     words: NDArray
     left: NDArray
     begin: NDArray
+    at: NDArray
+    met: NDArray
+    here: NDArray
     rank: NDArray
     everywhere: NDArray
     distance: NDArray
@@ -344,7 +365,8 @@ def first_state(tables: Tables, room: int, passes: bool = False) -> State:
     rows = [np.zeros(shape, dtype=kind) for shape in shapes]
     numbers = [np.zeros(shape, dtype=np.int64) for shape in (MARKS, (team, TEAM_WORDS))]
     bits = [np.zeros(count, dtype=np.uint64) for count in words]
-    state = State._make((*rows, *numbers, *bits, np.zeros(size if passes else 0, dtype=np.uint8)))
+    entered = np.zeros(words[0] if len(tables.movers) else 0, dtype=np.uint64)
+    state = State._make((*rows, *numbers, *bits, np.zeros(size if passes else 0, dtype=np.uint8), entered))
     _begin(state, tables)
     return state
 
@@ -404,8 +426,10 @@ def make_work(tables: Tables, most: int, remembers: bool, known: Work | None = N
     """Scratch for sets of at most `most` rollouts; `remembers`: with room for paths; `known`: of an earlier call."""
     kept = most if len(tables.exposure) and len(tables.own_counter) else 0
     words, left = np.zeros(most, dtype=np.uint32), np.zeros((kept, len(tables.starts)), dtype=np.int64)
+    at = np.zeros((most if len(tables.movers) else 0, len(tables.movers)), dtype=np.int64)
+    met = np.zeros(len(at), dtype=np.int64)
     if known is not None:
-        return known._replace(words=words, left=left)
+        return known._replace(words=words, left=left, at=at, met=met)
     size = len(tables.bound)
     searched = size if len(tables.entry) else 0
     remembered = min(REMEMBERED, 2 ** (8 + size.bit_length())) if remembers else 0
@@ -430,6 +454,9 @@ def make_work(tables: Tables, most: int, remembers: bool, known: Work | None = N
         words=words,
         left=left,
         begin=np.zeros(1, dtype=np.int64),
+        at=at,
+        met=met,
+        here=np.zeros(size + 1, dtype=np.int64),
         rank=np.full(searched, NONE, dtype=np.int32),
         everywhere=np.arange(apart) < searched,
         distance=np.full(apart, NONE, dtype=np.int64),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planner.bearing import PLAIN, Bearing
 from planner.kernels.all_pairs import all_pairs, to_areas
-from planner.kernels.state import MOST_CELLS, RANKED, WORD, Tables
+from planner.kernels.state import MOST_CELLS, MOVER_WORDS, RANKED, WORD, Tables
 from planner.luck_names import LuckName
 from planner.mrac.costs import BLOCKED, neighbour_table
 from planner.mrac.far_search import find_safe_parts
@@ -19,6 +19,7 @@ from planner.mrac.problem import Problem
 from planner.mrac.search import UNREACHED
 from planner.none import NO_CELL
 from planner.plans.plan import Area
+from planner.roaming import chance_bound
 from planner.worlds.doubt import bounds_of
 from planner.worlds.world import World
 
@@ -97,6 +98,7 @@ def make_tables(
         **_for_searches(near, entry[: 0 if tabled else len(cells)], narrow),
         **luck_tables(problem.world, cells, luck),
         **bearing_tables(bearing, len(problem.starts)),
+        **mover_tables(problem.world, compact, len(cells)),
         starts=compact[problem.starts],
         range=problem.range,
         order=order,
@@ -122,6 +124,21 @@ def most_cost(near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray
     return most
 
 
+def mover_tables(world: World, compact: NDArray[np.int32], beyond: int) -> dict[str, NDArray]:
+    """The fields of `Tables` that say how threats move; `compact` int32 `[N]`: cells' numbers, `beyond`: of others."""
+    members = () if world.movers is None else world.movers.members
+    begins = np.cumsum([0, *(len(one.route) for one in members)]).tolist()
+    rows = [
+        (chance_bound(one.stay), chance_bound(one.hit), begin, len(one.route))
+        for one, begin in zip(members, begins, strict=False)
+    ]
+    routes = compact[np.array([cell for one in members for cell in one.route], dtype=np.int64)].astype(np.int64)
+    return {
+        "movers": np.array(rows, dtype=np.int64).reshape(len(rows), MOVER_WORDS),
+        "routes": np.where(routes == NO_CELL, beyond, routes),
+    }
+
+
 def luck_tables(world: World, cells: NDArray[np.int64], luck: LuckName) -> dict[str, NDArray]:
     """The fields of `Tables` that say how a visit of each of `cells` `[A]` is drawn."""
     draws, exposure, doses = world.draws, np.zeros(0, dtype=np.int64), np.zeros((0, 0), dtype=np.int64)
@@ -130,10 +147,11 @@ def luck_tables(world: World, cells: NDArray[np.int64], luck: LuckName) -> dict[
     spends = draws is not None and draws.spends
     spent = np.zeros(-(-len(cells) // WORD) if spends else 0, dtype=np.uint64)
     drawn: dict[str, NDArray] = {"spent": spent, "exposure": exposure, "doses": doses}
-    drawn["chance"] = world.met.ravel()[cells].astype(np.float64)
+    threat = world.met.ravel()[cells]
+    drawn["chance"] = threat.astype(np.float64)
     if draws is None:
         nothing = np.zeros(0, dtype=np.uint32)
-        drawn |= {"bound": bounds_of(world.met.ravel()[cells]), "own_counter": nothing, "there": nothing}
+        drawn |= {"bound": bounds_of(threat), "own_counter": nothing, "there": nothing}
         return drawn | {"table": nothing.reshape(0, 0), "column": nothing.view(np.int32)}
     drawn |= {name: getattr(draws, name)[cells] for name in ("bound", "there", "column")}
     return drawn | {"own_counter": draws.counter[cells], "table": draws.table}

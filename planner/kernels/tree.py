@@ -174,7 +174,7 @@ def grow_tree(loop: ClosedLoop, slack: float, most: int, cheap: int = CHEAP) -> 
     out of CHEAP ones, and at once of teams of two, whose trees have no more histories than their paths have dangers.
     """
     runner = Runner(loop, 0, loop.robots + 1)
-    if loop.in_doubt or loop.weights is not None or not runner.has_levels:
+    if loop.in_doubt or loop.movers is not None or loop.weights is not None or not runner.has_levels:
         return None
     began, good = time.perf_counter(), None
     power = FIRST_CUT if loop.robots > 2 else FINEST_CUT

@@ -18,6 +18,7 @@ from planner.mrac.simulate import Hit, Run, make_team, play_step, simulate
 from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Plan
 from planner.plans.state import MissionState
+from planner.roaming import Roaming, check_counters
 from planner.trace import Trace
 from planner.worlds.doubt import Uncertain
 from planner.worlds.world import World
@@ -45,6 +46,7 @@ class ReferenceLoop:
         luck: LuckName = "tolerance",
     ) -> None:
         self._problem, self._areas = ready_loop(plan, world)
+        check_counters(world, len(plan.robots), self._problem.max_steps)
         plan.bearing.check_luck(luck)
         self._luck: LuckName = luck
         self._bearing = plan.bearing
@@ -54,16 +56,19 @@ class ReferenceLoop:
         """Rollout `rollout` (below 2**32) of `seed`, `0 <= seed < 2**64`."""
         problem, areas = self._problem, self._areas
         hit = self._hit(self._luck_of(seed, rollout))
-        truth = self._truth(seed, rollout)
-        return simulate(problem, areas, hit=hit, split=self._split, recorder=recorder, state=self._state, truth=truth)
+        truth, movers = self._truth(seed, rollout), self._movers_of(seed, rollout)
+        return simulate(
+            problem, areas, hit=hit, split=self._split, recorder=recorder, state=self._state, truth=truth, movers=movers
+        )
 
     def state_at(self, step: int, seed: int, rollout: int) -> MissionState | None:
         """Where the rollout stands at the end of a step, to go on from; None if it has ended by then."""
         luck, last = self._luck_of(seed, rollout), self._problem.max_steps
         truth, hit = self._truth(seed, rollout), self._hit(luck)
         team = make_team(self._problem, self._areas, self._split, state=self._state, truth=truth)
+        movers = self._movers_of(seed, rollout)
         while team.step < step and team.outcome(last) is None:
-            play_step(team, hit)
+            play_step(team, hit, movers)
         if team.step != step or team.outcome(last) is not None:
             return None
         return state_of(team, [luck.borne(number) for number in range(len(team.robots))])
@@ -75,6 +80,10 @@ class ReferenceLoop:
         """Which of the maps in doubt is true, 0 where there is one."""
         doubt = self._world.doubt
         return int(rows_met(doubt, seed, rollout)[0]) if isinstance(doubt, Uncertain) else 0
+
+    def _movers_of(self, seed: int, rollout: int) -> Roaming | None:
+        movers = self._world.movers
+        return None if movers is None else Roaming(movers, seed, rollout, len(self._problem.starts))
 
     def _hit(self, luck: Luck) -> Hit:
         entered = np.zeros(self._world.threat.size, dtype=np.bool_)

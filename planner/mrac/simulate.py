@@ -19,6 +19,7 @@ from planner.mrac.problem import Problem
 from planner.mrac.recorder import Recorder
 from planner.plans.plan import Area, Leg
 from planner.plans.state import MissionState
+from planner.roaming import Roaming
 from planner.tally import Outcome
 
 Hit = Callable[[int, int, int], bool]
@@ -73,6 +74,7 @@ def simulate(
     recorder: Recorder | None = None,
     state: MissionState | None = None,
     truth: int | None = None,
+    movers: Roaming | None = None,
 ) -> Run:
     """Run Algorithm 2 from an allocation to its end, by the policy of the problem's settings (SPEC section 11).
 
@@ -82,10 +84,11 @@ def simulate(
         hit: decides every hit; called once for each cell that a live robot enters, in order.
         truth: which of the maps robots meet and learn, where they are not told it (`Problem.unknown`); None: the one
             that they believe.
+        movers: threats that move (SPEC section 16).
     """
     team, last = make_team(problem, allocation, split, recorder, state, truth), max_steps or problem.max_steps
     while (outcome := team.outcome(last)) is None:
-        play_step(team, hit)
+        play_step(team, hit, movers)
     return run_of(team, outcome)
 
 
@@ -103,14 +106,15 @@ def make_team(
     return Learning(problem, allocation, split, recorder, state, problem.unknown.truths[truth])
 
 
-def play_step(team: Executive, hit: Hit) -> None:
+def play_step(team: Executive, hit: Hit, movers: Roaming | None = None) -> None:
     """The next step, t = 0 if there was none."""
     team.begin_step()
-    take_turns(team, hit)
+    take_turns(team, hit, movers=movers)
 
 
-def take_turns(team: Executive, hit: Hit, first: int = 0) -> None:
-    """Robots `first`, `first + 1`, ... act in this step, and it ends."""
+def take_turns(team: Executive, hit: Hit, first: int = 0, movers: Roaming | None = None) -> None:
+    """Robots `first`, `first + 1`, ... act in this step, then movers, and it ends."""
+    survived = None if movers is None else team.survived.copy()
     for number in range(first, len(team.robots)):
         cell = team.decide(number)
         if cell is None:
@@ -120,7 +124,24 @@ def take_turns(team: Executive, hit: Hit, first: int = 0) -> None:
             team.stop(number)
         else:
             team.survive(number)
+    if movers is not None and survived is not None:
+        meet(team, movers, survived)
     team.end_step()
+
+
+def meet(team: Executive, movers: Roaming, survived: NDArray[np.bool_]) -> None:
+    """After the robots' turns movers move, and a robot in the cell of one, standing still or not, may be stopped.
+
+    Who is stopped so in the step in which it entered the cell has not survived there. `survived`: bool `[N]`, as it was
+    before the step.
+    """
+    movers.move(team.step)
+    met = [robot for robot in team.robots if robot.alive and movers.meets(robot.number, team.step, robot.cell)]
+    for robot in met:
+        team.stop(robot.number)
+    for cell in {robot.cell for robot in met}:
+        others = any(robot.alive and robot.cell == cell for robot in team.robots)
+        team.survived[cell] = survived[cell] or others
 
 
 def run_of(team: Executive, outcome: Outcome) -> Run:

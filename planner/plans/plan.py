@@ -284,10 +284,11 @@ def entries(path: NDArray[np.int64]) -> NDArray[np.int64]:
 def is_certain(world: World, plan: Plan, loop: str = "closed") -> bool:
     """Whether nothing can happen: no robot's planned path enters a dangerous cell, so every run of both loops is it.
 
-    Of another planner's paths only the open loop's runs are: in the closed loop robots go on from their ends. Nor is
-    it known of robots that learn the map where they go.
+    Not where threats move. Of another planner's paths only the open loop's runs are: in the closed loop robots go on
+    from their ends. Nor is it known of robots that learn the map where they go.
     """
-    if loop == "closed" and (plan.is_foreign or world.knowledge is not None):
+    unknown = plan.is_foreign or world.knowledge is not None
+    if world.movers is not None or (loop == "closed" and unknown):
         return False
     threat = world.met.reshape(-1) if world.draws is None else world.draws.bound
     return not any((threat[robot.path] > 0).any() for robot in plan.robots)

@@ -13,6 +13,7 @@ from planner.errors import MapError
 from planner.worlds.doubt import Hazard, Uncertain
 from planner.worlds.georeference import Georeference
 from planner.worlds.knowledge import Knowledge
+from planner.worlds.movers import Movers
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 """States of a pixel."""
@@ -83,7 +84,7 @@ class Grid:
         notes: what reading did that a user should know.
         georeference: where the frame lies on the Earth, or None.
         value, detect: float64 `[H, W]`, what pixels are worth, and how well a visit detects, or None.
-        doubt: what a world file says is in doubt about its threats, or None.
+        doubt: what a world file says is in doubt about its threats, or moves, or None.
         knowledge: what it says is true beside them, or None.
     """
 
@@ -98,7 +99,7 @@ class Grid:
     georeference: Georeference | None = None
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
-    doubt: Hazard | Uncertain | None = None
+    doubt: Hazard | Uncertain | Movers | None = None
     knowledge: Knowledge | None = None
 
 

@@ -23,6 +23,7 @@ from planner.worlds.keys import PLACE, Key, read_yaml
 from planner.worlds.learning import KEYS as KNOWLEDGE
 from planner.worlds.learning import read_knowledge
 from planner.worlds.maps import YAML, load_map
+from planner.worlds.moving import read_movers
 from planner.worlds.peers import MAPS_KEY
 from planner.worlds.quantities import CELL_SIZE
 from planner.worlds.reported import KEYS as REPORTED
@@ -37,11 +38,13 @@ from planner.worlds.wrong_maps import read_hazard, read_uncertain
 
 DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
+IN_DOUBT = ("hazard", "uncertain", "movers")
+"""Keys that say by what else than the threats robots are stopped, one of them at most."""
 SETTINGS = ("levels", "policy", "reserve", "worth", "plan_for", "wear")
 OF_ROBOTS = ("range", "susceptibility")
 """Settings of the planner that a scenario file may name, and those that stand under its key `robots`."""
 OPTIONAL = (
-    "cell_size", "datum", "keepout", "robots", "hazard", "uncertain", "value", "detect", *KNOWLEDGE,
+    "cell_size", "datum", "keepout", "robots", *IN_DOUBT, "plan_on", "value", "detect", *KNOWLEDGE,
     *REPORTED, *SETTINGS,
 )  # fmt: skip
 """Keys that may be there."""
@@ -178,14 +181,18 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
 
 def _in_doubt(world: World, ground: Ground, keys: dict[str, Key]) -> World:
     """The world with what the scenario, or its map's world file, says is in doubt about its threats."""
-    named = [name for name in ("hazard", "uncertain") if name in keys]
+    named = [name for name in IN_DOUBT if name in keys]
     if ground.grid.doubt is not None:
         if named or keys["threats"].value or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
-            problem = "brings hazards or uncertain maps along, which nothing can be added to"
+            problem = "brings hazards, uncertain maps or movers along, which nothing can be added to"
             raise MapError(problem, source=ground.grid.source, fix="use the world file by itself, as it is")
         return replace(world, doubt=ground.grid.doubt)
-    if len(named) == 2:
-        raise keys["uncertain"].wrong("none beside hazard", "leave one of the two out")
+    if "plan_on" in keys and "movers" not in keys:
+        raise keys["plan_on"].wrong("none without movers", "of uncertain maps it stands under `uncertain`")
+    if len(named) > 1:
+        raise keys[named[1]].wrong(f"none beside {named[0]}", "leave one of the two out")
+    if "movers" in keys:
+        return read_movers(keys["movers"], keys.get("plan_on"), world)
     if "hazard" in keys:
         return read_hazard(keys["hazard"], world, ground)
     return read_uncertain(keys["uncertain"], world, ground, keys["combine"].value) if named else world

@@ -23,6 +23,7 @@ from planner.worlds.doubt import Draws, Hazard, Uncertain, doubt_in
 from planner.worlds.georeference import HOW_TO_GIVE_ONE, LONGEST, Georeference
 from planner.worlds.grid import Frame
 from planner.worlds.knowledge import Knowledge, knowledge_in
+from planner.worlds.movers import Movers, movers_in
 from planner.worlds.quantities import CELL_SIZE, COORDINATE, DETECT, POSE, SCALE, VALUE, checked_layer, first_of
 from planner.worlds.sources import Sources
 
@@ -66,8 +67,8 @@ class World:
         georeference: where the map's frame lies on the Earth, or None when nobody said.
         value: float64 `[H, W]`, what each cell is worth (0 on obstacles), or None: 1 each.
         detect: float64 `[H, W]`, chance that a visit which the robot survives finds what is there, or None: 1 each.
-        doubt: hazards that are there or not, or maps one of which is true; robots plan on `threat`, and what stops them
-            is drawn from these. None: every visit is drawn for itself, from `threat`.
+        doubt: hazards that are there or not, maps one of which is true, or movers; robots plan on `threat`, and what
+            stops them is drawn from these. None: every visit is drawn for itself, from `threat`.
         sources: what `threat` was combined from, where a scenario names polygons, points or sites.
         knowledge: what is true, where robots are not told it: `threat` is then what they believe. None: they are.
     """
@@ -82,7 +83,7 @@ class World:
     georeference: Georeference | None = None
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
-    doubt: Hazard | Uncertain | None = None
+    doubt: Hazard | Uncertain | Movers | None = None
     sources: Sources | None = None
     knowledge: Knowledge | None = None
 
@@ -134,13 +135,20 @@ class World:
 
     @property
     def met(self) -> NDArray[np.float32]:
-        """float32 `[H, W]`, like `threat`: what robots meet, whatever they believe."""
+        """float32 `[H, W]`, like `threat`: what robots meet in the cells themselves, whatever they plan on."""
+        if self.movers is not None:
+            return self.movers.own
         return self.threat if self.knowledge is None else self.knowledge.truth
 
     @property
     def sha256(self) -> str:
         """Hash of the threat array as little-endian float32 in C order (SPEC section 9): the identity of the map."""
         return hashlib.sha256(np.ascontiguousarray(self.threat, dtype="<f4").tobytes()).hexdigest()
+
+    @property
+    def movers(self) -> Movers | None:
+        """Threats that move; None where there are none."""
+        return self.doubt if isinstance(self.doubt, Movers) else None
 
     @cached_property
     def draws(self) -> Draws | None:
@@ -150,14 +158,16 @@ class World:
     @cached_property
     def exposures(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """What a visit of each cell `[N]` adds to a robot's exposure; where maps differ the most, and all of it."""
-        if self.doubt is not None:
-            return self.doubt.exposures()
-        return exposure_of(self.met).ravel(), np.zeros((0, 0), dtype=np.int64)
+        if self.doubt is None or isinstance(self.doubt, Movers):
+            return exposure_of(self.met).ravel(), np.zeros((0, 0), dtype=np.int64)
+        return self.doubt.exposures()
 
     @property
     def luck_sha256(self) -> str:
-        """The identity of what robots meet: of the map, of what is in doubt about it, and of what they are not told."""
-        drawn = "" if self.draws is None else f"?{self.draws.sha256}"
+        """The identity of what robots meet: of the map, of what is in doubt about it or moves on it, and of what they
+        are not told."""
+        of = self.draws or self.movers
+        drawn = "" if of is None else f"?{of.sha256}"
         return self.sha256 + drawn + ("" if self.knowledge is None else f"!{self.knowledge.sha256}")
 
     def check_settled(self, what: str, or_else: str = "") -> None:
@@ -167,7 +177,8 @@ class World:
         """
         if self.doubt is not None:
             problem = f"{what} presumes one known map, every visit drawn for itself; here: {self.doubt.said}"
-            raise WorldError(problem, source=self.source, fix="leave `hazard` and `uncertain` out" + or_else)
+            named = "`hazard` and `uncertain`" if self.movers is None else "`movers`"
+            raise WorldError(problem, source=self.source, fix=f"leave {named} out{or_else}")
         self.check_told(what, or_else)
 
     def check_told(self, what: str, or_else: str = "") -> None:
@@ -244,7 +255,7 @@ class World:
             ),
             ("detect", "" if self.detect is None else f"{self.detect[free].mean():.3g} a visit, on average"),
             ("place", "" if self.georeference is None else f"in {self.georeference.crs[:60]}"),
-            ("doubt", "" if self.doubt is None else self.doubt.said),
+            ("movers" if self.movers else "doubt", "" if self.doubt is None else self.doubt.said),
             ("told", "" if self.knowledge is None else self.knowledge.said),
             ("robots", team if self.starts is None else f"{len(self.starts)}, starts {self.starts[:8].tolist()}"),
             *(("note", note) for note in self.notes[:4]),
@@ -384,7 +395,7 @@ def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
     if "truth" in arrays:
         truth = _checked_threat(arrays["truth"], f"{source}: truth")[0]
         world = replace(world, knowledge=knowledge_in({**arrays, "truth": truth}, world.threat, source))
-    world = replace(world, doubt=doubt_in(arrays, world.met, source))
+    world = replace(world, doubt=movers_in(arrays, world.met, source) or doubt_in(arrays, world.met, source))
     return world.with_values(arrays.get("value"), arrays.get("detect"))
 
 

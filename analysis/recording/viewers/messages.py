@@ -16,9 +16,11 @@ from analysis.recording.frames import Frames, area_maps, make_frames
 from analysis.recording.viewers import ros as drawn_ros
 from analysis.recording.viewers import schemas
 from analysis.recording.viewers.map import MapDrawer
+from analysis.recording.viewers.movers import MoverDrawer
 from analysis.recording.viewers.robots import DRIVEN_HEIGHT, PLANNED_HEIGHT, PathLines, RobotDrawer
 from analysis.recording.viewers.topics import Clock, Message, Stage
 from planner.plans.waypoints import headings
+from planner.roaming import ways_of_movers
 from planner.trace import Doing, Trace
 
 DRIVEN_LOOKS, DRIVEN_PATHS = 40, 4
@@ -56,6 +58,7 @@ class RolloutDrawer:
         self.frames: Frames = make_frames(trace, stage.areas, state)
         self.map = MapDrawer(world, accessible)
         self.robots = RobotDrawer(world, trace.cells, self.frames.alive)
+        self.movers = MoverDrawer(world, ways_of_movers(world, stage.seed, trace.rollout, trace.time + 1))
         self.driven = PathLines(world, trace.cells.shape[1], "driven", DRIVEN_HEIGHT, 1.0, 2.0)
         self.cuts = self.frames.events_by_step()
         self.areas = area_maps(trace, stage.areas, state) if stage.areas else iter(())
@@ -134,6 +137,7 @@ class RolloutDrawer:
         """Robots and figures."""
         trace, frames = self.trace, self.frames
         yield from self.robots.messages(time, step)
+        yield from self.movers.messages(time, step)
         changed = np.ones(len(trace.cells[0]), dtype=np.bool_)
         if step > 0:
             changed = (trace.cells[step] != trace.cells[step - 1]) | (frames.alive[step] != frames.alive[step - 1])

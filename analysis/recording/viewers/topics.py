@@ -52,6 +52,8 @@ def topic_types() -> dict[str, LogSchema]:
         "/areas": Grid,
         "/areas_voxels": VoxelGrid,
         "/robots/*/voxel": VoxelGrid,
+        "/movers/markers": SceneUpdate,
+        "/movers/points": PointCloud,
         "/plans": SceneUpdate,
         "/driven": SceneUpdate,
         "/robots/markers": SceneUpdate,

@@ -140,6 +140,9 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
         raise PlanError(
             "the rest of a mission is rolled out in the closed loop alone", fix=f"use {argument('loop', 'closed')}"
         )
+    if world.movers is not None:
+        problem = "the open loop asks who is stopped at dangerous entries alone, and movers stop robots anywhere"
+        raise PlanError(problem, fix=f"use {argument('loop', 'closed')}")
     threat = world.met.reshape(-1)
     paths = [np.asarray(robot.path, dtype=np.int64) for robot in plan.robots]
     for robot, path in enumerate(paths):

@@ -1,0 +1,103 @@
+"""Where the movers of one rollout go and whom they stop, readable: what all engines answer to (SPEC section 16).
+
+Their ways depend on the seed and the rollout alone, so they can be told without a run.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.errors import WorldError
+from planner.threefry import own_key, threefry2x32
+from planner.worlds.doubt import UNIT, bounds_of
+from planner.worlds.movers import ANYWHERE, Movers
+from planner.worlds.world import World
+
+MOVE_DRAW, MEETING_DRAW = 3, 4
+"""Second words of the counters under which moves, and hits of those who are met, have their keys."""
+MOVERS_DRAWS = MOVE_DRAW, MEETING_DRAW
+
+
+class Roaming:
+    """The movers of a rollout and a team of so many robots."""
+
+    def __init__(self, movers: Movers, seed: int, rollout: int, robots: int) -> None:
+        self._movers, self._rollout, self._robots = movers, rollout, robots
+        self._moves, self._meets = own_key(seed, MOVE_DRAW), own_key(seed, MEETING_DRAW)
+        self._free = ~np.isnan(movers.own)
+        self._places: list[int] = first_places(movers, seed, [rollout])[0].tolist()
+
+    @property
+    def cells(self) -> list[int]:
+        """The cell of each mover."""
+        each = zip(self._movers.members, self._places, strict=True)
+        return [mover.route[place] if mover.patrols else place for mover, place in each]
+
+    def move(self, step: int) -> None:
+        """Each of them moves, after the robots' moves of this step."""
+        count = len(self._places)
+        stays, where = threefry2x32(self._moves, self._rollout, (step + 1) * count + np.arange(count))
+        for number, mover in enumerate(self._movers.members):
+            if mover.patrols:
+                self._places[number] = (self._places[number] + 1) % len(mover.route)
+            elif int(stays[number]) >> 8 >= chance_bound(mover.stay):
+                self._places[number] = self._neighbour(self._places[number], int(where[number]) >> 8)
+
+    def _neighbour(self, cell: int, number: int) -> int:
+        """The free neighbour that a number below UNIT means, of N, W, E, S; the cell itself if it has none."""
+        height, width = self._free.shape
+        row, col = divmod(cell, width)
+        places = ((row - 1, col), (row, col - 1), (row, col + 1), (row + 1, col))
+        ways = [r * width + c for r, c in places if 0 <= r < height and 0 <= c < width and self._free[r, c]]
+        return ways[number * len(ways) // UNIT] if ways else cell
+
+    def meets(self, robot: int, step: int, cell: int) -> bool:
+        """Whether a robot that is in the cell at the end of this step is stopped by a mover."""
+        return any(self._hits(robot, step, number) for number, place in enumerate(self.cells) if place == cell)
+
+    def _hits(self, robot: int, step: int, number: int) -> bool:
+        counter = (step * len(self._places) + number) * self._robots + robot
+        word = threefry2x32(self._meets, self._rollout, counter)[0]
+        return int(word) >> 8 < chance_bound(self._movers.members[number].hit)
+
+
+def chance_bound(chance: float) -> int:
+    """Of so many numbers below UNIT a chance is made: u < chance."""
+    return int(bounds_of(np.array([chance], dtype=np.float32))[0])
+
+
+def first_places(movers: Movers, seed: int, rollouts: ArrayLike) -> NDArray[np.int64]:
+    """int64 `[B, M]`: where movers are before they first move: cells, or places on their routes."""
+    ids, total = np.asarray(rollouts, dtype=np.uint32), np.cumsum(movers.weight.ravel())
+    places = np.empty((len(ids), len(movers.members)), dtype=np.int64)
+    for number, mover in enumerate(movers.members):
+        if mover.place != ANYWHERE:
+            places[:, number] = mover.place
+            continue
+        word = threefry2x32(own_key(seed, MOVE_DRAW), ids, number)[0].astype(np.int64)
+        size = len(mover.route) if mover.patrols else int(total[-1])
+        drawn = word * size >> 32
+        places[:, number] = drawn if mover.patrols else np.searchsorted(total, drawn, side="right")
+    return places
+
+
+def ways_of_movers(world: World, seed: int, rollout: int, steps: int) -> NDArray[np.int64]:
+    """int64 `[steps, M]`: the cell of each mover at the end of steps 0, 1, ...; no columns where nothing moves."""
+    if world.movers is None:
+        return np.zeros((steps, 0), dtype=np.int64)
+    roaming, ways = Roaming(world.movers, seed, rollout, 1), []
+    for step in range(steps):
+        roaming.move(step)
+        ways.append(roaming.cells)
+    return np.array(ways, dtype=np.int64)
+
+
+def check_counters(world: World, robots: int, last_step: int) -> None:
+    """Raise WorldError where a run has more meetings than the random-number counter can address."""
+    if world.movers is not None and (last_step + 1) * len(world.movers.members) * robots >= 2**32:
+        movers = len(world.movers.members)
+        raise WorldError(
+            f"{movers} movers, {robots} robots and {last_step:,} steps", source=world.source,
+            expected="a product below 2**32", fix="fewer movers, or a deadline",
+        )  # fmt: skip

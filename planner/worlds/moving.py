@@ -1,0 +1,70 @@
+"""Worlds with threats that move, made from movers, or from a scenario's key `movers` (`planner.worlds.movers`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from planner.arguments import check_word, whole
+from planner.errors import WorldError
+from planner.worlds.keys import PLACE, Key
+from planner.worlds.movers import ANYWHERE, MOST_MOVERS, Mover, Movers, checked
+from planner.worlds.quantities import CHANCE
+from planner.worlds.world import World
+
+AT = "[row, col], whole numbers"
+JOINED = "joined"
+PLAN_ON = (JOINED, "own")
+
+
+def with_movers(world: World, movers: Iterable[Mover], plan_on: str = JOINED) -> World:
+    """The world with threats that move beside its own.
+
+    `plan_on`: "joined": robots plan on its p joined with where movers are in the long run; "own": on its p alone.
+    Raises WorldError for movers that are none, and for a world whose map is in doubt.
+    """
+    check_word("plan_on", plan_on, PLAN_ON, WorldError, world.source)
+    for other in (world.doubt, world.knowledge):
+        if other is not None:
+            problem = f"`movers` beside another thing that is not known: {other.said}"
+            raise WorldError(problem, source=world.source, expected="one known map", fix="leave one of the two out")
+    found = checked(Movers(world.threat, tuple(movers)), world.source)
+    return replace(world, threat=found.joined(world.source) if plan_on == JOINED else world.threat, doubt=found)
+
+
+def read_movers(key: Key, plan_on: Key | None, world: World) -> World:
+    """The world of a scenario with `movers: [{walk: s | patrol: [[r, c], ...], start, h, count}, ...]`, `plan_on`."""
+    members = []
+    for item in key.items("a list of movers, each {walk or patrol, h}"):
+        keys = item.mapping(("h",), optional=("walk", "patrol", "start", "count"))
+        if ("walk" in keys) == ("patrol" in keys):
+            raise item.wrong("either walk or patrol")
+        count = keys["count"].number(whole(1, MOST_MOVERS)) if "count" in keys else 1
+        with item.naming():
+            one = _read_one(keys, world)
+            checked(Movers(world.threat, (one,)), world.source)
+        members += [one] * count
+    with key.naming():
+        return with_movers(world, members, JOINED if plan_on is None else plan_on.choice(PLAN_ON))
+
+
+def _read_one(keys: dict[str, Key], world: World) -> Mover:
+    stay, start = 0.0, ANYWHERE
+    route: tuple[int, ...] = ()
+    if "walk" in keys:
+        stay = keys["walk"].number(CHANCE, "a chance to stay, 0 to 1")
+    else:
+        expected = "a list of two cells [row, col] or more"
+        route = tuple(_cell(item, world) for item in keys["patrol"].items(expected, least=2))
+    if "start" in keys and keys["start"].value != "anywhere":
+        start = _cell(keys["start"], world)
+    return Mover(keys["h"].number(CHANCE), stay, start, route)
+
+
+def _cell(key: Key, world: World) -> int:
+    """The index of a cell of the map."""
+    row, col = key.numbers(PLACE, AT, 2)
+    height, width = world.shape
+    if not (0 <= row < height and 0 <= col < width):
+        raise key.wrong(f"a cell of the map: row 0..{height - 1} and col 0..{width - 1}")
+    return int(row * width + col)

@@ -1,0 +1,274 @@
+"""Threats that move: compiled against readable, against exact values, and those against enumeration."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from closed_loop_compare import assert_same_trace
+from movers import in_rows, moving_world
+from oracle_movers import outcomes
+
+from analysis.theory.exact import open_loop_exact
+from planner.errors import InputError
+from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.luck_names import LuckName
+from planner.mrac.make_plan import make_plan
+from planner.mrac.reference import ReferenceLoop
+from planner.plans.plan import Plan, RobotPlan
+from planner.roaming import first_places, ways_of_movers
+from planner.rollouts.engine import Rolling, make_engine
+from planner.settings import Settings
+from planner.worlds.movers import Mover
+from planner.worlds.moving import with_movers
+from planner.worlds.scenario import load_input
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World, load_world_file
+
+KINDS: list[dict[str, Any]] = [
+    {},
+    {"policy": "per_cell"},
+    {"policy": "per_cell", "reserve": 0.5},
+    {"policy": "per_cell", "worth": 6.0},
+    {"range": 25},
+    {"policy": "per_cell", "range": 30},
+    {"transit": "area"},
+]
+ROLLOUTS = 20_000
+SMALL = World.create([[0.0, 0.1, np.nan], [0.2, 0.0, 0.0], [np.nan, 0.3, 0.0]])
+
+
+def assert_equal_runs(world: World, plan: Plan, seed: int, first_only: bool, luck: LuckName) -> None:
+    """Eight rollouts of the compiled simulator are the readable ones: events, figures, counts by cell."""
+    readable = ReferenceLoop(plan, world, first_only=first_only, luck=luck)
+    loop = compile_closed_loop(plan, world, first_only=first_only, luck=luck)
+    for mine in trace_rollouts(loop, seed, range(8)):
+        assert_same_trace(mine, readable.trace(seed, mine.rollout))
+    tally, singles = run_range(loop, seed, 0, 8, threads=1, singles=True)
+    runs = [readable.run(seed, rollout) for rollout in range(8)]
+    assert singles is not None
+    for name in ("visited", "survived", "alive"):
+        assert getattr(singles, name).tolist() == [int(getattr(run, name).sum()) for run in runs], name
+    np.testing.assert_array_equal(tally.covered_survived, sum(run.survived.astype(int) for run in runs))
+    assert tally.stops.sum() == sum(int((~run.alive).sum()) for run in runs)
+
+
+def check_worlds(seeds: range) -> None:
+    for seed in seeds:
+        world = moving_world(seed, plan_on=("joined", "own")[seed % 3 == 1])
+        plan = make_plan(world, place_starts(world, 1 + seed % 5)[0], Settings(**KINDS[seed % len(KINDS)]))
+        assert_equal_runs(world, plan, seed, seed % 4 == 3, ("tolerance", "step")[seed % 5 == 4])
+
+
+def test_compiled_runs_are_the_readable_ones() -> None:
+    check_worlds(range(14))
+
+
+@pytest.mark.slow
+def test_many_compiled_runs_are_the_readable_ones() -> None:
+    check_worlds(range(14, 400))
+
+
+def test_another_planners_robots_wait_and_are_met() -> None:
+    world = with_movers(World.create(np.zeros((3, 4))), [Mover(0.3, 0.5), Mover(0.5, 0.0, 5, (5, 6, 10, 9))])
+    paths = [[0, 0, 1, 1, 1, 2, 3], [8, 9, 10, 10, 11, 7]]
+    plan = Plan(world.shape, world.sha256, None, tuple(RobotPlan(np.array(path)) for path in paths))
+    assert_equal_runs(world, plan, 3, False, "tolerance")
+
+
+def test_rollouts_do_not_depend_on_how_they_are_run() -> None:
+    world = moving_world(6)
+    loop = compile_closed_loop(make_plan(world, place_starts(world, 4)[0]), world)
+    whole = run_range(loop, 9, 0, 3000, threads=1)[0]
+    parts = [run_range(loop, 9, *part, threads=threads)[0] for part, threads in (((0, 1700), 3), ((1700, 1300), 1))]
+    assert parts[0] + parts[1] == whole
+    assert np.count_nonzero(whole.visited) > 4
+
+
+def test_movers_that_hit_nobody_change_no_event() -> None:
+    world = moving_world(5)
+    plain = replace(world, threat=world.met, doubt=None)
+    assert world.movers is not None
+    tame = with_movers(plain, [replace(one, hit=0.0) for one in world.movers.members])
+    np.testing.assert_array_equal(tame.threat, plain.threat)
+    plan = make_plan(plain, place_starts(plain, 3)[0])
+    traces, counts = [], []
+    for each in (plain, tame):
+        loop = compile_closed_loop(plan, each)
+        traces.append(trace_rollouts(loop, 2, range(20)))
+        counts.append(run_range(loop, 2, 0, 500)[0].counts())
+    assert traces[0] == traces[1]
+    for name, values in counts[0].items():
+        np.testing.assert_array_equal(values, counts[1][name], name)
+
+
+# --- exact values ---
+
+
+def alone(world: World, start: tuple[int, int] | None = None) -> Plan:
+    """One robot's plan."""
+    return make_plan(world, place_starts(world, 1)[0] if start is None else [start])
+
+
+@pytest.mark.parametrize(
+    "movers",
+    [
+        [Mover(0.4, 0.25)],
+        [Mover(1.0, 0.0, 4)],
+        [Mover(0.6, 0.0, 4, (4, 5, 8, 7)), Mover(0.3, 0.5, 8)],
+        [Mover(0.5, 0.0, -1, (0, 1, 4, 3)), Mover(0.5, 0.1)],
+    ],
+)
+def test_one_robot_is_known_exactly_as_enumeration_has_it(movers: list[Mover]) -> None:
+    world = with_movers(SMALL, movers)
+    whole = [(0, 0), (0, 1), (1, 1), (1, 1), (1, 0), (1, 1), (1, 2), (2, 2), (2, 1)]
+    for path in (whole[:6], whole[4:], [(1, 0), (1, 1), (1, 1), (1, 1), (1, 0), (0, 0)]):
+        plan = Plan(world.shape, world.sha256, None, (RobotPlan(np.array([row * 3 + col for row, col in path])),))
+        exact = open_loop_exact(plan, world)
+        found = exact.visited, exact.survived, float(exact.survival[0])
+        grid, threats = in_rows(world)
+        np.testing.assert_allclose(found, outcomes(grid, path, threats), rtol=1e-6)
+
+
+def deviations(seed: int) -> list[float]:
+    """How many standard errors rollouts are off the exact values of a small world's one robot."""
+    world = moving_world(seed, (0.01, 0.02, 0.04), 7)
+    plan = alone(world)
+    exact, n = open_loop_exact(plan, world), ROLLOUTS
+    tally, singles = run_range(compile_closed_loop(plan, world), seed, 0, n, singles=True)
+    assert singles is not None
+    expected = {"visited": exact.visited, "survived": exact.survived, "alive": float(exact.survival[0])}
+    expected["time"] = exact.mean_time
+    off = []
+    for name, mean in expected.items():
+        values = getattr(singles, name)
+        off.append(abs(values.mean() - mean) / max(values.std() / n**0.5, 1 / n))
+    by_cell = tally.covered_visited / n
+    spread = np.sqrt(np.maximum(by_cell * (1 - by_cell), 1 / n) / n)
+    return [*off, float(np.abs((by_cell - exact.visited_by_cell) / spread).max())]
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3])
+def test_rollouts_of_one_robot_are_at_the_exact_values(seed: int) -> None:
+    assert max(deviations(seed)) < 5
+
+
+@pytest.mark.slow
+def test_rollouts_of_one_robot_are_at_the_exact_values_on_fifty_worlds() -> None:
+    assert max(max(deviations(seed)) for seed in range(50)) < 5
+
+
+def test_a_mover_that_stays_is_a_threat_that_stands() -> None:
+    """Met once, by a robot that does not wait: in both meanings of covered."""
+    plain = World.create(np.zeros((1, 6)))
+    moving = with_movers(plain, [Mover(0.25, 1.0, 3)])
+    standing = World.create([[0, 0, 0, 0.25, 0, 0]])
+    path = (RobotPlan(np.arange(6)),)
+    one, other = (open_loop_exact(Plan(world.shape, world.sha256, None, path), world) for world in (moving, standing))
+    np.testing.assert_allclose(one.visited_by_cell, other.visited_by_cell)
+    np.testing.assert_allclose(one.survived_by_cell, other.survived_by_cell)
+
+
+def test_movers_stay_where_they_are_in_the_long_run() -> None:
+    """Who starts anywhere is at every step in a cell with the chance that robots plan on, within 5 standard errors."""
+    world = moving_world(9, most=5)
+    walker = with_movers(replace(world, threat=world.met, doubt=None), [Mover(0.3, 0.2)])
+    assert walker.movers is not None
+    chance, n = walker.movers.chances(walker.movers.members[0]).ravel(), 4000
+    starts = np.bincount(first_places(walker.movers, 4, range(n))[:, 0], minlength=chance.size)
+    later = np.bincount([int(ways_of_movers(walker, 4, one, 6)[-1, 0]) for one in range(n)], minlength=chance.size)
+    for counts in (starts, later):
+        spread = np.sqrt(n * np.maximum(chance * (1 - chance), 1 / n))
+        assert np.abs((counts - n * chance) / spread).max() < 5
+    joined = 1 - (1 - np.nan_to_num(walker.met.ravel().astype(float))) * (1 - 0.3 * chance)
+    np.testing.assert_allclose(np.nan_to_num(walker.threat.ravel()), joined, atol=1e-7)
+
+
+def test_a_patrol_goes_round_and_is_missed_by_who_changes_places_with_it() -> None:
+    world = with_movers(World.create(np.zeros((2, 3))), [Mover(1.0, 0.0, 4, (0, 1, 4, 3))])
+    assert ways_of_movers(world, 0, 0, 6)[:, 0].tolist() == [3, 0, 1, 4, 3, 0]
+    for path, survives in (([4, 1, 4, 3], 1.0), ([3, 4], 0.0), ([5, 5, 5, 4], 0.0), ([0, 3, 4, 1], 1.0)):
+        plan = Plan(world.shape, world.sha256, None, (RobotPlan(np.array(path)),))
+        assert open_loop_exact(plan, world).survival[0] == survives, path
+
+
+# --- files, and what is refused ---
+
+SCENARIO = "map: {file: m.npy}\ncell_size: 1\nthreats: []\nrobots: {count: 2}\n"
+
+
+def scenario(folder: Path, more: str) -> World:
+    np.save(folder / "m.npy", np.where(np.isnan(SMALL.threat), np.nan, 0.0))
+    (folder / "s.yaml").write_text(SCENARIO + more)
+    return load_input(folder / "s.yaml")
+
+
+def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
+    world = scenario(
+        tmp_path,
+        "movers:\n- {walk: 0.5, h: 0.25, count: 3}\n- {walk: 0, start: [1, 1], h: 1}\n"
+        "- {patrol: [[0, 0], [0, 1], [1, 1], [1, 0]], start: [1, 1], h: 0.5}\n- {patrol: [[1, 1], [1, 2]], h: 0.5}\n",
+    )
+    assert world.movers is not None
+    square = Mover(0.5, 0.0, 4, (0, 1, 4, 3))
+    expected = (*[Mover(0.25, 0.5)] * 3, Mover(1.0, 0.0, 4), square, Mover(0.5, 0.0, -1, (4, 5)))
+    assert world.movers.members == expected
+    assert "4 walk and 2 patrol, and stop a robot that they meet with chance 0.25 to 1" in repr(world)
+    world.save(tmp_path / "w.npz")
+    again = load_world_file(tmp_path / "w.npz")
+    assert again.movers is not None
+    assert again.movers.members == expected
+    assert again.luck_sha256 == world.luck_sha256 == load_input(tmp_path / "w.npz").luck_sha256
+    own = scenario(tmp_path, "movers: [{walk: 0.5, h: 0.25}]\nplan_on: own\n")
+    assert not np.nan_to_num(own.threat).any()
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("movers: 3\n", r"`movers` is 3; expected a list of movers"),
+        ("movers: [{h: 0.5}]\n", r"`movers\[0\]` is .*either walk or patrol"),
+        ("movers: [{walk: 0.5}]\n", r"`movers\[0\]\.h` is missing"),
+        ("movers: [{walk: 1.5, h: 0.5}]\n", r"`movers\[0\]\.walk` is 1\.5; expected a chance to stay"),
+        ("movers: [{walk: 0.5, h: 2}]\n", r"`movers\[0\]\.h` is 2"),
+        ("movers: [{walk: 0.5, h: 0.1, start: [9, 0]}]\n", r"`movers\[0\]\.start` is \[9, 0\]; expected a cell"),
+        ("movers: [{walk: 0.5, h: 0.1, start: [0, 2]}]\n", r"starts at \[0, 2\], which is no free cell"),
+        ("movers: [{patrol: [[0, 0], [1, 1]], h: 0.1}]\n", r"its route goes from \[0, 0\] to \[1, 1\]"),
+        ("movers: [{patrol: [[0, 0], [0, 1], [1, 1]], h: 0.1}]\n", r"its route goes from \[1, 1\] to \[0, 0\]"),
+        ("movers: [{patrol: [[0, 0]], h: 0.1}]\n", r"two cells \[row, col\] or more"),
+        ("movers: [{patrol: [[0, 0], [0, 1]], start: [1, 1], h: 0.1}]\n", r"starts at \[1, 1\], off its route"),
+        ("movers: [{walk: 0.5, h: 0.5}]\nhazard: {kind: consumed, q: 0.1}\n", r"`movers` is .*none beside hazard"),
+        ("plan_on: own\n", r"`plan_on` is 'own'; expected none without movers"),
+        ("movers: [{walk: 0.5, h: 0.5}]\nplan_on: last\n", r"`plan_on` is 'last'; expected joined or own"),
+    ],
+)
+def test_a_wrong_mover_is_one_line(tmp_path: Path, more: str, said: str) -> None:
+    with pytest.raises(InputError, match=said) as error:
+        scenario(tmp_path, more)
+    assert "\n" not in str(error.value)
+
+
+def test_what_would_be_certain_or_does_not_fit_is_refused(tmp_path: Path) -> None:
+    lone = World.create([[0.0, np.nan, 0.0]])
+    with pytest.raises(InputError, match=r"makes p 1 at \[0, 2\].*make it an obstacle"):
+        with_movers(lone, [Mover(1.0, 0.0, 2)])
+    world = moving_world(1)
+    world.save(tmp_path / "w.npz")
+    arrays = dict(np.load(tmp_path / "w.npz"))
+    for name, value in (("movers_start", arrays["movers_start"][:-1]), ("movers_length", arrays["movers_length"] + 1)):
+        np.savez(tmp_path / "bad.npz", **(arrays | {name: value}))
+        with pytest.raises(InputError, match="movers_"):
+            load_world_file(tmp_path / "bad.npz")
+
+
+def test_loops_and_engines_that_have_no_movers_say_so() -> None:
+    world = moving_world(1)
+    plan = make_plan(world, place_starts(world, 2)[0])
+    with pytest.raises(InputError, match="the open loop asks who is stopped at dangerous entries alone"):
+        make_engine(plan, world, Rolling("open"))
+    with pytest.raises(InputError, match="stand still"):
+        make_engine(plan, world, Rolling(), "jax")
+    assert make_engine(plan, world, Rolling()).name == "numba"
