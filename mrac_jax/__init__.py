@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from planner.plan_team import read_plan
     from planner.plans.plan import Plan
     from planner.settings import Settings
+    from planner.worlds.moving import with_movers
     from planner.worlds.world import World
     from planner.worlds.wrong_maps import with_hazard, with_maps, with_spread
 
@@ -48,7 +49,8 @@ __version__ = version("mrac-jax")
 __all__ = [
     "InputError", "Plan", "Settings", "World", "check", "clear", "compare", "env", "evaluate", "export", "front",
     "judge", "load", "mission", "plan", "plots", "read_outcomes", "read_plan", "read_rollouts", "record",
-    "reproduce", "results", "size", "starts", "sweep", "to_networkx", "with_hazard", "with_maps", "with_spread",
+    "reproduce", "results", "size", "starts", "sweep", "to_networkx", "with_hazard", "with_maps", "with_movers",
+    "with_spread",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",
@@ -59,6 +61,7 @@ ELSEWHERE = {
     "plots": "analysis.plots",
     "read_plan": "planner.plan_team",
     "to_networkx": "planner.mrac.graph",
+    "with_movers": "planner.worlds.moving",
     **dict.fromkeys(("with_hazard", "with_maps", "with_spread"), "planner.worlds.wrong_maps"),
 }
 """Where a name lives, if not in `analysis.api`; `plots` is a module itself."""

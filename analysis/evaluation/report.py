@@ -91,12 +91,7 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
 def _in_lines(evaluation: Evaluation, looked_at: Mapping[str, str]) -> list[str]:
     """The same for a terminal, and how fast it was."""
     plan, rate = evaluation.plan, evaluation.tally.rollouts / max(evaluation.seconds, 1e-9)
-    before = {
-        "map": f"{evaluation.world.source}: ",
-        "in doubt": "in doubt: ",
-        "movers": "",
-        "plan": "plan: " * (not plan.is_foreign),
-    }
+    before = {"map": f"{evaluation.world.source}: ", "in doubt": "in doubt: ", "plan": "plan: " * (not plan.is_foreign)}
     lines = [before.get(name, "") + what for name, what in looked_at.items()]
     return [*lines[:-1], f"{lines[-1]}: {rate:,.0f} a second"]
 

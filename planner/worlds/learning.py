@@ -68,9 +68,8 @@ def _check_plain(world: World) -> None:
 def _knowing(world: World, belief: NDArray[np.float32], truth: NDArray[np.float32], sense: Given) -> World:
     if world.doubt is not None and not isinstance(world.doubt, Uncertain):
         problem = f"robots would have to learn from what happens to them; here: {world.doubt.said}"
-        raise WorldError(
-            problem, source=world.source, fix="leave `hazard` or `movers` out, or `truth`, `prior` and `sense`"
-        )
+        fix = f"leave `{'hazard' if world.movers is None else 'movers'}` out, or `truth`, `prior` and `sense`"
+        raise WorldError(problem, source=world.source, fix=fix)
     looks = make_sense(sense, world.source)
     if isinstance(world.doubt, Uncertain) and not world.doubt.whole and looks.range > 0:
         problem = "robots that learn which of several maps is true need maps; here a number is drawn for each level"

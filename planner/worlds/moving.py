@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import Any
 
 from planner.arguments import check_word, whole
 from planner.errors import WorldError
@@ -17,48 +18,54 @@ JOINED = "joined"
 PLAN_ON = (JOINED, "own")
 
 
-def with_movers(world: World, movers: Iterable[Mover], plan_on: str = JOINED) -> World:
+def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_on: str = JOINED) -> World:
     """The world with threats that move beside its own.
 
-    `plan_on`: "joined": robots plan on its p joined with where movers are in the long run; "own": on its p alone.
-    Raises WorldError for movers that are none, and for a world whose map is in doubt.
+    Args:
+        movers: each with the keys that a scenario has: `{"walk": 0.2, "h": 0.3, "count": 6}`, or
+            `{"patrol": [[0, 0], [0, 1]], "h": 1}`.
+        plan_on: "joined": robots plan on p joined with where movers are in the long run; "own": on p alone.
+
+    Raises WorldError for movers that are none, and for a world that is not known.
     """
     check_word("plan_on", plan_on, PLAN_ON, WorldError, world.source)
     for other in (world.doubt, world.knowledge):
         if other is not None:
             problem = f"`movers` beside another thing that is not known: {other.said}"
             raise WorldError(problem, source=world.source, expected="one known map", fix="leave one of the two out")
-    found = checked(Movers(world.threat, tuple(movers)), world.source)
+    members: list[Mover] = []
+    for number, one in enumerate(movers):
+        given = Key(one, f"movers[{number}]", world.source, WorldError)
+        members += [one] if isinstance(one, Mover) else _read_each(given, world)
+    found = checked(Movers(world.threat, tuple(members)), world.source)
     return replace(world, threat=found.joined(world.source) if plan_on == JOINED else world.threat, doubt=found)
 
 
 def read_movers(key: Key, plan_on: Key | None, world: World) -> World:
     """The world of a scenario with `movers: [{walk: s | patrol: [[r, c], ...], start, h, count}, ...]`, `plan_on`."""
-    members = []
-    for item in key.items("a list of movers, each {walk or patrol, h}"):
-        keys = item.mapping(("h",), optional=("walk", "patrol", "start", "count"))
-        if ("walk" in keys) == ("patrol" in keys):
-            raise item.wrong("either walk or patrol")
-        count = keys["count"].number(whole(1, MOST_MOVERS)) if "count" in keys else 1
-        with item.naming():
-            one = _read_one(keys, world)
-            checked(Movers(world.threat, (one,)), world.source)
-        members += [one] * count
+    items = key.items("a list of movers, each {walk or patrol, h}")
+    members = [one for item in items for one in _read_each(item, world)]
     with key.naming():
         return with_movers(world, members, JOINED if plan_on is None else plan_on.choice(PLAN_ON))
 
 
-def _read_one(keys: dict[str, Key], world: World) -> Mover:
+def _read_each(key: Key, world: World) -> list[Mover]:
+    """A mover, as many times as its `count` says."""
+    keys = key.mapping(("h",), optional=("walk", "patrol", "start", "count"))
+    if ("walk" in keys) == ("patrol" in keys):
+        raise key.wrong("either walk or patrol")
     stay, start = 0.0, ANYWHERE
     route: tuple[int, ...] = ()
     if "walk" in keys:
         stay = keys["walk"].number(CHANCE, "a chance to stay, 0 to 1")
     else:
-        expected = "a list of two cells [row, col] or more"
-        route = tuple(_cell(item, world) for item in keys["patrol"].items(expected, least=2))
+        route = tuple(_cell(item, world) for item in keys["patrol"].items("a list of two cells [row, col] or more", 2))
     if "start" in keys and keys["start"].value != "anywhere":
         start = _cell(keys["start"], world)
-    return Mover(keys["h"].number(CHANCE), stay, start, route)
+    one = Mover(keys["h"].number(CHANCE), stay, start, route)
+    with key.naming():
+        checked(Movers(world.threat, (one,)), world.source)
+    return [one] * (keys["count"].number(whole(1, MOST_MOVERS)) if "count" in keys else 1)
 
 
 def _cell(key: Key, world: World) -> int:
