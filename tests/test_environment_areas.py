@@ -211,11 +211,13 @@ def test_many_are_single_ones_side_by_side() -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    for wrong in ({"view": 2}, {"rule": "best"}, {"offers": 0}, {"face": "jax"}, {"face": "pymarl"}, {"worth": -1}):
+    for wrong in ({"view": 2}, {"offers": 0}, {"face": "jax"}, {"face": "pymarl"}, {"worth": -1}):
         with pytest.raises(mrac.InputError):
             mrac.env(world(), 2, actions="areas", **wrong)
     for also in ({"rule": "mrac"}, {"offers": 3}, {"actions": "area"}):
         with pytest.raises(mrac.InputError):
             mrac.env(world(), 2, **also)
+    with pytest.raises(mrac.InputError, match="rule='best'; expected 'mrac'"):
+        mrac.env(world(), 2, actions="areas", rule="best")
     with pytest.raises(mrac.InputError, match="policy returned"):
         mrac.judge(world(), lambda seen: [9] * 2, 2, actions="areas", rollouts=2)

@@ -106,7 +106,15 @@ def test_a_picture() -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    for wrong in ({"face": "gym"}, {"num_envs": 0}, {"robots": 0}, {"starts": [[0, 99]]}, {"actions": "area"}):
+    for wrong in (
+        {"face": "gym"},
+        {"num_envs": 0},
+        {"robots": 0},
+        {"starts": [[0, 99]]},
+        {"actions": "area"},
+        {"render_mode": "human"},
+        {"face": "jax", "render_mode": "rgb_array"},
+    ):
         with pytest.raises(mrac.InputError):
             mrac.env(world(), **wrong)
 

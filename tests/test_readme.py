@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from pathlib import Path
+from pkgutil import resolve_name
 
 import pytest
 
@@ -69,6 +70,14 @@ def test_what_is_named_is_there(document: str) -> None:
     for named in re.findall(r"`(?:python -m )?((?:analysis|planner|mrac_jax)[./][\w./]+)", text):
         path = ROOT / named.removesuffix(".py").replace(".", "/")
         assert any(found.exists() for found in (ROOT / named, path, path.with_suffix(".py"))), named
+
+
+def test_the_reference_describes_what_is_there() -> None:
+    """Names without a module are the front door's."""
+    names = re.findall(r"^\.\. auto\w+:: (\S+)", PAGES["docs/reference.md"], re.MULTILINE)
+    for name in names:
+        resolve_name(name if "." in name else f"mrac_jax.{name}")
+    assert len(names) > 40
 
 
 def test_every_page_is_in_the_site() -> None:

@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from mrac_jax.environment.running import Next, Told, picture_of
 from mrac_jax.environment.spaces import Box, Discrete
-from planner.arguments import Numbers, whole
+from planner.arguments import Numbers, check_word, whole
 from planner.luck import Luck
 from planner.missions.chosen import ChosenRun
 from planner.mrac.make_plan import allocate
 from planner.mrac.problem import prepare
-from planner.policies import DEFAULT
+from planner.policies import DEFAULT, RULES
 from planner.settings import Policy, Settings
 from planner.tally import Outcome
 from planner.worlds.doubt import Hazard
@@ -61,6 +61,8 @@ class AreaEnv:
         world.check_alike("the environment")
         Numbers(0).check("worth", worth)
         whole(1, 1024).check("offers", offers)
+        if isinstance(rule, str):
+            check_word("rule", rule, tuple(RULES))
         whole(1).check("max_steps", max_steps, optional=True)
         self._problem = prepare(world, placed, Settings(policy=rule))
         self._areas = allocate(self._problem)

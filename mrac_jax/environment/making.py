@@ -16,6 +16,7 @@ from planner.worlds.world import World
 
 Face = Literal["pettingzoo", "gymnasium", "vector", "jax", "jumanji", "pymarl"]
 FACES: tuple[Face, ...] = get_args(Face)
+RENDERED = ("pettingzoo", "gymnasium")
 EXTRA = {"pettingzoo": "mrac-jax[env]", "gymnasium": "mrac-jax[env]", "jumanji": "jumanji"}
 """What brings the package of a face."""
 
@@ -54,10 +55,14 @@ def env(
         face: "pettingzoo": a `ParallelEnv`; "gymnasium": an `Env`, "vector": a `VectorEnv` of `num_envs`, the team as
             one agent; "jax": the class that all stand on, by JaxMARL's conventions; "jumanji": by Jumanji's;
             "pymarl": by PyMARL's, with the state of MAPS. The last three have moves alone.
-        render_mode: of the first two.
+        render_mode: "rgb_array": `render()` of PettingZoo's or Gymnasium's face draws a picture.
     """
     check_word("face", face, FACES)
     whole(1).check("num_envs", num_envs)
+    if render_mode is not None:
+        check_word("render_mode", render_mode, ("rgb_array",))
+        if face not in RENDERED:
+            raise UsageError(f"{argument('face', face)} draws no pictures", fix=f"leave {argument('render_mode')} out")
     package = "gymnasium" if face == "vector" else face
     if package in EXTRA and find_spec(package) is None:
         raise UsageError(f"{package} is not installed", fix=f"pip install '{EXTRA[package]}'")

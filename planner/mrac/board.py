@@ -161,7 +161,9 @@ class Board:
         other.visited, other.survived = self.visited.copy(), self.survived.copy()
         other.area_of, other.open = self.area_of.copy(), self.open.copy()
         other.unassigned, other.open_in = self.unassigned.copy(), self.open_in.copy()
-        other.areas = [copy(area) for area in self.areas]  # their arrays are replaced, never written
+        other.areas = [  # `copy` takes ten times as long; their arrays are replaced, never written
+            AreaNow(area.level, area.cells, area.unvisited, area.robot, area.state) for area in self.areas
+        ]
         other.robots = [
             replace(robot, ahead=robot.ahead.copy(), path=robot.path[robot.since :], since=0, legs=[])
             for robot in self.robots
