@@ -321,8 +321,8 @@ class Checking(_Rolled):
         kind: Of their threats (default: contiguous).
         size: Of each, HxW in cells (default: 20x20).
         processes: Worlds looked at at a time; no result depends on it (default: one a core).
-        bound: Also the bound for every strategy where it takes more than a second: on a map of more than 500
-            accessible cells, or with --worlds.
+        bound: Also the bound for every strategy where it is dear: above 1,000 dangerous cells, or with --worlds; as
+            sharp as it gets above 500 accessible ones.
     """
 
     robots: Annotated[Text, Parameter(group=TEAM)] = None

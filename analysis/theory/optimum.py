@@ -2,7 +2,7 @@
 
 Expected cells visited under a strategy that sees everything (which robots live, where they stand, what is visited) and
 decides as it goes. Robots may as well move one at a time, the others waiting: there is no limit of time, and who moves
-later knows more. Moves inside a safe area are free, so the nodes are those of `analysis.theory.any_strategy`.
+later knows more. Moves inside a safe area are free, so the nodes are those of `analysis.theory.nodes`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.theory.any_strategy import Nodes, contract
+from analysis.theory.nodes import Nodes, contract
 from planner.worlds.world import World, check_starts
 
 MOST_TO_VISIT = {1: 14, 2: 10}
