@@ -395,6 +395,26 @@ def test_a_zone_is_closed_and_robots_go_round_or_leave_what_lies_behind() -> Non
     assert blocked.outcome is Outcome.COMPLETE and places(blocked)[0][1] < 2
 
 
+def test_zones_are_closed_where_levels_are_quantised_by_what_is_left(tmp_path: Path) -> None:
+    """Ten zones on a map of 200 different chances: which of them share a level is another thing each time."""
+    stream, threat = Stream(1, 7), np.zeros((15, 15))
+    for cell in range(100, 225):
+        threat.flat[cell] = (1 + stream.below(1000)) / 10_000
+    world = World.create(threat, [[0, 0], [0, 14], [14, 0]])
+    plan = make_plan(world, [[0, 0], [0, 14], [14, 0]])
+    mission, closed = Mission(world, plan), 0
+    mission.advance()
+    while closed < 10:
+        cell = divmod(stream.below(225), 15)
+        if cell not in places(mission):
+            mission.close([cell])
+            closed += 1
+        for order in mission.orders().values():
+            mission.report(order.robot, cell=order.cell)
+        mission.advance()
+        mission = check_sound(mission, world, plan, tmp_path / "now.json", 1.0)
+
+
 def test_no_zone_is_closed_between_a_robot_and_what_it_reported() -> None:
     mission = of_two()
     mission.report(0, cell=[0, 4])

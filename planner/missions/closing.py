@@ -57,9 +57,10 @@ def closed_world(world: World, cells: NDArray[np.int64]) -> World:
 def closed_state(state: MissionState, world: World, levels: int) -> MissionState:
     """The state as one of `world`, in which some cells that were free are closed; no robot alive stands on one.
 
-    Areas lose cells that are closed or out of reach. What of an area its robot cannot reach any more, or what nobody
-    has, becomes areas of connected cells that nobody has. A robot whose way, or what it has to cover on it, is not as
-    it was has nothing ahead: it is to set out anew. `levels`: most threat levels.
+    Areas lose cells that are closed or out of reach, and fall apart where these are not connected, or of several
+    levels now (they are quantised by what is in reach). A robot keeps the part with most to do that it can reach; the
+    others nobody has. A robot whose way, or what it has to cover on it, is not as it was has nothing ahead: it is to
+    set out anew. `levels`: most threat levels.
     """
     here = next(robot.cell for robot in state.robots if robot.alive)
     free = world.free.ravel()
@@ -77,7 +78,8 @@ def closed_state(state: MissionState, world: World, levels: int) -> MissionState
     own: dict[int, int] = {}
     for area in state.areas:
         left, mine = area.cells[kept[area.cells]], NO_CELLS
-        parts = [left] if len(left) == len(area.cells) else connected_parts(world.shape, left)
+        levels_of = np.unique(level_of[left])
+        parts = [part for level in levels_of for part in connected_parts(world.shape, left[level_of[left] == level])]
         if area.robot != NO_ROBOT:
             here = labels[state.robots[area.robot].cell]
             mine = max((part for part in parts if labels[part[0]] == here), key=left_in, default=mine)
