@@ -4,6 +4,7 @@ Random actions, 200 steps in one compiled scan, the best of several turns in one
 installed, Jumanji's Cleaner (20x20, 8 agents) and JaxMARL's grid with as many agents, STORM (its 8-agent arena).
 Columns: rewards alone are read, so that the compiler leaves observations out; or observations too. Each is stepped with
 a new episode where one ends (Cleaner: a new maze, by Jumanji's `AutoResetWrapper`), ours and Cleaner also without.
+Below, choices of areas a second of one environment in Python (`actions="areas"`), the first offer each.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import jax.numpy as jnp
 from rich.console import Console
 
 from analysis.kit.tables import make_table
+from planner.policies import RULES
 from planner.rollouts.names import of_jax
 from planner.worlds.generate import random_world
 
@@ -116,6 +118,20 @@ def contenders() -> dict[str, tuple[Any, Step]]:
     return found | {name: make() for package, name, make in peers if find_spec(package)}
 
 
+def choices(rule: str, missions: int = 30) -> float:
+    """Of areas, a second of this process, in so many missions."""
+    env = of_jax("environment")(random_world(SIDE, SIDE), ROBOTS, actions="areas", rule=rule)
+    made, clock = 0, time.process_time()
+    for rollout in range(missions):
+        run = env.begin(0, rollout)
+        run.go_on()
+        while run.decision is not None:
+            env.observe(run), env.legal(run)
+            run.go_on(0)
+            made += 1
+    return made / (time.process_time() - clock)
+
+
 def main() -> None:
     """Print a line for every environment."""
     made = contenders()
@@ -134,6 +150,10 @@ def main() -> None:
     for name in made:
         table.add_row(name, *(f"{ENVIRONMENTS * STEPS / best[name, read]:,.0f}" for read in (False, True)))
     Console(highlight=False).print(table)
+    chosen = make_table(('actions="areas", one, 8 robots', "choices/s"))
+    for rule in RULES:
+        chosen.add_row(rule, f"{choices(rule):,.0f}")
+    Console(highlight=False).print(chosen)
 
 
 if __name__ == "__main__":
