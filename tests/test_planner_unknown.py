@@ -188,31 +188,6 @@ def test_who_sees_everything_runs_as_told(part):
     assert compared > len(chosen) // 2
 
 
-def test_sensing_three_cells_is_worth_nearly_the_whole_map():
-    """The order of a trial of 120 rollouts; blind robots lose 30 points."""
-    world = random_world(pattern=ThreatPattern(seed=1))
-    starts, _ = place_starts(world, 8)
-    cells = world.accessible(starts).sum()
-
-    def covered(of):
-        plan = make_plan(of, starts, Settings(policy="per_cell"))
-        return np.mean([ReferenceLoop(plan, of).run(1, rollout).visited.sum() for rollout in range(8)]) / cells
-
-    told, near, blind = (
-        covered(w) for w in (with_sense(world_of(world), inf), with_sense(world_of(world), 3), blind_of(world))
-    )
-    assert told - 0.05 < near < told + 0.05
-    assert blind < told - 0.15
-
-
-def world_of(world):
-    return with_prior(world, 0.04, sense=1)
-
-
-def blind_of(world):
-    return with_prior(world, 0.04, "known", 0)
-
-
 # --- what is seen ---
 
 

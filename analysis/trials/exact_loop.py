@@ -114,7 +114,7 @@ def tree_of(loop: ClosedLoop, seconds: float, slack: float = SLACK, fine_seconds
 
     `fine_seconds`: a tree that takes no longer is grown until next to nothing is left.
     """
-    cells = len(loop.cells)
+    cells = loop.accessible
     most, cheap = (max(int(time * EFFORT / cells), 2) if cells <= MOST_CELLS else 2 for time in (seconds, fine_seconds))
     return grow_tree(loop, slack * cells, most, max(cheap, CHEAP))
 

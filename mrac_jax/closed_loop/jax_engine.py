@@ -224,7 +224,7 @@ class JaxClosedLoop:
         def histogram(column: int, bins: int) -> NDArray[np.int64]:
             return np.bincount(rows[:, column], minlength=bins).astype(np.int64)
 
-        counts = make_counts(accessible, loop.robots, self._steps - 1)
+        counts = make_counts(accessible, accessible, loop.robots, self._steps - 1)
         covered, new = of_kind(cells, NEW_VISITED), of_kind(steps, NEW_VISITED)
         if passes is not None:
             kept = passes.reshape(-1, MOST_PASSES)[:accessible]

@@ -146,6 +146,8 @@ def check_supported(loop: ClosedLoop) -> None:
     if loop.stay_inside:
         what = f"{argument('engine', 'jax')} with {argument('transit', 'area')}"
         raise UsageError(what, expected=argument("transit", "grid"), fix=fix)
+    if loop.learns:
+        raise WorldError("robots that learn the map, in the closed loop in JAX", fix=fix)
     if not loop.tabled:
         size = f"a map of {loop.shape[0]} x {loop.shape[1]} cells, {len(loop.cells)} of them accessible"
         raise WorldError(size, expected=f"at most {MOST_TABLED} accessible ones for the closed loop in JAX", fix=fix)

@@ -41,6 +41,12 @@ from planner.none import NONE
 
 
 @kernel
+def room_of(s):
+    """Areas that there is room for; of robots that learn it is the number of what is in no area too."""
+    return len(s.areas) - (len(s.mind) > 0)
+
+
+@kernel
 def close(s, area):
     """Take an area out of the pool."""
     if holds(s.open, area):
@@ -95,7 +101,9 @@ def find_next_area(t, s, w, here):
     """(area, cell) of the next area by (level, cost, id), NONE if none is reachable."""
     if len(t.cost_to) > 0:
         return look_up_next_area(s, t.cost_to[here], t.area_cost[here], t.area_entry[here])
-    row = row_if_asked(t, w, here)
+    if len(s.mind) > 0:  # areas gain cells: none is a part of one of t = 0
+        return search_next_area(t, s, w, here)
+    row = row_if_asked(t, s, w, here)
     if row != NONE:
         return look_up_next_area(s, w.rows[row], w.row_costs[row], w.row_entries[row])
     return search_next_area(t, s, w, here)
@@ -283,7 +291,7 @@ def replace(t, s, w, area, split):
         cell = w.listed[index]
         if np.int64(s.home[cell]) >> AREA_BITS == area:
             # Room for this part and for one more that a bisection may make.
-            if first_new + parts + 2 > len(areas):
+            if first_new + parts + 2 > room_of(s):
                 return np.int64(NONE), 0
             areas[first_new + parts, LEFT_IN] = flood(t, s, w, cell, area, first_new + parts)
             parts += 1
@@ -326,7 +334,7 @@ def replace(t, s, w, area, split):
 def costs_from(t, s, w, robot):
     """The cost from the robot's cell to every cell, NONE if unreachable; without tables a row for two robots' time."""
     here = np.int64(s.robots[robot, CELL])
-    return t.cost_to[here] if len(t.cost_to) > 0 else w.rows[row_from(t, w, here)]
+    return t.cost_to[here] if len(t.cost_to) > 0 else w.rows[row_from(t, s, w, here)]
 
 
 @kernel
@@ -334,7 +342,7 @@ def is_within(t, s, w, helper, target, most):
     """Whether `target` is at most `most` moves from the helper; without tables the last answer was `costs_from` it."""
     here = s.robots[helper, CELL]
     if len(t.cost_to) == 0:
-        return walk_back(t, w, here, target, s.legs[helper]) <= most
+        return walk_back(t, s, w, here, target, s.legs[helper]) <= most
     for _ in range(most):
         if here == target:
             break

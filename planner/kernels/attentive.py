@@ -12,10 +12,11 @@ import numpy as np
 
 from planner.jit import kernel, program, rare_kernel, spliced
 from planner.kernels.areas import costs_from, give, reopen, share_between
+from planner.kernels.believe import forget_news, is_lost, look_about, recall, revise
 from planner.kernels.bits import ONE, holds, lowest_bit
 from planner.kernels.choose import could_go_on, first_to_share, has_to_wait, head_for, is_full
 from planner.kernels.first import first_area, first_of_idle, see
-from planner.kernels.follow import offer_of
+from planner.kernels.follow import is_danger, offer_of
 from planner.kernels.handed import hand
 from planner.kernels.meet import is_meeting
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
@@ -191,7 +192,7 @@ def look_up(t, p, s, w, log, how, robot):
     if s.areas[robots[robot, AREA], LEFT_IN] == 0:
         return allocate_next(t, p, s, w, log, robot, np.bool_(False))
     wary = p.looks_again and robots[robot, DOING] == TRAVELING and not robots[robot, SURE]
-    if wary and p.danger[robots[robot, NEXT]]:
+    if wary and is_danger(p, s, robots[robot, NEXT]):
         got = look_again(t, p, s, w, log, robot)
         if got != 0 or not has_area(robots, robot):
             return got
@@ -234,10 +235,31 @@ def go(t, p, s, w, log, how, robot, step, cell):
     return 0
 
 
+@rare_kernel
+def learn(t, p, s, w, log, how):
+    """At the end of a step: what robots see, and what follows; 1 if somebody got an area, else 0; NONE: no room."""
+    count, got = look_about(t, s, w), 0
+    if count == 0:
+        return 0
+    if not revise(t, s, w, log, count):
+        got = NONE
+    unsettle(s)
+    for robot in range(len(s.robots)):
+        if got == NONE or not has_area(s.robots, robot):
+            continue
+        if s.areas[s.robots[robot, AREA], LEFT_IN] == 0:
+            more = allocate_next(t, p, s, w, log, robot, np.bool_(False))
+            got = NONE if more == NONE else got | more
+        elif is_lost(s, w, robot):
+            aim(t, s, w, how, robot)
+    forget_news(w, count)
+    return got
+
+
 @kernel
 def notices(p, s, robot):
     """Whether something is to be looked at before the robot moves: an area without cells to do has no target either."""
-    return s.home[s.robots[robot, TARGET]] & VISITED != 0 or p.danger[s.robots[robot, NEXT]]
+    return s.home[s.robots[robot, TARGET]] & VISITED != 0 or is_danger(p, s, s.robots[robot, NEXT])
 
 
 @kernel
@@ -288,7 +310,7 @@ def walk_alone(t, p, s, c, w, how, robot, step, size):
 @spliced
 def ending(t, p, s, w, how, step):
     """How the run ends after this step, NONE if it goes on."""
-    outcome = end_of(s, how, step)
+    outcome = end_of(t, s, how, step)
     return CALLED_OFF if outcome == STUCK and could_go_on(t, p, s, w) else outcome
 
 
@@ -304,6 +326,8 @@ def advance(t, p, s, c, w, log, how, ids):
     # What `first_of_idle` keeps is of one level of the stack, and scratch is of the thread.
     for other in range(len(robots)):
         w.kept[other, 0] = NONE
+    if len(s.mind) > 0:
+        recall(s, w)
     while True:
         if verdict == ACTS:
             while bits == 0:
@@ -314,6 +338,11 @@ def advance(t, p, s, c, w, log, how, ids):
                         verdict = after_turns(t, s, c, w, how, ids, size)
                         if verdict != ACTS:
                             break
+                    if len(s.mind) > 0:
+                        got = learn(t, p, s, w, log, how)
+                        if got == NONE:
+                            return AREAS_FULL
+                        progress |= got
                     look(log, s, step)
                     marks[QUIET] = 0 if progress else marks[QUIET] + 1
                     outcome = ending(t, p, s, w, how, step)
@@ -383,7 +412,7 @@ def run_attentive(t, p, c, waiting, tasks, taken, stack, w, log, how, ids, singl
     """As `planner.kernels.rollouts.run_set`, by the policy `p`."""
     tables, policy, counts, work, logged, options = hand(t), hand(p), hand(c), hand(w), hand(log), hand(how)
     top = 0
-    while begin_next(stack, waiting, tasks, taken):
+    while begin_next(stack, waiting, tasks, taken, work):
         begin(tables, hand(level_of(stack, 0)), work)
         level = top = 0
         while level >= 0:

@@ -11,7 +11,7 @@ from planner.jit import kernel, rare_kernel
 from planner.kernels.areas import any_to_share, costs_from, is_within, may_be_shared
 from planner.kernels.bits import holds
 from planner.kernels.first import bound_of, cheapest_unvisited, first_area, first_of_idle
-from planner.kernels.follow import is_before, offer_of, refuses
+from planner.kernels.follow import is_before, is_danger, offer_of, refuses
 from planner.kernels.nearest import one_cell, seek
 from planner.kernels.paths import set_out
 from planner.kernels.rows import row_from
@@ -68,7 +68,7 @@ def head_for(t, s, w, robot, target):
     if searched:
         here = np.int64(s.robots[robot, CELL])
         if w.row_of[here] != NONE:
-            row_from(t, w, here)
+            row_from(t, s, w, here)
         else:
             seek(t, s, w, here, one_cell(target), np.int64(NONE))
     set_out(t, s, w, robot, target, searched)
@@ -81,10 +81,10 @@ def is_at_risk(t, p, s, robot):
     if not has_area(s.robots, robot):
         return False
     cell = np.int64(me[NEXT])
-    found = s.areas[me[AREA], LEVEL] > 0 or p.danger[cell]
+    found = s.areas[me[AREA], LEVEL] > 0 or is_danger(p, s, cell)
     if me[AHEAD] > 0:
         for place in range(me[AHEAD]):
-            found = found or p.danger[s.legs[robot, place]]
+            found = found or is_danger(p, s, s.legs[robot, place])
         return found
     # With tables the rest of the way is not written down: it is walked.
     while not found and cell != me[TARGET]:

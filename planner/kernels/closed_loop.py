@@ -27,6 +27,7 @@ from planner.policies.in_area import cheapest_first
 from planner.roaming import check_counters
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
 from planner.trace import EventKind, Trace
+from planner.worlds.doubt import Uncertain
 from planner.worlds.world import World
 
 MOST_TABLED = 10_000
@@ -63,17 +64,15 @@ def compile_closed_loop(
             expected="an exact Rule of attentive robots, cells in the planner's own order",
             fix="roll it out open loop, or with the readable simulator: planner.mrac.reference.ReferenceLoop",
         )
-    if problem.unknown is not None and problem.unknown.learns:
-        world.check_told("the compiled closed loop")
     check_counters(world, len(problem.starts), problem.max_steps)
-    cells = np.flatnonzero(problem.levels.accessible)
+    learns, unknown = problem.learns, problem.unknown
+    cells = np.flatnonzero(problem.levels.accessible if unknown is None or not learns else unknown.within)
+    tabled = not learns and (len(cells) <= MOST_TABLED if tabled is None else tabled)
     return ClosedLoop(
         identity=_identity(problem, areas, first_only, plan.state),
         shape=world.shape,
         cells=cells,
-        tables=make_tables(
-            problem, cells, areas, len(cells) <= MOST_TABLED if tabled is None else tabled, kept, luck, plan.bearing
-        ),
+        tables=make_tables(problem, cells, areas, tabled, kept, luck, plan.bearing),
         max_steps=problem.max_steps,
         first_only=first_only,
         stay_inside=settings.transit == "area",
@@ -83,6 +82,7 @@ def compile_closed_loop(
         luck=luck,
         bearing=plan.bearing,
         movers=world.movers,
+        doubt=world.doubt if learns and isinstance(world.doubt, Uncertain) else None,
     )
 
 

@@ -195,10 +195,10 @@ def first_area(t, p, s, w, robot, own, refusing):
         return best, target, first.cost
     here = np.int64(s.robots[robot, CELL])
     costs = costs_from(t, s, w, robot)
-    if own != NONE:  # its target stays the same on the way there, until it is visited
+    if own != NONE:  # its target stays the same on the way there, until it is visited, or costs are others
         cell = np.int64(s.robots[robot, TARGET])
         cost = np.int64(costs[cell])
-        if s.home[cell] & VISITED:
+        if s.home[cell] & VISITED or len(s.mind) > 0:
             cell, cost = see(t, s, costs, here, own)
         offer = offer_of(p, s, own, cost)
         if goes_first(p, offer, own, first, best, refusing):

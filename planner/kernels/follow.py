@@ -160,6 +160,12 @@ def offer_of(p, s, area, cost):
 
 
 @kernel
+def is_danger(p, s, cell):
+    """Whether the cell is of a dangerous level, as robots know it."""
+    return s.level[cell] > 0 if len(s.mind) > 0 else p.danger[cell]
+
+
+@kernel
 def is_before(p, one, other, by_id):
     """Whether the rule puts one offer before the other; `by_id`: where it does not tell them apart."""
     mine, theirs = order_of(p.rule, one), order_of(p.rule, other)

@@ -23,6 +23,7 @@ from planner.kernels.state import AREA_WORDS, ROBOT_WORDS, TEAM_WORDS, State, Ta
 
 LENGTHS = {
     (Tables, "near"): 4,
+    (State, "near"): 4,
     (State, "robots"): ROBOT_WORDS,
     (State, "areas"): AREA_WORDS,
     (State, "team"): TEAM_WORDS,

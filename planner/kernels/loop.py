@@ -13,12 +13,13 @@ from planner.bearing import PLAIN, Bearing
 from planner.errors import UsageError
 from planner.kernels.follow import Policy
 from planner.kernels.resume import set_back_to
-from planner.kernels.state import State, Tables, first_state
+from planner.kernels.state import GOAL, TRUTH, State, Tables, first_state
 from planner.kernels.tables import luck_tables
 from planner.luck_names import LuckName
 from planner.plans.state import MissionState
 from planner.roaming import first_places
 from planner.tally import Tally, tally_key
+from planner.worlds.doubt import Uncertain
 from planner.worlds.movers import Movers
 from planner.worlds.world import World
 
@@ -52,6 +53,7 @@ class ClosedLoop:
         purpose: of the key under which is drawn what is in doubt about the map (`planner.worlds.doubt.Draws`).
         state: of the mission that rollouts go on from; None: they begin at t = 0.
         movers: threats that move, which are told for each rollout; None: there are none.
+        doubt: maps of which each rollout draws the one that its robots learn; None: there is one truth.
     """
 
     identity: str
@@ -68,6 +70,17 @@ class ClosedLoop:
     luck: LuckName = "tolerance"
     bearing: Bearing = PLAIN
     movers: Movers | None = None
+    doubt: Uncertain | None = None
+
+    @property
+    def accessible(self) -> int:
+        """Cells that can truly be visited."""
+        return int(self.tables.limits[GOAL])
+
+    @property
+    def learns(self) -> bool:
+        """True if robots may come to believe another map."""
+        return len(self.tables.truths) > 0
 
     @property
     def robots(self) -> int:
@@ -99,12 +112,15 @@ class ClosedLoop:
         return {}
 
     def first_state(self, room: int) -> State:
-        """A stack of one level: what every set begins with, with room for so many areas; made once."""
+        """What every set begins with, with room for so many areas; made once. A stack of one level a truth."""
         if room not in self._first:
             first = first_state(self.tables, room, self.weights is not None)
             if self.state is not None:
                 set_back_to(self.state, first, self.tables, self.cells)
-            self._first[room] = State._make(row[None] for row in first)
+            levels = max(len(self.tables.truths), 1)
+            self._first[room] = State._make(np.repeat(row[None], levels, axis=0) for row in first)
+            if self.learns:
+                self._first[room].mind[:, TRUTH] = np.arange(levels)
         return self._first[room]
 
     def first_places(self, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
@@ -120,7 +136,7 @@ class ClosedLoop:
     def empty_tally(self, seed: int) -> Tally:
         """The tally of no rollouts."""
         key = tally_key(self.identity, "closed", self.luck, seed)
-        return Tally.empty(key, self.shape, self.robots, len(self.cells))
+        return Tally.empty(key, self.shape, self.robots, self.accessible)
 
     def until(self, step: int) -> ClosedLoop:
         """The same closed loop cut off at the end of `step`: its rollouts cover what the whole one's have by then.

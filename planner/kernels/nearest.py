@@ -76,6 +76,7 @@ def seek_near(t, s, w, here, goal, inside, most):
     one unit away (safe ones) go through a queue in layers, the others through a heap.
     """
     distance, seen, queue = w.distance, w.seen, w.queue
+    near, entries = s.near if len(s.mind) > 0 else t.near, s.entry if len(s.mind) > 0 else t.entry
     w.stamp[0] += 1
     stamp, here = w.stamp[0], np.int64(here)
     distance[here], seen[here], seen[len(t.near)] = 0, stamp, stamp  # what is blocked is met already
@@ -93,11 +94,11 @@ def seek_near(t, s, w, here, goal, inside, most):
             at = np.int64(queue[head])
             head += 1
             for side in range(4):
-                cell = np.int64(t.near[at, side])
+                cell = np.int64(near[at, side])
                 # A stamp instead of clearing: a search costs what it passes, not the size of the map.
                 if seen[cell] == stamp or (inside != NONE and np.int64(s.home[cell]) >> AREA_BITS != inside):
                     continue
-                seen[cell], entry = stamp, t.entry[cell]
+                seen[cell], entry = stamp, entries[cell]
                 cost = now + entry
                 distance[cell] = cost
                 if (best == NONE or cost <= best_cost) and is_goal(s, cell, goal):

@@ -58,7 +58,7 @@ def entry_of(t, s, w, robot, area):
         cell = np.int64(t.area_entry[here, s.areas[area, ROOT]])
         return cell if np.int64(s.home[cell]) >> AREA_BITS == area else cheapest_cell(t.cost_to[here], s, area)
     if w.row_of[here] != NONE:
-        return cheapest_cell(w.rows[row_from(t, w, here)], s, area)
+        return cheapest_cell(w.rows[row_from(t, s, w, here)], s, area)
     return seek(t, s, w, here, any_of(area), np.int64(NONE))
 
 
@@ -70,7 +70,7 @@ def set_out(t, s, w, robot, target, searched):
     robots[robot, TARGET] = robots[robot, NEXT] = target
     if here != target:
         if searched:
-            ahead = walk_back(t, w, here, target, s.legs[robot]) - 1
+            ahead = walk_back(t, s, w, here, target, s.legs[robot]) - 1
             robots[robot, NEXT] = s.legs[robot, ahead]
         else:
             # By target: a whole leg stays in one row of the table.

@@ -131,7 +131,7 @@ def append_far_leg(t, s, w, here, area, end, room):
             end += 1
         return target, end
     target = seek(t, s, w, np.int64(here), to_do_of(area), np.int64(NONE))
-    steps = walk_back(t, w, here, target, w.queue)
+    steps = walk_back(t, s, w, here, target, w.queue)
     if end + steps <= room:
         for place in range(steps):
             w.paths[end + place] = w.queue[steps - 1 - place]

@@ -16,6 +16,7 @@ from numba import types
 from numba.extending import intrinsic, overload
 
 from planner.jit import kernel, program, rare_kernel
+from planner.kernels.believe import take_over
 from planner.kernels.handed import flat, hand
 from planner.kernels.runs import advance
 from planner.kernels.state import (
@@ -31,6 +32,9 @@ from planner.kernels.state import (
     FIRST,
     HIT,
     LAST,
+    LEVEL,
+    NOWHERE_LEVEL,
+    OUT,
     PARTED,
     PASSED,
     PATH,
@@ -72,7 +76,8 @@ def level_of(stack, level):
     return State(
         stack.home[level], stack.order[level], stack.areas[level], stack.robots[level], stack.legs[level],
         stack.marks[level], stack.team[level], stack.movers[level], stack.waiting[level], stack.open[level],
-        stack.lowest[level], stack.spent[level], stack.passes[level], stack.entered[level],
+        stack.lowest[level], stack.spent[level], stack.passes[level], stack.entered[level], stack.near[level],
+        stack.entry[level], stack.level[level], stack.known[level], stack.fate[level], stack.mind[level],
     )  # fmt: skip
 
 
@@ -103,6 +108,19 @@ def copy_state(of, to):
     copy_row(of.spent, to.spent, len(of.spent))
     copy_row(of.passes, to.passes, len(of.passes))
     copy_row(of.entered, to.entered, len(of.entered))
+    if len(of.mind) > 0:
+        copy_mind(of, to)
+
+
+@rare_kernel
+def copy_mind(of, to):
+    """What robots that learn believe."""
+    copy_row(flat(of.near), flat(to.near), 4 * len(of.near))
+    copy_row(of.entry, to.entry, len(of.entry))
+    copy_row(of.level, to.level, len(of.level))
+    copy_row(of.known, to.known, len(of.known))
+    copy_row(of.mind, to.mind, len(of.mind))
+    to.areas[len(to.areas) - 1, LEVEL] = NOWHERE_LEVEL
 
 
 @rare_kernel
@@ -113,7 +131,7 @@ def count_passes(s, c, ids, singles):
         passes = np.int64(s.passes[cell])
         for times in range(passes):
             c.passes[cell, times] += last - first
-        if s.home[cell] & VISITED:
+        if s.home[cell] & VISITED and (len(s.known) == 0 or s.known[cell] & OUT == 0):
             covered += singles.covered[cell]
             found += singles.found[cell, passes]
     if len(singles.worth) > 0:
@@ -143,7 +161,7 @@ def count_set(s, c, ids, singles, outcome):
 
 
 @kernel
-def begin_next(stack, waiting, tasks, taken):
+def begin_next(stack, waiting, tasks, taken, w):
     """Level 0 of the stack becomes the next of the tasks, and its rollouts; False if all of them are taken."""
     task = take(taken)
     if task >= len(tasks):
@@ -151,6 +169,8 @@ def begin_next(stack, waiting, tasks, taken):
     first = hand(level_of(stack, 0))
     copy_state(hand(level_of(waiting, tasks[task, 0])), first)
     first.marks[FIRST], first.marks[LAST] = tasks[task, 1], tasks[task, 2]
+    if len(first.mind) > 0:
+        take_over(first, w)
     return True
 
 
@@ -190,7 +210,7 @@ def run_set(t, c, waiting, tasks, taken, stack, w, log, how, ids, singles):
     tables, counts, work, logged, options = hand(t), hand(c), hand(w), hand(log), hand(how)
     top = 0
     # Threads share `taken`, which they raise atomically: no task is run twice.
-    while begin_next(stack, waiting, tasks, taken):
+    while begin_next(stack, waiting, tasks, taken, work):
         level = top = 0
         while level >= 0:
             # By address: fifty arrays by value would cost more than most kernels do.

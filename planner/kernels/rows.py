@@ -9,13 +9,14 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, rare_kernel
+from planner.kernels.nearest import one_cell, seek_near
 from planner.kernels.state import PATIENCE
 from planner.mrac.heap import pop, push
 from planner.none import NONE
 
 
 @rare_kernel
-def row_from(t, w, here):
+def row_from(t, s, w, here):
     """The number of the row of costs from `here`, which is made if it is not kept; `walk_back` then goes along it.
 
     The row of the last answer is still there afterwards.
@@ -28,7 +29,10 @@ def row_from(t, w, here):
         if w.source_of[row] != NONE:
             w.row_of[w.source_of[row]] = NONE
         w.source_of[row], w.row_of[here] = here, row
-        fill_row(t, w, here, row)
+        if len(s.mind) == 0:
+            fill_row(t, w, here, row)
+        else:
+            fill_row_believed(t, s, w, here, row)
     w.last[0] = row
     return row
 
@@ -49,6 +53,16 @@ def fill_row(t, w, here, row):
             if costs[cell] < costs[best]:
                 best = cell
         w.row_costs[row, area], w.row_entries[row, area] = costs[best], best
+
+
+@kernel
+def fill_row_believed(t, s, w, here, row):
+    """Costs to all cells, as robots that learn believe them: a search that finds nothing passes all in reach."""
+    seek_near(t, s, w, here, one_cell(np.int64(NONE)), np.int64(NONE), len(t.near))
+    costs, stamp = w.rows[row], w.stamp[0]
+    for cell in range(len(t.near)):
+        costs[cell] = w.distance[cell] if w.seen[cell] == stamp else NONE
+    costs[len(t.near)] = NONE
 
 
 @kernel
@@ -88,12 +102,12 @@ def spread(t, w, here, costs):
 
 
 @kernel
-def row_if_asked(t, w, here):
+def row_if_asked(t, s, w, here):
     """The number of the row from `here` if it is kept, or has been asked for often enough by now, else NONE."""
     if w.row_of[here] == NONE and w.asked[here] < t.limits[PATIENCE]:
         w.asked[here] += np.uint8(1)
         return np.int64(NONE)
-    return row_from(t, w, here)
+    return row_from(t, s, w, here)
 
 
 @kernel
@@ -105,14 +119,14 @@ def last_cost(w, cell):
 
 
 @kernel
-def walk_back(t, w, here, target, leg):
+def walk_back(t, s, w, here, target, leg):
     """Write the last answer's path from `here` to `target` into `leg` `[A]`, last cell first; returns its steps."""
-    steps, cell = 0, np.int64(target)
+    steps, cell, entry = 0, np.int64(target), s.entry if len(s.mind) > 0 else t.entry
     while cell != here:
         leg[steps] = cell
         steps += 1
         # Neighbours rise in index, so the first that fits is the lowest: the tie of SPEC section 3.
-        before = last_cost(w, cell) - t.entry[cell]
+        before = last_cost(w, cell) - entry[cell]
         for side in range(4):
             other = np.int64(t.near[cell, side])
             if last_cost(w, other) == before:

@@ -45,10 +45,12 @@ from planner.kernels.state import (
     plain,
 )
 from planner.kernels.trace import Log, make_log
-from planner.none import NONE
+from planner.luck import rows_met
+from planner.none import NO_AREA, NONE
 from planner.roaming import MOVERS_DRAWS
 from planner.threefry import own_key
 from planner.tolerance import LEAST, key_of_luck
+from planner.worlds.doubt import Uncertain
 
 LARGEST_SET = 2**20
 """Rollouts that a thread takes at a time, of 8 bytes each, 12 where histories are shared out: more gain nothing."""
@@ -132,7 +134,7 @@ def _in_rounds(
     workers = _workers(threads, count)
     rounds = max(1, -(-count // (workers * LARGEST_SET)))
     most = -(-count // (workers * rounds))
-    if workers == 1 or most < LEAST_SHARED or loop.keeps_apart:
+    if workers == 1 or most < LEAST_SHARED or loop.keeps_apart or loop.doubt is not None:
         return None
     runners = [Runner(loop, seed, most, known) for _ in range(workers)]
     waiting = runners[0].make_levels((MOST_ASIDE + 1) * workers)
@@ -212,6 +214,15 @@ def whole_set(ids: NDArray[np.uint32]) -> Tasks:
     return np.array([[0, 0, len(ids)]]), np.zeros(1, dtype=np.int64)
 
 
+def sets_of_truths(ids: NDArray[np.uint32], doubt: Uncertain, seed: int) -> Tasks:
+    """The ids, put in order of the map that is true, in one set a map, from the level of that number on."""
+    truth = rows_met(doubt, seed, ids)[:, 0]
+    order = np.argsort(truth, kind="stable")
+    ids[:], found = ids[order], np.unique(truth, return_index=True)
+    begin = np.searchsorted(truth[order], found[0])
+    return np.column_stack([found[0], begin, np.append(begin[1:], len(ids))]), np.zeros(1, dtype=np.int64)
+
+
 def sets_of_tasks(
     ids: NDArray[np.uint32], marks: NDArray[np.int64], most: int
 ) -> tuple[list[NDArray[np.uint32]], Tasks]:
@@ -263,7 +274,7 @@ class Runner:
         key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of_luck(seed, loop.luck), *own))
         moves, meetings = ((np.uint32(a), np.uint32(b)) for a, b in map(partial(own_key, seed), MOVERS_DRAWS))
         self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside, 0, *moves, *meetings)
-        remembers = loop.policy is None and not loop.stay_inside
+        remembers = loop.policy is None and not loop.stay_inside and not loop.learns
         self.work = make_work(loop.tables, most, remembers, known.pop() if known else None)
         self._done: list[tuple[int, int]] = []
         self._make_room(first_room(loop.tables))
@@ -271,7 +282,8 @@ class Runner:
     @property
     def area_of(self) -> NDArray[np.int32]:
         """The last area of each cell, int32 `[A]`, at the end of the last run."""
-        return (self._state.home[0, :-1] >> AREA_BITS).astype(np.int32)
+        found = (self._state.home[0, :-1] >> AREA_BITS).astype(np.int32)
+        return np.where(found == self._room - 1, NO_AREA, found) if self._loop.learns else found
 
     @property
     def has_grown(self) -> bool:
@@ -307,7 +319,8 @@ class Runner:
                 self.work.left[: len(ids)] = self._loop.bearing.tolerances(self._seed, ids, self._loop.robots)
             if self._loop.movers is not None:
                 self.work.at[: len(ids)] = self._loop.first_places(self._seed, ids)
-            if not self.take(begin, whole_set(ids), ids, singles, log):
+            tasks = whole_set(ids) if self._loop.doubt is None else sets_of_truths(ids, self._loop.doubt, self._seed)
+            if not self.take(begin, tasks, ids, singles, log):
                 return False
         return True
 
@@ -351,7 +364,8 @@ class Runner:
         self._room = room
         self._state = self.make_levels(min(self._loop.robots + 1, self._most))
         passes = self._loop.weights is not None
-        self.counts = make_counts(len(self._loop.cells), self._loop.robots, self._loop.max_steps, passes)
+        loop = self._loop
+        self.counts = make_counts(len(loop.cells), loop.accessible, loop.robots, loop.max_steps, passes)
 
     def _call(
         self, waiting: State, tasks: Tasks, stack: State, log: Log, how: How, ids: NDArray[np.uint32], singles: Singles

@@ -13,6 +13,7 @@ import numpy as np
 
 from planner.jit import kernel, rare_kernel, spliced
 from planner.kernels.areas import close, find_next_area, give, replace, share
+from planner.kernels.believe import forget_news, is_lost, look_about, recall, revise
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
 from planner.kernels.luck import fresh, stopped_from
 from planner.kernels.meet import has_entered, is_meeting, meet
@@ -26,6 +27,7 @@ from planner.kernels.state import (
     AREA_BITS,
     AREAS_FULL,
     BEARS,
+    BEGIN,
     BORNE,
     CELL,
     COMPLETE,
@@ -35,9 +37,11 @@ from planner.kernels.state import (
     DEAD,
     DOING,
     DONE,
+    END,
     FAR,
     FIRST,
     FOLLOWING,
+    GOAL,
     HIT,
     IDLE,
     LANDING,
@@ -116,7 +120,13 @@ def count_pass(s, cell):
 
 
 @kernel
-def count_last(s, c, cell, mass):
+def is_complete(t, s):
+    """Whether every cell that can truly be reached is visited."""
+    return s.marks[COVERED] == t.limits[GOAL] if len(s.mind) > 0 else s.marks[UNFINISHED] == 0
+
+
+@kernel
+def count_last(t, s, c, cell, mass):
     """Add so much of a tree's branch at the stop of the last robot alive."""
     marks = s.marks
     covered, safely = marks[COVERED], marks[COVERED] - marks[UNSURVIVED]
@@ -125,7 +135,7 @@ def count_last(s, c, cell, mass):
     c.survived[safely] += mass
     c.time[marks[STEP]] += mass
     c.alive[0] += mass
-    c.outcomes[COMPLETE if marks[UNFINISHED] == 0 else STOPPED] += mass
+    c.outcomes[COMPLETE if is_complete(t, s) else STOPPED] += mass
 
 
 @kernel
@@ -138,7 +148,7 @@ def leave_branch(s, c, mass, alive):
 
 
 @rare_kernel
-def prune(s, c, how, cell, hit_from):
+def prune(t, s, c, how, cell, hit_from):
     """A tree's branch of which as much as is behind `hit_from` is stopped: PARTED, or what goes on of it: PASSED, HIT.
 
     CUT: nothing does. What is left of the branch stays at the end of its mass.
@@ -148,7 +158,7 @@ def prune(s, c, how, cell, hit_from):
     least = how.cut if c.histories[0] + c.histories[1] < how.most else FAR
     if marks[ALIVE] == 1:
         # Nobody is left whom it would matter to: the one path goes on, with what is left of the mass.
-        count_last(s, c, cell, stopped)
+        count_last(t, s, c, cell, stopped)
         stopped = 0
     elif stopped < least:
         leave_branch(s, c, stopped, marks[ALIVE] - 1)
@@ -192,7 +202,7 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
         if hit_from == marks[FIRST] and how.aside == 0:
             verdict = HIT
         elif hit_from < marks[LAST]:
-            verdict = PARTED if how.cut == 0 else prune(s, c, how, cell, hit_from)
+            verdict = PARTED if how.cut == 0 else prune(t, s, c, how, cell, hit_from)
             if verdict == PARTED:
                 marks[ROBOT], marks[LAST], marks[PROGRESS] = robot, hit_from, 1
     return verdict
@@ -348,6 +358,42 @@ def settle(t, s, w, log, how, robot):
             moves_on(s, robot)
 
 
+@rare_kernel
+def set_right(t, s, w, log, how, robot):
+    """Who has nothing left to do decides, whose way is not as it was sets out anew; answers as `settle`."""
+    me = s.robots[robot]
+    area = np.int64(me[AREA])
+    if s.areas[area, LEFT_IN] == 0:
+        me[DOING], me[LEFT] = COVERING, 0
+    elif not is_lost(s, w, robot):
+        return 0
+    elif me[DOING] == TRAVELING:
+        set_out(t, s, w, robot, entry_of(t, s, w, robot, area), True)
+    else:
+        for place in range(s.areas[area, BEGIN], s.areas[area, END]):
+            s.home[s.order[place]] &= VISITED | SURVIVED | np.int64(-1) << AREA_BITS
+        list_to_do(s, robot)
+        next_leg(t, s, w, how, robot)
+        return 0
+    return settle(t, s, w, log, how, robot)
+
+
+@rare_kernel
+def learn(t, s, w, log, how):
+    """At the end of a step: what robots see, and what follows; 1 if somebody got an area, else 0; NONE: no room."""
+    count, got = look_about(t, s, w), 0
+    if count == 0:
+        return 0
+    if not revise(t, s, w, log, count):
+        got = NONE
+    for robot in range(len(s.robots)):
+        if got != NONE and has_area(s.robots, robot):
+            more = set_right(t, s, w, log, how, robot)
+            got = NONE if more == NONE else got | more
+    forget_news(w, count)
+    return got
+
+
 @kernel
 def actors(s, word, after):
     """Bits of the robots of a word that still act in this step, those after this one."""
@@ -359,9 +405,9 @@ def actors(s, word, after):
 
 
 @kernel
-def end_of(s, how, step):
+def end_of(t, s, how, step):
     """How the run ends after this step, NONE if it goes on (SPEC section 5's order)."""
-    if s.marks[UNFINISHED] == 0:
+    if is_complete(t, s):
         return COMPLETE
     if s.marks[ALIVE] == 0:
         return STOPPED
@@ -374,13 +420,14 @@ def end_of(s, how, step):
 def only_mover(s, log):
     """The robot that alone can do something until the next hit, NONE if there are several, or none.
 
-    Also NONE where what it does is written down, its visits are counted, or threats move.
+    Also NONE where what it does is written down, its visits are counted, threats move, or it looks about every step.
     """
     bits = s.movers[0]
     # bits & (bits - 1) takes the lowest bit away: 0 if it was the only one. One word of robots is enough for most
     # teams.
     alone = bits != 0 and bits & (bits - ONE) == 0 and (s.marks[OPEN] == 0 or s.waiting[0] == 0)
-    if not alone or len(s.movers) != 1 or len(log.frames) > 0 or len(s.passes) > 0 or len(s.entered) > 0:
+    noted = len(log.frames) > 0 or len(s.passes) > 0 or len(s.entered) > 0 or len(s.mind) > 0
+    if not alone or len(s.movers) != 1 or noted:
         return NONE
     robot = lowest_bit(bits)
     return robot if s.robots[robot, DOING] != FOLLOWING else NONE
@@ -461,6 +508,8 @@ def advance(t, s, c, w, log, how, ids):
     bits = actors(s, word, robot % WORD if verdict != ACTS else NONE)
     if is_meeting(s):
         word, bits, verdict = len(s.movers) - 1, np.uint64(0), ACTS if verdict == PASSED else verdict
+    if len(s.mind) > 0:
+        recall(s, w)
     while True:
         if verdict == ACTS:
             while bits == 0:
@@ -471,9 +520,14 @@ def advance(t, s, c, w, log, how, ids):
                         verdict = after_turns(t, s, c, w, how, ids, size)
                         if verdict != ACTS:
                             break
+                    if len(s.mind) > 0:
+                        got = learn(t, s, w, log, how)
+                        if got == NONE:
+                            return AREAS_FULL
+                        progress |= got
                     look(log, s, step)
                     marks[STEP], marks[QUIET] = step, 0 if progress else marks[QUIET] + 1
-                    outcome = end_of(s, how, step)
+                    outcome = end_of(t, s, how, step)
                     if outcome != NONE:
                         return outcome
                     robot = only_mover(s, log)

@@ -7,6 +7,7 @@ are empty, so that one program is compiled for all of them.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -28,6 +29,8 @@ AREAS_FULL, PARTED, CUT = -1, -2, -3
 """Why a run ends before its time: no room for its areas; some of its rollouts were hit; all of its mass was left."""
 FAR = 2**63 - 1
 NO_LEVEL = 2**31 - 1
+NOWHERE_LEVEL = 2**16 - 1
+"""Of no area."""
 """The level of `State.lowest` before it is told where no area is unassigned."""
 
 RANKED = 128
@@ -42,8 +45,8 @@ MOST_PASSES = 8
 """Survived visits of a cell that are told apart; what further ones add to a chance to detect is bounded
 (`analysis.evaluation.outputs.value`)."""
 
-NEAR, WIDE, PATIENCE, LIMITS = range(4)
-"""`Tables.limits` of searches."""
+NEAR, WIDE, PATIENCE, GOAL, LIMITS = range(5)
+"""`Tables.limits` of searches, and the cells that can truly be visited."""
 
 
 class Tables(NamedTuple):
@@ -64,7 +67,12 @@ class Tables(NamedTuple):
             `kind_cost` `[C]`, and there are `kind_begin` `[C]` cells of the kinds before it, both int64. All empty
             where there are tables.
         limits: int64 `[LIMITS]`. NEAR: cells that a search passes before it is one for what is far; WIDE: as of
-            `SafeParts`; PATIENCE: searches from a cell before its costs to all are kept.
+            `SafeParts`; PATIENCE: searches from a cell before its costs to all are kept. GOAL: cells that count.
+        truths: int16 `[M, A]`, level of each cell in each map that may be true, NONE of an obstacle, of robots that
+            learn it; belief: int16 `[A]`, what they believe before the first step; price: int64 `[L]`, cost of entering
+            a cell of each level; in_view: like near, what is seen from each cell, from `view_begin` int64 `[A + 1]` on
+            (`planner.kernels.believe`). Cells that they come to believe to be within reach are accessible here, and
+            `entry` is of before the first step. All empty where they are told.
         bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this. Where the map
             is in doubt no rollout has a larger one; own_counter, there, column `[A]` and table say how it is drawn, as
             `planner.worlds.doubt.Draws` does; else they are empty. spent: uint64 `[A / 64]`, no bits, where the first
@@ -98,6 +106,11 @@ class Tables(NamedTuple):
     kind_cost: NDArray
     kind_begin: NDArray
     limits: NDArray
+    truths: NDArray
+    belief: NDArray
+    price: NDArray
+    view_begin: NDArray
+    in_view: NDArray
     bound: NDArray
     own_counter: NDArray
     there: NDArray
@@ -168,6 +181,9 @@ visited, those of them in which nobody has survived yet, and the steps that move
 STAYS, HITS, ROUTE, ROUTE_LENGTH, MOVER_WORDS = range(5)
 """`Tables.movers`: of 24 bits that are below, one that walks stays, and who is met is stopped; where its route begins
 in `routes`, and how many cells it has, 0: it walks."""
+SEEN, LOOKED, OUT = 1, 2, 4
+TRUTH, BELIEF, MIND = range(3)
+"""`mind`: which of the maps is true; the number of the belief, of which a thread has kept its rows."""
 ACTS, HIT, PASSED = range(3)
 """VERDICT: the next robot acts; the robot is hit in the cell that it has entered; it is not."""
 WORD = 64
@@ -190,6 +206,9 @@ class State(NamedTuple):
         passes: uint8 `[A]`, survived visits of each cell, MOST_PASSES for more; empty where nobody asks.
         entered: uint64 `[K / 64]`, bits of the robots that have entered a cell in this step; empty where nothing moves
             but robots: only then it is not said by the end of their turns whether they survive there.
+        near, entry, level: like `Tables.near`, `entry` and `truths[m]`, as robots that learn believe it; known: uint8
+            `[A]`, SEEN, LOOKED from, OUT of every area and not visited; fate: like home `[room]`, scratch; mind: int64
+            `[MIND]`. All empty where they are told.
     """
 
     home: NDArray
@@ -206,6 +225,12 @@ class State(NamedTuple):
     spent: NDArray
     passes: NDArray
     entered: NDArray
+    near: NDArray
+    entry: NDArray
+    level: NDArray
+    known: NDArray
+    fate: NDArray
+    mind: NDArray
 
 
 class Work(NamedTuple):
@@ -228,6 +253,8 @@ class Work(NamedTuple):
             Empty where none are remembered. remembered: int64 `[1]`, the number of the next one.
         everywhere: bool `[A + 1]`, all cells but the last one. The others are `[A]` (distance with NONE at its end), or
             empty, as of `planner.mrac.search` and `far_search`.
+        part: int64 `[A + 1]`, gone: uint8 `[A]`, news: uint32 `[A]`, minds: int64 `[2]`, the beliefs so far, and the
+            one that rows are of (`planner.kernels.believe`); the first three are empty where robots are told.
     """
 
     seen: NDArray
@@ -263,6 +290,10 @@ class Work(NamedTuple):
     slots: NDArray
     ends: NDArray
     remembered: NDArray
+    part: NDArray
+    gone: NDArray
+    news: NDArray
+    minds: NDArray
 
 
 class Counts(NamedTuple):
@@ -272,7 +303,7 @@ class Counts(NamedTuple):
         visits, stops, covered: `[A]`, entries, robots stopped, rollouts that visited the cell; unsurvived: `[A]`, those
             of them in which nobody survived there.
         time: `[T + 1]`; new: `[T + 1]`, cells new at each step; late: `[T + 1]`, what more of them was survived then.
-        visited, survived: `[A + 1]`; alive: `[K + 1]`; outcomes: `[6]`.
+        visited, survived: `[GOAL + 1]`; alive: `[K + 1]`; outcomes: `[6]`.
         left_visited, left_survived, left_alive: as those, the mass of a tree that was left, by what it had come to;
             histories: `[3]`, ends of a tree, branches left, visits at which it may part. Zeros but for trees.
         passes: `[A, MOST_PASSES]`, rollouts with 1, 2, ... or more survived visits of the cell; no rows: not asked for.
@@ -334,9 +365,12 @@ ROWS_BYTES = 2**28
 """What a thread's rows of costs may take up, about; two of them there are always."""
 
 
-def make_counts(cells: int, robots: int, steps: int, passes: bool = False) -> Counts:
-    """Empty counts for rollouts of at most `steps` steps; `passes`: survived visits are counted too."""
-    figures = (cells + 1, cells + 1, robots + 1)
+def make_counts(cells: int, goal: int, robots: int, steps: int, passes: bool = False) -> Counts:
+    """Empty counts for rollouts of at most `steps` steps, in which `goal` of the cells can be visited.
+
+    `passes`: survived visits are counted too.
+    """
+    figures = (goal + 1, goal + 1, robots + 1)
     sizes = (*[cells] * 4, *[steps + 1] * 3, *figures, len(Outcome), *figures, 3)
     by_cell = np.zeros((cells if passes else 0, MOST_PASSES), dtype=np.int64)
     return Counts(*[*(np.zeros(size, dtype=np.int64) for size in sizes), by_cell])
@@ -365,15 +399,29 @@ def first_state(tables: Tables, room: int, passes: bool = False) -> State:
     rows = [np.zeros(shape, dtype=kind) for shape in shapes]
     numbers = [np.zeros(shape, dtype=np.int64) for shape in (MARKS, (team, TEAM_WORDS))]
     bits = [np.zeros(count, dtype=np.uint64) for count in words]
+    passed = np.zeros(size if passes else 0, dtype=np.uint8)
     entered = np.zeros(words[0] if len(tables.movers) else 0, dtype=np.uint64)
-    state = State._make((*rows, *numbers, *bits, np.zeros(size if passes else 0, dtype=np.uint8), entered))
+    state = State._make((*rows, *numbers, *bits, passed, entered, *_first_mind(tables, room, kind)))
     _begin(state, tables)
     return state
 
 
+def _first_mind(tables: Tables, room: int, kind: DTypeLike) -> Iterator[NDArray]:
+    """What robots that learn believe at first: the last fields of a `State`."""
+    learning, size = bool(len(tables.truths)), len(tables.belief)
+    free = np.append(tables.belief >= 0, False)
+    near = tables.near[:size]
+    yield np.where(free[near], near, size).astype(near.dtype)
+    yield np.where(free[:-1], tables.price[tables.belief], 0) if learning else np.zeros(0, dtype=np.int64)
+    yield tables.belief.copy()
+    yield np.zeros(size, dtype=np.uint8)
+    yield np.zeros(room if learning else 0, dtype=kind)
+    yield np.zeros(MIND if learning else 0, dtype=np.int64)
+
+
 def make_state(first: State, levels: int) -> State:
     """A stack of so many levels, fewer where they would not fit in STATE_BYTES; `first`: what sets begin with."""
-    a_level = sum(row.nbytes for row in first)
+    a_level = sum(row[:1].nbytes for row in first)
     levels = min(levels, max(1, STATE_BYTES // a_level))
     return State._make(np.empty((levels, *row.shape[1:]), dtype=row.dtype) for row in first)
 
@@ -392,10 +440,14 @@ def _begin(state: State, tables: Tables) -> None:
     """Write t = 0, before any robot has entered its start."""
     given = len(tables.level)
     sizes = np.diff(tables.begin)
+    if len(state.mind):  # what is in no area: an obstacle, or out of reach
+        state.home[:] = len(state.areas) - 1 << AREA_BITS | VISITED | SURVIVED
+        state.known[:], state.known[tables.order] = OUT, 0
+        state.areas[-1, LEVEL] = NOWHERE_LEVEL
     state.home[tables.order] = np.repeat(np.arange(given), sizes) << AREA_BITS
     # What is blocked looks visited and belongs to no area: no neighbour has to be asked whether it is a cell.
     state.home[-1] = VISITED | SURVIVED
-    state.order[:] = tables.order
+    state.order[: len(tables.order)] = tables.order
     rows = (tables.begin[:-1], tables.begin[1:], tables.level, sizes, np.arange(given))
     for word, values in zip((BEGIN, END, LEVEL, LEFT_IN, ROOT), rows, strict=True):
         state.areas[:given, word] = values
@@ -430,7 +482,7 @@ def make_work(tables: Tables, most: int, remembers: bool, known: Work | None = N
     met = np.zeros(len(at), dtype=np.int64)
     if known is not None:
         return known._replace(words=words, left=left, at=at, met=met)
-    size = len(tables.bound)
+    size, learning = len(tables.bound), len(tables.truths) > 0
     searched = size if len(tables.entry) else 0
     remembered = min(REMEMBERED, 2 ** (8 + size.bit_length())) if remembers else 0
     rows = 0 if len(tables.cost_to) else max(2, min(size, ROWS_BYTES // (size * tables.cost_to.itemsize)))
@@ -469,4 +521,8 @@ def make_work(tables: Tables, most: int, remembers: bool, known: Work | None = N
         slots=np.zeros(min(remembered // 2**4, 2 * MOST_PATHS), dtype=np.uint16),
         ends=np.zeros(min(remembered // 2**5, MOST_PATHS), dtype=np.int64),
         remembered=np.ones(1, dtype=np.int64),
+        part=np.zeros(size + 1 if learning else 0, dtype=np.int64),
+        gone=np.zeros(size if learning else 0, dtype=np.uint8),
+        news=np.zeros(size if learning else 0, dtype=np.uint32),
+        minds=np.zeros(2, dtype=np.int64),
     )

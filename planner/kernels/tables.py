@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from planner.bearing import PLAIN, Bearing
 from planner.kernels.all_pairs import all_pairs, to_areas
-from planner.kernels.state import MOST_CELLS, MOVER_WORDS, RANKED, WORD, Tables
+from planner.kernels.state import GOAL, MOST_CELLS, MOVER_WORDS, NEAR, RANKED, WORD, Tables
 from planner.luck_names import LuckName
-from planner.mrac.costs import BLOCKED, neighbour_table
+from planner.mrac.costs import neighbour_table
 from planner.mrac.far_search import find_safe_parts
 from planner.mrac.paths import SafestPaths
 from planner.mrac.problem import Problem
 from planner.mrac.search import UNREACHED
+from planner.mrac.unknown import Unknown
 from planner.none import NO_CELL
 from planner.plans.plan import Area
 from planner.roaming import chance_bound
@@ -61,15 +62,17 @@ def make_tables(
     """The tables of a problem with this allocation.
 
     Args:
-        problem: world, costs and starts. cells: int64 `[A]`, the accessible cells, rising.
+        problem: world, costs and starts. cells: int64 `[A]`, rising, the accessible cells; all that may come into
+            reach of robots that learn the map.
         areas: the areas at t = 0 in id order.
-        tabled: with all-pairs tables (6 to 12 bytes a pair of cells), else for searches (a few hundred bytes a cell).
+        tabled: with all-pairs tables (6 to 12 bytes a pair of cells), else for searches (a few hundred bytes a cell);
+            not of robots that learn.
         kept: where all-pairs tables are kept from team to team. luck: by which robots are stopped.
         bearing: what they bear.
     """
     compact = np.full(problem.costs.size, NO_CELL, dtype=np.int32)
     compact[cells] = np.arange(len(cells), dtype=np.int32)
-    grid = neighbour_table(problem.world.shape, problem.costs != BLOCKED)[cells]
+    grid = neighbour_table(problem.world.shape, compact != NO_CELL)[cells]
     near = np.where(grid == NO_CELL, NO_CELL, compact[grid])
     entry = problem.costs[cells]
     order = np.concatenate([compact[area.cells] for area in areas])
@@ -77,7 +80,8 @@ def make_tables(
     level = np.array([area.level for area in areas], dtype=np.int32)
     narrow = np.uint16 if len(cells) < MOST_CELLS else np.uint32
     # Half the bytes of the largest tables where no path can cost more; each width is a program of its own.
-    small = entry.sum() < 2**31 or most_cost(near, entry, compact[problem.starts]) < 2**31
+    unknown = problem.unknown if problem.learns else None
+    small = _are_small(problem, near, entry, compact[problem.starts])
     cost = area_cost = np.zeros((0, 0), dtype=np.int32 if small else np.int64)  # each a program
     hop = ranked = area_entry = foremost = np.zeros((0, 0), dtype=narrow)
     if tabled:
@@ -86,7 +90,7 @@ def make_tables(
         if problem.rule.by_price and problem.value is None:
             foremost = _foremost(area_cost, np.diff(begin), problem.entry[level]).astype(narrow)
     searches = not tabled or problem.settings.transit == "area"
-    return Tables(
+    tables = Tables(
         near=np.where(near == NO_CELL, len(cells), near).astype(narrow),
         cost_to=cost,
         hop_to=hop,
@@ -95,7 +99,8 @@ def make_tables(
         area_entry=area_entry,
         foremost=foremost,
         entry=entry if searches else entry[:0],
-        **_for_searches(near, entry[: 0 if tabled else len(cells)], narrow),
+        **_for_searches(near, entry[: 0 if tabled or unknown else len(cells)], narrow),
+        **_learning(unknown, problem.entry, cells, compact, narrow),
         **luck_tables(problem.world, cells, luck),
         **bearing_tables(bearing, len(problem.starts)),
         **mover_tables(problem.world, compact, len(cells)),
@@ -108,6 +113,44 @@ def make_tables(
         given=_given(problem, compact, narrow),
         length=np.array([len(path) - 1 for path in problem.given], dtype=np.int32),
     )
+    if unknown is not None:  # a search passes all that is near enough to matter: nothing is far
+        tables.limits[[NEAR, GOAL]] = len(cells), unknown.accessible.sum()
+    return tables
+
+
+def _are_small(problem: Problem, near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray[np.int32]) -> bool:
+    """Whether costs fit into 32 bits, whatever robots learn."""
+    if problem.learns and problem.unknown is not None:
+        most = problem.unknown.dearest
+        return bool(problem.entry[most.of_cell[most.accessible]].sum() < 2**31)
+    return bool(entry.sum() < 2**31) or most_cost(near, entry, starts) < 2**31
+
+
+def _learning(
+    unknown: Unknown | None,
+    price: NDArray[np.int64],
+    cells: NDArray[np.int64],
+    compact: NDArray[np.int32],
+    narrow: type,
+) -> dict[str, NDArray]:
+    """The fields of `Tables` that only robots that learn read."""
+    if unknown is None:
+        levels, numbers = np.zeros(0, dtype=np.int16), np.zeros(0, dtype=np.int64)
+        nothing: dict[str, NDArray] = {
+            "belief": levels,
+            "price": numbers,
+            "view_begin": numbers,
+            "in_view": numbers.astype(narrow),
+        }
+        return nothing | {"truths": levels.reshape(0, 0)}
+    begin, seen = unknown.views
+    return {
+        "truths": np.ascontiguousarray(unknown.truths[:, cells]),
+        "belief": unknown.belief[cells],
+        "price": price,
+        "view_begin": begin,
+        "in_view": compact[seen].astype(narrow),
+    }
 
 
 def most_cost(near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray[np.int32]) -> int:
@@ -176,7 +219,7 @@ def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: typ
         "kind": kind.astype(narrow),
         "kind_cost": kind_cost,
         "kind_begin": np.cumsum(counts) - counts,
-        "limits": np.array([NEAR_CELLS, parts.wide, ASKED_BEFORE if len(near) >= MOST_CELLS else 0]),
+        "limits": np.array([NEAR_CELLS, parts.wide, ASKED_BEFORE if len(near) >= MOST_CELLS else 0, len(near)]),
     }
 
 

@@ -65,6 +65,11 @@ class Problem:
         levels = self.levels if self.unknown is None else self.unknown.dearest
         return most_steps(self.settings, levels, max(map(len, self.given), default=1) - 1)
 
+    @property
+    def learns(self) -> bool:
+        """Whether robots may come to believe another map than at first."""
+        return self.unknown is not None and self.unknown.learns
+
     def believing(self, belief: NDArray[np.int16], cells: NDArray[np.int64]) -> Problem:
         """The same as robots in these cells believe it, by the level `[N]` of each cell, NO_LEVEL of an obstacle."""
         near = reached((belief != NO_LEVEL).reshape(self.world.shape), cells)

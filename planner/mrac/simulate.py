@@ -101,7 +101,7 @@ def make_team(
     truth: int | None = None,
 ) -> Executive:
     """A run that has not begun; arguments as of `simulate`."""
-    if truth is None or problem.unknown is None or not problem.unknown.learns:
+    if truth is None or problem.unknown is None or not problem.learns:
         return Executive(problem, allocation, split, recorder, state)
     return Learning(problem, allocation, split, recorder, state, problem.unknown.truths[truth])
 

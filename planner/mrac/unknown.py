@@ -36,7 +36,7 @@ class Unknown:
     within: NDArray[np.bool_]
     accessible: NDArray[np.bool_]
 
-    @property
+    @cached_property
     def learns(self) -> bool:
         """Whether anything is left to learn, and somebody looks."""
         differ = (self.truths != self.belief)[:, self.within]
@@ -50,8 +50,10 @@ class Unknown:
 
     @cached_property
     def views(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-        """What is seen from each cell that may be reached (`Sense.views`), in order of the cells."""
-        return self.knowledge.sense.views(self.knowledge.free, np.flatnonzero(self.within))
+        """What is seen from each cell that may be reached, of such cells (`Sense.views`), in order of the cells."""
+        begin, seen = self.knowledge.sense.views(self.knowledge.free, np.flatnonzero(self.within))
+        kept = self.within[seen]
+        return np.append(0, np.cumsum(kept))[begin], seen[kept]
 
     def view(self, cell: int) -> NDArray[np.int32]:
         """The cells that are seen from a cell."""

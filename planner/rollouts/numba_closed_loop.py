@@ -27,7 +27,7 @@ class NumbaClosedLoop:
     def __init__(self, loop: ClosedLoop, seed: int, *, threads: int | None = None) -> None:
         """`threads`: None for all cores; no count depends on it."""
         self.loop, self.seed, self._threads = loop, seed, threads
-        self.accessible = len(loop.cells)
+        self.accessible = loop.accessible
         self.least = worth_a_call(self.accessible) if loop.tabled else 1
 
     def tally(self, start: int, count: int) -> Tally:

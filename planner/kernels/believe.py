@@ -1,0 +1,348 @@
+"""Robots that learn the map, compiled: what they see, what of it surprises, and what becomes of the areas.
+
+Part of `planner.kernels.rollouts`, which see; `planner.mrac.believe` is the readable one. What is believed is part of a
+set's state, since it follows from the set's history: its rollouts share it until they part. A cell that is in no area
+(an obstacle, out of reach, or left over) has the area NOWHERE, and looks visited, so that nobody heads for it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.jit import kernel, rare_kernel
+from planner.kernels.areas import close, reopen, room_of
+from planner.kernels.bits import holds
+from planner.kernels.state import (
+    AHEAD,
+    AREA,
+    AREA_BITS,
+    AREAS,
+    BEGIN,
+    BELIEF,
+    CELL,
+    CHANGES,
+    COVERING,
+    DEAD,
+    DOING,
+    END,
+    LEFT,
+    LEFT_IN,
+    LEVEL,
+    LOOKED,
+    NEXT,
+    OUT,
+    ROOT,
+    SEEN,
+    SURVIVED,
+    TO_DO,
+    TRUTH,
+    VISITED,
+    WORD,
+)
+from planner.kernels.trace import SURPRISED_EVENT, has_area, note
+from planner.none import NONE
+
+GONE, WHOLE, BROKEN, TOUCHED, OWNED = range(5)
+"""`State.fate` of an area: completed, of nobody, to fall apart, to be joined; OWNED + robot: that robot's."""
+
+
+@rare_kernel
+def look_about(t, s, w):
+    """Believe what live robots see from where nobody has looked yet; how many cells surprise, which `w.news` lists."""
+    truth, count = t.truths[s.mind[TRUTH]], 0
+    for robot in range(len(s.robots)):
+        here = s.robots[robot, CELL]
+        if s.robots[robot, DOING] == DEAD or s.known[here] & LOOKED:
+            continue
+        s.known[here] |= LOOKED
+        for place in range(t.view_begin[here], t.view_begin[here + 1]):
+            cell = t.in_view[place]
+            if s.known[cell] & SEEN == 0:
+                s.known[cell] |= SEEN
+                if s.level[cell] != truth[cell]:
+                    change_level(t, s, cell, truth[cell])
+                    w.news[count] = cell
+                    count += 1
+    return count
+
+
+@kernel
+def change_level(t, s, cell, level):
+    """From now on the cell is believed to be of this level, NONE: an obstacle."""
+    blocked = level < 0
+    s.level[cell], s.entry[cell] = level, 0 if blocked else t.price[level]
+    for side in range(4):
+        other = t.near[cell, side]
+        if other < len(t.near):
+            # Sides are N, W, E, S: the cell lies on the opposite one of its neighbour.
+            s.near[other, 3 - side] = len(t.near) if blocked else cell
+
+
+@rare_kernel
+def revise(t, s, w, log, count):
+    """Areas as they are after so many surprises, which `w.gone` then tells apart; False: no room for areas."""
+    note(log, s, NONE, SURPRISED_EVENT, NONE, count)
+    for place in range(count):
+        w.gone[w.news[place]] = 1
+    w.minds[0] += 1
+    s.mind[BELIEF] = w.minds[0]
+    recall(s, w)
+    label_parts(t, s, w)
+    tell_fates(s)
+    if not take_out(t, s, w) or not take_in(t, s, w):
+        return False
+    lay_out(s)
+    s.marks[CHANGES] += 1
+    return True
+
+
+@kernel
+def forget_news(w, count):
+    """Once all is set right."""
+    for place in range(count):
+        w.gone[w.news[place]] = 0
+
+
+@rare_kernel
+def recall(s, w):
+    """Rows of costs are those of what this set believes, or there are none."""
+    if w.minds[1] != s.mind[BELIEF]:
+        w.minds[1] = s.mind[BELIEF]
+        for row in range(len(w.source_of)):
+            if w.source_of[row] != NONE:
+                w.row_of[w.source_of[row]] = w.source_of[row] = NONE
+        w.last[0] = NONE
+
+
+@rare_kernel
+def take_over(s, w):
+    """A thread begins with a set whose belief another one may have numbered; 0: the first one, which all have."""
+    if s.mind[BELIEF] > 0:
+        w.minds[0] += 1
+        s.mind[BELIEF] = w.minds[0]
+    recall(s, w)
+
+
+@kernel
+def label_parts(t, s, w):
+    """`w.part`: the connected part of the map, from 1, of each cell that a live robot can reach, else 0."""
+    part, stack, parts = w.part, w.stack, 0
+    for cell in range(len(part)):
+        part[cell] = 0
+    part[len(t.near)] = NONE  # what is blocked is no cell to go on from
+    for robot in range(len(s.robots)):
+        first = s.robots[robot, CELL]
+        if s.robots[robot, DOING] == DEAD or part[first] > 0:
+            continue
+        parts += 1
+        part[first], stack[0], top = parts, first, 1
+        while top > 0:
+            top -= 1
+            here = stack[top]
+            for side in range(4):
+                cell = s.near[here, side]
+                if part[cell] == 0:
+                    part[cell], stack[top] = parts, cell
+                    top += 1
+
+
+@kernel
+def tell_fates(s):
+    """`State.fate` of every area; ROOT of those of nobody: no part of the map yet."""
+    for area in range(s.marks[AREAS]):
+        s.fate[area], s.areas[area, ROOT] = WHOLE if holds(s.open, area) else GONE, 0
+    s.fate[room_of(s)] = GONE
+    for robot in range(len(s.robots)):
+        area = s.robots[robot, AREA]
+        if has_area(s.robots, robot) and s.areas[area, LEFT_IN] > 0:
+            s.fate[area] = OWNED + robot
+
+
+@kernel
+def let_go(s, cell):
+    """The cell is in no area from here on."""
+    home, flags = s.home[cell], VISITED | SURVIVED
+    if home & VISITED:
+        flags &= home
+    else:
+        s.areas[home >> AREA_BITS, LEFT_IN] -= 1
+        s.known[cell] |= OUT
+    s.home[cell] = room_of(s) << AREA_BITS | flags
+
+
+@kernel
+def take_out(t, s, w):
+    """What surprises, or is out of reach, leaves its area; False: no room for areas."""
+    for cell in range(len(t.near)):
+        fate = s.fate[s.home[cell] >> AREA_BITS]
+        if fate == GONE:
+            continue
+        if fate >= OWNED:
+            robot = fate - OWNED
+            if w.gone[cell] or w.part[cell] != w.part[s.robots[robot, CELL]]:
+                if s.home[cell] & TO_DO and s.robots[robot, DOING] == COVERING:
+                    s.robots[robot, LEFT] -= 1
+                let_go(s, cell)
+            continue
+        area = s.home[cell] >> AREA_BITS
+        if s.areas[area, ROOT] == 0:
+            s.areas[area, ROOT] = w.part[cell]
+        if w.gone[cell] or w.part[cell] == 0 or w.part[cell] != s.areas[area, ROOT]:
+            s.fate[area] = BROKEN
+    room = True
+    for area in range(s.marks[AREAS]):
+        if room and s.fate[area] == BROKEN:
+            room = fall_apart(t, s, w, area)
+    return room
+
+
+@kernel
+def fall_apart(t, s, w, area):
+    """An area of nobody becomes the components of its unvisited cells that stay; the first goes on as the area."""
+    begin, end = s.areas[area, BEGIN], s.areas[area, END]
+    for place in range(begin, end):
+        cell = s.order[place]
+        if s.home[cell] & VISITED or w.gone[cell] or w.part[cell] == 0:
+            let_go(s, cell)
+    w.stamp[0] += 1
+    stamp, wanted, number = w.stamp[0], area << AREA_BITS, area
+    for place in range(begin, end):
+        first = s.order[place]
+        if s.home[first] != wanted or w.seen[first] == stamp:
+            continue
+        w.seen[first], w.stack[0], head, tail = stamp, first, 0, 1
+        while head < tail:
+            here = w.stack[head]
+            head += 1
+            for side in range(4):
+                cell = t.near[here, side]
+                if s.home[cell] == wanted and w.seen[cell] != stamp:
+                    w.seen[cell], w.stack[tail] = stamp, cell
+                    tail += 1
+        if number == NONE:
+            new = append(s, s.areas[area, LEVEL])
+            if new == NONE:
+                return False
+            hold(s, w, new, tail)
+            s.areas[area, LEFT_IN] -= tail
+        number = NONE
+    s.fate[area] = WHOLE
+    if number != NONE:
+        s.fate[area] = GONE
+        close(s, area)
+    return True
+
+
+@kernel
+def append(s, level):
+    """A new area of nobody, without cells yet; NONE: no room."""
+    new = s.marks[AREAS]
+    if new + 1 >= room_of(s):
+        return NONE
+    s.areas[new, BEGIN] = s.areas[new, END] = s.areas[new, LEFT_IN] = s.areas[new, ROOT] = 0
+    s.areas[new, LEVEL], s.fate[new] = level, WHOLE
+    if new % WORD == 0:
+        s.open[new // WORD] = s.lowest[new // WORD] = 0
+    s.marks[AREAS] = new + 1
+    reopen(s, new)
+    return new
+
+
+@kernel
+def hold(s, w, area, count):
+    """The area has the first `count` cells of the stack, too."""
+    for place in range(count):
+        cell = w.stack[place]
+        s.home[cell] = area << AREA_BITS
+        s.known[cell] &= SEEN | LOOKED
+    s.areas[area, LEFT_IN] += count
+
+
+@kernel
+def take_in(t, s, w):
+    """Unvisited cells in reach that no area holds join those of nobody, or are new ones; False: no room for areas."""
+    w.stamp[0] += 1
+    stamp = w.stamp[0]
+    for first in range(len(t.near)):
+        if s.known[first] & OUT == 0 or w.part[first] == 0 or w.seen[first] == stamp:
+            continue
+        level = s.level[first]
+        w.seen[first], w.stack[0], head, tail, touched = stamp, first, 0, 1, 0
+        while head < tail:
+            here = w.stack[head]
+            head += 1
+            for side in range(4):
+                cell = s.near[here, side]
+                if cell == len(t.near) or s.level[cell] != level:
+                    continue
+                area = s.home[cell] >> AREA_BITS
+                if s.known[cell] & OUT:
+                    if w.seen[cell] != stamp:
+                        w.seen[cell], w.stack[tail] = stamp, cell
+                        tail += 1
+                elif s.fate[area] == WHOLE:
+                    s.fate[area], w.listed[touched] = TOUCHED, area
+                    touched += 1
+        area = join(s, w, touched) if touched > 0 else append(s, level)
+        if area == NONE:
+            return False
+        hold(s, w, area, tail)
+    return True
+
+
+@kernel
+def join(s, w, count):
+    """The areas that are `listed` become the one of the lowest id."""
+    lowest = np.int64(w.listed[0])
+    for place in range(1, count):
+        lowest = min(lowest, np.int64(w.listed[place]))
+    for place in range(count):
+        area = np.int64(w.listed[place])
+        if area != lowest:
+            merge(s, area, lowest)
+    s.fate[lowest] = WHOLE
+    return lowest
+
+
+@kernel
+def merge(s, area, into):
+    """All cells of an area of nobody go to another one."""
+    for cell in range(len(s.level)):
+        if s.home[cell] >> AREA_BITS == area:
+            s.home[cell] = into << AREA_BITS | s.home[cell] & (VISITED | SURVIVED)
+    s.areas[into, LEFT_IN] += s.areas[area, LEFT_IN]
+    s.areas[area, LEFT_IN], s.fate[area] = 0, GONE
+    close(s, area)
+
+
+@kernel
+def lay_out(s):
+    """`order` anew, the cells of every area rising."""
+    for area in range(s.marks[AREAS]):
+        s.areas[area, END] = 0
+    out = room_of(s)
+    for cell in range(len(s.level)):
+        area = s.home[cell] >> AREA_BITS
+        if area != out:
+            s.areas[area, END] += 1
+    begin = 0
+    for area in range(s.marks[AREAS]):
+        size = s.areas[area, END]
+        s.areas[area, BEGIN] = s.areas[area, END] = begin
+        begin += size
+    for cell in range(len(s.level)):
+        area = s.home[cell] >> AREA_BITS
+        if area != out:
+            s.order[s.areas[area, END]] = cell
+            s.areas[area, END] += 1
+
+
+@kernel
+def is_lost(s, w, robot):
+    """Whether a cell of the leg that the robot is on surprises, or cannot be reached any more."""
+    me, mine = s.robots[robot], w.part[s.robots[robot, CELL]]
+    lost = w.gone[me[NEXT]] != 0 or w.part[me[NEXT]] != mine
+    for place in range(me[AHEAD]):
+        cell = s.legs[robot, place]
+        lost = lost or w.gone[cell] != 0 or w.part[cell] != mine
+    return lost
