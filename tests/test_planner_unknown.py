@@ -13,11 +13,13 @@ from oracle_unknown import Twin
 from planner.errors import WorldError
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
+from planner.mrac.recorder import Recorder
 from planner.mrac.reference import ReferenceLoop
 from planner.mrac.simulate import simulate
 from planner.none import NO_ROBOT
 from planner.settings import Settings
 from planner.tally import Outcome
+from planner.trace import Doing
 from planner.worlds.generate import Stream, ThreatPattern, random_world
 from planner.worlds.learning import with_prior, with_sense, with_truth
 from planner.worlds.sight import Sense
@@ -118,7 +120,8 @@ def fuzz(number):
     settings = Settings(**given) if isinstance(given, dict) else Settings(policy=given)
     if number % 5 == 0:
         settings = replace(settings, range=4 + stream.below(12))
-    run = ReferenceLoop(make_plan(world, starts, settings), world).run(number, 0)
+    recorder, loop = Recorder(), ReferenceLoop(make_plan(world, starts, settings), world)
+    run = loop.run(number, 0, recorder)
     accessible = world.accessible(starts).ravel()
     assert not (run.visited & ~accessible).any()
     left = accessible & ~run.visited
@@ -129,8 +132,14 @@ def fuzz(number):
     assert left.any() and run.alive.any()
     assert run.outcome in (Outcome.STUCK, Outcome.CALLED_OFF)
     if settings.range is None and settings.worth is None and settings.reserve is None:
-        labels = world.components().ravel()  # whoever is left could reach none of it
-        assert not np.isin(labels[left], labels[[p[-1] for p, a in zip(run.paths, run.alive, strict=True) if a]]).any()
+        trace = recorder.trace(0, run.area_of, run.outcome)
+        looked = np.unique(trace.cells[trace.doing != Doing.DEAD])
+        seen = np.zeros(accessible.size, dtype=np.bool_)
+        seen[world.knowledge.sense.views(world.knowledge.free, looked)[1]] = True
+        known = np.where(seen, world.met.ravel(), world.threat.ravel()).reshape(world.shape)
+        # of what is known in the end, whoever is left can reach nothing that is unvisited
+        in_reach = World.create(known).accessible(np.stack(divmod(trace.cells[-1][run.alive], world.shape[1]), axis=1))
+        assert not (in_reach.ravel() & ~run.visited).any()
 
 
 @pytest.mark.parametrize("first", range(0, 300, 50))

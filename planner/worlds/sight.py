@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arguments import Numbers
+from planner.errors import WorldError
 from planner.jit import compiled
 
 RANGE = Numbers(0, inf, said="0, or a number of cells from 1 on")
 FARTHEST = 2**20
 """Cells; nothing is farther on the largest map."""
-MOST_SEEN = 2**27
-"""Most cells that the views from all cells of a map may hold together."""
+MOST_SEEN = 2**26
+"""Most cells that may be within range of all cells of a map, one after the other: 0.3 GB."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,11 @@ class Sense:
     def views(self, free: NDArray[np.bool_], cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
         """(begin `[C + 1]`, seen): `seen[begin[i]:begin[i + 1]]`, rising, is seen from `cells[i]`; indices of cells.
 
-        `free`: bool `[H, W]`, truly. `cells`: int64 `[C]`.
+        `free`: bool `[H, W]`, truly. `cells`: int64 `[C]`. Raises WorldError for too many.
         """
+        if len(cells) * min(4 * self.square + 1, free.size) > MOST_SEEN:
+            problem = f"{len(cells)} cells from which {self.said.removeprefix('robots see ')} is seen"
+            raise WorldError(problem, expected=f"at most {MOST_SEEN} cells in range in all", fix="sense less far")
         blocked, reach = ~free, min(isqrt(self.square), sum(free.shape))
         begin, room = np.zeros(len(cells) + 1, dtype=np.int64), 16
         while True:
@@ -82,8 +86,12 @@ def _is_hidden(blocked, row, col, down, right):  # type: ignore[no-untyped-def]
     segment's line, keeps the two apart. A corner that is touched does not count.
     """
     wide = abs(down) + abs(right)
+    tall, low, high = abs(down), min(right, 0), max(right, 0)
     for i in range(min(down, 0), max(down, 0) + 1):
-        for j in range(min(right, 0), max(right, 0) + 1):
+        if down != 0:  # of this row only what is near the line
+            middle = right * i // down
+            low, high = max(min(right, 0), middle - wide // tall - 1), min(max(right, 0), middle + wide // tall + 1)
+        for j in range(low, high + 1):
             is_end = (i == 0 and j == 0) or (i == down and j == right)
             if not is_end and blocked[row + i, col + j] and 2 * abs(down * j - right * i) < wide:
                 return True
