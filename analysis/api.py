@@ -765,7 +765,7 @@ def reproduce(
     figure: Literal["fig4", "fig5", "fig6", "fig7", "all"] = "all",
     *,
     maps: int = 500,
-    rollouts: int = 200,
+    rollouts: int = 50,
     seed: int = 0,
     store: str | Path | None = None,
     processes: int | None = None,

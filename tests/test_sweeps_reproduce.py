@@ -11,13 +11,17 @@ from PIL import Image
 
 from analysis.cli.app import run
 from analysis.reproduction import reproduce as reproduction
+from analysis.reproduction.points import put_right
 from analysis.reproduction.reproduce import SETTINGS, Reproduction, Setting, reproduce
+from analysis.statistics.control import POWERS, expected_powers
+from analysis.statistics.estimate import over_maps
 from analysis.sweeps.engine import run_cases
 from analysis.sweeps.store.store import Store
 from analysis.theory.exact import open_loop_exact
 from planner.errors import UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
+from planner.rollouts.by_luck import luck_classes
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 
@@ -50,6 +54,44 @@ def test_points_are_those_of_the_maps_rolled_out_by_hand() -> None:
             )
             assert point.columns["mean", "open", "time"][number] == pytest.approx(exact.mean_time)
         assert point.runs["coverage"].sum() == point.runs["time"].sum() == 60
+
+
+def test_maps_are_put_right_by_what_all_of_them_tell_of_luck() -> None:
+    """Least squares over the single rollouts of all maps, with a level for each map, gives the same means."""
+    [setting, _], maps, rollouts = SETTINGS["fig4"], 6, 300
+    point = reproduce("fig4", maps=maps, rollouts=rollouts, processes=1).points[setting]
+    y, powers = [], []
+    for seed in range(maps):
+        world = random_world(20, 20, ThreatPattern("contiguous", seed=seed))
+        loop = compile_closed_loop(make_plan(world, place_starts(world, setting.robots)[0]), world)
+        y.append(run_range(loop, seed, 0, rollouts, singles=True)[1].visited / len(loop.cells))  # type: ignore[union-attr]
+        total = ((luck_classes(seed, 0, rollouts, setting.robots) + 0.5) / 8 - setting.robots) / setting.robots**0.5
+        powers.append(np.stack([total**power for power in POWERS], axis=1) - expected_powers(setting.robots))
+    levels = np.repeat(np.eye(maps), rollouts, axis=0)
+    found = np.linalg.lstsq(np.hstack([levels, np.concatenate(powers)]), np.concatenate(y), rcond=None)[0]
+    assert point.columns["mean", "closed", "visited"] == pytest.approx(found[:maps])
+    raw = point.columns["run", "closed", "visited"]
+    assert raw == pytest.approx(np.mean(y, axis=1)) and abs(raw - found[:maps]).max() > 0.001
+
+
+@pytest.mark.slow
+def test_intervals_over_maps_hold_and_the_control_does_not_bend_them() -> None:
+    """240 samples of 25 maps: each interval holds the mean of all 6,000 as often as it says (3 standard errors below
+    .95); the mean of all samples differs from that without the control by no more than 4 standard errors."""
+    group, groups = 25, 240
+    answer = reproduce("fig4", maps=group * groups, rollouts=50, seed=10**6)
+    for setting, point in answer.points.items():
+        for loop in ("closed", "first"):
+            for figure in ("visited", "survived", "time"):
+                raw, found = point.columns["run", loop, figure], []
+                for begin in range(0, len(raw), group):
+                    sample = {key: column[begin : begin + group] for key, column in point.columns.items()}
+                    put_right(sample, 50)
+                    found.append((sample["mean", loop, figure], over_maps(sample["mean", loop, figure])))
+                held = np.mean([one.ci95[0] <= raw.mean() <= one.ci95[1] for _, one in found])
+                moved = np.concatenate([means for means, _ in found]) - raw
+                assert held >= 0.95 - 3 * (0.95 * 0.05 / groups) ** 0.5, (setting, loop, figure)
+                assert abs(moved.mean()) <= 4 * moved.std() / len(moved) ** 0.5, (setting, loop, figure)
 
 
 def test_a_store_of_an_earlier_release_is_gone_on_with_by_step() -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.statistics.control import luck_of, pooled_slope
 from analysis.statistics.estimate import Estimate, over_maps
 from planner.tally import Tally
 
@@ -20,8 +22,8 @@ FIGURE4 = {4: (0.8033, 311), 10: (0.9733, 244)}
 
 
 Key = tuple[str, str, str]
-"""What it is ("mean", "square", "share"), the loop, the figure. Loops: "closed", every visit checked; "first", only the
-first visit of a cell by anybody; "open", no reallocation, exact."""
+"""What it is ("mean", "run", "square", "share", and "off", "spread", "along" of luck), the loop, the figure. Loops:
+"closed", every visit checked; "first", only the first visit of a cell by anybody; "open", no reallocation, exact."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,29 +57,46 @@ class Point:
 
     def spread_of_a_run(self, loop: str, figure: str) -> float:
         """Standard deviation of a single run on a single map: what one run a map, as in the paper, varies by."""
-        mean, square = (float(self.columns[what, loop, figure].mean()) for what in ("mean", "square"))
+        mean, square = (float(self.columns[what, loop, figure].mean()) for what in ("run", "square"))
         return float(np.sqrt(max(square - mean**2, 0.0)))
 
 
-def columns_of(tally: Tally, loop: str, free: int) -> dict[Key, float]:
+def columns_of(tally: Tally, loop: str, free: int) -> dict[Key, Any]:
     """What one map's rollouts of a loop came to; `free`: free cells of its map.
 
-    mean, square: of single runs, of each of COVERAGE (fractions) and "time" (steps). share: of single runs that cover
-    no more of the free cells ("coverage"), or take no longer ("time"), than the run of Fig. 4 with so many robots.
+    run, square: mean and mean square of single runs, of each of COVERAGE (fractions) and "time" (steps). share: of
+    those that cover no more of the free cells ("coverage"), or take no longer ("time"), than the run of Fig. 4 with so
+    many robots.
+    off, spread, and along of each: of `analysis.statistics.control.luck_of`, by tolerance.
     """
-    found = {}
+    found: dict[Key, Any] = {}
+    luck = luck_of(tally)
+    if luck is not None:
+        found |= {("off", loop, ""): luck.off, ("spread", loop, ""): luck.spread}
     for figure in (*COVERAGE, "time"):
         counts = tally.time if figure == "time" else getattr(tally, figure.removesuffix("_free"))
         unit = 1.0 if figure == "time" else 1.0 / (free if figure.endswith("_free") else tally.accessible)
         values = np.arange(len(counts)) * unit
-        for what, power in (("mean", 1), ("square", 2)):
+        for what, power in (("run", 1), ("square", 2)):
             found[what, loop, figure] = float(counts @ values**power) / tally.rollouts
+        if luck is not None:
+            found["along", loop, figure] = luck.along[figure.removesuffix("_free")] * unit
     if tally.robots in FIGURE4:
         coverage, steps = FIGURE4[tally.robots]
         cells = int(np.floor(coverage * free + 0.5))
         found["share", loop, "coverage"] = float(tally.visited[: cells + 1].sum()) / tally.rollouts
         found["share", loop, "time"] = float(tally.time[: steps + 1].sum()) / tally.rollouts
     return found
+
+
+def put_right(columns: dict[Key, NDArray[np.float64]], rollouts: int) -> None:
+    """Add each map's "mean" to its "run": less what its luck is worth, by all maps together; by step the same."""
+    for _, loop, figure in [key for key in columns if key[0] == "run"]:
+        mean = columns["run", loop, figure]
+        if ("off", loop, "") in columns:
+            slope = pooled_slope(columns["spread", loop, ""], columns["along", loop, figure], rollouts)
+            mean = mean - columns["off", loop, ""] @ slope
+        columns["mean", loop, figure] = mean
 
 
 def runs_of(tally: Tally, free: int) -> dict[str, NDArray[np.int64]]:

@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import reduce
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.kit.notes import Progress
 from analysis.report.answer import Answer
-from analysis.reproduction.points import COVERAGE, Key, Point, columns_of, runs_of
+from analysis.reproduction.points import COVERAGE, Key, Point, columns_of, put_right, runs_of
 from analysis.reproduction.statements import Finding, findings
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import generated_case
@@ -33,7 +33,7 @@ TEAMS = (1, 2, 4, 8, 10, 12, 16, 20)
 RATIOS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
 RATIO = 0.25
 FigureName = Literal["fig4", "fig5", "fig6", "fig7", "all"]
-Columns = dict[Key, float]
+Columns = dict[Key, Any]
 Runs = dict[str, NDArray[np.int64]]
 
 
@@ -176,7 +176,7 @@ def _jobs(
 
 def _exact_columns(facts: Json, free: int, accessible: int) -> Columns:
     """The open loop's expected values and the ideal of the team."""
-    exact, columns = facts["exact"], dict[Key, float]()
+    exact, columns = facts["exact"], Columns()
     for figure in COVERAGE:
         cells = free if figure.endswith("_free") else accessible
         columns["mean", "open", figure] = exact[figure.removesuffix("_free")] / cells
@@ -185,6 +185,8 @@ def _exact_columns(facts: Json, free: int, accessible: int) -> Columns:
 
 
 def _point(setting: Setting, found: list[tuple[Columns, Runs]], rollouts: int) -> Point:
-    columns = {key: np.array([of_map[key] for of_map, _ in found]) for key in found[0][0]}
+    shared = (key for key in found[0][0] if all(key in of_map for of_map, _ in found))
+    columns = {key: np.array([of_map[key] for of_map, _ in found]) for key in shared}
+    put_right(columns, rollouts)
     runs = {name: reduce(add_padded, (of_map[name] for _, of_map in found)) for name in found[0][1]}
     return Point(setting.kind, setting.robots, setting.ratio, columns, runs, rollouts)

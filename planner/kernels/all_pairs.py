@@ -19,6 +19,8 @@ BLOCK = 32
 """Sources whose first hops are written at a time: by target, so that a line of memory is met once."""
 FAR = 2**62
 """Costs more than any path."""
+LEAST_SHARED = 2**20
+"""Entries of a table from which on threads share it out: fewer are written sooner than threads begin."""
 
 
 def all_pairs(
@@ -32,7 +34,7 @@ def all_pairs(
     cost = np.full((size, size), UNREACHED, dtype=wide)
     hop = np.zeros((size, size), dtype=narrow)
     ranked = np.full((size, min(size, RANKED)), size, dtype=narrow)
-    _share_out(lambda part, parts: _fill(part, parts, near, entry, cost, hop, ranked))
+    _share_out(cost.size, lambda part, parts: _fill(part, parts, near, entry, cost, hop, ranked))
     return cost, hop, ranked
 
 
@@ -42,13 +44,16 @@ def to_areas(
     """(cost, entry) `[A, M]` from each cell to each area of t = 0, whose cells `order[begin[m]:begin[m + 1]]` rise."""
     area_cost = np.empty((len(cost), len(begin) - 1), dtype=cost.dtype)
     area_entry = np.empty(area_cost.shape, dtype=narrow)
-    _share_out(lambda part, parts: _nearest(part, parts, cost, order, begin, area_cost, area_entry))
+    _share_out(cost.size, lambda part, parts: _nearest(part, parts, cost, order, begin, area_cost, area_entry))
     return area_cost, area_entry
 
 
-def _share_out(work: Callable[[int, int], None]) -> None:
-    """Call `work(part, parts)` for each part, on a core each."""
+def _share_out(entries: int, work: Callable[[int, int], None]) -> None:
+    """Call `work(part, parts)` for each part, on a core each where there are many entries."""
     threads = os.cpu_count() or 1
+    if entries < LEAST_SHARED:
+        work(0, 1)
+        return
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(lambda part: work(part, threads), range(threads)))
 
