@@ -60,6 +60,8 @@ def to_json(evaluation: Evaluation) -> Json:
         "compile_seconds": evaluation.compile_seconds,
         "advice": None,
     }
+    if evaluation.world.movers is not None:
+        out["movers"] = evaluation.world.movers.to_json()
     said = {key: found.as_json() for key, found in evaluation.outputs.items()}
     out |= {key: value for key, value in said.items() if value is not None}
     return out | json_end(evaluation, evaluation.notes)

@@ -69,6 +69,8 @@ class Mission:
     ) -> None:
         FRACTION.check("gain", gain)
         world.check_told("a mission that is driven")
+        if world.movers is not None:
+            world.check_settled("a mission that is driven")
         self.world, self.patience, self.gain, self._recorder = world, patience, gain, recorder
         self.closed: list[int] = []
         self._begin(world, plan)

@@ -10,6 +10,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +72,20 @@ class Movers:
         hits = sorted({one.hit for one in self.members})
         stop = f"{hits[0]:g}" if len(hits) == 1 else f"{hits[0]:g} to {hits[-1]:g}"
         return f"threats that move: {' and '.join(words)}, and stop a robot that they meet with chance {stop}"
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """They with the keys that a scenario has."""
+
+        def at(cell: int) -> list[int]:
+            return list(divmod(cell, self.own.shape[1]))
+
+        def kind(one: Mover) -> dict[str, Any]:
+            return {"patrol": [at(cell) for cell in one.route]} if one.patrols else {"walk": one.stay}
+
+        return [
+            kind(one) | {"start": "anywhere" if one.start == ANYWHERE else at(one.start), "h": one.hit}
+            for one in self.members
+        ]
 
     @property
     def sha256(self) -> str:

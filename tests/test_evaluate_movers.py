@@ -1,0 +1,96 @@
+"""What is answered where threats move: evaluate, its page and JSON, recordings, and what refuses in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from page_reader import check_page_is_sound
+from test_page_runs import unpacked
+from test_recording_topics import decoded
+
+import mrac_jax as mrac
+from analysis.evaluation.report import report
+from analysis.report.html import page_of
+from planner.errors import InputError
+from planner.roaming import ways_of_movers
+from planner.worlds.world import World
+
+MOVERS: list[dict[str, Any]] = [
+    {"walk": 0.5, "h": 0.1, "count": 2},
+    {"patrol": [[0, 0], [0, 1], [1, 1], [1, 0]], "h": 0.3, "start": [1, 1]},
+]
+GROUND = World.create([[0, 0, 0, 0.1, 0], [0, 0, np.nan, 0, 0], [0, 0.1, 0, 0, 0]])
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return mrac.with_movers(GROUND, MOVERS)
+
+
+def test_one_robot_is_known_exactly_and_rollouts_agree(world: World) -> None:
+    answer = mrac.evaluate(world, 1, rollouts=20_000, seed=3)
+    assert answer.is_exact
+    sampled, exact = answer.figures.visited.mean, answer.closed_form
+    assert abs(sampled.mean - exact.visited) < 5 * sampled.se
+    told = answer.to_json()
+    assert told["exact"]["closed_loop"]["how"] == "exact"
+    assert told["bounds"]["any_strategy"] is None and told["bounds"]["eq1"] == [None]
+    assert told["movers"][2] == {**MOVERS[1]} and told["movers"][0] == {"walk": 0.5, "start": "anywhere", "h": 0.1}
+
+
+def test_a_team_is_sampled_and_said_to_be_among_movers(world: World) -> None:
+    answer = mrac.evaluate(world, 2, rollouts=400)
+    assert not answer.is_exact
+    assert "2 walk and 1 patrols, and stop a robot that they meet with chance 0.1 to 0.3" in " ".join(
+        report(answer).last
+    )
+    assert "movers" not in mrac.evaluate(GROUND, 2, rollouts=50).to_json()
+
+
+def test_a_page_plays_the_movers_of_its_runs(world: World) -> None:
+    answer = mrac.evaluate(world, 2, rollouts=60)
+    page = check_page_is_sound(page_of(report(answer), "mrac-jax evaluate", {}, ()))
+    plan, *rolled = next(found for found in page.data() if "runs" in found)["runs"]
+    assert "movers" not in plan and len(rolled) == 3
+    for run in rolled:
+        moving = run["movers"] | {"time": run["time"]}
+        ways = [ways_of_movers(world, 0, one, run["time"] + 1) for one in range(60)]
+        assert any(np.array_equal(unpacked(moving, 5), way) for way in ways)
+
+
+def test_a_recording_shows_where_movers_are(world: World, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    mrac.record(world, 2, path, ids=[4], seed=2)
+    by_topic = decoded(path)
+    steps = [step for _, step in by_topic["/rollout/step"]]
+    expected = world.to_xy(ways_of_movers(world, 2, 4, len(steps)))
+    scenes = [scene for _, scene in by_topic["/movers/markers"]]
+    found = [[(p.x, p.y) for p in (e.cubes[0].pose.position for e in scene.entities)] for scene in scenes]
+    np.testing.assert_allclose(found, expected)
+    assert len(by_topic["/movers/points"]) == len(steps)
+    assert "/movers/markers" not in decoded_topics(GROUND, tmp_path / "b.mcap")
+
+
+def decoded_topics(world: World, path: Path) -> set[str]:
+    mrac.record(world, 2, path, ids=[4], seed=2)
+    return set(decoded(path))
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda world: mrac.check(world, 2),
+        lambda world: mrac.size(world, target=0.9),
+        lambda world: mrac.starts(world, robots=2),
+        lambda world: mrac.clear(world, robots=2),
+        lambda world: mrac.evaluate(world, 2, threat_scale=(0.5,)),
+        lambda world: mrac.mission(world, 2),
+    ],
+)
+def test_what_presumes_threats_that_stand_says_so(ask: Callable[[World], Any], world: World) -> None:
+    with pytest.raises(InputError, match=r"here: threats that move: .*; leave `movers` out"):
+        ask(world)
