@@ -15,6 +15,7 @@ from oracle_movers import outcomes
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.kernels.state import MOST_PASSES
 from planner.luck_names import LuckName
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
@@ -22,6 +23,7 @@ from planner.plans.plan import Plan, RobotPlan
 from planner.roaming import first_places, ways_of_movers
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
+from planner.trace import Doing
 from planner.worlds.movers import Mover
 from planner.worlds.moving import with_movers
 from planner.worlds.scenario import load_input
@@ -103,6 +105,21 @@ def test_movers_that_hit_nobody_change_no_event() -> None:
     assert traces[0] == traces[1]
     for name, values in counts[0].items():
         np.testing.assert_array_equal(values, counts[1][name], name)
+
+
+def test_a_visit_is_survived_by_who_is_alive_at_the_end_of_its_step() -> None:
+    """Survived visits of each cell, as a detector counts them, beside those of the traces."""
+    world = moving_world(11)
+    size = world.threat.size
+    loop = compile_closed_loop(make_plan(world, place_starts(world, 3)[0]), world)
+    counted = loop.weighing(np.ones(size, dtype=np.int64), np.ones((size, MOST_PASSES + 1), dtype=np.int64))
+    found = run_range(counted, 4, 0, 40)[0].passes.reshape(size, MOST_PASSES)
+    expected = np.zeros_like(found)
+    for trace in trace_rollouts(loop, 4, range(40)):
+        entered = np.vstack([np.full(3, True), trace.cells[1:] != trace.cells[:-1]]) & (trace.doing != Doing.DEAD)
+        passes = np.bincount(trace.cells[entered], minlength=size)
+        expected += np.arange(1, MOST_PASSES + 1) <= passes[:, None]
+    np.testing.assert_array_equal(found, expected)
 
 
 # --- exact values ---
@@ -222,8 +239,9 @@ def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
     assert again.movers is not None
     assert again.movers.members == expected
     assert again.luck_sha256 == world.luck_sha256 == load_input(tmp_path / "w.npz").luck_sha256
-    own = scenario(tmp_path, "movers: [{walk: 0.5, h: 0.25}]\nplan_on: own\n")
-    assert not np.nan_to_num(own.threat).any()
+    both = "movers: [{walk: 0.5, h: 0.25}, {patrol: [[0, 0], [0, 1]], h: 0.5}]\nplan_on: "
+    assert not np.nan_to_num(scenario(tmp_path, both + "own").threat).any()
+    np.testing.assert_allclose(np.nan_to_num(scenario(tmp_path, both + "patrols").threat[0]), [0.25, 0.25, 0])
 
 
 @pytest.mark.parametrize(
@@ -242,7 +260,7 @@ def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
         ("movers: [{patrol: [[0, 0], [0, 1]], start: [1, 1], h: 0.1}]\n", r"starts at \[1, 1\], off its route"),
         ("movers: [{walk: 0.5, h: 0.5}]\nhazard: {kind: consumed, q: 0.1}\n", r"`movers` is .*none beside hazard"),
         ("plan_on: own\n", r"`plan_on` is 'own'; expected none without movers"),
-        ("movers: [{walk: 0.5, h: 0.5}]\nplan_on: last\n", r"`plan_on` is 'last'; expected joined or own"),
+        ("movers: [{walk: 0.5, h: 0.5}]\nplan_on: last\n", r"`plan_on` is 'last'; expected joined or patrols or own"),
     ],
 )
 def test_a_wrong_mover_is_one_line(tmp_path: Path, more: str, said: str) -> None:

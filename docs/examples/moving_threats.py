@@ -1,6 +1,6 @@
 """The table of `docs/moving.md`: threats that stand, and as many that walk, on random maps of the paper's kind.
 
-python docs/examples/moving_threats.py [MAPS] [ROLLOUTS]
+python docs/examples/moving_threats.py MAPS ROLLOUTS [contiguous|scattered|guarded]; 100 and 300 are behind the table.
 """
 
 from __future__ import annotations
@@ -8,8 +8,10 @@ from __future__ import annotations
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 import mrac_jax as mrac
 from planner.mrac.make_plan import make_plan
@@ -35,24 +37,48 @@ def worlds(kind: Kind, seed: int) -> Iterator[tuple[str, mrac.World]]:
         yield f"{name}, planned on p joined", mrac.with_movers(empty, movers)
 
 
-def main(maps: int, rollouts: int) -> None:
-    """Mean coverage and robots lost, with 95 % intervals over maps."""
-    for kind in ("contiguous", "scattered"):
-        found: defaultdict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
+def guarded(seed: int) -> Iterator[tuple[str, mrac.World]]:
+    """An empty map on which 20 patrols go round four cells each."""
+    empty = random_world(20, 20, ThreatPattern(seed=seed), threats=0.0)
+    empty, free = empty.with_starts(place_starts(empty, ROBOTS)[0]), empty.free
+    corners = np.argwhere(free[:-1, :-1] & free[1:, :-1] & free[:-1, 1:] & free[1:, 1:])
+    chosen = np.random.default_rng(seed).choice(corners, 20, replace=False).tolist()
+    movers = [{"patrol": [[r, c], [r, c + 1], [r + 1, c + 1], [r + 1, c]], "h": 0.5} for r, c in chosen]
+    yield "patrols, planned on p", mrac.with_movers(empty, movers, plan_on="own")
+    yield "patrols, planned on p joined", mrac.with_movers(empty, movers)
+
+
+KINDS = {"contiguous": partial(worlds, "contiguous"), "scattered": partial(worlds, "scattered"), "guarded": guarded}
+LESS = {
+    "walking, planned on p": "standing, not told, planned on p",
+    "walking, planned on p joined": "walking, planned on p",
+    "patrols, planned on p joined": "patrols, planned on p",
+}
+"""What is compared with what, on the same maps."""
+
+
+def main(maps: int, rollouts: int, *kinds: str) -> None:
+    """Mean coverage of each kind of map, all of them by default, and differences, with 95 % intervals over maps."""
+    for kind in kinds or KINDS:
+        found: defaultdict[tuple[str, str], list[float]] = defaultdict(list)
         for seed in range(maps):
-            for name, world in worlds(kind, seed):
+            for name, world in KINDS[kind](seed):
                 for policy in ("mrac", "per_cell"):
                     plan = make_plan(world, world.starts, mrac.Settings(policy=policy))
                     engine = make_engine(plan, world, Rolling(seed=seed), "numba")
-                    results = engine.results(0, rollouts)
-                    covered = 100 * results.visited.mean() / engine.accessible
-                    found[name, policy].append((covered, ROBOTS - results.alive.mean()))
-        for (name, policy), rows in found.items():
-            means, half = np.mean(rows, axis=0), 1.96 * np.std(rows, axis=0, ddof=1) / maps**0.5
-            words = f"{kind:11} {policy:9} {name:36}"
-            lost = f"lost {means[1]:.2f} ± {half[1]:.2f} of {ROBOTS}"
-            sys.stdout.write(f"{words} visited {means[0]:5.1f} ± {half[0]:.1f} %, {lost}\n")
+                    visited = engine.results(0, rollouts).visited
+                    found[name, policy].append(100 * float(visited.mean()) / engine.accessible)
+        for (name, policy), values in found.items():
+            say(f"{kind} {policy}: {name}", np.array(values))
+            if name in LESS:
+                say(f"{kind} {policy}: {name}, less {LESS[name]}", np.array(values) - found[LESS[name], policy])
+
+
+def say(what: str, values: NDArray[np.float64]) -> None:
+    """A mean and its interval."""
+    half = 1.96 * values.std(ddof=1) / len(values) ** 0.5
+    sys.stdout.write(f"{what:104} {values.mean():5.1f} ± {half:.1f}\n")
 
 
 if __name__ == "__main__":
-    main(*(int(word) for word in [*sys.argv[1:], *("100", "500")[len(sys.argv) - 1 :]]))
+    main(int(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:])

@@ -58,17 +58,19 @@ def moved(t, cell, number):
 def roam(t, s, w, how, ids, step):
     """The movers of the set's rollouts move."""
     movers = len(t.movers)
-    for number in range(movers):
-        length, stays = t.movers[number, ROUTE_LENGTH], t.movers[number, STAYS]
-        counter = np.uint32((step + 1) * movers + number)
-        for place in range(s.marks[FIRST], s.marks[LAST]):
-            at = w.at[ids[place] - w.begin[0]]
+    stays, where = w.moves[0], w.moves[1]
+    for place in range(s.marks[FIRST], s.marks[LAST]):
+        at = w.at[ids[place] - w.begin[0]]
+        # By itself, so that several are drawn at a time.
+        for number in range(movers):
+            counter = np.uint32((step + 1) * movers + number)
+            stays[number], where[number] = threefry(how.move0, how.move1, ids[place], counter)
+        for number in range(movers):
+            length = t.movers[number, ROUTE_LENGTH]
             if length > 0:
                 at[number] = at[number] + 1 if at[number] + 1 < length else 0
-            else:
-                stay, where = threefry(how.move0, how.move1, ids[place], counter)
-                if np.int64(stay >> np.uint32(8)) >= stays:
-                    at[number] = moved(t, np.int64(at[number]), np.int64(where >> np.uint32(8)))
+            elif np.int64(stays[number] >> np.uint32(8)) >= t.movers[number, STAYS]:
+                at[number] = moved(t, np.int64(at[number]), np.int64(where[number] >> np.uint32(8)))
 
 
 @kernel

@@ -242,6 +242,7 @@ class Work(NamedTuple):
         left: int64 `[B, K]`, what is left of tolerances where the map is in doubt, of ids from `begin` int64 `[1]` on.
         at: int64 `[B, M]`, where movers are in each rollout, a cell (A: out of reach) or a place on the route; met:
             int64 `[B]`, the robot that is met next; both of ids from `begin` on. here: int64 `[A + 1]`, zeros.
+        moves: uint32 `[2, M]`, words of one rollout's moves.
         kept: int64 `[K, 5]`, of a robot that waits: what its first area was at so many changes, seen from which cell.
         rows: like cost_to `[R, A + 1]` or empty, from some cells to every one, NONE if unreachable, and at the end;
             row_costs, row_entries: like area_cost and area_entry `[R, M]`, from the same cells. row_of: int32 `[A]`,
@@ -278,6 +279,7 @@ class Work(NamedTuple):
     at: NDArray
     met: NDArray
     here: NDArray
+    moves: NDArray
     rank: NDArray
     everywhere: NDArray
     distance: NDArray
@@ -509,6 +511,7 @@ def make_work(tables: Tables, most: int, remembers: bool, known: Work | None = N
         at=at,
         met=met,
         here=np.zeros(size + 1, dtype=np.int64),
+        moves=np.zeros((2, len(tables.movers)), dtype=np.uint32),
         rank=np.full(searched, NONE, dtype=np.int32),
         everywhere=np.arange(apart) < searched,
         distance=np.full(apart, NONE, dtype=np.int64),

@@ -7,7 +7,7 @@ Where they go does not depend on robots. Axis letters: `M` movers, `N` = H * W c
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -114,10 +114,10 @@ class Movers:
             weight = np.where(parts == parts.flat[mover.start], weight, 0)
         return weight / weight.sum()
 
-    def joined(self, source: str) -> NDArray[np.float32]:
-        """float32 `[H, W]`: p of a visit, movers where they are in the long run. Raises WorldError where that is 1."""
+    def joined(self, told: Iterable[Mover], source: str) -> NDArray[np.float32]:
+        """float32 `[H, W]`: p of a visit, these movers where they are in the long run. Raises WorldError for 1."""
         passed = 1.0 - self.own.astype(np.float64)
-        for mover in self.members:
+        for mover in told:
             passed *= 1.0 - mover.hit * self.chances(mover)
         threat = (1.0 - passed).astype(np.float32)
         if (threat >= 1).any():

@@ -15,7 +15,7 @@ from planner.worlds.world import World
 
 AT = "[row, col], whole numbers"
 JOINED = "joined"
-PLAN_ON = (JOINED, "own")
+PLAN_ON = (JOINED, "patrols", "own")
 
 
 def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_on: str = JOINED) -> World:
@@ -24,7 +24,8 @@ def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_
     Args:
         movers: each with the keys that a scenario has: `{"walk": 0.2, "h": 0.3, "count": 6}`, or
             `{"patrol": [[0, 0], [0, 1]], "h": 1}`.
-        plan_on: "joined": robots plan on p joined with where movers are in the long run; "own": on p alone.
+        plan_on: "joined": robots plan on p joined with where movers are in the long run; "patrols": with where those
+            are that have a route; "own": on p alone.
 
     Raises WorldError for movers that are none, and for a world that is not known.
     """
@@ -38,7 +39,8 @@ def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_
         given = Key(one, f"movers[{number}]", world.source, WorldError)
         members += [one] if isinstance(one, Mover) else _read_each(given, world)
     found = checked(Movers(world.threat, tuple(members)), world.source)
-    return replace(world, threat=found.joined(world.source) if plan_on == JOINED else world.threat, doubt=found)
+    told = [one for one in members if plan_on == JOINED or (one.patrols and plan_on != "own")]
+    return replace(world, threat=found.joined(told, world.source), doubt=found)
 
 
 def read_movers(key: Key, plan_on: Key | None, world: World) -> World:
