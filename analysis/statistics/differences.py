@@ -104,13 +104,19 @@ class Difference:
 class CommonLuck(NamedTuple):
     """The luck of both sides' rollouts by class of the total tolerance of so many `robots`: rollouts, sums of x, y.
 
-    int64 `[C]` each.
+    `[C]` each.
     """
 
     robots: int
     by_class: NDArray[np.int64]
     x: NDArray[np.int64]
     y: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, robots: int, classes: NDArray[np.int64], x: NDArray[np.int64], y: NDArray[np.int64]) -> CommonLuck:
+        """Of single rollouts, int64 `[B]` each; `classes`: as of `planner.rollouts.by_luck.luck_classes`."""
+        sums = (np.bincount(classes, weights=column) for column in (x, y))
+        return cls(robots, np.bincount(classes), *sums)
 
 
 def difference(

@@ -197,9 +197,7 @@ class Sampled:
         n = len(columns[0])
         if self.seed is None or n < LEAST:
             return None
-        classes = self._classes[:n]
-        sums = [np.bincount(classes, weights=column) for column in columns]
-        return CommonLuck(self.tally.robots, np.bincount(classes), sums[0], sums[-1])
+        return CommonLuck.of(self.tally.robots, self._classes[:n], columns[0], columns[-1])
 
     @cached_property
     def _classes(self) -> NDArray[np.int64]:

@@ -20,7 +20,8 @@ from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.evaluation.outputs.value_figures import ValueFigures
 from analysis.evaluation.outputs.value_words import SENTENCES, value_table
 from analysis.sampling import make_engine_for
-from analysis.statistics.control import tally_mean
+from analysis.statistics.control import LEAST, tally_mean
+from analysis.statistics.differences import CommonLuck
 from analysis.statistics.estimate import Estimate, exactly
 from analysis.statistics.mission import at_least, robots_left
 from analysis.theory.any_strategy import MOST_CELLS, value_bound
@@ -32,6 +33,7 @@ from planner.errors import UsageError
 from planner.files import Json
 from planner.kernels.state import MOST_PASSES
 from planner.rollouts.blocks import run_ranges
+from planner.rollouts.by_luck import luck_classes
 from planner.tally import Tally
 from planner.worlds.reported import METRICS
 from planner.worlds.world import World
@@ -70,7 +72,8 @@ class Value(ValueFigures, Output):
         units = Units.of(worth)
         counted, columns = units.roll_out(run)
         found, rest = found_chances(counted, worth)
-        covered, known = (units.estimate(column, run.certain) for column in columns)
+        luck = run.choices.seed if run.choices.luck == "tolerance" else None
+        covered, known = (units.estimate(column, run.certain, tally.robots, luck) for column in columns)
         (low, high), total = known.ci95, worth.total
         least = low + rest if run.certain else low
         known = Estimate(min(known.mean + rest, total), known.se, (min(least, total), min(high + rest, total)))
@@ -134,9 +137,12 @@ class Units:
         covered, found = (np.concatenate(column) for column in zip(*parts, strict=True))
         return tally, (covered, found)
 
-    def estimate(self, column: NDArray[np.int64], certain: bool) -> Estimate:
-        """The mean of units `[B]`, as a value."""
-        return mean_value(column, self.worth.total, len(self.covered), certain)
+    def estimate(self, column: NDArray[np.int64], certain: bool, robots: int, seed: int | None) -> Estimate:
+        """The mean of units `[B]` of rollouts 0 .. B - 1, as a value; `seed`: of luck by tolerance, or None."""
+        count, luck = len(column), None
+        if seed is not None and count >= LEAST:
+            luck = CommonLuck.of(robots, luck_classes(seed, 0, count, robots), column, column)
+        return mean_value(column, self.worth.total, len(self.covered), certain, luck)
 
 
 def found_chances(tally: Tally, worth: Worth) -> tuple[NDArray[np.float64], float]:
