@@ -16,7 +16,6 @@ from planner.worlds.world import World
 
 MOVE_DRAW, MEETING_DRAW = 3, 4
 """Second words of the counters under which moves, and hits of those who are met, have their keys."""
-MOVERS_DRAWS = MOVE_DRAW, MEETING_DRAW
 
 
 class Roaming:

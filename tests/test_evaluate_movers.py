@@ -42,6 +42,12 @@ def test_one_robot_is_known_exactly_and_rollouts_agree(world: World) -> None:
     assert told["movers"][2] == {**MOVERS[1]} and told["movers"][0] == {"walk": 0.5, "start": "anywhere", "h": 0.1}
 
 
+def test_one_robot_on_a_map_that_is_too_large_is_sampled(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("analysis.theory.moving.MOST_WORK", 20)
+    answer = mrac.evaluate(world, 1, rollouts=50)
+    assert not answer.is_exact and answer.to_json()["exact"]["open_loop"]["visited"] is None
+
+
 def test_a_team_is_sampled_and_said_to_be_among_movers(world: World) -> None:
     answer = mrac.evaluate(world, 2, rollouts=400)
     assert not answer.is_exact

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.theory.doubt import alone, ways
-from analysis.theory.moving import passed_movers
+from analysis.theory.moving import is_worth_it, passed_movers
 from planner.bearing import PLAIN, Bearing
 from planner.plans.plan import Plan, RobotPlan, entries
 from planner.worlds.doubt import Hazard, Uncertain
@@ -167,11 +167,11 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
     `S_i(c)` is the chance that robot i gets as far as its first entry of c, before that entry's own hit check for
     `visited` and after it for `survived`. Cost: linear in the total length of the paths. Where the map is in doubt: the
     mean over the ways that it may be (`theory.doubt`); where they are too many, NaN in all that is not known. Where
-    threats move robots are not independent: known of one robot alone (`chances_among`).
+    threats move robots are not independent: known of one robot alone, on maps that are not too large (`chances_among`).
     """
     if world.doubt is None:
         return exact_of(plan, chances_of(plan, world), world.threat.size)
-    if world.movers is not None and len(plan.robots) == 1:
+    if world.movers is not None and len(plan.robots) == 1 and is_worth_it(world, plan.makespan):
         return exact_of(plan, [chances_among(plan.robots[0], world, plan.bearing)], world.threat.size)
     plain = plan.bearing.is_plain
     known = ways(plan, world) if plain or (isinstance(world.doubt, Uncertain) and world.doubt.whole) else None

@@ -14,6 +14,15 @@ from planner.worlds.movers import ANYWHERE, Mover
 from planner.worlds.world import World
 
 SIDES = ((-1, 0), (0, -1), (0, 1), (1, 0))
+MOST_WORK = 3 * 10**8
+"""Cells times steps times kinds of walkers that are worth it: some seconds."""
+
+
+def is_worth_it(world: World, steps: int) -> bool:
+    """Whether `passed_movers` of a path of so many steps is."""
+    assert world.movers is not None
+    kinds = {mover for mover in world.movers.members if not mover.patrols}
+    return len(kinds) * world.threat.size * steps <= MOST_WORK
 
 
 def passed_movers(path: NDArray[np.int64], world: World) -> NDArray[np.float64]:

@@ -69,7 +69,7 @@ def exact_truth(plan: Plan, world: World, exact: OpenLoopExact, first_only: bool
 
     So it is of a plan of ours with one robot (every visit checked), and where no path has danger.
     """
-    alone = len(plan.robots) == 1 and not first_only and not plan.is_foreign
+    alone = len(plan.robots) == 1 and not first_only and not plan.is_foreign and exact.is_known
     if not alone and not is_certain(world, plan):
         return None
     stated = None if _is_cut_off(plan) else Truth.known(1.0)

@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -47,7 +46,7 @@ from planner.kernels.state import (
 from planner.kernels.trace import Log, make_log
 from planner.luck import rows_met
 from planner.none import NO_AREA, NONE
-from planner.roaming import MOVERS_DRAWS
+from planner.roaming import MEETING_DRAW, MOVE_DRAW
 from planner.threefry import own_key
 from planner.tolerance import LEAST, key_of_luck
 from planner.worlds.doubt import Uncertain
@@ -271,9 +270,10 @@ class Runner:
         self._loop, self._seed, self._most = loop, seed, most
         self._tables, self._policy = plain(loop.tables), None if loop.policy is None else plain(loop.policy)
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
-        key0, key1, own0, own1 = (np.uint32(half) for half in (*key_of_luck(seed, loop.luck), *own))
-        moves, meetings = ((np.uint32(a), np.uint32(b)) for a, b in map(partial(own_key, seed), MOVERS_DRAWS))
-        self._how = How(key0, key1, own0, own1, loop.max_steps, loop.first_only, loop.stay_inside, 0, *moves, *meetings)
+        moving = [own_key(seed, draw) if loop.movers is not None else (0, 0) for draw in (MOVE_DRAW, MEETING_DRAW)]
+        keys = [np.uint32(half) for key in (key_of_luck(seed, loop.luck), own, *moving) for half in key]
+        options = loop.max_steps, loop.first_only, loop.stay_inside, 0
+        self._how = How._make((*keys[:4], *options, *keys[4:], 0, 0))
         remembers = loop.policy is None and not loop.stay_inside and not loop.learns
         self.work = make_work(loop.tables, most, remembers, known.pop() if known else None)
         self._done: list[tuple[int, int]] = []
