@@ -52,10 +52,10 @@ def drive(
     """Drive a mission: orders on standard output, reports on standard input, a JSON object a line.
 
     INPUT may be a plan file that `plan INPUT --out` wrote: it names its map.
-    Reports: {"type": "report", "robot": 0, "cell": [3, 4]}, with "stopped", "found", "moves_left" or "step" where they
-    apply; {"type": "step"} ends a step before all have reported; {"type": "close", "cells": [[3, 5]]} makes a no-go
-    zone; {"type": "outlook"} and {"type": "orders"} ask. A line that is wrong is answered by an error, and changes
-    nothing. docs/mission.md has all keys.
+    Reports: {"type": "report", "robot": 0, "cell": [3, 4]}, with "stopped", "found", "moves_left", "seen" or "step"
+    where they apply; {"type": "step"} ends a step before all have reported; {"type": "close", "cells": [[3, 5]]} makes
+    a no-go zone; {"type": "outlook"} and {"type": "orders"} ask. A line that is wrong is answered by an error, and
+    changes nothing. docs/mission.md has all keys.
     """
     from analysis.cli.progress import load_or_make_plan
     from analysis.driving.dialogue import LONGEST, Dialogue

@@ -55,11 +55,11 @@ class Dialogue:
         kind, rest = top["type"].choice(KINDS), {name: value for name, value in key.value.items() if name != "type"}
         given = Key(rest, "", key.source, UsageError)
         if kind == "report":
-            before, over = self.mission.said(), self.mission.outcome is not None
+            before, over = (self.mission.said(), self.mission.sees), self.mission.outcome is not None
             hand_on(self.mission.report, given)
-            if self.mission.said() == before:
+            if (self.mission.said(), self.mission.sees) == before:
                 return
-            told = bool(rest.get("stopped") or rest.get("found") or "moves_left" in rest)
+            told = bool(rest.get("stopped") or rest.get("found") or "moves_left" in rest or rest.get("seen"))
             yield from self._go_on(changed=told, step=over)
         elif kind == "close":
             self.mission.close(given.mapping(("cells",))["cells"].value)

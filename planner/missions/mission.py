@@ -21,7 +21,8 @@ from planner.missions.closing import closed_by, closed_state
 from planner.missions.fleet import Fleet
 from planner.missions.orders import Order, Report, Why
 from planner.missions.reports import Reports
-from planner.missions.saved import hand_on, read_rest, write_mission
+from planner.missions.saved import hand_on, read_rest, read_seen, write_mission
+from planner.missions.seeing import Seen, learned_state, seen_by, seen_world, surprises
 from planner.mrac.board import Robot
 from planner.mrac.executive import NOT_BEGUN
 from planner.mrac.make_plan import allocated_plan, make_plan
@@ -53,7 +54,7 @@ class Mission:
         recorder: writes down events and places, as of the readable simulator.
 
     Attributes:
-        world: the map, with what was closed. closed: those cells, indices.
+        world: the map, with what was seen and closed. closed: those cells, indices. seen: p by cell, None: an obstacle.
 
     Raises PlanError for a plan of another map, WorldError for one that robots are not told.
     """
@@ -73,6 +74,7 @@ class Mission:
             world.check_settled("a mission that is driven")
         self.world, self.patience, self.gain, self._recorder = world, patience, gain, recorder
         self.closed: list[int] = []
+        self.seen: Seen = {}
         self._begin(world, plan)
 
     def _begin(self, world: World, plan: Plan) -> None:
@@ -200,6 +202,7 @@ class Mission:
         found: bool = False,
         moves_left: int | None = None,
         step: int | None = None,
+        seen: Any = None,
     ) -> None:
         """Where a robot is, or that it is lost. Nothing happens before `advance`; saying it twice changes nothing.
 
@@ -208,11 +211,20 @@ class Mission:
             stopped: it is lost there. found: it was lost before, and is back.
             moves_left: that it can still make, as after a look at its battery, or a swap of it.
             step: of which that was said; None: this one. What is said late is where it was, if it says more.
+            seen: cells as it sees them, `[[row, col, p], ...]`, p None of an obstacle: believed from the end of the
+                step on, and what surprises changes areas and ways (SPEC section 15).
 
         Raises StateError for what cannot be, and the mission is as before.
         """
         number, late = self._number(robot), len(self._reports.passed)
-        new = self._reports.hear(number, cell, step, moves_left, stopped=bool(stopped), found=bool(found))
+        before, there = self._reports.seen, {one: report.cell for one, report in self._reports.now.items()}
+        if seen is not None:
+            self._reports.seen = before | seen_by(seen, self._fleet, there)
+        try:
+            new = self._reports.hear(number, cell, step, moves_left, stopped=bool(stopped), found=bool(found))
+        except StateError:
+            self._reports.seen = before
+            raise
         due = None if self._orders is None else self._orders.get(number)
         as_told = due is not None and new == Report(self._index(due.cell)) and len(self._reports.passed) == late
         if new is not None and not as_told:
@@ -230,8 +242,15 @@ class Mission:
     def advance(self) -> None:
         """End the step: every robot is where it reported; who did not is where it was, or at t = 0 where it starts."""
         self._play(self._fleet, False)
+        seen = {cell: p for cell, p in self._reports.seen.items() if cell not in self.closed}
         self._reports.clear()
         self._orders = None
+        changed = surprises(self.world, seen)
+        if len(changed) and len(self.lost) < self.robots:
+            world = seen_world(self.world, seen)
+            state = learned_state(self.state, world, changed, self.settings)
+            self._go_on(world, allocated_plan(replace(world, doubt=None), state.starts, self.settings, state=state))
+            self.seen |= {cell: seen[cell] for cell in changed.tolist()}
 
     @property
     def awaited(self) -> tuple[int, ...]:
@@ -320,12 +339,16 @@ class Mission:
         else:
             state = closed_state(self.state, world, self.settings.levels)
             plan = make_plan(replace(world, doubt=None), state.starts, self.settings, state=state)
+        self._go_on(world, plan)
+        self.closed = sorted({*self.closed, *closed.tolist()})
+
+    def _go_on(self, world: World, plan: Plan) -> None:
+        """By another plan, on a map that is known better."""
         kept, reports, aside = (self._borne, self._waits), self._reports, self._aside
         self._begin(world, plan)
         self._borne, self._waits = kept
         self._reports.carry(reports)
         self._set_aside(aside)
-        self.closed = sorted({*self.closed, *closed.tolist()})
 
     # --- kept in a file ---
 
@@ -340,6 +363,7 @@ class Mission:
         robot = whole(0, mission.robots - 1, what="the number of a robot")
         mission._set_aside([one.number(robot) for one in keys["aside"].items("a list of robots", least=0)])
         mission.closed = [one.value for one in keys["closed"].items("a list of cells", least=0)]
+        mission.seen, mission._reports.seen = read_seen(keys["seen"]), read_seen(keys["sees"])
         for report in keys["reports"].items("a list of reports", least=0):
             hand_on(mission.report, report)
         step = whole(NOT_BEGUN, mission.step, what="a step that is not to come")
@@ -354,7 +378,8 @@ class Mission:
         """
         self._check_kept(self._fleet)
         state = self.state.to_json() if self.step > 0 else None
-        more: Json = {"closed": self.closed, "range": self.settings.range, "aside": self._aside}
+        more: Json = {"seen": _pairs(self.seen), "sees": _pairs(self.sees)}
+        more |= {"closed": self.closed, "range": self.settings.range, "aside": self._aside}
         more |= {"reports": self.said(), "heard": self._reports.heard}
         more |= {} if self.outcome is None else {"ended": self.known()}
         write_mission(path, self.world, state, more)
@@ -364,6 +389,11 @@ class Mission:
         ended = {} if self.outcome is None else {"outcome": self.outcome.name.lower()}
         return ended | {"step": self.step, "covered": self.covered, "lost": list(self.lost)}
 
+    @property
+    def sees(self) -> Seen:
+        """What was seen in the step under way, as `seen` has it."""
+        return dict(self._reports.seen)
+
     def said(self) -> list[Json]:
         """The reports of the step under way, as files hold them."""
         return self._reports.said()
@@ -372,3 +402,8 @@ class Mission:
         """As it was known before, in another fleet."""
         for number in robots:
             self._fleet.robots[number].aside = True
+
+
+def _pairs(seen: Seen) -> list[list[float | None]]:
+    """As files hold it."""
+    return [[cell, p] for cell, p in sorted(seen.items())]

@@ -23,7 +23,7 @@ class Reports:
     Attributes:
         fleet: as it stands at the end of the last step.
         now: by robot, what holds at the end of this one. passed: (robot, cell) where it was in a step before.
-        heard: of each robot the last step that it reported of.
+        heard: of each robot the last step that it reported of. seen: p of cells that were seen, None of an obstacle.
     """
 
     def __init__(self, fleet: Fleet) -> None:
@@ -31,15 +31,16 @@ class Reports:
         self.now: dict[int, Report] = {}
         self.passed: list[tuple[int, int]] = []
         self.heard = [fleet.step] * len(fleet.robots)
+        self.seen: dict[int, float | None] = {}
 
     def carry(self, before: Reports) -> None:
         """Take over what was reported before cells were closed; of late ones what can be reached still."""
-        self.now, self.heard = before.now, before.heard
+        self.now, self.heard, self.seen = before.now, before.heard, before.seen
         self.passed = [one for one in before.passed if self.fleet.problem.part[one[1]]]
 
     def clear(self) -> None:
         """The step is over."""
-        self.now, self.passed = {}, []
+        self.now, self.passed, self.seen = {}, [], {}
 
     def hear(self, number: int, cell: ArrayLike | None, step: Any, moves_left: Any, **flags: bool) -> Report | None:
         """A report, arguments as of `Mission.report`; what holds of this step by it, None if nothing is new.
@@ -78,7 +79,7 @@ class Reports:
         index, where = row * width + col, f"robot {number} is at [{row}, {col}]"
         if not (0 <= row < height and 0 <= col < width):
             raise StateError(f"{where}, off the map", expected=expected)
-        if not world.free[row, col]:
+        if not world.free[row, col] or (index in self.seen and self.seen[index] is None):
             raise StateError(f"{where}, an obstacle", expected=expected)
         if part[index] != part[self.fleet.robots[number].cell]:
             raise StateError(f"{where}, with no way there", expected=expected)

@@ -1,7 +1,8 @@
 """A mission as a file, written whole and on the disk before orders are given: whatever ends the process, it goes on.
 
 It is a state file (SPEC section 12) that also holds what was reported of the step under way, of which step each robot
-reported last, what was closed, what robots said of their range, which make no progress, and how the mission ended.
+reported last, what was seen, what was closed, what robots said of their range, which make no progress, and how the
+mission ended.
 Before step 0 has ended there is no state, and the rest alone is kept.
 """
 
@@ -19,6 +20,7 @@ from planner.errors import StateError
 from planner.files import Json, read_json, write_json
 from planner.limits import MAX_PLAN_BYTES
 from planner.missions.closing import closed_world
+from planner.missions.seeing import Seen, seen_world
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.plans.reading import check_map
@@ -26,12 +28,15 @@ from planner.plans.state import FORMAT, VERSION
 from planner.plans.state_file import parse_state
 from planner.settings import SETTINGS, Settings
 from planner.worlds.keys import Key
-from planner.worlds.world import World
+from planner.worlds.quantities import PROBABILITY
+from planner.worlds.world import MAX_CELLS, World
 
 DEFAULTS: dict[str, Any] = {
     "world": {},
     "begun": True,
     "closed": [],
+    "seen": [],
+    "sees": [],
     "range": None,
     "aside": [],
     "reports": [],
@@ -39,7 +44,14 @@ DEFAULTS: dict[str, Any] = {
     "ended": None,
 }
 """What a file holds beside a state, or in its place, and may leave out."""
-OF_REPORTS: dict[str, Any] = {"cell": None, "stopped": False, "found": False, "moves_left": None, "step": None}
+OF_REPORTS: dict[str, Any] = {
+    "cell": None,
+    "stopped": False,
+    "found": False,
+    "moves_left": None,
+    "step": None,
+    "seen": None,
+}
 """What a report may leave out."""
 ON_ITS_MAP = "give the map that the mission is on"
 OF_END = ("outcome", "step", "covered", "lost")
@@ -54,16 +66,16 @@ def write_mission(path: str | Path, world: World, state: Json | None, more: Json
 
 
 def read_rest(path: str | Path, world: World, plan: Plan) -> tuple[World, Plan, dict[str, Key]]:
-    """The world, with what was closed, the plan of the rest by the settings of `plan`, and what else is in the file.
+    """The world, with what was seen and closed, the plan of the rest by the settings of `plan`, and what else it holds.
 
     Raises StateError.
     """
     source, (data, keys) = str(path), _read(path)
-    world, closed = _without_closed(world, keys["closed"])
+    world, changed = _as_known(world, keys)
     settings = replace(plan.settings or Settings(), range=keys["range"].setting(SETTINGS["range"]))
     if keys["begun"].value is False:
         check_map(keys["world"], world, "state of", ON_ITS_MAP)
-        same = not closed and settings == plan.settings
+        same = not changed and settings == plan.settings
         return world, plan if same else make_plan(world, plan.starts, settings), keys
     state = parse_state(data, world, source)
     return world, make_plan(replace(world, doubt=None), state.starts, settings, state=state), keys
@@ -77,15 +89,30 @@ def ended(path: str | Path, world: World) -> Json | None:
     keys = _read(path)[1]
     if keys["ended"].value is None:
         return None
-    check_map(keys["world"], _without_closed(world, keys["closed"])[0], "state of", ON_ITS_MAP)
+    check_map(keys["world"], _as_known(world, keys)[0], "state of", ON_ITS_MAP)
     return {name: key.value for name, key in keys["ended"].mapping(OF_END).items()}
 
 
-def _without_closed(world: World, key: Key) -> tuple[World, list[int]]:
-    """The world with these cells closed, and the cells."""
+def _as_known(world: World, keys: dict[str, Key]) -> tuple[World, bool]:
+    """The world as it was seen to be, without what was closed, and whether that is another one."""
     cell = whole(0, world.threat.size - 1, what="the index of a cell")
-    closed = [one.number(cell) for one in key.items("a list of cells", least=0)]
-    return (closed_world(world, np.array(closed, dtype=np.int64)) if closed else world), closed
+    closed, seen = (
+        [one.number(cell) for one in keys["closed"].items("a list of cells", least=0)],
+        read_seen(keys["seen"]),
+    )
+    for one in seen:
+        cell.check("seen", one, StateError, str(keys["seen"].source))
+    known = seen_world(world, seen) if seen else world
+    return (closed_world(known, np.array(closed, dtype=np.int64)) if closed else known), bool(seen or closed)
+
+
+def read_seen(key: Key) -> Seen:
+    """p by cell, None of an obstacle, of `[[cell, p], ...]`. Raises StateError."""
+    found: Seen = {}
+    for item in key.items("a list of [cell, p]", least=0):
+        cell, p = item.items("[cell, p]", exactly=2)
+        found[cell.number(whole(0, MAX_CELLS))] = None if p.value is None else p.number(PROBABILITY)
+    return found
 
 
 def _read(path: str | Path) -> tuple[Json, dict[str, Key]]:
@@ -103,5 +130,5 @@ def hand_on(report: Callable[..., None], key: Key) -> None:
     for name, value in flags.items():
         if not isinstance(value, bool):
             raise keys[name].wrong("true or false")
-    given = {name: keys[name].value for name in ("robot", "cell", "moves_left", "step")}
+    given = {name: keys[name].value for name in ("robot", "cell", "moves_left", "step", "seen")}
     report(**given, **flags)

@@ -192,3 +192,4 @@ class Learning(Executive):
             self.problem.paths, int(leg[-1]), left[left != leg[-1]], None, self.problem.settings.in_area
         )
         robot.ahead = np.concatenate([leg, further])[::-1].tolist()
+        robot.to_do, robot.since = left, len(robot.path)
