@@ -20,9 +20,10 @@ from planner.luck_names import LuckName
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan, RobotPlan
-from planner.roaming import first_places, ways_of_movers
+from planner.roaming import Roaming, first_places, ways_of_movers
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
+from planner.threefry import threefry2x32
 from planner.trace import Doing
 from planner.worlds.movers import Mover
 from planner.worlds.moving import with_movers
@@ -43,10 +44,12 @@ ROLLOUTS = 20_000
 SMALL = World.create([[0.0, 0.1, np.nan], [0.2, 0.0, 0.0], [np.nan, 0.3, 0.0]])
 
 
-def assert_equal_runs(world: World, plan: Plan, seed: int, first_only: bool, luck: LuckName) -> None:
+def assert_equal_runs(
+    world: World, plan: Plan, seed: int, first_only: bool = False, luck: LuckName = "tolerance", tabled: bool = True
+) -> None:
     """Eight rollouts of the compiled simulator are the readable ones: events, figures, counts by cell."""
     readable = ReferenceLoop(plan, world, first_only=first_only, luck=luck)
-    loop = compile_closed_loop(plan, world, first_only=first_only, luck=luck)
+    loop = compile_closed_loop(plan, world, first_only=first_only, luck=luck, tabled=tabled)
     for mine in trace_rollouts(loop, seed, range(8)):
         assert_same_trace(mine, readable.trace(seed, mine.rollout))
     tally, singles = run_range(loop, seed, 0, 8, threads=1, singles=True)
@@ -74,11 +77,18 @@ def test_many_compiled_runs_are_the_readable_ones() -> None:
     check_worlds(range(14, 400))
 
 
+@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+def test_teams_of_more_than_a_word_and_maps_without_tables(policy: str) -> None:
+    world = moving_world(8)
+    plan = make_plan(world, place_starts(world, 70)[0], Settings(policy=policy))
+    assert_equal_runs(world, plan, 2, tabled=False)
+
+
 def test_another_planners_robots_wait_and_are_met() -> None:
     world = with_movers(World.create(np.zeros((3, 4))), [Mover(0.3, 0.5), Mover(0.5, 0.0, 5, (5, 6, 10, 9))])
     paths = [[0, 0, 1, 1, 1, 2, 3], [8, 9, 10, 10, 11, 7]]
     plan = Plan(world.shape, world.sha256, None, tuple(RobotPlan(np.array(path)) for path in paths))
-    assert_equal_runs(world, plan, 3, False, "tolerance")
+    assert_equal_runs(world, plan, 3)
 
 
 def test_rollouts_do_not_depend_on_how_they_are_run() -> None:
@@ -120,6 +130,34 @@ def test_a_visit_is_survived_by_who_is_alive_at_the_end_of_its_step() -> None:
         passes = np.bincount(trace.cells[entered], minlength=size)
         expected += np.arange(1, MOST_PASSES + 1) <= passes[:, None]
     np.testing.assert_array_equal(found, expected)
+
+
+def test_draws_are_at_the_counters_that_the_spec_names() -> None:
+    """Places and hits of two movers and three robots, from Threefry itself."""
+    world = with_movers(World.create(np.zeros((2, 3))), [Mover(0.4, 0.3), Mover(0.6, 0.0, -1, (0, 1, 4, 3))])
+    assert world.movers is not None
+    seed, rollout, (moves, hits) = 7, 5, (threefry2x32((7, 0), 0x48415A44, purpose) for purpose in (3, 4))
+    beside = {0: (1, 3), 1: (0, 2, 4), 2: (1, 5), 3: (0, 4), 4: (1, 3, 5), 5: (2, 4)}
+    weight = [cell for cell, ways in beside.items() for _ in ways]
+
+    def drawn(key: tuple[Any, Any], counter: int) -> tuple[int, int]:
+        x0, x1 = threefry2x32((int(key[0]), int(key[1])), rollout, counter)
+        return int(x0), int(x1)
+
+    walker, place = weight[drawn(moves, 0)[0] * 14 >> 32], drawn(moves, 1)[0] * 4 >> 32
+    roaming = Roaming(world.movers, seed, rollout, 3)
+    for step in range(40):
+        x0, x1 = drawn(moves, (step + 1) * 2)
+        if (x0 >> 8) / 2**24 >= np.float32(0.3):
+            walker = beside[walker][(x1 >> 8) * len(beside[walker]) >> 24]
+        place = (place + 1) % 4
+        roaming.move(step)
+        assert roaming.cells == [walker, (0, 1, 4, 3)[place]], step
+        for robot in range(3):
+            met = [number for number, cell in enumerate(roaming.cells) if cell == walker]
+            words = [drawn(hits, (step * 2 + number) * 3 + robot)[0] >> 8 for number in met]
+            stops = any(word / 2**24 < np.float32((0.4, 0.6)[number]) for number, word in zip(met, words, strict=True))
+            assert roaming.meets(robot, step, walker) == stops, (step, robot)
 
 
 # --- exact values ---
