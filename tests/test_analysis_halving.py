@@ -41,7 +41,7 @@ def sampled(visited: np.ndarray, start: int = 0, lost: int = 0, robots: int = 4)
 
 
 def known(visited: int) -> Known:
-    counts = make_counts(CELLS, 4, 10, False)
+    counts = make_counts(CELLS, CELLS, 4, 10, False)
     counts.visited[visited] = WHOLE
     return Known(Tree(counts, 1))
 

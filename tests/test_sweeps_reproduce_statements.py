@@ -91,12 +91,18 @@ def test_columns_of_a_map_are_those_of_its_runs() -> None:
     assert np.array_equal(runs["time"], np.bincount(results.time // 10))
 
 
-def test_intervals_over_maps_are_student_s() -> None:
-    values = np.array([0.2, 0.4, 0.9])
-    found = over_maps(values)
-    assert found.mean == pytest.approx(0.5)
-    assert found.ci95[1] - found.mean == pytest.approx(4.302653 * values.std(ddof=1) / np.sqrt(3), rel=1e-6)
-    assert over_maps(values[:1]).ci95 == (-np.inf, np.inf)
+def test_intervals_over_maps_are_student_s_and_wider_for_a_long_tail() -> None:
+    even, skew = np.array([0.2, 0.5, 0.8]), np.array([0.2, 0.4, 0.9])
+    for values in (even, skew):
+        found = over_maps(values)
+        assert found.mean == pytest.approx(0.5) and found.se == pytest.approx(values.std(ddof=1) / np.sqrt(3))
+    assert over_maps(even).ci95[1] - 0.5 == pytest.approx(4.302653 * 0.3 / np.sqrt(3), rel=1e-6)
+    rare = (
+        (-(0.3**3) - 0.1**3 + 0.4**3) / (0.3**2 + 0.1**2 + 0.4**2) / 3
+    )  # third central moment over the second, / maps
+    half = 4.302653 * np.sqrt(0.13 / 3 + 6 * rare**2)
+    assert over_maps(skew).ci95 == pytest.approx((0.5 - half, 0.5 + half), rel=1e-6)
+    assert over_maps(skew[:1]).ci95 == (-np.inf, np.inf)
 
 
 def test_a_finding_names_the_worst() -> None:

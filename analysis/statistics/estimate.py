@@ -238,12 +238,18 @@ def proportion(successes: int, n: int, certain: bool = False) -> Estimate:
 
 
 def over_maps(values: NDArray[np.float64]) -> Estimate:
-    """Mean of float64 `[M]` with Student's 95 % interval; NaN and nothing known from one map alone."""
+    """Mean of float64 `[M]` with Student's 95 % interval; NaN and nothing known from one map alone.
+
+    Maps of a rare kind widen it as rare events do that of `mean_estimate`: of 25 maps with a long tail Student's
+    alone holds the mean of all in 90 of 100 samples.
+    """
     maps, mean = len(values), float(values.mean())
     if maps < 2:
         return Estimate(mean, float("nan"), (-np.inf, np.inf))
-    se = float(values.std(ddof=1) / np.sqrt(maps))
-    half = _student(maps - 1) * se
+    far = values - mean
+    scatter = float(far @ far)
+    se, rare = math.sqrt(scatter / (maps - 1) / maps), float(far @ far**2) / scatter / maps if scatter > 0 else 0.0
+    half = _student(maps - 1) * math.sqrt(se**2 + MISSED * rare**2)
     return Estimate(mean, se, (mean - half, mean + half))
 
 
