@@ -49,13 +49,14 @@ if TYPE_CHECKING:
     from analysis.recording.rollouts import RecordedOutcomes, RecordedRollout
     from analysis.removal.answer import Clearing
     from analysis.reproduction.reproduce import Reproduction
+    from analysis.standings.suite import Suite
     from analysis.sweeps.results import Results
     from analysis.sweeps.sweep import Sweep
     from analysis.tradeoff.front import Front
 
 __all__ = [
     "check", "clear", "compare", "evaluate", "export", "front", "judge", "load", "mission", "plan", "read_outcomes",
-    "read_rollouts", "record", "reproduce", "results", "size", "starts", "sweep",
+    "read_rollouts", "record", "reproduce", "results", "size", "starts", "suite", "sweep",
 ]  # fmt: skip
 
 Loop = Literal["closed", "open"]
@@ -424,6 +425,17 @@ def judge(
         return judge_policy(world, policy, env, choices, against, processes, tell)
 
     return ask(work, progress, on_interrupt)
+
+
+def suite(only: str | Sequence[str] | None = None) -> Suite:
+    """Thirty named worlds, the same for ever, as a mapping from names to worlds; `.judge(policy)` plays them.
+
+    Args:
+        only: names, or patterns as "contiguous-10-*"; None: all.
+    """
+    from analysis.standings.suite import Suite
+
+    return Suite(only)
 
 
 def size(

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         results,
         size,
         starts,
+        suite,
         sweep,
     )
     from mrac_jax.environment.making import env
@@ -49,8 +50,8 @@ __version__ = version("mrac-jax")
 __all__ = [
     "InputError", "Plan", "Settings", "World", "check", "clear", "compare", "env", "evaluate", "export", "front",
     "judge", "load", "mission", "plan", "plots", "read_outcomes", "read_plan", "read_rollouts", "record",
-    "reproduce", "results", "size", "starts", "sweep", "to_networkx", "with_hazard", "with_maps", "with_movers",
-    "with_spread",
+    "reproduce", "results", "size", "starts", "suite", "sweep", "to_networkx", "with_hazard", "with_maps",
+    "with_movers", "with_spread",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",

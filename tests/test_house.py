@@ -18,7 +18,7 @@ ROOMS = ("planner", "analysis", "mrac_jax")
 DOOR = {"mrac_jax", "mrac_jax.__main__", "analysis.api"}
 ANSWERS = (
     "evaluation", "comparison", "checking", "survey", "design", "reproduction", "policies", "sweeps", "recording",
-    "tradeoff", "depots", "removal", "judging",
+    "tradeoff", "depots", "removal", "judging", "standings",
 )  # fmt: skip
 KITS = ("statistics", "theory", "page", "pictures", "kit", "report", "exporting")
 

@@ -54,6 +54,7 @@ from analysis.cli.options import (
 from analysis.cli.recording import inspect, record, recover, replay
 from analysis.cli.reproduce import reproduce
 from analysis.cli.studio import studio
+from analysis.cli.suite import suite
 from analysis.cli.sweeps import results, sweep
 from analysis.kit.notes import say
 from planner.arguments import COMMAND_LINE
@@ -413,7 +414,8 @@ def generate(
     return DONE
 
 
-for command in (clear, drive, export, inspect, record, recover, replay, reproduce, results, starts, studio, sweep):
+PLANS, MISSIONS = (clear, starts, studio, suite, sweep), (drive, export, inspect, record, recover, replay)
+for command in (*PLANS, *MISSIONS, reproduce, results):
     app.command(command)
 
 
