@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from planner.plan_team import read_plan
     from planner.plans.plan import Plan
     from planner.settings import Settings
+    from planner.worlds.learning import with_prior, with_sense, with_truth
     from planner.worlds.moving import with_movers
     from planner.worlds.world import World
     from planner.worlds.wrong_maps import with_hazard, with_maps, with_spread
@@ -51,7 +52,7 @@ __all__ = [
     "InputError", "Plan", "Settings", "World", "check", "clear", "compare", "env", "evaluate", "export", "front",
     "judge", "load", "mission", "plan", "plots", "read_outcomes", "read_plan", "read_rollouts", "record",
     "reproduce", "results", "size", "starts", "suite", "sweep", "to_networkx", "with_hazard", "with_maps",
-    "with_movers", "with_spread",
+    "with_movers", "with_prior", "with_sense", "with_spread", "with_truth",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",
@@ -64,6 +65,7 @@ ELSEWHERE = {
     "to_networkx": "planner.mrac.graph",
     "with_movers": "planner.worlds.moving",
     **dict.fromkeys(("with_hazard", "with_maps", "with_spread"), "planner.worlds.wrong_maps"),
+    **dict.fromkeys(("with_prior", "with_sense", "with_truth"), "planner.worlds.learning"),
 }
 """Where a name lives, if not in `analysis.api`; `plots` is a module itself."""
 NEIGHBOURS = ("planner", "analysis")
