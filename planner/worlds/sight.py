@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf, isqrt
 
@@ -10,7 +11,6 @@ from numpy.typing import NDArray
 
 from planner.arguments import Numbers
 from planner.errors import WorldError
-from planner.jit import compiled
 
 RANGE = Numbers(0, inf, said="0, or a number of cells from 1 on")
 FARTHEST = 2**20
@@ -50,49 +50,38 @@ class Sense:
         if len(cells) * min(4 * self.square + 1, free.size) > MOST_SEEN:
             problem = f"{len(cells)} cells from which {self.said.removeprefix('robots see ')} is seen"
             raise WorldError(problem, expected=f"at most {MOST_SEEN} cells in range in all", fix="sense less far")
-        blocked, reach = ~free, min(isqrt(self.square), sum(free.shape))
-        begin, room = np.zeros(len(cells) + 1, dtype=np.int64), 16
-        while True:
-            seen = np.empty(room, dtype=np.int32)
-            if _look(blocked, cells, reach, self.square, self.sight, begin, seen):
-                return begin, seen[: begin[-1]]
-            room = int(begin[-1])
+        height, width = free.shape
+        rows, cols = np.divmod(cells, width)
+        who, what = [], []
+        # Offsets rise as the cells do that they lead to, so what is seen from a cell rises too.
+        for down, right in self._offsets(height, width):
+            inside = (rows + down >= 0) & (rows + down < height) & (cols + right >= 0) & (cols + right < width)
+            seers = np.flatnonzero(inside)
+            for i, j in _between(down, right) if self.sight else ():
+                seers = seers[free[rows[seers] + i, cols[seers] + j]]
+            who.append(seers)
+            what.append((cells[seers] + down * width + right).astype(np.int32))
+        seer = np.concatenate(who)
+        begin = np.append(0, np.cumsum(np.bincount(seer, minlength=len(cells))))
+        return begin, np.concatenate(what)[np.argsort(seer, kind="stable")]
+
+    def _offsets(self, height: int, width: int) -> Iterator[tuple[int, int]]:
+        reach = isqrt(self.square)
+        tall, wide = min(reach, height - 1), min(reach, width - 1)
+        for down in range(-tall, tall + 1):
+            for right in range(-wide, wide + 1):
+                if down * down + right * right <= self.square:
+                    yield down, right
 
 
-@compiled
-def _look(blocked, cells, reach, square, sight, begin, seen):  # type: ignore[no-untyped-def]
-    """Fill `begin` and, as far as there is room, `seen`; whether there was."""
-    height, width = blocked.shape
-    count = 0
-    for number in range(len(cells)):
-        row, col = cells[number] // width, cells[number] % width
-        for other_row in range(max(row - reach, 0), min(row + reach, height - 1) + 1):
-            for other_col in range(max(col - reach, 0), min(col + reach, width - 1) + 1):
-                down, right = other_row - row, other_col - col
-                if down * down + right * right > square or (sight and _is_hidden(blocked, row, col, down, right)):
-                    continue
-                if count < len(seen):
-                    seen[count] = other_row * width + other_col
-                count += 1
-        begin[number + 1] = count
-    return count <= len(seen)
+def _between(down: int, right: int) -> Iterator[tuple[int, int]]:
+    """The cells other than the two whose inside the segment crosses to the cell so far `down` and `right`.
 
-
-@compiled
-def _is_hidden(blocked, row, col, down, right):  # type: ignore[no-untyped-def]
-    """Whether an obstacle other than the two cells lies between a cell and the one so far `down` and `right` of it.
-
-    The inside of the cell (i, j) is crossed iff 2 |down j - right i| < |down| + |right|: no side of it, and not the
-    segment's line, keeps the two apart. A corner that is touched does not count.
+    That of the cell (i, j) is crossed iff 2 |down j - right i| < |down| + |right|: no side of it, and not the segment's
+    line, keeps the two apart. A corner that is touched does not count.
     """
     wide = abs(down) + abs(right)
-    tall, low, high = abs(down), min(right, 0), max(right, 0)
     for i in range(min(down, 0), max(down, 0) + 1):
-        if down != 0:  # of this row only what is near the line
-            middle = right * i // down
-            low, high = max(min(right, 0), middle - wide // tall - 1), min(max(right, 0), middle + wide // tall + 1)
-        for j in range(low, high + 1):
-            is_end = (i == 0 and j == 0) or (i == down and j == right)
-            if not is_end and blocked[row + i, col + j] and 2 * abs(down * j - right * i) < wide:
-                return True
-    return False
+        for j in range(min(right, 0), max(right, 0) + 1):
+            if (i, j) not in ((0, 0), (down, right)) and 2 * abs(down * j - right * i) < wide:
+                yield i, j
