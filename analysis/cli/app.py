@@ -100,7 +100,7 @@ def evaluate(
         threat_scale: Also if all threats are so many times the map's, the plan as it is: "0.5,1,2".
         metrics: What is found and left of what cells are worth, in the words of this field.
         bound: Also the bound for every strategy where it is dear, above 1,000 dangerous cells; as sharp as it gets
-            above 500 accessible ones.
+            above 500 accessible ones, and for one robot.
         theory: Also list the paper's formulas, each with a verdict.
         advice: What costs no robot, and what the rest costs: a second or two more.
         out: Write the page, pictures, plan and JSON to this folder.

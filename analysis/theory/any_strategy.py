@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from analysis.theory.bounds import ideal_team
 from analysis.theory.flow import ROUNDS, flow_bound
 from analysis.theory.nodes import ULP, contract
+from analysis.theory.one_robot import path_bound
 from analysis.theory.own_bounds import ideal_connected
 from planner.worlds.doubt import Hazard
 from planner.worlds.world import World, check_starts
@@ -26,32 +27,37 @@ class AnyStrategy:
 
     Attributes:
         flow: the programme's bound, certified; None: it was not solved.
+        path: `one_robot.path_bound`; None: it was not asked for, or there is more than one robot.
         connected: `own_bounds.ideal_connected`. ideal: `bounds.ideal_team`.
     """
 
     flow: float | None
+    path: float | None
     connected: float
     ideal: float
 
     @property
     def cells(self) -> float:
         """The least of them."""
-        return min(bound for bound in (self.flow, self.connected, self.ideal) if bound is not None)
+        return min(bound for bound in (self.flow, self.path, self.connected, self.ideal) if bound is not None)
 
 
 def any_strategy(world: World, starts: ArrayLike, flow: bool | None = None) -> AnyStrategy:
     """The bounds of `world` for robots at `starts` `[K, 2]`.
 
-    `flow`: whether the programme is solved, which takes seconds on thousands of cells; None: in HASTY rounds at most on
-    maps of more than MOST_CELLS, and not where more than MOST_DANGEROUS of them are dangerous.
+    `flow`: whether the programme is solved, and of one robot the best path sought, which takes seconds; None: the
+    programme alone, in HASTY rounds at most on maps of more than MOST_CELLS, and not where more than MOST_DANGEROUS of
+    them are dangerous.
     """
     world.check_settled("the bound for every strategy")
     checked = check_starts(starts, world.threat, world.source)
     threat = np.sort(world.threat[world.accessible(checked)].astype(np.float64))
     solved = np.count_nonzero(threat) <= MOST_DANGEROUS if flow is None else flow
     rounds = ROUNDS if flow or len(threat) <= MOST_CELLS else HASTY
+    nodes = contract(world, checked) if solved else None
     return AnyStrategy(
-        flow=flow_bound(contract(world, checked), rounds) if solved else None,
+        flow=None if nodes is None else flow_bound(nodes, rounds),
+        path=path_bound(nodes) if nodes is not None and flow else None,
         connected=ideal_connected(world, checked),
         ideal=ideal_team(threat, len(checked)),
     )

@@ -36,7 +36,7 @@ ROUNDS = 200
 """Times that it is solved at most; fewer only make the bound less sharp."""
 GAIN, PATIENCE = 4e-5, 10
 """It ends when so many rounds together gain less than this share of the cells."""
-NEW_SETS = 4
+NEW_SETS = 8
 """Sets D added a round from each order of the cells."""
 
 
