@@ -66,6 +66,8 @@ def load(
     source: str | Path | ArrayLike,
     *,
     cell_size: float | None = None,
+    step_seconds: float | None = None,
+    speed: float | None = None,
     value: ArrayLike | None = None,
     detect: ArrayLike | None = None,
     route: ArrayLike | None = None,
@@ -76,6 +78,8 @@ def load(
         source: any INPUT of the command line ("depot.yaml", a scenario, "example:paper", ...), or an array `[H, W]` of
             the chance that one visit stops a robot, NaN (or masked) = obstacle.
         cell_size: side of a cell in metres; coarsens a map, and is what an array's cells measure (default 1).
+        step_seconds: that a step takes, or `speed`, metres a second: every time is said in minutes too, and deadlines
+            may be given so, as "45min" (in the place of what the source says).
         value, detect: what each cell is worth, and the chance that a visit which the robot survives finds what is in
             it: `[H, W]` or one number, in the place of what the source says (if that is nothing: 1 each).
         route: `[row, col]` of the corners of the route that is to be safe.
@@ -86,6 +90,8 @@ def load(
         world = load_world(str(source), cell_size)
     else:
         world = World.create(source, cell_size=1.0 if cell_size is None else cell_size, source="array")
+        world = replace(world, measured=cell_size is not None)
+    world = world.with_pace(step_seconds, speed)
     if value is not None or detect is not None:
         world = world.with_values(world.value if value is None else value, world.detect if detect is None else detect)
     return world if route is None else with_route(world, route)
@@ -108,7 +114,7 @@ def plan(
     effort: int | None = None,
     seconds: float | None = None,
     range: int | Sequence[int] | None = None,
-    deadline: int | None = None,
+    deadline: int | str | None = None,
     wear: float | None = None,
     susceptibility: float | Sequence[float] | None = None,
     state: MissionState | str | Path | None = None,
@@ -129,7 +135,8 @@ def plan(
         plan_for: "open": paths for robots that do not take over from each other, found by a search; they have no areas.
         effort: of that search, in paths evaluated: the same effort gives the same plan; seconds: end it after so many.
         range: moves that a robot can make, then it stays where it is; one number for all, or one a robot.
-        deadline: the step at which the mission is ended: the plan, and all that is made of it, keep to it.
+        deadline: the step at which the mission is ended: the plan, and all that is made of it, keep to it. Here as
+            everywhere it may be a time, "45min", where the world knows how long a step takes (`load`).
         wear: shape of the Weibull amount of exposure that robots bear; above 1 they wear out, and p is a dose.
         susceptibility: how many times exposure counts, one number for all, or one a robot. No decision knows the two;
             rollouts need `luck="tolerance"`.
@@ -158,15 +165,13 @@ def _settings_of(
     world: World,
     range: Any,
     *asked: object,
-    deadline: int | None = None,
+    deadline: int | str | None = None,
     in_area: InAreaOrder = cheapest_first,
     **more: Any,
 ) -> Settings:
     """What is asked, in the order of `Settings`, in the place of what the world came with."""
     given = Choices(*asked, range=_one_or_each(range), deadline=deadline, **more)
-    settings = Settings(**given.over(world.team.settings), in_area=in_area)
-    settings.check()
-    return settings
+    return given.settings(world.team.settings, world.pace, in_area=in_area)
 
 
 def _one_or_each(given: Any) -> Any:
@@ -237,7 +242,7 @@ def evaluate(
     luck: LuckName | None = None,
     engine: EngineName = "auto",
     seed: int = 0,
-    deadline: int | None = None,
+    deadline: int | str | None = None,
     first_visit: bool = False,
     threat_scale: Sequence[float] = (),
     bound: bool | None = None,
@@ -449,7 +454,7 @@ def size(
     loop: Loop = "closed",
     rollouts: int = 100_000,
     seed: int = 0,
-    deadline: int | None = None,
+    deadline: int | str | None = None,
     exact: Exactness = "auto",
     progress: Progress | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
@@ -464,7 +469,7 @@ def size(
 
     _check_world(world)
     choices = RolloutChoices(loop=loop, rollouts=rollouts, seed=seed, deadline=deadline, exact=exact)
-    settings = Settings(**world.team.settings)
+    settings = Choices().settings(world.team.settings, world.pace)
     goal = make_goal(target, confidence, complete, meaning, most)
 
     search = partial(find_size, world, settings, goal, choices)
@@ -490,7 +495,7 @@ def front(
     worths: Sequence[float] | None = None,
     rollouts: int | None = None,
     seed: int = 0,
-    deadline: int | None = None,
+    deadline: int | str | None = None,
     first_visit: bool = False,
     engine: EngineName = "auto",
     luck: LuckName = "tolerance",
@@ -545,7 +550,7 @@ def starts(
     susceptibility: float | Sequence[float] | None = None,
     rollouts: int = 4096,
     seed: int = 0,
-    deadline: int | None = None,
+    deadline: int | str | None = None,
     first_visit: bool = False,
     engine: EngineName = "auto",
     luck: LuckName = "tolerance",
@@ -595,7 +600,7 @@ def clear(
     susceptibility: float | Sequence[float] | None = None,
     rollouts: int = 4096,
     seed: int = 0,
-    deadline: int | None = None,
+    deadline: int | str | None = None,
     first_visit: bool = False,
     engine: EngineName = "auto",
     luck: LuckName = "tolerance",
@@ -662,7 +667,7 @@ def record(
     rollouts: int = 10_000,
     loop: Loop | None = None,
     seed: int = 0,
-    step_seconds: float = 1.0,
+    step_seconds: float | None = None,
     progress: Progress | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
 ) -> Recorded:
@@ -672,7 +677,8 @@ def record(
         plan: as of `evaluate`. path: of the file (.mcap); a layout for Foxglove and Lichtblick is written beside it.
         ids: rollouts to record; or `pick`: some of `rollouts` evaluated ones, of "worst", "median", "best", ...
             (default: those three).
-        step_seconds: how long a step takes in the viewer. loop, seed, progress, on_interrupt: as of `evaluate`.
+        step_seconds: how long a step takes in the viewer; None: as long as the world says, or 1.
+        loop, seed, progress, on_interrupt: as of `evaluate`.
     """
     from analysis.recording.names import SUFFIX, check_name, layout_name
     from analysis.recording.pick import parse_picks
@@ -688,9 +694,9 @@ def record(
     def work(tell: Progress, doing: Doing) -> Recorded:
         given = _plan_of(world, plan)
         made = not given.is_foreign
-        request = Request(
-            chosen, picks, count, loop=loop or given.usual_loop, seed=seed, step_seconds=step_seconds, made=made
-        )
+        seconds = world.with_pace(step_seconds).pace.seconds or 1.0
+        how: Any = {"loop": loop or given.usual_loop, "seed": seed, "step_seconds": seconds, "made": made}
+        request = Request(chosen, picks, count, **how)
         done = record_rollouts(world, given, request, path, progress=tell)
         write_layout(layout_name(done.path), world, len(given.robots))
         return done
@@ -731,7 +737,7 @@ def export(
     Args:
         plan: as of `evaluate`. out: a file or a folder. to: the format; None: by the suffix of `out`.
         altitude: QGroundControl: metres above take-off (default 20), 0 for robots on the ground. speed: metres a
-            second (default 3).
+            second (default: as the world says, or 3).
     """
     from analysis.exporting.export import choose_format
     from analysis.exporting.export import export as write

@@ -63,6 +63,7 @@ class Asked:
     Attributes:
         source: an INPUT. choices: the planner's settings that are given.
         robots: how many. starts: where, "row,col;row,col;...". cell_size: of a bare map, in metres.
+        step_seconds, speed: of `World.with_pace`.
     """
 
     source: str
@@ -70,10 +71,12 @@ class Asked:
     robots: int | None = None
     starts: str | None = None
     cell_size: float | None = None
+    step_seconds: float | None = None
+    speed: float | None = None
 
     def load(self) -> World:
         """The world of the INPUT. Raises InputError."""
-        return load_world(self.source, self.cell_size)
+        return load_world(self.source, self.cell_size).with_pace(self.step_seconds, self.speed)
 
 
 def load_task(asked: Asked) -> Task:
@@ -97,8 +100,7 @@ def load_task(asked: Asked) -> Task:
         count = robots if robots is not None else (team.robots or 1)
         placed, more = place_starts(world, count, team.start)
         notes += more
-    settings = Settings(**asked.choices.over(team.settings))
-    settings.check()
+    settings = asked.choices.settings(team.settings, world.pace)
     notes += _cut_off(world, placed)
     if not (world.met > 0).any():
         notes += ("no cell is dangerous, so every robot survives: put threats on the map (a scenario's `threats`)",)
@@ -197,7 +199,7 @@ def _plan_the_rest(asked: Asked, file: Path, plan_file: Path | None) -> Found:
     world = asked.load()
     state, notes = read_state(file, world, None if asked.starts is None else parse_starts(asked.starts))
     _check_team(asked, len(state.robots), file)
-    made = plan_from_state(world, state, Settings(**asked.choices.over(world.team.settings)), str(file))
+    made = plan_from_state(world, state, asked.choices.settings(world.team.settings, world.pace), str(file))
     return world.with_starts(state.starts), made, world.notes + notes
 
 
@@ -223,6 +225,7 @@ def _load_plan(asked: Asked, plan_file: Path) -> Found:
     if asked.starts is not None and not np.array_equal(parse_starts(asked.starts), plan.starts):
         raise UsageError(f"{argument('starts')} contradicts the starts of {plan_file}", fix="leave it out")
     given = asked.choices.given()
+    given |= {name: world.pace.last_step(name, given[name]) for name in given.keys() & {"deadline"}}
     what = {name: given.pop(name) for name in BEARING if name in given}
     plan = plan.of_robots(**what) if what else plan
     for option, value in given.items():

@@ -13,6 +13,7 @@ from planner.arguments import POSITIVE, SEED, Numbers, argument, as_whole, check
 from planner.errors import UsageError
 from planner.limits import MAX_STEP, MOST_ROLLOUTS
 from planner.luck_names import LUCKS, LuckName
+from planner.pace import SPANS, Pace, seconds_of
 from planner.plans.plan import Plan
 from planner.rollouts.names import ENGINES, EngineName, check_jax
 from planner.tally import RolloutResults, Tally
@@ -47,7 +48,7 @@ class RolloutChoices:
         seconds: of rolling out, after which it stops too, as soon as what is under way is done; None: no limit.
         mode: of luck by step in the open loop: "fast" (None) or "step". engine: "auto", "jax" or "numba".
         seed: of the rollouts.
-        deadline: a step at which coverage is reported too, or None.
+        deadline: a step at which coverage is reported too, or None; before it is `timed` also a time, as "45min".
         first_only: only the first visit of a cell by anybody can stop a robot; closed loop.
         luck: how it is decided who is stopped (`planner.tolerance`).
         exact: whether the closed loop's exact values are looked for: "auto" for EXACT_SECONDS, "never", or the seconds.
@@ -60,7 +61,7 @@ class RolloutChoices:
     mode: Mode | None = None
     engine: EngineName = "auto"
     seed: int = 0
-    deadline: int | None = None
+    deadline: Any = None
     first_only: bool = False
     luck: LuckName = "tolerance"
     exact: Exactness = "auto"
@@ -69,6 +70,10 @@ class RolloutChoices:
         for name in ("rollouts", "seed", "deadline"):
             object.__setattr__(self, name, as_whole(getattr(self, name)))
         self.check()
+
+    def timed(self, pace: Pace) -> RolloutChoices:
+        """The same with the step of a deadline that is a time. Raises UsageError where that is not known."""
+        return replace(self, deadline=pace.last_step("deadline", self.deadline))
 
     @property
     def next_seed(self) -> int:
@@ -110,7 +115,8 @@ class RolloutChoices:
         if self.exact not in ("auto", "never"):
             EXACT_EFFORT.check("exact", self.exact)
         SEED.check("seed", self.seed)
-        whole(0, MAX_STEP + 1, "a step").check("deadline", self.deadline, optional=True)
+        if not isinstance(self.deadline, str) or seconds_of(self.deadline) is None:
+            whole(0, MAX_STEP + 1, said=SPANS).check("deadline", self.deadline, optional=True)
         if self.first_only and self.loop == "open":
             problem = f"{argument('first_only', True)} needs the closed loop"
             raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")

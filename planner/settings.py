@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from planner.arguments import ANY, COMMAND_LINE, Numbers, argument, check_word, is_real, whole
 from planner.errors import PlanError
 from planner.limits import LEAST_SHAPE, LEAST_SUSCEPTIBILITY, MAX_STEP, MOST_SHAPE, MOST_SUSCEPTIBILITY
+from planner.pace import TIMES, UNPACED, Pace
 from planner.policies import DEFAULT, RULES, Rule, rule_of
 from planner.policies.in_area import InAreaOrder, cheapest_first
 from planner.policies.offer import Offer
@@ -37,6 +38,7 @@ class Setting:
         title: on pages. help: of its option.
         numbers: that it may be. each: one for all, or a tuple of one a robot. words: that it may be instead.
         unset: what None means, on pages; "": it is never None.
+        time: it is a step, and may be given as a time (`planner.pace`).
         later: a plan with its default is the plan that it was before there was the setting.
     """
 
@@ -46,18 +48,21 @@ class Setting:
     each: bool = False
     words: tuple[str, ...] = ()
     unset: str = ""
+    time: bool = False
     later: bool = False
 
     @property
     def kind(self) -> str:
-        """ "word", "whole", "number", or of one a robot "wholes", "numbers"."""
+        """ "word", "time", "whole", "number", or of one a robot "wholes", "numbers"."""
+        if self.time:
+            return "time"
         return "word" if self.words else ("whole" if self.numbers.whole else "number") + "s" * self.each
 
     def expected(self, unset: str) -> str:
         """What is accepted, in words; `unset`: how a None is written, "" where it is not."""
         if self.words:
             return " or ".join(f'"{word}"' for word in self.words)
-        listed = ", or a list of one a robot" if self.each else ""
+        listed = ", or a list of one a robot" if self.each else f", or a time, as {TIMES}" if self.time else ""
         return self.numbers.expected + listed + (f", or {unset}" if self.unset and unset else "")
 
     def accepts(self, value: Any) -> bool:
@@ -151,8 +156,8 @@ class Settings:
         whole(1, MAX_STEP), each=True, unset="any number of moves", later=True,
     )  # fmt: skip
     deadline: int | None = _setting(
-        None, "deadline", "End the mission at this step: the plan and all that is made of it keep to it.",
-        whole(0, MAX_STEP), unset="none", later=True,
+        None, "deadline", "End the mission at this step, or by 45min: the plan and all that is made of it keep to it.",
+        whole(0, MAX_STEP), unset="none", time=True, later=True,
     )  # fmt: skip
     wear: float = _setting(
         1.0, "wear", "Shape of what robots bear: above 1 they wear out, p is a dose (default: 1, none).",
@@ -227,10 +232,12 @@ class Settings:
         if not callable(self.in_area):
             raise PlanError(f"in_area is {self.in_area!r}", source=source, expected="a function of a CellOffer")
 
-    def shown(self) -> dict[str, str]:
+    def shown(self, pace: Pace = UNPACED) -> dict[str, str]:
         """Every setting by its title, for pages."""
         said = {name: getattr(self, name) for name in SETTINGS} | {"policy": self.rule.name}
-        return {setting.title: setting.shown(said[name]) for name, setting in SETTINGS.items()}
+        shown = {setting.title: setting.shown(said[name]) for name, setting in SETTINGS.items()}
+        ends = {SETTINGS[name].title: said[name] for name in ("deadline", "max_steps") if said[name] is not None}
+        return shown | {title: shown[title] + pace.also(step) for title, step in ends.items()}
 
     def said(self) -> dict[str, Any]:
         """Every setting by its name. What is the user's own is told by the object that it is: it is of this process."""
@@ -265,6 +272,18 @@ class Choices(_Given):
         given = self.given()
         left = left_behind(given)
         return {name: value for name, value in asked.items() if name not in left} | given
+
+    def settings(self, asked: Mapping[str, Any], pace: Pace, source: str = "", **own: Any) -> Settings:
+        """The settings that these make of what an input asks for, checked; a deadline in minutes is a step by `pace`.
+
+        `own`: what is no choice, as an in-area order. Raises PlanError, naming `source`, and UsageError.
+        """
+        said = self.over(asked)
+        if "deadline" in said:
+            said["deadline"] = pace.last_step("deadline", said["deadline"])
+        made = Settings(**said, **own)
+        made.check(source)
+        return made
 
 
 def left_behind(given: Mapping[str, Any]) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""How an object shows itself in a console and in a notebook: a title, and rows of a name and what it is; counts."""
+"""How an object shows itself in a console and in a notebook: a title, rows of a name and what it is; counts, times."""
 
 from __future__ import annotations
 
@@ -23,3 +23,14 @@ def html_of(title: str, rows: Rows) -> str:
 def counted(number: int, thing: str, things: str = "") -> str:
     """ "1 chunk", "3,001 rollouts"; `things`: the plural, where an s does not make it."""
     return f"{number:,} {thing if number == 1 else things or thing + 's'}"
+
+
+def duration(seconds: float) -> str:
+    """Seconds as "40 s", "2 min 5 s" or "1 h 20 min"."""
+    whole = max(round(seconds), 1)
+    if whole < 60:
+        return f"{whole} s"
+    larger, unit, smaller, rest = (whole // 60, "min", "s", whole % 60) if whole < 3600 else (
+        whole // 3600, "h", "min", whole % 3600 // 60
+    )  # fmt: skip
+    return f"{larger} {unit}" + (f" {rest} {smaller}" if rest else "")

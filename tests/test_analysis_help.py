@@ -43,8 +43,14 @@ def test_input_names_every_format(capsys: pytest.CaptureFixture[str]) -> None:
         ("generate", "generate needs OUT"),
         ("record example:paper --out", "record needs a value after --out"),
         ("compare example:paper --b.robots", "compare needs a value after --b.robots"),
-        ("evaluate example:paper --deadline 10m", "--deadline '10m'; expected a whole number of steps, as 450"),
-        ("plan example:paper --deadline 10m", "--deadline '10m'; expected a whole number of steps, as 450"),
+        (
+            "evaluate example:paper --deadline 10m",
+            "--deadline '10m'; expected steps, as 450, or a time, as 45min, 1h30min or 90s",
+        ),
+        (
+            "plan example:paper --deadline 10m",
+            "--deadline '10m'; expected steps, as 450, or a time, as 45min, 1h30min or 90s",
+        ),
     ],
 )
 def test_what_a_command_needs(words: str, said: str, capfd: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.figures import Chance, sampled_share
 from analysis.evaluation.formulas import WORDS, formula_counts, formulas_words
 from analysis.evaluation.words import cell_words, chances_words, losses_words
-from analysis.kit.words import duration, plan_words, share, span_words
+from analysis.kit.words import plan_words, share, span_words
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate, proportion
 from analysis.statistics.words import between, digits_of, lost_words
@@ -22,9 +22,9 @@ from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import Verdict, overall
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import NOMINAL
-from planner.plans.state import MissionState, RobotState
-from planner.plans.state_traces import NOTHING
+from planner.plans.state import NO_CELLS, MissionState, RobotState
 from planner.settings import Settings
+from planner.shown import duration
 from planner.tally import Outcome, Tally, tally_key
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -88,7 +88,7 @@ def test_losses_in_words(alive: tuple[int, ...]) -> None:
 def test_a_robot_lost_before_the_runs_is_told_apart(alive: tuple[int, ...], said: str) -> None:
     """Three robots, one of which the state says is dead: it is none of those that are lost in the runs."""
     whole = evaluation_of(list(alive))
-    robots = tuple(RobotState(0, status, -1, NOTHING, NOTHING, 0, False) for status in ("dead", "idle", "idle"))
+    robots = tuple(RobotState(0, status, -1, NO_CELLS, NO_CELLS, 0, False) for status in ("dead", "idle", "idle"))
     state = MissionState(whole.world.shape, whole.world.sha256, 0, np.array([0]), np.array([0]), robots)
     rest = replace(whole, plan=replace(whole.plan, state=state))
     assert losses_words(rest) == f"{said} 1 robot was lost before."
@@ -288,6 +288,6 @@ def test_the_end_that_a_plan_names_is_that_of_its_rollouts() -> None:
     world = World.create(np.array([[0.0, 0.0, 0.0, 0.5, 0.0]]))
     for worth, said in ((None, "makespan 4 steps"), (1000.0, "the last move is at step 2, the end 2 steps later")):
         plan = make_plan(world, np.array([[0, 0]]), Settings(policy="per_cell", worth=worth))
-        assert span_words(plan) == said
+        assert span_words(plan, world.pace) == said
         ended = mrac.evaluate(world, plan, rollouts=64, advice=False).tally.time
         assert plan.makespan + (2 if worth else 0) == len(ended) - 1

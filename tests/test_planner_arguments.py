@@ -39,7 +39,7 @@ WORLD = World.create(np.zeros((2, 3)))
         ({"precision": 2}, "precision=2; expected"),
         ({"precision": "0.1"}, "precision='0.1'"),
         ({"seed": -1}, "seed=-1; expected a whole number"),
-        ({"deadline": 2.5}, "deadline=2.5; expected a step"),
+        ({"deadline": 2.5}, "deadline=2.5; expected steps, as 450, or a time"),
         ({"first_only": True, "loop": "open"}, "first_only=True needs the closed loop; use loop='closed'"),
     ],
 )

@@ -197,4 +197,4 @@ def _settings(checked: MapCheck) -> dict[str, object]:
     out: dict[str, object] = {"seed": f"{checked.seed}"}
     if closed is not None and closed.rollouts:
         out["chance that one interval misses"] = f"{checked.doubt:.3g}"
-    return out | ({} if plan.settings is None else plan.settings.shown())
+    return out | ({} if plan.settings is None else plan.settings.shown(checked.world.pace))

@@ -21,7 +21,7 @@ from analysis.cli.console import COMMAND, check_files, check_folder, check_strea
 from analysis.cli.decisions import clear, starts
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
 from analysis.cli.drive import drive
-from analysis.cli.exporting import Altitude, Speed, export
+from analysis.cli.exporting import Altitude, export
 from analysis.cli.groups import (
     Checking,
     OfAnyPolicy,
@@ -156,7 +156,7 @@ def size(
     wanted, planning, what = wanted or Wanted(), planning or Planning(), what or Rollouts()
     goal = make_goal(wanted.target, wanted.confidence, wanted.complete, wanted.meaning, wanted.most)
     check_folder(out)
-    task = load_task(Team(None, wanted.starts, wanted.cell_size).asked(source, planning.choices()))
+    task = load_task(wanted.team().asked(source, planning.choices()))
     choices = what.choices(task.settings.plan_for == "open")
     say(task.notes)
     with show_progress() as progress:
@@ -282,7 +282,6 @@ def plan_command(
     out: OutPath = None,
     waypoints: OutPath = None,
     altitude: Altitude = None,
-    speed: Speed = None,
     seconds: Annotated[Number, Parameter(group=PLANNING)] = None,
     as_json: Annotated[Json, Parameter(help="Print the plan file's JSON object.")] = False,
 ) -> int:
@@ -306,7 +305,7 @@ def plan_command(
     say(notes)
     written = [] if out is None else [out]
     if waypoints is not None and form is not None:
-        written += export(make_mission(world, made, altitude, speed), waypoints, form)
+        written += export(make_mission(world, made, altitude, team.speed), waypoints, form)
     if out is not None:
         made.save(out)
     if as_json:

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from analysis.cli.console import check_files, check_folder
 from analysis.cli.deliver import deliver
 from analysis.cli.groups import CommonLuck, Team, Together
-from analysis.cli.options import GOAL, TEAM, CellSize, Input, Json, OutPath, Removed, Text, Whole
+from analysis.cli.options import GOAL, TEAM, CellSize, Input, Json, OutPath, Removed, Speed, StepSeconds, Text, Whole
 from analysis.kit.notes import say
 
 
@@ -22,6 +22,8 @@ def starts(
     candidates: Annotated[Text, Parameter(group=GOAL)] = None,
     robots: Annotated[Whole, Parameter(group=TEAM)] = None,
     cell_size: CellSize = None,
+    step_seconds: StepSeconds = None,
+    speed: Speed = None,
     what: CommonLuck | None = None,
     planning: Together | None = None,
     scenario_out: OutPath = None,
@@ -44,9 +46,8 @@ def starts(
     """
     from analysis.depots.candidates import BORDER, read_candidates
     from analysis.depots.search import find_starts, team_size
-    from analysis.inputs import input_path, load_world
+    from analysis.inputs import input_path
     from analysis.kit.progress import show_progress
-    from planner.settings import Settings
     from planner.worlds.restart import write_scenario
 
     what, planning = what or CommonLuck(), planning or Together()
@@ -55,18 +56,21 @@ def starts(
     check_folder(out)
     named = None if candidates in (None, BORDER) else Path(str(candidates))
     given = BORDER if named is None else read_candidates(named)
-    world = load_world(source, cell_size)
-    settings = Settings(**planning.choices().over(world.team.settings))
-    settings.check()
+    team = Team(cell_size=cell_size, step_seconds=step_seconds, speed=speed)
+    asked = team.asked(source, planning.choices())
+    world = asked.load()
+    settings = asked.choices.settings(world.team.settings, world.pace)
     say(world.notes)
     with show_progress() as progress:
         answer = find_starts(
             world, team_size(world, robots), settings, choices, depot=depot, candidates=given,
-            source=named or "", words=what.words(source, Team(cell_size=cell_size), planning), progress=progress,
+            source=named or "", words=what.words(source, team, planning), progress=progress,
             doing=progress.doing,
         )  # fmt: skip
     if scenario_out is not None:
-        write_scenario(scenario_out, input_path(source), answer.starts, planning.choices().given(), cell_size)
+        write_scenario(
+            scenario_out, input_path(source), answer.starts, planning.choices().given(), world.pace, cell_size
+        )
         say([f"wrote {scenario_out}"])
     return deliver(answer, out=out, as_json=as_json)
 

@@ -34,8 +34,7 @@ def deliver(
     """
     from analysis.kit.progress import show_progress
     from analysis.report.answer import report_of
-    from analysis.report.face import as_json as json_of
-    from analysis.report.face import print_report, save_report
+    from analysis.report.face import json_of, print_report, save_report
 
     report, written = said or report_of(answer), list[Path]()
     if out is not None:
@@ -43,7 +42,7 @@ def deliver(
             progress.doing("pictures and page")
             written = save_report(report, out, command_line() if command is None else command)
     if as_json:
-        print_json(json_of(report.json()))
+        print_json(json_of(report))
     else:
         print_report(report, output_console())
     say([*notes, *(f"wrote {file}" for file in written)])

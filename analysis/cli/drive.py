@@ -14,12 +14,14 @@ from analysis.cli.deliver import DONE
 from analysis.cli.groups import PlanningToTheEnd, Team
 from analysis.cli.options import PLANNING, ROLLOUTS, Input, Number, OutPath, Whole, path
 from analysis.kit.notes import say
+from analysis.report.minutes import with_minutes
 from planner.arguments import FRACTION, whole
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from planner.files import Json
+    from planner.pace import Pace
 
 
 def drive(
@@ -73,19 +75,19 @@ def drive(
     if state is not None and state.exists():
         over = ended(state, world)
         if over is not None:
-            _tell([{"type": "end", **over}])
+            _tell([{"type": "end", **over}], world.pace)
             return DONE
         mission = DrivenMission.resume(state, world, made, **how)
-        say([f"going on from {state}, step {mission.step}"])
+        say([f"going on from {state}, {world.pace.step(mission.step)}"])
     else:
         mission = DrivenMission(world, made, **how)
     talk = Dialogue(mission, state, lambda: mission.outlook().to_json(), unasked=outlook)
-    _tell(talk.begin())
+    _tell(talk.begin(), world.pace)
     while line := sys.stdin.buffer.readline(LONGEST + 2):
-        _tell(talk.hear(line.decode("utf-8", "replace")))
+        _tell(talk.hear(line.decode("utf-8", "replace")), world.pace)
     return DONE
 
 
-def _tell(lines: Iterable[Json]) -> None:
+def _tell(lines: Iterable[Json], pace: Pace) -> None:
     for line in lines:
-        print(json.dumps(line, allow_nan=False, separators=(",", ":")), flush=True)  # noqa: T201
+        print(json.dumps(with_minutes(line, pace), allow_nan=False, separators=(",", ":")), flush=True)  # noqa: T201

@@ -16,7 +16,6 @@ DRIVING = Group("Driving", sort_key=3)
 Altitude = Annotated[
     Number, Parameter(group=DRIVING, help="qgc: metres above take-off, 0 for robots on the ground (default: 20).")
 ]
-Speed = Annotated[Number, Parameter(group=DRIVING, help="qgc: metres a second (default: 3).")]
 
 
 def export(
@@ -30,12 +29,12 @@ def export(
     plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path)] = None,
     state: StateFile = None,
     altitude: Altitude = None,
-    speed: Speed = None,
 ) -> int:
     """A plan for ground stations, nav2 and GIS: QGroundControl, poses, GeoJSON, KML, GPX, CSV, GeoTIFF.
 
     qgc and nav2 have a file a robot: FILE-0.plan, FILE-1.plan, ..., or robot-0.plan, ... in a folder. All but nav2, csv
-    and geotiff need a map that is georeferenced.
+    and geotiff need a map that is georeferenced. qgc's robots drive at --speed, or a cell in --step-seconds (default: 3
+    m/s).
 
     Args:
         out: File or folder to write.
@@ -52,6 +51,6 @@ def export(
     form, chosen = choose_format(out, to), planning.choices()
     world, made, notes = load_or_make_plan(team.asked(source, chosen), plan, state)
     say(notes)
-    written = export_mission(make_mission(world, made, altitude, speed), out, form, spare=input_path(source))
+    written = export_mission(make_mission(world, made, altitude, team.speed), out, form, spare=input_path(source))
     say([f"wrote {file}" for file in written])
     return DONE

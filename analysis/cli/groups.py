@@ -18,6 +18,7 @@ from analysis.cli.options import (
     Bound,
     CellSize,
     Checks,
+    Deadline,
     Engine,
     Exact,
     Hits,
@@ -30,7 +31,9 @@ from analysis.cli.options import (
     Numbers,
     RunLoop,
     Seed,
+    Speed,
     Starts,
+    StepSeconds,
     Text,
     Whole,
     Wholes,
@@ -63,6 +66,8 @@ class Team:
     robots: Annotated[Whole, Parameter(group=TEAM)] = None
     starts: Starts = None
     cell_size: CellSize = None
+    step_seconds: StepSeconds = None
+    speed: Speed = None
 
     def asked(self, source: str, choices: Choices) -> Asked:
         """A plan for them in an INPUT, with these settings."""
@@ -94,6 +99,12 @@ class Wanted:
     most: Annotated[Whole, Parameter(group=GOAL)] = None
     starts: Annotated[Text, Parameter(group=TEAM)] = None
     cell_size: CellSize = None
+    step_seconds: StepSeconds = None
+    speed: Speed = None
+
+    def team(self) -> Team:
+        """The largest of them."""
+        return Team(None, self.starts, self.cell_size, self.step_seconds, self.speed)
 
 
 class _Chosen:
@@ -106,7 +117,7 @@ class _Chosen:
 
 def _planner_options(name: str, group: Group, without: tuple[str, ...] = ()) -> Any:
     """A dataclass of an option for each of the planner's settings but some, None where it is not given."""
-    kinds: dict[str, Any] = {"whole": Whole, "wholes": Wholes, "number": Number, "numbers": Numbers}
+    kinds: dict[str, Any] = {"time": Deadline, "whole": Whole, "wholes": Wholes, "number": Number, "numbers": Numbers}
     options = []
     for key in [key for key in SETTINGS if key not in without]:
         setting = SETTINGS[key]
@@ -177,7 +188,7 @@ class Rollouts(_Rolled):
         mode: Luck by step in the open loop: one draw a robot (fast), or one a dangerous entry (step).
         rollouts: How many (default: 100000).
         precision: Instead of a number: stop when the half-width of the 95 % interval of mean coverage is below this.
-        deadline: Report coverage by the end of this step too.
+        deadline: Report coverage by the end of this step too, or by a time: 45min, 1h30min, 90s.
         engine: Which engine; the counts are the same. auto: numba, the faster one on a CPU.
         exact: Look for the closed loop's exact values, which small teams have: auto (about 2 s), never, or for about so
             many seconds; size: of each team.
@@ -188,7 +199,7 @@ class Rollouts(_Rolled):
     mode: Annotated[Mode, Parameter(group=ROLLOUTS)] = None
     rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
     precision: Annotated[Number, Parameter(group=ROLLOUTS)] = None
-    deadline: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    deadline: Annotated[Deadline, Parameter(group=ROLLOUTS)] = None
     seed: Seed = None
     engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     exact: Annotated[Exact, Parameter(group=ROLLOUTS)] = "auto"
@@ -242,7 +253,7 @@ class CommonLuck(_Rolled):
 
     Attributes:
         rollouts: The same for all that is compared (default: 4096).
-        deadline: End every mission at this step.
+        deadline: End every mission at this step, or by a time: 45min, 1h30min, 90s.
         engine: Which engine; the counts are the same (default: auto).
         luck: By which robots are stopped: step as before 0.3 (default: tolerance).
         exact: Instead of rollouts look for exact values, which small teams have: auto (about 2 s for all that is
@@ -250,7 +261,7 @@ class CommonLuck(_Rolled):
     """
 
     rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
-    deadline: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
+    deadline: Annotated[Deadline, Parameter(group=ROLLOUTS)] = None
     seed: Seed = None
     engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Hits = "every_visit"

@@ -12,6 +12,7 @@ from cyclopts import Group, Parameter, Token
 
 from planner.errors import UsageError
 from planner.luck_names import LUCKS, LuckName
+from planner.pace import SPANS, seconds_of
 from planner.rollouts.names import ENGINES, EngineName
 
 GOAL = Group("Goal", sort_key=0)
@@ -21,7 +22,7 @@ ROLLOUTS = Group("Rollouts", sort_key=3)
 SECOND = Group("B, where it differs from A", sort_key=4)
 SURVEY = Group("Survey", sort_key=4)
 OUTPUT = Group("Output", sort_key=5)
-STEPS = ("--deadline", "--b.deadline", "--max-steps", "--b.max-steps")
+STEPS = ("--max-steps", "--b.max-steps")
 """Options whose whole number is one of steps: minutes are none."""
 
 
@@ -35,9 +36,16 @@ def parse_whole(text: str, name: str) -> int:
     written = re.fullmatch(r"[+-]?[0-9]{1,30}(?:(?:_[0-9]{1,30}){0,10}|\.?[0-9]{0,30}e\+?[0-9]{1,2})", text.lower())
     value = Decimal(text.replace("_", "")) if written and text.isascii() else Decimal("nan")
     if not value.is_finite() or value != value.to_integral_value():
-        what = "a whole number of steps, as 450" if name in STEPS else "a whole number, as 100000, 100_000 or 1e5"
+        what = "a whole number, as 100000, 100_000 or 1e5"
+        what = SPANS if name == "--deadline" else "a whole number of steps, as 450" if name in STEPS else what
         raise UsageError(f"{name} {text!r}", expected=what)
     return int(value)
+
+
+def deadline(kind: Any, tokens: Sequence[Token]) -> int | str:
+    """A step, or a time in hours, minutes and seconds."""
+    text = tokens[0].value
+    return text if seconds_of(text) is not None else parse_whole(text, _name(tokens))
 
 
 def wholes(kind: Any, tokens: Sequence[Token]) -> int | tuple[int, ...]:
@@ -101,6 +109,7 @@ def _name(tokens: Sequence[Token]) -> str:
 
 
 Whole = Annotated[int | None, Parameter(converter=whole)]
+Deadline = Annotated[str | None, Parameter(converter=deadline)]
 Numbers = Annotated[str | None, Parameter(converter=numbers)]
 Wholes = Annotated[str | None, Parameter(converter=wholes)]
 Number = Annotated[float | None, Parameter(converter=number)]
@@ -132,6 +141,11 @@ CellSize = Annotated[
         help="Cells of a bare map in metres, the robot's footprint: the map is coarsened (default: its pixels).",
     ),
 ]
+StepSeconds = Annotated[
+    Number,
+    Parameter(group=TEAM, help="Seconds that a step takes: times are said in minutes too, and may be given so."),
+]
+Speed = Annotated[Number, Parameter(group=TEAM, help="Instead of --step-seconds: metres a second, a cell a step.")]
 RunLoop = Annotated[
     Loop,
     Parameter(

@@ -20,9 +20,11 @@ def print_plan(made: Plan, world: World, console: Console) -> None:
         said = plan_words(made)
     lost = 0 if made.state is None else made.state.lost
     team = f"{counted(len(made.robots), 'robot')}{f' ({lost} lost before)' if lost else ''}"
-    console.print(f"{team}, {said}, {span_words(made)}", highlight=False)
+    console.print(f"{team}, {said}, {span_words(made, world.pace)}", highlight=False)
     if made.settings is not None and made.settings.deadline is not None:
-        console.print(f"The mission ends at step {made.settings.deadline:,}, whatever is left.", highlight=False)
+        console.print(
+            f"The mission ends at {world.pace.step(made.settings.deadline)}, whatever is left.", highlight=False
+        )
     if means := bearing_words(made, world):
         console.print(f"Robots: {means}.", highlight=False)
     table = make_table(("robot", "start", "moves", "areas covered", "survives its path, %"))

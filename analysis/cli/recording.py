@@ -98,7 +98,7 @@ def record(
         what.request(foreign=planning.plan_for == "open")
     world, made, notes = load_or_make_plan(team.asked(source, planning.choices()), plan, state)
     own = plan is None and state is None
-    request = replace(what.request(made.is_foreign), made=own, scenario=scenario_text(source))
+    request = replace(what.request(made.is_foreign, world.pace.seconds), made=own, scenario=scenario_text(source))
     cut = None if state_at is None else state_of_rollout(world, made, request, state_at)
     say(notes)
     try:

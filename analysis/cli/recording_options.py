@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
-from analysis.cli.options import ROLLOUTS, Engine, Hits, Luck, RunLoop, Seed, Text, Whole, number
+from analysis.cli.options import ROLLOUTS, Engine, Hits, Luck, RunLoop, Seed, Text, Whole
 from planner.errors import UsageError
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ class Recording:
             ones; several with commas (default: median; not with --ids).
         rollouts: Evaluated for pick, tally and outcomes (default: 4096; with --ids and without --outcomes none).
         outcomes: Keep what every evaluated rollout came to.
-        step_seconds: Seconds of a step in the file (default: 1).
         engine: Which engine; the file is the same (default: auto, numba).
         luck: By which robots are stopped: tolerance, or step as before 0.3 (default: tolerance).
     """
@@ -38,15 +37,17 @@ class Recording:
     pick: Annotated[Text, Parameter(group=RECORDING)] = None
     rollouts: Annotated[Whole, Parameter(group=RECORDING)] = None
     outcomes: Annotated[bool, Parameter(group=RECORDING, negative="")] = False
-    step_seconds: Annotated[float | None, Parameter(group=RECORDING, converter=number)] = None
     loop: RunLoop = None
     seed: Seed = None
     engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Hits = "every_visit"
     luck: Annotated[Luck, Parameter(group=ROLLOUTS)] = "tolerance"
 
-    def request(self, foreign: bool) -> Request:
-        """The same as a plain type, checked, but for the plan's origin; `foreign`: of paths alone."""
+    def request(self, foreign: bool, step_seconds: float | None = None) -> Request:
+        """The same as a plain type, checked, but for the plan's origin.
+
+        `foreign`: of paths alone. `step_seconds`: of a step in the file; None: 1.
+        """
         from analysis.recording.contents import MOST_RECORDED
         from analysis.recording.pick import parse_ids, parse_picks
         from analysis.recording.rolling import Request
@@ -67,7 +68,7 @@ class Recording:
             engine=self.engine,
             first_only=self.threat_checks == "first_visit",
             luck=self.luck,
-            step_seconds=1.0 if self.step_seconds is None else self.step_seconds,
+            step_seconds=1.0 if step_seconds is None else step_seconds,
         )
         request.check()
         return request

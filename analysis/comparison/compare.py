@@ -192,6 +192,7 @@ def _short(value: object) -> object:
 
 def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:
     """A side, with its exact expected coverage where that is cheap. Raises InputError."""
+    choices = choices.timed(world.pace)
     check_deadline(plan, choices)
     exact = open_loop_exact(plan, world)
     if choices.loop == "open":

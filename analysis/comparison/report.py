@@ -14,6 +14,7 @@ from analysis.report.blocks import KeyFigure, Part, Report
 from analysis.statistics.estimate import proportion
 from analysis.statistics.words import between
 from planner.files import Json
+from planner.pace import UNPACED, Pace
 from planner.shown import counted
 
 SHOWN = {
@@ -39,6 +40,7 @@ def report(answer: Comparison) -> Report:
                  f"{counted(answer.rollouts, 'rollout')} on common random numbers, seed {a.choices.seed}"),
         took=[f"{rate:,.0f} rollouts a second of both"], parts=[Part("Figures", [_table(answer)], [COLUMNS])],
         notes=_notes(answer), warnings=["Interrupted: what was done so far."] * answer.partial,
+        pace=_pace(answer),
     )  # fmt: skip
 
 
@@ -88,15 +90,28 @@ def _said(side: Side) -> str:
     mode = "" if choices.luck == "tolerance" else f", {choices.drawn} mode"
     loop = f"open loop{mode}" if choices.loop == "open" else "closed loop"
     first = ", first visits only" if choices.first_only else ""
-    by = "" if choices.deadline is None else f", by step {choices.deadline}"
+    by = "" if choices.deadline is None else f", by step {choices.deadline}{side.world.pace.also(choices.deadline)}"
     who = f"{side.world.source}, {counted(len(plan.robots), 'robot')}"
     means = bearing_words(plan, side.world)
-    return f"{who}, {made}, {span_words(plan)}; {loop}{first}{by}{'; ' if means else ''}{means}"
+    return f"{who}, {made}, {span_words(plan, side.world.pace)}; {loop}{first}{by}{'; ' if means else ''}{means}"
+
+
+def _pace(answer: Comparison) -> Pace:
+    """How long a step takes, where it takes as long on both sides."""
+    pace = answer.a.world.pace
+    return pace if pace == answer.b.world.pace else UNPACED
+
+
+def _shown(answer: Comparison) -> list[tuple[str, str, float]]:
+    """Each row's figure, name and scale."""
+    pace = _pace(answer)
+    minutes = [("time", "time, minutes", pace.minutes)] * bool(pace)
+    return [*((figure, *about) for figure, about in SHOWN.items()), *minutes]
 
 
 def _key_figures(answer: Comparison) -> list[KeyFigure]:
     out = []
-    for figure, (name, scale) in SHOWN.items():
+    for figure, name, scale in _shown(answer):
         estimate = answer.difference(figure).estimate
         low, high = (scale * end for end in estimate.ci95)
         interval = "exact" if low == high else between(low, high)
@@ -111,7 +126,7 @@ def _table(answer: Comparison) -> Table:
     title = "; ".join(f"{name}: {', '.join(words)}" for name, words in differ if words)
     columns = ("", "A", "B", "B - A", "from", "to", *exactly, "sharper")
     table = make_table(columns, title or None, dropped=("sharper",), padding=(0, 1, 0, 0))
-    for figure, (name, scale) in SHOWN.items():
+    for figure, name, scale in _shown(answer):
         apart, exact = answer.difference(figure), known.get(figure)
         table.add_row(
             name,

@@ -41,11 +41,11 @@ def report(starts: Starts) -> Report:
         heading=(
             f"{map_words(starts.world, starts.cells, robots)}; {'one depot' if starts.depot else 'a start each'}",
             f"{counted(len(starts.candidates), 'candidate')}, {counted(len(starts.simulated), 'place')} simulated, "
-            + luck_words(choices, starts.engine, f"{counted(starts.rolled, 'rollout')}, {choices.rollouts:,} of the "
-                         f"last two{share}; "),
+            + luck_words(starts.world, choices, starts.engine, f"{counted(starts.rolled, 'rollout')}, "
+                         f"{choices.rollouts:,} of the last two{share}; "),
         ),
         picture=maps, parts=[Part("Places", [_table(starts)], _footnotes(starts))], notes=starts.notes,
-        settings=starts.settings.shown(), pictures={"starts.png": maps},
+        settings=starts.settings.shown(starts.world.pace), pace=starts.world.pace, pictures={"starts.png": maps},
         files={"plan.json": lambda: json_text(starts.plan().to_json(), compact=True)},
     )  # fmt: skip
 

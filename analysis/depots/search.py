@@ -57,6 +57,7 @@ def find_starts(
     An interruption (KeyboardInterrupt) while they are simulated leaves the best so far, `partial`; before the first
     was, it is raised again. Raises InputError.
     """
+    choices = choices.timed(world.pace)
     check_search(world, settings, choices, "a search for starts")
     say = doing or quiet
     cells, notes = candidate_cells(world, candidates, source)

@@ -28,9 +28,9 @@ def report(size: TeamSize) -> Report:
         "size", "size", f"{world.name}: how many robots for {_aim(size)}?", headline(size),
         lambda: _json(size), figures=_key_figures(size),
         heading=(f"{map_words(world, size.cells)}, so the target is {size.needed} of them",
-                 f"{size.choices.loop} loop, {luck_words(size.choices, size.engine)}"),
+                 f"{size.choices.loop} loop, {luck_words(world, size.choices, size.engine)}"),
         picture=lambda: chart, parts=[Part("Teams", [_table(size)], _footnotes(size))], notes=size.notes,
-        settings=size.settings.shown(), pictures={"size.png": lambda: [chart]},
+        settings=size.settings.shown(world.pace), pace=world.pace, pictures={"size.png": lambda: [chart]},
     )  # fmt: skip
 
 
@@ -88,7 +88,11 @@ def _aim(size: TeamSize) -> str:
 
 
 def _by(size: TeamSize) -> str:
-    return "" if size.choices.deadline is None else f" by step {size.choices.deadline}"
+    return (
+        ""
+        if size.choices.deadline is None
+        else f" by step {size.choices.deadline}{size.world.pace.also(size.choices.deadline)}"
+    )
 
 
 def _share(size: TeamSize) -> str:
@@ -184,19 +188,32 @@ def _title(size: TeamSize) -> str:
 
 def _table(size: TeamSize) -> Table:
     value = ["value"] * (size.world.value is not None)
-    names = ("robots", size.goal.meaning, "interval", "chance", "interval", *value, "time", "alive", "verdict")
+    pace, minutes = size.world.pace, ["minutes"] * bool(size.world.pace)
+    names = (
+        "robots",
+        size.goal.meaning,
+        "interval",
+        "chance",
+        "interval",
+        *value,
+        "time",
+        *minutes,
+        "alive",
+        "verdict",
+    )
     table = make_table(names, left=("verdict",), dropped=("time", "alive"), padding=(0, 1, 0, 0))
     ruled_out = [point for point in size.points if point.verdict is TeamVerdict.IMPOSSIBLE]
     if ruled_out:
         best = ruled_out[-1]
         sizes = "1" if len(ruled_out) == 1 else f"1..{best.robots}"
         below = (f"<= {100 * best.ideal_coverage:.2f}", "", f"<= {100 * best.ideal_chance:.2f}", "")
-        table.add_row(sizes, *below, *("" for _ in value), "", "", str(best.verdict))
+        table.add_row(sizes, *below, *("" for _ in (*value, *minutes)), "", "", str(best.verdict))
     for point in size.points:
         if point.coverage and point.chance and point.time and point.alive:
             cells = (*point.coverage.columns(100.0), *point.chance.columns(100.0))
             worth = [f"{100 * point.value.mean:.2f}" if point.value else "" for _ in value]
-            others = (*worth, f"{point.time.mean:.0f}", f"{point.alive.mean:.2f}")
+            times = [f"{pace.minutes * point.time.mean:,.1f}" for _ in minutes]
+            others = (*worth, f"{point.time.mean:.0f}", *times, f"{point.alive.mean:.2f}")
             table.add_row(str(point.robots), *cells, *others, str(point.verdict))
     return table
 

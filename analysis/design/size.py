@@ -199,6 +199,7 @@ def find_size(
     Raises InputError.
     """
     settings.check()
+    choices = choices.timed(world.pace)
     search = _Search(world, settings, goal, choices, progress, doing)
     robots, partial = None, False
     try:

@@ -43,7 +43,7 @@ def over_time(evaluation: Evaluation) -> Chart:
     return Chart(
         title="Expected coverage by the end of each step",
         series=(*own, *more),
-        x_name="step",
+        x_name=f"step{evaluation.world.pace.each}",
         y_name="share of the accessible cells, %",
         unit="%",
         at_x=((makespan, "makespan of the plan" if closed else "makespan"), *(m for m in marks if m[0] <= last)),
@@ -67,8 +67,8 @@ def over_time_words(evaluation: Evaluation) -> str:
     """How soon half and nine tenths of the final coverage are reached."""
     curve = evaluation.expected.visited_curve
     half, most = (int(np.searchsorted(curve, share * curve[-1] - 1e-9)) for share in (0.5, 0.9))
-    mean = " mean" if evaluation.loop == "open" else ""
-    return f"{evaluation.how_known}{mean}; half of the final coverage by step {half:,}, nine tenths by step {most:,}."
+    mean, step = " mean" if evaluation.loop == "open" else "", evaluation.world.pace.step
+    return f"{evaluation.how_known}{mean}; half of the final coverage by {step(half)}, nine tenths by {step(most)}."
 
 
 def distribution(evaluation: Evaluation, *, picture: bool = False) -> Sequence[Chart]:

@@ -55,6 +55,7 @@ def evaluate(
         bound: whether the bound for every strategy is worked out, as `flow` of `analysis.theory.any_strategy`.
         asked: further outputs by their key in `OUTPUTS`, with what its `measure` takes: `threat_scale=(0.5, 2)`.
     """
+    choices = choices.timed(world.pace)
     check_deadline(plan, choices)
     if world.doubt is not None and choices.luck == "step":
         choices = replace(choices, mode="step")
@@ -107,7 +108,7 @@ def evaluate(
         seconds=last.seconds,
         compile_seconds=last.compile_seconds,
         partial=partial,
-        notes=(*cut_off(last.tally, plan), *(() if partial else too_few(last, rolled))),
+        notes=(*cut_off(world, last.tally, plan), *(() if partial else too_few(last, rolled))),
         certain=certain,
         choices=choices,
         bound=bound,
@@ -145,11 +146,13 @@ def _metrics(world: World) -> str | None:
     return world.team.metrics or ("coverage" if says else None)
 
 
-def cut_off(tally: Tally, plan: Plan) -> tuple[str, ...]:
+def cut_off(world: World, tally: Tally, plan: Plan) -> tuple[str, ...]:
     """A note if rollouts were ended by the plan's deadline, or cut off at T_max: what they would cover is not known."""
     count = int(tally.outcomes[Outcome.TIMEOUT])
     if plan.settings is not None and plan.settings.deadline is not None:
-        return (f"the plan ends the mission at step {plan.settings.deadline:,}: the team is called home then",)
+        return (
+            f"the plan ends the mission at {world.pace.step(plan.settings.deadline)}: the team is called home then",
+        )
     if count == 0:
         return ()
     cut = f"{count:,} of {tally.rollouts:,} rollouts were cut off at the limit of steps (timeout)"

@@ -66,7 +66,7 @@ def report(evaluation: Evaluation, theory: bool = False) -> Report:
         settings=looked_at | _settings(evaluation),
         last=_in_lines(evaluation, looked_at),
         pictures=_pictures(evaluation, rest),
-        files={"plan.json": lambda: json_text(plan.to_json(), compact=True)},
+        files={"plan.json": lambda: json_text(plan.to_json(), compact=True)}, pace=world.pace,
     )  # fmt: skip
 
 
@@ -82,7 +82,7 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
         **({} if world.doubt is None else {"in doubt" if world.movers is None else "movers": world.doubt.said}),
         **({"what p means": evaluation.p_means} if evaluation.p_means else {}),
-        "plan": f"{plan.origin if plan.is_foreign else plan_words(plan)}, {span_words(plan)}",
+        "plan": f"{plan.origin if plan.is_foreign else plan_words(plan)}, {span_words(plan, world.pace)}",
         "rollouts": f"{whole}{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, "
         f"{evaluation.engine_said}",
     }
@@ -104,7 +104,7 @@ def _settings(evaluation: Evaluation) -> dict[str, object]:
     """What else the figures depend on, and how the map was read and the plan was made."""
     world, plan = evaluation.world, evaluation.plan
     out: dict[str, object] = {"map's name": world.name, "map's SHA-256": f"{world.sha256[:16]}..."}
-    out |= {} if plan.settings is None else plan.settings.shown()
+    out |= {} if plan.settings is None else plan.settings.shown(world.pace)
     for found in evaluation.blocks:
         out |= found.settings
     noted = {"how the map was read": world.notes, "how the plan was made": plan.notes}
@@ -124,7 +124,7 @@ def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
         *([] if found.assured is None else [runs]),
         KeyFigure(f"{complete} %", "chance to visit every cell", likely),
         KeyFigure(lost, "robots lost", lost_between),
-        KeyFigure(f"{time} steps", "mean time", steps),
+        KeyFigure(f"{time} steps", "mean time", steps + evaluation.world.pace.also(evaluation.time.mean)),
     ]
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.theory.reachable import moves_left, within
+from planner.pace import Pace
 from planner.plans.plan import Plan
 from planner.worlds.world import World
 
@@ -22,17 +23,19 @@ class Rest:
         kinds: int64 `[H, W]`, of accessible cells: TO_DO; BEFORE, visited in the state; BEYOND, further than any robot
             alive has moves for. step: of the state; None: it is the whole mission.
         limited: there is a range. ended: robots at the end of theirs in the nominal run.
+        pace: how long a step takes, if that is known.
     """
 
     kinds: NDArray[np.int64]
     step: int | None
     limited: bool
     ended: int
+    pace: Pace
 
     @property
     def title(self) -> str:
         """Of the section and the picture."""
-        parts = [] if self.step is None else [f"Going on from step {self.step:,}"]
+        parts = [] if self.step is None else [f"Going on from {self.pace.step(self.step)}"]
         return ", ".join([*parts, *["what the range leaves" if parts else "What the range leaves"] * self.limited])
 
 
@@ -53,4 +56,4 @@ def rest_of(world: World, plan: Plan) -> Rest | None:
         kinds.reshape(-1)[plan.state.visited] = BEFORE
     made = [int((np.diff(robot.path) != 0).sum()) for robot in plan.robots]
     ended = 0 if moves is None else sum(own >= most for own, most in zip(made, moves, strict=True))
-    return Rest(kinds, None if plan.state is None else plan.state.step, moves is not None, ended)
+    return Rest(kinds, None if plan.state is None else plan.state.step, moves is not None, ended, world.pace)

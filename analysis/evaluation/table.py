@@ -82,6 +82,9 @@ def _chances_table(evaluation: Evaluation) -> Table:
     known = "" if math.isnan(exact.expected_losses) else lost_words(exact.expected_losses, robots)
     _add(table, evaluation, "robots lost", known, found.losses.columns())
     _add(table, evaluation, "time, steps", known_words(exact.mean_time, "{:,.1f}"), found.time.columns())
+    if pace := evaluation.world.pace:
+        known = known_words(pace.minutes * exact.mean_time, "{:,.1f}")
+        _add(table, evaluation, "time, minutes", known, found.time.columns(pace.minutes))
     return table
 
 

@@ -63,7 +63,8 @@ def chances_words(evaluation: Evaluation) -> str:
     """How often every cell is visited, and how long a run takes, in one sentence."""
     done = evaluation.figures.complete
     where = {0.0: _none(done.rollouts), 1.0: _each(done.rollouts)}.get(done.mean) or f"{done.share} of runs"
-    time = f"a run takes {evaluation.time.mean:,.0f} steps on average"
+    steps = evaluation.time.mean
+    time = f"a run takes {steps:,.0f} steps{evaluation.world.pace.also(steps)} on average"
     return f"Every accessible cell is visited in {where}; {time}."
 
 
@@ -113,9 +114,9 @@ def certain_headline(evaluation: Evaluation) -> str:
     """The answer where nothing can happen: one run is all of them."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
     covered, steps = 100 * evaluation.closed_form.visited / tally.accessible, int(np.flatnonzero(tally.time)[0])
-    who = counted(robots, "robot visits", "robots visit")
+    who, long = counted(robots, "robot visits", "robots visit"), evaluation.world.pace.steps(steps)
     return (
-        f"{who} {covered:.2f} % of the accessible cells in {counted(steps, 'step')} and none is lost: no cell on the "
+        f"{who} {covered:.2f} % of the accessible cells in {long} and none is lost: no cell on the "
         "way is dangerous, so every run is the same and 1 rollout is enough."
     )
 
@@ -176,8 +177,8 @@ def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
         before = int((kinds == BEFORE).sum())
         more = evaluation.visited.mean * cells - before
         yield (
-            f"By step {plan.state.step:,}, where this goes on, {before:,} of {cells:,} accessible cells "
-            f"({share(before, cells)}) were visited and {plan.state.lost} of {robots} lost. Of the "
+            f"By {evaluation.world.pace.step(plan.state.step)}, where this goes on, {before:,} of {cells:,} accessible "
+            f"cells ({share(before, cells)}) were visited and {plan.state.lost} of {robots} lost. Of the "
             f"{cells - before:,} left {more:,.1f} are visited on average."
         )
     if rest.limited:

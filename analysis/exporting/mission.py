@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from planner.arguments import Numbers
+from planner.pace import SPEEDS
 from planner.plans.plan import Plan, last_move
 from planner.worlds.world import World
 
@@ -19,7 +20,7 @@ DEGREES = 9
 """Decimals of longitude and latitude: a tenth of a millimetre."""
 ALTITUDE, SPEED = 20.0, 3.0
 """Metres above the place of take-off, and metres a second, where nobody says."""
-HIGHEST, FASTEST = 10_000.0, 1_000.0
+HIGHEST = 10_000.0
 
 
 class Stop(NamedTuple):
@@ -47,7 +48,7 @@ class Mission:
     def check(self) -> None:
         """Raise UsageError for an altitude or a speed that nothing flies, PlanError for the plan of another map."""
         Numbers(0, HIGHEST, "metres above the ground").check("altitude", self.altitude)
-        Numbers(0, FASTEST, "metres a second", above=True).check("speed", self.speed)
+        SPEEDS.check("speed", self.speed)
         self.plan.require(self.world)
 
     @cached_property
@@ -70,8 +71,10 @@ class Mission:
 
 
 def make_mission(world: World, plan: Plan, altitude: float | None = None, speed: float | None = None) -> Mission:
-    """A mission, checked; what is None is ALTITUDE and SPEED. Raises InputError."""
-    mission = Mission(world, plan, ALTITUDE if altitude is None else altitude, SPEED if speed is None else speed)
+    """A mission, checked; what is None is ALTITUDE, and what the world says or SPEED. Raises InputError."""
+    if speed is None:
+        speed = SPEED if world.pace.seconds is None else world.cell_size / world.pace.seconds
+    mission = Mission(world, plan, ALTITUDE if altitude is None else altitude, speed)
     mission.check()
     return mission
 

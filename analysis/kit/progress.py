@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from analysis.kit.compiling import say_when_compiling
 from analysis.kit.notes import say
 from analysis.kit.safe_console import SafeConsole
-from analysis.kit.words import duration
+from planner.shown import duration
 
 FIRST, EVERY = 1.0, 2.0
 """Seconds after which a run that nobody watches says where it is, first and then again. Together no more than 3: so

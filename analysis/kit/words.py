@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from planner.shown import counted
 
 if TYPE_CHECKING:
+    from planner.pace import Pace
     from planner.plans.plan import Plan
     from planner.worlds.world import World
 
@@ -18,13 +19,13 @@ def plan_words(plan: Plan) -> str:
     return f"{counted(len(plan.areas), 'area')}{shared}; {plan.ends}"
 
 
-def span_words(plan: Plan) -> str:
+def span_words(plan: Plan, pace: Pace) -> str:
     """ "makespan 1,315 steps"; a run that ends before all is covered ends STUCK_AFTER steps after the last move."""
     from planner.mrac.executive import STUCK_AFTER
 
     if plan.outcome in ("called_off", "stuck"):
-        return f"the last move is at step {plan.makespan:,}, the end {STUCK_AFTER} steps later"
-    return f"makespan {plan.makespan:,} steps"
+        return f"the last move is at {pace.step(plan.makespan)}, the end {STUCK_AFTER} steps later"
+    return f"makespan {plan.makespan:,} steps{pace.also(plan.makespan)}"
 
 
 def bearing_words(plan: Plan, world: World) -> str:
@@ -39,17 +40,6 @@ def bearing_words(plan: Plan, world: World) -> str:
         f"{bearing.said}: p is a dose, of which a visit adds -ln(1 - p); the first visit of the worst cell, "
         f"p = {100 * worst:.3g} %, stops a fresh robot with {fresh}"
     )
-
-
-def duration(seconds: float) -> str:
-    """Seconds as "40 s", "2 min 5 s" or "1 h 20 min"."""
-    whole = max(round(seconds), 1)
-    if whole < 60:
-        return f"{whole} s"
-    larger, unit, smaller, rest = (whole // 60, "min", "s", whole % 60) if whole < 3600 else (
-        whole // 3600, "h", "min", whole % 3600 // 60
-    )  # fmt: skip
-    return f"{larger} {unit}" + (f" {rest} {smaller}" if rest else "")
 
 
 def share(count: int, of: int, digits: int = 1) -> str:

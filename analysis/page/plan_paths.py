@@ -62,7 +62,7 @@ def plan_map_html(
     note = "" if robots <= LISTED else f"{counted(robots, 'line')}: one a robot."
     if lines is None:
         note = "The paths are too long to be drawn here."
-    packed = packed_runs(runs, world.accessible(plan.starts))
+    packed = packed_runs(runs, world.accessible(plan.starts), world.pace)
     return block("plan_map", maps, packed, about, [] if note else whose, note)
 
 

@@ -21,6 +21,7 @@ function player(group) {
   if (!script || !window.DecompressionStream) return;
   const about = JSON.parse(script.textContent), [rows, cols] = about.shape, known = new Map();
   const lines = [...box.querySelectorAll(".paths path")];
+  const told = (step) => written(step, 0) + (about.seconds ? " (" + spoken(step * about.seconds) + ")" : "");
   const veil = make("canvas", "veil"), context = veil.getContext("2d");
   veil.width = cols;
   veil.height = rows;
@@ -110,18 +111,18 @@ function player(group) {
     });
     const gone = run.lost.map((at, robot) => [at, robot]).filter(([at]) => at >= 0 && at <= step).sort((a, b) => a[0] - b[0]);
     const part = written((100 * covered) / about.accessible, 1), left = marks.length - gone.length;
-    const names = gone.slice(-6).map(([at, robot]) => "robot " + robot + " at step " + written(at, 0));
+    const names = gone.slice(-6).map(([at, robot]) => "robot " + robot + " at step " + told(at));
     const lost = names.length ? " Lost: " + (gone.length > 6 ? "... " : "") + names.join(", ") + "." : "";
     slider.value = step;
-    slider.setAttribute("aria-valuetext", "step " + step + ", " + part + " % covered, " + left + " robots left");
-    said.textContent = "Step " + written(step, 0) + " of " + written(run.time, 0) + ": " + written(covered, 0) + " of "
+    slider.setAttribute("aria-valuetext", "step " + told(step) + ", " + part + " % covered, " + left + " robots left");
+    said.textContent = "Step " + told(step) + " of " + told(run.time) + ": " + written(covered, 0) + " of "
       + written(about.accessible, 0) + " cells (" + part + " %) covered, " + left + " of " + marks.length + " robots left." + lost;
   }
   tellers.set(box, (row, col) => {
     const cell = row * cols + col;
     if (!replay) return [];
     const when = replay.when[cell];
-    return [["", "in this run", when < 0 ? "not covered" : "step " + written(when, 0), when < 0 ? "" : "robot " + replay.who[cell]]];
+    return [["", "in this run", when < 0 ? "not covered" : "step " + told(when), when < 0 ? "" : "robot " + replay.who[cell]]];
   });
 
   // --- playing: a run takes some 20 seconds, a short one less ---

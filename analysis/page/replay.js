@@ -64,3 +64,12 @@ function trail(robot, step, cols) {
   const rest = down ? "v" + down : across ? "h" + across : strokes === 1 ? "h0" : "";
   return robot.letters.slice(0, strokes).join("") + rest;
 }
+
+// Seconds in words, as planner/pace.py says them.
+function spoken(seconds) {
+  const whole = Math.round(seconds), [large, unit, small, rest] = whole < 3600 ? [60, " min", " s", 1] : [3600, " h", " min", 60];
+  if (seconds < 9.5) return Number(seconds.toPrecision(2)) + " s";
+  if (whole < 60) return whole + " s";
+  const more = Math.floor((whole % large) / rest);
+  return Math.floor(whole / large) + unit + (more ? " " + more + small : "");
+}

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.pictures.robots import lane
 from planner.files import Json
+from planner.pace import UNPACED, Pace
 
 MOST_LETTERS = 600_000
 """Of all runs together in the page; runs beyond it are left out, the last first."""
@@ -36,7 +37,7 @@ class Run:
     movers: NDArray[np.int64] | None = None
 
 
-def packed_runs(runs: Sequence[Run], accessible: NDArray[np.bool_]) -> Json:
+def packed_runs(runs: Sequence[Run], accessible: NDArray[np.bool_], pace: Pace = UNPACED) -> Json:
     """What the script plays, inert; `accessible`: bool `[H, W]`. Nothing where not even the first run has room."""
     packed, letters = [], 0
     for run in runs:
@@ -49,7 +50,8 @@ def packed_runs(runs: Sequence[Run], accessible: NDArray[np.bool_]) -> Json:
         return {}
     robots = runs[0].cells.shape[1]
     shifts = [round(lane(robot, robots), 3) for robot in range(robots)]
-    return {"shape": accessible.shape, "accessible": int(accessible.sum()), "shifts": shifts, "runs": packed}
+    told = {"shape": accessible.shape, "accessible": int(accessible.sum()), "shifts": shifts, "runs": packed}
+    return told | ({"seconds": pace.seconds} if pace else {})
 
 
 def pack(run: Run, width: int) -> Json:

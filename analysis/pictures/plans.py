@@ -48,7 +48,7 @@ def _draw(axes: Axes, world: World, plan: Plan | None, more: str) -> Key:
     unreachable = int(world.free.sum() - accessible.sum())
     return Key(
         title=_title(plan, int(accessible.sum()), "free" if starts is None else "accessible", levels),
-        subtitle=f"{world.shape[0]} x {world.shape[1]} map{_how_long(plan)}"
+        subtitle=f"{world.shape[0]} x {world.shape[1]} map{_how_long(world, plan)}"
         + (f"; {counted(unreachable, 'free cell')} out of reach" if unreachable else "")
         + more,
         label=(
@@ -90,11 +90,11 @@ def _draw_plan(axes: Axes, plan: Plan, points: float) -> None:
         _draw_path(axes, plan, robot, points)
 
 
-def _how_long(plan: Plan | None) -> str:
+def _how_long(world: World, plan: Plan | None) -> str:
     return (
         ""
         if plan is None
-        else f"; {plan.origin + ', ' if plan.is_foreign else ''}makespan {counted(plan.makespan, 'step')}"
+        else f"; {plan.origin + ', ' if plan.is_foreign else ''}makespan {world.pace.steps(plan.makespan)}"
     )
 
 

@@ -23,6 +23,7 @@ from planner.arguments import argument
 from planner.errors import UsageError
 from planner.files import why_no_file
 from planner.mrac.reference import ReferenceLoop
+from planner.pace import UNPACED, Pace
 from planner.plans.plan import Plan, is_certain
 from planner.plans.state import MissionState
 from planner.tally import Tally
@@ -60,6 +61,7 @@ class Recorded(Answer):
         rows: the rollouts in full. first: the trace of the first of them.
         partial: it was interrupted; `rows` are those that were done, and the file is marked.
         bytes: the file's size. evaluate_seconds, record_seconds: spent on evaluating, and on the rollouts in full.
+        pace: how long a step takes, if the world knows.
     """
 
     listed: ClassVar[str] = "rollouts"
@@ -72,6 +74,7 @@ class Recorded(Answer):
     bytes: int = 0
     evaluate_seconds: float = 0.0
     record_seconds: float = 0.0
+    pace: Pace = UNPACED
 
     @property
     def steps(self) -> int:
@@ -93,7 +96,7 @@ def record(
     request.check()
     if not request.outcomes and request.evaluated and is_certain(world, plan, request.loop):
         request = replace(request, evaluated=1)  # every run is the same: whatever is picked is rollout 0
-    engine, began, done = engine_of(world, plan, request), time.perf_counter(), Recorded(Path(path))
+    engine, began, done = engine_of(world, plan, request), time.perf_counter(), Recorded(Path(path), pace=world.pace)
     log = LogWriter(path, chunk_size=CHUNK_SIZE, discard=True)
     try:
         with log:

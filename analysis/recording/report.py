@@ -33,20 +33,29 @@ def report(done: Recorded) -> Report:
     return Report(
         "record", "record", str(done.path), f"{done.path}: {kept}", lambda: _recorded_json(done),
         heading=[f"{counted(done.tally.rollouts, 'rollout')} evaluated"],
-        parts=[Part("Rollouts in full", [_rollouts_table(done)])],
+        parts=[Part("Rollouts in full", [_rollouts_table(done)])], pace=done.pace,
     )  # fmt: skip
 
 
 def _rollouts_table(done: Recorded) -> Table:
-    cells = done.tally.accessible
-    columns = ("rollout", "picked as", "ends", "step", "visited, %", "survived, %", "alive", "events")
+    cells, pace = done.tally.accessible, done.pace
+    columns = (
+        "rollout",
+        "picked as",
+        "ends",
+        "step",
+        *["minutes"] * bool(pace),
+        "visited, %",
+        "survived, %",
+        "alive",
+        "events",
+    )
     table = make_table(columns, left=("picked as", "ends"), dropped=("events", "survived, %"))
     for row in done.rows:
         ends = "all lost" if row.outcome == "stopped" else row.outcome.replace("_", " ")
         shares = (f"{100 * count / cells:.1f}" for count in (row.visited, row.survived))
-        table.add_row(
-            str(row.rollout), ", ".join(row.picks), ends, str(row.time), *shares, str(row.alive), str(row.events)
-        )
+        times = (str(row.time), *[f"{pace.minutes * row.time:,.1f}"] * bool(pace))
+        table.add_row(str(row.rollout), ", ".join(row.picks), ends, *times, *shares, str(row.alive), str(row.events))
     return table
 
 

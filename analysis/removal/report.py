@@ -30,11 +30,11 @@ def report(clearing: Clearing) -> Report:
         heading=(
             f"{map_words(clearing.world, clearing.cells, robots)}, {counted(len(clearing.options), 'threat')} "
             f"({KINDS[clearing.remove]})",
-            luck_words(choices, clearing.engine,
+            luck_words(clearing.world, choices, clearing.engine,
                        f"{counted(choices.rollouts, 'rollout')} of the last two, the same ids for all; "),
         ),
         picture=lambda: _maps(clearing), parts=[Part("Threats", [_table(clearing)], _footnotes(clearing))],
-        notes=clearing.notes, settings=clearing.settings.shown(),
+        notes=clearing.notes, settings=clearing.settings.shown(clearing.world.pace), pace=clearing.world.pace,
         pictures={"clear.png": lambda: _maps(clearing, 0), "risk_paid.png": lambda: _maps(clearing, 2)},
     )  # fmt: skip
 

@@ -111,6 +111,7 @@ def find_clearing(
     leaves the picks so far, `partial`; before the first, it is raised again. `remove`: as of `threats_of`. Raises
     InputError.
     """
+    choices = choices.timed(world.pace)
     check_search(world, settings, choices, "a search for what to clear")
     chosen, threats, notes = threats_of(world, starts, settings.levels, remove)
     whole(1, len(threats), "a whole number of threats").check("count", count)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from analysis.kit.frames import frame_of
-from analysis.report.face import as_json, rows_of, save_report
+from analysis.report.face import json_of, rows_of, save_report
 from planner.shown import Rows, html_of, text_of
 
 if TYPE_CHECKING:  # NumPy comes with it, and `--help` with this file
@@ -27,7 +27,7 @@ class Answer:
 
     def to_json(self) -> Json:
         """The JSON object that the command prints."""
-        said: Json = as_json(report_of(self).json())
+        said: Json = json_of(report_of(self))
         return said
 
     def to_dataframe(self) -> Any:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.page.series import Chart
+from planner.pace import UNPACED, Pace
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ class Report:
         again: on what makes the same figures again, where that is not plain.
         json: the JSON object.
         pictures: by file name, drawn when they are written. files: the texts of others.
-        faults: what makes the command fail.
+        faults: what makes the command fail. pace: how long a step takes, if that is known: for the JSON object.
     """
 
     name: str
@@ -129,3 +130,4 @@ class Report:
     pictures: Mapping[str, Callable[[], Pictured]] = field(default_factory=dict)
     files: Mapping[str, Callable[[], str | bytes]] = field(default_factory=dict)
     faults: Sequence[Any] = ()
+    pace: Pace = UNPACED

@@ -14,6 +14,7 @@ from rich.console import Console
 from analysis.kit.folder import as_text, json_text, write_all
 from analysis.kit.tables import print_lines
 from analysis.report.blocks import Report
+from analysis.report.minutes import with_minutes
 from planner.shown import Rows
 
 WIDE = 140
@@ -33,6 +34,12 @@ def as_json(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return as_json(value.tolist())
     return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def json_of(report: Report) -> Any:
+    """The JSON object of a report, times in minutes too where a step has a length."""
+    said = with_minutes(as_json(report.json()), report.pace)
+    return said | {"step_seconds": report.pace.seconds} if report.pace else said
 
 
 def rows_of(report: Report) -> Rows:
@@ -65,7 +72,7 @@ def save_report(report: Report, folder: Path, command: str) -> list[Path]:
     pictures = {name: png_of(figure_of, report, name) for name in report.pictures}
     files: dict[str, str | bytes] = {
         f"{report.name}.txt": as_text(lambda console: print_report(report, console), WIDE),
-        f"{report.name}.json": json_text(as_json(report.json())),
+        f"{report.name}.json": json_text(json_of(report)),
         **{name: make() for name, make in report.files.items()},
     }
     page = page_of(report, command, pictures, sorted({**files, **pictures}))

@@ -30,9 +30,9 @@ def map_words(world: World, cells: int, robots: int = 0) -> str:
     return f"{world.name}: {size}" + (f"; {counted(robots, 'robot')}" if robots else "")
 
 
-def luck_words(choices: RolloutChoices, engine: str, rolled: str = "") -> str:
+def luck_words(world: World, choices: RolloutChoices, engine: str, rolled: str = "") -> str:
     """ "seed 0, numba", after what was `rolled` out; without an engine, that nothing was."""
-    ends = "" if choices.deadline is None else f", every mission ended at step {choices.deadline:,}"
+    ends = "" if choices.deadline is None else f", every mission ended at {world.pace.step(choices.deadline)}"
     return (f"{rolled}seed {choices.seed}, {engine}" if engine else EXACT) + ends
 
 

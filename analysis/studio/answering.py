@@ -78,7 +78,7 @@ class Board:
         """What the page is told; `maps`: chance covered and robots lost, `[N]` each."""
         world, cells = self.sketch.world, int(self.accessible.sum())
         figures = words.figures(cells, len(self.plan.robots), mean, losses, rollouts, self.exact)
-        figures += words.deadline_figures(self.sketch.deadline, by_deadline, self.exact, cells)
+        figures += words.deadline_figures(self.sketch.deadline, world.pace, by_deadline, self.exact, cells)
         covered, lost = (values.reshape(world.shape) for values in maps)
         layers = (
             CellLayer("Coverage", "", covered, COVERED, "%", digits=2),

@@ -6,7 +6,7 @@ import base64
 import binascii
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +65,7 @@ class Sketch:
         if moves is not None:
             team["range"] = list(moves) if isinstance(moves, tuple) else moves
         given = {name: value for name, value in self.settings.to_json().items() if name in SETTINGS}
+        given |= {"step": {"seconds": self.world.pace.seconds}} if self.world.pace else {}
         text = yaml.safe_dump({"map": {"file": raster.name}, "robots": team} | given, sort_keys=False)
         self.world.with_starts(None).save(raster)
         with atomic_write(out) as stream:
@@ -100,7 +101,7 @@ def read_sketch(body: bytes, first: Sketch) -> tuple[Sketch, Mapping[str, Key]]:
         _cells(keys["cells"], ground.shape), starts, ground.cell_size, ground.origin, ground.source,
         georeference=ground.georeference, value=ground.value, detect=ground.detect,
     )  # fmt: skip
-    deadline = None
+    world, deadline = replace(world, pace=ground.pace, measured=ground.measured), None
     if keys["deadline"].value is not None:
         deadline = keys["deadline"].number(whole(1, MAX_STEP, "a step"))
     return Sketch(world, robots if starts is None else len(starts), settings, deadline), keys

@@ -12,6 +12,7 @@ from analysis.statistics.estimate import Estimate
 from analysis.statistics.words import lost_words
 from analysis.theory.exact import OpenLoopExact
 from planner.arguments import exactly
+from planner.pace import Pace
 from planner.shown import counted
 
 WAITING = "..."
@@ -53,12 +54,14 @@ def figures(
     ]
 
 
-def deadline_figures(step: int | None, mean: Estimate | None, exact: OpenLoopExact, cells: int) -> list[Figure]:
+def deadline_figures(
+    step: int | None, pace: Pace, mean: Estimate | None, exact: OpenLoopExact, cells: int
+) -> list[Figure]:
     """Coverage by a deadline, if there is one."""
     if step is None:
         return []
     alone = f"open loop: {percent(exact.by_deadline(step)[0] / cells, 2)}, exact"
-    return [Figure(WAITING if mean is None else coverage(mean), f"covered by step {step:,}", alone)]
+    return [Figure(WAITING if mean is None else coverage(mean), f"covered by {pace.step(step)}", alone)]
 
 
 def command_words(out: Path, rollouts: int | None, precision: float, deadline: int | None, seed: int) -> str:

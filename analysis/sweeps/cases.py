@@ -131,8 +131,7 @@ class Places:
         else:
             count = case.robots if case.robots is not None else (world.team.robots or 1)
             starts, _ = place_starts(world, count, world.team.start)
-        settings = Settings(**case.choices.over(world.team.settings))
-        settings.check(case.name)
+        settings = case.choices.settings(world.team.settings, world.pace, case.name)
         return Team(world, starts, settings)
 
     def _planned(self, case: Case, world: World) -> Team:

@@ -12,7 +12,6 @@ from rich.table import Table
 
 from analysis.kit.folder import csv_text
 from analysis.kit.tables import make_table
-from analysis.kit.words import duration
 from analysis.page.series import COLOURS, Chart, Series
 from analysis.report.blocks import Part, Report
 from analysis.statistics.estimate import Estimate
@@ -22,7 +21,7 @@ from analysis.sweeps.rows import DIFFERENCES, EXACT, FIGURES, FRACTIONS, Row
 from analysis.sweeps.sweep import Sweep
 from planner.arguments import argument
 from planner.files import Json
-from planner.shown import counted
+from planner.shown import counted, duration
 
 NAMES = {
     "visited": "cells visited, of the accessible ones",

@@ -44,13 +44,14 @@ def report(front: Front) -> Report:
     choices, robots, picked = front.choices, len(front.starts), front.picked
     over_losses, over_time = _chart(front, "losses"), _chart(front, "time")
     prices = _prices(front)
-    settings = settings_of(front.settings, Setting("mrac")).shown()
+    settings = settings_of(front.settings, Setting("mrac")).shown(front.world.pace)
     return Report(
         "front", "front", asked(front.world, robots, "what does coverage cost?"), headline(front),
         lambda: _json(front), pick_lines(front), _key_figures(front),
         heading=(
             f"{map_words(front.world, front.cells, robots)}; {counted(len(front.points), 'setting')}, "
-            + luck_words(choices, front.engine, f"on the same {counted(choices.rollouts, 'rollout')} each, "),
+            + luck_words(front.world, choices, front.engine,
+                         f"on the same {counted(choices.rollouts, 'rollout')} each, "),
         ),
         picture=lambda: over_losses,
         parts=[
@@ -60,7 +61,7 @@ def report(front: Front) -> Report:
         ],
         notes=front.notes,
         settings={name: value for name, value in settings.items() if name not in ("policy", "reserve", "worth")},
-        pictures={"front.png": lambda: [over_losses, over_time]},
+        pictures={"front.png": lambda: [over_losses, over_time]}, pace=front.world.pace,
         files={} if picked is None
         else {"plan.json": lambda: json_text(front.plan_of(picked).to_json(), compact=True)},
     )  # fmt: skip
@@ -73,8 +74,8 @@ def headline(front: Front) -> str:
     if front.goal:
         return _picked(front)
     first, *most = front.priced
-    said = f"{_percent(first)} covered on average costs {_lost(first)} ({first.setting})"
-    said += "".join(f"; {_percent(point)} costs {_lost(point)} ({point.setting})" for point in most) + "."
+    said = f"{_percent(first)} covered on average costs {_lost(first)} ({_named(front, first)})"
+    said += "".join(f"; {_percent(point)} costs {_lost(point)} ({_named(front, point)})" for point in most) + "."
     return said + " Exact." * all(point.exact for point in front.priced)
 
 
@@ -88,15 +89,19 @@ def _picked(front: Front) -> str:
         bound = f"at most {again.most:.2f} lost" if by_losses else f"at least {100 * again.least:.2f} % covered"
         sure = "exact" if again.exact else f"95 %: {bound}"
         said = f"{_percent(again)} covered, {_lost(again)} lost on average"
-        return f"Best found with {limit}: {again.setting}. {said}; the limit is kept ({sure})."
+        return f"Best found with {limit}: {_named(front, again)}. {said}; the limit is kept ({sure})."
     if goal.pick([point.figures for point in front.points]) is not None:
         other = "more" if by_losses else "less"
         return f"No setting is sure to have {limit} (95 %): ask for a little {other}, or --rollouts for more."
     if by_losses:
         least = min(front.points, key=lambda one: (one.losses.mean, -one.coverage.mean))
-        return f"No setting has {limit}: the fewest are {least.losses.mean:.2f}, with {least.setting}."
+        return f"No setting has {limit}: the fewest are {least.losses.mean:.2f}, with {_named(front, least)}."
     most = max(front.points, key=lambda one: one.coverage.mean)
-    return f"No setting has {limit}: the most is {_percent(most)}, with {most.setting}."
+    return f"No setting has {limit}: the most is {_percent(most)}, with {_named(front, most)}."
+
+
+def _named(front: Front, point: Point) -> str:
+    return point.setting.said(front.world.pace)
 
 
 def _percent(point: Point) -> str:
@@ -117,7 +122,7 @@ def pick_lines(front: Front) -> list[str]:
     """How sure the figures of the headline are, and how to have them again."""
     told, again = _told(front), front.confirmed
     one = source_words(not all(point.exact for point in told))
-    lines = [f"{one if len(told) == 1 else point.setting}: {_fresh(point)}." for point in told]
+    lines = [f"{one if len(told) == 1 else _named(front, point)}: {_fresh(point)}." for point in told]
     if front.tried > 1 and again is not None:
         place = {2: "second", 3: "third"}.get(front.tried, f"{front.tried}th")
         lines.append(f"It is the {place} that was tried there; the 95 % holds with all tries.")
@@ -125,7 +130,9 @@ def pick_lines(front: Front) -> list[str]:
         lines.append(f"run it: {command_of(front, told[(len(told) - 1) // 2])}")
     if again is not None and again.setting.deadline is not None:
         end = again.setting.deadline
-        lines.append(f"The mission ends at step {end:,}, and so does its plan: bring the team home then.")
+        lines.append(
+            f"The mission ends at {front.world.pace.step(end)}, and so does its plan: bring the team home then."
+        )
     return lines
 
 
@@ -143,11 +150,14 @@ def command_of(front: Front, point: Point) -> str:
 def _key_figures(front: Front) -> list[KeyFigure]:
     again = front.confirmed
     if again is None:
-        return [share_figure(point.coverage, f"costs {_lost(point)}", f", {point.setting}") for point in front.priced]
+        return [
+            share_figure(point.coverage, f"costs {_lost(point)}", f", {_named(front, point)}") for point in front.priced
+        ]
+    steps = again.time.mean
     return [
         share_figure(again.coverage, "visited on average", "" if again.exact else ", fresh rollouts"),
         lost_figure(again.losses, len(front.starts)),
-        KeyFigure(f"{again.time.mean:,.0f} steps", "mean time", f"{again.setting}"),
+        KeyFigure(f"{steps:,.0f} steps{front.world.pace.also(steps)}", "mean time", _named(front, again)),
     ]
 
 
@@ -169,7 +179,7 @@ def _chart(front: Front, which: str) -> Chart:
             for name, points in shown
             if points
         ),
-        x_name="robots lost on average" if robots else "steps on average",
+        x_name="robots lost on average" if robots else f"steps on average{front.world.pace.each}",
         y_name="visited, % of the accessible cells",
         unit="%",
         digits=2,
@@ -188,21 +198,21 @@ def _prices(front: Front) -> Table:
     for mark in LANDMARKS:
         found = [front.cheapest(mark, *families) for families in PRICED]
         if any(found):
-            table.add_row(f"{100 * mark:g}", *("" if one is None else _price(one) for one in found))
+            table.add_row(f"{100 * mark:g}", *("" if one is None else _price(front, one) for one in found))
     return table
 
 
-def _price(point: Point) -> str:
-    setting = point.setting
+def _price(front: Front, point: Point) -> str:
+    setting, step = point.setting, front.world.pace.step
     at = ", ".join(f"{name} {value:g}" for name, value in setting.limits.items())
-    return f"{point.losses.mean:.2f} ({at or ('whole' if setting.deadline is None else f'step {setting.deadline:,}')})"
+    return f"{point.losses.mean:.2f} ({at or ('whole' if setting.deadline is None else step(setting.deadline))})"
 
 
 def _points(front: Front, whole: bool = False) -> Table:
     """The settings that no other covers as much as with as few robots lost, and the pick; `whole`: all of them."""
-    valued = front.world.value is not None
+    valued, pace = front.world.value is not None, front.world.pace
     columns = ("policy", "reserve", "worth", "ends at", "visited, %", "from .. to", *["value, %"] * valued, "lost",
-               "from .. to", "steps", "")  # fmt: skip
+               "from .. to", "steps", *["minutes"] * bool(pace), "")  # fmt: skip
     title = "All settings" if whole else "What coverage costs in robots"
     dropped = ("steps", "from .. to", "from .. to")
     table = make_table(columns, title, left=("policy", ""), dropped=dropped, padding=(0, 1, 0, 0))
@@ -210,9 +220,10 @@ def _points(front: Front, whole: bool = False) -> Table:
     for place in shown:
         point, setting = front.points[place], front.points[place].setting
         limits = ("" if value is None else f"{value:g}" for value in (setting.reserve, setting.worth))
-        end = "" if setting.deadline is None else f"{setting.deadline:,}"
+        end = "" if setting.deadline is None else f"{setting.deadline:,}{pace.also(setting.deadline)}"
         worth = () if point.value is None else (f"{100 * point.value.mean:.2f}",)
-        figures = (*point.coverage.columns(100.0), *worth, *point.losses.columns(), f"{point.time.mean:,.0f}")
+        times = (f"{point.time.mean:,.0f}", *[f"{pace.minutes * point.time.mean:,.1f}"] * bool(pace))
+        figures = (*point.coverage.columns(100.0), *worth, *point.losses.columns(), *times)
         mark = "pick" if place == front.pick else "efficient" if whole and front.efficient[place] else ""
         table.add_row(setting.policy, *limits, end, *figures, mark)
     return table

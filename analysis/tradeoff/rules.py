@@ -16,6 +16,7 @@ from analysis.statistics.coverage import TARGETS
 from analysis.statistics.words import meant_fraction
 from planner.arguments import Numbers, argument, exactly
 from planner.errors import UsageError
+from planner.pace import UNPACED, Pace
 from planner.worlds.world import World
 
 LANDMARKS = (*(tenth / 10 for tenth in range(1, 10)), 0.95, 0.99)
@@ -67,7 +68,11 @@ class Setting(NamedTuple):
         return {"policy": self.policy, "reserve": self.reserve, "worth": self.worth}
 
     def __str__(self) -> str:
-        cut = "" if self.deadline is None else f", ended at step {self.deadline:,}"
+        return self.said(UNPACED)
+
+    def said(self, pace: Pace) -> str:
+        """In words: "per_cell, worth 40, ended at step 120"."""
+        cut = "" if self.deadline is None else f", ended at {pace.step(self.deadline)}"
         return self.policy + "".join(f", {name} {value:g}" for name, value in self.limits.items()) + cut
 
     def options(self) -> list[str]:

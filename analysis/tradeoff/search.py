@@ -99,6 +99,8 @@ def find_front(
             expected=f"at most {MOST_ROLLOUTS // 2}: as many others check the pick",
         )
     check_goal(goal or Goal(), len(starts))
+    choices = choices.timed(world.pace)
+    choices = replace(choices, deadline=settings.deadline if choices.deadline is None else choices.deadline)
     search = _Search(world, starts, settings, choices, goal or Goal(), ladders or Ladders(), progress, doing)
     partial = False
     try:
@@ -145,7 +147,7 @@ def quick_points(
     that of the first is not counted, as code may be compiled in it: `clock`, in seconds. `kept`: where tables of this
     map are kept. Raises InputError.
     """
-    choices = replace(choices, exact="never")
+    choices = replace(choices, exact="never", deadline=settings.deadline)
     search = _Search(world, starts, settings, choices, Goal(), Ladders((), None, ()), None, doing)
     search.kept, begun = kept, math.inf
     if len(search.dangers):

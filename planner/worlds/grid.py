@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -86,6 +86,7 @@ class Grid:
         value, detect: float64 `[H, W]`, what pixels are worth, and how well a visit detects, or None.
         doubt: what a world file says is in doubt about its threats, or moves, or None.
         knowledge: what it says is true beside them, or None.
+        measured: the file says how large a pixel is; else it is presumed.
     """
 
     state: NDArray[np.uint8]
@@ -101,6 +102,7 @@ class Grid:
     detect: NDArray[np.float64] | None = None
     doubt: Hazard | Uncertain | Movers | None = None
     knowledge: Knowledge | None = None
+    measured: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +166,7 @@ def coarsen(grid: Grid, cell_size: float | None = None, unknown_free: bool = Fal
     own axes. Raises MapError when a cell is no whole number of pixels, or no whole cell fits.
     """
     (height, width), size = grid.frame.shape, grid.frame.size
+    grid = replace(grid, measured=grid.measured or cell_size is not None)
     ratio = _ratio(cell_size, grid)
     rows, cols = height // ratio, width // ratio
     if rows == 0 or cols == 0:

@@ -17,6 +17,7 @@ import yaml
 from planner.arguments import ANY, Numbers, did_you_mean, whole
 from planner.errors import InputError, ScenarioError, WorldError
 from planner.files import printable, why_no_file
+from planner.pace import seconds_of
 from planner.settings import Setting
 
 MAX_YAML_BYTES = 2**18
@@ -107,9 +108,11 @@ class Key:
         return [item.number(of, expected) for item in self.items(expected, exactly=count)]
 
     def setting(self, setting: Setting) -> Any:
-        """A value of one of the planner's settings, one for all robots or a list of one each where it may be that."""
+        """A value of one of the planner's settings: of one a robot a list too, of a step a time as `45min` too."""
         if setting.words:
             return self.choice(setting.words)
+        if setting.time and isinstance(self.value, str) and seconds_of(self.value) is not None:
+            return self.value
         value = tuple(self.value) if isinstance(self.value, list) else self.value
         if not setting.accepts(value):
             raise self.wrong(setting.expected("null"))

@@ -52,7 +52,7 @@ def world_grid(world: World) -> Grid:
     return Grid(
         state, world.frame, world.source, threat=world.threat, starts=world.starts, notes=world.notes,
         georeference=world.georeference, value=world.value, detect=world.detect, doubt=world.doubt,
-        knowledge=world.knowledge,
+        knowledge=world.knowledge, measured=world.measured,
     )  # fmt: skip
 
 
@@ -69,7 +69,7 @@ def _threat_raster(path: Path, cell_size: float | None) -> Grid:
     raster = read_raster(path, cell_size)
     size, origin = (1.0, (0.0, 0.0, 0.0)) if raster.frame is None else (raster.frame.size, raster.frame.origin)
     world = World.create(raster.values, None, size, origin, str(path), raster.notes, raster.georeference)
-    return replace(world_grid(world), bounds=raster.bounds)
+    return replace(world_grid(world), bounds=raster.bounds, measured=raster.frame is not None)
 
 
 def _field(path: Path, cell_size: float | None) -> Grid:
@@ -109,7 +109,8 @@ def read_movingai(path: Path) -> Grid:
             raise MapError(problem, source=path, expected=f"{width} as the header says")
     cells = np.frombuffer(b"".join(rows), dtype=np.uint8).reshape(height, width)
     free = np.isin(cells, np.frombuffer(MOVINGAI_FREE, dtype=np.uint8))
-    return Grid(np.where(free, FREE, OCCUPIED).astype(np.uint8), Frame((height, width), 1.0), str(path))
+    frame = Frame((height, width), 1.0)
+    return Grid(np.where(free, FREE, OCCUPIED).astype(np.uint8), frame, str(path), measured=False)
 
 
 def _movingai_header(lines: list[bytes], path: Path) -> tuple[int, dict[str, int]]:

@@ -46,7 +46,7 @@ def read_maps(path: Path, top: Key) -> World:
     notes = (f"cells that stop every visit (p = 1) and so count as obstacles: {lost}",) if lost else ()
     for key in keys["obstacles_location"].items("a list of [row, col]", least=0):
         threat[_cell(key, height, width)] = np.nan
-    world = World.create(threat, source=str(path), notes=notes)
+    world = replace(World.create(threat, source=str(path), notes=notes), measured=False)
     places = [_cell(key, height, width) for key in keys["agents_placement"].items("a list of [row, col]", least=0)]
     if "n_agents" in keys:
         count = keys["n_agents"].number(whole(1, MAX_ROBOTS))

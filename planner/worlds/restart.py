@@ -12,18 +12,26 @@ import yaml
 from numpy.typing import NDArray
 
 from planner.files import atomic_write
+from planner.pace import Pace
 from planner.worlds.keys import read_yaml
 from planner.worlds.maps import YAML
 from planner.worlds.scenario import SETTINGS
+from planner.worlds.timed import KEYS as TIMED
 
 
 def write_scenario(
-    out: Path, source: Path, starts: NDArray[np.int64], chosen: Mapping[str, Any], cell_size: float | None = None
+    out: Path,
+    source: Path,
+    starts: NDArray[np.int64],
+    chosen: Mapping[str, Any],
+    pace: Pace,
+    cell_size: float | None = None,
 ) -> None:
     """Write the scenario `source`, or one of the bare map `source`, to `out` with `starts` `[K, 2]`, whole or not.
 
     Files that it names are named from where `out` lies; comments are lost. chosen: settings by name,
-    of which those that a scenario can name replace its own. cell_size: of a bare map. Raises InputError.
+    of which those that a scenario can name replace its own. pace: where the source says none. cell_size: of a bare map.
+    Raises InputError.
     """
     top = read_yaml(source).value if source.suffix.lower() in YAML else None
     if isinstance(top, dict) and "map" in top:
@@ -32,6 +40,8 @@ def write_scenario(
         keys = {"map": {"file": _moved(source.name, source.parent, out.parent)}}
         keys |= {} if cell_size is None else {"cell_size": cell_size}
     keys |= {name: value for name, value in chosen.items() if name in SETTINGS}
+    if pace.seconds is not None and not keys.keys() & set(TIMED):
+        keys["step"] = {"seconds": pace.seconds}
     keys["robots"] = {"starts": starts.tolist()}
     with atomic_write(out) as stream:
         yaml.safe_dump(keys, stream, sort_keys=False, default_flow_style=None, width=120)

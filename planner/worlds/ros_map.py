@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -126,4 +126,4 @@ def image_grid(path: Path) -> Grid:
     """
     values, notes = _values("trinary", read_image(path), False, 0.65, 0.25)
     height, width = values.shape
-    return RosMap(values, Frame((height, width), 1.0), str(path), notes=notes).grid()
+    return replace(RosMap(values, Frame((height, width), 1.0), str(path), notes=notes).grid(), measured=False)

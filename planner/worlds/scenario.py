@@ -32,6 +32,8 @@ from planner.worlds.ros_map import read_datum
 from planner.worlds.sources import COMBINE
 from planner.worlds.starts import RULES
 from planner.worlds.threats import all_threats, one_source
+from planner.worlds.timed import KEYS as TIMED
+from planner.worlds.timed import pace_in
 from planner.worlds.values import layers
 from planner.worlds.world import MAX_ROBOTS, Team, World, check_starts
 from planner.worlds.wrong_maps import read_hazard, read_uncertain
@@ -40,12 +42,12 @@ DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
 IN_DOUBT = ("hazard", "uncertain", "movers")
 """Keys that say by what else than the threats robots are stopped, one of them at most."""
-SETTINGS = ("levels", "policy", "reserve", "worth", "plan_for", "wear")
+SETTINGS = ("levels", "policy", "reserve", "worth", "plan_for", "wear", "deadline")
 OF_ROBOTS = ("range", "susceptibility")
 """Settings of the planner that a scenario file may name, and those that stand under its key `robots`."""
 OPTIONAL = (
     "cell_size", "datum", "keepout", "robots", *IN_DOUBT, "plan_on", "value", "detect", *KNOWLEDGE,
-    *REPORTED, *SETTINGS,
+    *REPORTED, *TIMED, *SETTINGS,
 )  # fmt: skip
 """Keys that may be there."""
 SMALL_ROBOT = 0.2
@@ -157,7 +159,8 @@ def _elevation(keys: dict[str, Key], cell_size: float | None) -> Grid:
         resolution = keys["resolution"].number(CELL_SIZE)
         if raster.frame is not None:
             raise keys["resolution"].wrong(f"none: the file says that a pixel has {raster.frame.size:g} m")
-    return elevation_grid(raster, resolution, steepest)
+    grid = elevation_grid(raster, resolution, steepest)
+    return replace(grid, measured=raster.frame is not None or "resolution" in keys)
 
 
 def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
@@ -169,7 +172,8 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
         cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes), ground.grid.georeference,
         **layers(keys, ground),
     )  # fmt: skip
-    world = _in_doubt(replace(world, sources=apart), ground, keys)
+    world = replace(world, sources=apart, measured=ground.grid.measured)
+    world = _in_doubt(replace(world, pace=pace_in(keys, world)), ground, keys)
     if "wear" in keys:
         keys["wear"] = keys["wear"].mapping(("shape",))["shape"]
     asked = _settings(SETTINGS, keys)

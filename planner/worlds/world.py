@@ -17,6 +17,7 @@ from scipy import ndimage
 from planner.arguments import Numbers, argument, exactly
 from planner.errors import MapError, WorldError
 from planner.files import atomic_write, check_file, read_csv_grid, read_npy, read_npz
+from planner.pace import UNPACED, Pace, pace_of
 from planner.shown import html_of, text_of
 from planner.tolerance import exposure_of
 from planner.worlds.doubt import Draws, Hazard, Uncertain, doubt_in
@@ -71,6 +72,7 @@ class World:
             stops them is drawn from these. None: every visit is drawn for itself, from `threat`.
         sources: what `threat` was combined from, where a scenario names polygons, points or sites.
         knowledge: what is true, where robots are not told it: `threat` is then what they believe. None: they are.
+        measured: somebody said what `cell_size` is; else it is presumed. pace: how long a step takes, if that was said.
     """
 
     threat: NDArray[np.float32]
@@ -86,6 +88,8 @@ class World:
     doubt: Hazard | Uncertain | Movers | None = None
     sources: Sources | None = None
     knowledge: Knowledge | None = None
+    measured: bool = True
+    pace: Pace = UNPACED
 
     @staticmethod
     def create(
@@ -238,6 +242,14 @@ class World:
         worth = checked_layer(value, VALUE, free, self.source)
         return replace(self, value=worth, detect=checked_layer(detect, DETECT, free, self.source))
 
+    def with_pace(self, step_seconds: float | None = None, speed: float | None = None) -> World:
+        """The same world, a step of which takes so many seconds, or as long as a cell at so many metres a second.
+
+        With neither as it was. Raises UsageError, also for a speed where nobody said how large cells are.
+        """
+        found = pace_of(step_seconds, speed, self.cell_size if self.measured else None)
+        return replace(self, pace=found) if found else self
+
     def to_cells(self, points: ArrayLike) -> NDArray[np.int64]:
         """(row, col) int64 `[..., 2]` of the cells that hold points (x, y) in metres; they may lie off the map."""
         return self.frame.pixels(points)
@@ -255,6 +267,7 @@ class World:
             ),
             ("detect", "" if self.detect is None else f"{self.detect[free].mean():.3g} a visit, on average"),
             ("place", "" if self.georeference is None else f"in {self.georeference.crs[:60]}"),
+            ("step", f"{self.pace.seconds:g} s" if self.pace.seconds else ""),
             ("movers" if self.movers else "doubt", "" if self.doubt is None else self.doubt.said),
             ("told", "" if self.knowledge is None else self.knowledge.said),
             ("robots", team if self.starts is None else f"{len(self.starts)}, starts {self.starts[:8].tolist()}"),
@@ -380,9 +393,9 @@ def load_world_file(path: str | Path) -> World:
     if suffix == ".npz":
         return world_of(read_npz(path, 8 * MAX_CELLS), str(path))
     if suffix == ".npy":
-        return World.create(read_npy(path, MAX_CELLS), source=str(path))
+        return replace(World.create(read_npy(path, MAX_CELLS), source=str(path)), measured=False)
     values = read_csv_grid(path, MAX_CELLS)
-    return World.create(np.where(values == -1, np.nan, values), source=str(path))
+    return replace(World.create(np.where(values == -1, np.nan, values), source=str(path)), measured=False)
 
 
 def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
@@ -395,7 +408,8 @@ def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
     if "truth" in arrays:
         truth = _checked_threat(arrays["truth"], f"{source}: truth")[0]
         world = replace(world, knowledge=knowledge_in({**arrays, "truth": truth}, world.threat, source))
-    world = replace(world, doubt=movers_in(arrays, world.met, source) or doubt_in(arrays, world.met, source))
+    doubt = movers_in(arrays, world.met, source) or doubt_in(arrays, world.met, source)
+    world = replace(world, doubt=doubt, measured="cell_size" in arrays)
     return world.with_values(arrays.get("value"), arrays.get("detect"))
 
 

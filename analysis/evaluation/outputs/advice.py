@@ -74,7 +74,7 @@ class Advice(Output):
         choices = replace(run.choices, rollouts=rollouts, precision=None, deadline=None, engine="numba")
         losses = tally_mean(tally, "lost")
         coverage = tally_mean(tally, "visited", 1.0 / tally.accessible)
-        now = Setting(settings.rule.name, settings.reserve, settings.worth)
+        now = Setting(settings.rule.name, settings.reserve, settings.worth, settings.deadline)
         try:
             points = quick_points(
                 run.world, run.plan.starts, settings, choices, losses=losses.mean, kept=run.kept,

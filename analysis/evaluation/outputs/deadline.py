@@ -12,6 +12,7 @@ from analysis.evaluation.outputs.output import Blocks, Output, Run, coverage_row
 from analysis.kit.words import percent
 from analysis.theory.verdicts import MEANINGS
 from planner.files import Json
+from planner.pace import UNPACED, Pace
 from planner.tally import Tally
 
 
@@ -21,13 +22,14 @@ class Deadline(Output):
 
     Attributes:
         tally: of the rollouts cut off there. exact: the open loop's expected cells visited and survived by then.
-        certain: every run is the same.
+        certain: every run is the same. pace: how long a step takes, if that is known.
     """
 
     steps: int
     tally: Tally
     exact: tuple[float, float]
     certain: bool = False
+    pace: Pace = UNPACED
 
     @classmethod
     def measure(cls, asked: int, run: Run) -> Iterator[Self]:
@@ -36,7 +38,7 @@ class Deadline(Output):
         for stage in run.roll_out(choices, asked):
             tally = stage.tally
             run.progress(tally.rollouts, choices.rollouts, stage.seconds)
-        yield cls(asked, tally, run.exact.by_deadline(asked), run.certain)
+        yield cls(asked, tally, run.exact.by_deadline(asked), run.certain, run.world.pace)
 
     @cached_property
     def figures(self) -> Figures:
@@ -54,13 +56,14 @@ class Deadline(Output):
     def blocks(self) -> Blocks:
         found, cells = self.figures, self.tally.accessible
         reached, (lost, _) = found.visited.mean.mean * (1.0 / cells), found.losses.columns()
+        by = f"by step {self.steps}{self.pace.also(self.steps)}"
         who = "" if "robot" in lost else " robot" + "s" * (self.tally.robots != 1)
         return Blocks(
-            opens=[f"By step {self.steps:,}: {percent(reached)} visited, {lost}{who} lost on average."],
+            opens=[f"By {self.pace.step(self.steps)}: {percent(reached)} visited, {lost}{who} lost on average."],
             rows=[
-                coverage_row(f"{meaning} by step {self.steps}", getattr(found, meaning), cells, exact)
+                coverage_row(f"{meaning} {by}", getattr(found, meaning), cells, exact)
                 for meaning, exact in zip(MEANINGS, self.exact, strict=True)
             ],
             marks=[(self.steps, "deadline")],
-            settings={"deadline": f"step {self.steps:,}"},
+            settings={"deadline": self.pace.step(self.steps)},
         )

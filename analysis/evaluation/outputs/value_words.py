@@ -82,7 +82,8 @@ def _common(value: ValueFigures) -> Rows:
         if robots in _shown(value.tally.robots):
             yield _row(f"chance that {counted(robots, 'robot')} or more are left", chance, chance=True)
     for share, step in times_to(value.tally).items():
-        yield f"steps to {100 * share:g} % of the cells, on average", "never" if step is None else f"{step:,}", ""
+        when = "never" if step is None else f"{step:,}{value.world.pace.also(step)}"
+        yield f"steps to {100 * share:g} % of the cells, on average", when, ""
         if step is None:
             break
     yield f"coverage in the worst {100 * TAIL:g} % of runs (CVaR)", percent(value.cvar, 2), ""

@@ -146,7 +146,7 @@ class RolloutPicture:
         trace, frames = self._trace, self._frames
         robots, total = len(self._paths), int(self._accessible.sum())
         ended = f": {NOMINAL[trace.outcome.name.lower()]}" if step == trace.time else f" of {trace.time}"
-        self._title.set_text(f"Rollout {trace.rollout}, step {step}{ended}")
+        self._title.set_text(f"Rollout {trace.rollout}, step {step}{ended}{self._world.pace.also(step)}")
         visited = int(frames.visited[step])
         parts = [f"{percent(visited / total)} visited ({visited:,} of {counted(total, 'cell')})"]
         parts.append(f"{frames.alive_count[step]} of {counted(robots, 'robot')} alive")
