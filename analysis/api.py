@@ -245,6 +245,7 @@ def evaluate(
     deadline: int | str | None = None,
     first_visit: bool = False,
     threat_scale: Sequence[float] = (),
+    sense: Sequence[float] = (),
     bound: bool | None = None,
     band: bool = True,
     advice: bool = True,
@@ -274,6 +275,7 @@ def evaluate(
         deadline: a step at which coverage is reported too.
         first_visit: only the first visit of a cell by anybody can stop a robot.
         threat_scale: also if all threats are so many times the map's.
+        sense: also if robots that are not told the map see so many cells far, on the same luck; 0: blind.
         bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
         band: also sample how coverage grows over time, for `plots`.
         advice: also a quick front: what of the coverage costs no robot, and what the rest costs.
@@ -295,6 +297,7 @@ def evaluate(
     _check_world(world)
     _check_outputs(asked)
     asked |= {"threat_scale": tuple(threat_scale)} | ({} if metrics is None else {"value": metrics})
+    asked |= {"knowledge": tuple(sense)} if len(sense) else {}
     check_asked(world, **asked)
     asked |= {"band": band, "advice": advice}
     amount = how_much(rollouts, precision, seconds)

@@ -86,6 +86,7 @@ def evaluate(
     plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path)] = None,
     state: StateFile = None,
     threat_scale: Annotated[Text, Parameter(group=ROLLOUTS)] = None,
+    sense: Annotated[Text, Parameter(group=ROLLOUTS)] = None,
     metrics: Annotated[Metrics | None, Parameter(group=OUTPUT)] = None,
     bound: Bound = False,
     theory: Annotated[bool, Parameter(group=OUTPUT, negative="")] = False,
@@ -98,6 +99,7 @@ def evaluate(
     Args:
         plan: Evaluate this plan file instead of planning.
         threat_scale: Also if all threats are so many times the map's, the plan as it is: "0.5,1,2".
+        sense: Also if robots that are not told the map see so many cells far, on the same luck: "0,1,2,inf".
         metrics: What is found and left of what cells are worth, in the words of this field.
         bound: Also the bound for every strategy where it is dear, above 1,000 dangerous cells; as sharp as it gets
             above 500 accessible ones, and for one robot.
@@ -108,17 +110,19 @@ def evaluate(
     from analysis.cli.progress import load_or_make_plan
     from analysis.evaluation.evaluate import check_asked
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
+    from analysis.evaluation.outputs.knowledge import parse_ranges
     from analysis.evaluation.outputs.threat_scale import parse_scales
     from analysis.evaluation.report import report
     from analysis.kit.progress import show_progress
 
     team, planning, what = team or Team(), planning or Planning(), what or Timed()
-    scales = parse_scales(threat_scale)
+    scales, ranges = parse_scales(threat_scale), parse_ranges(sense)
     if plan is None:
         what.choices(planning.plan_for == "open", None)
     check_folder(out)
     wanted = team.asked(source, planning.choices())
     asked: dict[str, Any] = {"threat_scale": scales} | ({} if metrics is None else {"value": metrics})
+    asked |= {"knowledge": ranges} if ranges else {}
     world, made, notes = load_or_make_plan(wanted, plan, state, first=partial(check_asked, **asked))
     choices = what.choices(made.is_foreign, None)
     with show_progress() as progress:

@@ -37,6 +37,7 @@ from planner.plans.plan import Plan
 from planner.rollouts.engine import choose_engine
 from planner.shown import counted
 from planner.tally import Outcome, Tally
+from planner.worlds.learning import as_it_is
 from planner.worlds.world import World
 
 if TYPE_CHECKING:  # they take matplotlib
@@ -90,10 +91,15 @@ class Evaluation(Answer):
         """Cells of the world: total, free, accessible, and the dangerous ones among the accessible."""
         return {
             "total": self.world.threat.size,
-            "free": int(self.world.free.sum()),
+            "free": int(self.ground.free.sum()),
             "accessible": int(self.accessible.sum()),
-            "dangerous": int((self.accessible & (self.world.threat > 0)).sum()),
+            "dangerous": int((self.accessible & (self.ground.threat > 0)).sum()),
         }
+
+    @cached_property
+    def ground(self) -> World:
+        """The map as it is, whatever robots are told of it."""
+        return as_it_is(self.world)
 
     @cached_property
     def accessible(self) -> NDArray[np.bool_]:
@@ -145,7 +151,7 @@ class Evaluation(Answer):
         """What a page and pictures show cell by cell."""
         from analysis.evaluation.layers import layers_of
 
-        return layers_of(self.world, self.plan, self.accessible, self.expected, self.how_known, self.rest)
+        return layers_of(self.ground, self.plan, self.accessible, self.expected, self.how_known, self.rest)
 
     @cached_property
     def played(self) -> tuple[list[Run], str]:
@@ -161,8 +167,8 @@ class Evaluation(Answer):
 
     @property
     def settled(self) -> bool:
-        """Whether the map is one and known, every visit stops with its p: what formulas and bounds presume."""
-        return self.world.doubt is None and self.plan.bearing.is_plain
+        """Whether the map is one and told, every visit stops with its p: what formulas and bounds presume."""
+        return self.world.doubt is None and self.world.knowledge is None and self.plan.bearing.is_plain
 
     @cached_property
     def checks(self) -> list[Check]:

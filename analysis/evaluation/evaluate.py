@@ -131,6 +131,7 @@ def _wanted(choices: RolloutChoices, asked: dict[str, Any], world: World) -> dic
         raise UsageError(f"evaluate has no output `{unknown[0]}`", expected=f"one of {', '.join(OUTPUTS)}")
     given = {
         "deadline": choices.deadline,
+        "knowledge": None if world.knowledge is None else (world.knowledge.sense.range,),
         "map_doubt": isinstance(world.doubt, Uncertain),
         "value": _metrics(world),
     } | asked

@@ -28,38 +28,38 @@ def maps(evaluation: Evaluation) -> CellMaps:
     own = evaluation.layers
     more = [make() for found in evaluation.blocks for make in found.layers.values()]
     layers = [own.threat, own.chance, own.losses, own.left, *more, *own.areas]
-    return CellMaps(evaluation.world, evaluation.plan.starts, layers, anchor=CELLS)
+    return CellMaps(evaluation.ground, evaluation.plan.starts, layers, anchor=CELLS)
 
 
 def rest_map(evaluation: Evaluation, rest: Rest) -> CellMaps:
     """What is to do, what was done, what is too far, and the chance to cover each cell."""
     mixed = (rest.kinds[evaluation.accessible] != TO_DO).any()
     layers = [*(evaluation.layers.to_do if mixed else []), evaluation.layers.chance]
-    return CellMaps(evaluation.world, evaluation.plan.starts, layers)
+    return CellMaps(evaluation.ground, evaluation.plan.starts, layers)
 
 
 def plan_map(evaluation: Evaluation) -> CellMaps:
     """The map by threat with every robot's nominal path: what the answer is about, at the head of the page."""
-    world, plan = evaluation.world, evaluation.plan
+    world, plan = evaluation.ground, evaluation.plan
     return CellMaps(world, plan.starts, [evaluation.layers.plan], plan=plan, runs=evaluation.played, values_of=CELLS)
 
 
 def world_drawn(evaluation: Evaluation) -> Planned:
     """The world by threat level, areas and every robot's nominal path."""
     closed = "; paths: the nominal ones (no robot lost)" if evaluation.loop == "closed" else ""
-    return Planned(evaluation.world, evaluation.plan, closed)
+    return Planned(evaluation.ground, evaluation.plan, closed)
 
 
 def covered(evaluation: Evaluation) -> CellMaps:
     """The chance to cover each cell, with those below one half outlined."""
-    world, plan, chance = evaluation.world, evaluation.plan, evaluation.expected.visited_by_cell
+    world, plan, chance = evaluation.ground, evaluation.plan, evaluation.expected.visited_by_cell
     rare = np.flatnonzero(evaluation.accessible.ravel() & (chance < 0.5))
     return CellMaps(world, plan.starts, [evaluation.layers.chance], [("", rare, True)] if len(rare) else ())
 
 
 def losses(evaluation: Evaluation) -> CellMaps:
     """Robots lost in each cell, with the worst outlined and listed."""
-    world, lost = evaluation.world, evaluation.expected.stops_by_cell
+    world, lost = evaluation.ground, evaluation.expected.stops_by_cell
     worst = worst_of(lost, OUTLINED).tolist()
     places = [(*divmod(cell, world.shape[1]), lost[cell]) for cell in worst]
     listed = ("worst cells", *(f"[{row}, {col}]  {number:.3g}" for row, col, number in places))
@@ -70,14 +70,14 @@ def losses(evaluation: Evaluation) -> CellMaps:
 
 def with_route(evaluation: Evaluation, make: Callable[[], CellLayer]) -> CellMaps:
     """What an output adds, and the route that is to be safe."""
-    world, route = evaluation.world, evaluation.world.team.route
+    world, route = evaluation.ground, evaluation.ground.team.route
     parts = [] if route is None else [("route", route @ (world.shape[1], 1), True)]
     return CellMaps(world, evaluation.plan.starts, [make()], parts)
 
 
 def rest_picture(evaluation: Evaluation, rest: Rest) -> CellMaps:
     """The chance to cover each cell, with what is to do, what was done and what is too far outlined."""
-    world, starts = evaluation.world, evaluation.plan.starts
+    world, starts = evaluation.ground, evaluation.plan.starts
     kinds = np.where(evaluation.accessible, rest.kinds, NO_KIND).ravel()
     parts = [(name, np.flatnonzero(kinds == kind), False) for kind, name in enumerate(NAMES) if (kinds == kind).any()]
     return CellMaps(world, starts, [replace(evaluation.layers.chance, name=rest.title)], parts)

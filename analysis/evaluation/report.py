@@ -81,6 +81,7 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
         "map": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
         **({} if world.doubt is None else {"in doubt" if world.movers is None else "movers": world.doubt.said}),
+        **({} if world.knowledge is None else {"told": world.knowledge.said}),
         **({"what p means": evaluation.p_means} if evaluation.p_means else {}),
         "plan": f"{plan.origin if plan.is_foreign else plan_words(plan)}, {span_words(plan, world.pace)}",
         "rollouts": f"{whole}{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, "

@@ -90,7 +90,7 @@ def _chances_table(evaluation: Evaluation) -> Table:
 
 def worst_cells(evaluation: Evaluation) -> list[Table]:
     """The cells that cost most robots, and those that are covered least."""
-    world, expected = evaluation.world, evaluation.expected
+    world, expected = evaluation.ground, evaluation.expected
     accessible = np.flatnonzero(evaluation.accessible)
     chance, lost, threat = expected.visited_by_cell, expected.stops_by_cell, world.threat.ravel()
     least = accessible[np.argsort(chance[accessible], kind="stable")][:LISTED]

@@ -146,7 +146,7 @@ def quantile_words(evaluation: Evaluation) -> str:
 
 def cell_words(evaluation: Evaluation) -> Iterator[str]:
     """Where robots are lost, and what is missed."""
-    world, lost, chance = evaluation.world, evaluation.expected.stops_by_cell, evaluation.expected.visited_by_cell
+    world, lost, chance = evaluation.ground, evaluation.expected.stops_by_cell, evaluation.expected.visited_by_cell
     order, total = np.argsort(-lost, kind="stable"), float(lost.sum())
     if total > 0:
         row, col = divmod(int(order[0]), world.shape[1])

@@ -65,10 +65,12 @@ class Bounds:
 
 
 def all_bounds(plan: Plan, world: World) -> Bounds:
-    """Every formula of the paper for this plan, and the ideal of the team (in mid-mission: from here on); undefined
-    where the map is in doubt. Where robots wear, or are more or less susceptible, eqs. (1) and (4) alone hold as they
-    are (SPEC section 14)."""
-    if world.doubt is not None:
+    """Every formula of the paper for this plan, and the ideal of the team (in mid-mission: from here on).
+
+    Undefined where the map is in doubt, or robots are not told it. Where they wear, or are more or less susceptible,
+    eqs. (1) and (4) alone hold as they are (SPEC section 14).
+    """
+    if world.doubt is not None or world.knowledge is not None:
         return _nothing_known(plan)
     robots = chances_of(plan, world)
     gains = tuple(eq4(robot) for robot in robots)

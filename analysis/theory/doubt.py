@@ -43,7 +43,7 @@ def ways(plan: Plan, world: World) -> Iterator[Way] | None:
     if isinstance(doubt, Movers):
         return None
     if doubt is None or world.draws is None or not any(world.draws.bound[robot.path].any() for robot in plan.robots):
-        return iter([Way(1.0, [_entered(world.threat, robot) for robot in plan.robots])])
+        return iter([Way(1.0, [_entered(world.met, robot) for robot in plan.robots])])
     if isinstance(doubt, Uncertain):
         if doubt.whole:
             maps = map(doubt.threat_at, range(doubt.count))
@@ -62,7 +62,7 @@ def alone(plan: Plan, world: World) -> list[NDArray[np.float64]]:
         return [_by_level(robot, doubt) for robot in plan.robots]
     if isinstance(doubt, Hazard):
         return [_by_hazard(robot, doubt.q, doubt.h) for robot in plan.robots]
-    return [_entered(world.threat, robot) for robot in plan.robots]
+    return [_entered(world.met, robot) for robot in plan.robots]
 
 
 def _entered(values: NDArray[np.float32], robot: RobotPlan) -> NDArray[np.float64]:

@@ -168,13 +168,14 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
     `visited` and after it for `survived`. Cost: linear in the total length of the paths. Where the map is in doubt: the
     mean over the ways that it may be (`theory.doubt`); where they are too many, NaN in all that is not known. Where
     threats move robots are not independent: known of one robot alone, on maps that are not too large (`chances_among`).
+    Robots that are not told the map meet the true one; NaN for who would run into an obstacle.
     """
-    if world.doubt is None:
+    if world.doubt is None and world.knowledge is None:
         return exact_of(plan, chances_of(plan, world), world.threat.size)
     if world.movers is not None and len(plan.robots) == 1 and is_worth_it(world, plan.makespan):
         return exact_of(plan, [chances_among(plan.robots[0], world, plan.bearing)], world.threat.size)
-    plain = plan.bearing.is_plain
-    known = ways(plan, world) if plain or (isinstance(world.doubt, Uncertain) and world.doubt.whole) else None
+    doubt, plain = world.doubt, plan.bearing.is_plain
+    known = ways(plan, world) if plain or doubt is None or (isinstance(doubt, Uncertain) and doubt.whole) else None
     if known is None:
         return _of_each_alone(plan, world)
     sums: dict[str, NDArray[np.float64]] = {}

@@ -117,6 +117,11 @@ def _sense(key: Key) -> Given:
     return {name: one.value for name, one in key.mapping(("range",), optional=("sight",)).items()}
 
 
+def as_it_is(world: World) -> World:
+    """The true world, told; the world itself where robots are told it, or it is drawn."""
+    return replace(world, threat=world.met, knowledge=None)
+
+
 def as_planned(world: World, starts: ArrayLike) -> World:
     """The world that robots at `starts` `[K, 2]` plan on, known: what they believe once they have looked about.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from analysis.evaluation.outputs.advice import Advice
 from analysis.evaluation.outputs.band import Band
 from analysis.evaluation.outputs.deadline import Deadline
+from analysis.evaluation.outputs.knowledge import Knowledge
 from analysis.evaluation.outputs.map_doubt import MapDoubt
 from analysis.evaluation.outputs.output import Output
 from analysis.evaluation.outputs.threat_scale import ThreatScale
@@ -15,6 +16,7 @@ OUTPUTS: dict[str, type[Output]] = {
     "deadline": Deadline,
     "value": Value,
     "band": Band,
+    "knowledge": Knowledge,
     "map_doubt": MapDoubt,
     "advice": Advice,
 }

@@ -1,0 +1,218 @@
+"""What the map is worth to robots that are not told it: told, learning by what they see, and blind, on the same luck.
+
+Everything but the sensor is alike: the team that is told the map sees all of it at once (SPEC section 15).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf, isinf
+from typing import Self
+
+from analysis.evaluation.outputs.output import Blocks, Output, Run
+from analysis.kit.tables import make_table
+from analysis.kit.words import percent
+from analysis.page.cell_maps import CellLayer
+from analysis.page.plan_layers import threat_layer
+from analysis.page.series import Chart, Series
+from analysis.statistics.estimate import Estimate
+from analysis.trials.measured import Measured, Sampled
+from analysis.trials.told import only, told_of_drawn
+from analysis.trials.trial import Trial, alike
+from planner.arguments import argument
+from planner.errors import UsageError
+from planner.files import Json
+from planner.mrac.make_plan import allocated_plan
+from planner.plans.plan import Plan
+from planner.worlds.doubt import Uncertain
+from planner.worlds.knowledge import Knowledge as Unknown
+from planner.worlds.learning import with_sense
+from planner.worlds.sight import RANGE, Sense
+from planner.worlds.world import World
+
+MOST_RANGES = 20
+LEAST = 1024
+"""Rollouts of each sensor, where the evaluation had more than all of them together."""
+
+
+def parse_ranges(text: str | None) -> tuple[float, ...]:
+    """The ranges of "0,1,2,inf"; raises UsageError for what is no such list."""
+    expected = 'ranges in cells, such as "0,1,2,inf"'
+    try:
+        found = tuple(map(float, text.split(","))) if text else ()
+    except ValueError:
+        raise UsageError(f"{argument('sense')} {text!r}", expected=expected) from None
+    if len(found) > MOST_RANGES:
+        raise UsageError(f"{argument('sense')} has {len(found)} ranges", expected=f"{MOST_RANGES} at most")
+    for one in found:
+        RANGE.check("sense", one)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Team:
+    """What the team comes to if it sees so many cells far; `found`: on the same luck as the others."""
+
+    range: float
+    found: Measured
+
+    @cached_property
+    def coverage(self) -> Estimate:
+        """Visited on average, a fraction of the accessible cells."""
+        return self.found.mean("visited", 1.0 / self.found.largest("visited"))
+
+    def ahead(self, other: Team) -> Estimate:
+        """How much more of the cells it visits."""
+        return self.found.ahead(other.found, "visited", 1.0 / self.found.largest("visited"))
+
+    @property
+    def said(self) -> str:
+        """It in words."""
+        return {inf: "told the map", 0: "blind"}.get(self.range, f"see {self.range:g}")
+
+    def as_json(self) -> Json:
+        """Its figures."""
+        figures = {"coverage": self.coverage, "losses": self.found.mean("lost"), "time": self.found.mean("time")}
+        return {"range": _shown(self.range)} | {name: value.to_json() for name, value in figures.items()}
+
+
+def _shown(far: float) -> float | str:
+    return "inf" if isinf(far) else far
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge(Output):
+    """Teams with other eyes.
+
+    Attributes:
+        sense: the world's own. teams: by range, rising; the last one is told the map.
+        believed: the map as robots think that it is before they see anything.
+    """
+
+    sense: Sense
+    teams: tuple[Team, ...]
+    believed: CellLayer
+
+    @classmethod
+    def check(cls, asked: Sequence[float], world: World) -> None:
+        if world.knowledge is None:
+            with_sense(world, 0)  # says why there is nothing to sense
+            fix = "give a `truth` or a `prior`" if world.doubt is None else "give the scenario `sense: 0`"
+            raise UsageError(argument("sense", ",".join(map(str, asked))), expected="a map that robots learn", fix=fix)
+        for far in asked:
+            _seeing(world, far)
+
+    @classmethod
+    def measure(cls, asked: Sequence[float], run: Run) -> Iterator[Self]:
+        world, known = run.world, run.world.knowledge
+        if (
+            known is None
+            or run.choices.loop == "open"
+            or (isinstance(world.doubt, Uncertain) and not world.doubt.whole)
+        ):
+            return
+        blind = {0.0} if _may_be_blind(world, known) else set()
+        ranges = sorted({*map(float, asked), *blind, known.sense.range, inf})
+        done = run.last.tally.rollouts
+        count = max(min(done, LEAST), done // len(ranges))
+        choices = replace(run.choices, rollouts=count, precision=None, seconds=None, deadline=None)
+        settings, drawn = run.plan.require(world), world.doubt is not None
+        trials = []
+        for far in ranges[: len(ranges) - drawn]:
+            run.doing(f"the same team, {Team(far, None).said}")  # type: ignore[arg-type]
+            seeing = _seeing(world, far)
+            plan = run.plan if far == known.sense.range else allocated_plan(seeing, run.plan.starts, settings)
+            trials.append(Trial(seeing, plan, choices))
+        if drawn:
+            run.doing("the same team, told which map is true")
+            told, kept = told_of_drawn(world, run.plan, choices, count)
+            found: Sequence[Measured] = [*(only(trial.sample(0, count), kept) for trial in trials), told]
+        else:
+            found = alike(trials, 0, count)
+        yield cls(known.sense, tuple(map(Team, ranges, found)), _believed(world, run.plan))
+
+    @property
+    def told(self) -> Team:
+        """Robots that are told the map."""
+        return self.teams[-1]
+
+    @property
+    def learning(self) -> Team:
+        """The team that was evaluated."""
+        return next(team for team in self.teams if team.range == self.sense.range)
+
+    @property
+    def blind(self) -> Team | None:
+        """Robots that see nothing; None: they might run into what they do not believe."""
+        return self.teams[0] if self.teams[0].range == 0 else None
+
+    @property
+    def behind(self) -> str:
+        """What the figures rest on."""
+        found = self.told.found
+        return f"{found.rollouts:,} rollouts of each, the same luck" if isinstance(found, Sampled) else "exact"
+
+    def as_json(self) -> Json:
+        learning, blind = self.learning, self.blind
+        return {
+            "known": self.told.as_json(),
+            "learning": learning.as_json(),
+            "blind": None if blind is None else blind.as_json(),
+            "price_of_not_knowing": self.told.ahead(learning).to_json(),
+            "worth_of_sensing": None if blind is None else learning.ahead(blind).to_json(),
+            "curve": [team.as_json() | {"behind": self.told.ahead(team).to_json()} for team in self.teams],
+            "rollouts": self.told.found.rollouts,
+        }
+
+    def blocks(self) -> Blocks:
+        table = make_table(
+            ("robots that are", "visited %", "95 %", "told visit more", "lost", "steps"), "What to know is worth"
+        )
+        for team in self.teams:
+            behind = "" if team is self.told else self.told.ahead(team).said(100, " points")
+            lost, time = team.found.mean("lost"), team.found.mean("time")
+            table.add_row(team.said, *team.coverage.columns(100.0), behind, lost.columns()[0], f"{time.mean:.1f}")
+        note = f"what to know is worth: {self.behind}"
+        pictures = {} if len(self.teams) < 4 else {"sense.png": lambda: [self.chart()]}
+        return Blocks(
+            leads=list(self._leads()), tables=[table], notes=[note], pictures=pictures,
+            below=[self.chart()] if pictures else [], layers={"believed.png": lambda: self.believed},
+            settings={"knowledge": self.sense.said},
+        )  # fmt: skip
+
+    def _leads(self) -> Iterator[str]:
+        learning, blind = self.learning, self.blind
+        if learning is not self.told:
+            price = self.told.ahead(learning).said(100, " points")
+            told = percent(self.told.coverage.mean)
+            yield f"Robots that are told the map visit {told}: not knowing it costs {price}."
+        if blind is not None and blind is not learning:
+            worth = learning.ahead(blind).said(100, " points")
+            yield f"Robots that do not look visit {percent(blind.coverage.mean)}: to see is worth {worth}."
+
+    def chart(self) -> Chart:
+        """Coverage over how far robots see."""
+        near = [team for team in self.teams if not isinf(team.range)]
+        seen = Series.of("by how far robots see", [team.range for team in near], [team.coverage for team in near])
+        return Chart(
+            "What is a better sensor worth?", (seen,), "how far a robot sees, cells", "visited, % of the cells",
+            unit="%", at_y=((100 * self.told.coverage.mean, "told the map"),), x_whole=False, x_digits=1,
+        )  # fmt: skip
+
+
+def _seeing(world: World, far: float) -> World:
+    """The world of robots that see so far; as told where they see all."""
+    assert world.knowledge is not None
+    sight = world.knowledge.sense.sight and not isinf(far)
+    return with_sense(world, Sense(far, sight))
+
+
+def _believed(world: World, plan: Plan) -> CellLayer:
+    about = "The chance that one visit stops a robot, as robots think before they see anything; dark: an obstacle."
+    return replace(threat_layer(replace(world, knowledge=None, doubt=None), plan), name="As believed", about=about)
+
+
+def _may_be_blind(world: World, known: Unknown) -> bool:
+    return bool((known.free == world.free).all())
