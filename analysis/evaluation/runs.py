@@ -73,4 +73,5 @@ def run_of(name: str, trace: Trace, world: World, seed: int) -> Run:
     dead = trace.doing == Doing.DEAD
     told = world.movers is not None
     movers = ways_of_movers(world, seed, trace.rollout, len(trace.cells)) if told else None
-    return Run(name, trace.cells, np.where(dead.any(axis=0), dead.argmax(axis=0), NO_STEP), movers)
+    seen = None if world.knowledge is None else world.knowledge.first_seen(trace.cells, ~dead)
+    return Run(name, trace.cells, np.where(dead.any(axis=0), dead.argmax(axis=0), NO_STEP), movers, seen)

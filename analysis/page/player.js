@@ -16,16 +16,39 @@ function layers(group) {
   head.querySelector(".about").after(field);
 }
 
+// What hides the cells of a map until a step of each.
+function curtain(box, look, colour, rows, cols) {
+  const canvas = make("canvas", "veil " + look), context = canvas.getContext("2d"), at = (cell) => [cell % cols, Math.floor(cell / cols), 1, 1];
+  let order = [], steps = [], lifted = 0;
+  canvas.width = cols;
+  canvas.height = rows;
+  box.querySelector(".cells").after(canvas);
+  return {
+    hang(cells, when) {
+      [order, steps, lifted] = [cells, when, 0];
+      context.fillStyle = colour;
+      context.fillRect(0, 0, cols, rows);
+    },
+    lift(step) {
+      const most = upTo(steps, step);
+      for (; lifted < most; lifted++) context.clearRect(...at(order[lifted]));
+      for (; lifted > most; lifted--) context.fillRect(...at(order[lifted - 1]));
+      return most;
+    },
+    open() {
+      [order, steps] = [[], []];
+      context.clearRect(0, 0, cols, rows);
+    },
+  };
+}
+
 function player(group) {
   const box = group.querySelector(".grid-box"), script = group.querySelector(".runs");
   if (!script || !window.DecompressionStream) return;
   const about = JSON.parse(script.textContent), [rows, cols] = about.shape, known = new Map();
   const lines = [...box.querySelectorAll(".paths path")];
   const told = (step) => written(step, 0) + (about.seconds ? " (" + spoken(step * about.seconds) + ")" : "");
-  const veil = make("canvas", "veil"), context = veil.getContext("2d");
-  veil.width = cols;
-  veil.height = rows;
-  box.querySelector(".cells").after(veil);
+  const fog = curtain(box, "fog", "#4a4560", rows, cols), veil = curtain(box, "", "#78818f", rows, cols);
   const marks = about.shifts.map((shift, number) => {
     const mark = make("i", "robot r" + (number % 8), about.shifts.length > 64 ? "" : number);
     box.append(mark);
@@ -61,13 +84,14 @@ function player(group) {
   group.querySelector(".cell-maps").after(panel);
 
   // --- a run ---
-  let run = null, replay = null, step = 0, drawn = 0, playing = 0, wanted = 0;
+  let run = null, replay = null, step = 0, playing = 0, wanted = 0;
   async function load(number) {
     if (!known.has(number)) {
       const packed = about.runs[number], moves = await Promise.all(packed.moves.map(inflate));
       const found = unfold(moves.map((buffer) => new Uint8Array(buffer)), packed.starts, packed.lost, packed.time, rows, cols);
       const moving = packed.movers || { starts: [], moves: [] }, ways = await Promise.all(moving.moves.map(inflate));
       found.movers = ways.map((way, mover) => ({ at: cellsOf(new Uint8Array(way), moving.starts[mover], BY_MOVE(cols)) }));
+      if (packed.seen) found.seen = new Int32Array(await inflate(packed.seen));
       known.set(number, found);
     }
     return known.get(number);
@@ -78,9 +102,9 @@ function player(group) {
     if (mine !== wanted) return; // another was chosen meanwhile
     replay = found;
     run = about.runs[number];
-    context.fillStyle = "#78818f";
-    context.fillRect(0, 0, cols, rows);
-    drawn = 0;
+    veil.hang(replay.order, replay.steps);
+    fog.open();
+    if (replay.seen) fog.hang(...inOrder(replay.seen));
     slider.max = run.time;
     deaths.replaceChildren(...run.lost.filter((at) => at >= 0).map((at) => {
       const mark = make("i");
@@ -96,9 +120,7 @@ function player(group) {
   function draw(to) {
     if (!replay) return;
     step = Math.min(Math.max(Math.floor(to), 0), run.time);
-    const covered = upTo(replay.steps, step), order = replay.order;
-    for (; drawn < covered; drawn++) context.clearRect(order[drawn] % cols, Math.floor(order[drawn] / cols), 1, 1);
-    for (; drawn > covered; drawn--) context.fillRect(order[drawn - 1] % cols, Math.floor(order[drawn - 1] / cols), 1, 1);
+    const covered = veil.lift(step), seen = replay.seen ? " " + written(fog.lift(step), 0) + " cells seen." : "";
     replay.robots.forEach((robot, number) => {
       const cell = cellAt(robot, step), mark = marks[number], shift = about.shifts[number] + 0.5;
       put(mark, cell, shift);
@@ -116,7 +138,7 @@ function player(group) {
     slider.value = step;
     slider.setAttribute("aria-valuetext", "step " + told(step) + ", " + part + " % covered, " + left + " robots left");
     said.textContent = "Step " + told(step) + " of " + told(run.time) + ": " + written(covered, 0) + " of "
-      + written(about.accessible, 0) + " cells (" + part + " %) covered, " + left + " of " + marks.length + " robots left." + lost;
+      + written(about.accessible, 0) + " cells (" + part + " %) covered, " + left + " of " + marks.length + " robots left." + seen + lost;
   }
   tellers.set(box, (row, col) => {
     const cell = row * cols + col;

@@ -39,9 +39,14 @@ function unfold(moves, starts, lost, time, rows, cols) {
       who[robot.at[step]] = number;
     });
   }
-  // cells in the order in which they are covered, and when
+  const [order, steps] = inOrder(when);
+  return { robots, time, cols, when, who, order, steps };
+}
+
+// Cells in the order of their steps, those without one (-1) left out, and the steps.
+function inOrder(when) {
   const order = Int32Array.from(when.keys()).filter((cell) => when[cell] >= 0).sort((a, b) => when[a] - when[b]);
-  return { robots, time, cols, when, who, order, steps: order.map((cell) => when[cell]) };
+  return [order, order.map((cell) => when[cell])];
 }
 
 // How many of the increasing numbers are `most` or less.

@@ -29,12 +29,14 @@ class Run:
         name: on its button. cells: int32 `[T, K]`, cell (row * W + col) of each robot at the end of each step.
         lost: int64 `[K]`, the step at which each robot was stopped; NO_STEP.
         movers: int64 `[T, M]`, cells of the threats that move; None where they are not told.
+        seen: int32 `[N]`, the step at which each cell is first seen, NO_STEP if never; None where robots know the map.
     """
 
     name: str
     cells: NDArray[np.int32]
     lost: NDArray[np.int64]
     movers: NDArray[np.int64] | None = None
+    seen: NDArray[np.int32] | None = None
 
 
 def packed_runs(runs: Sequence[Run], accessible: NDArray[np.bool_], pace: Pace = UNPACED) -> Json:
@@ -42,7 +44,7 @@ def packed_runs(runs: Sequence[Run], accessible: NDArray[np.bool_], pace: Pace =
     packed, letters = [], 0
     for run in runs:
         told = pack(run, accessible.shape[1])
-        letters += sum(map(len, told["moves"] + told.get("movers", {"moves": []})["moves"]))
+        letters += sum(map(len, told["moves"] + told.get("movers", {"moves": []})["moves"])) + len(told.get("seen", ""))
         if letters > MOST_LETTERS:
             break
         packed.append(told)
@@ -59,8 +61,10 @@ def pack(run: Run, width: int) -> Json:
 
     A code is 0 (stay), 1 (up), 2 (down), 3 (left) or 4 (right). Raises ValueError for a robot that jumps.
     """
-    told = {} if run.movers is None else {"starts": run.movers[0].tolist(), "moves": moves_of(run.movers, width)}
-    return ({"movers": told} if told else {}) | {
+    told: Json = {} if run.seen is None else {"seen": _deflated(run.seen)}
+    if run.movers is not None:
+        told["movers"] = {"starts": run.movers[0].tolist(), "moves": moves_of(run.movers, width)}
+    return told | {
         "name": run.name,
         "time": len(run.cells) - 1,
         "starts": run.cells[0].tolist(),
@@ -80,5 +84,9 @@ def moves_of(cells: NDArray[np.integer], width: int) -> list[str]:
     moves = []
     for way in codes.T:
         until = int(np.flatnonzero(way)[-1]) + 1 if way.any() else 0
-        moves.append(base64.b64encode(zlib.compress(way[:until].tobytes(), 9)).decode())
+        moves.append(_deflated(way[:until]))
     return moves
+
+
+def _deflated(values: NDArray) -> str:
+    return base64.b64encode(zlib.compress(values.astype(values.dtype.newbyteorder("<")).tobytes(), 9)).decode()

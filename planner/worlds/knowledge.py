@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from planner.errors import WorldError
 from planner.files import Json
+from planner.none import NO_STEP
 from planner.worlds.sight import RANGE, Sense
 
 
@@ -48,6 +49,19 @@ class Knowledge:
         digest = hashlib.sha256(np.ascontiguousarray(self.truth, dtype="<f4").tobytes())
         digest.update(repr((float(self.sense.range), self.sense.sight)).encode())
         return digest.hexdigest()
+
+    def first_seen(self, cells: NDArray[np.integer], alive: NDArray[np.bool_]) -> NDArray[np.int32]:
+        """int32 `[N]`: the step at which each cell is first seen, NO_STEP if never.
+
+        `cells`, `alive`: `[T, K]`, where each robot is at the end of each step, and whether it still looks.
+        """
+        when = np.full(self.truth.size, NO_STEP, dtype=np.int32)
+        places, first = np.unique(cells[alive], return_index=True)
+        steps = np.nonzero(alive)[0][first]
+        begin, seen = self.sense.views(self.free, places.astype(np.int64))
+        for number in np.argsort(-steps, kind="stable"):  # who came first is written last
+            when[seen[begin[number] : begin[number + 1]]] = steps[number]
+        return when
 
     def arrays(self) -> dict[str, Any]:
         """What the world file holds of it."""
