@@ -83,7 +83,8 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
         **({} if world.doubt is None else {"in doubt" if world.movers is None else "movers": world.doubt.said}),
         **({} if world.knowledge is None else {"told": world.knowledge.said}),
         **({"what p means": evaluation.p_means} if evaluation.p_means else {}),
-        "plan": f"{plan.origin if plan.is_foreign else plan_words(plan)}, {span_words(plan, world.pace)}",
+        "plan": f"{plan.origin if plan.is_foreign else plan_words(plan)}, {span_words(plan, world.pace)}"
+        + ("" if world.knowledge is None else ", as the robots believe the map"),
         "rollouts": f"{whole}{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, "
         f"{evaluation.engine_said}",
     }

@@ -33,7 +33,10 @@ def runs(world: World, plan: Plan, choices: RolloutChoices, rollouts: int, certa
     """
     if world.threat.size > MOST_CELLS:
         return [], ""
-    played, note = [nominal(plan)], "The plan: the run in which nobody is lost."
+    if world.knowledge is None:
+        played, note = [nominal(plan)], "The plan: the run in which nobody is lost."
+    else:  # what is planned is what robots believe, and nobody drives it
+        played, note = [], "Dark: what nobody has seen yet."
     if not certain:
         found, ids, looked_at = picked(world, plan, choices, rollouts)
         played += found

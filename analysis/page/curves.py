@@ -20,8 +20,8 @@ __all__ = ["Chart", "Series", "curves_html"]
 TABLE_ROWS = 40
 
 
-def curves_html(chart: Chart) -> Html:
-    """The chart as a figure: heading, legend, plot, the values as a table folded away. Nothing of no points."""
+def curves_html(chart: Chart, heading: str = "h3") -> Html:
+    """The chart as a figure: `heading`, legend, plot, the values as a table folded away. Nothing of no points."""
     points = [points_of(series, place) for place, series in enumerate(chart.series)]
     points = [one for one in points if len(one.x)]
     if not points:
@@ -32,7 +32,7 @@ def curves_html(chart: Chart) -> Html:
     looks = "Upright lines, shaded" if upright and shaded else "Upright lines" if upright else "Shaded"
     note = [f"{looks}: {chart.interval}." if sizes else "", chart.note]
     words = " ".join(part for part in note if part)
-    return block("chart", chart, plot_of(chart, points, frame), words, _values(chart, points))
+    return block("chart", chart, plot_of(chart, points, frame), words, _values(chart, points), heading)
 
 
 def _values(chart: Chart, points: Sequence[Points]) -> TableData:

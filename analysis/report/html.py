@@ -38,7 +38,8 @@ def page_of(report: Report, command: str, pictures: Mapping[str, bytes], files: 
     )
     return document(
         sections, report=report, words=words, warnings=[*report.warnings, *warnings],
-        below=_charts(report.below()), picture=None if shown is None else _html(shown), broad=width > BROAD * height,
+        below=_charts(report.below(), "h2"), picture=None if shown is None else _html(shown),
+        broad=width > BROAD * height,
     )  # fmt: skip
 
 
@@ -50,9 +51,9 @@ def _section(part: Part) -> Section:
     return Section(part.title, block("part", drawn, tables, part.notes), part.lead, part.fold)
 
 
-def _charts(charts: Sequence[Chart]) -> Html:
+def _charts(charts: Sequence[Chart], heading: str = "h3") -> Html:
     """Side by side where there are some."""
-    return block("charts", [html for html in map(curves_html, charts) if html])
+    return block("charts", [html for chart in charts if (html := curves_html(chart, heading))])
 
 
 def _html(drawn: Chart | CellMaps) -> Html:

@@ -47,7 +47,8 @@ def parse_ranges(text: str | None) -> tuple[float, ...]:
     if len(found) > MOST_RANGES:
         raise UsageError(f"{argument('sense')} has {len(found)} ranges", expected=f"{MOST_RANGES} at most")
     for one in found:
-        RANGE.check("sense", one)
+        if one != inf:
+            RANGE.check("sense", one)
     return found
 
 
