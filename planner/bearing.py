@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner.arguments import argument
 from planner.errors import PlanError, UsageError
 from planner.luck_names import LuckName
-from planner.tolerance import SCALE, susceptible, tolerances, unworn, wear_nodes, wear_scale, worn
+from planner.tolerance import MOST, SCALE, susceptible, tolerances, unworn, wear_nodes, wear_scale, worn
 
 Susceptibility = float | tuple[float, ...]
 
@@ -99,6 +99,11 @@ class Bearing:
         if not self.begun:
             return np.zeros(robots, dtype=np.int64)
         return np.asarray(unworn(np.array(self.begun[:robots]), self.nodes, self.times(robots)))
+
+    def most(self, robots: int) -> NDArray[np.int64]:
+        """The largest exposure after which any luck leaves each robot `[K]` alive."""
+        largest = worn(np.full(robots, MOST), self.shape)
+        return np.asarray(susceptible(largest, self.times(robots) / SCALE)) - 1
 
     def tolerances(self, seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]:
         """What each robot still bears in each rollout, int64 `[B, K]`, beyond what it is known to have borne."""

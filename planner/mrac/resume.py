@@ -27,9 +27,13 @@ from planner.worlds.levels import NO_LEVEL
 def state_of(run: Executive, borne: Sequence[int] | None = None) -> MissionState:
     """Where a run stands between two steps. Completed areas without cells are left out, the others close up.
 
-    borne: what each robot has borne, in units of 2**-32 nat, which is kept where robots wear.
+    borne: what each robot has borne, in units of 2**-32 nat, which is kept where robots wear. A real robot may have
+    borne more than any luck that is drawn: then it is kept as the most that one can.
     """
-    world = run.problem.world
+    world, settings = run.problem.world, run.problem.settings
+    known = None
+    if borne is not None and settings.wear != 1:
+        known = np.minimum(borne, settings.bearing().most(len(run.robots))).tolist()
     kept = [number for number, area in enumerate(run.areas) if len(area.cells)]
     place = {number: index for index, number in enumerate(kept)}
     robots = tuple(
@@ -41,7 +45,7 @@ def state_of(run: Executive, borne: Sequence[int] | None = None) -> MissionState
             to_do=_still_to_do(run, robot),
             moves=int(run.problem.range[robot.number]) - robot.moves,
             held=robot.held,
-            exposure=None if borne is None or run.problem.settings.wear == 1 else borne[robot.number],
+            exposure=None if known is None else known[robot.number],
         )
         for robot in run.robots
     )
