@@ -102,8 +102,8 @@ class Bearing:
 
     def most(self, robots: int) -> NDArray[np.int64]:
         """The largest exposure after which any luck leaves each robot `[K]` alive."""
-        largest = worn(np.full(robots, MOST), self.shape)
-        return np.asarray(susceptible(largest, self.times(robots) / SCALE)) - 1
+        largest = worn(MOST, self.shape)
+        return np.array([susceptible(largest, times / SCALE) - 1 for times in self.times(robots).tolist()])
 
     def tolerances(self, seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]:
         """What each robot still bears in each rollout, int64 `[B, K]`, beyond what it is known to have borne."""

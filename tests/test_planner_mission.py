@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from closed_loop_compare import assert_same_trace
 
+from planner.bearing import Bearing
 from planner.errors import InputError, StateError, WorldError
 from planner.luck import Luck
 from planner.missions.mission import Mission
@@ -504,3 +505,17 @@ def test_a_fleet_that_does_all_wrong_breaks_nothing(tmp_path: Path) -> None:
     ends = [fuzz(seed, tmp_path / "now.json").outcome for seed in [*range(50), *once_broken]]
     ends += [fuzz(seed, tmp_path / "now.json", gain=0.2, levels=3).outcome for seed in range(50, 70)]
     assert {Outcome.COMPLETE, Outcome.STOPPED} <= set(ends)
+
+
+def test_a_robot_that_bore_more_than_any_luck_goes_on(tmp_path: Path) -> None:
+    world = World.create(np.full((1, 40), 0.9))
+    plan = make_plan(world, [[0, 0]], Settings(wear=4.0, susceptibility=2.0))
+    mission, file = Mission(world, plan), tmp_path / "now.json"
+    for _ in range(20):  # more than 60 nat: nobody bears 23 of them, worn or not
+        for order in mission.orders().values():
+            mission.report(order.robot, cell=order.cell)
+        mission.advance()
+    mission.save(file)
+    again = Mission.resume(file, world, plan)
+    assert again.step == mission.step and again.lost == () and again.orders() == mission.orders()
+    assert again.state.exposures[0] == Bearing(4.0, 2.0).most(1)[0]
