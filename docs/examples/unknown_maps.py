@@ -1,6 +1,6 @@
-"""The tables of `docs/unknown.md`: robots that are told the map, that learn it, and that are blind, on the paper's maps.
+"""The table of `docs/unknown.md`: robots that are told the map, that learn it, and that are blind, on random maps.
 
-python docs/examples/unknown_maps.py MAPS ROLLOUTS ROBOTS...; 500, 40 and 1 2 4 8 20 are behind the tables.
+python docs/examples/unknown_maps.py MAPS ROLLOUTS ROBOTS...; 500, 40 and 1 2 4 are behind the table.
 """
 
 from __future__ import annotations
