@@ -97,7 +97,7 @@ def test_a_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     world = mrac.load(np.full((4, 4), 0.05))
     plan = mrac.plan(world, robots=3)
-    with pytest.raises(InputError, match="evaluate has no argument 'home'; expected one of state"):
+    with pytest.raises(InputError, match="evaluate has no argument 'home'; expected one of policy"):
         mrac.evaluate(world, plan, home=2)
     names = walk_through(monkeypatch, "analysis/evaluation/outputs/table", "OUTPUTS")
     monkeypatch.setattr("analysis.evaluation.evaluate.OUTPUTS", names["OUTPUTS"])
