@@ -119,6 +119,8 @@ class Knowledge(Output):
         done = run.last.tally.rollouts
         count = max(min(done, LEAST), done // len(ranges))
         choices = replace(run.choices, rollouts=count, precision=None, seconds=None, deadline=None)
+        if not run.known:  # a tree that is too dear for the team itself is for the others too
+            choices = replace(choices, exact="never")
         settings, drawn = run.plan.require(world), world.doubt is not None
         trials = []
         for far in ranges[: len(ranges) - drawn]:
