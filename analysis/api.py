@@ -439,7 +439,7 @@ def suite(only: str | Sequence[str] | None = None) -> Suite:
     """Thirty named worlds, the same for ever, as a mapping from names to worlds; `.judge(policy)` plays them.
 
     Args:
-        only: names, or patterns as "contiguous-10-*"; None: all.
+        only: names, or patterns as ``contiguous-10-*``; None: all.
     """
     from analysis.standings.suite import Suite
 

@@ -39,7 +39,7 @@ def suite(
             or a planner's Rule.
         actions: What the function chooses: a move of each robot, or the next area (default: moves).
         plans: NAME=FOLDER with another planner's plans, ID.json for the world ID; more than one may be given.
-        only: Worlds by name or pattern, "contiguous-10-*,terrain-k8" (default: all).
+        only: Worlds by name or pattern, "contiguous-10-??-k1,terrain-k8" (default: all).
         rollouts: On each world (default: 1000).
         processes: Worlds at a time (default: one a core).
         out: Write the page, tables (Markdown, CSV), JSON and the worlds as files to this folder.
