@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
@@ -58,20 +58,27 @@ LESS = {
 
 
 def main(maps: int, rollouts: int, *kinds: str) -> None:
-    """Mean coverage of each kind of map, all of them by default, and differences, with 95 % intervals over maps."""
+    """All kinds by default."""
     for kind in kinds or KINDS:
-        found: defaultdict[tuple[str, str], list[float]] = defaultdict(list)
-        for seed in range(maps):
-            for name, world in KINDS[kind](seed):
-                for policy in ("mrac", "per_cell"):
-                    plan = make_plan(world, world.starts, mrac.Settings(policy=policy))
-                    engine = make_engine(plan, world, Rolling(seed=seed), "numba")
-                    visited = engine.results(0, rollouts).visited
-                    found[name, policy].append(100 * float(visited.mean()) / engine.accessible)
-        for (name, policy), values in found.items():
-            say(f"{kind} {policy}: {name}", np.array(values))
-            if name in LESS:
-                say(f"{kind} {policy}: {name}, less {LESS[name]}", np.array(values) - found[LESS[name], policy])
+        tell(kind, KINDS[kind], LESS, maps, rollouts)
+
+
+def tell(
+    what: str, worlds: Callable[[int], Iterator[tuple[str, mrac.World]]], less: dict[str, str], maps: int, rollouts: int
+) -> None:
+    """Mean coverage in % of each of the `worlds` that a seed makes, and differences, with 95 % intervals over maps."""
+    found: defaultdict[tuple[str, str], list[float]] = defaultdict(list)
+    for seed in range(maps):
+        for name, world in worlds(seed):
+            for policy in ("mrac", "per_cell"):
+                plan = make_plan(world, world.starts, mrac.Settings(policy=policy))
+                engine = make_engine(plan, world, Rolling(seed=seed), "numba")
+                visited = engine.results(0, rollouts).visited
+                found[name, policy].append(100 * float(visited.mean()) / engine.accessible)
+    for (name, policy), values in found.items():
+        say(f"{what} {policy}: {name}", np.array(values))
+        if name in less:
+            say(f"{what} {policy}: {name}, less {less[name]}", np.array(values) - found[less[name], policy])
 
 
 def say(what: str, values: NDArray[np.float64]) -> None:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import StateError
 from planner.missions.reports import Reports, whole_numbers
+from planner.missions.seeing import seen_world
 from planner.mrac.areas import connected_parts
 from planner.none import NO_AREA, NO_ROBOT
 from planner.plans.reading import at
@@ -48,10 +49,7 @@ def closed_by(given: ArrayLike, reports: Reports) -> tuple[NDArray[np.int64], Wo
 
 def closed_world(world: World, cells: NDArray[np.int64]) -> World:
     """The world with these cells, int64, as obstacles."""
-    threat = world.threat.copy()
-    threat.flat[cells] = np.nan
-    value = None if world.value is None else np.where(np.isnan(threat), 0.0, world.value)
-    return replace(world, threat=threat, starts=None, value=value)
+    return seen_world(world, dict.fromkeys(cells.tolist()))
 
 
 def closed_state(state: MissionState, world: World, levels: int) -> MissionState:
