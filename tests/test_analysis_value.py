@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from itertools import product
 from types import SimpleNamespace
 from typing import Any
@@ -310,16 +311,27 @@ def test_value_is_put_right_by_luck() -> None:
 
 
 VALUED = [*enumerate(product((2, 4, 8, 12, 20), ("contiguous", "scattered")))]
-SHORT = pytest.mark.xfail(strict=True, reason="value covered is held .913 of the time; seeds 1000 to 1999: .935")
+SHORT = pytest.mark.xfail(
+    raises=AssertionError, strict=True, reason="value covered is held .913 of the time; seeds 1000 to 1999: .935"
+)
+CELLS = [
+    pytest.param(*world, figure, marks=[SHORT] if (world[0], figure) == (4, "covered") else [])
+    for world in VALUED
+    for figure in ("covered", "found")
+]
+
+
+@cache
+def sampled(seed: int, robots: int, kind: Kind) -> list[list[Estimate]]:
+    """Covered and found, of 1,000 samples of 1,024 rollouts; worlds 4 and 5 by `per_cell`."""
+    world, plan = valued(kind, seed, robots, "per_cell" if seed in (4, 5) else "mrac")
+    return [means(world, plan, sample) for sample in range(1000)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "team"), [pytest.param(*one, marks=[SHORT] if one[0] == 4 else []) for one in VALUED])
-def test_intervals_of_value_hold(seed: int, team: tuple[int, Kind]) -> None:
-    """1,000 samples of 1,024 rollouts, covered and found: .925 or more; worlds 4 and 5 by `per_cell`."""
-    robots, kind = team
-    world, plan = valued(kind, seed, robots, "per_cell" if seed in (4, 5) else "mrac")
-    found = [means(world, plan, sample) for sample in range(1000)]
-    for figure in range(2):
-        truth = np.mean([one[figure].mean for one in found])
-        assert np.mean([one[figure].ci95[0] <= truth <= one[figure].ci95[1] for one in found]) >= 0.925
+@pytest.mark.parametrize(("seed", "team", "figure"), CELLS)
+def test_intervals_of_value_hold(seed: int, team: tuple[int, Kind], figure: str) -> None:
+    """.925 of the samples or more hold the mean of them all."""
+    found = [one[figure == "found"] for one in sampled(seed, *team)]
+    truth = np.mean([one.mean for one in found])
+    assert np.mean([one.ci95[0] <= truth <= one.ci95[1] for one in found]) >= 0.925
