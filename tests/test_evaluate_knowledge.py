@@ -81,6 +81,18 @@ def test_where_the_map_is_drawn_who_is_told_plans_on_each() -> None:
     assert found.told.coverage.mean * found.told.found.largest("visited") == pytest.approx(mine.mean())
 
 
+def test_who_sees_everything_of_a_drawn_map_is_not_who_is_told_it() -> None:
+    """He plans before the first look: the figures of the team are those of the evaluation, not of another plan."""
+    threat = np.nan_to_num(TOLD.threat)
+    maps = [np.where(TOLD.free, one, np.nan) for one in (threat, threat[::-1])]
+    answer = mrac.evaluate(mrac.with_sense(mrac.with_maps(TOLD, maps), inf), rollouts=COUNT, advice=False, band=False)
+    found = answer.outputs["knowledge"]
+    assert isinstance(found, Knowledge) and [team.range for team in found.teams] == [0, inf, inf]
+    assert found.learning is not found.told
+    assert found.learning.coverage.mean == pytest.approx(answer.figures.visited.mean.mean / answer.cells["accessible"])
+    assert found.told.ahead(found.learning).mean != 0
+
+
 def test_of_many_maps_the_first_ones_are_planned_on() -> None:
     threat = np.nan_to_num(TOLD.threat)
     maps = [np.where(TOLD.free, threat * (0.5 + number / 200), np.nan) for number in range(MOST_MAPS + 30)]
@@ -116,7 +128,7 @@ def test_words_and_page(answer: Evaluation, tmp_path: Path) -> None:
     for words in ("not knowing it costs", "to see is worth", "told the map", "robots see 2 cells far"):
         assert words in text and words in page
     assert (tmp_path / "believed.png").exists() and (tmp_path / "sense.png").exists()
-    assert "Theorem 3" not in text
+    assert "Theorem 3" not in text and "Lines: the plan" not in page
 
 
 @pytest.mark.parametrize(

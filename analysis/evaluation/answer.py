@@ -151,7 +151,8 @@ class Evaluation(Answer):
         """What a page and pictures show cell by cell."""
         from analysis.evaluation.layers import layers_of
 
-        return layers_of(self.ground, self.plan, self.accessible, self.expected, self.how_known, self.rest)
+        lines = "the plan" if self.world.knowledge is None else "what robots drove in the run that is played"
+        return layers_of(self.ground, self.plan, self.accessible, self.expected, self.how_known, self.rest, lines)
 
     @cached_property
     def played(self) -> tuple[list[Run], str]:

@@ -42,16 +42,20 @@ class Layers:
 
 
 def layers_of(
-    world: World, plan: Plan, accessible: NDArray[np.bool_], expected: Expected, how_known: str, rest: Rest | None
-) -> Layers:
-    """Of expected values; `how_known`: in words. `rest`: of the mission, where that is not all of it."""
+    world: World, plan: Plan, accessible: NDArray[np.bool_], expected: Expected, how_known: str, rest: Rest | None,
+    lines: str = "the plan",
+) -> Layers:  # fmt: skip
+    """Of expected values; `how_known`, and what the `lines` over the map are: in words.
+
+    `rest`: of the mission, where that is not all of it.
+    """
     lost = expected.stops_by_cell
     threat, chance, losses = chance_layers(world, plan, expected.visited_by_cell, lost, how_known)
     rare = counted(int((expected.visited_by_cell[accessible.ravel()] < 0.5).sum()), "cell")
     covered = f" {percent(expected.visited / accessible.sum())} of the cells on average; {rare} below 50 %."
     left = CellLayer("Residual risk", "Threat times the chance that the cell is not covered.",
                      threat.values * (1 - chance.values), LOSSES, "%", root=True, digits=2)  # fmt: skip
-    about = f"Colour: {p_words(plan, world)}. Lines: the plan."
+    about = f"Colour: {p_words(plan, world)}. Lines: {lines}."
     return Layers(
         replace(threat, name="The map and the plan", about=about),
         threat,

@@ -34,7 +34,7 @@ from planner.worlds.world import World
 
 MOST_RANGES = 20
 LEAST = 1024
-"""Rollouts of each sensor, where the evaluation had more than all of them together."""
+"""Rollouts of each team, if the evaluation had so many, however many teams there are."""
 
 
 def parse_ranges(text: str | None) -> tuple[float, ...]:
@@ -68,15 +68,14 @@ class Team:
         """How much more of the cells it visits."""
         return self.found.ahead(other.found, "visited", 1.0 / self.found.largest("visited"))
 
-    @property
-    def said(self) -> str:
-        """It in words."""
-        return {inf: "told the map", 0: "blind"}.get(self.range, f"see {self.range:g}")
-
     def as_json(self) -> Json:
         """Its figures."""
         figures = {"coverage": self.coverage, "losses": self.found.mean("lost"), "time": self.found.mean("time")}
         return {"range": _shown(self.range)} | {name: value.to_json() for name, value in figures.items()}
+
+
+def _sees(far: float) -> str:
+    return "blind" if far == 0 else f"see {'everything' if isinf(far) else f'{far:g}'}"
 
 
 def _shown(far: float) -> float | str:
@@ -115,16 +114,16 @@ class Knowledge(Output):
         ):
             return
         blind = {0.0} if _may_be_blind(world, known) else set()
-        ranges = sorted({*map(float, asked), *blind, known.sense.range, inf})
+        drawn = world.doubt is not None  # then who sees everything still plans before the first look
+        ranges = sorted({*map(float, asked), *blind, known.sense.range, *([] if drawn else [inf])})
         done = run.last.tally.rollouts
         count = max(min(done, LEAST), done // len(ranges))
         choices = replace(run.choices, rollouts=count, precision=None, seconds=None, deadline=None)
         if not run.known:  # a tree that is too dear for the team itself is for the others too
             choices = replace(choices, exact="never")
-        settings, drawn = run.plan.require(world), world.doubt is not None
-        trials = []
-        for far in ranges[: len(ranges) - drawn]:
-            run.doing(f"the same team, {Team(far, None).said}")  # type: ignore[arg-type]
+        settings, trials = run.plan.require(world), []
+        for far in ranges:
+            run.doing(f"the same team, {_sees(far)}")
             seeing = _seeing(world, far)
             plan = run.plan if far == known.sense.range else allocated_plan(seeing, run.plan.starts, settings)
             trials.append(Trial(seeing, plan, choices))
@@ -134,7 +133,7 @@ class Knowledge(Output):
             found: Sequence[Measured] = [*(only(trial.sample(0, count), kept) for trial in trials), told]
         else:
             found = alike(trials, 0, count)
-        yield cls(known.sense, tuple(map(Team, ranges, found)), _believed(world, run.plan))
+        yield cls(known.sense, tuple(map(Team, [*ranges, inf], found)), _believed(world, run.plan))
 
     @property
     def told(self) -> Team:
@@ -176,7 +175,13 @@ class Knowledge(Output):
         for team in self.teams:
             behind = "" if team is self.told else self.told.ahead(team).said(100, " points")
             lost, time = team.found.mean("lost"), team.found.mean("time")
-            table.add_row(team.said, *team.coverage.columns(100.0), behind, lost.columns()[0], f"{time.mean:.1f}")
+            table.add_row(
+                "told the map" if team is self.told else _sees(team.range),
+                *team.coverage.columns(100.0),
+                behind,
+                lost.columns()[0],
+                f"{time.mean:.1f}",
+            )
         note = f"what to know is worth: {self.behind}"
         pictures = {} if len(self.teams) < 4 else {"sense.png": lambda: [self.chart()]}
         return Blocks(
