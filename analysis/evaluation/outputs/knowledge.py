@@ -218,9 +218,12 @@ def _seeing(world: World, far: float) -> World:
 
 
 def _believed(world: World, plan: Plan) -> CellLayer:
-    about = "The chance that one visit stops a robot, as robots think before they see anything; dark: an obstacle."
+    same = world.knowledge is not None and _may_be_blind(world, world.knowledge)
+    dark = "They know the obstacles." if same else "Dark: the true obstacles, of which they believe otherwise."
+    about = f"The chance that one visit stops a robot, as robots think before they see anything. {dark}"
     return replace(threat_layer(replace(world, knowledge=None, doubt=None), plan), name="As believed", about=about)
 
 
 def _may_be_blind(world: World, known: Unknown) -> bool:
+    """Whether robots know the obstacles: else they might run into one."""
     return bool((known.free == world.free).all())
