@@ -38,9 +38,6 @@ def agree(number, rollouts=2):
     settings = Settings(**given) if isinstance(given, dict) else Settings(policy=given)
     if number % 5 == 0:
         settings = replace(settings, range=4 + stream.below(12))
-    if settings.reserve is not None:  # on a dangerous start Numba asks robots that wait another price than ours
-        safe = [start for start in starts.tolist() if truth[tuple(start)] == 0]
-        starts = np.array(safe or starts[:1])
     plan = make_plan(world, starts, settings)
     first_only, luck = number % 3 == 0, "step" if number % 7 == 0 else "tolerance"
     loop = compile_closed_loop(plan, world, first_only=first_only, luck=luck)

@@ -203,6 +203,10 @@ def first_area(t, p, s, w, robot, own, refusing):
         offer = offer_of(p, s, own, cost)
         if goes_first(p, offer, own, first, best, refusing):
             best, target, first = own, cell, offer
+    home = np.int64(s.home[here])
+    # A start that nobody has visited yet: its area alone may cost less than entering one.
+    if home & VISITED == 0 and holds(s.open, home >> AREA_BITS):
+        best, target, first, _ = look_at(t, p, s, costs, here, home >> AREA_BITS, True, best, target, first, refusing)
     if len(t.foremost) > 0:
         best, target, first, all_seen = first_ranked(t, p, s, costs, here, best, target, first, refusing)
         if all_seen:
