@@ -15,7 +15,7 @@ import networkx as nx
 
 ROOT = Path(__file__).parent.parent
 ROOMS = ("planner", "analysis", "mrac_jax")
-DOOR = {"mrac_jax", "mrac_jax.__main__", "analysis.api"}
+DOOR = re.compile(r"mrac_jax|mrac_jax\.__main__|analysis\.api(\.\w+)?")
 ANSWERS = (
     "evaluation", "comparison", "checking", "survey", "design", "reproduction", "policies", "sweeps", "recording",
     "tradeoff", "depots", "removal", "judging", "standings",
@@ -82,7 +82,7 @@ def arrows(of: Callable[[str], str]) -> nx.DiGraph:
     known = sources()
     graph = nx.DiGraph()
     for module, path in known.items():
-        if module not in DOOR:
+        if not DOOR.fullmatch(module):
             seen = {of(name) for name in imports_of(path) & set(known) if name not in ROOMS}
             graph.add_edges_from((of(module), other) for other in seen if other != of(module))
     return graph
@@ -103,10 +103,10 @@ def test_seven_floors_carry_the_door() -> None:
 
 def test_nothing_inside_comes_through_the_door() -> None:
     for module, path in sources().items():
-        if module not in DOOR:
+        if not DOOR.fullmatch(module):
             assert "mrac_jax.load" not in path.read_text(), module
             assert not re.search(rf'import_module\("({"|".join(ROOMS)})', path.read_text()), module
-            assert not {name for name in imports_of(path) if name in DOOR - {"mrac_jax"}}, module
+            assert not {name for name in imports_of(path) if name != "mrac_jax" and DOOR.fullmatch(name)}, module
 
 
 def test_kits_know_no_answer_and_answers_no_command() -> None:

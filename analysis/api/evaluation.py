@@ -1,0 +1,220 @@
+"""What a plan comes to, what two differ by, and which formulas hold."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping, Sequence
+from inspect import signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+from analysis.api.plans import Loop, check_world, plan, plan_of
+from analysis.api.policies import judge
+from analysis.evaluation.answer import Evaluation
+from analysis.kit.calls import OnInterrupt, ask
+from analysis.kit.notes import Doing, Progress
+from analysis.sampling import Exactness, RolloutChoices, how_much, luck_of
+from planner.arguments import argument
+from planner.errors import UsageError
+from planner.luck_names import LuckName
+from planner.plans.plan import Plan
+from planner.plans.state import MissionState
+from planner.rollouts.names import EngineName
+from planner.worlds.world import World
+
+if TYPE_CHECKING:
+    from analysis.checking.check_map import MapCheck
+    from analysis.comparison.compare import Comparison
+    from analysis.judging.judge import Judged
+
+
+@overload
+def evaluate(world: World, plan: int | None = None, *, policy: Callable[..., Any], **how: Any) -> Judged: ...
+@overload
+def evaluate(world: World, plan: Plan | str | Path | int | None = None, **how: Any) -> Evaluation: ...
+def evaluate(
+    world: World,
+    plan: Plan | str | Path | int | None = None,
+    *,
+    policy: Callable[..., Any] | None = None,
+    state: MissionState | str | Path | None = None,
+    loop: Loop | None = None,
+    rollouts: int | None = None,
+    precision: float | None = None,
+    seconds: float | None = None,
+    exact: Exactness = "auto",
+    mode: Literal["fast", "step"] | None = None,
+    luck: LuckName | None = None,
+    engine: EngineName = "auto",
+    seed: int = 0,
+    deadline: int | str | None = None,
+    first_visit: bool = False,
+    threat_scale: Sequence[float] = (),
+    sense: Sequence[float] = (),
+    bound: bool | None = None,
+    band: bool = True,
+    advice: bool = True,
+    metrics: Literal["coverage", "search", "clearance"] | None = None,
+    progress: Progress | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
+    **asked: Any,
+) -> Evaluation | Judged:
+    """How much of the world does the team cover, and how sure is that?
+
+    Args:
+        plan: a Plan, a plan file, how many robots to plan for, or None: the world's own team.
+        policy: instead of a plan, a function of what the robots observe: the answer is that of `judge`, whose arguments
+            are all that may stand beside it; `plan` is how many robots.
+        state: instead of that, of a mission under way, or its file: the rest of it is planned and rolled out.
+        loop: "closed": survivors take over; "open": every robot follows its path until it is stopped. None: open for
+            paths alone, else closed.
+        rollouts: how many; or `precision`: until the 95 % interval of mean coverage is within so much of it. Neither:
+            within 0.001 of it, a tenth of a point, and after 10 seconds of rolling out whatever it is.
+        seconds: of rolling out, after which it stops too.
+        exact: whether the closed loop's exact values, which small teams have, are looked for: "auto" for about 2 s,
+            "never", or for about so many seconds. The same work on every machine, so that no answer depends on it.
+        luck: "tolerance": a number for every robot says how much danger it bears before it is stopped; "step": one for
+            every visit, as releases before 0.3 had it. The law is the same. None: tolerance.
+        mode: of luck by step in the open loop: "fast" or "step". seed: of the rollouts.
+        engine: "auto" takes JAX where it has an accelerator, else Numba.
+        deadline: a step at which coverage is reported too.
+        first_visit: only the first visit of a cell by anybody can stop a robot.
+        threat_scale: also if all threats are so many times the map's.
+        sense: also if robots that are not told the map see so many cells far, on the same luck; 0: blind.
+        bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
+        band: also sample how coverage grows over time, for `plots`.
+        advice: also a quick front: what of the coverage costs no robot, and what the rest costs.
+        metrics: in whose words value covered, found and left are told; default: as the world says, if it says
+            anything of values.
+        asked: any further output of `analysis.evaluation.outputs`, by its key.
+        progress: what is shown meanwhile. None: a bar on a terminal, a line in a notebook; True: lines on a pipe too;
+            False: nothing; or a function that is called with (done, total, seconds) after every chunk.
+        on_interrupt: "raise": Ctrl-C is raised as a KeyboardInterrupt that has what was done as `partial`; "return":
+            what was done is the answer, `answer.partial` true.
+    """
+    if policy is not None:
+        return _judged(**locals())
+    from analysis.evaluation.evaluate import check_asked
+    from analysis.evaluation.evaluate import evaluate as evaluate_plan
+
+    if state is not None and plan is not None:
+        raise UsageError("both a plan and a state", expected="one of them")
+    check_world(world)
+    _check_outputs(asked)
+    asked |= {"threat_scale": tuple(threat_scale)} | ({} if metrics is None else {"value": metrics})
+    asked |= {"knowledge": tuple(sense)} if len(sense) else {}
+    check_asked(world, **asked)
+    asked |= {"band": band, "advice": advice}
+    amount = how_much(rollouts, precision, seconds)
+
+    def work(tell: Progress, doing: Doing) -> Evaluation:
+        doing("planning")
+        made = plan_of(world, plan) if state is None else _rest(world, state)
+        choices = RolloutChoices(
+            loop=loop or made.usual_loop, **amount, exact=exact, mode=mode, luck=luck_of(luck, mode), engine=engine,
+            seed=seed,
+            deadline=deadline, first_only=first_visit,
+        )  # fmt: skip
+        return evaluate_plan(world, made, choices, bound=bound, progress=tell, doing=doing, **asked)
+
+    return ask(work, progress, on_interrupt)
+
+
+def _check_outputs(asked: Mapping[str, Any]) -> None:
+    """Raise UsageError for a keyword of `evaluate` that is neither an argument nor an output."""
+    from analysis.evaluation.outputs.table import OUTPUTS
+
+    known = [name for name, one in signature(evaluate).parameters.items() if one.kind is one.KEYWORD_ONLY]
+    for name in asked.keys() - OUTPUTS.keys():
+        fix = "give it to `plan`, and the plan to `evaluate`" if name in signature(plan).parameters else ""
+        for close in difflib.get_close_matches(name, [*known, *OUTPUTS], n=1):
+            fix = f"did you mean {close!r}?"
+        raise UsageError(f"evaluate has no argument {name!r}", expected=f"one of {', '.join(known)}", fix=fix)
+
+
+def _judged(world: World, plan: Any, policy: Callable[..., Any], asked: dict[str, Any], **rest: Any) -> Judged:
+    """`evaluate` of a policy: what it was given, as `judge` takes it. Raises UsageError for what is for plans alone."""
+    parameters = signature(evaluate).parameters
+    given = asked | {name: value for name, value in rest.items() if value is not parameters[name].default}
+    known = [name for name in signature(judge).parameters if name not in ("world", "policy", "robots")]
+    for name in given.keys() - known:
+        problem = f"evaluate has no argument {name!r} for a policy"
+        raise UsageError(problem, expected=f"one of {', '.join(known)}", fix="give it to `evaluate` of a plan")
+    if isinstance(plan, Plan | str | Path):
+        raise UsageError("both a plan and a policy", expected="one of them; beside a policy how many robots")
+    return judge(world, policy, plan, **given)
+
+
+def _rest(world: World, state: MissionState | str | Path) -> Plan:
+    return plan(world, state=state)
+
+
+def compare(
+    a: tuple[World, Plan | str | Path | int | None],
+    b: tuple[World, Plan | str | Path | int | None],
+    *,
+    loop: Loop | None = None,
+    loop_b: Loop | None = None,
+    rollouts: int | None = None,
+    precision: float | None = None,
+    seconds: float | None = None,
+    exact: Exactness = "auto",
+    luck: LuckName = "tolerance",
+    engine: EngineName = "auto",
+    seed: int = 0,
+    progress: Progress | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
+) -> Comparison:
+    """How far apart are two plans, teams or maps? Both meet the same luck, so the difference is sharp.
+
+    Args:
+        a, b: a world and a plan for it: a Plan, a plan file, how many robots to plan for, or None, as of `evaluate`.
+        loop: of both; `loop_b`: of b alone. None: open for paths alone, else closed.
+        rollouts: how many; or `precision`: until the 95 % interval of the difference of mean coverage is within so much
+            of it. Neither: 100,000, as far as 10 seconds go.
+        seconds, exact, luck, engine, seed, progress, on_interrupt: as of `evaluate`.
+    """
+    from analysis.comparison.compare import Side, make_side
+    from analysis.comparison.compare import compare as compare_sides
+
+    amount = how_much(rollouts, precision, seconds, usual=100_000) | {"exact": exact}
+    for name, side in (("a", a), ("b", b)):
+        if not (isinstance(side, tuple) and len(side) == 2 and isinstance(side[0], World)):
+            raise UsageError(argument(name, side), expected="(world, plan), a World and a plan for it")
+
+    def make(side: tuple[World, Plan | str | Path | int | None], loop: Loop | None) -> Side:
+        plan = plan_of(*side)
+        choices = RolloutChoices(loop=loop or plan.usual_loop, **amount, luck=luck, engine=engine, seed=seed)
+        return make_side(side[0], plan, choices)
+
+    def work(tell: Progress, doing: Doing) -> Comparison:
+        doing("planning")
+        return compare_sides(make(a, loop), make(b, loop_b or loop), progress=tell)
+
+    return ask(work, progress, on_interrupt)
+
+
+def check(
+    world: World,
+    plan: Plan | str | Path | int | None = None,
+    *,
+    rollouts: int = 20_000,
+    seed: int = 0,
+    engine: EngineName = "auto",
+    bound: bool | None = None,
+    progress: Progress | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
+) -> MapCheck:
+    """Which of the paper's formulas, and of ours, hold for this plan?
+
+    Args:
+        plan, rollouts, seed, engine, bound, progress, on_interrupt: as of `evaluate`.
+    """
+    from analysis.checking.check_map import check_input
+
+    choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine)
+
+    def work(tell: Progress, doing: Doing) -> MapCheck:
+        return check_input(world, plan_of(world, plan), choices, tell, bound)
+
+    return ask(work, progress, on_interrupt)
