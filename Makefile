@@ -7,7 +7,7 @@ DOCS := .venv/.docs
 # Some machines' setting: hundreds of processes of the tests would each compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo test test-slow style types suite lint format bench bench-gpu docs release-check
+.PHONY: install demo test test-slow fuzz style types suite lint format bench bench-gpu docs release-check
 
 install: $(READY)
 
@@ -29,6 +29,12 @@ suite: $(READY)
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow
+
+# Damaged and hostile inputs: make fuzz COUNT=100000 FIRST=20000 goes on where another run ended.
+COUNT ?= 20000
+FIRST ?= 0
+fuzz: $(READY)
+	$(BIN)/python tests/fuzz.py --count $(COUNT) --first $(FIRST)
 
 lint: style types
 

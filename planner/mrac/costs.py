@@ -16,16 +16,17 @@ BLOCKED = 0
 """Entry cost of a cell that cannot be entered."""
 
 
-def entry_costs(levels: ThreatLevels, risk: Literal["paper", "log"]) -> NDArray[np.int64]:
+def entry_costs(levels: ThreatLevels, risk: Literal["paper", "log"], source: str = "") -> NDArray[np.int64]:
     """Cost of entering each cell, int64 `[N]`, BLOCKED where not accessible (eq. (3) times n, rounded).
 
-    Raises WorldError if the sum over all cells, which no path can exceed, might not fit in 62 bits.
+    Raises WorldError, of `source`, if the sum over all cells, which no path can exceed, might not fit in 62 bits.
     """
     of_level = level_costs(levels.values, levels.of_cell.size, risk)
     counts = np.bincount(levels.of_cell[levels.accessible], minlength=len(of_level))
     if float(of_level @ counts) >= 2.0**62:
         raise WorldError(
             f"threat levels from {levels.values[1]:g} to {levels.values[-1]:g} make path costs too large for 64 bits",
+            source=source,
             expected="a ratio of the largest to the smallest threat below about 2**62 / cells**2",
             fix="raise the smallest threats or set them to 0",
         )

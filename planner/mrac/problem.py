@@ -118,7 +118,7 @@ def prepare(world: World, starts: ArrayLike, settings: Settings, given: tuple[ND
     unknown = unknown_of(world, checked, settings.levels)
     told = unknown is None
     levels = find_levels(world, world.accessible(checked), settings.levels) if unknown is None else unknown.dearest
-    costs = entry_costs(levels, settings.risk)
+    costs = entry_costs(levels, settings.risk, world.source)
     cells = checked[:, 0] * world.shape[1] + checked[:, 1]
     rule, entry = rule_of(settings.policy), level_costs(levels.values, costs.size, settings.risk).astype(np.int64)
     value = worth_of(world, levels.accessible) if rule.attentive else None
