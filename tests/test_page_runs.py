@@ -71,7 +71,7 @@ def test_a_page_holds_the_plan_and_the_rollouts_that_record_would_pick(answer: E
     assert results.visited[ids].tolist() == [order[29], order[0], order[-1]]
     for run, trace in zip(rolled, engine.traces(ids), strict=True):
         assert np.array_equal(unpacked(run, COLS), trace.cells)
-        frames = make_frames(trace, answer.plan.areas)
+        frames = make_frames(trace)
         assert run["lost"] == [-1 if alive.all() else int(np.argmin(alive)) for alive in frames.alive.T]
 
 
@@ -113,7 +113,7 @@ def test_the_script_unfolds_a_run_as_the_recording_does(answer: Evaluation, pack
     for told, trace in zip(
         found, engine.traces(picked(answer.world, answer.plan, answer.choices, answer.tally.rollouts)[1]), strict=True
     ):
-        frames, half = make_frames(trace, answer.plan.areas), trace.time // 2
+        frames, half = make_frames(trace), trace.time // 2
         assert told["when"] == frames.visited_at.tolist() and told["who"] == frames.visited_by.tolist()
         assert told["covered"] == frames.visited[half] and told["left"] == frames.alive_count[half]
         assert told["at"] == trace.cells[half].tolist()

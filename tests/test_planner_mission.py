@@ -396,6 +396,24 @@ def test_a_zone_is_closed_and_robots_go_round_or_leave_what_lies_behind() -> Non
     assert blocked.outcome is Outcome.COMPLETE and places(blocked)[0][1] < 2
 
 
+def test_each_step_is_written_down_once_whatever_is_closed_or_seen() -> None:
+    world, recorder = World.create(np.zeros((2, 8)), [[0, 0], [1, 0]]), Recorder()
+    mission, steps = Mission(world, make_plan(world, [[0, 0], [1, 0]]), recorder=recorder), []
+    mission.close([[0, 6]])
+    while mission.outcome is None:
+        orders = mission.orders()
+        for order in orders.values():
+            seen = [[1, 6, 0.1], [1, 7, None]] if mission.step == 2 else None
+            mission.report(order.robot, cell=order.cell, seen=seen)
+        steps.append([row * 8 + col for row, col in (order.cell for order in orders.values())])
+        mission.advance()
+        if mission.step == 4:
+            mission.close([[0, 7]])
+    trace = recorder.trace(0, mission._fleet.area_of, mission.outcome)
+    assert trace.cells.tolist() == steps and len(steps) > 5
+    assert (trace.events[:, 0] < len(steps)).all()
+
+
 def test_zones_are_closed_where_levels_are_quantised_by_what_is_left(tmp_path: Path) -> None:
     """Ten zones on a map of 200 different chances: which of them share a level is another thing each time."""
     stream, threat = Stream(1, 7), np.zeros((15, 15))

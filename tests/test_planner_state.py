@@ -90,7 +90,7 @@ def test_a_rollout_goes_on_as_if_it_had_not_been_cut(more: dict[str, Any]) -> No
                 ]
                 for trace in trace_rollouts(loop, seed, (rollout, rollout + 1)):
                     assert trace == readable.trace(seed, trace.rollout), (seed, rollout, step)
-                    frames = make_frames(trace, rest.areas, state)
+                    frames = make_frames(trace, state)
                     at = trace.rollout - rollout
                     assert (frames.visited[-1], frames.survived[-1]) == (singles.visited[at], singles.survived[at])
                     assert frames.visited[step] == len(state.visited)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from PIL import Image
+from recordings import foreign_plan
 
 from analysis.inputs import Asked, load_or_make_plan
 from analysis.pictures.style import OBSTACLE, SAFE, house_style
@@ -16,6 +17,7 @@ from analysis.recording.pictures import animation
 from analysis.recording.pictures.animation import animation_gif, durations, picture_png, shown_steps
 from analysis.recording.pictures.parts import boxes_for
 from analysis.recording.pictures.picture import RolloutPicture
+from analysis.recording.viewers.topics import Stage
 from planner.errors import UsageError
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
 from planner.mrac.make_plan import make_plan
@@ -43,16 +45,20 @@ def paper() -> tuple[Trace, Plan, World]:
     return trace_rollouts(compile_closed_loop(plan, world), 0, [3])[0], plan, world
 
 
+def stage(plan: Plan, world: World, loop: str = "closed") -> Stage:
+    return Stage(world, plan, loop, 0)
+
+
 def opened(data: bytes) -> Image.Image:
     return Image.open(io.BytesIO(data))
 
 
 def test_picture_of_any_step_and_the_last_one_by_default(paper: tuple[Trace, Plan, World]) -> None:
     trace, plan, world = paper
-    last = picture_png(trace, plan, world)
+    last = picture_png(trace, stage(plan, world))
     assert opened(last).size[0] == 1200
-    assert last == picture_png(trace, plan, world, trace.time)
-    assert last != picture_png(trace, plan, world, 0)
+    assert last == picture_png(trace, stage(plan, world), trace.time)
+    assert last != picture_png(trace, stage(plan, world), 0)
     assert len(last) < 300_000
 
 
@@ -60,12 +66,12 @@ def test_picture_of_any_step_and_the_last_one_by_default(paper: tuple[Trace, Pla
 def test_a_step_that_is_none_is_named(step: int) -> None:
     trace, plan, world = small()
     with pytest.raises(UsageError, match=f"step {step}"):
-        picture_png(trace, plan, world, step)
+        picture_png(trace, stage(plan, world), step)
 
 
 @pytest.fixture(scope="module")
 def three_frames() -> bytes:
-    return animation_gif(*small(), most_frames=3)
+    return animation_gif(small()[0], stage(*small()[1:]), most_frames=3)
 
 
 def test_animation_shows_first_to_last_and_is_repeatable(three_frames: bytes) -> None:
@@ -74,14 +80,14 @@ def test_animation_shows_first_to_last_and_is_repeatable(three_frames: bytes) ->
     assert gif.n_frames == 3 < trace.time + 1
     assert gif.size[0] == 800
     assert gif.info["loop"] == 0
-    assert three_frames == animation_gif(trace, plan, world, most_frames=3)
+    assert three_frames == animation_gif(trace, stage(plan, world), most_frames=3)
 
 
 def test_frames_are_what_the_pictures_show(three_frames: bytes) -> None:
     trace, plan, world = small()
     gif = opened(three_frames)
     with house_style():
-        picture = RolloutPicture(trace, plan, world, plan.areas, animation.ANIMATION_DPI)
+        picture = RolloutPicture(trace, stage(plan, world), animation.ANIMATION_DPI)
         for index, step in enumerate(shown_steps(trace, 3)):
             picture.show(step)
             gif.seek(index)
@@ -108,7 +114,7 @@ def test_long_rollouts_keep_first_last_and_losses(paper: tuple[Trace, Plan, Worl
         assert all(ms % 10 == 0 and ms >= animation.FASTEST for ms in times)
     assert shown_steps(trace, 2) == [0, trace.time]
     with pytest.raises(UsageError, match="1 frames"):
-        animation_gif(*paper, most_frames=1)
+        animation_gif(paper[0], stage(*paper[1:]), most_frames=1)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 60), (40, 2), pytest.param((7, 30), marks=pytest.mark.slow), (120, 130)])
@@ -121,13 +127,13 @@ def test_every_shape_of_map_has_its_place(shape: tuple[int, int]) -> None:
     cells = [box[2] / shape[1] - box[3] / shape[0] for box in boxes.axes[:2]]
     assert cells == pytest.approx([0, 0])
     trace, plan, world = rollout(World.create(np.zeros(shape)), [[0, 0]])
-    assert opened(picture_png(trace, plan, world, 0)).size[0] in (1200, 1800)
+    assert opened(picture_png(trace, stage(plan, world), 0)).size[0] in (1200, 1800)
 
 
 def test_row_0_is_at_the_top() -> None:
     trace, plan, world = small()
     with house_style():
-        picture = RolloutPicture(trace, plan, world, plan.areas, 100)
+        picture = RolloutPicture(trace, stage(plan, world), 100)
         image = picture.pixels()
     left, bottom, width, height = (100 * length for length in boxes_for(world.shape).axes[0])
     cell = width / world.shape[1]
@@ -138,7 +144,7 @@ def test_row_0_is_at_the_top() -> None:
 def test_it_only_moves_on() -> None:
     trace, plan, world = small()
     with house_style():
-        picture = RolloutPicture(trace, plan, world, plan.areas, 50)
+        picture = RolloutPicture(trace, stage(plan, world), 50)
         picture.show(trace.time)
         with pytest.raises(ValueError, match="step"):
             picture.show(trace.time + 1)
@@ -155,7 +161,7 @@ def test_plans_without_areas_and_many_robots() -> None:
         np.full_like(trace.area_of, -1),
         trace.outcome,
     )
-    assert picture_png(none, plan, world, areas=()) != picture_png(trace, plan, world)
+    assert picture_png(none, stage(foreign_plan(world, plan), world, "open")) != picture_png(trace, stage(plan, world))
 
 
 def test_events_in_words() -> None:

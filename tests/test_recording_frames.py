@@ -32,7 +32,7 @@ def check_against_simulation(plan: Plan, world: World, seed: int, trace: Trace) 
     assert plan.settings is not None
     problem = prepare(world, plan.starts, plan.settings)
     run, hit = Executive(problem, plan.areas), Luck(world, seed, trace.rollout).hits
-    frames = make_frames(trace, plan.areas)
+    frames = make_frames(trace)
     maps = {areas.step: areas for areas in area_maps(trace, plan.areas)}
     areas = maps[0]
     for step in range(trace.time + 1):
@@ -40,8 +40,8 @@ def check_against_simulation(plan: Plan, world: World, seed: int, trace: Trace) 
         assert frames.visited[step] == run.visited.sum()
         assert frames.survived[step] == run.survived.sum()
         assert frames.alive[step].tolist() == [robot.alive for robot in run.robots]
-        assert frames.unassigned[step] == sum(area.state is State.UNASSIGNED for area in run.areas)
         areas = maps.get(step, areas)
+        assert areas.open == sum(area.state is State.UNASSIGNED for area in run.areas)
         check_areas(areas, run)
     assert np.array_equal(frames.visited_at != NO_STEP, run.visited)
     assert np.array_equal(frames.survived_at != NO_STEP, run.survived)
@@ -75,7 +75,7 @@ def test_frames_on_many_worlds(one: SurveyWorld) -> None:
 def test_first_visitors() -> None:
     world, plan = small_task()
     (trace,) = trace_rollouts(compile_closed_loop(plan, world), 3, [11])
-    frames = make_frames(trace, plan.areas)
+    frames = make_frames(trace)
     for cell in range(world.threat.size):
         entered = np.argwhere((trace.cells == cell) & frames.moved)
         if len(entered):
@@ -88,7 +88,7 @@ def test_events_that_do_not_fit_are_refused() -> None:
     world, plan = small_task()
     (trace,) = trace_rollouts(compile_closed_loop(plan, world), 3, [11])
     with pytest.raises(ValueError, match="areas, but"):
-        make_frames(trace, plan.areas[:1])
+        next(area_maps(trace, plan.areas[:1]))
 
 
 # --- the open loop ---
@@ -100,7 +100,7 @@ def test_open_loop_traces_come_to_what_the_engine_counts(robots: int) -> None:
     results = rollout_results(compile_plan(plan, world), seed=9, start=100, count=60, mode="tolerance")
     for place, rollout in enumerate(range(100, 160)):
         trace = open_loop_trace(plan, world, 9, rollout)
-        frames = make_frames(trace, plan.areas + plan.areas_added)
+        frames = make_frames(trace)
         assert trace.time == results.time[place]
         assert frames.visited[-1] == results.visited[place]
         assert frames.survived[-1] == results.survived[place]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from collections import Counter, defaultdict
 from pathlib import Path
@@ -15,21 +16,28 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from recordings import SEED, foreign_plan, positions, small_recording, small_task
 
-from analysis.recording.frames import make_frames
+from analysis.recording.frames import Held, make_frames
 from analysis.recording.record import record
 from analysis.recording.rolling import Request
 from analysis.recording.viewers import colours
+from analysis.recording.viewers.layout import layout_json
 from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.ros import path as ros_path
 from analysis.recording.viewers.topics import Clock, Stage, topic_types, type_of
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
+from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan, RobotPlan
 from planner.plans.waypoints import headings
 from planner.rollouts.open_loop.trace import open_loop_trace
+from planner.settings import Settings
 from planner.tally import Outcome
 from planner.trace import Doing, EventKind, Trace
+from planner.worlds.learning import with_prior, with_sense
 from planner.worlds.world import World
+from planner.worlds.wrong_maps import with_spread
 
+WHERE_THERE_ARE = {"/movers/markers", "/movers/points", "/map/truth", "/map/fog"}
+"""Threats that move, and robots that learn."""
 Decoded = dict[str, list[tuple[int, Any]]]
 
 
@@ -79,7 +87,7 @@ def test_every_topic_has_its_published_schema(recorded: tuple) -> None:
         summary = make_reader(stream).get_summary()
     topics = {channel.topic: summary.schemas[channel.schema_id] for channel in summary.channels.values()}
     types = topic_types()
-    expected = {topic for topic in types if "*" not in topic} - {"/outcomes", "/movers/markers", "/movers/points"}
+    expected = {topic for topic in types if "*" not in topic} - {"/outcomes", *WHERE_THERE_ARE}
     expected |= {f"/robots/{robot}/{kind}" for robot in range(3) for kind in ("plan", "driven", "voxel")}
     assert set(topics) == expected
     assert topics["/map/threat"].name == "foxglove.Grid"
@@ -201,9 +209,9 @@ def test_robots_stand_where_the_trace_says(recorded: tuple) -> None:
 
 
 def test_visits_and_areas_as_they_change(recorded: tuple) -> None:
-    world, plan, traces, _, _ = recorded
+    world, _, traces, _, _ = recorded
     trace = traces[0]
-    frames = make_frames(trace, plan.areas)
+    frames = make_frames(trace)
     counts = np.zeros(world.threat.size, dtype=int)
     visits = of_first("/map/visited", recorded)
     areas, plates = (dict(of_first(topic, recorded)) for topic in ("/areas", "/areas_voxels"))
@@ -272,7 +280,7 @@ def test_scalars_and_the_log(recorded: tuple) -> None:
     world, plan, traces, by_topic, _ = recorded
     accessible = int(world.accessible(plan.starts).sum())
     stats = [message for _, message in by_topic["/stats"]]
-    frames = [make_frames(trace, plan.areas) for trace in traces]
+    frames = [make_frames(trace) for trace in traces]
     visited = np.concatenate([one.visited for one in frames]) / accessible
     assert [one.coverage_visited for one in stats] == visited.tolist()
     assert [one.alive for one in stats] == [float(n) for one in frames for n in one.alive_count]
@@ -299,7 +307,7 @@ def test_lines_and_paths(recorded: tuple) -> None:
     assert last_time == trace.time * 10**9
     for robot, entity in enumerate(last.entities):
         check_line(entity.lines[0], positions(world, trace.cells[:, robot]))
-    frames = make_frames(trace, plan.areas)
+    frames = make_frames(trace)
     for robot in range(3):
         _, path = of_first(f"/robots/{robot}/driven", recorded)[-1]
         entered = np.flatnonzero(frames.moved[:, robot])
@@ -376,6 +384,71 @@ def test_another_planners_plan_and_the_open_loop(tmp_path: Path) -> None:
         traces = [open_loop_trace(one, world, SEED, rollout) for rollout in (0, 7)]
         steps = [list(step.cells) for _, step in by_topic["/rollout/step"]]
         assert steps == [row.tolist() for trace in traces for row in trace.cells]
+
+
+def test_what_robots_learn_and_when(tmp_path: Path) -> None:
+    """Truth, belief and fog at every step, by distances alone; areas against those that the engine's robots say."""
+    known, seen_far, path = small_task()[0], 2, tmp_path / "dark.mcap"
+    world = with_prior(known, 0.05, sense=seen_far)
+    plan = make_plan(world, world.starts, Settings())
+    record(world, plan, Request(ids=(3,), seed=SEED), path)
+    (trace,), by_topic = trace_rollouts(compile_closed_loop(plan, world), SEED, [3]), decoded(path)
+    truth = cells_of(by_topic["/map/truth"][0][1], "<f4", known)[..., 0]
+    assert np.array_equal(truth, np.nan_to_num(known.threat))
+    places, when = np.indices(world.shape), np.full(world.shape, -1)
+    last, areas = dict[str, Any](), set[bytes]()
+    for step in range(trace.time + 1):
+        for row, col in zip(
+            *np.divmod(trace.cells[step][trace.doing[step] != Doing.DEAD], world.shape[1]), strict=True
+        ):
+            near = (places[0] - row) ** 2 + (places[1] - col) ** 2 <= seen_far**2
+            when[near & (when < 0)] = step
+        last |= {topic: one for topic, all_of_it in by_topic.items() for time, one in all_of_it if time == step * 10**9}
+        believed = np.where(when >= 0, known.threat, np.float32(0.05))
+        assert np.array_equal(cells_of(last["/map/threat"], "<f4", world), np.nan_to_num(believed))
+        assert np.array_equal(cells_of(last["/map/obstacles"], "u1", world)[..., 3] > 0, np.isnan(believed))
+        assert np.array_equal(np.array(last["/map/threat_occ"].data).reshape(world.shape)[::-1] == -1, when < 0)
+        fog = cells_of(last["/map/fog"], "u1", world)
+        assert np.array_equal(fog[..., :4].copy().view("<f4")[..., 0], when)
+        assert np.array_equal(fog[..., 7] > 0, when < 0)
+        areas.add(last["/areas"].data)
+    assert (when >= 0).any() and (when[np.isnan(known.threat)] >= 0).any() and len(areas) > 5
+    assert (
+        json.loads(layout_json(world, 3))["configById"].keys() > json.loads(layout_json(known, 3))["configById"].keys()
+    )
+
+
+def test_areas_of_robots_that_learn_are_those_of_the_engine() -> None:
+    world = with_prior(small_task()[0], 0.05, sense=1)
+    plan = make_plan(world, world.starts, Settings())
+    stage, steps = Stage(world, plan, "closed", SEED), 0
+    for trace in trace_rollouts(compile_closed_loop(plan, world), SEED, range(4)):
+        maps = {areas.step: areas for areas in stage.area_maps(trace)}
+        areas = maps[0]
+        for step in range(trace.time + 1):
+            areas = maps.get(step, areas)
+            for robot, (area, doing) in enumerate(zip(trace.areas[step], trace.doing[step], strict=True)):
+                if doing in (Doing.TRAVELING, Doing.COVERING):
+                    assert set(areas.robot[areas.area == area].tolist()) == {robot}
+                    assert set(areas.held[areas.area == area].tolist()) == {Held.ASSIGNED}
+                    steps += 1
+            assert (areas.open > 0) == bool((areas.held[areas.area >= 0] == Held.UNASSIGNED).any())
+        assert np.array_equal(areas.area, trace.area_of)
+        assert {EventKind.SURPRISED} < {*trace.events[:, 2].tolist()}
+    assert steps > 100
+
+
+def test_a_drawn_truth_is_that_of_the_rollout() -> None:
+    world = with_sense(with_spread(small_task()[0], "lognormal", 0.6, by="common"), 2)
+    plan, truths = make_plan(world, world.starts, Settings()), []
+    for trace in trace_rollouts(compile_closed_loop(plan, world), SEED, range(3)):
+        found = Stage(world, plan, "closed", SEED).discovery(trace)
+        assert found is not None
+        truths.append(float(np.nanmax(found.truth)))
+        assert np.array_equal(np.isnan(found.truth), np.isnan(world.threat))
+        for step, _, _, _, cell in trace.events[trace.events[:, 2] == EventKind.HIT].tolist():
+            assert found.truth.ravel()[cell] > 0 and found.when.ravel()[cell] <= step
+    assert len(set(truths)) > 1
 
 
 def test_long_rollouts_on_large_maps_write_grids_less_often(monkeypatch: pytest.MonkeyPatch) -> None:

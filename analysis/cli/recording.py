@@ -118,9 +118,9 @@ def record(
     asked = [str(file) for file in (picture, animation) if file is not None]
     if asked and not done.partial:
         say([f"drawing {' and '.join(asked)} ..."])
-        areas = Stage(world, made, request.loop, request.seed).areas
+        stage = Stage(world, made, request.loop, request.seed, request.first_only, request.luck)
         try:
-            for drawing in save_pictures(done.first, made, world, areas, picture, animation):
+            for drawing in save_pictures(done.first, stage, picture, animation):
                 say([f"wrote {drawing}"])
         except KeyboardInterrupt:
             say([f"interrupted while drawing; {done.path} is whole"])

@@ -1,5 +1,7 @@
 """A rollout's trace worked out step by step: who lives, what is covered, who holds which area. Pure NumPy.
 
+Which areas robots hold that learn the map no trace tells (`analysis.recording.discovery`).
+
 Axis letters: `T` = time + 1 steps, `K` robots, `N = H * W` cells, `A` areas, `V` entries of a cell.
 """
 
@@ -38,7 +40,6 @@ class Frames:
             that was not stopped there; NO_STEP.
         visited_by: int32 `[N]`, the robot that entered the cell first; NO_ROBOT.
         visited, survived: int64 `[T]`, cells so far. alive_count: int64 `[T]`.
-        unassigned: int64 `[T]`, areas that nobody has and that are not completed.
     """
 
     trace: Trace
@@ -50,7 +51,6 @@ class Frames:
     visited: NDArray[np.int64]
     survived: NDArray[np.int64]
     alive_count: NDArray[np.int64]
-    unassigned: NDArray[np.int64]
 
     def events_by_step(self) -> NDArray[np.int64]:
         """int64 `[T + 1]`: the events of step t are `trace.events[at[t] : at[t + 1]]`."""
@@ -66,19 +66,18 @@ class AreaMap:
         area: int32 `[N]`, the area of each cell; NO_AREA where there is none.
         held: int8 `[N]`, values of `Held` (UNASSIGNED where there is no area).
         robot: int32 `[N]`, the robot that has the cell's area, or had it last; NO_ROBOT.
+        open: areas that nobody has and that are not completed.
     """
 
     step: int
     area: NDArray[np.int32]
     held: NDArray[np.int8]
     robot: NDArray[np.int32]
+    open: int
 
 
-def make_frames(trace: Trace, areas: Sequence[Area], state: MissionState | None = None) -> Frames:
-    """Work out a trace; `areas`: those at t = 0, in id order; `state`: of the mission that it goes on from.
-
-    Raises ValueError if its events do not fit them.
-    """
+def make_frames(trace: Trace, state: MissionState | None = None) -> Frames:
+    """Work out a trace; `state`: of the mission that it goes on from."""
     cells, n = trace.cells, len(trace.area_of)
     moved = np.ones(cells.shape, dtype=np.bool_)
     moved[0] = state is None
@@ -93,10 +92,7 @@ def make_frames(trace: Trace, areas: Sequence[Area], state: MissionState | None 
     survived_at = _first(steps[passed], entered[passed], n)
     if state is not None:
         visited_at[state.visited] = survived_at[state.survived] = 0
-    count, unassigned = len(cells), np.zeros(len(cells), dtype=np.int64)
-    book = AreaBook(trace, areas, state)
-    for step in book.steps():
-        unassigned[step:] = book.open
+    count = len(cells)
     return Frames(
         trace=trace,
         moved=moved,
@@ -107,7 +103,6 @@ def make_frames(trace: Trace, areas: Sequence[Area], state: MissionState | None 
         visited=_so_far(visited_at, count),
         survived=_so_far(survived_at, count),
         alive_count=alive.sum(axis=1),
-        unassigned=unassigned,
     )
 
 
@@ -123,10 +118,19 @@ def _so_far(first: NDArray[np.int32], steps: int) -> NDArray[np.int64]:
 
 
 def area_maps(trace: Trace, areas: Sequence[Area], state: MissionState | None = None) -> Iterator[AreaMap]:
-    """The areas at the end of step 0, and of every later step that changes who holds what."""
+    """The areas at the end of step 0, and of every later step that changes who holds what.
+
+    `areas`: those at t = 0, in id order. Raises ValueError if the events of the trace do not fit them.
+    """
     book = AreaBook(trace, areas, state)
     for step in book.steps():
         yield book.map(step)
+
+
+def no_areas(cells: int) -> AreaMap:
+    """That there are none, before the first step."""
+    none = np.full(cells, NO_AREA, dtype=np.int32)
+    return AreaMap(0, none, np.zeros(cells, dtype=np.int8), none, 0)
 
 
 class AreaBook:
@@ -159,11 +163,6 @@ class AreaBook:
             if not 0 <= parent < child:
                 raise ValueError(f"area {child} was made of area {parent}")
 
-    @property
-    def open(self) -> int:
-        """Areas that nobody has and that are not completed."""
-        return int((self.held[: self._next] == Held.UNASSIGNED).sum())
-
     def steps(self) -> Iterator[int]:
         """Step 0 and every later one with an event, when it has happened."""
         at, events = self._trace.events[:, 0], self._trace.events
@@ -191,4 +190,5 @@ class AreaBook:
             now[later] = self._parents[now[later]]
         area = np.append(now, np.int32(NO_AREA))[self._trace.area_of]
         held, robot = np.append(self.held, Held.UNASSIGNED), np.append(self.robot, NO_ROBOT)
-        return AreaMap(step, area, held[area], robot[area])
+        nobodys = int((self.held[: self._next] == Held.UNASSIGNED).sum())
+        return AreaMap(step, area, held[area], robot[area], nobodys)

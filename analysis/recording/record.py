@@ -135,7 +135,7 @@ def _write(
     done.evaluate_seconds = time.perf_counter() - began
     done.settings = request.settings(ids, picks)
     _describe(log, done.settings, done.tally, world, plan)
-    stage = Stage(world, plan, request.loop, request.seed)
+    stage = Stage(world, plan, request.loop, request.seed, request.first_only, request.luck)
     for trace, messages in recorded_messages(stage, engine.traces(ids), request.step_seconds):
         row = _row(trace, picks, stage)
         for message in messages:
@@ -148,7 +148,7 @@ def _write(
 
 
 def _row(trace: Trace, picks: dict[str, int], stage: Stage) -> Row:
-    frames = make_frames(trace, stage.areas, stage.plan.state)
+    frames = make_frames(trace, stage.plan.state)
     return Row(
         rollout=trace.rollout,
         picks=tuple(name for name, one in picks.items() if one == trace.rollout),

@@ -122,7 +122,7 @@ class _Comparison:
         first_only, luck = self.settings.threat_checks == "first_visit", self.settings.luck
         how = Rolling(self.settings.loop, "step", first_only, self.settings.seed, luck)
         engine = make_engine(plan, world, how, self.found.engine)
-        self._rollouts(Stage(world, plan, self.settings.loop, self.settings.seed), engine)
+        self._rollouts(Stage(world, plan, self.settings.loop, self.settings.seed, first_only, luck), engine)
         if self.found.everything:
             self._evaluated(engine)
 

@@ -75,12 +75,13 @@ class Mission:
         self.world, self.patience, self.gain, self._recorder = world, patience, gain, recorder
         self.closed: list[int] = []
         self.seen: Seen = {}
-        self._begin(world, plan)
+        self._begin(world, plan, recorder)
 
-    def _begin(self, world: World, plan: Plan) -> None:
+    def _begin(self, world: World, plan: Plan, recorder: Recorder | None = None) -> None:
+        """`recorder`: writes down what has been, too."""
         problem, areas = ready_loop(plan, world)
         self.world, self._plan = world, plan
-        self._fleet = Fleet(problem, areas, recorder=self._recorder, state=plan.state)
+        self._fleet = Fleet(problem, areas, recorder=recorder, state=plan.state)
         self._fleet.gain = self.gain
         robots = len(self._fleet.robots)
         self._borne = list(plan.state.exposures) if plan.state is not None else [0] * robots
@@ -346,6 +347,7 @@ class Mission:
         """By another plan, on a map that is known better."""
         kept, reports, aside = (self._borne, self._waits), self._reports, self._aside
         self._begin(world, plan)
+        self._fleet.recorder = self._recorder
         self._borne, self._waits = kept
         self._reports.carry(reports)
         self._set_aside(aside)

@@ -6,11 +6,13 @@ It is slow and shares no kernel with them; use it to check one, or to follow one
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from planner.luck import Luck, rows_met
 from planner.luck_names import LuckName
-from planner.mrac.executive import Split
+from planner.mrac.executive import Executive, Split
 from planner.mrac.partition import bisect
 from planner.mrac.recorder import Recorder
 from planner.mrac.resume import state_of
@@ -63,15 +65,22 @@ class ReferenceLoop:
 
     def state_at(self, step: int, seed: int, rollout: int) -> MissionState | None:
         """Where the rollout stands at the end of a step, to go on from; None if it has ended by then."""
-        luck, last = self._luck_of(seed, rollout), self._problem.max_steps
-        truth, hit = self._truth(seed, rollout), self._hit(luck)
+        luck = self._luck_of(seed, rollout)
+        for team in self._steps(seed, rollout, luck):
+            if team.step == step and team.outcome(self._problem.max_steps) is None:
+                return state_of(team, [luck.borne(number) for number in range(len(team.robots))])
+        return None
+
+    def teams(self, seed: int, rollout: int) -> Iterator[Executive]:
+        """The team as it stands at the end of every step: one, which goes on."""
+        return self._steps(seed, rollout, self._luck_of(seed, rollout))
+
+    def _steps(self, seed: int, rollout: int, luck: Luck) -> Iterator[Executive]:
+        truth, movers, hit = self._truth(seed, rollout), self._movers_of(seed, rollout), self._hit(luck)
         team = make_team(self._problem, self._areas, self._split, state=self._state, truth=truth)
-        movers = self._movers_of(seed, rollout)
-        while team.step < step and team.outcome(last) is None:
+        while team.outcome(self._problem.max_steps) is None:
             play_step(team, hit, movers)
-        if team.step != step or team.outcome(last) is not None:
-            return None
-        return state_of(team, [luck.borne(number) for number in range(len(team.robots))])
+            yield team
 
     def _luck_of(self, seed: int, rollout: int) -> Luck:
         return Luck(self._world, seed, rollout, self._luck, self._bearing)

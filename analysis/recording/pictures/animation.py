@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,9 @@ from scipy.spatial import KDTree
 
 from analysis.pictures.style import DPI, FINE_DPI, FINE_FROM, house_style, png_bytes
 from analysis.recording.pictures.picture import RolloutPicture
+from analysis.recording.viewers.topics import Stage
 from planner.errors import UsageError
-from planner.plans.plan import Area, Plan
 from planner.trace import EventKind, Trace
-from planner.worlds.world import World
 
 MOST_FRAMES = 300
 ANIMATION_DPI = 100
@@ -29,44 +28,33 @@ COLOURS = 255
 """Of a GIF: of 256, one stands for "as in the frame before"."""
 
 
-def picture_png(
-    trace: Trace, plan: Plan, world: World, step: int | None = None, areas: Sequence[Area] | None = None
-) -> bytes:
+def picture_png(trace: Trace, stage: Stage, step: int | None = None) -> bytes:
     """The rollout at the end of `step` (None: its last) as a PNG 8 inches wide. The same input, the same bytes.
 
-    `plan`, `world`: those that the trace is a rollout of. `areas`: the areas at t = 0 in id order, if they are not
-    `plan.areas` (the open loop has those that the nominal run adds as well). Raises UsageError for a step that it does
-    not have.
+    `stage`: what the trace is a rollout of. Raises UsageError for a step that it does not have.
     """
     at = trace.time if step is None else step
     if not 0 <= at <= trace.time:
         raise UsageError(f"step {step} of rollout {trace.rollout}", expected=f"0 to {trace.time}, where it ended")
     with house_style():
-        dpi = FINE_DPI if max(world.shape) > FINE_FROM else DPI
-        picture = RolloutPicture(trace, plan, world, plan.areas if areas is None else areas, dpi)
+        dpi = FINE_DPI if max(stage.world.shape) > FINE_FROM else DPI
+        picture = RolloutPicture(trace, stage, dpi)
         picture.show(at)
         return png_bytes(picture.figure)
 
 
-def animation_gif(
-    trace: Trace,
-    plan: Plan,
-    world: World,
-    most_frames: int = MOST_FRAMES,
-    areas: Sequence[Area] | None = None,
-) -> bytes:
+def animation_gif(trace: Trace, stage: Stage, most_frames: int = MOST_FRAMES) -> bytes:
     """The whole rollout as an animated GIF, 800 pixels wide, that plays for about half a minute, over and over.
 
     Of a long rollout at most `most_frames` steps are shown, the first, the last and those with losses first of all.
-    The same input gives the same bytes. Holds one byte a pixel and frame. `areas`: see `picture_png`. Raises
-    UsageError for less than two frames.
+    The same input gives the same bytes. Holds one byte a pixel and frame. Raises UsageError for less than two frames.
     """
     if most_frames < 2:
         raise UsageError(f"{most_frames} frames", expected="2 or more")
     steps = shown_steps(trace, most_frames)
 
     def pixels(steps: list[int]) -> Iterator[NDArray[np.uint8]]:
-        picture = RolloutPicture(trace, plan, world, plan.areas if areas is None else areas, ANIMATION_DPI)
+        picture = RolloutPicture(trace, stage, ANIMATION_DPI)
         for step in steps:
             picture.show(step)
             yield picture.pixels()

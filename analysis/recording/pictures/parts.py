@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import to_rgba
+from matplotlib.collections import PathCollection
+from matplotlib.colors import to_rgb, to_rgba
+from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
@@ -24,6 +26,7 @@ from analysis.pictures.style import (
     SAFE,
     WIDTH,
     Key,
+    Look,
     map_axes,
     plain,
     root_figure,
@@ -38,6 +41,8 @@ from planner.worlds.world import World
 NOBODY = SAFE
 BEFORE = "#c3c7cc"
 LOST = "#b3263a"
+FOG, FOG_ALPHA = "#4a4560", 0.8
+MOVER = "#e2264d"
 VISITED, SURVIVED = "#2f62a6", "#7fb2d9"
 Box = tuple[float, float, float, float]
 
@@ -81,8 +86,8 @@ def boxes_for(shape: tuple[int, int]) -> Boxes:
     return Boxes(size, (threat, areas, curve), bar, (left + 3.0, bar[1] + 0.16), events)
 
 
-def draw_threat(axes: Axes, boxes: Boxes, world: World, plan: Plan, has_areas: bool) -> None:
-    """The world by threat, its colour bar, and the legend of both maps."""
+def draw_threat(axes: Axes, boxes: Boxes, world: World, plan: Plan, has_areas: bool, *, fog: bool = False) -> None:
+    """The world by threat, its colour bar, and the legend of both maps; `fog`: not all of it is seen at once."""
     accessible = world.accessible(plan.starts)
     threat = np.nan_to_num(world.threat.astype(np.float64))
     levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS).values
@@ -90,12 +95,15 @@ def draw_threat(axes: Axes, boxes: Boxes, world: World, plan: Plan, has_areas: b
     colours = ScalarMappable(known.norm, known.colours).to_rgba(threat)
     axes.imshow(cell_colours(world, accessible, colours), interpolation="nearest", zorder=0)
     map_frame(axes, world, "threat, and the paths driven")
-    label, handles = "chance that one visit stops the robot", _area_handles(has_areas, plan.state is not None)
+    label, handles = (
+        "chance that one visit stops the robot",
+        _area_handles(has_areas, plan.state is not None, fog, world.movers is not None),
+    )
     key = Key("", "", label=label, handles=handles, **level_scale(levels, known))
     draw_key(root_figure(axes), boxes.bar, boxes.legend, 2, key)
 
 
-def _area_handles(has_areas: bool, before: bool) -> tuple[Patch, ...]:
+def _area_handles(has_areas: bool, before: bool, fog: bool, movers: bool) -> tuple[Patch | Line2D, ...]:
     """The legend of the areas' map, whose cells are painted step by step. `before`: some were covered."""
     hue = np.array([to_rgba("#0072b2")[:3]])
     entries = [(tint(hue, 0.62)[0], "covered, in the robot's colour")]
@@ -104,7 +112,22 @@ def _area_handles(has_areas: bool, before: bool) -> tuple[Patch, ...]:
     if before:
         entries += [(to_rgba(BEFORE)[:3], "covered before")]
     entries += [(NOBODY, "still to do, nobody's" if has_areas else "still to do"), (OBSTACLE, "obstacle")]
-    return tuple(Patch(facecolor=colour, edgecolor=FAINT, linewidth=0.4, label=label) for colour, label in entries)
+    entries += [(to_rgb(FOG), "seen by nobody yet")] if fog else []
+    patches = [Patch(facecolor=colour, edgecolor=FAINT, linewidth=0.4, label=label) for colour, label in entries]
+    look: Look = {"linestyle": "", "marker": "D", "markersize": 5, "markeredgecolor": "white"}
+    return (*patches, *([Line2D([], [], color=MOVER, label="threat that moves", **look)] if movers else []))
+
+
+def draw_fog(axes: Axes, shape: tuple[int, int]) -> AxesImage:
+    """A dark sheet over a map, whose alpha is set cell by cell."""
+    sheet = np.full((*shape, 3), to_rgb(FOG))
+    return axes.imshow(sheet, interpolation="nearest", zorder=1, alpha=np.full(shape, FOG_ALPHA))
+
+
+def draw_movers(axes: Axes, points: float) -> PathCollection:
+    """Threats that move, nowhere yet; `points`: of a cell."""
+    size = float(np.clip(0.7 * points, 3.0, 9.0))
+    return axes.scatter([], [], s=size**2, marker="D", color=MOVER, edgecolors="white", linewidths=0.5, zorder=3.5)
 
 
 def draw_coverage(axes: Axes, frames: Frames, total: int) -> list[Line2D]:

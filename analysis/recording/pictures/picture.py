@@ -5,7 +5,7 @@ Axis letters: `K` robots, `N = H * W` cells, `T` = time + 1 steps.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -32,22 +32,26 @@ from analysis.pictures.style import (
     robot_style,
 )
 from analysis.recording.events import event_line
-from analysis.recording.frames import Held, area_maps, make_frames
+from analysis.recording.frames import Held, make_frames, no_areas
 from analysis.recording.pictures.parts import (
     BEFORE,
+    FOG_ALPHA,
     LOST,
     NOBODY,
     boxes_for,
     draw_coverage,
+    draw_fog,
+    draw_movers,
     draw_threat,
     map_frame,
     tint,
 )
+from analysis.recording.viewers.topics import Stage
 from planner.none import NO_ROBOT, NO_STEP
-from planner.plans.plan import NOMINAL, Area, Plan
+from planner.plans.plan import NOMINAL
+from planner.roaming import ways_of_movers
 from planner.shown import counted
 from planner.trace import EventKind, Trace
-from planner.worlds.world import World
 
 NUMBERED = 40
 """Robots up to which the markers carry numbers."""
@@ -57,17 +61,22 @@ LISTED_EVENTS = 8
 class RolloutPicture:
     """A rollout drawn at one step after another: `show(step)`, then `pixels()`, or `figure` for a file."""
 
-    def __init__(self, trace: Trace, plan: Plan, world: World, areas: Sequence[Area], dpi: int) -> None:
+    def __init__(self, trace: Trace, stage: Stage, dpi: int) -> None:
         """Draw all that never changes, and step 0. For use within `plots_style.house_style()`.
 
-        `areas`: those at t = 0, in id order. `dpi`: pixels an inch of the figure, `plots_style.WIDTH` inches wide.
+        `dpi`: pixels an inch of the figure, `plots_style.WIDTH` inches wide.
         """
+        plan, self._found = stage.plan, stage.discovery(trace)
+        world = stage.world
+        if self._found is not None:  # what is true, behind the fog
+            world = replace(world, threat=self._found.truth, knowledge=None, doubt=None)
         self._trace, self._world, self._shape = trace, world, world.shape
-        self._frames = make_frames(trace, areas, plan.state)
+        self._frames = make_frames(trace, plan.state)
         self._accessible = world.accessible(plan.starts).ravel()
         self._free = world.free.ravel()
-        self._maps = area_maps(trace, areas, plan.state)
-        self._map, self._next_map = next(self._maps), next(self._maps, None)
+        self._maps, self._map = stage.area_maps(trace), no_areas(world.threat.size)
+        self._next_map = next(self._maps, None)
+        has_areas = self._next_map is not None
         self._events_at = self._frames.events_by_step()
         robots = trace.cells.shape[1]
         colours = np.array([to_rgb(robot_style(robot)[0]) for robot in range(robots)] + [to_rgb(NOBODY)])
@@ -77,10 +86,13 @@ class RolloutPicture:
         boxes = boxes_for(world.shape)
         self.figure = new_figure(boxes.size, dpi)
         threat_axes, areas_axes, coverage = (self.figure.add_axes(inches(self.figure, box)) for box in boxes.axes)
-        draw_threat(threat_axes, boxes, world, plan, bool(areas))
-        map_frame(areas_axes, world, "who covered it, and whose area it is" if areas else "who covered it")
+        draw_threat(threat_axes, boxes, world, plan, has_areas, fog=self._found is not None)
+        map_frame(areas_axes, world, "who covered it, and whose area it is" if has_areas else "who covered it")
         self._image = areas_axes.imshow(self._area_colours(0), interpolation="nearest", zorder=0)
         points = cell_points(threat_axes, world.shape)
+        self._fog = [draw_fog(axes, world.shape) for axes in (threat_axes, areas_axes) if self._found is not None]
+        self._ways = ways_of_movers(stage.world, stage.seed, trace.rollout, len(trace.cells))
+        self._movers = [draw_movers(axes, points) for axes in (threat_axes, areas_axes) if self._ways.size]
         self._paths = [_path_line(threat_axes, robot, robots, points) for robot in range(robots)]
         self._markers = [_Markers(axes, robots, points) for axes in (threat_axes, areas_axes)]
         self._curves = draw_coverage(coverage, self._frames, int(self._accessible.sum()))
@@ -97,6 +109,11 @@ class RolloutPicture:
         while self._next_map is not None and self._next_map.step <= step:
             self._map, self._next_map = self._next_map, next(self._maps, None)
         self._image.set_data(self._area_colours(step))
+        if self._found is not None:
+            for fog in self._fog:
+                fog.set_alpha(np.where(self._found.seen(step), 0.0, FOG_ALPHA))
+        for movers in self._movers:
+            movers.set_offsets(np.stack(np.divmod(self._ways[step], self._shape[1])[::-1], axis=1))
         rows, cols = np.divmod(self._trace.cells[: step + 1], self._shape[1])
         for robot, line in enumerate(self._paths):
             shift = lane(robot, len(self._paths))
@@ -128,7 +145,7 @@ class RolloutPicture:
         """What `show` changes, from the lowest to the highest."""
         marks = [artist for markers in self._markers for artist in markers.artists]
         return [
-            self._image, *self._paths, *marks, *self._curves, self._losses,
+            self._image, *self._fog, *self._paths, *self._movers, *marks, *self._curves, self._losses,
             self._title, self._subtitle, *self._lines,
         ]  # fmt: skip
 
@@ -150,8 +167,10 @@ class RolloutPicture:
         visited = int(frames.visited[step])
         parts = [f"{percent(visited / total)} visited ({visited:,} of {counted(total, 'cell')})"]
         parts.append(f"{frames.alive_count[step]} of {counted(robots, 'robot')} alive")
-        if frames.unassigned[step]:
-            parts.append(f"{counted(int(frames.unassigned[step]), 'area')} nobody's")
+        if self._map.open:
+            parts.append(f"{counted(self._map.open, 'area')} nobody's")
+        if self._found is not None:
+            parts.append(f"{percent(self._found.seen(step).ravel()[self._accessible].mean())} seen")
         self._subtitle.set_text("; ".join(parts))
         events = trace.events[: self._events_at[step + 1]][-LISTED_EVENTS:]
         for line, event in zip(self._lines, events[::-1].tolist(), strict=False):

@@ -14,6 +14,10 @@ MOVER = (226, 38, 77)
 ALIVE = (255, 255, 255)
 """A live robot's block: its own colour would vanish on the plates of its area."""
 OBSTACLE = (128, 134, 144, 255)
+FOG = (74, 69, 96, 190)
+"""What nobody has seen yet; what is believed of it shines through."""
+THREAT = ((42, 47, 55), (255, 59, 48))
+"""From no threat to the largest: the colours of the layout's threat map."""
 OPEN_AREA = (235, 235, 235)
 """An area that nobody has."""
 

@@ -1,4 +1,4 @@
-"""What viewers draw of the map: threats, obstacles, visits, and areas with their owners.
+"""What viewers draw of the map: threats, obstacles, visits, areas with their owners, and what robots learn of it.
 
 In two forms: foxglove.Grid for Foxglove and Lichtblick; nav_msgs/OccupancyGrid and foxglove.VoxelGrid, of which each
 voxel is a coloured plate, for Rerun. In all of them row 0 of the message is the lowest y. Axis letters: `N = H * W`
@@ -18,13 +18,16 @@ from numpy.typing import NDArray
 from analysis.recording.frames import AreaMap, Held
 from analysis.recording.viewers import colours
 from analysis.recording.viewers.ros import FRAME, Place, occupancy_grid
-from planner.none import NO_AREA, NO_ROBOT
+from planner.none import NO_AREA, NO_ROBOT, NO_STEP
 from planner.worlds.ros_map import FULL, NO_VALUE
 from planner.worlds.world import World
 
 RGBA = np.dtype([(colour, "u1") for colour in ("red", "green", "blue", "alpha")])
+TRUTH, FOG = (np.dtype([(value, "<f4"), *RGBA.descr]) for value in ("threat", "seen_at"))
 _KINDS = {"u1": PackedElementField.UINT8, "u2": PackedElementField.UINT16, "f4": PackedElementField.FLOAT32}
-HEIGHTS = {"threat": 0.0, "areas": 0.02, "voxels": 0.02, "visited": 0.04, "obstacles": 0.06}
+HEIGHTS = {
+    "threat": 0.0, "truth": 0.0, "areas": 0.02, "voxels": 0.02, "visited": 0.04, "obstacles": 0.06, "fog": 0.08,
+}  # fmt: skip
 """Height above the ground of each layer, in cells, so that they do not fight for the same pixels."""
 DARK = (15, 70)
 VOXEL_HEIGHT = 0.1
@@ -39,10 +42,12 @@ class MapDrawer:
 
     def __init__(self, world: World, accessible: NDArray[np.bool_]) -> None:
         """`accessible`: bool `[H, W]`."""
-        self.world, self.accessible = world, accessible
+        self.world, self._threat, self._unknown = world, world.threat, world.free & ~accessible
         self._grids = {
             "threat": _grid(self.place("threat"), world, np.dtype([("threat", "<f4")])),
             "obstacles": _grid(self.place("obstacles"), world, RGBA),
+            "truth": _grid(self.place("truth"), world, TRUTH),
+            "fog": _grid(self.place("fog"), world, FOG),
             "visited": _grid(self.place("visited"), world, np.dtype([("visited", "u1")])),
             "areas": _grid(self.place("areas"), world, RGBA),
         }
@@ -79,6 +84,10 @@ class MapDrawer:
         self._rgba[unseen, :3], self._rgba[unseen, 3] = rgb, np.where(inside, np.where(owned, PALE, FAINT), 0)
         self._plates[unseen, :3], self._plates[unseen, 3] = colours.pale(rgb), np.where(inside & owned, OPAQUE, 0)
 
+    def believe(self, threat: NDArray[np.float32], seen: NDArray[np.bool_]) -> None:
+        """From now on this is the map, float32 `[H, W]`, NaN = obstacle, and these cells of it are known."""
+        self._threat, self._unknown = threat, ~seen
+
     def place(self, layer: str) -> Place:
         """Where a layer lies."""
         x, y, yaw = self.world.origin
@@ -86,22 +95,42 @@ class MapDrawer:
 
     def threat(self, time: int) -> Any:
         """foxglove.Grid, one float32 `threat`, 0 at obstacles."""
-        return self._send("threat", time, np.flipud(np.nan_to_num(self.world.threat, nan=0.0)).astype("<f4"))
+        return self._send("threat", time, np.flipud(np.nan_to_num(self._threat, nan=0.0)).astype("<f4"))
 
     def threat_occupancy(self, time: int) -> bytes:
         """OccupancyGrid: safe cells 0, dangerous ones 15 to 70 for the map's largest threat, obstacles 100, cells that
-        nobody reaches -1."""
-        threat = np.nan_to_num(self.world.threat, nan=0.0).astype(np.float64)
+        nobody reaches, or that robots have not seen, -1."""
+        threat = np.nan_to_num(self._threat, nan=0.0).astype(np.float64)
         shade = np.where(threat > 0, np.round(DARK[0] + (DARK[1] - DARK[0]) * threat / max(threat.max(), 1e-9)), 0)
-        shade[self.world.free & ~self.accessible] = NO_VALUE
-        shade[~self.world.free] = FULL
+        shade[np.isnan(self._threat)] = FULL
+        shade[self._unknown] = NO_VALUE
         return occupancy_grid(time, self.place("threat"), np.flipud(shade).astype(np.int8))
 
     def obstacles(self, time: int) -> Any:
         """foxglove.Grid, red green blue alpha; alpha 0 where free."""
         rgba = np.zeros((*self.world.shape, 4), dtype=np.uint8)
-        rgba[~self.world.free] = colours.OBSTACLE
+        rgba[np.isnan(self._threat)] = colours.OBSTACLE
         return self._send("obstacles", time, np.flipud(rgba))
+
+    def truth(self, time: int, threat: NDArray[np.float32]) -> Any:
+        """foxglove.Grid, float32 `threat` `[H, W]`, 0 at obstacles, red green blue alpha: what robots meet."""
+        cells, known = np.zeros(threat.shape, dtype=TRUTH), np.nan_to_num(threat, nan=0.0)
+        cells["threat"] = known
+        share = known[..., None] / max(float(known.max()), 1e-9)
+        low, high = (np.array(rgb) for rgb in colours.THREAT)
+        rgb = np.where(np.isnan(threat)[..., None], colours.OBSTACLE[:3], np.round(low + (high - low) * share))
+        _paint(cells, rgb, OPAQUE)
+        return self._send("truth", time, np.flipud(cells))
+
+    def fog(self, time: int, when: NDArray[np.int32]) -> Any:
+        """foxglove.Grid, float32 `seen_at` (steps; -1: not yet), red green blue alpha; alpha 0 where it was seen.
+
+        `when`: int32 `[H, W]`, the step at which each cell is first seen.
+        """
+        cells = np.zeros(when.shape, dtype=FOG)
+        cells["seen_at"] = np.where(self._unknown, NO_STEP, when)
+        _paint(cells, np.array(colours.FOG[:3]), np.where(self._unknown, colours.FOG[3], 0))
+        return self._send("fog", time, np.flipud(cells))
 
     def visited(self, time: int) -> Any:
         """foxglove.Grid, one uint8 `visited`: entries of each cell so far, at most 255."""
@@ -124,6 +153,13 @@ class MapDrawer:
         grid.timestamp.FromNanoseconds(time)
         grid.data = values.tobytes()
         return grid
+
+
+def _paint(cells: NDArray, rgb: NDArray, alpha: NDArray | int) -> None:
+    """Colours of cells `[H, W]`; `rgb` `[..., 3]`."""
+    for name, value in zip(("red", "green", "blue"), np.moveaxis(rgb, -1, 0), strict=True):
+        cells[name] = value
+    cells["alpha"] = alpha
 
 
 def _grid(place: Place, world: World, fields: np.dtype) -> Any:

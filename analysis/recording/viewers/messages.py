@@ -11,14 +11,16 @@ from typing import Any
 import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
+from analysis.recording.discovery import Discovery
 from analysis.recording.events import END_LEVELS, end_text, event_line
-from analysis.recording.frames import Frames, area_maps, make_frames
+from analysis.recording.frames import Frames, make_frames
 from analysis.recording.viewers import ros as drawn_ros
 from analysis.recording.viewers import schemas
 from analysis.recording.viewers.map import MapDrawer
 from analysis.recording.viewers.movers import MoverDrawer
 from analysis.recording.viewers.robots import DRIVEN_HEIGHT, PLANNED_HEIGHT, PathLines, RobotDrawer
 from analysis.recording.viewers.topics import Clock, Message, Stage
+from planner.none import NO_STEP
 from planner.plans.waypoints import headings
 from planner.roaming import ways_of_movers
 from planner.trace import Doing, Trace
@@ -55,18 +57,19 @@ class RolloutDrawer:
         world, state = stage.world, stage.plan.state
         accessible = world.accessible(stage.plan.starts)
         self.accessible = int(accessible.sum())
-        self.frames: Frames = make_frames(trace, stage.areas, state)
+        self.frames: Frames = make_frames(trace, state)
         self.map = MapDrawer(world, accessible)
         self.robots = RobotDrawer(world, trace.cells, self.frames.alive)
         self.movers = MoverDrawer(world, ways_of_movers(world, stage.seed, trace.rollout, trace.time + 1))
         self.driven = PathLines(world, trace.cells.shape[1], "driven", DRIVEN_HEIGHT, 1.0, 2.0)
         self.cuts = self.frames.events_by_step()
-        self.areas = area_maps(trace, stage.areas, state) if stage.areas else iter(())
+        self.areas, self.open_areas = stage.area_maps(trace), 0
         self.next_areas = next(self.areas, None)
+        self.discovery, self.shown = stage.discovery(trace), NO_STEP
         length = max(trace.time + 1, *(len(robot.path) for robot in stage.plan.robots))
         self.stamps = np.array([clock.at(step) for step in range(length)], dtype=np.int64)
         self.step_seconds = clock.step_seconds
-        steps, size = trace.time + 1, 9 * world.threat.size
+        steps, size = trace.time + 1, (9 if self.discovery is None else 26) * world.threat.size
         self.every = -(-steps * size // GRID_BYTES)
         self.driven_every, self.paths_every = (-(-steps // looks) for looks in (DRIVEN_LOOKS, DRIVEN_PATHS))
 
@@ -74,10 +77,13 @@ class RolloutDrawer:
         """Everything of one step; steps come one after the other."""
         if step == 0:
             yield from self._begin(time)
-        yield from self._data(time, step)
         if self.next_areas is not None and self.next_areas.step == step:
             self.map.hold(self.next_areas)
+            self.open_areas = self.next_areas.open
             self.next_areas = next(self.areas, None)
+        yield from self._data(time, step)
+        if self.discovery is not None and self._looks(step, self.every):
+            yield from self._discovered(self.discovery, time, step)
         yield from self._map(time, step)
         yield from self._drawn(time, step)
         if step == self.trace.time:
@@ -93,15 +99,30 @@ class RolloutDrawer:
         start.height, start.width, start.accessible = height, width, self.accessible
         start.loop, start.seed, start.step_seconds = stage.loop, stage.seed, self.step_seconds
         yield "/rollout/start", start
-        yield "/map/threat", self.map.threat(time)
-        yield "/map/threat_occ", self.map.threat_occupancy(time)
-        yield "/map/obstacles", self.map.obstacles(time)
+        if self.discovery is None:
+            yield from self._known(time)
+        else:
+            yield "/map/truth", self.map.truth(time, self.discovery.truth)
         paths = [robot.path for robot in stage.plan.robots]
         lines = PathLines(stage.world, len(paths), "plan", PLANNED_HEIGHT, 0.5, 1.0)
         yield "/plans", lines.message(time, paths)
         for number, path in enumerate(paths[:MOST_PATHS]):
             xy, yaw = stage.world.to_xy(path.astype(np.int32)), headings(path.astype(np.int64), stage.world)
             yield f"/robots/{number}/plan", drawn_ros.path(time, self.stamps[: len(path)], xy, yaw)
+
+    def _known(self, time: int) -> Said:
+        """The map as robots know it."""
+        yield "/map/threat", self.map.threat(time)
+        yield "/map/threat_occ", self.map.threat_occupancy(time)
+        yield "/map/obstacles", self.map.obstacles(time)
+
+    def _discovered(self, discovery: Discovery, time: int, step: int) -> Said:
+        """The map as it is believed, and what nobody has seen yet, where that is not as it was."""
+        if step == 0 or ((discovery.when > self.shown) & (discovery.when <= step)).any():
+            self.map.believe(discovery.believed(step), discovery.seen(step))
+            yield from self._known(time)
+            yield "/map/fog", self.map.fog(time, discovery.when)
+            self.shown = step
 
     def _data(self, time: int, step: int) -> Said:
         """The exact topics of one step, and the events in words."""
@@ -110,7 +131,7 @@ class RolloutDrawer:
         state.doing.extend(trace.doing[step].tolist())
         state.areas.extend(trace.areas[step].tolist())
         state.visited, state.survived = int(frames.visited[step]), int(frames.survived[step])
-        state.alive, state.unassigned = int(frames.alive_count[step]), int(frames.unassigned[step])
+        state.alive, state.unassigned = int(frames.alive_count[step]), self.open_areas
         yield "/rollout/step", state
         for row in trace.events[self.cuts[step] : self.cuts[step + 1]]:
             _, robot, kind, area, other = row.tolist()
@@ -151,7 +172,7 @@ class RolloutDrawer:
         yield "/coverage", drawn_ros.array(*covered)
         stats = schemas.Stats(rollout=trace.rollout, step=step, alive=float(frames.alive_count[step]))
         stats.coverage_visited, stats.coverage_survived = covered
-        stats.unassigned_areas = float(frames.unassigned[step])
+        stats.unassigned_areas = float(self.open_areas)
         stats.doing.extend(Doing(doing).name.lower() for doing in trace.doing[step, :MOST_WORDS].tolist())
         yield "/stats", stats
 

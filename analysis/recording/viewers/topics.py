@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, NamedTuple
@@ -15,11 +16,16 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.VoxelGrid_pb2 import VoxelGrid
 from mcap_protobuf.schema import build_file_descriptor_set
 
+from analysis.recording.discovery import Discovery, discovery_of, learned_maps
+from analysis.recording.frames import AreaMap, area_maps
 from analysis.recording.mcap.container import LogSchema
 from analysis.recording.viewers import ros as drawn_ros
 from analysis.recording.viewers import schemas
+from planner.luck_names import LuckName
+from planner.mrac.reference import ReferenceLoop
 from planner.mrac.takeover import ready_loop
 from planner.plans.plan import Area, Plan
+from planner.trace import Trace
 from planner.worlds.world import World
 
 GAP_SECONDS = 3.0
@@ -49,6 +55,8 @@ def topic_types() -> dict[str, LogSchema]:
         "/map/threat": Grid,
         "/map/obstacles": Grid,
         "/map/visited": Grid,
+        "/map/truth": Grid,
+        "/map/fog": Grid,
         "/areas": Grid,
         "/areas_voxels": VoxelGrid,
         "/robots/*/voxel": VoxelGrid,
@@ -104,12 +112,19 @@ class Clock:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """What all rollouts of a file share. loop: "closed" or "open"; seed: of the rollouts; areas: those at t = 0."""
+    """What all rollouts of a file share.
+
+    Attributes:
+        loop: "closed" or "open". seed: of the rollouts. first_only, luck: as of `Request`.
+        areas: those at t = 0.
+    """
 
     world: World
     plan: Plan
     loop: str
     seed: int
+    first_only: bool = False
+    luck: LuckName = "tolerance"
 
     @cached_property
     def areas(self) -> tuple[Area, ...]:
@@ -117,3 +132,20 @@ class Stage:
         if self.loop == "closed":
             return ready_loop(self.plan, self.world)[1]
         return self.plan.areas + self.plan.areas_added
+
+    def area_maps(self, trace: Trace) -> Iterator[AreaMap]:
+        """Who holds what, at the end of step 0 and of every later step that changes it; nothing without areas."""
+        if self.learns:
+            loop = ReferenceLoop(self.plan, self.world, first_only=self.first_only, luck=self.luck)
+            return learned_maps(loop.teams(self.seed, trace.rollout))
+        return area_maps(trace, self.areas, self.plan.state) if self.areas else iter(())
+
+    def discovery(self, trace: Trace) -> Discovery | None:
+        """What robots come to know of the map in a rollout; None where they learn nothing."""
+        return discovery_of(self.world, self.seed, trace) if self.learns else None
+
+    @property
+    def learns(self) -> bool:
+        """Whether robots are not told the map, and look; on a path that is given, to the end, nobody learns."""
+        known = self.world.knowledge
+        return self.loop == "closed" and known is not None and known.sense.range > 0
