@@ -12,13 +12,16 @@ from analysis.cli.deliver import deliver
 from analysis.cli.options import OUTPUT, Json, OutPath, Text, Whole, one_of, path
 from planner.errors import UsageError
 
-NAMES = ("fig4", "fig5", "fig6", "fig7", "all", "policies")
-MAPS, ROLLOUTS, OF_POLICIES = 500, 50, 200
+NAMES = ("fig4", "fig5", "fig6", "fig7", "all", "policies", "online", "moving")
+MAPS, ROLLOUTS = 500, 50
+USUAL = {"policies": 200, "online": 20, "moving": 20}
+"""Rollouts of each map that the answers beside the paper's figures take."""
 
 
 def reproduce(
     figure: Annotated[
-        Literal["fig4", "fig5", "fig6", "fig7", "all", "policies"], Parameter(name="FIGURE", converter=one_of(*NAMES))
+        Literal["fig4", "fig5", "fig6", "fig7", "all", "policies", "online", "moving"],
+        Parameter(name="FIGURE", converter=one_of(*NAMES)),
     ],
     /,
     *,
@@ -33,13 +36,14 @@ def reproduce(
 ) -> int:
     """The paper's experiments again, with intervals: which of its statements hold on random maps of its kind?
 
-    500 maps and 50 rollouts of each take some minutes on two cores (policies: a quarter of an hour). The result depends
-    on maps, rollouts and seed alone.
+    500 maps and 50 rollouts of each take some minutes on two cores (policies, online, moving: a quarter of an hour).
+    The result depends on maps, rollouts and seed alone.
 
     Args:
-        figure: Of the paper's section on experiments, or all of them; policies: what other policies bring.
+        figure: Of the paper's section on experiments, or all of them; policies: what other policies bring; online: what
+            a map is worth that robots are not given; moving: what if its threats walk.
         maps: Random maps a point (default: 500, as in the paper).
-        rollouts: Of each map (default: 50, of policies 200; the paper ran one).
+        rollouts: Of each map (default: 50, of policies 200, online and moving 20; the paper ran one).
         seed: Of the first map and its rollouts (default: 0).
         store: Keep results in this file, and take from it what it has.
         processes: Maps at a time (default: one a core).
@@ -47,14 +51,14 @@ def reproduce(
         out: Write pictures, tables, JSON and CSV to this folder.
     """
     from analysis.cli.progress import show_pool_progress
+    from analysis.knowing.study import study_knowing
     from analysis.policies.study import study_policies
     from analysis.reproduction.reproduce import reproduce as run_experiments
     from analysis.sweeps.store.store import Store
     from planner.policies import DEFAULT, RULES
 
     check_folder(out)
-    usual = OF_POLICIES if figure == "policies" else ROLLOUTS
-    count = usual if rollouts is None else rollouts
+    count = USUAL.get(figure, ROLLOUTS) if rollouts is None else rollouts
     if not 1 <= count <= 2**32:
         raise UsageError(f"--rollouts {count}", expected="1 to 4294967296")
     kept = Store.memory() if store is None else Store.open(store)
@@ -62,10 +66,13 @@ def reproduce(
         "maps": MAPS if maps is None else maps, "rollouts": count, "seed": seed or 0, "processes": processes,
         "scheduler": scheduler,
     }  # fmt: skip
-    policies = list(RULES) if figure == "policies" else [DEFAULT]
-    with kept, show_pool_progress("jobs", policies) as progress:
+    answer: Any
+    with kept, show_pool_progress("jobs", list(RULES) if figure in USUAL else [DEFAULT]) as progress:
+        how |= {"store": kept, "progress": progress}
         if figure == "policies":
-            study = study_policies(**how, store=kept, progress=progress)
-            return deliver(study, out=out, as_json=as_json)
-        answer = run_experiments(figure, **how, store=kept, progress=progress)
+            answer = study_policies(**how)
+        elif figure == "online" or figure == "moving":
+            answer = study_knowing(figure, **how)
+        else:
+            answer = run_experiments(figure, **how)
     return deliver(answer, out=out, as_json=as_json)

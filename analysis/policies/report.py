@@ -22,10 +22,11 @@ from analysis.policies.settings import (
     ladder,
     rivals,
 )
-from analysis.policies.study import FIGURES, Study, Worse
+from analysis.policies.study import Study, Worse
 from analysis.report.answer import json_end
 from analysis.report.blocks import Part, Report
 from analysis.statistics.estimate import Estimate
+from analysis.sweeps.by_map import FIGURES
 from planner.files import Json
 from planner.worlds.generate import Kind
 

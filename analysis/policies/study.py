@@ -1,13 +1,9 @@
-"""Policies against the paper's on the same random maps with the same luck, map by map; and the bound beside them.
-
-Map number i of every setting has the same seed, and so have its rollouts.
-"""
+"""Policies against the paper's on the same random maps with the same luck, map by map; and the bound beside them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +12,18 @@ from analysis.kit.notes import Progress
 from analysis.kit.pool import answers, wanted_processes
 from analysis.policies.settings import KINDS, ON_LARGE, PART, SMALL, TEAMS, Setting
 from analysis.report.answer import Answer
-from analysis.sampling import RolloutChoices
-from analysis.statistics.control import tally_mean
 from analysis.statistics.estimate import Estimate, over_maps
+from analysis.sweeps.by_map import ByMap, Columns
 from analysis.sweeps.cases import Case, generated_case
-from analysis.sweeps.engine import Done, Finished, Job, run_cases
+from analysis.sweeps.engine import Finished
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.worlds import check_maps
 from analysis.theory.any_strategy import any_strategy
-from planner.tally import Outcome, Tally
 from planner.worlds.generate import Kind, ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 
 WORSE = 0.01
 """Coverage that a policy loses on a map that is listed as worse."""
-FIGURES = ("visited", "losses", "time", "complete")
 Place = tuple[Kind, int, int]
 """Kind, robots and the number of a map."""
 
@@ -49,13 +42,12 @@ class Study(Answer):
     """The answer. Axis `M` = maps, in order of their seeds; those of `ON_LARGE` and of the bound are the first of them.
 
     Attributes:
-        columns: float64 `[M]` by setting and figure: each map's mean of its rollouts; "visited" and "complete" are
-            fractions, "losses" robots, "time" steps; "se": the standard error of "visited".
+        columns: of each setting, map by map.
         bounds: float64 `[M]` by kind and team, coverage that no strategy exceeds. seed: of the first map.
         rollouts: of each map and setting. finished: how the run ended.
     """
 
-    columns: dict[Setting, dict[str, NDArray[np.float64]]]
+    columns: dict[Setting, Columns]
     bounds: dict[tuple[Kind, int], NDArray[np.float64]]
     rollouts: int
     seed: int
@@ -98,46 +90,6 @@ class Study(Answer):
         return over_maps(bounds[:shared] - self.columns[setting]["visited"][:shared]) if shared else None
 
 
-@dataclass
-class _Collected:
-    """Columns of each setting, map by map, as they come."""
-
-    store: Store
-    of: dict[Case, tuple[Setting, int]] = field(default_factory=dict)
-    found: dict[Setting, dict[int, dict[str, float]]] = field(default_factory=dict)
-
-    def take(self, done: Done) -> None:
-        """A finished job."""
-        setting, number = self.of.pop(done.job.case)
-        tally = self.store.tally(done.keys[0])
-        assert tally is not None
-        self.found.setdefault(setting, {})[number] = _columns(tally)
-
-    def columns(self, settings: tuple[Setting, ...]) -> dict[Setting, dict[str, NDArray[np.float64]]]:
-        """Of the maps, from the first on, that all of these settings have."""
-        whole = 0
-        while settings and all(whole in self.found.get(setting, ()) for setting in settings):
-            whole += 1
-        return {
-            setting: {
-                figure: np.array([self.found[setting][n][figure] for n in range(whole)]) for figure in (*FIGURES, "se")
-            }
-            for setting in settings
-            if whole
-        }
-
-
-def _columns(tally: Tally) -> dict[str, float]:
-    visited = tally_mean(tally, "visited", 1.0 / tally.accessible)
-    return {
-        "visited": visited.mean,
-        "se": visited.se,
-        "losses": tally_mean(tally, "lost").mean,
-        "time": tally_mean(tally, "time").mean,
-        "complete": float(tally.outcomes[Outcome.COMPLETE]) / tally.rollouts,
-    }
-
-
 def study_policies(
     *,
     maps: int,
@@ -153,23 +105,13 @@ def study_policies(
     An interruption leaves the maps that are done; none: KeyboardInterrupt again. Raises InputError.
     """
     check_maps(maps, seed)
-    held = Store.memory() if store is None else store
-    collected, few = _Collected(held), -(-maps // PART)
-
-    def take(done: Done) -> None:
-        collected.take(done)
-        if progress is not None:
-            progress(done.jobs, done.total, done.seconds)
-
-    finished = run_cases(
-        _jobs(collected, maps, few, rollouts, seed),
-        held,
-        processes=processes,
-        scheduler=scheduler,
-        total=maps * len(SMALL) + few * len(ON_LARGE),
-        progress=take,
+    few = -(-maps // PART)
+    by_map = ByMap(
+        lambda number: [(one, _case(one, seed + number)) for one in SMALL + ON_LARGE * (number < few)], seed, rollouts
     )
-    columns = collected.columns(SMALL) | collected.columns(ON_LARGE)
+    total = maps * len(SMALL) + few * len(ON_LARGE)
+    finished = by_map.run(maps, total, store, progress, processes=processes, scheduler=scheduler)
+    columns = by_map.columns(SMALL) | by_map.columns(ON_LARGE)
     if not any(setting in columns for setting in SMALL):
         raise KeyboardInterrupt
     bounds: dict[tuple[Kind, int], NDArray[np.float64]] = {}
@@ -181,15 +123,10 @@ def study_policies(
     return Study(columns, bounds, rollouts, seed, finished)
 
 
-def _jobs(collected: _Collected, maps: int, few: int, rollouts: int, seed: int) -> Iterator[Job]:
-    """Map after map, so that an interruption leaves whole maps."""
-    for number in range(maps):
-        for setting in SMALL + ON_LARGE * (number < few):
-            size = (setting.side, setting.side)
-            case = generated_case(setting.kind, 0.25, setting.robots, seed + number, size, choices=setting.choices)
-            case = replace(case, labels=(*case.labels, ("size", f"{size[0]}x{size[1]}"), ("policy", setting.name)))
-            collected.of[case] = (setting, number)
-            yield Job(case, (RolloutChoices(seed=seed + number),), rollouts)
+def _case(setting: Setting, seed: int) -> Case:
+    size = (setting.side, setting.side)
+    case = generated_case(setting.kind, 0.25, setting.robots, seed, size, choices=setting.choices)
+    return replace(case, labels=(*case.labels, ("size", f"{size[0]}x{size[1]}"), ("policy", setting.name)))
 
 
 def _bounds(maps: int, seed: int, processes: int | None) -> dict[tuple[Kind, int], NDArray[np.float64]]:

@@ -140,7 +140,8 @@ def rows_table(rows: Sequence[Row]) -> Table:
         cells = [shown(row.labels.get(name)) for name in names]
         cells += [f"{row.maps:,}", f"{row.rollouts:,}"] if uneven else []
         cells += [percent(row.estimate("visited")), percent(row.estimate("survived"))]
-        cells += [f"{100 * row.estimate('exact visited').mean:.2f}", percent(row.estimate("complete"))]
+        known = row.known("exact visited")
+        cells += ["" if known is None else f"{100 * known.mean:.2f}", percent(row.estimate("complete"))]
         cells.append(around(row.estimate("time")))
         if compared:
             change = row.difference("visited") if number else None
@@ -206,15 +207,14 @@ def _is_number(value: object) -> bool:
 
 def row_json(row: Row) -> Json:
     """Coverage as fractions, time in steps; what is undefined is None."""
-    ideal = row.estimate("ideal")
     return {
         "setting": row.labels,
         "maps": row.maps,
         "rollouts": row.rollouts,
         "timeouts": row.timeouts,
         **{name: row.estimate(name) for name in FIGURES},
-        "open_loop_exact": {name: row.estimate(f"exact {name}") for name in EXACT},
-        "ideal_team": ideal if math.isfinite(ideal.mean) else None,
+        "open_loop_exact": {name: row.known(f"exact {name}") for name in EXACT},
+        "ideal_team": row.known("ideal"),
         "difference_from_first": {name: row.difference(name) for name in DIFFERENCES},
         "within_share": row.within_share,
     }

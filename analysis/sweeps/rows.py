@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import nan
+from math import isfinite, nan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,11 @@ class Row:
         """The mean of one of KEPT over maps, or of a figure over the rollouts of a single map."""
         return self.single.get(name) or self.moments.estimate(KEPT[name], 0.0, self.reach(name))
 
+    def known(self, name: str) -> Estimate | None:
+        """The mean over maps of one of KEPT that is known of a plan without rolling out; None where it is not."""
+        found = self.estimate(name)
+        return found if isfinite(found.mean) else None
+
     def reach(self, name: str) -> float:
         """How large a figure may be on a map like these."""
         return float(self.moments.mean[KEPT[REACH[name]]]) if name in REACH else 1.0
@@ -97,8 +102,9 @@ def figure_of(run: Run, name: str) -> tuple[float, float]:
 
 
 def exact_of(run: Run, name: str) -> float:
-    """The open loop's exact mean of a figure of a run."""
-    return float(run.facts["exact"][name.removesuffix("_of_free")]) * unit_of(run, name)
+    """The open loop's exact mean of a figure of a run; NaN if it is not known."""
+    value = run.facts["exact"][name.removesuffix("_of_free")]
+    return nan if value is None else float(value) * unit_of(run, name)
 
 
 def unit_of(run: Run, name: str) -> float:

@@ -32,6 +32,7 @@ from analysis.sweeps.spec_settings import (
     WORLD,
     generated_world,
     generators,
+    is_beside,
     is_path,
     label_of,
     model_of,
@@ -172,7 +173,7 @@ def _maps(keys: dict[str, Key], base: Json, swept: Swept) -> int | None:
         problem, fix = "", "leave it out"
         if name in PAPER and inputs:
             problem = f"{name} is for the paper's random worlds"
-        elif is_path(name) and not inputs:
+        elif is_path(name) and not is_beside(name) and not inputs:
             problem = f"{name} is for an input in `base`"
         elif name in WORLD and inputs and not generated:
             problem = f"{name}: the input has no generated threats"

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping
+from copy import deepcopy
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from analysis.inputs import input_path, map_size
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import Label, canonical
-from analysis.sweeps.worlds import Generated, Written
+from analysis.sweeps.worlds import BESIDE, Generated, Written
 from planner.arguments import ANY, FRACTION, SEED, Numbers, whole
 from planner.errors import UsageError
 from planner.files import Json
@@ -69,6 +71,8 @@ WORLD: dict[str, Reader] = {
 """Of the paper's random worlds, and of an input's generated threats."""
 PAPER: dict[str, Reader] = {"obstacles": _one_of(FRACTION), "size": _size}
 """Of the paper's random worlds alone."""
+UNSAID: dict[str, Reader] = {name: lambda key: key.value for name in BESIDE}
+"""Keys of a scenario, of any world; null: without it."""
 TEAM: dict[str, Reader] = {
     "robots": _one_of(whole(1, MAX_ROBOTS)),
     "starts": _starts,
@@ -81,16 +85,25 @@ MODEL: dict[str, Reader] = {
     "luck": _word(*LUCKS),
     "seed": _one_of(SEED),
 }
-SETTINGS = {**INPUT, **WORLD, **PAPER, **TEAM, **PLANNER, **MODEL}
-PLACES = ("map", "cell_size", "unknown", "threats", "combine")
+SETTINGS = {**INPUT, **WORLD, **PAPER, **UNSAID, **TEAM, **PLANNER, **MODEL}
+PLACES = ("map", "cell_size", "unknown", "threats", "combine", "truth", *BESIDE)
 """Keys of a scenario in which a place may be swept: `threats[0].scale`."""
 PART = re.compile(r"([A-Za-z_][A-Za-z_0-9]*)|\[([0-9]+)\]")
 
 
 def is_path(name: str) -> bool:
     """True for a place within a scenario, as `threats[0].scale` or `cell_size`."""
-    first = re.match(r"[A-Za-z_]+", name)
-    return bool(first and first.group() in PLACES and PART.sub("", name).strip(".") == "")
+    return _first(name) in PLACES and PART.sub("", name).strip(".") == ""
+
+
+def is_beside(name: str) -> bool:
+    """True for one that any world may have, as `sense` or `movers[0].walk`."""
+    return is_path(name) and _first(name) in BESIDE
+
+
+def _first(name: str) -> str:
+    found = re.match(r"[A-Za-z_]+", name)
+    return found.group() if found else ""
 
 
 def label_of(name: str, value: Any, folder: Path) -> Label:
@@ -102,7 +115,9 @@ def label_of(name: str, value: Any, folder: Path) -> Label:
         return f"{value[0]}x{value[1]}"
     if name == "starts":
         return ";".join(f"{row},{col}" for row, col in value)
-    return value if isinstance(value, str | int | float | bool) else canonical(value)
+    if isinstance(value, float) and not isfinite(value):
+        return str(value)
+    return value if isinstance(value, str | int | float | bool | None) else canonical(value)
 
 
 def model_of(values: Mapping[str, Any], offset: int) -> RolloutChoices:
@@ -114,7 +129,11 @@ def model_of(values: Mapping[str, Any], offset: int) -> RolloutChoices:
 
 def generated_world(values: Mapping[str, Any], seed: int) -> Generated:
     """The paper's random world of some settings with this seed."""
-    return Generated(seed=seed, **{name: values[name] for name in (*WORLD, *PAPER) if name in values})
+    unsaid: Json = {}
+    for name in filter(is_beside, values):
+        _put(unsaid, name, values[name], "random map")
+    given = {name: values[name] for name in (*WORLD, *PAPER) if name in values}
+    return Generated(seed=seed, unsaid=canonical(unsaid), **given)
 
 
 def written_world(values: Mapping[str, Any], seed: int | None) -> Written:
@@ -152,7 +171,7 @@ def generators(scenario: Mapping[str, Any]) -> list[Json]:
 
 
 def _put(scenario: Json, name: str, value: Any, source: str) -> None:
-    """Set the value at a place such as `threats[0].scale`. Raises UsageError if there is no such place."""
+    """Set the value at a place such as `threats[0].scale`, None: clear it. Raises UsageError if there is none."""
     parts: list[Any] = [word or int(number) for word, number in PART.findall(name)]
     place: Any = scenario
     try:
@@ -160,6 +179,8 @@ def _put(scenario: Json, name: str, value: Any, source: str) -> None:
             place = place[part]
         if isinstance(parts[-1], int):
             place[parts[-1]]
-        place[parts[-1]] = value
+        place[parts[-1]] = deepcopy(value)
+        if value is None:
+            del place[parts[-1]]
     except (KeyError, IndexError, TypeError):
         raise UsageError(f"there is no {name} to sweep", source=source, expected="a key of the scenario") from None

@@ -6,6 +6,7 @@ order, by another process or on another machine, it gives the same counts.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -177,8 +178,8 @@ def _all_pairs(world: str) -> AllPairs:
 def facts_of(team: Team, plan: Plan) -> Json:
     """What is known of a team's plan without rolling out, as JSON: cells, the open loop's exact values, the ideal.
 
-    `exact`: of the open loop, in cells, steps and robots. `ideal_team`, `ideal_one`: SPEC section 7, cells;
-    None where robots wear or differ.
+    `exact`: of the open loop, in cells, steps and robots; None what is not known. `ideal_team`, `ideal_one`: SPEC
+    section 7, cells; None where robots wear or differ, and where threats move.
     `longest`: steps that a run of either loop takes at most; stores of earlier releases lack it.
     """
     from analysis.theory.bounds import ideal_team
@@ -187,11 +188,16 @@ def facts_of(team: Team, plan: Plan) -> Json:
 
     world, robots = team.world, len(team.starts)
     accessible = world.accessible(team.starts)
-    threat = np.sort(world.threat[accessible].astype(np.float64))
+    threat = np.sort(world.met[accessible].astype(np.float64))
     exact = open_loop_exact(plan, world)
+    values = {
+        "visited": exact.visited, "survived": exact.survived, "time": exact.mean_time,
+        "alive": float(exact.survival.sum()),
+    }  # fmt: skip
+    ideal = plan.bearing.is_plain and world.movers is None
     return {
         "shape": list(world.shape),
-        "world": world.sha256,
+        "world": world.luck_sha256,
         "robots": robots,
         "cells": {
             "total": world.threat.size,
@@ -199,14 +205,9 @@ def facts_of(team: Team, plan: Plan) -> Json:
             "accessible": len(threat),
             "dangerous": int((threat > 0).sum()),
         },
-        "exact": {
-            "visited": exact.visited,
-            "survived": exact.survived,
-            "time": exact.mean_time,
-            "alive": float(exact.survival.sum()),
-        },
-        "ideal_team": ideal_team(threat, robots) if plan.bearing.is_plain else None,
-        "ideal_one": ideal_team(threat, 1) if plan.bearing.is_plain else None,
+        "exact": {name: value if math.isfinite(value) else None for name, value in values.items()},
+        "ideal_team": ideal_team(threat, robots) if ideal else None,
+        "ideal_one": ideal_team(threat, 1) if ideal else None,
         "makespan": plan.makespan,
         "longest": longest_run(world, plan, "closed"),
         "nominal": {"outcome": plan.outcome, "time": plan.time, "shares": plan.shares},

@@ -9,10 +9,16 @@ from pathlib import Path
 from planner.arguments import argument, is_whole
 from planner.errors import UsageError
 from planner.worlds.generate import PAPER_LEVELS, Kind, ThreatPattern, random_world
+from planner.worlds.keys import Key
+from planner.worlds.learning import read_knowledge
+from planner.worlds.moving import read_movers
+from planner.worlds.scenario import load_input, read_scenario
 from planner.worlds.world import World
 
 MOST_MAPS = 1_000_000
 """Random maps of one run."""
+BESIDE = ("prior", "sense", "movers", "plan_on")
+"""Keys of a scenario that a random map may have: what robots know of it, and threats that move on it."""
 
 
 def check_maps(maps: int, seed: int) -> None:
@@ -25,11 +31,12 @@ def check_maps(maps: int, seed: int) -> None:
 
 @dataclass(frozen=True)
 class Generated:
-    """One of the paper's random worlds (SPEC section 8); `seed` is the world's.
+    """One of the paper's random worlds (SPEC section 8), told or not; `seed` is the world's.
 
     Attributes:
         kind, areas, threat_levels, seed: as of `planner.worlds.generate.ThreatPattern`. size: rows, columns.
         ratio, obstacles: fractions of all cells that are dangerous, and that are obstacles.
+        unsaid: keys of a scenario, those of BESIDE, as canonical JSON.
     """
 
     kind: Kind = "contiguous"
@@ -39,11 +46,16 @@ class Generated:
     areas: int = ThreatPattern.areas
     threat_levels: tuple[float, ...] = PAPER_LEVELS
     obstacles: float = 0.25
+    unsaid: str = "{}"
 
     def world(self) -> World:
-        """The world. Raises WorldError."""
+        """The world. Raises InputError."""
         pattern = ThreatPattern(self.kind, self.areas, self.threat_levels, self.seed)
-        return random_world(*self.size, pattern, obstacles=self.obstacles, threats=self.ratio)
+        world = random_world(*self.size, pattern, obstacles=self.obstacles, threats=self.ratio)
+        keys = Key(json.loads(self.unsaid), "", "random map").mapping(optional=BESIDE)
+        if "movers" in keys:
+            world = read_movers(keys["movers"], keys.get("plan_on"), world)
+        return read_knowledge(keys, world, load_input)
 
 
 @dataclass(frozen=True)
@@ -60,8 +72,5 @@ class Written:
 
     def world(self) -> World:
         """The world, with what the scenario says of its team. Raises InputError."""
-        from planner.worlds.keys import Key
-        from planner.worlds.scenario import read_scenario
-
         source = Path(self.source)
         return read_scenario(Key(json.loads(self.scenario), "", source), source)

@@ -8,15 +8,20 @@ import numpy as np
 
 from planner.kernels.closed_loop import trace_rollouts
 from planner.kernels.loop import ClosedLoop
+from planner.kernels.state import GOAL
 from planner.plans.plan import Plan, RobotPlan, last_move
 from planner.trace import EventKind, Trace
 
 
 def nominal_trace(loop: ClosedLoop) -> Trace:
-    """The run of a closed loop with no hits."""
+    """The run of a closed loop with no hits, in which all is as robots believe it once they have looked about."""
     tables = loop.tables
     safe = tables._replace(bound=np.zeros_like(tables.bound), movers=tables.movers[:0])
-    return trace_rollouts(replace(loop, tables=safe, movers=None), 0, (0,))[0]
+    if loop.learns:
+        limits = tables.limits.copy()
+        limits[GOAL] = len(tables.order)
+        safe = safe._replace(truths=tables.belief[None], limits=limits)
+    return trace_rollouts(replace(loop, tables=safe, movers=None, doubt=None), 0, (0,))[0]
 
 
 def with_nominal_run(plan: Plan, loop: ClosedLoop) -> Plan:

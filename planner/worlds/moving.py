@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from planner.arguments import check_word, whole
 from planner.errors import WorldError
 from planner.worlds.keys import PLACE, Key
@@ -13,9 +15,11 @@ from planner.worlds.movers import ANYWHERE, MOST_MOVERS, Mover, Movers, checked
 from planner.worlds.quantities import CHANCE
 from planner.worlds.world import World
 
-AT = "[row, col], whole numbers"
+AT, STAYS = "[row, col], whole numbers", "a chance to stay, 0 to 1"
 JOINED = "joined"
 PLAN_ON = (JOINED, "patrols", "own")
+OF_THE_MAP = "map"
+"""The h of walkers that are the threats of the map itself."""
 
 
 def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_on: str = JOINED) -> World:
@@ -23,7 +27,7 @@ def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_
 
     Args:
         movers: each with the keys that a scenario has: `{"walk": 0.2, "h": 0.3, "count": 6}`, or
-            `{"patrol": [[0, 0], [0, 1]], "h": 1}`.
+            `{"patrol": [[0, 0], [0, 1]], "h": 1}`; `{"walk": 0.5, "h": "map"}`: the map's own threats, which leave it.
         plan_on: "joined": robots plan on p joined with where movers are in the long run; "patrols": with where those
             are that have a route; "own": on p alone.
 
@@ -35,10 +39,17 @@ def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_
             problem = f"`movers` beside another thing that is not known: {other.said}"
             raise WorldError(problem, source=world.source, expected="one known map", fix="leave one of the two out")
     members: list[Mover] = []
+    own = world.threat
     for number, one in enumerate(movers):
         given = Key(one, f"movers[{number}]", world.source, WorldError)
-        members += [one] if isinstance(one, Mover) else _read_each(given, world)
-    found = checked(Movers(world.threat, tuple(members)), world.source)
+        if isinstance(one, Mover):
+            members.append(one)
+        elif _is_of_the_map(given):
+            members += _threats_that_walk(given, world)
+            own = np.where(world.free, np.float32(0), np.float32(np.nan))
+        else:
+            members += _read_each(given, world)
+    found = checked(Movers(own, tuple(members)), world.source)
     told = [one for one in members if plan_on == JOINED or (one.patrols and plan_on != "own")]
     return replace(world, threat=found.joined(told, world.source), doubt=found)
 
@@ -46,9 +57,21 @@ def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_
 def read_movers(key: Key, plan_on: Key | None, world: World) -> World:
     """The world of a scenario with `movers: [{walk: s | patrol: [[r, c], ...], start, h, count}, ...]`, `plan_on`."""
     items = key.items("a list of movers, each {walk or patrol, h}")
-    members = [one for item in items for one in _read_each(item, world)]
+    members = [one for item in items for one in ([item.value] if _is_of_the_map(item) else _read_each(item, world))]
     with key.naming():
         return with_movers(world, members, JOINED if plan_on is None else plan_on.choice(PLAN_ON))
+
+
+def _is_of_the_map(key: Key) -> bool:
+    return isinstance(key.value, dict) and isinstance(key.value.get("h"), str)
+
+
+def _threats_that_walk(key: Key, world: World) -> list[Mover]:
+    """A walker for each dangerous cell of the map, with its p as h."""
+    keys = key.mapping(("walk", "h"))
+    keys["h"].choice((OF_THE_MAP,))
+    stay = keys["walk"].number(CHANCE, STAYS)
+    return [Mover(float(p), stay) for p in world.threat[world.threat > 0]]
 
 
 def _read_each(key: Key, world: World) -> list[Mover]:
@@ -59,7 +82,7 @@ def _read_each(key: Key, world: World) -> list[Mover]:
     stay, start = 0.0, ANYWHERE
     route: tuple[int, ...] = ()
     if "walk" in keys:
-        stay = keys["walk"].number(CHANCE, "a chance to stay, 0 to 1")
+        stay = keys["walk"].number(CHANCE, STAYS)
     else:
         route = tuple(_cell(item, world) for item in keys["patrol"].items("a list of two cells [row, col] or more", 2))
     if "start" in keys and keys["start"].value != "anywhere":

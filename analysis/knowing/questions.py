@@ -1,0 +1,106 @@
+"""What is compared: ways to know a map, or for its threats to stand and move, and the teams that meet them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import get_args
+
+from analysis.sweeps.cases import Case, canonical
+from analysis.sweeps.worlds import Generated
+from planner.files import Json
+from planner.settings import Choices
+from planner.worlds.generate import Kind
+
+KINDS: tuple[Kind, ...] = get_args(Kind)
+TEAMS = (1, 2, 4, 8, 20)
+POLICIES = ("mrac", "per_cell")
+P = 0.04
+"""The threat that robots expect of cells that they know nothing of."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """Ways that a random map may be met, compared on the same maps and luck.
+
+    Attributes:
+        name: of the command. title: in words.
+        ways: by name, what the map has beside itself: keys of a scenario (`analysis.sweeps.worlds.BESIDE`).
+        less: (one, other): by how much more one covers. main: of these, those that the headline tells, with its words.
+    """
+
+    name: str
+    title: str
+    ways: dict[str, Json]
+    less: tuple[tuple[str, str], ...]
+    main: dict[tuple[str, str], str]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A team on maps of a kind that it meets in one way."""
+
+    kind: Kind
+    way: str
+    robots: int
+    policy: str
+
+    def case(self, question: Question, seed: int) -> Case:
+        """It on the map with this seed."""
+        world = Generated(self.kind, seed=seed, unsaid=canonical(question.ways[self.way]))
+        labels = {**vars(self), "map": seed}
+        policy = None if self.policy == POLICIES[0] else self.policy
+        return Case(world, self.robots, choices=Choices(policy=policy), labels=tuple(labels.items()))
+
+
+def settings_of(question: Question) -> list[Setting]:
+    """All of them, those of one world after the other."""
+    return [
+        Setting(kind, way, robots, policy)
+        for kind in KINDS
+        for way in question.ways
+        for robots in TEAMS
+        for policy in POLICIES
+    ]
+
+
+TOLD, BLIND, SEES = "told", "blind", "obstacles told, see 3"
+
+
+def _see(cells: int) -> str:
+    return f"see {cells}"
+
+
+ONLINE = Question(
+    "online",
+    "What is a map worth?",
+    {
+        TOLD: {},
+        **{_see(cells): {"prior": {"p": P}, "sense": cells} for cells in (5, 3, 2, 1)},
+        SEES: {"prior": {"p": P, "obstacles": "known"}, "sense": 3},
+        BLIND: {"prior": {"p": P, "obstacles": "known"}, "sense": 0},
+    },
+    (*((TOLD, _see(cells)) for cells in (5, 3, 2, 1)), (SEES, BLIND)),
+    {
+        (TOLD, _see(3)): "Robots that know nothing of the map and see three cells cover {} points less than those told",
+        (SEES, BLIND): "to see three cells is worth {} points to robots that know the obstacles",
+    },
+)
+
+STAND, LOST, WALK, PLANNED = "stand, told where", "stand, not told where", "walk", "walk, planned on p joined"
+
+
+def _moving(stay: float, plan_on: str = "patrols") -> Json:
+    return {"movers": [{"walk": stay, "h": "map"}], "plan_on": plan_on}
+
+
+MOVING = Question(
+    "moving",
+    "What if the threats walk?",
+    {STAND: {}, LOST: _moving(1), WALK: _moving(0.5), PLANNED: _moving(0.5, "joined")},
+    ((STAND, LOST), (WALK, LOST), (PLANNED, WALK)),
+    {
+        (STAND, LOST): "To be told where threats stand is worth {} points",
+        (WALK, LOST): "where nobody is told, robots cover {} points more if they walk",
+    },
+)
+QUESTIONS = {question.name: question for question in (ONLINE, MOVING)}

@@ -1,0 +1,127 @@
+"""What `mrac-jax reproduce online` and `moving` say: coverage by way, what lies between ways, over the team."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+from rich.table import Table
+
+from analysis.kit.folder import csv_text
+from analysis.kit.tables import make_table
+from analysis.knowing.questions import KINDS, POLICIES, TEAMS
+from analysis.knowing.study import TEAMS_MET, Study, Team
+from analysis.page.series import Chart, Series
+from analysis.report.answer import json_end
+from analysis.report.blocks import Part, Report
+from analysis.statistics.estimate import Estimate
+from analysis.sweeps.by_map import FIGURES
+from planner.files import Json
+from planner.worlds.generate import Kind
+
+NOTE = (
+    "Visited, % of the accessible cells, and differences in points on the same maps and luck; ± half the 95 % interval "
+    "over maps."
+)
+
+
+def report(study: Study) -> Report:
+    """Coverage of every way, how far ways are apart, curves over the team, every point as CSV."""
+    finished, question = study.finished, study.question
+    charts = {policy: [_chart(study, kind, policy) for kind in KINDS] for policy in POLICIES}
+    return Report(
+        question.name, "reproduce", question.title, headline(study), partial(study_json, study),
+        heading=[f"{study.maps:,} maps a point, {study.rollouts:,} rollouts a map, first seed {study.seed}"],
+        took=[f"{finished.seconds:.0f} s: {finished.rollouts:,} rollouts run, {finished.reused:,} from the store"],
+        parts=(
+            Part("Coverage", [ways_table(study)], drawn=lambda: [one for pair in charts.values() for one in pair]),
+            Part("What lies between", [less_table(study)], [NOTE]),
+        ),
+        warnings=("Interrupted: the maps that were done.",) if finished.partial else (),
+        pictures={f"{policy}.png": partial(list, pair) for policy, pair in charts.items()},
+        files={"points.csv": lambda: _csv(study)},
+    )  # fmt: skip
+
+
+def headline(study: Study) -> str:
+    """The main differences, from the least to the largest of all teams."""
+    said = []
+    for pair, words in study.question.main.items():
+        found = [100 * study.apart(team, *pair).mean for team in TEAMS_MET]
+        said.append(words.format(f"{min(found):.1f} to {max(found):.1f}"))
+    return "; ".join(said) + "."
+
+
+def _chart(study: Study, kind: Kind, policy: str) -> Chart:
+    series = []
+    for way in study.question.ways:
+        found = [study.estimate((kind, robots, policy), way) for robots in TEAMS]
+        series.append(Series.of(way, TEAMS, found, dashed=", " in way))
+    title = f"{study.question.title} {kind}, {policy}"
+    return Chart(title, tuple(series), "robots", "visited", unit="%", y_range=(0.0, 100.0))
+
+
+def ways_table(study: Study) -> Table:
+    """What every team covers, by way."""
+    table = _table("Visited, %", list(study.question.ways))
+    for team in TEAMS_MET:
+        table.add_row(*_named(team), *(_shown(study.estimate(team, way)) for way in study.question.ways))
+    return table
+
+
+def less_table(study: Study) -> Table:
+    """How much more one way covers than another."""
+    pairs = study.question.less
+    table = _table("Points more", [f"{one} - {other}" for one, other in pairs])
+    for team in TEAMS_MET:
+        table.add_row(*_named(team), *(_shown(study.apart(team, *pair), sign="+") for pair in pairs))
+    return table
+
+
+def _table(title: str, columns: list[str]) -> Table:
+    return make_table(("kind", "k", "policy", *columns), title, left=("kind", "policy"), padding=(0, 1, 0, 0))
+
+
+def _named(team: Team) -> tuple[str, str, str]:
+    kind, robots, policy = team
+    return kind, str(robots), policy
+
+
+def _shown(estimate: Estimate, sign: str = "") -> str:
+    half = f" ± {100 * estimate.half_width:.1f}" if math.isfinite(estimate.half_width) else ""
+    return f"{100 * estimate.mean:{sign}.1f}{half}"
+
+
+def study_json(study: Study) -> Json:
+    """The JSON object; coverage and differences are fractions."""
+    teams = {team: dict(zip(("kind", "robots", "policy"), team, strict=True)) for team in TEAMS_MET}
+    return {
+        "answer": headline(study),
+        "question": study.question.name,
+        "ways": study.question.ways,
+        "points": [
+            said | {"way": way} | {figure: study.estimate(team, way, figure).to_json() for figure in FIGURES}
+            for team, said in teams.items()
+            for way in study.question.ways
+        ],
+        "differences": [
+            said | {"of": one, "less": other, "visited": study.apart(team, one, other).to_json()}
+            for team, said in teams.items()
+            for one, other in study.question.less
+        ],
+        "maps": study.maps,
+        "rollouts": study.rollouts,
+        "seed": study.seed,
+        "seconds": study.finished.seconds,
+        **json_end(study),
+    }
+
+
+def _csv(study: Study) -> str:
+    """Every figure of every setting on every map."""
+    rows = [
+        (*vars(one).values(), study.seed + n, *(f"{columns[figure][n]:.9g}" for figure in (*FIGURES, "se")))
+        for one, columns in study.columns.items()
+        for n in range(study.maps)
+    ]
+    return csv_text((*next(iter(study.columns)).__dataclass_fields__, "map", *FIGURES, "se"), rows)

@@ -1,0 +1,83 @@
+"""A question's ways on the same random maps with the same luck, for teams of both rules."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from analysis.kit.notes import Progress
+from analysis.knowing.questions import KINDS, POLICIES, QUESTIONS, TEAMS, Question, Setting, settings_of
+from analysis.report.answer import Answer
+from analysis.statistics.estimate import Estimate, over_maps
+from analysis.sweeps.by_map import ByMap, Columns
+from analysis.sweeps.engine import Finished
+from analysis.sweeps.store.store import Store
+from analysis.sweeps.worlds import check_maps
+from planner.worlds.generate import Kind
+
+Team = tuple[Kind, int, str]
+"""Kind of map, robots, policy."""
+TEAMS_MET: tuple[Team, ...] = tuple((kind, robots, policy) for kind in KINDS for robots in TEAMS for policy in POLICIES)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Study(Answer):
+    """The answer.
+
+    Attributes:
+        question: what was compared. columns: of each setting, map by map. rollouts: of each map and setting.
+        seed: of the first map. finished: how the run ended.
+    """
+
+    question: Question
+    columns: dict[Setting, Columns]
+    rollouts: int
+    seed: int
+    finished: Finished
+
+    @property
+    def partial(self) -> bool:  # type: ignore[override]
+        """It was interrupted."""
+        return self.finished.partial
+
+    @property
+    def maps(self) -> int:
+        """Of every setting."""
+        return len(next(iter(self.columns.values()))["visited"])
+
+    def estimate(self, team: Team, way: str, figure: str = "visited") -> Estimate:
+        """Mean over maps."""
+        return over_maps(self._of(team, way)[figure])
+
+    def apart(self, team: Team, one: str, other: str) -> Estimate:
+        """Coverage by which one way is ahead of another, map by map."""
+        return over_maps(self._of(team, one)["visited"] - self._of(team, other)["visited"])
+
+    def _of(self, team: Team, way: str) -> Columns:
+        kind, robots, policy = team
+        return self.columns[Setting(kind, way, robots, policy)]
+
+
+def study_knowing(
+    question: str,
+    *,
+    maps: int,
+    rollouts: int,
+    seed: int = 0,
+    store: Store | None = None,
+    progress: Progress | None = None,
+    **where: Any,
+) -> Study:
+    """Run every setting of "online" or "moving" on `maps` maps; `store` and `where` as of `reproduce`.
+
+    An interruption leaves the maps that are done; none: KeyboardInterrupt again. Raises InputError.
+    """
+    check_maps(maps, seed)
+    asked = QUESTIONS[question]
+    settings = settings_of(asked)
+    by_map = ByMap(lambda number: ((one, one.case(asked, seed + number)) for one in settings), seed, rollouts)
+    finished = by_map.run(maps, maps * len(settings), store, progress, **where)
+    columns = by_map.columns(settings)
+    if not columns:
+        raise KeyboardInterrupt
+    return Study(asked, columns, rollouts, seed, finished)
