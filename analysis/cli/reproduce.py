@@ -14,7 +14,7 @@ from planner.errors import UsageError
 
 NAMES = ("fig4", "fig5", "fig6", "fig7", "all", "policies", "online", "moving")
 MAPS, ROLLOUTS = 500, 50
-USUAL = {"policies": 200, "online": 20, "moving": 20}
+USUAL = {"policies": 200, "online": 10, "moving": 40}
 """Rollouts of each map that the answers beside the paper's figures take."""
 
 
@@ -43,7 +43,7 @@ def reproduce(
         figure: Of the paper's section on experiments, or all of them; policies: what other policies bring; online: what
             a map is worth that robots are not given; moving: what if its threats walk.
         maps: Random maps a point (default: 500, as in the paper).
-        rollouts: Of each map (default: 50, of policies 200, online and moving 20; the paper ran one).
+        rollouts: Of each map (default: 50, of policies 200, online 10, moving 40; the paper ran one).
         seed: Of the first map and its rollouts (default: 0).
         store: Keep results in this file, and take from it what it has.
         processes: Maps at a time (default: one a core).

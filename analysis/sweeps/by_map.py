@@ -6,7 +6,7 @@ Map number i of every setting has the same seed, and so have its rollouts.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,17 +39,11 @@ class ByMap(Generic[Setting]):
         self._under_way: dict[Case, tuple[Setting, int]] = {}
         self._found: dict[Setting, dict[int, dict[str, float]]] = {}
 
-    def run(
-        self,
-        maps: int,
-        total: int,
-        store: Store | None,
-        progress: Progress | None,
-        *,
-        processes: int | None,
-        scheduler: str | None,
-    ) -> Finished:
-        """Run `maps` maps of `total` jobs in all, into the store if there is one; arguments as of `run_cases`."""
+    def run(self, maps: int, total: int, store: Store | None, progress: Progress | None, **where: Any) -> Finished:
+        """Run `maps` maps, `total` jobs, into the store if there is one.
+
+        `where`: `processes` and `scheduler` of `run_cases`.
+        """
         held = Store.memory() if store is None else store
 
         def take(done: Done) -> None:
@@ -60,7 +54,7 @@ class ByMap(Generic[Setting]):
             if progress is not None:
                 progress(done.jobs, done.total, done.seconds)
 
-        return run_cases(self._jobs(maps), held, processes=processes, scheduler=scheduler, total=total, progress=take)
+        return run_cases(self._jobs(maps), held, total=total, progress=take, **where)
 
     def _jobs(self, maps: int) -> Iterator[Job]:
         """Map after map, so that an interruption leaves whole maps."""

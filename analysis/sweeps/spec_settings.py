@@ -117,7 +117,7 @@ def label_of(name: str, value: Any, folder: Path) -> Label:
         return ";".join(f"{row},{col}" for row, col in value)
     if isinstance(value, float) and not isfinite(value):
         return str(value)
-    return value if isinstance(value, str | int | float | bool | None) else canonical(value)
+    return value if isinstance(value, str | int | float | bool) else canonical(value)
 
 
 def model_of(values: Mapping[str, Any], offset: int) -> RolloutChoices:

@@ -67,9 +67,9 @@ def _passed_walker(path: NDArray[np.int64], mover: Mover, world: World) -> NDArr
         chance = weight / weight.sum()
     else:
         chance = (np.arange(free.size) == mover.start).astype(np.float64).reshape(free.shape)
-    left = np.ones(len(path) + 1)
+    left, gone = np.ones(len(path) + 1), np.zeros((height + 2, width + 2))
     for step, cell in enumerate(path):
-        gone = np.pad(chance * goes, 1)
+        gone[1:-1, 1:-1] = chance * goes
         chance = np.where(free, chance * stays + sum(beside(gone, side) for side in SIDES), 0.0)
         chance.flat[cell] *= 1.0 - mover.hit
         left[step + 1] = chance.sum()
