@@ -15,6 +15,7 @@ import mrac_jax as mrac
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.knowledge import Knowledge
 from analysis.evaluation.runs import run_of
+from analysis.theory.longest import longest_run
 from analysis.trials.told import MOST_MAPS
 from planner.errors import InputError
 from planner.luck import rows_met
@@ -55,6 +56,13 @@ def test_each_team_is_what_it_is_by_itself(answer: Evaluation) -> None:
     assert data["price_of_not_knowing"]["mean"] == price.mean and data["curve"][-1]["range"] == "inf"
     assert data["worth_of_sensing"]["mean"] == pytest.approx((alone[2] - alone[0]).mean())
     assert data["rollouts"] == COUNT and data["curve"][-1]["behind"]["mean"] == 0
+
+
+def test_one_robot_that_learns_may_take_longer_than_its_plan() -> None:
+    world = mrac.with_prior(TOLD.with_starts([[0, 0]]), 0.04, sense=1)
+    plan = mrac.plan(world)
+    longest = make_engine(plan, world, Rolling("closed")).results(0, COUNT).time.max()
+    assert plan.time < longest <= longest_run(world, plan, "closed")
 
 
 def test_small_teams_are_known_exactly() -> None:

@@ -13,6 +13,10 @@ from planner.kernels.closed_loop import compile_closed_loop
 from planner.kernels.nominal import with_nominal_run
 from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.plans.plan import Plan
+from planner.settings import Settings
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.learning import Obstacles, with_prior
+from planner.worlds.starts import place_starts
 
 ASKED: dict[str, dict[str, Any]] = {
     "complete": {}, "timeout": {"max_steps": 9}, "stuck": {"range": 7},
@@ -41,3 +45,14 @@ def test_paths_and_outcome_are_those_of_the_plan(outcome: str) -> None:
         assert nominal(with_nominal_run(begun, compile_closed_loop(begun, one.world))) == nominal(plans[-1]), one.name
     assert outcome in {plan.outcome for plan in plans}
     assert any(plan.shares for plan in plans) and len(plans) > 20
+
+
+@pytest.mark.parametrize("obstacles", ["unknown", "known"])
+def test_robots_that_learn_plan_on_what_they_believe(obstacles: Obstacles) -> None:
+    for seed, policy in ((3, "mrac"), (4, "per_cell")):
+        true = random_world(9, 11, ThreatPattern(seed=seed))
+        starts, asked = place_starts(true, 3)[0], Settings(policy=policy)
+        world = with_prior(true, 0.04, obstacles, sense=2)
+        begun, plan = allocated_plan(world, starts, asked), make_plan(world, starts, asked)
+        loop = compile_closed_loop(begun, world)
+        assert loop.learns and nominal(with_nominal_run(begun, loop)) == nominal(plan)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import get_args
 
 from analysis.sweeps.cases import Case, canonical
 from analysis.sweeps.worlds import Generated
 from planner.files import Json
+from planner.policies import DEFAULT
 from planner.settings import Choices
 from planner.worlds.generate import Kind
 
-KINDS: tuple[Kind, ...] = get_args(Kind)
-TEAMS = (1, 2, 4, 8, 20)
-POLICIES = ("mrac", "per_cell")
+Team = tuple[Kind, int, str]
+"""Kind of map, robots, policy."""
+TEAMS: tuple[Team, ...] = tuple(product(get_args(Kind), (1, 2, 4, 8, 20), ("mrac", "per_cell")))
 P = 0.04
 """The threat that robots expect of cells that they know nothing of."""
 
@@ -48,19 +51,14 @@ class Setting:
         """It on the map with this seed."""
         world = Generated(self.kind, seed=seed, unsaid=canonical(question.ways[self.way]))
         labels = {**vars(self), "map": seed}
-        policy = None if self.policy == POLICIES[0] else self.policy
+        policy = None if self.policy == DEFAULT else self.policy
         return Case(world, self.robots, choices=Choices(policy=policy), labels=tuple(labels.items()))
 
 
-def settings_of(question: Question) -> list[Setting]:
+def settings_of(question: Question, teams: Sequence[Team]) -> list[Setting]:
     """All of them, those of one world after the other."""
-    return [
-        Setting(kind, way, robots, policy)
-        for kind in KINDS
-        for way in question.ways
-        for robots in TEAMS
-        for policy in POLICIES
-    ]
+    found = [Setting(kind, way, robots, policy) for way in question.ways for kind, robots, policy in teams]
+    return sorted(found, key=lambda one: one.kind)
 
 
 TOLD, BLIND, SEES = "told", "blind", "obstacles told, see 3"
@@ -90,7 +88,7 @@ STAND, LOST, WALK, PLANNED = "stand, told where", "stand, not told where", "walk
 
 
 def _moving(stay: float, plan_on: str = "patrols") -> Json:
-    return {"movers": [{"walk": stay, "h": "map"}], "plan_on": plan_on}
+    return {"movers": [{"walk": stay, "h": "threats"}], "plan_on": plan_on}
 
 
 MOVING = Question(

@@ -9,8 +9,8 @@ from rich.table import Table
 
 from analysis.kit.folder import csv_text
 from analysis.kit.tables import make_table
-from analysis.knowing.questions import KINDS, POLICIES, TEAMS
-from analysis.knowing.study import TEAMS_MET, Study, Team
+from analysis.knowing.questions import Team
+from analysis.knowing.study import Study
 from analysis.page.series import Chart, Series
 from analysis.report.answer import json_end
 from analysis.report.blocks import Part, Report
@@ -28,7 +28,8 @@ NOTE = (
 def report(study: Study) -> Report:
     """Coverage of every way, how far ways are apart, curves over the team, every point as CSV."""
     finished, question = study.finished, study.question
-    charts = {policy: [_chart(study, kind, policy) for kind in KINDS] for policy in POLICIES}
+    kinds, _, policies = (list(dict.fromkeys(names)) for names in zip(*study.teams, strict=True))
+    charts = {policy: [_chart(study, kind, policy) for kind in kinds] for policy in policies}
     return Report(
         question.name, "reproduce", question.title, headline(study), partial(study_json, study),
         heading=[f"{study.maps:,} maps a point, {study.rollouts:,} rollouts a map, first seed {study.seed}"],
@@ -47,16 +48,16 @@ def headline(study: Study) -> str:
     """The main differences, from the least to the largest of all teams."""
     said = []
     for pair, words in study.question.main.items():
-        found = [100 * study.apart(team, *pair).mean for team in TEAMS_MET]
+        found = [100 * study.apart(team, *pair).mean for team in study.teams]
         said.append(words.format(f"{min(found):.1f} to {max(found):.1f}"))
     return "; ".join(said) + "."
 
 
 def _chart(study: Study, kind: Kind, policy: str) -> Chart:
-    series = []
+    series, teams = [], [team for team in study.teams if team[0] == kind and team[2] == policy]
     for way in study.question.ways:
-        found = [study.estimate((kind, robots, policy), way) for robots in TEAMS]
-        series.append(Series.of(way, TEAMS, found, dashed=", " in way))
+        found = [study.estimate(team, way) for team in teams]
+        series.append(Series.of(way, [robots for _, robots, _ in teams], found, dashed=", " in way))
     title = f"{study.question.title} {kind}, {policy}"
     return Chart(title, tuple(series), "robots", "visited", unit="%", y_range=(0.0, 100.0))
 
@@ -64,7 +65,7 @@ def _chart(study: Study, kind: Kind, policy: str) -> Chart:
 def ways_table(study: Study) -> Table:
     """What every team covers, by way."""
     table = _table("Visited, %", list(study.question.ways))
-    for team in TEAMS_MET:
+    for team in study.teams:
         table.add_row(*_named(team), *(_shown(study.estimate(team, way)) for way in study.question.ways))
     return table
 
@@ -73,7 +74,7 @@ def less_table(study: Study) -> Table:
     """How much more one way covers than another."""
     pairs = study.question.less
     table = _table("Points more", [f"{one} - {other}" for one, other in pairs])
-    for team in TEAMS_MET:
+    for team in study.teams:
         table.add_row(*_named(team), *(_shown(study.apart(team, *pair), sign="+") for pair in pairs))
     return table
 
@@ -94,7 +95,7 @@ def _shown(estimate: Estimate, sign: str = "") -> str:
 
 def study_json(study: Study) -> Json:
     """The JSON object; coverage and differences are fractions."""
-    teams = {team: dict(zip(("kind", "robots", "policy"), team, strict=True)) for team in TEAMS_MET}
+    teams = {team: dict(zip(("kind", "robots", "policy"), team, strict=True)) for team in study.teams}
     return {
         "answer": headline(study),
         "question": study.question.name,

@@ -6,18 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from analysis.kit.notes import Progress
-from analysis.knowing.questions import KINDS, POLICIES, QUESTIONS, TEAMS, Question, Setting, settings_of
+from analysis.knowing.questions import QUESTIONS, TEAMS, Question, Setting, Team, settings_of
 from analysis.report.answer import Answer
 from analysis.statistics.estimate import Estimate, over_maps
 from analysis.sweeps.by_map import ByMap, Columns
 from analysis.sweeps.engine import Finished
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.worlds import check_maps
-from planner.worlds.generate import Kind
-
-Team = tuple[Kind, int, str]
-"""Kind of map, robots, policy."""
-TEAMS_MET: tuple[Team, ...] = tuple((kind, robots, policy) for kind in KINDS for robots in TEAMS for policy in POLICIES)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -25,11 +20,12 @@ class Study(Answer):
     """The answer.
 
     Attributes:
-        question: what was compared. columns: of each setting, map by map. rollouts: of each map and setting.
-        seed: of the first map. finished: how the run ended.
+        question: what was compared. teams: that met it. columns: of each setting, map by map.
+        rollouts: of each map and setting. seed: of the first map. finished: how the run ended.
     """
 
     question: Question
+    teams: tuple[Team, ...]
     columns: dict[Setting, Columns]
     rollouts: int
     seed: int
@@ -65,6 +61,7 @@ def study_knowing(
     rollouts: int,
     seed: int = 0,
     store: Store | None = None,
+    teams: tuple[Team, ...] = TEAMS,
     progress: Progress | None = None,
     **where: Any,
 ) -> Study:
@@ -74,10 +71,10 @@ def study_knowing(
     """
     check_maps(maps, seed)
     asked = QUESTIONS[question]
-    settings = settings_of(asked)
+    settings = settings_of(asked, teams)
     by_map = ByMap(lambda number: ((one, one.case(asked, seed + number)) for one in settings), seed, rollouts)
     finished = by_map.run(maps, maps * len(settings), store, progress, **where)
     columns = by_map.columns(settings)
     if not columns:
         raise KeyboardInterrupt
-    return Study(asked, columns, rollouts, seed, finished)
+    return Study(asked, teams, columns, rollouts, seed, finished)

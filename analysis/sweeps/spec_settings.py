@@ -130,8 +130,7 @@ def model_of(values: Mapping[str, Any], offset: int) -> RolloutChoices:
 def generated_world(values: Mapping[str, Any], seed: int) -> Generated:
     """The paper's random world of some settings with this seed."""
     unsaid: Json = {}
-    for name in filter(is_beside, values):
-        _put(unsaid, name, values[name], "random map")
+    _put_all(unsaid, {name: value for name, value in values.items() if is_beside(name)}, "random map")
     given = {name: values[name] for name in (*WORLD, *PAPER) if name in values}
     return Generated(seed=seed, unsaid=canonical(unsaid), **given)
 
@@ -139,8 +138,7 @@ def generated_world(values: Mapping[str, Any], seed: int) -> Generated:
 def written_world(values: Mapping[str, Any], seed: int | None) -> Written:
     """The world of the `input` of some settings; `seed`: of its generated threats, None: those that it has itself."""
     scenario = scenario_of(values["input"])
-    for name in filter(is_path, values):
-        _put(scenario, name, values[name], values["input"])
+    _put_all(scenario, {name: value for name, value in values.items() if is_path(name)}, values["input"])
     for entry in generators(scenario):
         entry |= {} if seed is None else {"seed": seed}
         entry |= {"levels" if name == "threat_levels" else name: values[name] for name in WORLD if name in values}
@@ -168,6 +166,13 @@ def generators(scenario: Mapping[str, Any]) -> list[Json]:
     listed = threats if isinstance(threats, list) else []
     found = [threat["generate"] for threat in listed if isinstance(threat, dict) and "generate" in threat]
     return [entry for entry in found if isinstance(entry, dict)]
+
+
+def _put_all(scenario: Json, values: Json, source: str) -> None:
+    """Set what is swept; where movers are left out, what robots would plan on is too."""
+    for name, value in values.items():
+        if name != "plan_on" or values.get("movers", name) is not None:
+            _put(scenario, name, value, source)
 
 
 def _put(scenario: Json, name: str, value: Any, source: str) -> None:

@@ -53,6 +53,8 @@ class Generated:
         pattern = ThreatPattern(self.kind, self.areas, self.threat_levels, self.seed)
         world = random_world(*self.size, pattern, obstacles=self.obstacles, threats=self.ratio)
         keys = Key(json.loads(self.unsaid), "", "random map").mapping(optional=BESIDE)
+        if "plan_on" in keys and "movers" not in keys:
+            raise keys["plan_on"].wrong("none without movers")
         if "movers" in keys:
             world = read_movers(keys["movers"], keys.get("plan_on"), world)
         return read_knowledge(keys, world, load_input)

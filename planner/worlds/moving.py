@@ -18,7 +18,7 @@ from planner.worlds.world import World
 AT, STAYS = "[row, col], whole numbers", "a chance to stay, 0 to 1"
 JOINED = "joined"
 PLAN_ON = (JOINED, "patrols", "own")
-OF_THE_MAP = "map"
+THREATS = "threats"
 """The h of walkers that are the threats of the map itself."""
 
 
@@ -27,7 +27,8 @@ def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_
 
     Args:
         movers: each with the keys that a scenario has: `{"walk": 0.2, "h": 0.3, "count": 6}`, or
-            `{"patrol": [[0, 0], [0, 1]], "h": 1}`; `{"walk": 0.5, "h": "map"}`: the map's own threats, which leave it.
+            `{"patrol": [[0, 0], [0, 1]], "h": 1}`; `{"walk": 0.5, "h": "threats"}`: a walker of each dangerous
+            cell, with its p, which leaves it.
         plan_on: "joined": robots plan on p joined with where movers are in the long run; "patrols": with where those
             are that have a route; "own": on p alone.
 
@@ -69,7 +70,7 @@ def _is_of_the_map(key: Key) -> bool:
 def _threats_that_walk(key: Key, world: World) -> list[Mover]:
     """A walker for each dangerous cell of the map, with its p as h."""
     keys = key.mapping(("walk", "h"))
-    keys["h"].choice((OF_THE_MAP,))
+    keys["h"].choice((THREATS,))
     stay = keys["walk"].number(CHANCE, STAYS)
     return [Mover(float(p), stay) for p in world.threat[world.threat > 0]]
 

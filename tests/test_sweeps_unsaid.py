@@ -1,0 +1,167 @@
+"""Sweeps of what robots know and of threats that move: the answer of `evaluate` on the same map, and what is wrong."""
+
+from __future__ import annotations
+
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mrac_jax as mrac
+from analysis.knowing.questions import Team
+from analysis.knowing.study import study_knowing
+from analysis.sweeps.spec import read_spec
+from analysis.sweeps.store.store import Store
+from analysis.sweeps.sweep import Sweep, run_sweep
+from planner.errors import InputError
+from planner.kernels.closed_loop import compile_closed_loop, run_range
+from planner.mrac.make_plan import make_plan
+from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
+
+TRUE = random_world(7, 9, ThreatPattern(seed=4), obstacles=0.15)
+GUARD = "{patrol: [[1, 2], [1, 3], [2, 3], [2, 2]], h: 0.3}"
+ROLLOUTS = 1100
+"""Enough for the control by total tolerance, on both sides."""
+
+
+def swept(folder: Path, text: str, rollouts: int = ROLLOUTS) -> Sweep:
+    TRUE.save(folder / "true.npz")
+    (folder / "dark.yaml").write_text("map: true.npz\nprior: {p: 0.04}\nsense: .inf\nrobots: {count: 2}\n")
+    (folder / "try.yaml").write_text(f"{text}\nrollouts: {rollouts}\n")
+    with Store.open(folder / "try.store") as store:
+        return run_sweep(read_spec(folder / "try.yaml"), store, processes=1)
+
+
+def dark(sense: float, obstacles: str = "unknown") -> World:
+    return mrac.with_prior(TRUE, 0.04, obstacles, sense=sense)  # type: ignore[arg-type]
+
+
+WALKS = [{"walk": 0.5, "h": "threats"}]
+SWEEPS = {
+    "base: {input: dark.yaml}\nsweep: {sense: [1, 2, .inf]}": [dark(1), dark(2), dark(inf)],
+    "base: {input: true.npz, robots: 2, sense: {range: 2, sight: true}}\n"
+    "sweep: {prior: [{p: 0.04}, {p: 0.04, obstacles: known}]}": [
+        mrac.with_prior(TRUE, 0.04, obstacles, sense={"range": 2, "sight": True}) for obstacles in ("unknown", "known")
+    ],
+    "base: {input: dark.yaml, sense: 0, prior: {p: 0.04, obstacles: known}}\nsweep: {prior.p: [0.04]}": [
+        dark(0, "known")
+    ],
+    "base: {input: true.npz, robots: 2, plan_on: own}\n"
+    "sweep: {movers: [[{walk: 0.5, h: threats}], [{walk: 1, h: threats}]]}": [
+        mrac.with_movers(TRUE, [{"walk": stay, "h": "threats"}], "own") for stay in (0.5, 1)
+    ],
+    f"base: {{input: true.npz, robots: 1, movers: [{GUARD}]}}\nsweep: {{'movers[0].h': [0.1, 0.3]}}": [
+        mrac.with_movers(TRUE, [{"patrol": [[1, 2], [1, 3], [2, 3], [2, 2]], "h": h}]) for h in (0.1, 0.3)
+    ],
+}
+
+
+@pytest.mark.parametrize("text", SWEEPS)
+def test_a_row_is_what_evaluate_says(text: str, tmp_path: Path) -> None:
+    robots = 1 if "robots: 1" in text else 2
+    for row, world in zip(swept(tmp_path, text).rows, SWEEPS[text], strict=True):
+        alone = mrac.evaluate(world, robots, rollouts=ROLLOUTS, exact="never", engine="numba", advice=False, band=False)
+        cells = alone.cells["accessible"]
+        for name, value in (("visited", alone.figures.visited.mean.times(1 / cells)), ("time", alone.figures.time)):
+            found = row.estimate(name)
+            assert (found.mean, *found.ci95) == pytest.approx((value.mean, *value.ci95), rel=1e-12), name
+        exact = alone.closed_form.visited / cells
+        known = row.known("exact visited")
+        assert np.isnan(exact) if known is None else known.mean == pytest.approx(exact)
+
+
+def test_random_maps_are_gone_on_with(tmp_path: Path) -> None:
+    """All of them look alike to robots that know nothing, and yet each is a run of its own."""
+    text = "base: {size: 6x8, robots: 2, prior: {p: 0.04}}\nmaps: %d\nseed: 3\nsweep: {sense: [1, 2]}"
+    swept(tmp_path, text % 2, 30)
+    answer = swept(tmp_path, text % 3, 30)
+    assert (answer.finished.rollouts, answer.finished.reused) == (2 * 30, 4 * 30)
+    for row, sense in zip(answer.rows, (1, 2), strict=True):
+        found = [covered(mrac.with_prior(small(n), 0.04, sense=sense), 2, "mrac", 3 + n, 30) for n in range(3)]
+        assert row.estimate("visited").mean == pytest.approx(np.mean(found))
+
+
+def small(seed: int) -> World:
+    return random_world(6, 8, ThreatPattern(seed=seed))
+
+
+def covered(world: World, robots: int, policy: str, seed: int, rollouts: int) -> float:
+    plan = make_plan(world, place_starts(world, robots)[0], mrac.Settings(policy=policy))
+    tally = run_range(compile_closed_loop(plan, world), seed, 0, rollouts)[0]
+    return float(tally.visited @ np.arange(tally.accessible + 1)) / rollouts / tally.accessible
+
+
+def test_null_leaves_a_key_out_and_names_are_shown(tmp_path: Path) -> None:
+    text = "base: {size: 6x8, plan_on: own}\nmaps: 1\nsweep: {movers: [null, [{walk: 1, h: threats}]]}"
+    told, among = swept(tmp_path, text, 10).rows
+    assert told.estimate("visited").mean == pytest.approx(covered(small(0), 1, "mrac", 0, 10))
+    assert told.known("ideal") is not None and among.known("ideal") is None
+    assert among.labels == {"movers": '[{"h":"threats","walk":1}]'}
+    assert read_spec(tmp_path / "try.yaml").labels(0, 0) == {"movers": "null"}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("sweep: {sense: [1]}", "sweep.sense: .*random map: .*nothing to sense"),
+        ("base: {prior: {p: 0.04}}\nsweep: {sense: [1, 0.5]}", "sweep.sense: .*from 1 on"),
+        ("base: {sense: 0}\nsweep: {prior: [{p: 0.04}]}", "wrong about an obstacle"),
+        ("sweep: {plan_on: [own]}", "none without movers"),
+        ("sweep: {prior.p: [0.1]}", "there is no prior.p to sweep"),
+        ("sweep: {movers: [[{walk: 0.5, h: often}]]}", "threats"),
+        ("sweep: {movers: [[{walk: 0.5, h: threats, count: 2}]]}", "count"),
+        ("base: {input: mines.yaml}\nsweep: {robots: [1]}", "leave `hazard` and `uncertain` out"),
+        ("base: {input: true.npz}\nsweep: {truth: [none.npz]}", "none.npz"),
+    ],
+)
+def test_what_is_wrong_is_said_before_the_first_rollout(text: str, words: str, tmp_path: Path) -> None:
+    TRUE.save(tmp_path / "mines.npz")
+    (tmp_path / "mines.yaml").write_text("map: mines.npz\nhazard: {kind: consumed, h: 0.5}\n")
+    with pytest.raises(InputError, match=words):
+        swept(tmp_path, text, 10)
+
+
+def test_the_maps_threats_leave_it_and_walk() -> None:
+    world = mrac.with_movers(TRUE, WALKS, "patrols")
+    assert world.movers is not None and (world.threat[TRUE.free] == 0).all()
+    assert [mover.hit for mover in world.movers.members] == TRUE.threat[TRUE.threat > 0].tolist()
+    joined = mrac.with_movers(TRUE, WALKS).threat[TRUE.free].astype(float)
+    assert joined.mean() == pytest.approx(TRUE.threat[TRUE.free].mean(), rel=0.05) and joined.std() < 0.01
+
+
+TEAM: Team = ("contiguous", 2, "per_cell")
+
+
+def test_reproduce_online_is_the_maps_rolled_out_by_hand(tmp_path: Path) -> None:
+    """Differences are those of the same maps and luck; killed and gone on with, it is the same."""
+    with Store.open(tmp_path / "s.db") as store:
+        how: Any = {"rollouts": 20, "seed": 5, "teams": (TEAM,), "store": store, "processes": 1}
+        study_knowing("online", maps=1, **how)
+        study = study_knowing("online", maps=2, **how)
+    assert study.finished.reused == study.finished.rollouts == 7 * 20
+    by_way: dict[str, list[float]] = {way: [] for way in ("told", "see 2", "blind")}
+    for seed in (5, 6):
+        world = random_world(pattern=ThreatPattern(seed=seed))
+        met = {
+            "told": world,
+            "see 2": mrac.with_prior(world, 0.04, sense=2),
+            "blind": mrac.with_prior(world, 0.04, "known"),
+        }
+        for way, found in by_way.items():
+            found.append(covered(met[way], 2, "per_cell", seed, 20))
+    for way, found in by_way.items():
+        assert study.estimate(TEAM, way).mean == pytest.approx(np.mean(found))
+    apart = study.apart(TEAM, "told", "see 2")
+    assert apart.se == pytest.approx(np.subtract(by_way["told"], by_way["see 2"]).std(ddof=1) / 2**0.5)
+    names = {path.name for path in study.save(tmp_path / "out")}
+    assert names == {"index.html", "online.txt", "online.json", "points.csv", "per_cell.png"}
+    said = study.to_json()
+    assert said["answer"].startswith("Robots that know nothing of the map and see three cells cover")
+    assert {point["way"]: point["visited"]["mean"] for point in said["points"]}["told"] == pytest.approx(
+        np.mean(by_way["told"])
+    )
+    assert len((tmp_path / "out" / "points.csv").read_text().splitlines()) == 1 + 7 * 2
