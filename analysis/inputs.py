@@ -18,6 +18,7 @@ from planner.limits import MAX_PLAN_BYTES
 from planner.plans.plan import FORMAT, Plan
 from planner.plans.state import MissionState
 from planner.settings import BEARING, Choices, Settings
+from planner.worlds.learning import seeing
 from planner.worlds.world import EXAMPLE, World, check_starts
 
 REACHED = 0.5
@@ -63,7 +64,7 @@ class Asked:
     Attributes:
         source: an INPUT. choices: the planner's settings that are given.
         robots: how many. starts: where, "row,col;row,col;...". cell_size: of a bare map, in metres.
-        step_seconds, speed: of `World.with_pace`.
+        step_seconds, speed: of `World.with_pace`. sense: how many cells robots see that are not told the map.
     """
 
     source: str
@@ -73,10 +74,12 @@ class Asked:
     cell_size: float | None = None
     step_seconds: float | None = None
     speed: float | None = None
+    sense: float | None = None
 
     def load(self) -> World:
         """The world of the INPUT. Raises InputError."""
-        return load_world(self.source, self.cell_size).with_pace(self.step_seconds, self.speed)
+        world = load_world(self.source, self.cell_size).with_pace(self.step_seconds, self.speed)
+        return world if self.sense is None else seeing(world, self.sense)
 
 
 def load_task(asked: Asked) -> Task:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import cache
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,13 @@ import analysis.comparison.compare
 from analysis.cli.app import run
 from analysis.comparison.compare import FIGURES, Comparison, compare, make_side
 from analysis.comparison.report import headline
+from analysis.inputs import load_world
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimate import FIRST_LOOK
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
+from planner.worlds.learning import with_prior, with_sense
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
@@ -103,6 +106,49 @@ def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_
     one, other = (f"{row},{col}" for row, col in place_starts(world, 2)[0])
     found = answer(capsys, WORLD, "--starts", one, "--b.starts", other, "--rollouts", "64")
     assert found["differing"] == {"a": ["its own starts"], "b": ["other starts"]}
+
+
+def test_two_sensors_on_the_same_luck(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """B's option is one of A's team's; the means are those of each by itself, and not to see a difference of maps."""
+    scenario = tmp_path / "dark.yaml"
+    scenario.write_text(f"map: {WORLD}\nprior: {{p: 0.04}}\nsense: 2\nrobots: {{count: 3}}\n")
+    asked = (
+        str(scenario),
+        "--robots",
+        "2",
+        "--sense",
+        "1",
+        "--b.sense",
+        "inf",
+        "--rollouts",
+        "2048",
+        "--exact",
+        "never",
+    )
+    found = answer(capsys, *asked)
+    assert found["differing"] == {"a": ["robots see 1 cell far"], "b": ["robots see everything"]}
+    assert (found["a"]["robots"], found["b"]["robots"]) == (2, 2)
+    low, high = found["difference"]["visited"]["ci95"]
+    assert 0 < low < high and found["difference"]["visited"]["gain"] > 2
+    world = load_world(str(scenario))
+    for side, far in (("a", 1), ("b", inf)):
+        seeing = with_sense(world, far)
+        plan = make_plan(seeing, place_starts(seeing, 2)[0])
+        alone = (
+            make_singles(seeing, plan, RolloutChoices(rollouts=2048))(0, 2048).visited.mean()
+            / found[side]["accessible"]
+        )
+        assert found[side]["mean"]["visited"] == pytest.approx(alone, abs=0.02)
+    told = team(2)
+    for known, words in ((None, "robots are told the map"), (1, "robots see 1 cell far")):
+        one = told[0] if known is None else with_prior(told[0], 0.04, sense=known)
+        dark = with_prior(told[0], 0.04, sense=2)
+        sides = (make_side(w, make_plan(w, told[1].starts), RolloutChoices(rollouts=64)) for w in (one, dark))
+        assert compare(*sides).differing == ((words,), ("robots see 2 cells far",))
+    assert run(["compare", WORLD, "--b.sense", "1"]) == 2
+    assert "error: B:" in (said := capsys.readouterr().err) and "nothing to sense" in said
+    assert run(["compare", str(scenario), "--sense", "far"]) == 2
+    assert "--sense 'far'" in capsys.readouterr().err
 
 
 def test_the_interval_holds_the_exact_difference() -> None:

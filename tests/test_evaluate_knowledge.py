@@ -55,6 +55,10 @@ def test_each_team_is_what_it_is_by_itself(answer: Evaluation) -> None:
     data = json.loads(json.dumps(answer.to_json()))["knowledge"]
     assert data["price_of_not_knowing"]["mean"] == price.mean and data["curve"][-1]["range"] == "inf"
     assert data["worth_of_sensing"]["mean"] == pytest.approx((alone[2] - alone[0]).mean())
+    assert [(step["from"], step["to"]) for step in data["steps"]] == [(1, 2), (2, 3)]
+    assert [step["worth"]["mean"] for step in data["steps"]] == pytest.approx(
+        [(alone[2] - alone[1]).mean(), (alone[3] - alone[2]).mean()]
+    )
     assert data["rollouts"] == COUNT and data["curve"][-1]["behind"]["mean"] == 0
 
 
@@ -133,7 +137,13 @@ def test_words_and_page(answer: Evaluation, tmp_path: Path) -> None:
     answer.save(tmp_path)
     page, text = (tmp_path / "index.html").read_text(), (tmp_path / "evaluation.txt").read_text()
     check_page_is_sound(page)
-    for words in ("not knowing it costs", "to see is worth", "told the map", "robots see 2 cells far"):
+    for words in (
+        "not knowing it costs",
+        "to see is worth",
+        "told the map",
+        "robots see 2 cells far",
+        "A better sensor",
+    ):
         assert words in text and words in page
     assert (tmp_path / "believed.png").exists() and (tmp_path / "sense.png").exists()
     assert "Theorem 3" not in text and "Lines: the plan" not in page

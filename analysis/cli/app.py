@@ -29,6 +29,7 @@ from analysis.cli.groups import (
     PlanningToTheEnd,
     Rollouts,
     Second,
+    SeeingTeam,
     Team,
     Timed,
     Traded,
@@ -326,7 +327,7 @@ def compare(
     b: Annotated[Text, Parameter(name="B")] = None,
     /,
     *,
-    team: Team | None = None,
+    team: SeeingTeam | None = None,
     planning: Planning | None = None,
     what: Timed | None = None,
     second: Second | None = None,
@@ -348,7 +349,7 @@ def compare(
     from analysis.kit.progress import show_progress
 
     check_folder(out)
-    options, second = (team or Team(), planning or Planning(), what or Timed()), second or Second()
+    options, second = (team or SeeingTeam(), planning or Planning(), what or Timed()), second or Second()
     source_b, plan_b = a if b is None else b, plan if second.plan is None else second.plan
     if b is not None and b.endswith(".json"):
         if second.plan is not None:

@@ -31,12 +31,14 @@ from analysis.cli.options import (
     Numbers,
     RunLoop,
     Seed,
+    Sense,
     Speed,
     Starts,
     StepSeconds,
     Text,
     Whole,
     Wholes,
+    how_far,
     one_of,
     parse_whole,
     path,
@@ -74,6 +76,18 @@ class Team:
         from analysis.inputs import Asked
 
         return Asked(source, choices, **vars(self))
+
+
+@Parameter(name="*")
+@dataclass
+class SeeingTeam(Team):
+    """Who drives, and sees how far.
+
+    Attributes:
+        robots: How many robots (default: as many as the input's starts, else its count, else 1).
+    """
+
+    sense: Sense = None
 
 
 @Parameter(name="*")
@@ -393,6 +407,7 @@ class Second(_SecondPlanning):
     Attributes:
         robots: How many robots.
         starts: Where they start, "row,col;row,col;...".
+        sense: How many cells they see, inf: everything.
         loop: Reallocate and share at run time, or follow the plan until stopped.
         threat_checks: Every visit can stop a robot, or only the first visit of a cell by anybody.
         plan: Plan file of B.
@@ -400,11 +415,12 @@ class Second(_SecondPlanning):
 
     robots: Annotated[Whole, Parameter(group=SECOND)] = None
     starts: Annotated[Text, Parameter(group=SECOND)] = None
+    sense: Annotated[float | None, Parameter(converter=how_far, group=SECOND)] = None
     loop: Annotated[Loop, Parameter(group=SECOND)] = None
     threat_checks: Annotated[Checks | None, Parameter(group=SECOND)] = None
     plan: Annotated[Path | None, Parameter(group=SECOND, converter=path)] = None
 
-    def over(self, team: Team, planning: Planning, what: Timed) -> tuple[Team, Planning, Timed]:
+    def over(self, team: SeeingTeam, planning: Planning, what: Timed) -> tuple[SeeingTeam, Planning, Timed]:
         """A's options with these in their place.
 
         Other starts or robots leave A's of both behind, another policy its limits.
@@ -413,10 +429,11 @@ class Second(_SecondPlanning):
 
         def changed(group: Any, drop: tuple[str, ...] = ()) -> Any:
             own = {name: given[name] for name in vars(group) if name in given}
-            return replace(group, **(dict.fromkeys(drop) if own else {}) | own)
+            return replace(group, **dict.fromkeys(drop) | own)
 
+        others = ("robots", "starts") if {"robots", "starts"} & given.keys() else ()
         return (
-            changed(team, ("robots", "starts")),
+            changed(team, others),
             changed(planning, left_behind(given)),
             changed(what),
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from decimal import Decimal
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -70,6 +71,11 @@ def parse_number(text: str, name: str) -> float:
     if not re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?", text, re.ASCII | re.IGNORECASE):
         raise UsageError(f"{name} {text!r}", expected="a number")
     return float(text)
+
+
+def how_far(kind: Any, tokens: Sequence[Token]) -> float:
+    """A range of sensors: a number of cells, or inf."""
+    return inf if tokens[0].value == "inf" else number(kind, tokens)
 
 
 def exactness(kind: Any, tokens: Sequence[Token]) -> str | float:
@@ -146,6 +152,14 @@ StepSeconds = Annotated[
     Parameter(group=TEAM, help="Seconds that a step takes: times are said in minutes too, and may be given so."),
 ]
 Speed = Annotated[Number, Parameter(group=TEAM, help="Instead of --step-seconds: metres a second, a cell a step.")]
+Sense = Annotated[
+    float | None,
+    Parameter(
+        converter=how_far,
+        group=TEAM,
+        help="How many cells robots see that are not told the map, inf: all of it (default: as the input says).",
+    ),
+]
 RunLoop = Annotated[
     Loop,
     Parameter(

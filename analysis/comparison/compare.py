@@ -155,7 +155,7 @@ def differing(a: Side, b: Side) -> tuple[tuple[str, ...], tuple[str, ...]]:
             words[1].append(theirs[name])
     if mine == theirs:
         paths = [[robot.path.tolist() for robot in side.plan.robots] for side in (a, b)]
-        if a.world.sha256 != b.world.sha256:
+        if a.world.luck_sha256 != b.world.luck_sha256:
             words[0].append("its map")
             words[1].append("another map of that name")
         elif paths[0] != paths[1]:
@@ -169,8 +169,11 @@ def differing(a: Side, b: Side) -> tuple[tuple[str, ...], tuple[str, ...]]:
 def _traits(side: Side, with_settings: bool) -> dict[str, str]:
     """What a side is, by what it is a matter of, in words: the same keys for both sides."""
     plan, choices = side.plan, side.choices
+    known, doubt = side.world.knowledge, side.world.doubt
     found = {
         "map": f"map {side.world.source}",
+        "doubt": "a map that is not in doubt" if doubt is None else doubt.said,
+        "knowledge": "robots are told the map" if known is None else known.sense.said,
         "robots": counted(len(plan.robots), "robot"),
         "plan": f"{'an' if plan.settings is not None else 'a'} {plan.origin}",
         "loop": "open loop" if choices.loop == "open" else "closed loop",

@@ -59,6 +59,12 @@ def with_sense(world: World, sense: Given) -> World:
     return _knowing(world, world.threat, world.met, sense)
 
 
+def seeing(world: World, far: float) -> World:
+    """The same whose robots see so many cells far, as sharply as before: past obstacles or not. Raises WorldError."""
+    sight = world.knowledge is not None and world.knowledge.sense.sight and far < inf
+    return with_sense(world, Sense(far, sight))
+
+
 def _check_plain(world: World) -> None:
     for of in (world.doubt, world.knowledge):
         if of is not None:

@@ -39,7 +39,7 @@ class Sense:
         """It in words."""
         if self.range == 0:
             return "robots see nothing"
-        far = "everything" if self.range == inf else f"{self.range:g} cells far"
+        far = "everything" if self.range == inf else f"{self.range:g} cell{'s' * (self.range != 1)} far"
         return f"robots see {far}{', not past obstacles' if self.sight else ''}"
 
     def views(self, free: NDArray[np.bool_], cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from math import inf, isinf
 from typing import Self
 
@@ -28,7 +29,7 @@ from planner.mrac.make_plan import allocated_plan
 from planner.plans.plan import Plan
 from planner.worlds.doubt import Uncertain
 from planner.worlds.knowledge import Knowledge as Unknown
-from planner.worlds.learning import with_sense
+from planner.worlds.learning import seeing, with_sense
 from planner.worlds.sight import RANGE, Sense
 from planner.worlds.world import World
 
@@ -102,7 +103,7 @@ class Knowledge(Output):
             fix = "give a `truth` or a `prior`" if world.doubt is None else "give the scenario `sense: 0`"
             raise UsageError(argument("sense", ",".join(map(str, asked))), expected="a map that robots learn", fix=fix)
         for far in asked:
-            _seeing(world, far)
+            seeing(world, far)
 
     @classmethod
     def measure(cls, asked: Sequence[float], run: Run) -> Iterator[Self]:
@@ -124,9 +125,9 @@ class Knowledge(Output):
         settings, trials = run.plan.require(world), []
         for far in ranges:
             run.doing(f"the same team, {_sees(far)}")
-            seeing = _seeing(world, far)
-            plan = run.plan if far == known.sense.range else allocated_plan(seeing, run.plan.starts, settings)
-            trials.append(Trial(seeing, plan, choices))
+            other = seeing(world, far)
+            plan = run.plan if far == known.sense.range else allocated_plan(other, run.plan.starts, settings)
+            trials.append(Trial(other, plan, choices))
         if drawn:
             run.doing("the same team, told which map is true")
             told, kept = told_of_drawn(world, run.plan, choices, count)
@@ -164,6 +165,9 @@ class Knowledge(Output):
             "blind": None if blind is None else blind.as_json(),
             "price_of_not_knowing": self.told.ahead(learning).to_json(),
             "worth_of_sensing": None if blind is None else learning.ahead(blind).to_json(),
+            "steps": [
+                {"from": one.range, "to": other.range, "worth": more.to_json()} for one, other, more in self.steps
+            ],
             "curve": [team.as_json() | {"behind": self.told.ahead(team).to_json()} for team in self.teams],
             "rollouts": self.told.found.rollouts,
         }
@@ -199,6 +203,16 @@ class Knowledge(Output):
         if blind is not None and blind is not learning:
             worth = learning.ahead(blind).said(100, " points")
             yield f"Robots that do not look visit {percent(blind.coverage.mean)}: to see is worth {worth}."
+        if steps := [
+            f"{more.said(100, ' points')} from {near.range:g} to {far.range:g}" for near, far, more in self.steps
+        ]:
+            yield f"A better sensor, cells: {', '.join(steps)}."
+
+    @property
+    def steps(self) -> list[tuple[Team, Team, Estimate]]:
+        """From each sensor to the next better one, where more than one was asked for, and what it covers more."""
+        near = [team for team in self.teams if 0 < team.range < inf]
+        return [(one, other, other.ahead(one)) for one, other in pairwise(near)]
 
     def chart(self) -> Chart:
         """Coverage over how far robots see."""
@@ -208,13 +222,6 @@ class Knowledge(Output):
             "What is a better sensor worth?", (seen,), "how far a robot sees, cells", "visited, % of the cells",
             unit="%", at_y=((100 * self.told.coverage.mean, "told the map"),), x_whole=False, x_digits=1,
         )  # fmt: skip
-
-
-def _seeing(world: World, far: float) -> World:
-    """The world of robots that see so far; as told where they see all."""
-    assert world.knowledge is not None
-    sight = world.knowledge.sense.sight and not isinf(far)
-    return with_sense(world, Sense(far, sight))
 
 
 def _believed(world: World, plan: Plan) -> CellLayer:
