@@ -28,6 +28,7 @@ GROUPS = {"policy": POLICY, "plan_for": ("plan_for", "effort")}
 MOST_LEVELS = 1024
 MOST_EFFORT = 10**9
 MOST_DENSITY = 1e6
+COUNT = whole(0, 2**31)
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class Setting:
     Attributes:
         title: on pages. help: of its option.
         numbers: that it may be. each: one for all, or a tuple of one a robot. words: that it may be instead.
+        places: it is one of the words, or cells, a tuple of (row, col).
         unset: what None means, on pages; "": it is never None.
         time: it is a step, and may be given as a time (`planner.pace`).
         later: a plan with its default is the plan that it was before there was the setting.
@@ -50,23 +52,27 @@ class Setting:
     unset: str = ""
     time: bool = False
     later: bool = False
+    places: bool = False
 
     @property
     def kind(self) -> str:
-        """ "word", "time", "whole", "number", or of one a robot "wholes", "numbers"."""
-        if self.time:
-            return "time"
+        """ "word", "time", "places", "whole", "number", or of one a robot "wholes", "numbers"."""
+        if self.time or self.places:
+            return "time" if self.time else "places"
         return "word" if self.words else ("whole" if self.numbers.whole else "number") + "s" * self.each
 
     def expected(self, unset: str) -> str:
         """What is accepted, in words; `unset`: how a None is written, "" where it is not."""
         if self.words:
-            return " or ".join(f'"{word}"' for word in self.words)
+            listed = " or ".join(f'"{word}"' for word in self.words)
+            return listed + (f" or a list of [row, col]{f', or {unset}' * bool(unset)}" if self.places else "")
         listed = ", or a list of one a robot" if self.each else f", or a time, as {TIMES}" if self.time else ""
         return self.numbers.expected + listed + (f", or {unset}" if self.unset and unset else "")
 
     def accepts(self, value: Any) -> bool:
         """True for a value that the setting may have."""
+        if self.places and isinstance(value, tuple):
+            return bool(value) and all(isinstance(p, tuple) and len(p) == 2 and all(map(COUNT.accepts, p)) for p in value)
         if value is None or self.words:
             return value in self.words if value is not None else bool(self.unset)
         if self.each and isinstance(value, tuple):
@@ -81,6 +87,8 @@ class Setting:
 
     def shown(self, value: Any) -> str:
         """A value, on pages."""
+        if self.places and isinstance(value, tuple):
+            return " ".join(f"[{row}, {col}]" for row, col in value)
         if isinstance(value, tuple):
             return " ".join(f"{one:,g}" for one in value)
         return self.unset if value is None else value if self.words else f"{value:,g}"
@@ -108,6 +116,8 @@ class Settings:
         deadline: the step at which the mission is ended, whatever is left; None = at none.
         wear: shape of the Weibull amount of exposure that robots bear (SPEC section 14); 1 = nothing wears out.
         susceptibility: how many times exposure counts, one number for all or one a robot. No decision knows these two.
+        return_to: the bases that robots come home to (SPEC section 19): "home", each its own start; "nearest", anybody's;
+            or cells, a tuple of (row, col); None = robots stay where they end.
         in_area: which cell of an area is next; others than `cheapest_first` are a user's own, and not saved.
     """
 
@@ -166,6 +176,10 @@ class Settings:
     susceptibility: float | tuple[float, ...] = _setting(
         1.0, "susceptibility", "How often exposure counts: one number, or one a robot (default: 1).",
         Numbers(LEAST_SUSCEPTIBILITY, MOST_SUSCEPTIBILITY), each=True, later=True,
+    )  # fmt: skip
+    return_to: str | tuple[tuple[int, int], ...] | None = _setting(
+        None, "return to", 'Robots come home: to home, their own start; nearest; or to bases, "row,col;row,col;...".',
+        words=("home", "nearest"), unset="nowhere", places=True, later=True,
     )  # fmt: skip
     in_area: InAreaOrder = cheapest_first
 

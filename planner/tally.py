@@ -43,7 +43,7 @@ OF_CLOSED_LOOP = tuple(outcome for outcome in Outcome if outcome is not Outcome.
 """How a closed-loop rollout can end."""
 
 
-OPTIONAL = {"bisected": np.int32, "divided": np.int32, "worth_covered": np.int64, "worth_found": np.int64}
+OPTIONAL = {"bisected": np.int32, "divided": np.int32, "home": np.int32, "worth_covered": np.int64, "worth_found": np.int64}
 """Columns of `RolloutResults` that may be left out."""
 
 
@@ -64,6 +64,7 @@ class RolloutResults:
         outcome: int8 `[B]`, values of `Outcome`.
         bisected, divided: int32 `[B]`, shares of an area whose unvisited cells were one component and had to be
             bisected, and of an area that already lay in several (SPEC section 5). Left out: zeros, the open loop's.
+        home: int32 `[B]`, robots alive at a base at the end (SPEC section 19). Left out: zeros.
         worth_covered, worth_found: int64 `[B]`, weights of cells visited, and found (`ClosedLoop.weighing`). Left out:
             zeros.
     """
@@ -76,6 +77,7 @@ class RolloutResults:
     outcome: NDArray[np.int8]
     bisected: NDArray[np.int32] = field(default_factory=_no_column)
     divided: NDArray[np.int32] = field(default_factory=_no_column)
+    home: NDArray[np.int32] = field(default_factory=_no_column)
     worth_covered: NDArray = field(default_factory=_no_column)
     worth_found: NDArray = field(default_factory=_no_column)
 
@@ -102,6 +104,7 @@ ByOutcome = Annotated[NDArray[np.int64], "outcome"]
 ByCell = Annotated[NDArray[np.int64], "cell"]
 ByPasses = Annotated[NDArray[np.int64], "cell and survived visits"]
 ByLuck = Annotated[NDArray[np.int64], "class of luck and figure"]
+ByHome = Annotated[NDArray[np.int64], "robots at home"]
 """Counts int64 `[accessible + 1]`, `[T + 1]`, `[K + 1]`, `[len(Outcome)]`, `[N]`, `[N * P]`, P a cell, and sums.
 
 A field of `Tally` with such a type is a count: adding, comparing, stores and recordings follow from that one line. With
@@ -130,6 +133,7 @@ class Tally:
         covered_visited, covered_survived: rollouts in which the cell was covered.
         passes: rollouts with 1, 2, ... P or more survived visits of the cell (`ClosedLoop.weighing`).
         by_luck: sums of figures by the team's total tolerance (`planner.rollouts.by_luck`).
+        home: rollouts by robots alive at a base at the end; left out where robots do not come home.
     """
 
     key: str
@@ -148,6 +152,7 @@ class Tally:
     covered_survived: ByCell
     passes: ByPasses = field(default_factory=no_counts)
     by_luck: ByLuck = field(default_factory=no_counts)
+    home: ByHome = field(default_factory=no_counts)
 
     @classmethod
     def empty(cls, key: str, shape: tuple[int, int], robots: int, accessible: int, last_step: int = 0) -> Self:

@@ -25,6 +25,8 @@ class Doing(IntEnum):
     DEAD = 4
     FOLLOWING = 5
     """It follows the path that another planner gave it."""
+    RETURNING = 6
+    """It is on its way home."""
 
 
 class EventKind(IntEnum):
@@ -57,6 +59,10 @@ class EventKind(IntEnum):
     """At the end of the step robots saw cells that are not as they believed (SPEC section 15): areas and ways are set
     right. robot: NO_ROBOT. area: NO_AREA. other: how many cells.
     """
+    TURNED_HOME = 9
+    """The robot turns for home (SPEC section 19). area: its own, or NO_AREA. other: the base that it heads for."""
+    HOME = 10
+    """The robot has come home for good. other: the base."""
 
 
 @dataclass(frozen=True, eq=False)

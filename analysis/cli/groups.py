@@ -29,6 +29,7 @@ from analysis.cli.options import (
     Mode,
     Number,
     Numbers,
+    Places,
     RunLoop,
     Seed,
     Sense,
@@ -132,6 +133,7 @@ class _Chosen:
 def _planner_options(name: str, group: Group, without: tuple[str, ...] = ()) -> Any:
     """A dataclass of an option for each of the planner's settings but some, None where it is not given."""
     kinds: dict[str, Any] = {"time": Deadline, "whole": Whole, "wholes": Wholes, "number": Number, "numbers": Numbers}
+    kinds["places"] = Places
     options = []
     for key in [key for key in SETTINGS if key not in without]:
         setting = SETTINGS[key]

@@ -61,6 +61,17 @@ def numbers(kind: Any, tokens: Sequence[Token]) -> float | tuple[float, ...]:
     return found if len(found) > 1 else found[0]
 
 
+def places(kind: Any, tokens: Sequence[Token]) -> str | tuple[tuple[int, int], ...]:
+    """A word, or cells, "row,col;row,col;..."."""
+    text = tokens[0].value
+    if not re.search(r"[0-9]", text):
+        return text
+    found = [tuple(parse_whole(part.strip(), _name(tokens)) for part in cell.split(",")) for cell in text.split(";")]
+    if any(len(cell) != 2 for cell in found):
+        raise UsageError(f"{_name(tokens)} {text!r}", expected='cells, as "0,0;4,7"')
+    return tuple((row, col) for row, col in found)
+
+
 def number(kind: Any, tokens: Sequence[Token]) -> float:
     """A finite number; UsageError names the option."""
     return parse_number(tokens[0].value, _name(tokens))
@@ -118,6 +129,7 @@ Whole = Annotated[int | None, Parameter(converter=whole)]
 Deadline = Annotated[str | None, Parameter(converter=deadline)]
 Numbers = Annotated[str | None, Parameter(converter=numbers)]
 Wholes = Annotated[str | None, Parameter(converter=wholes)]
+Places = Annotated[str | None, Parameter(converter=places)]
 Number = Annotated[float | None, Parameter(converter=number)]
 Text = Annotated[str | None, Parameter(converter=verbatim)]
 OutPath = Annotated[Path | None, Parameter(converter=path, group=OUTPUT)]

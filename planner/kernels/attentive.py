@@ -20,8 +20,9 @@ from planner.kernels.follow import is_danger, offer_of
 from planner.kernels.handed import hand
 from planner.kernels.meet import is_meeting
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
+from planner.kernels.retire import call_home, can_go_on, comes_home, go_home, stay, turn_home
 from planner.kernels.rollouts import begin_next, go_on_with, level_of
-from planner.kernels.runs import after_turns, count_new, end_of, enter, lose, moves_on, only_mover, stay, survive, waits
+from planner.kernels.runs import after_turns, count_new, end_of, enter, is_over, lose, moves_on, only_mover, survive, waits
 from planner.kernels.state import (
     ACTS,
     AHEAD,
@@ -46,6 +47,7 @@ from planner.kernels.state import (
     PASSED,
     PROGRESS,
     QUIET,
+    RETURNING,
     ROBOT,
     STARTING,
     STEP,
@@ -307,6 +309,13 @@ def walk_alone(t, p, s, c, w, how, robot, step, size):
     return step
 
 
+@rare_kernel
+def how_over(t, p, s, w):
+    """How there is nothing more to be done, NONE: there is."""
+    over = np.int64(is_over(t, s))
+    return np.int64(CALLED_OFF) if over == STUCK and could_go_on(t, p, s, w) else over
+
+
 @spliced
 def ending(t, p, s, w, how, step):
     """How the run ends after this step, NONE if it goes on."""
@@ -343,13 +352,17 @@ def advance(t, p, s, c, w, log, how, ids):
                         if got == NONE:
                             return AREAS_FULL
                         progress |= got
-                    look(log, s, step)
                     marks[QUIET] = 0 if progress else marks[QUIET] + 1
+                    if comes_home(t):
+                        if not call_home(t, s, w, log, how_over(t, p, s, w)):
+                            return AREAS_FULL
+                        unsettle(s)
+                    look(log, s, step)
                     outcome = ending(t, p, s, w, how, step)
                     if outcome != NONE:
                         return outcome
                     if len(p.most) == 0 or s.waiting[0] == 0:
-                        robot = only_mover(s, log)
+                        robot = only_mover(t, s, log)
                         if robot != NONE:
                             step = walk_alone(t, p, s, c, w, how, robot, step, size)
                     step, word, progress = step + 1, 0, 0
@@ -367,10 +380,15 @@ def advance(t, p, s, c, w, log, how, ids):
                 got = allocate_next(t, p, s, w, log, robot, np.bool_(True))
                 stays = True
             else:
-                if step > 0 and notices(p, s, robot):
+                if step > 0 and robots[robot, DOING] != RETURNING and notices(p, s, robot):
                     got = look_up(t, p, s, w, log, how, robot)
                 stays = not holds(s.movers, robot)
                 s.team[robot, UNTIL] += stays  # it has not moved in this step
+                if comes_home(t) and step > 0 and has_area(robots, robot) and not can_go_on(t, s, robot, step):
+                    if got == NONE or not turn_home(t, s, w, log, robot):
+                        return AREAS_FULL
+                    unsettle(s)
+                    stays = not holds(s.movers, robot)
             if got == NONE:
                 return AREAS_FULL
             progress |= got
@@ -398,7 +416,9 @@ def advance(t, p, s, c, w, log, how, ids):
                 verdict = np.int64(ACTS)
                 if len(s.entered) == 0:
                     survive(s, c, step, cell, size)
-            if step == s.team[robot, UNTIL]:
+            if robots[robot, DOING] == RETURNING:
+                go_home(t, s, log, robot)
+            elif step == s.team[robot, UNTIL]:
                 if not stay(t, s, w, log, robot):
                     return AREAS_FULL
                 unsettle(s)

@@ -14,6 +14,7 @@ from planner.kernels.first import bound_of, cheapest_unvisited, first_area, firs
 from planner.kernels.follow import is_before, is_danger, offer_of, refuses
 from planner.kernels.nearest import one_cell, seek
 from planner.kernels.paths import set_out
+from planner.kernels.retire import moves_home
 from planner.kernels.rows import row_from
 from planner.kernels.state import (
     AHEAD,
@@ -27,6 +28,7 @@ from planner.kernels.state import (
     LEFT_IN,
     LEVEL,
     NEXT,
+    RETURNING,
     TARGET,
 )
 from planner.kernels.trace import has_area
@@ -78,9 +80,15 @@ def head_for(t, s, w, robot, target):
 def is_at_risk(t, p, s, robot):
     """Whether the robot has a dangerous area, or a dangerous cell on the rest of its way."""
     me = s.robots[robot]
+    cell = np.int64(me[NEXT])
+    if me[DOING] == RETURNING:
+        found = is_danger(p, s, cell)
+        while not found and moves_home(t, robot, cell) > 0:
+            cell = np.int64(t.onward[t.home_of[robot], cell])
+            found = is_danger(p, s, cell)
+        return found
     if not has_area(s.robots, robot):
         return False
-    cell = np.int64(me[NEXT])
     found = s.areas[me[AREA], LEVEL] > 0 or is_danger(p, s, cell)
     if me[AHEAD] > 0:
         for place in range(me[AHEAD]):
@@ -126,7 +134,7 @@ def has_to_wait(t, p, s, w, robot, area, cost):
 def could_go_on(t, p, s, w):
     """Whether a robot that can move can reach an unassigned area, refused or not."""
     for robot in range(len(s.robots)):
-        able = holds(s.movers, robot) or holds(s.waiting, robot)
+        able = (holds(s.movers, robot) and s.robots[robot, DOING] != RETURNING) or holds(s.waiting, robot)
         if able and first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(False))[0] != NONE:
             return True
     return False

@@ -118,8 +118,9 @@ def run_range(
 
 def results_from(start: int, numbers: NDArray[np.int32], worth: NDArray[np.int64]) -> RolloutResults:
     """Single results of the rollouts from `start` on; rows as in `planner.kernels.state.Singles`."""
-    visited, survived, times, alive, outcome, bisected, divided = numbers.T
-    return RolloutResults(start, visited, survived, times, alive, outcome.astype(np.int8), bisected, divided, *worth.T)
+    visited, survived, times, alive, outcome, bisected, divided, home = numbers.T
+    rest = bisected, divided, home, *worth.T
+    return RolloutResults(start, visited, survived, times, alive, outcome.astype(np.int8), *rest)
 
 
 def new_cells(
@@ -221,6 +222,7 @@ def tally_from(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[
         survived=counts.survived,
         time=counts.time[:last],
         alive=counts.alive,
+        home=counts.home,
         outcomes=counts.outcomes,
         new_visited=counts.new[:last],
         new_survived=counts.new[:last] + counts.late[:last],

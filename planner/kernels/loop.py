@@ -83,6 +83,11 @@ class ClosedLoop:
         return len(self.tables.truths) > 0
 
     @property
+    def comes_home(self) -> bool:
+        """True if robots come home."""
+        return len(self.tables.home_of) > 0
+
+    @property
     def robots(self) -> int:
         """K."""
         return len(self.tables.starts)

@@ -25,6 +25,7 @@ from planner.kernels.state import (
     AREA_WORDS,
     AREAS,
     AREAS_FULL,
+    AT_HOME,
     BISECTED,
     COVERED,
     CUT,
@@ -150,6 +151,8 @@ def count_set(s, c, ids, singles, outcome):
     c.time[marks[STEP]] += size
     c.alive[marks[ALIVE]] += size
     c.outcomes[outcome] += size
+    if len(c.home) > 0:
+        c.home[marks[AT_HOME]] += size
     c.histories[0] += 1
     if len(s.passes) > 0:
         count_passes(s, c, ids, singles)
@@ -157,7 +160,7 @@ def count_set(s, c, ids, singles, outcome):
         for place in range(first, last):
             single = singles.numbers[ids[place] - singles.start]
             single[0], single[1], single[2], single[3] = covered, safely, marks[STEP], marks[ALIVE]
-            single[4], single[5], single[6] = outcome, marks[BISECTED], marks[DIVIDED]
+            single[4], single[5], single[6], single[7] = outcome, marks[BISECTED], marks[DIVIDED], marks[AT_HOME]
 
 
 @kernel

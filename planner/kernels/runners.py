@@ -274,7 +274,7 @@ class Runner:
         keys = [np.uint32(half) for key in (key_of_luck(seed, loop.luck), own, *moving) for half in key]
         options = loop.max_steps, loop.first_only, loop.stay_inside, 0
         self._how = How._make((*keys[:4], *options, *keys[4:], 0, 0))
-        remembers = loop.policy is None and not loop.stay_inside and not loop.learns
+        remembers = loop.policy is None and not (loop.stay_inside or loop.learns or loop.comes_home)
         self.work = make_work(loop.tables, most, remembers, known.pop() if known else None)
         self._done: list[tuple[int, int]] = []
         self._make_room(first_room(loop.tables))
@@ -365,7 +365,8 @@ class Runner:
         self._state = self.make_levels(min(self._loop.robots + 1, self._most))
         passes = self._loop.weights is not None
         loop = self._loop
-        self.counts = make_counts(len(loop.cells), loop.accessible, loop.robots, loop.max_steps, passes)
+        sizes = len(loop.cells), loop.accessible, loop.robots, loop.max_steps
+        self.counts = make_counts(*sizes, passes, loop.comes_home)
 
     def _call(
         self, waiting: State, tasks: Tasks, stack: State, log: Log, how: How, ids: NDArray[np.uint32], singles: Singles

@@ -12,13 +12,14 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, rare_kernel, spliced
-from planner.kernels.areas import close, find_next_area, give, replace, share
+from planner.kernels.areas import close, find_next_area, give, share
 from planner.kernels.believe import forget_news, is_lost, look_about, recall, revise
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
 from planner.kernels.luck import fresh, stopped_from
 from planner.kernels.meet import has_entered, is_meeting, meet
 from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
 from planner.kernels.remember import can_be_remembered, remember
+from planner.kernels.retire import call_home, can_go_on, comes_home, count_home, go_home, is_away, leave, stay, turn_home
 from planner.kernels.state import (
     ACTS,
     AHEAD,
@@ -51,11 +52,13 @@ from planner.kernels.state import (
     MOST_PASSES,
     NEXT,
     OPEN,
+    OVER,
     PARTED,
     PASSED,
     PATH,
     PROGRESS,
     QUIET,
+    RETURNING,
     ROBOT,
     STARTING,
     STEP,
@@ -77,8 +80,6 @@ from planner.kernels.trace import (
     ALLOCATED_EVENT,
     COMPLETED_EVENT,
     HIT_EVENT,
-    RANGE_ENDED_EVENT,
-    REALLOCATED_EVENT,
     has_area,
     look,
     note,
@@ -135,6 +136,8 @@ def count_last(t, s, c, cell, mass):
     c.survived[safely] += mass
     c.time[marks[STEP]] += mass
     c.alive[0] += mass
+    if len(c.home) > 0:
+        c.home[0] += mass
     c.outcomes[COMPLETE if is_complete(t, s) else STOPPED] += mass
 
 
@@ -206,25 +209,6 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
             if verdict == PARTED:
                 marks[ROBOT], marks[LAST], marks[PROGRESS] = robot, hit_from, 1
     return verdict
-
-
-@rare_kernel
-def leave(t, s, w, log, robot, area):
-    """What the robot leaves unvisited of its area becomes areas. False: no room."""
-    first, parts = replace(t, s, w, area, np.bool_(False))
-    if parts > 0:
-        note(log, s, robot, REALLOCATED_EVENT, area, parts)
-    return first != NONE
-
-
-@rare_kernel
-def stay(t, s, w, log, robot):
-    """The robot is at the end of its range: it neither moves nor waits for an area. False: no room for areas."""
-    area = np.int64(s.robots[robot, AREA])
-    drop(s.movers, robot)
-    s.robots[robot, DOING] = DONE
-    note(log, s, robot, RANGE_ENDED_EVENT, area, s.robots[robot, CELL])
-    return leave(t, s, w, log, robot, area)
 
 
 @kernel
@@ -405,29 +389,49 @@ def actors(s, word, after):
 
 
 @kernel
-def end_of(t, s, how, step):
-    """How the run ends after this step, NONE if it goes on (SPEC section 5's order)."""
+def is_over(t, s):
+    """How there is nothing more to be done, NONE: there is (SPEC section 5's order)."""
     if is_complete(t, s):
         return COMPLETE
     if s.marks[ALIVE] == 0:
         return STOPPED
-    if s.marks[QUIET] >= 2:
-        return STUCK
-    return TIMEOUT if step >= how.max_steps else NONE
+    return STUCK if s.marks[QUIET] >= 2 else NONE
 
 
 @kernel
-def only_mover(s, log):
+def end_of(t, s, how, step):
+    """How the run ends after this step, NONE if it goes on."""
+    if comes_home(t):
+        return end_at_home(t, s, how, step)
+    over = is_over(t, s)
+    return TIMEOUT if over == NONE and step >= how.max_steps else over
+
+
+@rare_kernel
+def end_at_home(t, s, how, step):
+    """The same where robots come home."""
+    over = s.marks[OVER] - 1
+    if over == NONE or is_away(s):
+        over = STOPPED if s.marks[ALIVE] == 0 else TIMEOUT if step >= how.max_steps else NONE
+    if over == NONE:
+        return over
+    count_home(t, s)
+    return COMPLETE if is_complete(t, s) else over
+
+
+@kernel
+def only_mover(t, s, log):
     """The robot that alone can do something until the next hit, NONE if there are several, or none.
 
-    Also NONE where what it does is written down, its visits are counted, threats move, or it looks about every step.
+    Also NONE where what it does is written down, its visits are counted, threats move, or it looks about, or for its
+    way home, every step.
     """
     bits = s.movers[0]
     # bits & (bits - 1) takes the lowest bit away: 0 if it was the only one. One word of robots is enough for most
     # teams.
     alone = bits != 0 and bits & (bits - ONE) == 0 and (s.marks[OPEN] == 0 or s.waiting[0] == 0)
     noted = len(log.frames) > 0 or len(s.passes) > 0 or len(s.entered) > 0 or len(s.mind) > 0
-    if not alone or len(s.movers) != 1 or noted:
+    if not alone or len(s.movers) != 1 or noted or comes_home(t):
         return NONE
     robot = lowest_bit(bits)
     return robot if s.robots[robot, DOING] != FOLLOWING else NONE
@@ -525,12 +529,14 @@ def advance(t, s, c, w, log, how, ids):
                         if got == NONE:
                             return AREAS_FULL
                         progress |= got
-                    look(log, s, step)
                     marks[STEP], marks[QUIET] = step, 0 if progress else marks[QUIET] + 1
+                    if comes_home(t) and not call_home(t, s, w, log, np.int64(is_over(t, s))):
+                        return AREAS_FULL
+                    look(log, s, step)
                     outcome = end_of(t, s, how, step)
                     if outcome != NONE:
                         return outcome
-                    robot = only_mover(s, log)
+                    robot = only_mover(t, s, log)
                     if robot != NONE:
                         step = walk_alone(t, s, c, w, how, robot, step, size)
                     step, word, progress = step + 1, 0, 0
@@ -543,6 +549,12 @@ def advance(t, s, c, w, log, how, ids):
                 continue
             robot = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
+            if comes_home(t) and step > 0 and has_area(robots, robot) and not can_go_on(t, s, robot, step):
+                if not turn_home(t, s, w, log, robot):
+                    return AREAS_FULL
+                bits = actors(s, word, robot % WORD)
+                if robots[robot, DOING] == DONE:
+                    continue
             moves = robots[robot, DOING] != IDLE and robots[robot, DOING] != DONE
             if moves:
                 cell, progress = robots[robot, NEXT], 1
@@ -562,6 +574,9 @@ def advance(t, s, c, w, log, how, ids):
             verdict = ACTS
             if len(s.entered) == 0:
                 survive(s, c, step, cell, size)
+        if moves and robots[robot, DOING] == RETURNING:
+            go_home(t, s, log, robot)
+            continue
         if step == s.team[robot, UNTIL] and moves:
             if not stay(t, s, w, log, robot):
                 return AREAS_FULL

@@ -21,7 +21,7 @@ from planner.trace import Doing
 
 Given = TypeVar("Given", bound=tuple)
 
-IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING = map(int, Doing)
+IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING, RETURNING = map(int, Doing)
 LANDING, STARTING = range(len(Doing), len(Doing) + 2)
 """What a robot does besides: it has not entered its start yet, and has no area, or has one."""
 COMPLETE, STOPPED, STUCK, TIMEOUT, _, CALLED_OFF = map(int, Outcome)
@@ -45,8 +45,8 @@ MOST_PASSES = 8
 """Survived visits of a cell that are told apart; what further ones add to a chance to detect is bounded
 (`analysis.evaluation.outputs.value`)."""
 
-NEAR, WIDE, PATIENCE, GOAL, LIMITS = range(5)
-"""`Tables.limits` of searches, and the cells that can truly be visited."""
+NEAR, WIDE, PATIENCE, GOAL, LAST_STEP, LIMITS = range(6)
+"""`Tables.limits` of searches, the cells that can truly be visited, and when robots know that the mission ends."""
 
 
 class Tables(NamedTuple):
@@ -67,7 +67,8 @@ class Tables(NamedTuple):
             `kind_cost` `[C]`, and there are `kind_begin` `[C]` cells of the kinds before it, both int64. All empty
             where there are tables.
         limits: int64 `[LIMITS]`. NEAR: cells that a search passes before it is one for what is far; WIDE: as of
-            `SafeParts`; PATIENCE: searches from a cell before its costs to all are kept. GOAL: cells that count.
+            `SafeParts`; PATIENCE: searches from a cell before its costs to all are kept. GOAL: cells that count. LAST_STEP:
+            by which robots that come home are to be there.
         truths: int16 `[M, A]`, level of each cell in each map that may be true, NONE of an obstacle, of robots that
             learn it; belief: int16 `[A]`, what they believe before the first step; price: int64 `[L]`, cost of entering
             a cell of each level; in_view: like near, what is seen from each cell, from `view_begin` int64 `[A + 1]` on
@@ -89,6 +90,9 @@ class Tables(NamedTuple):
         level, owner: int32 `[M]`, the allocation at t = 0.
         given: like near `[K, steps + 1]`, the paths that robots follow first, the last cell of each repeated to the
             end; length: int32 `[K]`, steps of each; both empty where there are none.
+        home_of: int64 `[K]`, the bases of each robot, of B sets; home_steps: int32 `[B, A]`, moves of the way home from
+            each cell; onward: like near `[B, A]`, what is entered next on it, at a base that itself. All empty where
+            robots stay where they end (`planner.kernels.retire`).
     """
 
     near: NDArray
@@ -133,6 +137,9 @@ class Tables(NamedTuple):
     owner: NDArray
     given: NDArray
     length: NDArray
+    home_of: NDArray
+    home_steps: NDArray
+    onward: NDArray
 
 
 class How(NamedTuple):
@@ -173,11 +180,13 @@ UNTIL, BORNE, BEARS, TEAM_WORDS = range(4)
 """`team`: the step of the last move of a robot that moves from now on, of who waits the moves left; the exposure that
 it has borne; no rollout of the set has less tolerance."""
 STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
-AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, CHANGES, COVERED, UNSURVIVED, ROAMED, MARKS = range(7, 19)
+AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, CHANGES, COVERED, UNSURVIVED, ROAMED = range(7, 18)
+OVER, AT_HOME, MARKS = range(18, 21)
 """`marks`: who acts in which step and what became of it, steps without progress, progress in this one, the set's part
 of the ids; areas so far, unassigned ones, the level of `State.lowest`, areas with unvisited cells, robots alive, areas
 shared by bisection, areas shared that lay in several components already, changes of the unassigned areas, cells
-visited, those of them in which nobody has survived yet, and the steps that movers have made."""
+visited, those of them in which nobody has survived yet, the steps that movers have made; 0, or the outcome and 1 once
+all turn for home, and at the end how many are there."""
 STAYS, HITS, ROUTE, ROUTE_LENGTH, MOVER_WORDS = range(5)
 """`Tables.movers`: of 24 bits that are below, one that walks stays, and who is met is stopped; where its route begins
 in `routes`, and how many cells it has, 0: it walks."""
@@ -308,6 +317,7 @@ class Counts(NamedTuple):
         visited, survived: `[GOAL + 1]`; alive: `[K + 1]`; outcomes: `[6]`.
         left_visited, left_survived, left_alive: as those, the mass of a tree that was left, by what it had come to;
             histories: `[3]`, ends of a tree, branches left, visits at which it may part. Zeros but for trees.
+        home: `[K + 1]`, rollouts by robots at home at the end; empty where they do not come home.
         passes: `[A, MOST_PASSES]`, rollouts with 1, 2, ... or more survived visits of the cell; no rows: not asked for.
     """
 
@@ -326,6 +336,7 @@ class Counts(NamedTuple):
     left_survived: NDArray
     left_alive: NDArray
     histories: NDArray
+    home: NDArray
     passes: NDArray
 
 
@@ -361,19 +372,21 @@ REMEMBERED, MOST_PATHS = 2**24, 2**16
 """Most words of `Work.paths`, 64 MB, and paths that 16 bits tell apart; maps have 256 to 512 words for each cell.
 Thousands of words that were filled: 113 by 4,096 rollouts of the terrain, 98 by 16,384 on 64x64 with 25 % of threats,
 168 by 262,144 on 20x20."""
-SINGLES = 7
-"""Numbers kept of a single rollout: visited, survived, time, alive, outcome, bisected, divided."""
+SINGLES = 8
+"""Numbers kept of a single rollout: visited, survived, time, alive, outcome, bisected, divided, home."""
 ROWS_BYTES = 2**28
 """What a thread's rows of costs may take up, about; two of them there are always."""
 
 
-def make_counts(cells: int, goal: int, robots: int, steps: int, passes: bool = False) -> Counts:
+def make_counts(
+    cells: int, goal: int, robots: int, steps: int, passes: bool = False, home: bool = False
+) -> Counts:
     """Empty counts for rollouts of at most `steps` steps, in which `goal` of the cells can be visited.
 
-    `passes`: survived visits are counted too.
+    `passes`: survived visits are counted too; `home`: robots at home.
     """
     figures = (goal + 1, goal + 1, robots + 1)
-    sizes = (*[cells] * 4, *[steps + 1] * 3, *figures, len(Outcome), *figures, 3)
+    sizes = (*[cells] * 4, *[steps + 1] * 3, *figures, len(Outcome), *figures, 3, home * (robots + 1))
     by_cell = np.zeros((cells if passes else 0, MOST_PASSES), dtype=np.int64)
     return Counts(*[*(np.zeros(size, dtype=np.int64) for size in sizes), by_cell])
 

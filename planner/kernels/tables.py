@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planner.bearing import PLAIN, Bearing
 from planner.kernels.all_pairs import all_pairs, to_areas
-from planner.kernels.state import GOAL, MOST_CELLS, MOVER_WORDS, NEAR, RANKED, WORD, Tables
+from planner.kernels.state import GOAL, LAST_STEP, MOST_CELLS, MOVER_WORDS, NEAR, RANKED, WORD, Tables
 from planner.luck_names import LuckName
 from planner.mrac.costs import neighbour_table
 from planner.mrac.far_search import find_safe_parts
@@ -112,7 +112,10 @@ def make_tables(
         owner=np.array([area.robot for area in areas], dtype=np.int32),
         given=_given(problem, compact, narrow),
         length=np.array([len(path) - 1 for path in problem.given], dtype=np.int32),
+        **_ways_home(problem, cells, compact, narrow),
     )
+    if problem.home is not None:
+        tables.limits[LAST_STEP] = problem.home.last
     if unknown is not None:  # a search passes all that is near enough to matter: nothing is far
         tables.limits[[NEAR, GOAL]] = len(cells), unknown.accessible.sum()
     return tables
@@ -219,7 +222,24 @@ def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: typ
         "kind": kind.astype(narrow),
         "kind_cost": kind_cost,
         "kind_begin": np.cumsum(counts) - counts,
-        "limits": np.array([NEAR_CELLS, parts.wide, ASKED_BEFORE if len(near) >= MOST_CELLS else 0, len(near)]),
+        "limits": np.array([NEAR_CELLS, parts.wide, ASKED_BEFORE if len(near) >= MOST_CELLS else 0, len(near), 0]),
+    }
+
+
+def _ways_home(
+    problem: Problem, cells: NDArray[np.int64], compact: NDArray[np.int32], narrow: type
+) -> dict[str, NDArray]:
+    """The fields of `Tables` that robots that come home read."""
+    home = problem.home
+    if home is None:
+        nothing = np.zeros((0, 0), dtype=np.int32)
+        return {"home_of": np.zeros(0, dtype=np.int64), "home_steps": nothing, "onward": nothing.astype(narrow)}
+    onward = home.onward[:, cells]
+    itself = np.arange(len(cells))
+    return {
+        "home_of": home.of,
+        "home_steps": np.ascontiguousarray(home.steps[:, cells]),
+        "onward": np.where(onward == NO_CELL, itself, compact[onward]).astype(narrow),
     }
 
 

@@ -51,6 +51,7 @@ class Robot:
         to_do: cells of its coverage path when it was computed, with `path` as long as `since`.
         held: kept from areas at risk (`reserve`), until it gets one.
         moves: that it can still make (`range`). aside: it makes no progress, and gets nothing (`planner.missions`).
+        turned: for home, for good: it gets nothing any more.
         path: its cell at every step so far. legs: its travel and cover legs.
         asked: after how many changes of the board, and where, it was asked what it would take `first` (`choose`).
     """
@@ -65,6 +66,7 @@ class Robot:
     held: bool = False
     moves: int = NO_LIMIT
     aside: bool = False
+    turned: bool = False
     path: list[int] = field(default_factory=list)
     legs: list[Stretch] = field(default_factory=list)
     asked: tuple[int, int] | None = None
@@ -77,8 +79,8 @@ class Robot:
 
     @property
     def able(self) -> bool:
-        """Neither stopped nor at the end of its range, nor set aside."""
-        return self.alive and self.moves > 0 and not self.aside
+        """Neither stopped nor at the end of its range, nor set aside, nor bound for home."""
+        return self.alive and self.moves > 0 and not self.aside and not self.turned
 
     @property
     def on_its_way(self) -> bool:
@@ -87,8 +89,8 @@ class Robot:
 
     @property
     def busy(self) -> bool:
-        """It has a path ahead: to or in its area, or another planner's."""
-        return self.on_its_way or self.status is Doing.FOLLOWING
+        """It has a path ahead: to or in its area, home, or another planner's."""
+        return self.on_its_way or self.status in (Doing.FOLLOWING, Doing.RETURNING)
 
 
 @dataclass(eq=False)

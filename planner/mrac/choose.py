@@ -9,6 +9,7 @@ from planner.mrac.board import Board, Choice, Robot
 from planner.mrac.search import NOT_WANTED, UNREACHED
 from planner.policies.limits import NO_REFUSAL, is_dangerous, is_refused, most_at_risk
 from planner.policies.offer import Offer
+from planner.trace import Doing
 
 
 def first_area(board: Board, robot: Robot, *, own: bool = False, refusing: bool = True) -> Choice | None:
@@ -128,10 +129,10 @@ def is_full(board: Board, robot: Robot) -> bool:
 
 
 def _is_now_at_risk(board: Board, robot: Robot) -> bool:
-    if not robot.on_its_way:
-        return False
-    dangerous = board.problem.levels.of_cell[robot.ahead] > 0
-    return board.areas[robot.area].level > 0 or bool(dangerous.any())
+    dangerous = bool((board.problem.levels.of_cell[robot.ahead] > 0).any())
+    if robot.status is Doing.RETURNING:
+        return dangerous
+    return robot.on_its_way and (board.areas[robot.area].level > 0 or dangerous)
 
 
 def has_to_wait(board: Board, robot: Robot, choice: Choice) -> bool:

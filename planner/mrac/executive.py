@@ -15,6 +15,7 @@ from planner.mrac.allocate import choose_parts
 from planner.mrac.board import Board, Choice, Robot, State
 from planner.mrac.choose import first_area, first_of_idle, first_to_share, has_to_wait, is_at_risk, is_full
 from planner.mrac.coverage import coverage_path
+from planner.mrac.homecoming import can_go_on, has_to_leave, is_home
 from planner.mrac.partition import bisect
 from planner.mrac.problem import Problem
 from planner.mrac.recorder import Recorder
@@ -56,6 +57,7 @@ class Executive(Board):
         super().__init__(problem, allocation)
         self.split, self.recorder = split, recorder
         self.step, self.quiet, self.bisected, self.divided, self.progress = NOT_BEGUN, 0, 0, 0, False
+        self.over: Outcome | None = None
         if state is not None:
             self.set_back_to(state)
             self.step, self.quiet = state.step, state.quiet
@@ -74,10 +76,24 @@ class Executive(Board):
     def end_step(self) -> None:
         """Every robot has had its turn."""
         self.quiet = 0 if self.progress else self.quiet + 1
+        if self.problem.home is not None:
+            self._call_home()
         self._look()
 
     def outcome(self, max_steps: int) -> Outcome | None:
         """How the run ends after this step; None if it goes on."""
+        if self.problem.home is None:
+            over = self._over()
+        elif self.over is not None and not any(robot.status is Doing.RETURNING for robot in self.robots):
+            over = self.over
+        else:
+            over = None if any(robot.alive for robot in self.robots) else Outcome.STOPPED
+        if over is None and self.step >= max_steps:
+            over = Outcome.TIMEOUT
+        return over if over is None or self.unvisited else Outcome.COMPLETE
+
+    def _over(self) -> Outcome | None:
+        """How there is nothing more to be done; None: there is."""
         if self.unvisited == 0:
             return Outcome.COMPLETE
         if not any(robot.alive for robot in self.robots):
@@ -85,8 +101,6 @@ class Executive(Board):
         if self.quiet >= STUCK_AFTER:
             could = (robot.able and first_area(self, robot, refusing=False) for robot in self.robots)
             return Outcome.CALLED_OFF if any(could) else Outcome.STUCK
-        if self.step >= max_steps:
-            return Outcome.TIMEOUT
         return None
 
     # --- a robot's turn ---
@@ -110,6 +124,9 @@ class Executive(Board):
             robot.path.append(robot.cell)
             self._finish_paths(robot)
             return None
+        home = self.problem.home
+        if home is not None and robot.on_its_way and not can_go_on(self, home, robot, self.step):
+            self._turn_home(robot)
         if robot.busy:
             return robot.ahead[-1]
         if robot.alive:
@@ -124,7 +141,7 @@ class Executive(Board):
             in_area = self._begins_in_its_area(robot)
         else:
             robot.cell = robot.ahead.pop()
-            robot.moves -= robot.on_its_way
+            robot.moves -= robot.on_its_way or robot.status is Doing.RETURNING
         robot.path.append(robot.cell)
         self.progress = True
         if robot.on_its_way and (in_area or self.step > 0):
@@ -143,7 +160,10 @@ class Executive(Board):
         """The robot, which has just entered its cell, goes on."""
         robot = self.robots[number]
         self.survived[robot.cell] = True
-        if robot.moves == 0:
+        if robot.status is Doing.RETURNING:
+            if not robot.ahead:
+                self._arrive(robot)
+        elif robot.moves == 0:
             self._stay(robot)
         elif self.step == 0 and robot.on_its_way:
             if self._begins_in_its_area(robot):
@@ -158,6 +178,9 @@ class Executive(Board):
 
     def _stay(self, robot: Robot) -> None:
         """The end of the robot's range: it is done for good, and others may have what is left of its area."""
+        if self.problem.home is not None:
+            self._turn_home(robot)
+            return
         self._note(EventKind.RANGE_ENDED, robot, robot.area, robot.cell)
         self._lay_down(robot)
 
@@ -166,6 +189,38 @@ class Executive(Board):
         for number in self._left_by(robot):
             self._reallocate(robot, number)
         robot.status, robot.area, robot.ahead = Doing.DONE, NO_AREA, []
+
+    # --- coming home ---
+
+    def _call_home(self) -> None:
+        """At the end of a step: all turn once nothing more is to be done, before that who would come too late."""
+        home = self.problem.home
+        assert home is not None
+        if self.over is not None:
+            return
+        self.over = self._over()
+        for robot in self.robots:
+            late = robot.able and not robot.busy and has_to_leave(home, robot, self.step)
+            if robot.alive and not robot.turned and (late or self.over is not None):
+                self._turn_home(robot)
+
+    def _turn_home(self, robot: Robot) -> None:
+        """The robot turns for home, for good: others may have what is left of its area."""
+        home = self.problem.home
+        assert home is not None
+        way = home.way(robot.number, robot.cell)
+        base = way[-1] if way else robot.cell
+        self._note(EventKind.TURNED_HOME, robot, robot.area, base)
+        self._lay_down(robot)
+        robot.turned, robot.held, robot.ahead = True, False, way[::-1]
+        if way:
+            robot.status = Doing.RETURNING
+        elif is_home(home, robot):
+            self._arrive(robot)
+
+    def _arrive(self, robot: Robot) -> None:
+        robot.status = Doing.DONE
+        self._note(EventKind.HOME, robot, NO_AREA, robot.cell)
 
     def _mark(self, robot: Robot, cell: int) -> None:
         """The robot visits the cell."""

@@ -13,6 +13,7 @@ from planner.arguments import argument
 from planner.errors import PlanError, WorldError
 from planner.limits import MAX_STEP
 from planner.mrac.costs import BLOCKED, entry_costs, level_costs
+from planner.mrac.homeward import Homeward, ways_home
 from planner.mrac.paths import SafestPaths, safest_paths
 from planner.mrac.unknown import Unknown, reached, unknown_of
 from planner.policies import Rule, rule_of
@@ -43,6 +44,7 @@ class Problem:
         value: int64 `[N]`, what attentive robots count cells by; None: 1 each.
         unknown: what robots are not told of the map, None: nothing. Levels, costs, paths and parts are of what they
             believe, and all that is accessible is what they believe that one of them can reach.
+        home: the ways home of robots that come home (SPEC section 19); None: they do not.
     """
 
     world: World
@@ -58,6 +60,7 @@ class Problem:
     given: tuple[NDArray[np.int64], ...] = ()
     value: NDArray[np.int64] | None = None
     unknown: Unknown | None = None
+    home: Homeward | None = None
 
     @property
     def max_steps(self) -> int:
@@ -113,6 +116,8 @@ def most_steps(settings: Settings, levels: ThreatLevels, given: int = 0) -> int:
 def prepare(world: World, starts: ArrayLike, settings: Settings, given: tuple[NDArray[np.int64], ...] = ()) -> Problem:
     """Levels, costs and safest paths of a world for robots at `starts` `[K, 2]`. Raises WorldError."""
     settings.check()
+    if settings.return_to is not None:
+        world.check_told("a team that comes home")
     checked = check_starts(starts, world.met, world.source)
     settings.bearing().check(len(checked))
     unknown = unknown_of(world, checked, settings.levels)
@@ -125,7 +130,10 @@ def prepare(world: World, starts: ArrayLike, settings: Settings, given: tuple[ND
     _check_comparisons(rule, levels, costs, entry, value, world.source, apart=told)
     part, moves = _parts(levels, world.shape), _range(settings, len(cells))
     paths = safest_paths(world.shape, costs)
-    problem = Problem(world, settings, cells, levels, costs, paths, part, moves, rule, entry, given, value, unknown)
+    home = ways_home(settings, cells, world.shape, paths, costs)
+    problem = Problem(
+        world, settings, cells, levels, costs, paths, part, moves, rule, entry, given, value, unknown, home
+    )
     return problem if unknown is None else problem.believing(unknown.belief, cells)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from planner.mrac.believe import Learning
 from planner.mrac.board import Stretch
 from planner.mrac.executive import Executive, Split
+from planner.mrac.homecoming import is_home
 from planner.mrac.partition import bisect
 from planner.mrac.problem import Problem
 from planner.mrac.recorder import Recorder
@@ -37,7 +38,7 @@ class Run:
         outcome, time: how and at which step it ended.
         bisected, divided: areas shared whose unvisited cells were one component, and that lay in several already.
         visited, survived: bool `[N]`, cells entered, and entered without being stopped there.
-        alive: bool `[K]`.
+        alive: bool `[K]`. home: bool `[K]`, alive and at a base, of robots that come home (SPEC section 19).
         area_of: int32 `[N]`, id of the last area that each cell belonged to, -1 where inaccessible.
     """
 
@@ -51,6 +52,7 @@ class Run:
     visited: NDArray[np.bool_]
     survived: NDArray[np.bool_]
     alive: NDArray[np.bool_]
+    home: NDArray[np.bool_]
     area_of: NDArray[np.int32]
 
     @property
@@ -151,6 +153,8 @@ def run_of(team: Executive, outcome: Outcome) -> Run:
         kind, area, start, stop = of
         return Leg(kind, area, team.areas[area].level, start, stop)
 
+    ways = team.problem.home
+    home = [ways is not None and robot.alive and is_home(ways, robot) for robot in team.robots]
     return Run(
         paths=tuple(_without_tail(robot.path) for robot in team.robots),
         legs=tuple(tuple(map(leg, robot.legs)) for robot in team.robots),
@@ -162,6 +166,7 @@ def run_of(team: Executive, outcome: Outcome) -> Run:
         visited=team.visited,
         survived=team.survived,
         alive=np.array([robot.alive for robot in team.robots]),
+        home=np.array(home, dtype=np.bool_),
         area_of=team.area_of,
     )
 

@@ -109,11 +109,13 @@ class Key:
 
     def setting(self, setting: Setting) -> Any:
         """A value of one of the planner's settings: of one a robot a list too, of a step a time as `45min` too."""
-        if setting.words:
+        if setting.words and not setting.places:
             return self.choice(setting.words)
         if setting.time and isinstance(self.value, str) and seconds_of(self.value) is not None:
             return self.value
         value = tuple(self.value) if isinstance(self.value, list) else self.value
+        if setting.places and isinstance(value, tuple):
+            value = tuple(tuple(place) if isinstance(place, list) else place for place in value)
         if not setting.accepts(value):
             raise self.wrong(setting.expected("null"))
         return setting.plain(value)

@@ -43,7 +43,7 @@ DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 IN_DOUBT = ("hazard", "uncertain", "movers")
 """Keys that say by what else than the threats robots are stopped, one of them at most."""
 SETTINGS = ("levels", "policy", "reserve", "worth", "plan_for", "wear", "deadline")
-OF_ROBOTS = ("range", "susceptibility")
+OF_ROBOTS = ("range", "susceptibility", "return_to")
 """Settings of the planner that a scenario file may name, and those that stand under its key `robots`."""
 OPTIONAL = (
     "cell_size", "datum", "keepout", "robots", *IN_DOUBT, "plan_on", "value", "detect", *KNOWLEDGE,
@@ -222,7 +222,7 @@ def _with_robots(world: World, key: Key, own: NDArray[np.int64] | None) -> World
 
     A `start` rule, or starts, replace those of the world file; a `count` alone must agree with them.
     """
-    keys = key.mapping(optional=("count", "start", "starts", "starts_xy", "range", "susceptibility"))
+    keys = key.mapping(optional=("count", "start", "starts", "starts_xy", *OF_ROBOTS))
     world = replace(world, team=replace(world.team, settings={**world.team.settings, **_settings(OF_ROBOTS, keys)}))
     named = [name for name in ("start", "starts", "starts_xy") if name in keys]
     if len(named) > 1:

@@ -1,0 +1,134 @@
+"""Ways home: from every cell the safest path to a base, for robots that come home (SPEC section 19)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.arguments import argument
+from planner.errors import PlanError
+from planner.jit import compiled
+from planner.limits import MAX_STEP
+from planner.mrac.paths import SafestPaths
+from planner.mrac.search import UNREACHED
+from planner.none import NO_CELL
+from planner.settings import Settings
+
+CUT_OFF = 2**30
+"""Moves of a way home where no base can be reached: more than a run has steps."""
+
+
+@dataclass(frozen=True, eq=False)
+class Homeward:
+    """The ways home. Axes: `B` sets of bases, `N` cells, `K` robots.
+
+    Attributes:
+        of: int64 `[K]`, the set of each robot.
+        cost: int64 `[B, N]`, cost of the way home, UNREACHED where there is none.
+        steps: int32 `[B, N]`, its moves, 0 at a base, CUT_OFF where there is none.
+        onward: int32 `[B, N]`, the cell that is entered next, NO_CELL at a base and where there is none.
+        last: D, the step at which the robots know that the mission ends; MAX_STEP if at none.
+    """
+
+    of: NDArray[np.int64]
+    cost: NDArray[np.int64]
+    steps: NDArray[np.int32]
+    onward: NDArray[np.int32]
+    last: int
+
+    def moves(self, robot: int, cell: int) -> int:
+        """h: moves of the robot's way home from the cell."""
+        return int(self.steps[self.of[robot], cell])
+
+    def way(self, robot: int, cell: int) -> list[int]:
+        """The cells that the robot enters on its way home from the cell; none at a base, and where it is cut off."""
+        onward, found = self.onward[self.of[robot]], []
+        while (cell := int(onward[cell])) != NO_CELL:
+            found.append(cell)
+        return found
+
+
+def ways_home(
+    settings: Settings, starts: NDArray[np.int64], shape: tuple[int, int], paths: SafestPaths, costs: NDArray[np.int64]
+) -> Homeward | None:
+    """The ways home of robots from `starts` `[K]`, cells; None where they need not come home.
+
+    `costs`: int64 `[N]`, of entering each cell. Cost: a search from every base. Raises PlanError for a base that is off
+    the map or an obstacle, and for a robot that no base is within the reach of.
+    """
+    if settings.return_to is None:
+        return None
+    if settings.return_to == "home":
+        bases, of = np.unique(starts, return_inverse=True)
+        sets = [np.array([base]) for base in bases.tolist()]
+    else:
+        shared = np.unique(starts) if settings.return_to == "nearest" else _cells(settings.return_to, shape)
+        sets, of = [shared], np.zeros(len(starts), dtype=np.int64)
+    found = [_ways(cells, paths, costs) for cells in sets]
+    cost, steps, onward = (np.stack(rows) for rows in zip(*found, strict=True))
+    last = MAX_STEP if settings.last_step is None else settings.last_step
+    home = Homeward(of.astype(np.int64), cost, steps, onward, last)
+    _check(home, settings, starts, shape)
+    return home
+
+
+def _cells(places: str | tuple[tuple[int, int], ...], shape: tuple[int, int]) -> NDArray[np.int64]:
+    """The bases as cells, rising."""
+    rows, cols = np.array(places, dtype=np.int64).T
+    off = np.flatnonzero((rows >= shape[0]) | (cols >= shape[1]))
+    if len(off):
+        raise PlanError(
+            f"{argument('return_to')}: base {list(map(int, places[off[0]]))} is outside the map",
+            expected=f"row 0..{shape[0] - 1} and col 0..{shape[1] - 1}",
+        )
+    return np.unique(rows * shape[1] + cols)
+
+
+def _check(home: Homeward, settings: Settings, starts: NDArray[np.int64], shape: tuple[int, int]) -> None:
+    """Raise PlanError for a robot that cannot come home from where it starts."""
+    moves = np.broadcast_to(np.asarray(MAX_STEP if settings.range is None else settings.range), len(starts))
+    for robot, start in enumerate(starts.tolist()):
+        way, where = home.moves(robot, start), [int(n) for n in divmod(start, shape[1])]
+        if way == CUT_OFF:
+            problem = f"{argument('return_to')}: robot {robot}, which starts at {where}, cannot reach a base"
+            raise PlanError(problem, expected="a base in the same part of the map, on a free cell")
+        if way > min(int(moves[robot]), home.last):
+            problem = f"{argument('return_to')}: robot {robot} starts {way} moves from its base"
+            raise PlanError(problem, expected=f"at most {min(int(moves[robot]), home.last)}, its range or the deadline")
+
+
+def _ways(
+    bases: NDArray[np.int64], paths: SafestPaths, costs: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]:
+    """(cost, steps, onward) `[N]` of the ways to the nearest of the bases."""
+    n = len(costs)
+    cost = np.full(n, UNREACHED, dtype=np.int64)
+    for base in bases[costs[bases] > 0].tolist():
+        # A path costs as much as the way back, but for its two ends: the cell that it leaves is not entered.
+        away = paths.to_all(base)
+        back = np.where(away == UNREACHED, UNREACHED, away - costs + costs[base])
+        back[base] = 0
+        nearer = (back != UNREACHED) & ((cost == UNREACHED) | (back < cost))
+        cost[nearer] = back[nearer]
+    steps, onward = np.full(n, CUT_OFF, dtype=np.int32), np.full(n, NO_CELL, dtype=np.int32)
+    reached = np.flatnonzero(cost != UNREACHED)
+    nearest_first = reached[np.argsort(cost[reached], kind="stable")]
+    _follow(nearest_first, cost, costs, paths.neighbours, steps, onward)
+    return cost, steps, onward
+
+
+@compiled
+def _follow(nearest_first, cost, costs, neighbours, steps, onward):  # type: ignore[no-untyped-def]
+    """Fill in steps and onward of the cells, which rise in cost: what is entered next is always known before."""
+    for cell in nearest_first:
+        if cost[cell] == 0:
+            steps[cell] = 0
+            continue
+        for side in range(4):
+            beside = neighbours[cell, side]
+            if beside == NO_CELL or cost[beside] < 0 or cost[beside] + costs[beside] != cost[cell]:
+                continue
+            if steps[beside] + 1 < steps[cell]:
+                steps[cell], onward[cell] = steps[beside] + 1, beside
