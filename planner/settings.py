@@ -72,7 +72,9 @@ class Setting:
     def accepts(self, value: Any) -> bool:
         """True for a value that the setting may have."""
         if self.places and isinstance(value, tuple):
-            return bool(value) and all(isinstance(p, tuple) and len(p) == 2 and all(map(COUNT.accepts, p)) for p in value)
+            return bool(value) and all(
+                isinstance(p, tuple) and len(p) == 2 and all(map(COUNT.accepts, p)) for p in value
+            )
         if value is None or self.words:
             return value in self.words if value is not None else bool(self.unset)
         if self.each and isinstance(value, tuple):
@@ -116,8 +118,8 @@ class Settings:
         deadline: the step at which the mission is ended, whatever is left; None = at none.
         wear: shape of the Weibull amount of exposure that robots bear (SPEC section 14); 1 = nothing wears out.
         susceptibility: how many times exposure counts, one number for all or one a robot. No decision knows these two.
-        return_to: the bases that robots come home to (SPEC section 19): "home", each its own start; "nearest", anybody's;
-            or cells, a tuple of (row, col); None = robots stay where they end.
+        return_to: the bases that robots come home to (SPEC section 19): "home", their own starts; "nearest", anybody's; or
+            cells, a tuple of (row, col); None = robots stay where they end.
         in_area: which cell of an area is next; others than `cheapest_first` are a user's own, and not saved.
     """
 
@@ -205,6 +207,11 @@ class Settings:
         rule = f"the user's own rule {self.rule.name}" if not isinstance(self.policy, str) else ""
         order = "an in-area order of the user's own" if self.in_area is not cheapest_first else ""
         return " and ".join(filter(None, (rule, order)))
+
+    def check_stays(self, what: str) -> None:
+        """Raise PlanError for robots that come home, which `what` knows nothing of."""
+        if self.return_to is not None:
+            raise PlanError(f"{what} with {argument('return_to')}", fix=f"leave {argument('return_to')} out")
 
     def check(self, source: str = "") -> None:
         """Raise PlanError, naming `source`, for unknown words, values out of range, limits without their policy.

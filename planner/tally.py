@@ -43,7 +43,13 @@ OF_CLOSED_LOOP = tuple(outcome for outcome in Outcome if outcome is not Outcome.
 """How a closed-loop rollout can end."""
 
 
-OPTIONAL = {"bisected": np.int32, "divided": np.int32, "home": np.int32, "worth_covered": np.int64, "worth_found": np.int64}
+OPTIONAL = {
+    "bisected": np.int32,
+    "divided": np.int32,
+    "home": np.int32,
+    "worth_covered": np.int64,
+    "worth_found": np.int64,
+}
 """Columns of `RolloutResults` that may be left out."""
 
 

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 
 Loop = Literal["closed", "open"]
+ReturnTo = str | Sequence[Sequence[int]] | None
+"""Where robots come home to: "home", "nearest", bases `[[row, col], ...]`, or nowhere."""
 
 
 def load(
@@ -84,6 +86,7 @@ def plan(
     deadline: int | str | None = None,
     wear: float | None = None,
     susceptibility: float | Sequence[float] | None = None,
+    return_to: ReturnTo = None,
     state: MissionState | str | Path | None = None,
     in_area: InAreaOrder = cheapest_first,
 ) -> Plan:
@@ -107,6 +110,9 @@ def plan(
         wear: shape of the Weibull amount of exposure that robots bear; above 1 they wear out, and p is a dose.
         susceptibility: how many times exposure counts, one number for all, or one a robot. No decision knows the two;
             rollouts need `luck="tolerance"`.
+        return_to: robots come home, "home" to their own starts, to the "nearest" start of anybody, or of the bases
+            `[[row, col], ...]`: they turn once everything is covered or nothing more can be done, or while range and
+            deadline still leave them the way.
         state: of a mission under way, or a file of it (a state, tracks, visited cells, a mask, an OccupancyGrid): the
             plan of the rest; the robots are its own, or at `starts` where the file does not say where they are.
         in_area: which cell of an area is next; an order of your own is a function of a `CellOffer`, least first.
@@ -116,7 +122,7 @@ def plan(
     check_world(world)
     asked = (levels, density, risk, transit, max_steps, policy, reserve, worth, plan_for, effort)
     bears = {"wear": wear, "susceptibility": one_or_each(susceptibility)}
-    settings = settings_of(world, range, *asked, deadline=deadline, in_area=in_area, **bears)
+    settings = settings_of(world, range, *asked, deadline=deadline, in_area=in_area, return_to=return_to, **bears)
     if state is not None:
         if robots is not None or (starts is not None and isinstance(state, MissionState)):
             raise UsageError(
@@ -134,10 +140,12 @@ def settings_of(
     *asked: object,
     deadline: int | str | None = None,
     in_area: InAreaOrder = cheapest_first,
+    return_to: ReturnTo = None,
     **more: Any,
 ) -> Settings:
     """What is asked, in the order of `Settings`, in the place of what the world came with."""
-    given = Choices(*asked, range=one_or_each(range), deadline=deadline, **more)
+    bases = return_to if return_to is None or isinstance(return_to, str) else tuple(map(one_or_each, return_to))
+    given = Choices(*asked, range=one_or_each(range), deadline=deadline, return_to=bases, **more)
     return given.settings(world.team.settings, world.pace, in_area=in_area)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.api.plans import Loop, check_world, one_or_each, settings_of
+from analysis.api.plans import Loop, ReturnTo, check_world, one_or_each, settings_of
 from analysis.kit.calls import OnInterrupt, ask
 from analysis.kit.notes import Progress
 from analysis.sampling import Exactness, RolloutChoices
@@ -72,6 +72,7 @@ def front(
     range: int | Sequence[int] | None = None,
     wear: float | None = None,
     susceptibility: float | Sequence[float] | None = None,
+    return_to: ReturnTo = None,
     losses: float | None = None,
     target: float | None = None,
     reserves: Sequence[float] | None = None,
@@ -89,7 +90,7 @@ def front(
     """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
 
     Args:
-        robots, starts, levels, density, risk, transit, max_steps, range, wear, susceptibility: as of `plan`.
+        robots, starts, levels, density, risk, transit, max_steps, range, wear, susceptibility, return_to: as of `plan`.
         losses: pick the setting that covers most with at most so many robots lost on average; or `target`: the one
             that loses the fewest with so much covered. `answer.picked` is it, `answer.plan_of(answer.picked)` its plan.
         reserves, worths: to look at (default: as the map suggests).
@@ -102,7 +103,7 @@ def front(
 
     check_world(world)
     goal, bears = make_goal(losses, target), {"wear": wear, "susceptibility": one_or_each(susceptibility)}
-    settings = settings_of(world, range, levels, density, risk, transit, max_steps, **bears)
+    settings = settings_of(world, range, levels, density, risk, transit, max_steps, return_to=return_to, **bears)
     ladders = Ladders(None if reserves is None else tuple(reserves), None if worths is None else tuple(worths))
     placed = np.asarray(starts_of(world, robots, starts))
     count = usual_rollouts(world, placed) if rollouts is None else rollouts
@@ -131,6 +132,7 @@ def starts(
     range: int | Sequence[int] | None = None,
     wear: float | None = None,
     susceptibility: float | Sequence[float] | None = None,
+    return_to: ReturnTo = None,
     rollouts: int = 4096,
     seed: int = 0,
     deadline: int | str | None = None,
@@ -153,7 +155,8 @@ def starts(
 
     check_world(world)
     bears = {"wear": wear, "susceptibility": one_or_each(susceptibility)}
-    settings = settings_of(world, range, levels, density, risk, transit, max_steps, policy, reserve, worth, **bears)
+    asked = (levels, density, risk, transit, max_steps, policy, reserve, worth)
+    settings = settings_of(world, range, *asked, return_to=return_to, **bears)
     choices = RolloutChoices(
         rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
     )
@@ -181,6 +184,7 @@ def clear(
     range: int | Sequence[int] | None = None,
     wear: float | None = None,
     susceptibility: float | Sequence[float] | None = None,
+    return_to: ReturnTo = None,
     rollouts: int = 4096,
     seed: int = 0,
     deadline: int | str | None = None,
@@ -204,7 +208,8 @@ def clear(
 
     check_world(world)
     bears = {"wear": wear, "susceptibility": one_or_each(susceptibility)}
-    settings = settings_of(world, range, levels, density, risk, transit, max_steps, policy, reserve, worth, **bears)
+    asked = (levels, density, risk, transit, max_steps, policy, reserve, worth)
+    settings = settings_of(world, range, *asked, return_to=return_to, **bears)
     choices = RolloutChoices(
         rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
     )

@@ -134,8 +134,9 @@ def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None) -> tu
     made, out = {check.formula for check in checks}, []
     robots = {check.robot for check in of_formula(checks, "eq5_printed")}
     ranged = plan.settings is not None and plan.settings.range is not None
-    if ranged:
-        out.append("eq. (5) is left out: it is not about robots with a range")
+    if ranged or plan.comes_home:
+        whom = "robots with a range" if ranged else "robots that come home, nor are Theorems 3 and 4"
+        out.append(f"eq. (5) is left out: it is not about {whom}")
     elif plan.shares:
         out.append("eq. (5) is undefined here: areas are shared in the run without losses")
     elif len(robots) < len(plan.robots):
@@ -145,7 +146,7 @@ def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None) -> tu
     if called_off or ranged:
         why = "robots may be called off (worth)" if called_off else "robots have a range"
         out.append(f"Theorems 1, 2 and 4 are left out: they are not about runs in which {why}")
-    elif "theorem4_most" not in made:
+    elif "theorem4_most" not in made and not plan.comes_home:
         out.append("Theorem 4 is left out: one robot alone cannot cover these cells, or the run was cut off")
     if closed is None:
         out.append("the closed loop is left out: nothing was rolled out")

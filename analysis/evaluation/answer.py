@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.evaluation.expected import Expected, Known, Limits
-from analysis.evaluation.figures import Coverage, Figures, Losses, last_shown
+from analysis.evaluation.figures import Coverage, Figures, Losses, home_counts, last_shown
 from analysis.evaluation.outputs.output import Blocks, Output
 from analysis.evaluation.rest import Rest, rest_of
 from analysis.kit.frames import frame_of
@@ -109,7 +109,8 @@ class Evaluation(Answer):
     @cached_property
     def figures(self) -> Figures:
         """What the rollouts come to, or all that can happen."""
-        sampled = Figures.of(self.tally, self.certain, longest_run(self.world, self.plan, self.loop))
+        longest = longest_run(self.world, self.plan, self.loop)
+        sampled = Figures.of(self.tally, self.certain, longest, home_counts(self.plan, self.tally, self.loop))
         return sampled.with_tree(self.closed.tree) if isinstance(self.closed, TreeTruth) else sampled
 
     @cached_property

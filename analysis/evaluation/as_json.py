@@ -60,6 +60,8 @@ def to_json(evaluation: Evaluation) -> Json:
         "compile_seconds": evaluation.compile_seconds,
         "advice": None,
     }
+    if found.home is not None:
+        out["home"] = found.home
     if evaluation.world.movers is not None:
         out["movers"] = evaluation.world.movers.to_json()
     said = {key: found.as_json() for key, found in evaluation.outputs.items()}

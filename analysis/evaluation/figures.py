@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from analysis.kit.words import percent, share
 from analysis.statistics.control import complete_chance, tally_mean
 from analysis.statistics.coverage import AT_LEAST, losses_shown
-from analysis.statistics.estimate import Estimate, assured, exactly, proportion, quantile, quantiles
+from analysis.statistics.estimate import Estimate, assured, exactly, mean_estimate, proportion, quantile, quantiles
 from analysis.statistics.words import between, meant_fraction
 from analysis.theory.verdicts import MEANINGS
 from analysis.trials.exact_loop import SLACK
@@ -27,6 +27,8 @@ from planner.tally import Outcome, Tally
 MOST_DIGITS = 4
 ENDED = 0.999
 """Share of a closed loop's rollouts that have ended where a time axis ends."""
+MOST_LISTED = 6
+"""Robots of a team of which the chance that so many come home is listed for every number."""
 CURVE = 121
 """Places of the curve of the chance to visit so much."""
 
@@ -89,6 +91,42 @@ class Losses(Estimate):
     def columns(self, scale: float = 1.0) -> tuple[str, str]:
         """("1.87 of 5", "1.85 .. 1.89"), as of `losses_shown`."""
         return losses_shown(self, self.robots)
+
+
+@dataclass(frozen=True)
+class AtHome(Estimate):
+    """Robots that are home at the end, alive. `at_least`: the chance of 0, 1, ..., K or more of them."""
+
+    at_least: tuple[Chance, ...]
+
+    @classmethod
+    def of(cls, counts: NDArray[np.int64], certain: bool) -> Self:
+        """Of a histogram `[K + 1]` of rollouts."""
+        runs, more = int(counts.sum()), counts[::-1].cumsum()[::-1].tolist()
+        chances = (Chance(**vars(proportion(often, runs, certain)), rollouts=runs) for often in more)
+        return cls(**vars(mean_estimate(counts, 1.0, certain=certain)), at_least=tuple(chances))
+
+    def with_tree(self, tree: Tree) -> Self:
+        """The same, of all that can happen where that is known."""
+        mean = tree.mean_home
+        chances = tuple(Chance.known(*tree.chance_home(least)) for least in range(len(self.at_least)))
+        return replace(self, **({} if mean is None else vars(exactly(mean))), at_least=chances)
+
+    @property
+    def robots(self) -> int:
+        """K."""
+        return len(self.at_least) - 1
+
+    @property
+    def shown(self) -> dict[int, Chance]:
+        """Of the whole team first, then of ever fewer; of large teams some."""
+        few = {math.ceil(x * self.robots) for x in AT_LEAST} | {1}
+        shown = range(self.robots, 0, -1) if self.robots <= MOST_LISTED else sorted(few, reverse=True)
+        return {least: self.at_least[least] for least in shown}
+
+    def to_json(self) -> Json:
+        chances = {str(least): chance.to_json() for least, chance in enumerate(self.at_least) if least}
+        return super().to_json() | {"robots": self.robots, "at_least": chances}
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +223,7 @@ class Figures:
         visited, survived: coverage. complete: the chance to visit every accessible cell.
         ends: the chances of those outcomes that some rollouts had. left: of 0, ..., K robots at the end.
         some_left: the chance that a robot is left. alive, losses: robots that are, and those that are not.
+        home: robots that are home at the end; None: they need not come home.
         time: steps. assured: cells that 95 % of all runs visit, sure with 95 %; None: too few rollouts to say.
     """
 
@@ -198,10 +237,14 @@ class Figures:
     losses: Losses
     time: Estimate
     assured: int | None
+    home: AtHome | None = None
 
     @classmethod
-    def of(cls, tally: Tally, certain: bool, longest: int | None = None) -> Self:
-        """Of a tally; `certain`: every run is the same. `longest`: steps that a run takes at most, if it is known."""
+    def of(cls, tally: Tally, certain: bool, longest: int | None = None, home: NDArray[np.int64] | None = None) -> Self:
+        """Of a tally; `certain`: every run is the same. `longest`: steps that a run takes at most, if it is known.
+
+        `home`: int64 `[K + 1]`, rollouts by robots home at the end, where robots come home.
+        """
         runs = tally.rollouts
 
         def mean(figure: str, most: int | None = None) -> Estimate:
@@ -223,6 +266,7 @@ class Figures:
             losses=Losses(**vars(mean("lost")), robots=tally.robots),
             time=mean("time", longest),
             assured=assured(tally.visited),
+            home=None if home is None else AtHome.of(home, certain),
         )
 
     def with_tree(self, tree: Tree) -> Self:
@@ -238,6 +282,7 @@ class Figures:
             left=[Chance.known(*tree.chance(int(mass))) for mass in counts.alive],
             some_left=Chance.known(*tree.chance_left()),
             assured=tree.quantile("visited", 0.05)[0],
+            home=None if self.home is None else self.home.with_tree(tree),
         )
         if alive is not None:
             robots = self.losses.robots
@@ -252,3 +297,13 @@ class Figures:
 def last_shown(plan: Plan, loop: str, tally: Tally) -> int:
     """Where a time axis ends: the makespan; of a closed loop at least where 99.9 % of its rollouts have ended."""
     return plan.makespan if loop == "open" else max(plan.makespan, quantile(tally.time, ENDED))
+
+
+def home_counts(plan: Plan, tally: Tally, loop: str) -> NDArray[np.int64] | None:
+    """Rollouts by robots that are home at the end, int64 `[K + 1]`; None where that is not asked for.
+
+    In the open loop robots follow their paths: if these end at home, who is alive at the end is there.
+    """
+    if loop == "open":
+        return tally.alive if plan.ends_home else None
+    return tally.home if plan.comes_home else None

@@ -10,6 +10,7 @@ from analysis.evaluation import maps
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.as_json import to_json
 from analysis.evaluation.charts import distribution, over_time, over_time_words
+from analysis.evaluation.figures import AtHome
 from analysis.evaluation.formulas import formulas_part
 from analysis.evaluation.rest import Rest
 from analysis.evaluation.table import answer_tables, robots_table, worst_cells
@@ -18,6 +19,7 @@ from analysis.evaluation.words import (
     chances_words,
     gain_words,
     headline,
+    home_words,
     limit_words,
     losses_words,
     quantile_words,
@@ -27,6 +29,7 @@ from analysis.kit.folder import json_text
 from analysis.kit.words import plan_words, span_words
 from analysis.report.blocks import KeyFigure, Part, Pictured, Report
 from analysis.report.words import asked
+from analysis.statistics.coverage import losses_shown
 from analysis.trials.exact_loop import TreeTruth
 from planner.shown import counted
 
@@ -38,7 +41,8 @@ def report(evaluation: Evaluation, theory: bool = False) -> Report:
     """The answer beside the map and the plan, the figures behind it, then why; `theory`: formulas, unfolded."""
     world, plan, certain, outputs = evaluation.world, evaluation.plan, evaluation.certain, evaluation.blocks
     rest, looked_at = evaluation.rest, _looked_at(evaluation)
-    own = () if certain else (losses_words(evaluation), chances_words(evaluation), limit_words(evaluation))
+    words = losses_words, home_words, chances_words, limit_words
+    own = () if certain else [say(evaluation) for say in words]
     notes = [gain_words(evaluation), quantile_words(evaluation), *(note for found in outputs for note in found.notes)]
     return Report(
         "evaluation", "evaluate", asked(world, len(plan.robots), "how much is covered?"), headline(evaluation),
@@ -126,8 +130,14 @@ def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
         *([] if found.assured is None else [runs]),
         KeyFigure(f"{complete} %", "chance to visit every cell", likely),
         KeyFigure(lost, "robots lost", lost_between),
+        *([] if found.home is None else [KeyFigure(*_home_figure(found.home))]),
         KeyFigure(f"{time} steps", "mean time", steps + evaluation.world.pace.also(evaluation.time.mean)),
     ]
+
+
+def _home_figure(home: AtHome) -> tuple[str, str, str]:
+    shown, between = losses_shown(home, home.robots)
+    return shown, "robots home at the end", between
 
 
 def _pictures(evaluation: Evaluation, rest: Rest | None) -> Mapping[str, Callable[[], Pictured]]:

@@ -13,7 +13,7 @@ from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.output import Row, coverage_row, known_words
 from analysis.kit.tables import make_table
 from analysis.kit.words import percent
-from analysis.statistics.coverage import AT_LEAST
+from analysis.statistics.coverage import AT_LEAST, losses_shown
 from analysis.statistics.words import lost_words
 from analysis.theory.verdicts import MEANINGS
 from planner.tally import Outcome
@@ -81,6 +81,11 @@ def _chances_table(evaluation: Evaluation) -> Table:
     robots = len(evaluation.plan.robots)
     known = "" if math.isnan(exact.expected_losses) else lost_words(exact.expected_losses, robots)
     _add(table, evaluation, "robots lost", known, found.losses.columns())
+    if found.home is not None:
+        _add(table, evaluation, "robots home", "", losses_shown(found.home, robots))
+        for least, chance in found.home.shown.items():
+            many = "every robot is" if least == robots else f"{least} robot{'s' * (least > 1)} or more are"
+            _add(table, evaluation, f"chance that {many} home", "", chance.columns())
     _add(table, evaluation, "time, steps", known_words(exact.mean_time, "{:,.1f}"), found.time.columns())
     if pace := evaluation.world.pace:
         known = known_words(pace.minutes * exact.mean_time, "{:,.1f}")

@@ -59,6 +59,18 @@ def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
     return f"{said[0].upper()}{said[1:]}; {mean}."
 
 
+def home_words(evaluation: Evaluation) -> str:
+    """How many robots come home, and how often all of them do, in one sentence; nothing where they need not."""
+    home, robots = evaluation.figures.home, len(evaluation.plan.robots)
+    if home is None:
+        return ""
+    every = home.at_least[-1]
+    if robots == 1:
+        return f"The robot comes home in {every.share} of runs."
+    mean = lost_words(home.mean, robots, min(home.digits(), 2))
+    return f"On average {mean} robots come home; every one of them does in {every.share} of runs."
+
+
 def chances_words(evaluation: Evaluation) -> str:
     """How often every cell is visited, and how long a run takes, in one sentence."""
     done = evaluation.figures.complete

@@ -30,6 +30,8 @@ _EVENTS = {
         Log.WARNING, "robot {robot} stays at {cell}",
         "{short}: that was the last move of its range; its area was {area}",
     ),
+    EventKind.TURNED_HOME: (Log.INFO, "robot {robot} turns for home", "{short}, to {cell}{its_area}"),
+    EventKind.HOME: (Log.INFO, "robot {robot} is home", "{short}, at {cell}"),
     EventKind.SURPRISED: (Log.INFO, "{cells} are not as believed", "robots see that {cells} are not as they believed"),
 }  # fmt: skip
 """Of each kind foxglove.Log's level, what happened in short (on a picture there is little room), and in full."""

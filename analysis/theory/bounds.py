@@ -81,7 +81,9 @@ def all_bounds(plan: Plan, world: World) -> Bounds:
             team_survival=team_survival(robots),
             eq4=gains,
         )
-    connecting = None if plan.is_foreign or plan.state is not None else connecting_cells(plan)
+    # Theorem 3's C knows no way home, on which robots cross each other's areas.
+    others = plan.is_foreign or plan.state is not None or plan.comes_home
+    connecting = None if others else connecting_cells(plan)
     left, known, alive = world.accessible(plan.starts).ravel(), 0, len(robots)
     if plan.state is not None:
         left[plan.state.visited] = False
@@ -132,11 +134,13 @@ def eq4(robot: RobotChances) -> Meanings[float]:
 def eq5(plan: Plan, world: World) -> tuple[Equation5, ...]:
     """Eq. (5) of every robot, as printed (products start at y = 1, so C_0,0 is left out) and with C_0,0.
 
-    Undefined where the nominal run shares areas, where robots have a range, where a robot has no legs, and where its
-    start is dangerous.
+    Undefined where the nominal run shares areas, where robots have a range or come home, where a robot has no legs, and
+    where its start is dangerous.
     """
     undefined = Equation5(None, None)
-    if plan.settings is None or plan.shares or plan.settings.range is not None or plan.state is not None:
+    if plan.settings is None or plan.shares or plan.state is not None:
+        return (undefined,) * len(plan.robots)
+    if plan.settings.range is not None or plan.comes_home:
         return (undefined,) * len(plan.robots)
     levels = find_levels(world, world.accessible(plan.starts), plan.settings.levels)
     threat = world.threat.ravel().astype(np.float64)

@@ -252,7 +252,7 @@ def nominal_checks(plan: Plan, world: World, alone: Plan | None) -> list[Check]:
     """Theorems 1 and 4 on the run without losses; `alone`: the plan of the first robot by itself, for T_1.
 
     None of a run that `max_steps` cut off, in which robots may be called off or have a range, nor of the plan of
-    another planner: the theorems are not about them.
+    another planner: the theorems are not about them. Nor is Theorem 4 about robots that come home.
     """
     settings = plan.settings
     if settings is None or settings.worth is not None or settings.range is not None or plan.outcome == "timeout":
@@ -262,7 +262,12 @@ def nominal_checks(plan: Plan, world: World, alone: Plan | None) -> list[Check]:
     missed = len(np.setdiff1d(accessible, seen))
     checks = [make_check("theorem1", len(accessible), Truth.known(len(accessible) - missed), "nominal", np.inf)]
     reached = alone is not None and world.accessible(alone.starts).sum() == len(accessible)
-    if alone is not None and reached and (alone.outcome, plan.outcome) == ("complete", "complete"):
+    if (
+        alone is not None
+        and reached
+        and not plan.comes_home
+        and (alone.outcome, plan.outcome) == ("complete", "complete")
+    ):
         took = Truth.known(float(plan.makespan))
         checks.append(make_check("theorem4_least", alone.makespan / len(plan.robots), took, "nominal", np.inf))
         checks.append(make_check("theorem4_most", float(alone.makespan), took, "nominal", np.inf))

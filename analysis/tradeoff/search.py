@@ -41,6 +41,7 @@ from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
 from planner.mrac.make_plan import allocated_plan
+from planner.mrac.problem import prepare
 from planner.settings import SETTINGS, Settings
 from planner.worlds.world import World
 
@@ -185,9 +186,19 @@ class _Search:
         self.cells = int(accessible.sum())
         self.dangers = world.threat[accessible & (world.threat > 0)].astype(np.float64)
         self.longest = longest_mission(world, starts, settings)
+        self.least_deadline = self._way_home()
         self.notes: list[str] = [] if world.value is None else [BY_CELLS]
         _check_ladder("worth", ladders.worths or ())
         self.reserves = self._reserves()
+
+    def _way_home(self) -> int:
+        """The moves of the longest way home from a start: a mission that ends before has none."""
+        problem = None
+        if self.settings.return_to is not None:
+            problem = prepare(self.world, self.starts, replace(self.settings, deadline=None))
+        if problem is None or problem.home is None:
+            return 0
+        return max(problem.home.moves(robot, cell) for robot, cell in enumerate(problem.starts.tolist()))
 
     @property
     def distinct(self) -> list[Point]:
@@ -230,7 +241,7 @@ class _Search:
         """A setting that was looked at, ended at the steps by which it has covered so much on average."""
         covered = self.covered[self._ended(setting)]
         steps = {int(np.argmax(covered >= mark)) for mark in marks if covered[-1] >= mark}
-        for step in sorted(steps - {len(covered) - 1}):
+        for step in sorted(step for step in steps - {len(covered) - 1} if step >= self.least_deadline):
             self.look_at(setting._replace(deadline=step))
 
     def _up_the_ladder(self) -> None:
@@ -314,7 +325,10 @@ class _Search:
         """What a setting comes to: exactly, or by as many rollouts as were asked for, ids from `start` on."""
         self.doing(f"{setting}" + (" on fresh rollouts" if start else ""))
         began, count = time.perf_counter(), self.choices.rollouts
-        trial = self._trial(setting._replace(deadline=None)).until(setting.deadline)
+        if self.settings.return_to is None:
+            trial = self._trial(setting._replace(deadline=None)).until(setting.deadline)
+        else:  # robots turn in time: another deadline is another mission, not the same one cut off
+            trial = self._trial(setting)
         found = trial.known(1 / SETTINGS_ABOUT) or trial.sample(start, count)
         self.engine = self.engine if found.exact else trial.engine.name
         self.progress(count, count, time.perf_counter() - began)

@@ -146,6 +146,8 @@ def check_supported(loop: ClosedLoop) -> None:
     if loop.stay_inside:
         what = f"{argument('engine', 'jax')} with {argument('transit', 'area')}"
         raise UsageError(what, expected=argument("transit", "grid"), fix=fix)
+    if loop.comes_home:
+        raise UsageError(f"{argument('engine', 'jax')} with {argument('return_to')}, in the closed loop", fix=fix)
     if loop.learns:
         raise WorldError("robots that learn the map, in the closed loop in JAX", fix=fix)
     if not loop.tabled:

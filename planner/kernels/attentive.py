@@ -22,7 +22,18 @@ from planner.kernels.meet import is_meeting
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
 from planner.kernels.retire import call_home, can_go_on, comes_home, go_home, stay, turn_home
 from planner.kernels.rollouts import begin_next, go_on_with, level_of
-from planner.kernels.runs import after_turns, count_new, end_of, enter, is_over, lose, moves_on, only_mover, survive, waits
+from planner.kernels.runs import (
+    after_turns,
+    count_new,
+    end_of,
+    enter,
+    is_over,
+    lose,
+    moves_on,
+    only_mover,
+    survive,
+    waits,
+)
 from planner.kernels.state import (
     ACTS,
     AHEAD,

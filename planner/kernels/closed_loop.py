@@ -117,9 +117,9 @@ def run_range(
 
 
 def results_from(start: int, numbers: NDArray[np.int32], worth: NDArray[np.int64]) -> RolloutResults:
-    """Single results of the rollouts from `start` on; rows as in `planner.kernels.state.Singles`."""
-    visited, survived, times, alive, outcome, bisected, divided, home = numbers.T
-    rest = bisected, divided, home, *worth.T
+    """Single results of the rollouts from `start` on; rows as in `planner.kernels.state.Singles`, or without home."""
+    visited, survived, times, alive, outcome, bisected, divided, *home = numbers.T
+    rest = bisected, divided, *(home or [NO_COUNTS.astype(np.int32)]), *worth.T
     return RolloutResults(start, visited, survived, times, alive, outcome.astype(np.int8), *rest)
 
 

@@ -137,7 +137,7 @@ def call_home(t, s, w, log, over):
     marks[OVER] = over + 1
     for robot in range(len(s.robots)):
         waits, way = holds(s.waiting, robot), moves_home(t, robot, np.int64(s.robots[robot, CELL]))
-        late = waits and 0 < way and t.limits[LAST_STEP] - marks[STEP] <= way
+        late = waits and way > 0 and t.limits[LAST_STEP] - marks[STEP] <= way
         turned = not waits and (not holds(s.movers, robot) or s.robots[robot, DOING] == RETURNING)
         if not turned and (late or over != NONE) and not turn_home(t, s, w, log, robot):
             return False

@@ -19,7 +19,17 @@ from planner.kernels.luck import fresh, stopped_from
 from planner.kernels.meet import has_entered, is_meeting, meet
 from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
 from planner.kernels.remember import can_be_remembered, remember
-from planner.kernels.retire import call_home, can_go_on, comes_home, count_home, go_home, is_away, leave, stay, turn_home
+from planner.kernels.retire import (
+    call_home,
+    can_go_on,
+    comes_home,
+    count_home,
+    go_home,
+    is_away,
+    leave,
+    stay,
+    turn_home,
+)
 from planner.kernels.state import (
     ACTS,
     AHEAD,

@@ -67,8 +67,8 @@ class Tables(NamedTuple):
             `kind_cost` `[C]`, and there are `kind_begin` `[C]` cells of the kinds before it, both int64. All empty
             where there are tables.
         limits: int64 `[LIMITS]`. NEAR: cells that a search passes before it is one for what is far; WIDE: as of
-            `SafeParts`; PATIENCE: searches from a cell before its costs to all are kept. GOAL: cells that count. LAST_STEP:
-            by which robots that come home are to be there.
+            `SafeParts`; PATIENCE: searches from a cell before its costs to all are kept. GOAL: cells that count.
+            LAST_STEP: by which robots that come home are to be there.
         truths: int16 `[M, A]`, level of each cell in each map that may be true, NONE of an obstacle, of robots that
             learn it; belief: int16 `[A]`, what they believe before the first step; price: int64 `[L]`, cost of entering
             a cell of each level; in_view: like near, what is seen from each cell, from `view_begin` int64 `[A + 1]` on
@@ -378,9 +378,7 @@ ROWS_BYTES = 2**28
 """What a thread's rows of costs may take up, about; two of them there are always."""
 
 
-def make_counts(
-    cells: int, goal: int, robots: int, steps: int, passes: bool = False, home: bool = False
-) -> Counts:
+def make_counts(cells: int, goal: int, robots: int, steps: int, passes: bool = False, home: bool = False) -> Counts:
     """Empty counts for rollouts of at most `steps` steps, in which `goal` of the cells can be visited.
 
     `passes`: survived visits are counted too; `home`: robots at home.

@@ -118,6 +118,18 @@ class Tree:
         robots = np.arange(len(self.counts.alive), dtype=np.float64)
         return self.bounds("alive", np.zeros_like(robots), robots)
 
+    def home(self) -> tuple[float, float]:
+        """Expected robots at home at the end, at least and at most: in what was left maybe all that are alive."""
+        sure, left = (float(of @ np.arange(len(of))) / WHOLE for of in (self.counts.home, self.counts.left_alive))
+        return sure, sure + left
+
+    def chance_home(self, least: int) -> tuple[float, float]:
+        """The chance that so many robots or more are at home at the end, at least and at most."""
+        sure, left = (float(of[least:].sum()) / WHOLE for of in (self.counts.home, self.counts.left_alive))
+        return (
+            (sure, sure) if not self.left else (max(sure - self.rounding, 0.0), min(sure + left + self.rounding, 1.0))
+        )
+
     def chance_left(self) -> tuple[float, float]:
         """The chance that some robot is alive at the end, at least and at most."""
         return self.chance(self.counts.alive[1:].sum())
@@ -156,6 +168,11 @@ class Tree:
     def mean_alive(self) -> float | None:
         """Expected robots alive at the end, if known (CLOSE)."""
         return _known(*self.alive())
+
+    @property
+    def mean_home(self) -> float | None:
+        """Expected robots at home at the end, if known (CLOSE)."""
+        return _known(*self.home())
 
     @property
     def slack(self) -> float:

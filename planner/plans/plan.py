@@ -166,6 +166,21 @@ class Plan:
         return np.array([divmod(int(robot.path[0]), self.shape[1]) for robot in self.robots], dtype=np.int64)
 
     @property
+    def comes_home(self) -> bool:
+        """True if its robots are to come home (SPEC section 19)."""
+        return self.settings is not None and self.settings.return_to is not None
+
+    @property
+    def ends_home(self) -> bool:
+        """True if all do, if nobody is stopped."""
+        if self.settings is None or self.settings.return_to is None:
+            return False
+        to, starts = self.settings.return_to, [int(robot.path[0]) for robot in self.robots]
+        bases = starts if isinstance(to, str) else [row * self.shape[1] + col for row, col in to]
+        own = ({start} if to == "home" else set(bases) for start in starts)
+        return all(int(robot.path[-1]) in at for robot, at in zip(self.robots, own, strict=True))
+
+    @property
     def makespan(self) -> int:
         """The step of the last move of any robot on its nominal path."""
         return max((last_move(robot.path) for robot in self.robots), default=0)

@@ -1,0 +1,229 @@
+"""Robots that come home: engines against each other, against plain code, closed forms and the tree of all that can be."""
+
+from __future__ import annotations
+
+import heapq
+from typing import Any
+
+import numpy as np
+import pytest
+from closed_loop_compare import assert_same_trace
+from movers import moving_world
+from numpy.typing import NDArray
+from oracle_tree import Tree as ReadableTree
+
+from analysis.evaluation.evaluate import evaluate
+from analysis.sampling import RolloutChoices
+from planner.errors import InputError
+from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.kernels.tree import WHOLE, grow_tree
+from planner.mrac.make_plan import make_plan
+from planner.mrac.problem import prepare
+from planner.mrac.reference import ReferenceLoop
+from planner.plans.plan import Plan
+from planner.plans.plan_file import load_plan
+from planner.rollouts.engine import Rolling, make_engine
+from planner.settings import Settings
+from planner.tally import Outcome
+from planner.trace import Doing, EventKind, Trace
+from planner.worlds.generate import PAPER_LEVELS, ThreatPattern, random_world
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
+
+KINDS: list[dict[str, Any]] = [
+    {"return_to": "home"},
+    {"return_to": "nearest", "range": 40},
+    {"return_to": "home", "deadline": 35},
+    {"return_to": "home", "range": (25, 50, 70), "deadline": 55, "policy": "per_cell"},
+    {"return_to": "nearest", "policy": "per_cell", "reserve": 0.4, "deadline": 60},
+    {"return_to": "home", "policy": "per_cell", "range": 45},
+    {"return_to": "nearest", "transit": "area", "range": 50},
+]
+
+
+def drawn(seed: int, robots: int = 3) -> tuple[World, NDArray[np.int64]]:
+    """A random map and starts anywhere in one part of it."""
+    kind = ("scattered", "contiguous")[seed % 2]
+    pattern = ThreatPattern(kind, 4, PAPER_LEVELS, seed)  # type: ignore[arg-type]
+    world = random_world(9 + seed % 4, 8 + seed % 5, pattern, obstacles=0.2, threats=0.3)
+    free = np.argwhere(world.accessible(place_starts(world, 1)[0]))
+    return world, free[np.random.default_rng(seed).integers(0, len(free), robots)]
+
+
+def ways(world: World, bases: list[int], entry: dict[int, int]) -> dict[int, tuple[int, int]]:
+    """(cost, moves) of the way home from each cell, by the plainest search: from the bases, backwards."""
+    height, width = world.shape
+    found: dict[int, tuple[int, int]] = {}
+    due = [(0, 0, base) for base in bases]
+    while due:
+        cost, moves, cell = heapq.heappop(due)
+        if cell in found:
+            continue
+        found[cell] = cost, moves
+        row, col = divmod(cell, width)
+        for r, c in ((row - 1, col), (row, col - 1), (row, col + 1), (row + 1, col)):
+            if 0 <= r < height and 0 <= c < width and r * width + c in entry:
+                heapq.heappush(due, (cost + entry[cell], moves + 1, r * width + c))
+    return found
+
+
+def entries(world: World, plan: Plan) -> dict[int, int]:
+    problem = prepare(world, plan.starts, plan.settings or Settings())
+    return {int(cell): int(problem.costs[cell]) for cell in np.flatnonzero(problem.levels.accessible)}
+
+
+def check_rules(trace: Trace, world: World, plan: Plan, found: list[dict[int, tuple[int, int]]]) -> None:
+    """What section 19 promises of a run, read off its trace; `found`: the ways home of each robot."""
+    settings = plan.settings
+    assert settings is not None
+    for robot, way in enumerate(found):
+        cells, doing = trace.cells[:, robot].tolist(), trace.doing[:, robot].tolist()
+        turned = [row[0] for row in trace.events.tolist() if row[1:3] == [robot, EventKind.TURNED_HOME]]
+        given = settings.range[robot] if isinstance(settings.range, tuple) else settings.range
+        moves = 0
+        for step, cell in enumerate(cells):
+            moves += step > 0 and cell != cells[step - 1]
+            if doing[step] == Doing.DEAD:
+                break
+            assert given is None or way[cell][1] <= given - moves
+            assert settings.deadline is None or way[cell][1] <= settings.deadline - step
+        if doing[-1] != Doing.DEAD:
+            assert way[cells[-1]] == (0, 0)
+        assert len(turned) <= 1
+        for step in range(turned[0] + 1 if turned else trace.time, trace.time):
+            before, after = cells[step], cells[step + 1]
+            if doing[step] == Doing.DEAD:
+                break
+            assert doing[step] in (Doing.RETURNING, Doing.DONE) and trace.areas[step, robot] == -1
+            assert way[after][1] == way[before][1] - (doing[step] == Doing.RETURNING)
+            assert way[after][0] <= way[before][0]
+
+
+@pytest.mark.parametrize("number", range(len(KINDS)))
+def test_engines_agree_and_who_is_alive_is_home(number: int) -> None:
+    asked = KINDS[number]
+    for seed in (number, number + 20):
+        world, starts = drawn(seed)
+        plan = make_plan(world, starts, Settings(**asked))
+        readable, entry = ReferenceLoop(plan, world), entries(world, plan)
+        own = [[row * world.shape[1] + col] for row, col in starts.tolist()]
+        bases = own if asked["return_to"] == "home" else [[base for (base,) in own]] * len(own)
+        found = [ways(world, of, entry) for of in bases]
+        for tabled in (True, False):
+            loop = compile_closed_loop(plan, world, tabled=tabled)
+            for mine in trace_rollouts(loop, seed, range(6)):
+                assert_same_trace(mine, readable.trace(seed, mine.rollout))
+                check_rules(mine, world, plan, found)
+        tally, singles = run_range(loop, seed, 0, 500, threads=1, singles=True)
+        assert singles is not None
+        np.testing.assert_array_equal(singles.home, singles.alive)
+        np.testing.assert_array_equal(tally.home, np.bincount(singles.home, minlength=len(starts) + 1))
+        assert singles.home[:6].tolist() == [int(readable.run(seed, rollout).home.sum()) for rollout in range(6)]
+        if "range" not in asked and "deadline" not in asked and "reserve" not in asked:  # Theorem 2
+            assert set(np.unique(singles.outcome)) <= {Outcome.COMPLETE, Outcome.STOPPED}
+
+
+def test_ways_home_are_the_safest_and_of_these_the_shortest() -> None:
+    for seed in range(8):
+        world, starts = drawn(seed, 2)
+        problem = prepare(world, starts, Settings(return_to="nearest", levels=4))
+        assert problem.home is not None
+        entry = {int(cell): int(problem.costs[cell]) for cell in np.flatnonzero(problem.levels.accessible)}
+        wanted = ways(world, problem.starts.tolist(), entry)
+        for cell, (cost, moves) in wanted.items():
+            way = problem.home.way(0, cell)
+            assert (sum(entry[passed] for passed in way), len(way)) == (cost, moves)
+            assert (problem.home.cost[0, cell], problem.home.moves(1, cell)) == (cost, moves)
+
+
+def corridor(cells: int, p: float) -> World:
+    return World.create(np.array([[0.0] + [p] * (cells - 1)]))
+
+
+@pytest.mark.parametrize(("more", "turns_at"), [({}, 9), ({"range": 13}, 6), ({"deadline": 10}, 5), ({"range": 1}, 0)])
+def test_a_corridor_by_hand(more: dict[str, int], turns_at: int) -> None:
+    """From its end a robot goes as far as it can come back from: it enters 2 n - 1 dangerous cells, then its start."""
+    p, world = 0.07, corridor(10, 0.07)
+    plan = make_plan(world, [[0, 0]], Settings(return_to="home", **more))
+    there = list(range(turns_at + 1))
+    assert plan.robots[0].path.tolist() == there + there[-2::-1]
+    answer = evaluate(world, plan, RolloutChoices(rollouts=2000))
+    home, passed = answer.figures.home, max(2 * turns_at - 1, 0)
+    assert home is not None and home.robots == 1
+    assert home.mean == pytest.approx((1 - np.float32(p)) ** passed, rel=1e-6)
+    assert home.at_least[1].mean == pytest.approx(home.mean) and home.at_least[0].mean == pytest.approx(1)
+    assert answer.visited.cells == pytest.approx(1 + sum((1 - p) ** k for k in range(turns_at)), rel=1e-6)
+
+
+@pytest.mark.parametrize("number", [0, 1, 3, 4])
+def test_the_exact_tree_knows_who_comes_home(number: int) -> None:
+    world = World.create(
+        [[0, 0.1, 0.1, 0], [0, np.nan, 0, 0.3], [0.2, 0, 0, np.nan], [0.2, 0.1, 0, 0.3]],
+        [[0, 0], [0, 3], [2, 1]],
+    )
+    assert world.starts is not None
+    plan = make_plan(world, world.starts, Settings(**{**KINDS[number], "density": 1.5}))
+    tree = grow_tree(compile_closed_loop(plan, world), 0.0, 10**6)
+    assert tree is not None and not tree.left
+    oracle = ReadableTree(plan, world)
+    chances, branches = np.zeros(4), [oracle.start()]
+    while branches:
+        going, ends = oracle.step(branches.pop(), oracle.max_steps)
+        branches += going
+        for end in ends:
+            chances[end.alive] += end.chance
+    np.testing.assert_allclose(tree.counts.home / WHOLE, chances, atol=1e-9)
+    sampled = run_range(compile_closed_loop(plan, world), 5, 0, 20_000)[0].home / 20_000
+    assert (np.abs(sampled - chances) <= 5 * np.sqrt(chances * (1 - chances) / 20_000) + 1e-9).all()
+
+
+def test_threats_that_move_meet_who_goes_home_and_who_waits_there() -> None:
+    world = moving_world(3)
+    starts = place_starts(world, 3)[0]
+    for asked in KINDS[:3]:
+        plan = make_plan(world, starts, Settings(**asked))
+        readable, loop = ReferenceLoop(plan, world), compile_closed_loop(plan, world)
+        for mine in trace_rollouts(loop, 1, range(8)):
+            assert_same_trace(mine, readable.trace(1, mine.rollout))
+
+
+def test_open_loop_paths_end_at_home(tmp_path: Any) -> None:
+    world, starts = drawn(3)
+    plan = make_plan(world, starts, Settings(return_to="home", range=60))
+    assert plan.ends_home
+    plan.save(tmp_path / "plan.json")
+    assert load_plan(tmp_path / "plan.json", world).settings == plan.settings
+    answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=4096))
+    assert answer.figures.home is not None
+    assert answer.figures.home.mean == answer.figures.alive.mean
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"return_to": ((0, 99),)}, "outside the map"),
+        ({"return_to": ((0, 3),)}, "cannot reach a base"),
+        ({"return_to": ((0, 1),), "range": 1}, None),
+        ({"return_to": ((0, 2),), "range": 1}, "2 moves from its base"),
+        ({"return_to": "base"}, "home"),
+        ({"return_to": ()}, "home"),
+    ],
+)
+def test_what_cannot_come_home_is_refused(more: dict[str, Any], said: str | None) -> None:
+    world = World.create([[0, 0, 0, np.nan, 0]])
+    if said is None:
+        make_plan(world, [[0, 0]], Settings(**more))
+        return
+    with pytest.raises(InputError, match=said):
+        make_plan(world, [[0, 0]], Settings(**more))
+
+
+def test_what_does_not_know_the_way_home_says_so() -> None:
+    world, starts = drawn(1)
+    plan = make_plan(world, starts, Settings(return_to="home"))
+    for call in (
+        lambda: make_engine(plan, world, Rolling(), "jax"),
+        lambda: ReferenceLoop(plan, world).state_at(2, 0, 0),
+    ):
+        with pytest.raises(InputError, match="return_to"):
+            call()
