@@ -118,8 +118,8 @@ class Settings:
         deadline: the step at which the mission is ended, whatever is left; None = at none.
         wear: shape of the Weibull amount of exposure that robots bear (SPEC section 14); 1 = nothing wears out.
         susceptibility: how many times exposure counts, one number for all or one a robot. No decision knows these two.
-        return_to: the bases that robots come home to (SPEC section 19): "home", their own starts; "nearest", anybody's; or
-            cells, a tuple of (row, col); None = robots stay where they end.
+        return_to: the bases that robots come home to (SPEC section 19): "home", their own starts; "nearest", anybody's;
+            or cells, a tuple of (row, col); None = robots stay where they end.
         in_area: which cell of an area is next; others than `cheapest_first` are a user's own, and not saved.
     """
 

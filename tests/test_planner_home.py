@@ -1,4 +1,4 @@
-"""Robots that come home: engines against each other, against plain code, closed forms and the tree of all that can be."""
+"""Robots that come home: engines against each other, plain code, closed forms, and the tree of all that can happen."""
 
 from __future__ import annotations
 

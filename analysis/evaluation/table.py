@@ -84,7 +84,7 @@ def _chances_table(evaluation: Evaluation) -> Table:
     if found.home is not None:
         _add(table, evaluation, "robots home", "", losses_shown(found.home, robots))
         for least, chance in found.home.shown.items():
-            many = "every robot is" if least == robots else f"{least} robot{'s' * (least > 1)} or more are"
+            many = "every robot is" if least == robots else f"{least} or more robots are"
             _add(table, evaluation, f"chance that {many} home", "", chance.columns())
     _add(table, evaluation, "time, steps", known_words(exact.mean_time, "{:,.1f}"), found.time.columns())
     if pace := evaluation.world.pace:

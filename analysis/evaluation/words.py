@@ -200,6 +200,8 @@ def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
             many = counted(beyond, "accessible cell")
             far = f"{many} ({share(beyond, cells)}) are too far for the moves of any robot."
         yield far
+        if plan.comes_home:
+            return
         yield (
             f"In the nominal run, in which nobody is lost, {rest.ended} of {robots} make "
             "their last move and stay where they are."

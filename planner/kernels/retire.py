@@ -127,7 +127,7 @@ def go_home(t, s, log, robot):
 
 @rare_kernel
 def call_home(t, s, w, log, over):
-    """At the end of a step: all turn once the mission is `over`, an Outcome or NONE; before that who would come too late.
+    """At the end of a step: all turn once the mission is `over`, an Outcome or NONE; before that who would be late.
 
     False: no room for areas.
     """
