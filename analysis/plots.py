@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from matplotlib.figure import Figure
 
+from analysis.attack.answer import Attack
 from analysis.checking.check_map import MapCheck
 from analysis.depots.answer import Starts
 from analysis.design.size import TeamSize
@@ -26,8 +27,8 @@ from planner.plans.plan import Plan
 from planner.worlds.world import World
 
 __all__ = [
-    "check_figure", "clear_figure", "covered_figure", "distribution_figure", "front_figure", "left_figure",
-    "losses_figure", "over_time_figure", "size_figure", "starts_figure", "world_figure",
+    "attack_figure", "check_figure", "clear_figure", "covered_figure", "distribution_figure", "front_figure",
+    "left_figure", "losses_figure", "over_time_figure", "size_figure", "starts_figure", "world_figure",
 ]  # fmt: skip
 
 Kind = TypeVar("Kind", bound=Answer)
@@ -90,6 +91,7 @@ over_time_figure = _picture(Evaluation, "Expected coverage over time.", "over_ti
 front_figure = _picture(Front, "Coverage over robots lost and over steps, by setting.")
 size_figure = _picture(TeamSize, "Coverage and the chance of the target over the team, with the answer.")
 starts_figure = _picture(Starts, "Coverage by depot, or the threats, with the best starts on the map.")
+attack_figure = _picture(Attack, "What a threat in each cell costs robots that know of it; the worst stand out.")
 clear_figure = _picture(Clearing, "What clearing each threat wins after replanning; the picks stand out.")
 check_figure = _picture(MapCheck, "Every formula on one scale of expected cells, with the truth of both loops.")
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from analysis import plots
     from analysis.api import (
+        attack,
         check,
         clear,
         compare,
@@ -49,8 +50,8 @@ if TYPE_CHECKING:
 
 __version__ = version("mrac-jax")
 __all__ = [
-    "InputError", "Plan", "Settings", "World", "check", "clear", "compare", "env", "evaluate", "export", "front",
-    "judge", "load", "mission", "plan", "plots", "read_outcomes", "read_plan", "read_rollouts", "record",
+    "InputError", "Plan", "Settings", "World", "attack", "check", "clear", "compare", "env", "evaluate", "export",
+    "front", "judge", "load", "mission", "plan", "plots", "read_outcomes", "read_plan", "read_rollouts", "record",
     "reproduce", "results", "size", "starts", "suite", "sweep", "to_networkx", "with_hazard", "with_maps",
     "with_movers", "with_prior", "with_sense", "with_spread", "with_truth",
 ]  # fmt: skip

@@ -15,6 +15,7 @@ from analysis.cli.app import run
 from analysis.removal.answer import Clearing
 from analysis.removal.report import findings, headline
 from analysis.removal.search import find_clearing, threats_of
+from analysis.removal.threat import by_cell
 from analysis.sampling import RolloutChoices
 from analysis.theory.exact import coverage_gradient, open_loop_exact
 from planner.errors import UsageError
@@ -154,7 +155,8 @@ def test_sources_are_cleared_one_by_one_and_what_overlaps_stays(tmp_path: Path) 
     reached = answer.cleared_world.threat[world.accessible(answer.starts)]
     assert (reached == 0).all() and (answer.cleared_world.threat[:, 8] == np.float32(0.4)).all()
     assert any("1 threat of the scenario" in note for note in answer.notes)
-    assert answer.by_cell(lambda one: one.known)[3, 3] == max(one.known.cells.mean for one in answer.options[:2])  # type: ignore[union-attr]
+    gains = by_cell(answer.options, world.shape, lambda one: one.known)
+    assert gains[3, 3] == max(one.known.cells.mean for one in answer.options[:2])  # type: ignore[union-attr]
 
 
 def test_sources_are_the_default_where_there_are_several(tmp_path: Path) -> None:

@@ -30,6 +30,8 @@ COMMANDS = {
     "starts": ["starts", "map.npz", *TEAM, *FEW],
     "starts of value": ["starts", "valued.yaml", "--depot", *FEW],
     "clear": ["clear", "map.npz", *TEAM, *FEW],
+    "attack": ["attack", "map.npz", *TEAM, *FEW],
+    "attack on value": ["attack", "valued.yaml", "--count", "2", "--p", "0.4", *FEW],
     "compare": ["compare", "map.npz", *TEAM, "--b.policy", "per_cell", "--b.worth", "12.5", *FEW],
     "check": ["check", "map.npz", *TEAM, *FEW],
     "check of many": ["check", "--worlds", "2", "--robots", "1,2,3,4,12", "--size", "6x6", "--processes", "1", *FEW],

@@ -248,7 +248,7 @@ def test_what_a_person_prints_fits_a_screen() -> None:
     assert "B (2 robots) visits" in repr(other)
 
 
-@pytest.mark.parametrize("ask", [mrac.plan, mrac.front, mrac.starts, mrac.clear])
+@pytest.mark.parametrize("ask", [mrac.plan, mrac.front, mrac.starts, mrac.clear, mrac.attack])
 def test_a_range_reaches_the_settings(ask: Callable[..., Any]) -> None:
     with pytest.raises(mrac.InputError, match="range is -1"):
         ask(mrac.World.create([[0.0, 0.1, 0.0]]), 1, range=-1)
@@ -291,6 +291,7 @@ def test_every_answer_is_a_data_frame(tmp_path: Path) -> None:
         (size, len(size.points), "coverage.mean"),
         (mrac.starts(world, 1, rollouts=64), None, "coverage.mean"),
         (mrac.clear(world, 2, rollouts=64), None, "known.ci95.high"),
+        (mrac.attack(world, 2, rollouts=64), None, "known.ci95.high"),
         (mrac.check(world, 2, rollouts=64), None, "formula"),
         (compared, None, "figure"),
         (swept, 2, "visited.mean"),

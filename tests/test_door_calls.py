@@ -52,6 +52,7 @@ def jobs(folder: Path) -> dict[str, tuple[int, Callable[..., Any]]]:
         "front": (3, lambda **how: mrac.front(world, 2, **how)),
         "starts": (2, lambda **how: mrac.starts(world, 1, **how)),
         "clear": (2, lambda **how: mrac.clear(world, 2, **how)),
+        "attack": (2, lambda **how: mrac.attack(world, 2, **how)),
         "check": (2, lambda **how: mrac.check(world, plan, **how)),
         "record": (2, lambda **how: mrac.record(world, plan, folder / "a.mcap", ids=range(9), **how)),
         "sweep": (2, lambda **how: mrac.sweep(folder / "a.yaml", folder / "a.store", processes=1, **how)),

@@ -10,9 +10,9 @@ from analysis.api.files import export, read_outcomes, read_rollouts, record
 from analysis.api.missions import mission
 from analysis.api.plans import load, plan
 from analysis.api.policies import judge, suite
-from analysis.api.searches import clear, front, size, starts
+from analysis.api.searches import attack, clear, front, size, starts
 
 __all__ = [
-    "check", "clear", "compare", "evaluate", "export", "front", "judge", "load", "mission", "plan", "read_outcomes",
-    "read_rollouts", "record", "reproduce", "results", "size", "starts", "suite", "sweep",
+    "attack", "check", "clear", "compare", "evaluate", "export", "front", "judge", "load", "mission", "plan",
+    "read_outcomes", "read_rollouts", "record", "reproduce", "results", "size", "starts", "suite", "sweep",
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""The best of many: teams, trade-offs, starts, threats to remove."""
+"""The best of many: teams, trade-offs, starts, threats to remove or to fear."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from planner.worlds.starts import starts_of
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
+    from analysis.attack.answer import Attack
     from analysis.depots.answer import Starts
     from analysis.design.size import TeamSize
     from analysis.removal.answer import Clearing
@@ -216,4 +217,56 @@ def clear(
     placed = np.asarray(starts_of(world, robots, starts))
 
     search = partial(find_clearing, world, placed, settings, choices, count=count, remove=remove)
+    return ask(lambda tell, doing: search(progress=tell, doing=doing), progress, on_interrupt)
+
+
+def attack(
+    world: World,
+    robots: int | None = None,
+    *,
+    count: int = 1,
+    p: float = 0.2,
+    starts: ArrayLike | None = None,
+    levels: int | None = None,
+    density: float | None = None,
+    risk: Literal["paper", "log"] | None = None,
+    transit: Literal["grid", "area"] | None = None,
+    max_steps: int | None = None,
+    policy: Policy | None = None,
+    reserve: float | None = None,
+    worth: float | None = None,
+    range: int | Sequence[int] | None = None,
+    wear: float | None = None,
+    susceptibility: float | Sequence[float] | None = None,
+    return_to: ReturnTo = None,
+    rollouts: int = 4096,
+    seed: int = 0,
+    deadline: int | str | None = None,
+    first_visit: bool = False,
+    engine: EngineName = "auto",
+    luck: LuckName = "tolerance",
+    exact: Exactness = "auto",
+    progress: Progress | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
+) -> Attack:
+    """Where `count` threats would cost the team most: `answer.known`, `answer.hidden`, and the worlds with them.
+
+    Args:
+        p: the chance that a visit of one stops a robot, beside what else is there.
+        robots, starts: the team; the settings are those of `plan`.
+        rollouts: of the last two places that are left, the same for all. deadline: end every mission at this step.
+        luck, exact, progress, on_interrupt: as of `evaluate`; `exact`: of all that is compared together.
+    """
+    from analysis.attack.search import find_attack
+
+    check_world(world)
+    bears = {"wear": wear, "susceptibility": one_or_each(susceptibility)}
+    asked = (levels, density, risk, transit, max_steps, policy, reserve, worth)
+    settings = settings_of(world, range, *asked, return_to=return_to, **bears)
+    choices = RolloutChoices(
+        rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
+    )
+    placed = np.asarray(starts_of(world, robots, starts))
+
+    search = partial(find_attack, world, placed, settings, choices, count=count, p=p)
     return ask(lambda tell, doing: search(progress=tell, doing=doing), progress, on_interrupt)

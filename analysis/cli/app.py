@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, CycloptsError, MissingArgumentError, Parameter
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
-from analysis.cli.decisions import clear, starts
+from analysis.cli.decisions import attack, clear, starts
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
 from analysis.cli.drive import drive
 from analysis.cli.exporting import Altitude, export
@@ -418,7 +418,7 @@ def generate(
     return DONE
 
 
-PLANS, MISSIONS = (clear, starts, studio, suite, sweep), (drive, export, inspect, record, recover, replay)
+PLANS, MISSIONS = (attack, clear, starts, studio, suite, sweep), (drive, export, inspect, record, recover, replay)
 for command in (*PLANS, *MISSIONS, reproduce, results):
     app.command(command)
 

@@ -1,4 +1,4 @@
-"""The commands `starts` and `clear` of `mrac-jax`: what can still be chosen before a mission."""
+"""The commands `starts`, `clear` and `attack` of `mrac-jax`: what can still be chosen before a mission."""
 
 from __future__ import annotations
 
@@ -10,7 +10,20 @@ from cyclopts import Parameter
 from analysis.cli.console import check_files, check_folder
 from analysis.cli.deliver import deliver
 from analysis.cli.groups import CommonLuck, Team, Together
-from analysis.cli.options import GOAL, TEAM, CellSize, Input, Json, OutPath, Removed, Speed, StepSeconds, Text, Whole
+from analysis.cli.options import (
+    GOAL,
+    TEAM,
+    CellSize,
+    Input,
+    Json,
+    Number,
+    OutPath,
+    Removed,
+    Speed,
+    StepSeconds,
+    Text,
+    Whole,
+)
 from analysis.kit.notes import say
 
 
@@ -111,5 +124,44 @@ def clear(
         answer = find_clearing(
             task.world, task.starts, task.settings, choices, count=1 if count is None else count, remove=remove,
             progress=progress, doing=progress.doing,
+        )  # fmt: skip
+    return deliver(answer, out=out, as_json=as_json)
+
+
+def attack(
+    source: Input,
+    /,
+    *,
+    count: Annotated[Whole, Parameter(group=GOAL)] = None,
+    p: Annotated[Number, Parameter(group=GOAL)] = None,
+    team: Team | None = None,
+    what: CommonLuck | None = None,
+    planning: Together | None = None,
+    out: OutPath = None,
+    as_json: Json = False,
+) -> int:
+    """Where threats would cost the team most: if robots know of them and plan anew, and if they do not.
+
+    A threat is placed in the cell where fewest are visited on the same luck, one after the other; then each is moved
+    while that costs more. What they cost is told on fresh rollouts.
+
+    Args:
+        count: How many threats are placed (default: 1).
+        p: The chance that a visit of one stops a robot, beside what else is there (default: 0.2).
+        out: Write the page, the pictures, JSON and both maps (.npz) to this folder.
+    """
+    from analysis.attack.search import find_attack
+    from analysis.inputs import load_task
+    from analysis.kit.progress import show_progress
+
+    team, what, planning = team or Team(), what or CommonLuck(), planning or Together()
+    choices = what.choices()
+    check_folder(out)
+    task = load_task(team.asked(source, planning.choices()))
+    say(task.notes)
+    with show_progress() as progress:
+        answer = find_attack(
+            task.world, task.starts, task.settings, choices, count=1 if count is None else count,
+            p=0.2 if p is None else p, progress=progress, doing=progress.doing,
         )  # fmt: skip
     return deliver(answer, out=out, as_json=as_json)

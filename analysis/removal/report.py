@@ -8,7 +8,8 @@ import numpy as np
 from rich.table import Table
 
 from analysis.kit.tables import make_table
-from analysis.removal.answer import Cleared, Clearing, Gain, Threat, Turn
+from analysis.removal.answer import Clearing
+from analysis.removal.threat import Gain, Threat, Weighed, by_cell
 from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
 from analysis.report.words import asked, luck_words, map_words, search_end, source_words
 from planner.arguments import exactly
@@ -68,7 +69,7 @@ def findings(clearing: Clearing) -> Iterator[str]:
         worth = "" if gain.value is None else f"{gain.value.said(unit=' of value')} and "
         won = f"{worth}{gain.cells.said(unit=' cells')} more"
         yield f"{source_words(gain.rollouts)}, after replanning: {won}, {gain.robots.said()} robots lost fewer."
-    yield _certainty(first, "95 %, all together" if first.rolled else "exact")
+    yield first.certainty("worth more")
     unknown = first.best_unknown
     most, own = (_said(clearing, one.unknown) for one in (unknown, first.picked))
     then = "" if unknown is first.picked else f"; {first.picked.threat.name} is worth {own} then"
@@ -76,18 +77,6 @@ def findings(clearing: Clearing) -> Iterator[str]:
     for turn in clearing.turns[1:]:
         gained = _said(clearing, turn.picked.known)
         yield f"Then {place_words(clearing, turn.picked.threat)}: {gained} more than without it."
-
-
-def _certainty(turn: Turn, how: str) -> str:
-    others = [(one.threat.name, one.behind[0] > 0) for one in turn.simulated if one.behind is not None]
-    if not others:
-        return "There is no other."
-    close = [name for name, beaten in others if not beaten]
-    alike = f"{', '.join(close[:4])}{' and more' if len(close) > 4 else ''}"
-    if len(close) == len(others):
-        return f"No significant difference from the other {len(others)} ({how}): {alike}."
-    said = f"It is surely worth more than {len(others) - len(close)} of the other {len(others)} ({how})"
-    return f"{said}; no significant difference from {alike}." if close else f"{said}."
 
 
 def _key_figures(clearing: Clearing) -> list[KeyFigure]:
@@ -109,7 +98,8 @@ def _maps(clearing: Clearing, only: int | None = None) -> CellMaps:
     from analysis.page.cell_maps import CellLayer
     from analysis.pictures.style import COVERED, LOSSES
 
-    known, unknown = clearing.by_cell(lambda one: one.known), clearing.by_cell(lambda one: one.unknown)
+    options, shape = clearing.options, clearing.world.shape
+    known, unknown = by_cell(options, shape, lambda one: one.known), by_cell(options, shape, lambda one: one.unknown)
     won = f"{KINDS_OF_GAIN[clearing.unit]} won"
     paid = "What one percent of threat more in a cell would cost, open loop, same paths. No advice on what to clear."
     layers = [
@@ -146,9 +136,9 @@ def _columns(gain: Gain) -> tuple[str, str]:
     return gain.counted.columns()
 
 
-def _ranked(clearing: Clearing) -> list[Cleared]:
+def _ranked(clearing: Clearing) -> list[Weighed]:
     rest = [one for one in clearing.options if one.known is None]
-    return [*clearing.turns[0].simulated, *sorted(rest, key=lambda one: -one.screen)]
+    return [*clearing.turns[0].simulated, *sorted(rest, key=lambda one: -(one.screen or 0.0))]
 
 
 def _footnotes(clearing: Clearing) -> list[str]:
@@ -182,6 +172,6 @@ def _json(clearing: Clearing) -> Json:
     }
 
 
-def _threat_json(one: Cleared) -> Json:
+def _threat_json(one: Weighed) -> Json:
     threat, told = one.threat, {name: getattr(one, name) for name in ("screen", "hits", "known", "unknown", "behind")}
     return {"name": threat.name, "cells": threat.cells, "p": float(exactly(round(threat.p, 9))), **told}

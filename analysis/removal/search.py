@@ -1,47 +1,29 @@
-"""Which threat to remove first: screened by the bound, simulated on common luck with planning anew; greedy for several.
-
-Two questions, with answers that have little to do with each other. Robots that *know* that a threat is gone plan anew:
-their way may lead through it, so what counts is what lies behind. Robots that do *not know* do as before: what counts
-is how many of them it stops.
-"""
+"""Which threat to remove first, for robots that know that it is gone; greedy for several."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.kit.notes import Doing, Progress, quiet
-from analysis.removal.answer import Cleared, Clearing, Gain, Remove, Threat, Turn
+from analysis.removal.answer import Clearing, Remove
+from analysis.removal.threat import Threat, Turn
+from analysis.removal.turns import Search
 from analysis.sampling import RolloutChoices
-from analysis.theory.any_strategy import MOST_CELLS, any_strategy, value_bound
-from analysis.theory.own_bounds import reach_chances
-from analysis.theory.value import Worth
-from analysis.trials.halving import Halving, check_search, screened
-from analysis.trials.measured import Measured
-from analysis.trials.trial import Trial, alike
+from analysis.trials.halving import check_search, screened
 from planner.arguments import argument, check_word, whole
 from planner.errors import UsageError
 from planner.mrac.areas import find_areas
-from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan
 from planner.rollouts.engine import choose_engine
 from planner.settings import Settings
 from planner.shown import counted
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
 
-SIMULATED, FEWEST = 64, 8
-"""Threats that are planned for anew, at most; fewer, FEWEST at least, where their maps' tables take long."""
-SOLVED = 64
-"""Threats up to which the screening bound is the flow programme's, a fifth of a second each on 300 cells."""
-ALL_UNKNOWN = 2**18
-"""Rollouts for robots that do not know, of all threats together."""
-TABLES = 2**28
-"""Pairs of cells of all-pairs tables that are made and kept: every map has its own."""
+SIMULATED = 64
+"""Threats that are planned for anew, at most."""
 
 
 def threats_of(
@@ -116,7 +98,7 @@ def find_clearing(
     chosen, threats, notes = threats_of(world, starts, settings.levels, remove)
     whole(1, len(threats), "a whole number of threats").check("count", count)
     cells = int(world.accessible(starts).sum())
-    search = _Search(world, starts, settings, choices, progress, doing or quiet)
+    search = Search(world, starts, settings, choices, progress, doing or quiet, most=SIMULATED)
     turns: list[Turn] = []
     left, now, gain, stopped = threats, world, None, False
     try:
@@ -124,7 +106,7 @@ def find_clearing(
             turns.append(search.turn(now, left))
             now = turns[-1].picked.threat.cleared(now)
             left = [threat for threat in left if threat is not turns[-1].picked.threat]
-        gain = search.confirm(world, now)
+        (gain,) = search.confirm([search.anew(world), search.anew(now)])
     except KeyboardInterrupt:
         if not turns:
             raise
@@ -148,89 +130,3 @@ def _notes(threats: int, simulated: int) -> tuple[str, ...]:
     if threats <= simulated:
         return ()
     return (f"of {threats} threats, those {simulated} by which the bound rises most were planned for anew",)
-
-
-class _Search:
-    """What all turns share: the team, its settings, what is rolled out, and whether all so far is `exact`."""
-
-    def __init__(
-        self,
-        world: World,
-        starts: NDArray[np.int64],
-        settings: Settings,
-        choices: RolloutChoices,
-        progress: Progress | None,
-        doing: Doing,
-    ) -> None:
-        self.starts, self.settings, self.choices = starts, settings, choices
-        self.progress, self.doing, self.robots = progress, doing, len(starts)
-        self.cells, self.valued = int(world.accessible(starts).sum()), world.value is not None
-        self.total = Worth.of(world).total if self.valued else float(self.cells)
-        self.exact = True
-        self.room = min(SIMULATED, max(FEWEST, TABLES // self.cells**2))
-
-    def plan(self, world: World) -> Plan:
-        """The team's plan on a map."""
-        return make_plan(world, self.starts, self.settings)
-
-    def turn(self, world: World, threats: Sequence[Threat]) -> Turn:
-        """What each of `threats` is worth on `world`, and the best of them for robots that know."""
-        as_is = self._anew(world)
-        known = as_is.known()
-        self.doing("screening")
-        screens = self._screens(world, threats)
-        self.doing("with the old plan")
-        gains = [self._unknown(as_is, threat.cleared(world), len(threats)) for threat in threats]
-        self.doing("replanned")
-        order = np.argsort(-np.array(screens), kind="stable")[: self.room].tolist()
-        contenders = [partial(self._anew, threats[place].cleared(world)) for place in order]
-        race = Halving(contenders, self.choices.rollouts, room=self.room, exact=known is not None)
-        race.run(self.progress)
-        base: Measured = as_is.sample(0, self.choices.rollouts) if known is None or not race.exact else known
-        self.exact &= base.exact and not any(gain.rollouts for gain in gains)
-        hits = as_is.stops(base)
-        options = [
-            Cleared(threat, screen, float(hits[threat.cells].sum()), gain)
-            for threat, screen, gain in zip(threats, screens, gains, strict=True)
-        ]
-        for contender, place in enumerate(order):
-            low, high = (0.0, 0.0) if contender == race.best else race.behind(contender)
-            behind = None if contender == race.best else (low * self.total, high * self.total)
-            options[place] = replace(options[place], known=self._gain(base, race.runs[contender]), behind=behind)
-        return Turn(tuple(options), order[race.best], race.rolled)
-
-    def _anew(self, world: World) -> Trial:
-        return Trial(world, self.plan(world), self.choices)
-
-    def _gain(self, base: Measured, without: Measured) -> Gain:
-        """What is won on average, in cells, robots, and value where there is any."""
-        worth = without.ahead(base, "value", self.total) if self.valued else None
-        rollouts = min(base.rollouts, without.rollouts)
-        return Gain(without.ahead(base, "visited"), base.ahead(without, "lost"), rollouts, worth)
-
-    def _unknown(self, as_is: Trial, truth: World, threats: int) -> Gain:
-        """For robots that decide as before, and are not stopped there."""
-        count = min(self.choices.rollouts, max(ALL_UNKNOWN // threats, 2))
-        return self._gain(*alike([as_is, as_is.under(truth)], 0, count, 1 / threats))
-
-    def _screens(self, world: World, threats: Sequence[Threat]) -> list[float]:
-        """How much the bound for every strategy rises without each threat, in cells, or in value."""
-        flow = self.cells <= MOST_CELLS and len(threats) <= SOLVED
-        if self.valued:
-            before = self._value_bound(world, flow)
-            return [self._value_bound(threat.cleared(world), flow) - before for threat in threats]
-        before = any_strategy(world, self.starts, flow).cells
-        return [any_strategy(threat.cleared(world), self.starts, flow).cells - before for threat in threats]
-
-    def _value_bound(self, world: World, flow: bool) -> float:
-        """The programme with values, or the value by the chance to reach each cell."""
-        if flow:
-            return value_bound(world, self.starts)
-        return float(Worth.of(world).value @ reach_chances(world, self.starts))
-
-    def confirm(self, world: World, cleared: World) -> Gain:
-        """What both maps come to on rollouts that had no part in the choice."""
-        count = self.choices.rollouts
-        base, without = alike([self._anew(world), self._anew(cleared)], count, count)
-        self.exact &= base.exact
-        return self._gain(base, without)

@@ -69,13 +69,15 @@ class Halving:
         room: int = 64,
         kept: Sequence[Collection[int]] = (),
         exact: bool = True,
+        least: bool = False,
     ) -> None:
         """`contenders`: each makes a trial, anew if there is no `room` to keep it.
 
         `kept`: contenders of which the best goes on at every look. `exact`: whether exact values are looked for.
+        `least`: the best visits the least, as who places threats would have it.
         """
         self.contenders, self.rollouts, self.room, self.kept = contenders, rollouts, room, kept
-        self._looks_for_exact = exact
+        self._looks_for_exact, self._sign = exact, 1.0 if least else -1.0
         self.runs: dict[int, Measured] = {}
         self.ranked = list(range(len(contenders)))
         self._trials: dict[int, Trial] = {}
@@ -146,11 +148,11 @@ class Halving:
             del self._trials[contender]
 
     def _rank(self, contender: int) -> tuple[float, int]:
-        return -self.runs[contender].share, contender
+        return self._sign * self.runs[contender].share, contender
 
     @property
     def best(self) -> int:
-        """Of those that have most rollouts, the one that visits most (or most value)."""
+        """Of those that have most rollouts, the one that visits most (or most value, or least)."""
         return self.best_of(range(len(self.contenders)))
 
     def best_of(self, some: Collection[int]) -> int:
@@ -165,7 +167,7 @@ class Halving:
         return found if found.exact else self._trial(contender).sample(self.rollouts, self.rollouts)
 
     def behind(self, contender: int, ahead: int | None = None) -> tuple[float, float]:
-        """Share of all cells (or of all value) that the best visits more, on what both have: an interval.
+        """Share of all cells (or of all value) that the best visits more (or less), on what both have: an interval.
 
         `ahead`: another one in the place of the best.
 
@@ -173,6 +175,7 @@ class Halving:
         `bet_interval`, shared among all pairs.
         """
         best, other = self.runs[self.best if ahead is None else ahead], self.runs[contender]
+        best, other = (other, best) if self._sign > 0 else (best, other)
         figure, count = best.counted, len(self.contenders)
         most = best.largest(figure)
         if isinstance(best, Known) or isinstance(other, Known):

@@ -1,0 +1,78 @@
+"""What a search for the worst places of threats holds: those for robots that know, those for robots that do not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.removal.threat import Gain, Threat, Turn
+from analysis.report.answer import Answer
+from analysis.sampling import RolloutChoices
+from planner.settings import Settings
+from planner.worlds.world import World
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Threats that were placed, and what they cost on rollouts that had no part in the choice; None: interrupted.
+
+    `known`: robots that know of them and plan anew. `hidden`: robots that do as on the map without them.
+    """
+
+    threats: tuple[Threat, ...]
+    known: Gain | None = None
+    hidden: Gain | None = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Attack(Answer):
+    """The answer.
+
+    Attributes:
+        world, starts, settings: the map, the team int64 `[K, 2]`, what plans are made with. choices: what was rolled
+            out: most rollouts of a place, seed, the step at which every mission ends.
+        p: the chance that a visit of a threat stops. turn: what one threat costs in each cell.
+        known, hidden: the worst found for robots that know of them, and for robots that do not.
+        cells: accessible cells. engine: that rolled out; "": all is exact.
+        partial: it was interrupted. notes: what a user should know.
+    """
+
+    listed = "threats"
+
+    world: World
+    starts: NDArray[np.int64]
+    settings: Settings
+    choices: RolloutChoices
+    p: float
+    turn: Turn
+    known: Placed
+    hidden: Placed
+    cells: int
+    engine: str
+    partial: bool = False
+    notes: tuple[str, ...] = ()
+
+    @property
+    def unit(self) -> str:
+        """Of what is lost."""
+        return "cells" if self.world.value is None else "of value"
+
+    @property
+    def known_world(self) -> World:
+        """The map with the threats that robots know of; each is one of its `sources`."""
+        return with_all(self.world, self.known.threats)
+
+    @property
+    def hidden_world(self) -> World:
+        """What robots meet that do not know: `mrac.with_truth(world, answer.hidden_world)`."""
+        return with_all(self.world, self.hidden.threats)
+
+
+def with_all(world: World, threats: Sequence[Threat]) -> World:
+    """The map with all of them placed."""
+    for threat in threats:
+        world = threat.placed(world)
+    return world
