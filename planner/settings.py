@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 Policy = str | Rule | Callable[[Offer], Any]
 """A rule by its name, or a user's own: a `Rule`, or a function to order areas by (`planner.policies.own_rule`)."""
+BEST = "best"
+"""In the place of a policy: whichever covers most, which a search finds; no plan holds it."""
 POLICY = ("policy", "reserve", "worth")
 """A policy and the limits that go with it."""
 BEARING = ("wear", "susceptibility")

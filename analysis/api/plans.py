@@ -17,7 +17,7 @@ from planner.plans.plan import Plan
 from planner.plans.state import MissionState
 from planner.plans.state_traces import read_state
 from planner.policies.in_area import InAreaOrder, cheapest_first
-from planner.settings import Choices, Policy, Settings
+from planner.settings import BEST, Choices, Policy, Settings
 from planner.worlds.reported import with_route
 from planner.worlds.starts import starts_of
 from planner.worlds.world import World
@@ -99,7 +99,8 @@ def plan(
         risk: cost of a dangerous cell, "paper" (eq. 3) or "log" (by survival). transit: "grid" or "area".
         max_steps: at which the run is cut off.
         policy: which area is next: "mrac" (the paper's) or "per_cell" (least cost per new cell); or a rule of your own,
-            a `planner.policies.rule.Rule`, or a function of an `Offer` to order areas by, least first.
+            a `planner.policies.rule.Rule`, or a function of an `Offer` to order areas by, least first. "best": the one
+            that covers most here, of a dozen settings that are raced on luck of their own, for `seconds` (10) at most.
         reserve: with "per_cell", at most this share of the robots alive are at risk at once.
         worth: with "per_cell", a robot is worth so many new cells: areas that cost more are refused.
         plan_for: "open": paths for robots that do not take over from each other, found by a search; they have no areas.
@@ -120,9 +121,14 @@ def plan(
     A rule or an order of your own cannot be saved, nor (yet) rolled out by the compiled engines.
     """
     check_world(world)
-    asked = (levels, density, risk, transit, max_steps, policy, reserve, worth, plan_for, effort)
+    from analysis.trials.best import BASE, plan_best
+
+    sought = policy == BEST
+    asked = (levels, density, risk, transit, max_steps, BASE if sought else policy, reserve, worth, plan_for, effort)
     bears = {"wear": wear, "susceptibility": one_or_each(susceptibility)}
     settings = settings_of(world, range, *asked, deadline=deadline, in_area=in_area, return_to=return_to, **bears)
+    if sought and state is not None:
+        raise UsageError(f"both {argument('policy', BEST)} and a state", expected="one of them")
     if state is not None:
         if robots is not None or (starts is not None and isinstance(state, MissionState)):
             raise UsageError(
@@ -131,7 +137,7 @@ def plan(
         found, notes = (state, ()) if isinstance(state, MissionState) else read_state(Path(state), world, starts)
         made = plan_from_state(world, found, settings)
         return replace(made, notes=(*made.notes, *notes))
-    return plan_team(world, starts_of(world, robots, starts), settings, seconds)
+    return (plan_best if sought else plan_team)(world, starts_of(world, robots, starts), settings, seconds)
 
 
 def settings_of(

@@ -30,6 +30,7 @@ from analysis.cli.groups import (
     Rollouts,
     Second,
     SeeingTeam,
+    Sought,
     Team,
     Timed,
     Traded,
@@ -60,6 +61,7 @@ from analysis.cli.sweeps import results, sweep
 from analysis.kit.notes import say
 from planner.arguments import COMMAND_LINE
 from planner.errors import InputError, UsageError
+from planner.settings import BEST
 
 if TYPE_CHECKING:
     from analysis.comparison.compare import Side
@@ -82,7 +84,7 @@ def evaluate(
     /,
     *,
     team: Team | None = None,
-    planning: Planning | None = None,
+    planning: Sought | None = None,
     what: Timed | None = None,
     plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path)] = None,
     state: StateFile = None,
@@ -116,7 +118,7 @@ def evaluate(
     from analysis.evaluation.report import report
     from analysis.kit.progress import show_progress
 
-    team, planning, what = team or Team(), planning or Planning(), what or Timed()
+    team, planning, what = team or Team(), planning or Sought(), what or Timed()
     scales, ranges = parse_scales(threat_scale), parse_ranges(sense)
     if plan is None:
         what.choices(planning.plan_for == "open", None)
@@ -124,7 +126,8 @@ def evaluate(
     wanted = team.asked(source, planning.choices())
     asked: dict[str, Any] = {"threat_scale": scales} | ({} if metrics is None else {"value": metrics})
     asked |= {"knowledge": ranges} if ranges else {}
-    world, made, notes = load_or_make_plan(wanted, plan, state, first=partial(check_asked, **asked))
+    sought = what.seconds if planning.policy == BEST else None
+    world, made, notes = load_or_make_plan(wanted, plan, state, first=partial(check_asked, **asked), seconds=sought)
     choices = what.choices(made.is_foreign, None)
     with show_progress() as progress:
         answer = evaluate_plan(
@@ -295,7 +298,7 @@ def plan_command(
     Args:
         out: Write the plan file (JSON) here.
         waypoints: Write paths to drive: .csv .plan .yaml .geojson .kml .gpx .tif, as of `export`.
-        seconds: With plan-for open: end the search after so many, whatever --effort.
+        seconds: With plan-for open or policy best: end the search after so many.
     """
     from analysis.cli.plan_table import print_plan
     from analysis.cli.progress import load_or_make_plan

@@ -46,7 +46,7 @@ from analysis.cli.options import (
 )
 from planner.arguments import exactly
 from planner.errors import UsageError
-from planner.settings import GROUPS, SETTINGS, Choices, left_behind
+from planner.settings import BEST, GROUPS, SETTINGS, Choices, left_behind
 
 if TYPE_CHECKING:
     from analysis.inputs import Asked
@@ -130,16 +130,20 @@ class _Chosen:
         return Choices(**vars(self))
 
 
-def _planner_options(name: str, group: Group, without: tuple[str, ...] = ()) -> Any:
-    """A dataclass of an option for each of the planner's settings but some, None where it is not given."""
+def _planner_options(name: str, group: Group, without: tuple[str, ...] = (), best: bool = False) -> Any:
+    """A dataclass of an option for each of the planner's settings but some, None where it is not given.
+
+    `best`: the policy may be left to a search.
+    """
     kinds: dict[str, Any] = {"time": Deadline, "whole": Whole, "wholes": Wholes, "number": Number, "numbers": Numbers}
     kinds["places"] = Places
     options = []
     for key in [key for key in SETTINGS if key not in without]:
         setting = SETTINGS[key]
+        words = setting.words + (BEST,) * (best and key == "policy")
         kind = (
             kinds.get(setting.kind)
-            or Annotated[Literal[setting.words] | None, Parameter(converter=one_of(*setting.words))]
+            or Annotated[Literal[words] | None, Parameter(converter=one_of(*words))]
         )
         options.append((key, Annotated[kind, Parameter(group=group, help=setting.help)], None))
     return make_dataclass(name, options, bases=(_Chosen,))
@@ -148,7 +152,8 @@ def _planner_options(name: str, group: Group, without: tuple[str, ...] = ()) -> 
 OF_ROLLOUTS = ("deadline",)
 """Settings whose option is that of the rollouts, where a command has these."""
 _Planning: Any = _planner_options("_Planning", PLANNING, without=OF_ROLLOUTS)
-_ToTheEnd: Any = _planner_options("_ToTheEnd", PLANNING)
+_Sought: Any = _planner_options("_Sought", PLANNING, without=OF_ROLLOUTS, best=True)
+_ToTheEnd: Any = _planner_options("_ToTheEnd", PLANNING, best=True)
 _OfAnyPolicy: Any = _planner_options("_OfAnyPolicy", PLANNING, without=sum(GROUPS.values(), OF_ROLLOUTS))
 _Together: Any = _planner_options("_Together", PLANNING, without=(*GROUPS["plan_for"], *OF_ROLLOUTS))
 _SecondPlanning: Any = _planner_options("_SecondPlanning", SECOND, without=OF_ROLLOUTS)
@@ -158,6 +163,12 @@ _SecondPlanning: Any = _planner_options("_SecondPlanning", SECOND, without=OF_RO
 @dataclass
 class Planning(_Planning):
     """How they plan."""
+
+
+@Parameter(name="*")
+@dataclass
+class Sought(_Sought):
+    """How they plan, if need be by the best policy."""
 
 
 @Parameter(name="*")
