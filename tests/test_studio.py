@@ -38,6 +38,7 @@ from planner.errors import InputError
 from planner.mrac.make_plan import make_plan
 from planner.settings import Settings
 from planner.worlds.georeference import Georeference
+from planner.worlds.learning import with_truth
 from planner.worlds.scenario import load_input
 from planner.worlds.world import World, load_world_file
 
@@ -149,6 +150,41 @@ def test_the_saved_board_gives_the_same_figures_on_the_command_line(
     assert answer["losses"]["mean"] == 4 and done["figures"][1][0] == "all 4"
     by_then = done["figures"][3][0].partition(" % ±")[0]
     assert by_then == f"{100 * answer['deadline']['visited']['mean']:.{len(by_then.partition('.')[2])}f}"
+
+
+def test_what_robots_do_not_know_costs_what_evaluate_says(
+    served: Served, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A corner is hidden, obstacles and all: answered, saved, run again, and painted on again."""
+    first = served.studio.first
+    unknown = np.zeros((14, 23), dtype=np.uint8)
+    unknown[4:, 8:] = 1
+    hidden = base64.b64encode(unknown.tobytes()).decode()
+    board = first.to_json() | {"unknown": hidden, "believed": 0.1, "sense": 1}
+    status, lines = served.post("/answer", board)
+    assert status == 200 and {"sure", "done"} <= {line["stage"] for line in lines} <= {"closed", "sure", "done"}
+    figures = {name: (value, note) for value, name, note in lines[-1]["figures"]}
+    assert "if nobody took over (open loop)" not in figures and lines[-1]["paths"] is None
+    _, (saved,) = served.post("/save", board | {"rollouts": lines[-1]["rollouts"]})
+    assert run([*shlex.split(saved["command"])[1:], "--json", "--no-advice"]) == 0
+    answer = json.loads(capfd.readouterr().out)
+    mean = lines[-1]["headline"].partition("robots cover ")[2].partition(" %")[0]
+    assert mean == f"{100 * answer['coverage']['visited']['mean']:.{len(mean.partition('.')[2])}f}"
+    price = answer["knowledge"]["price_of_not_knowing"]
+    said, _, wide = figures["not knowing costs"][0].removesuffix(" (95 %)").partition(" points ± ")
+    assert price["ci95"][0] > 0 and abs(float(said) - 100 * price["mean"]) < 2 * float(wide) < 2
+    world = load_input(served.studio.out)
+    true = first.world.threat
+    assert np.array_equal(world.met, true, equal_nan=True)
+    assert np.array_equal(world.threat, np.where(unknown, np.float32(0.1), true), equal_nan=True)
+    again = Sketch.of(world, 3, Settings())
+    assert (again.believed, again.sense.range) == (pytest.approx(0.1), 1)
+    assert np.array_equal(again.unknown, unknown & ~(true == np.float32(0.1)))
+    assert read_sketch(json.dumps(again.to_json()).encode(), again)[0].world.luck_sha256 == world.luck_sha256
+    with pytest.raises(InputError, match="believe several things"):
+        Sketch.of(with_truth(first.world, np.where(np.isnan(true), np.nan, 0.5), 1), 3, Settings())
+    with pytest.raises(InputError, match="wrong about an obstacle"):
+        read_sketch(json.dumps(board | {"sense": 0}).encode(), first)
 
 
 def test_a_saved_board_is_the_same_board_again(tmp_path: Path) -> None:
@@ -307,6 +343,9 @@ def test_100_boards_at_once_are_answered_with_the_last_one(served: Served) -> No
         ({"cells": [0.1]}, "`cells`"),
         ({"cells": base64.b64encode(np.full(14 * 23, 2, "<f4").tobytes()).decode()}, "threat is 2 at [0, 0]"),
         ({"cells": base64.b64encode(np.full(14 * 23, np.nan, "<f4").tobytes()).decode()}, "every cell is an obstacle"),
+        ({"unknown": "AAAA"}, "`unknown`"),
+        ({"believed": 1}, "`believed`"),
+        ({"sense": 0.5, "unknown": base64.b64encode(np.ones(14 * 23, "u1").tobytes()).decode()}, "sense is 0.5"),
         ({"starts": [[99, 0]]}, "outside the map"),
         ({"starts": [[2**70, 0]]}, "`starts[0][0]`"),
         ({"starts": [[0, 0, 0]]}, "`starts[0]`"),
@@ -406,7 +445,11 @@ def test_the_board_paints_and_takes_back() -> None:
         board.keep(); board.paint("Safe", 0, 7, [1, 1], [1, 1]); look();
         board.keep(); const refused = board.paint("Safe", 0, 1, [1, 1], [1, 1]); board.drop();
         board.place(5); look();
-        return { seen, refused, back: board.canGoBack, forth: board.canGoForth };
+        const unknown = () => hidden.push([...board.unknown].join("")), hidden = [];
+        board.keep(); board.paint("Unknown", 0, 3, [0, 0], [0, 1]); unknown();
+        board.keep(); board.paint("Known", 0, 1, [0, 0], [0, 0]); unknown();
+        board.back(); unknown(); board.back(); unknown(); board.forth(); board.forth(); board.back(); board.back();
+        return { seen, hidden, refused, back: board.canGoBack, forth: board.canGoForth };
       }""",
     )
     painted, threats = [[0, 0], [0, 1], [2, 3]], "0.5 0 0 0 0 # 0 0 0 0 0.5 0"
@@ -420,7 +463,8 @@ def test_the_board_paints_and_takes_back() -> None:
         ["0 0 0 0 0 0 0 0 0 0 0 0", painted, 3],
         ["0 0 0 0 0 0 0 0 0 0 0 0", None, 5],
     ]
-    assert not found["refused"] and found["back"] and not found["forth"]
+    assert found["hidden"] == ["111011100000", "011011100000", "111011100000", "000000000000"]
+    assert not found["refused"] and found["back"] and found["forth"]
 
 
 @pytest.mark.skipif(browser_path() is None, reason="no browser here")

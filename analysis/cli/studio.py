@@ -57,7 +57,7 @@ def studio(
     check_files(str(path), raster_of(target))
     task = load_task(team.asked(source, Choices()))
     say(task.notes)
-    first = Sketch(task.world, len(task.starts), task.settings)
+    first = Sketch.of(task.world, len(task.starts), task.settings)
     room = Studio(first, PurePath(source).name, target, seed or 0)
     say_when_compiling()
     try:

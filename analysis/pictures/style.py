@@ -38,7 +38,7 @@ FINE_DPI = 225
 FINE_FROM = 100
 
 INK, FAINT, GRID = "#20242b", "#5b6470", "#d9dce1"
-OBSTACLE, UNREACHABLE, SAFE = "#3d434c", "#dfe5ee", "#fcfbf8"
+OBSTACLE, UNREACHABLE, SAFE, FOG = "#3d434c", "#dfe5ee", "#fcfbf8", "#4a4560"
 ROBOT_COLOURS = ("#0072b2", "#00916a", "#7a2fa0", "#111111", "#2fa8e6", "#8a7f00", "#d6409f", "#7a4a24")
 """Eight colours that stay apart for colour-blind readers and on the reds of the threat scale."""
 LINE_STYLES: tuple[LineStyle, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))

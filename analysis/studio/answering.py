@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,9 @@ from analysis.studio import words
 from analysis.studio.sketch import Sketch
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.trials.exact_loop import closed_truth
+from analysis.trials.measured import Measured
+from analysis.trials.told import with_eyes
+from analysis.trials.trial import alike
 from planner.files import Json
 from planner.kernels.tables import AllPairs
 from planner.plan_team import plan_team
@@ -27,6 +31,8 @@ from planner.tally import Tally
 
 PRECISION = 0.005
 """Half the width of the 95 % interval of mean coverage at which the rollouts end, as `--precision` takes it."""
+MOST_PAIRS = 2048
+"""Rollouts of teams with other eyes, each: on the same luck they tell as much as several times as many."""
 SHOWN_SECONDS = 0.25
 """Between two lines of rollouts that go on."""
 GoOn = Callable[[], None]
@@ -57,13 +63,22 @@ class Board:
         return line | {"paths": path_lines(self.plan), "thickness": thickness(self.plan)}
 
     def closed_line(
-        self, stage: str, tally: Tally, known: Estimate | None = None, by_deadline: Estimate | None = None
+        self,
+        stage: str,
+        tally: Tally,
+        known: Estimate | None = None,
+        by_deadline: Estimate | None = None,
+        knowing: Sequence[Measured] = (),
     ) -> Json:
-        """The closed loop's line; `known`: its mean where that is exact."""
+        """The closed loop's line; `known`: its mean where that is exact; `knowing`: of `with_other_eyes`."""
         mean, losses = known or visited_mean(tally), tally_mean(tally, "lost", certain=self.certain)
         said = words.headline(tally.robots, mean, losses)
         maps = [tally.covered_visited / tally.rollouts, tally.stops / tally.rollouts]
-        return self._line(stage, said, mean, losses, tally.rollouts, maps, by_deadline)
+        line = self._line(stage, said, mean, losses, tally.rollouts, maps, by_deadline)
+        if self.sketch.world.knowledge is None:
+            return line
+        figures = [*line["figures"], *words.knowledge_figures(knowing)]
+        return line | {"figures": figures, "paths": None, "thickness": 0}  # nobody drives what is planned
 
     def _line(
         self,
@@ -77,8 +92,9 @@ class Board:
     ) -> Json:
         """What the page is told; `maps`: chance covered and robots lost, `[N]` each."""
         world, cells = self.sketch.world, int(self.accessible.sum())
-        figures = words.figures(cells, len(self.plan.robots), mean, losses, rollouts, self.exact)
-        figures += words.deadline_figures(self.sketch.deadline, world.pace, by_deadline, self.exact, cells)
+        alone = self.exact if world.knowledge is None else None
+        figures = words.figures(cells, len(self.plan.robots), mean, losses, rollouts, alone)
+        figures += words.deadline_figures(self.sketch.deadline, world.pace, by_deadline, alone, cells)
         covered, lost = (values.reshape(world.shape) for values in maps)
         layers = (
             CellLayer("Coverage", "", covered, COVERED, "%", digits=2),
@@ -92,13 +108,23 @@ class Board:
             "rollouts": rollouts,
             "starts": self.plan.starts.tolist(),
             "steps": STEPS,
-            "layers": [packed_layer(layer, world.free, self.accessible) for layer in layers],
+            "layers": [packed_layer(layer, ~np.isnan(world.met), self.accessible) for layer in layers],
         }
 
 
 def visited_mean(tally: Tally) -> Estimate:
     """Mean visited coverage, a fraction of the accessible cells."""
     return tally_mean(tally, "visited", 1.0 / tally.accessible)
+
+
+def with_other_eyes(board: Board, choices: RolloutChoices) -> list[Measured]:
+    """The team that is told the map, the team itself, and where the obstacles are known one that is blind."""
+    world = board.sketch.world
+    assert world.knowledge is not None
+    known, sees = world.knowledge, world.knowledge.sense.range
+    ranges = [inf, sees, *[0.0] * (sees > 0 and known.may_be_blind(world.free))]
+    teams = [with_eyes(world, board.plan, far, replace(choices, exact="never")) for far in ranges]
+    return list(alike(teams, 0, choices.rollouts))
 
 
 def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[Json]:
@@ -111,7 +137,8 @@ def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[
     go_on()
     exact, certain = open_loop_exact(plan, sketch.world), is_certain(sketch.world, plan)
     board = Board(sketch, plan, sketch.world.accessible(starts), exact, certain, (*notes, *plan.notes))
-    yield board.open_line()
+    if sketch.world.knowledge is None:
+        yield board.open_line()
     choices = RolloutChoices(rollouts=1, precision=None if certain else PRECISION, seed=seed)
     roll_out = make_roll_out(sketch.world, plan, choices, kept=kept)
     looked, shown = 0, time.monotonic()
@@ -131,6 +158,11 @@ def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[
         for cut in roll_out(replace(choices, rollouts=tally.rollouts, precision=None), sketch.deadline):
             go_on()
             by_deadline = tally_mean(cut.tally, "visited", 1.0 / tally.accessible, certain=certain)
+    knowing: list[Measured] = []
+    if sketch.world.knowledge is not None:
+        knowing = with_other_eyes(board, replace(choices, rollouts=min(tally.rollouts, MOST_PAIRS), precision=None))
+        yield board.closed_line("sure", tally, None, by_deadline, knowing)
+    go_on()
     truth = closed_truth(plan, sketch.world, exact, choices, kept)
     known = None if truth is None else exactly(truth.visited.value / tally.accessible)
-    yield board.closed_line("done", tally, known, by_deadline)
+    yield board.closed_line("done", tally, known, by_deadline, knowing)

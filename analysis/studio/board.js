@@ -1,8 +1,9 @@
-// The board: cells (chance, NaN = obstacle), starts (null: placed by the rule), strokes that can be taken back.
+// The board: cells (chance, NaN = obstacle), which of them robots do not know, starts (null: placed by the rule),
+// strokes that can be taken back.
 const MOST_KEPT = 2e7; // cells in all that are kept to go back to
-function makeBoard(rows, cols, cells, starts, robots) {
+function makeBoard(rows, cols, cells, starts, robots, unknown = new Uint8Array(cells.length)) {
   const past = [], future = [], most = Math.max(10, Math.min(200, Math.floor(MOST_KEPT / (rows * cols))));
-  let now = { cells, starts, robots };
+  let now = { cells, unknown, starts, robots };
   const inside = (row, col) => row >= 0 && row < rows && col >= 0 && col < cols;
   const isAt = (row, col) => ([r, c]) => r === row && c === col;
 
@@ -14,6 +15,12 @@ function makeBoard(rows, cols, cells, starts, robots) {
       for (let c = col - reach; c <= col + reach; c++) {
         if (!inside(r, c)) continue;
         const at = r * cols + c, old = now.cells[at];
+        if (brush === "Unknown" || brush === "Known") {
+          const hides = +(brush === "Unknown");
+          changed = changed || now.unknown[at] !== hides;
+          now.unknown[at] = hides;
+          continue;
+        }
         const value = brush === "Obstacle" ? NaN : brush === "Safe" ? 0 : Number.isNaN(old) ? NaN : Math.fround(chance);
         if (Object.is(old, value)) continue;
         now.cells[at] = value;
@@ -29,6 +36,7 @@ function makeBoard(rows, cols, cells, starts, robots) {
   return {
     rows, cols,
     get cells() { return now.cells; },
+    get unknown() { return now.unknown; },
     get starts() { return now.starts; },
     get robots() { return now.robots; },
     // Before a change: where undo comes back to.
@@ -36,7 +44,7 @@ function makeBoard(rows, cols, cells, starts, robots) {
       past.push(now);
       if (past.length > most) past.shift();
       future.length = 0;
-      now = { cells: now.cells.slice(), starts: now.starts && now.starts.slice(), robots: now.robots };
+      now = { cells: now.cells.slice(), unknown: now.unknown.slice(), starts: now.starts && now.starts.slice(), robots: now.robots };
     },
     // The last `keep` was for nothing.
     drop() { now = past.pop(); },
@@ -63,7 +71,7 @@ function makeBoard(rows, cols, cells, starts, robots) {
       return true;
     },
     // All as it is given.
-    set(cells, starts, robots) { now = { cells: cells.slice(), starts, robots }; },
+    set(cells, unknown, starts, robots) { now = { cells: cells.slice(), unknown: unknown.slice(), starts, robots }; },
     // So many robots, placed by the rule.
     place(robots) { now.starts = null; now.robots = robots; },
     back() { if (past.length) { future.push(now); now = past.pop(); } },

@@ -9,7 +9,7 @@ from matplotlib.colors import LinearSegmentedColormap, to_hex
 
 from analysis.page.document import asset, page_head, policy, whole_script
 from analysis.page.markup import TEMPLATES, Html
-from analysis.pictures.style import COVERED, LOSSES, OBSTACLE, SAFE, SHADES, THREAT, UNREACHABLE
+from analysis.pictures.style import COVERED, FOG, LOSSES, OBSTACLE, SAFE, SHADES, THREAT, UNREACHABLE
 from planner.files import Json
 from planner.policies import RULES
 from planner.worlds.world import MAX_ROBOTS
@@ -45,7 +45,7 @@ def palettes() -> Json:
     """The layers' colours and those of cells that have none."""
     places = np.linspace(0, 1, SHADES)
     layers = [{"name": n, "colours": [to_hex(c) for c in colours(places)], "root": root} for n, colours, root in LAYERS]
-    return {"layers": layers, "obstacle": OBSTACLE, "unreachable": UNREACHABLE}
+    return {"layers": layers, "obstacle": OBSTACLE, "unreachable": UNREACHABLE, "unknown": FOG}
 
 
 @cache

@@ -2,7 +2,7 @@
 function makePicture(box, bar, palettes) {
   const canvas = box.querySelector(".cells"), context = canvas.getContext("2d"), shades = new Map();
   const rgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
-  const obstacle = rgb(palettes.obstacle), unreachable = rgb(palettes.unreachable);
+  const obstacle = rgb(palettes.obstacle), unreachable = rgb(palettes.unreachable), fog = rgb(palettes.unknown);
   for (const layer of palettes.layers) shades.set(layer.name, layer.colours.map(rgb));
   let marks = [];
 
@@ -42,9 +42,8 @@ function makePicture(box, bar, palettes) {
         const part = (packed ? packed.values[i] : cells[i]) / top;
         colour = part > 1 ? unreachable : colours[Math.min(last, Math.floor(place(layer, part) * colours.length))];
       }
-      bytes[4 * i] = colour[0];
-      bytes[4 * i + 1] = colour[1];
-      bytes[4 * i + 2] = colour[2];
+      const clear = board.unknown[i] ? 0.45 : 1; // behind fog
+      for (let part = 0; part < 3; part++) bytes[4 * i + part] = clear * colour[part] + (1 - clear) * fog[part];
       bytes[4 * i + 3] = 255;
     }
     context.putImageData(image, 0, 0);

@@ -63,7 +63,6 @@ class Studio:
     board: Sketch = field(init=False)
 
     def __post_init__(self) -> None:
-        self.first.world.check_settled("painting")
         if self.first.settings.plan_for != "closed":
             problem = f"plan_for is {self.first.settings.plan_for} in the studio"
             raise UsageError(problem, source=self.name, expected="closed", fix="leave it out")

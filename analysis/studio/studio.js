@@ -1,6 +1,6 @@
 // The studio: what is painted or chosen is asked about at once; the newest question alone is waited for.
 const at = (id) => document.getElementById(id);
-const BRUSHES = ["Threat", "Obstacle", "Safe", "Start", "Move"], SIZES = ["1", "3", "7"], MOST_ROBOTS = 1024;
+const BRUSHES = ["Threat", "Obstacle", "Safe", "Unknown", "Known", "Start", "Move"], SIZES = ["1", "3", "7"], MOST_ROBOTS = 1024;
 const numbers = ["reserve", "worth", "deadline"], headline = at("headline"), box = at("board"), here = box.querySelector(".here"), view = box.parentElement;
 
 function problem(text) {
@@ -11,7 +11,8 @@ function problem(text) {
 async function start() {
   if (!window.DecompressionStream || !window.TextDecoderStream) throw Error("the studio needs a newer browser");
   const about = await (await call("/board")).json(), [rows, cols] = about.shape, { palettes } = about;
-  const board = makeBoard(rows, cols, unpackCells(about.board.cells), about.board.starts, about.board.robots);
+  const { cells, unknown, starts, robots } = about.board;
+  const board = makeBoard(rows, cols, unpackCells(cells), starts, robots, unpackBytes(unknown));
   const picture = makePicture(box, at("bar"), palettes);
   let brush = 0, size = 1, shown = 0, cell = [0, 0], stroke = null, waiting = null;
   let answered = null, placed = board.starts || [], mouse = null, grabbed = null;
@@ -19,6 +20,8 @@ async function start() {
   document.title = about.name + " - mrac-jax studio";
   at("policy").value = about.board.policy;
   for (const key of numbers) at(key).value = about.board[key] ?? "";
+  at("believed").value = +(100 * about.board.believed).toPrecision(6);
+  at("sense").value = about.board.sense ?? "";
   at("save").textContent = "Save as " + about.out;
 
   // --- what is asked, and what is answered ---
@@ -26,6 +29,7 @@ async function start() {
   const body = () => ({
     cells: packCells(board.cells), starts: board.starts, robots: board.robots, policy: at("policy").value,
     reserve: number("reserve"), worth: number("worth"), deadline: number("deadline"),
+    unknown: packCells(board.unknown), believed: number("believed") / 100, sense: number("sense"),
   });
   async function ask() {
     if (waiting) waiting.abort();
@@ -65,9 +69,9 @@ async function start() {
       return tile;
     }));
     at("notes").replaceChildren(...line.notes.map((note) => make("li", "", note)));
-    const { open, sure } = line.times, first = "Open loop, exact, after " + written(open, 2) + " s";
-    at("status").textContent = sure === undefined ? first + "; rolling out what happens when others take over ..."
-      : first + "; sure to ± 0.5 points after " + written(sure, 2) + " s.";
+    const { open, sure } = line.times, first = open === undefined ? "" : "Open loop, exact, after " + written(open, 2) + " s. ";
+    at("status").textContent = first + (sure === undefined ? "Rolling out what happens when others take over ..."
+      : "Sure to ± 0.5 points after " + written(sure, 2) + " s.");
     show_all();
     if (owner === box && !tip.hidden && !stroke) tell();
     if (line.stage === "done") at("live").textContent = line.headline;
@@ -110,6 +114,7 @@ async function start() {
   function tell() {
     const index = cell[0] * cols + cell[1], threat = board.cells[index];
     const lines = [["", Number.isNaN(threat) ? "obstacle" : "threat", Number.isNaN(threat) ? "" : written(100 * threat, 2) + " %"]];
+    if (board.unknown[index]) lines.push(["", "robots do not know", "they believe " + written(+at("believed").value, 2) + " %"]);
     for (const layer of answered ? answered.layers : []) {
       if (layer.values[index] <= answered.steps) lines.push(["", layer.name, valueOf(layer, layer.values[index], answered.steps)]);
     }
@@ -168,7 +173,7 @@ async function start() {
     } else if (event.key === " " || event.key === "Enter") {
       once();
       point(...cell);
-    } else if ("12345".includes(event.key)) at("brushes").querySelectorAll("input")[event.key - 1].click();
+    } else if ("1234567".includes(event.key)) at("brushes").querySelectorAll("input")[event.key - 1].click();
     else return;
     event.preventDefault();
   });
@@ -188,7 +193,7 @@ async function start() {
   at("redo").addEventListener("click", step("forth"));
   at("again").addEventListener("click", () => {
     board.keep();
-    board.set(unpackCells(about.first.cells), about.first.starts, about.first.robots);
+    board.set(unpackCells(about.first.cells), unpackBytes(about.first.unknown), about.first.starts, about.first.robots);
     changed();
   });
   addEventListener("keydown", (event) => {

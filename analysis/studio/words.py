@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.words import lost_words
 from analysis.theory.exact import OpenLoopExact
+from analysis.trials.measured import Measured
 from planner.arguments import exactly
 from planner.pace import Pace
 from planner.shown import counted
@@ -41,26 +43,46 @@ def coverage(mean: Estimate) -> str:
 
 
 def figures(
-    cells: int, robots: int, mean: Estimate | None, losses: Estimate | None, rollouts: int, exact: OpenLoopExact
+    cells: int, robots: int, mean: Estimate | None, losses: Estimate | None, rollouts: int, exact: OpenLoopExact | None
 ) -> list[Figure]:
-    """Covered, lost, and what the open loop comes to; None: not known yet."""
+    """Covered, lost, and what the open loop comes to, if anybody drives it; None: not known yet."""
     runs = f"{counted(rollouts, 'rollout')}, {counted(cells, 'accessible cell')}" if rollouts else "rolling out"
-    alone = lost_words(exact.expected_losses, robots)
     lost, sure = (WAITING, "") if losses is None else losses_shown(losses, robots)
-    return [
+    found = [
         Figure(WAITING if mean is None else coverage(mean), "covered on average", runs),
         Figure(lost, "robots lost", sure),
-        Figure(percent(exact.visited / cells, 2), "if nobody took over (open loop)", f"exact; {alone} lost"),
     ]
+    if exact is not None:
+        alone = f"exact; {lost_words(exact.expected_losses, robots)} lost"
+        found.append(Figure(percent(exact.visited / cells, 2), "if nobody took over (open loop)", alone))
+    return found
+
+
+def knowledge_figures(found: Sequence[Measured]) -> list[Figure]:
+    """What not to know the map costs, and what it is worth to look.
+
+    `found`: the team told, as it is, and perhaps blind; empty: not known yet.
+    """
+    if not found:
+        return [Figure(WAITING, "not knowing costs", "")]
+    told, learning, *blind = found
+    unit = 1.0 / told.largest("visited")
+
+    def figure(more: Measured, less: Measured, name: str, known: str, team: Measured) -> Figure:
+        alone = percent(team.mean("visited", unit).mean)
+        return Figure(more.ahead(less, "visited", unit).said(100.0, " points"), name, f"{known}, they cover {alone}")
+
+    costs = figure(told, learning, "not knowing costs", "told the map", told)
+    return [costs, *(figure(learning, one, "to look is worth", "blind", one) for one in blind)]
 
 
 def deadline_figures(
-    step: int | None, pace: Pace, mean: Estimate | None, exact: OpenLoopExact, cells: int
+    step: int | None, pace: Pace, mean: Estimate | None, exact: OpenLoopExact | None, cells: int
 ) -> list[Figure]:
     """Coverage by a deadline, if there is one."""
     if step is None:
         return []
-    alone = f"open loop: {percent(exact.by_deadline(step)[0] / cells, 2)}, exact"
+    alone = "" if exact is None else f"open loop: {percent(exact.by_deadline(step)[0] / cells, 2)}, exact"
     return [Figure(WAITING if mean is None else coverage(mean), f"covered by {pace.step(step)}", alone)]
 
 

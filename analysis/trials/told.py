@@ -1,4 +1,4 @@
-"""Robots that are told which of several maps is true: each rollout on a plan for the map that it meets."""
+"""The team of a plan with other eyes; and told which of several maps is true, each rollout on a plan for its own."""
 
 from __future__ import annotations
 
@@ -17,11 +17,21 @@ from planner.plans.plan import Plan
 from planner.rollouts.by_luck import sums_by_luck
 from planner.tally import Outcome, RolloutResults
 from planner.worlds.doubt import Uncertain
+from planner.worlds.learning import seeing
 from planner.worlds.world import World
 
 MOST_MAPS = 64
 """That are planned on: those that the first rollouts meet."""
 HISTOGRAMS = ("visited", "survived", "time", "alive")
+
+
+def with_eyes(world: World, plan: Plan, far: float, choices: RolloutChoices) -> Trial:
+    """The team if it saw so many cells far, by a plan that is its own; inf: told the map, if it is not drawn."""
+    assert world.knowledge is not None
+    if far == world.knowledge.sense.range:
+        return Trial(world, plan, choices)
+    other = seeing(world, far)
+    return Trial(other, allocated_plan(other, plan.starts, plan.require(world)), choices)
 
 
 def told_of_drawn(world: World, plan: Plan, choices: RolloutChoices, count: int) -> tuple[Sampled, NDArray[np.bool_]]:

@@ -38,6 +38,10 @@ class Knowledge:
         """bool `[H, W]`: cells that truly are no obstacles."""
         return ~np.isnan(self.truth)
 
+    def may_be_blind(self, told: NDArray[np.bool_]) -> bool:
+        """Whether they are told all obstacles, `told` `[H, W]` being free: else who does not look may run into one."""
+        return bool((self.free == told).all())
+
     @property
     def said(self) -> str:
         """It in words."""

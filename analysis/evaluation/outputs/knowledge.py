@@ -20,15 +20,13 @@ from analysis.page.plan_layers import threat_layer
 from analysis.page.series import Chart, Series
 from analysis.statistics.estimate import Estimate
 from analysis.trials.measured import Measured, Sampled
-from analysis.trials.told import only, told_of_drawn
-from analysis.trials.trial import Trial, alike
+from analysis.trials.told import only, told_of_drawn, with_eyes
+from analysis.trials.trial import alike
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.files import Json
-from planner.mrac.make_plan import allocated_plan
 from planner.plans.plan import Plan
 from planner.worlds.doubt import Uncertain
-from planner.worlds.knowledge import Knowledge as Unknown
 from planner.worlds.learning import seeing, with_sense
 from planner.worlds.sight import RANGE, Sense
 from planner.worlds.world import World
@@ -114,7 +112,7 @@ class Knowledge(Output):
             or (isinstance(world.doubt, Uncertain) and not world.doubt.whole)
         ):
             return
-        blind = {0.0} if _may_be_blind(world, known) else set()
+        blind = {0.0} if known.may_be_blind(world.free) else set()
         drawn = world.doubt is not None  # then who sees everything still plans before the first look
         ranges = sorted({*map(float, asked), *blind, known.sense.range, *([] if drawn else [inf])})
         done = run.last.tally.rollouts
@@ -122,12 +120,10 @@ class Knowledge(Output):
         choices = replace(run.choices, rollouts=count, precision=None, seconds=None, deadline=None)
         if not run.known:  # a tree that is too dear for the team itself is for the others too
             choices = replace(choices, exact="never")
-        settings, trials = run.plan.require(world), []
+        trials = []
         for far in ranges:
             run.doing(f"the same team, {_sees(far)}")
-            other = seeing(world, far)
-            plan = run.plan if far == known.sense.range else allocated_plan(other, run.plan.starts, settings)
-            trials.append(Trial(other, plan, choices))
+            trials.append(with_eyes(world, run.plan, far, choices))
         if drawn:
             run.doing("the same team, told which map is true")
             told, kept = told_of_drawn(world, run.plan, choices, count)
@@ -225,12 +221,7 @@ class Knowledge(Output):
 
 
 def _believed(world: World, plan: Plan) -> CellLayer:
-    same = world.knowledge is not None and _may_be_blind(world, world.knowledge)
+    same = world.knowledge is not None and world.knowledge.may_be_blind(world.free)
     dark = "They know the obstacles." if same else "Dark: the true obstacles, of which they believe otherwise."
     about = f"The chance that one visit stops a robot, as robots think before they see anything. {dark}"
     return replace(threat_layer(replace(world, knowledge=None, doubt=None), plan), name="As believed", about=about)
-
-
-def _may_be_blind(world: World, known: Unknown) -> bool:
-    """Whether robots know the obstacles: else they might run into one."""
-    return bool((known.free == world.free).all())

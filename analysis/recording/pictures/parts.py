@@ -20,6 +20,7 @@ from analysis.pictures.plans import level_scale
 from analysis.pictures.robots import MOST_LEVELS
 from analysis.pictures.style import (
     FAINT,
+    FOG,
     GRID,
     INK,
     OBSTACLE,
@@ -41,7 +42,7 @@ from planner.worlds.world import World
 NOBODY = SAFE
 BEFORE = "#c3c7cc"
 LOST = "#b3263a"
-FOG, FOG_ALPHA = "#4a4560", 0.8
+FOG_ALPHA = 0.8
 MOVER = "#e2264d"
 VISITED, SURVIVED = "#2f62a6", "#7fb2d9"
 Box = tuple[float, float, float, float]
