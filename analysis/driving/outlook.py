@@ -36,6 +36,7 @@ class Outlook:
         rollouts: behind the figures.
         covered: share of the accessible cells visited at the end, what is visited already included.
         lost: robots more than now. steps: until the end. complete: chance that every cell is visited.
+        home: robots that are home then; None: they need not come home.
     """
 
     rollouts: int
@@ -43,11 +44,13 @@ class Outlook:
     lost: Estimate
     steps: Estimate
     complete: Estimate
+    home: Estimate | None = None
 
     def to_json(self) -> Json:
         """As a JSON object."""
         figures = {name: getattr(self, name).to_json() for name in ("covered", "lost", "steps", "complete")}
-        return {"rollouts": self.rollouts, **figures}
+        home = {} if self.home is None else {"home": self.home.to_json()}
+        return {"rollouts": self.rollouts, **figures, **home}
 
 
 @dataclass(frozen=True)
@@ -97,11 +100,13 @@ class DrivenMission(Mission):
         """The same beside a mission that goes on otherwise from here, on common luck.
 
         Args:
-            without: robots that do no more from here on. call_off: it ends here.
+            without: robots that do no more from here on. call_off: it ends here; robots that come home turn now.
             changes: settings, as `policy="per_cell"`, `worth=12`.
             rollouts, seconds, seed: as of `outlook`.
         """
-        otherwise = [] if call_off else [changes | {"without": tuple(without)}]
+        otherwise = [changes | {"without": tuple(without)}]
+        if call_off:
+            otherwise = [{"call_off": True}] if self.settings.return_to is not None and self.step > 0 else []
         mine, *others = self._roll_out([{}, *otherwise], rollouts, seconds, seed)
         other = others[0] if others else self._ended(mine)
         cells, lost = self.accessible, [self._lost(found) for found in (mine, other)]
@@ -156,6 +161,9 @@ class DrivenMission(Mission):
             mean_estimate(lost, 1.0),
             mean_of(values, left[values], 1.0, most),
             proportion(complete, count),
+            None
+            if self.settings.return_to is None
+            else mean_estimate(np.bincount(found.home, minlength=self.robots + 1), 1),
         )
 
     def _lost(self, found: RolloutResults) -> NDArray[np.int64]:

@@ -10,7 +10,13 @@ import numpy as np
 from planner.jit import kernel, rare_kernel
 from planner.kernels.areas import any_to_share, costs_from, is_within, may_be_shared
 from planner.kernels.bits import holds
-from planner.kernels.first import bound_of, cheapest_unvisited, first_area, first_of_idle
+from planner.kernels.first import (
+    bound_of,
+    cheapest_unvisited,
+    first_area,
+    first_of_idle,
+    is_way_home_too_dear,
+)
 from planner.kernels.follow import is_before, is_danger, offer_of, refuses
 from planner.kernels.nearest import one_cell, seek
 from planner.kernels.paths import set_out
@@ -55,7 +61,8 @@ def first_to_share(t, p, s, w, helper):
         if held and (level > 0 or bound_of(t, s, here, area)[1] > s.areas[area, LEFT_IN]):
             continue
         cell, cost = cheapest_unvisited(costs, s, area)
-        if cell == NONE or refuses(p, offer_of(p, s, area, cost)):
+        offer = offer_of(p, s, area, cost)
+        if cell == NONE or refuses(p, offer) or is_way_home_too_dear(t, p, helper, here, cell, offer):
             continue
         better = (level, cost, area) < (best_level, best_cost, best_area)
         if better and is_within(t, s, w, helper, cell, s.areas[area, LEFT_IN]):

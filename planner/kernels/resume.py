@@ -28,7 +28,9 @@ from planner.kernels.state import (
     NEXT,
     NO_LEVEL,
     OPEN,
+    OVER,
     QUIET,
+    RETURNING,
     STEP,
     SURVIVED,
     TARGET,
@@ -42,8 +44,10 @@ from planner.kernels.state import (
     Tables,
 )
 from planner.plans.state import ON_ITS_WAY, MissionState, RobotState
+from planner.tally import Outcome
 
 DOINGS = {"idle": IDLE, "traveling": TRAVELING, "covering": COVERING, "done": DONE, "dead": DEAD}
+DOINGS |= {"returning": RETURNING}
 
 
 def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDArray[np.int64]) -> None:
@@ -65,8 +69,10 @@ def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDAr
         state.team[:, BORNE] = mission.exposures
     until = state.team[:, UNTIL]
     until[:] = tables.range - [robot.moves for robot in mission.robots]
-    moving = np.array([robot.status in ON_ITS_WAY for robot in mission.robots])
-    waiting = np.array([robot.status in ("idle", "done") for robot in mission.robots]) & (until > 0)
+    moving = np.array([robot.status in (*ON_ITS_WAY, "returning") for robot in mission.robots])
+    rests = [robot.status in ("idle", "done") and not robot.turned for robot in mission.robots]
+    waiting = np.array(rests) & (until > 0)
+    state.marks[OVER] = 0 if mission.over is None else Outcome[mission.over.upper()] + 1
     until[moving] += mission.step
     for bits, members in (
         (state.open, unassigned),
@@ -77,6 +83,9 @@ def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDAr
         fill(bits, members)
     for number, robot in enumerate(mission.robots):
         _put_robot(state, number, robot, cells)
+        if robot.status == "returning":
+            here = np.searchsorted(cells, robot.cell)
+            state.robots[number, NEXT] = tables.onward[tables.home_of[number], here]
 
 
 def _put_robot(state: State, number: int, robot: RobotState, cells: NDArray[np.int64]) -> None:

@@ -51,7 +51,7 @@ def leave(t, s, w, log, robot, area):
 @rare_kernel
 def stay(t, s, w, log, robot):
     """The robot is at the end of its range: it neither moves nor waits for an area. False: no room for areas."""
-    if comes_home(t):
+    if comes_home(t) and moves_home(t, robot, np.int64(s.robots[robot, CELL])) == 0:
         return turn_home(t, s, w, log, robot)
     area = np.int64(s.robots[robot, AREA])
     drop(s.movers, robot)
@@ -104,9 +104,9 @@ def turn_home(t, s, w, log, robot):
     me[DOING], me[HELD] = DONE, 0
     if owns and not leave(t, s, w, log, robot, area):
         return False
-    if base == cell:
+    if moves_home(t, robot, cell) == 0:
         note(log, s, robot, HOME_EVENT, np.int64(NONE), cell)
-    else:
+    elif base != cell:
         me[DOING], me[NEXT] = RETURNING, onward[cell]
         put(s.movers, robot)
     return True
@@ -117,12 +117,13 @@ def go_home(t, s, log, robot):
     """The robot, which is on its way home, has entered its next cell: there it is, or what it enters next."""
     me = s.robots[robot]
     cell = np.int64(me[CELL])
-    if moves_home(t, robot, cell) > 0:
+    arrives = moves_home(t, robot, cell) == 0
+    if not arrives and s.marks[STEP] != s.team[robot, UNTIL]:
         me[NEXT] = t.onward[t.home_of[robot], cell]
         return
     drop(s.movers, robot)
     me[DOING] = DONE
-    note(log, s, robot, HOME_EVENT, np.int64(NONE), cell)
+    note(log, s, robot, HOME_EVENT if arrives else RANGE_ENDED_EVENT, np.int64(NONE), cell)
 
 
 @rare_kernel

@@ -91,8 +91,9 @@ class Tables(NamedTuple):
         given: like near `[K, steps + 1]`, the paths that robots follow first, the last cell of each repeated to the
             end; length: int32 `[K]`, steps of each; both empty where there are none.
         home_of: int64 `[K]`, the bases of each robot, of B sets; home_steps: int32 `[B, A]`, moves of the way home from
-            each cell; onward: like near `[B, A]`, what is entered next on it, at a base that itself. All empty where
-            robots stay where they end (`planner.kernels.retire`).
+            each cell, NONE where it is cut off; home_cost: int64 `[B, A]`, its cost; onward: like near `[B, A]`, what
+            is entered next on it, at a base that itself. All empty where robots stay where they end
+            (`planner.kernels.retire`).
     """
 
     near: NDArray
@@ -139,6 +140,7 @@ class Tables(NamedTuple):
     length: NDArray
     home_of: NDArray
     home_steps: NDArray
+    home_cost: NDArray
     onward: NDArray
 
 

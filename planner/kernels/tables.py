@@ -233,12 +233,14 @@ def _ways_home(
     home = problem.home
     if home is None:
         nothing = np.zeros((0, 0), dtype=np.int32)
-        return {"home_of": np.zeros(0, dtype=np.int64), "home_steps": nothing, "onward": nothing.astype(narrow)}
+        none: dict[str, NDArray] = {"home_of": np.zeros(0, dtype=np.int64), "home_steps": nothing}
+        return none | {"home_cost": nothing.astype(np.int64), "onward": nothing.astype(narrow)}
     onward = home.onward[:, cells]
     itself = np.arange(len(cells))
     return {
         "home_of": home.of,
         "home_steps": np.ascontiguousarray(home.steps[:, cells]),
+        "home_cost": np.ascontiguousarray(home.cost[:, cells]),
         "onward": np.where(onward == NO_CELL, itself, compact[onward]).astype(narrow),
     }
 

@@ -7,7 +7,9 @@ from dataclasses import replace
 from planner.mrac.board import Robot
 from planner.mrac.choose import has_to_wait, offer_of
 from planner.mrac.executive import Executive
+from planner.mrac.homecoming import is_home
 from planner.none import NO_AREA
+from planner.tally import Outcome
 from planner.trace import Doing, EventKind
 
 
@@ -63,7 +65,11 @@ class Fleet(Executive):
 
     def _set_out(self, robot: Robot) -> None:
         """A new way to what the robot is about."""
-        if robot.status is Doing.FOLLOWING:
+        home = self.problem.home
+        if robot.turned and home is not None:
+            robot.ahead = home.way(robot.number, robot.cell)[::-1]
+            robot.status = Doing.RETURNING if robot.ahead or is_home(home, robot) else Doing.DONE
+        elif robot.status is Doing.FOLLOWING:
             robot.ahead = robot.ahead[:-1] + self._way(robot, robot.ahead[-1])
         elif robot.on_its_way and self.areas[robot.area].unvisited == 0:
             self.complete(robot.area)
@@ -91,12 +97,18 @@ class Fleet(Executive):
         """A lost robot is back."""
         robot = self.robots[number]
         robot.status, robot.area, robot.ahead, robot.held = Doing.IDLE, NO_AREA, [], False
+        robot.turned = False
 
     def set_aside(self, number: int) -> None:
         """The robot makes no progress: its work is for others, until it moves."""
         robot = self.robots[number]
         self._lay_down(robot)
         robot.aside = True
+
+    def call_off(self) -> None:
+        """The mission is over between two steps: who is to come home turns."""
+        self.over = Outcome.CALLED_OFF
+        self._call_home()
 
     def retire(self, number: int) -> None:
         """The robot does no more."""

@@ -41,6 +41,7 @@ from planner.worlds.world import World
 PATIENCE = 20
 """Steps in a row in which a robot that was to move did not, after which others get its work."""
 WHY: dict[Doing, Why] = {Doing.TRAVELING: "travel", Doing.COVERING: "cover", Doing.FOLLOWING: "follow"}
+WHY |= {Doing.RETURNING: "return"}
 
 
 class Mission:
@@ -80,7 +81,6 @@ class Mission:
     def _begin(self, world: World, plan: Plan, recorder: Recorder | None = None) -> None:
         """`recorder`: writes down what has been, too."""
         problem, areas = ready_loop(plan, world)
-        problem.settings.check_stays("a mission that is driven")
         self.world, self._plan = world, plan
         self._fleet = Fleet(problem, areas, recorder=recorder, state=plan.state)
         self._fleet.gain = self.gain
@@ -160,11 +160,14 @@ class Mission:
             problem = "robots follow the paths of another planner, which no state of a mission holds"
             raise StateError(problem, expected="a plan with areas", fix="plan with `plan`, for the closed loop")
 
-    def rest(self, without: tuple[int, ...] = (), *, nominal: bool = True, **changes: Any) -> Plan:
+    def rest(
+        self, without: tuple[int, ...] = (), *, nominal: bool = True, call_off: bool = False, **changes: Any
+    ) -> Plan:
         """The plan of what is left, from `state`; before the first step has ended, of the whole.
 
         Args:
             without: robots that do no more. changes: settings in the place of its own.
+            call_off: nothing more is done: robots that come home turn.
             nominal: with the run without losses, its paths, which rollouts do not need.
 
         Raises StateError, PlanError.
@@ -178,6 +181,8 @@ class Mission:
         fleet = self._fleet.fork()
         for number in {*map(self._number, without), *self._aside}:
             fleet.retire(number)
+        if call_off:
+            fleet.call_off()
         state, settings = self._state_of(fleet), replace(self._settings_of(fleet), **changes)
         if settings.policy != self.settings.policy:  # another rule goes on from other paths: areas are given anew
             state = replace(state, areas=(), robots=tuple(robot.at_rest for robot in state.robots))

@@ -8,9 +8,9 @@ from typing import Literal
 from planner.files import Json
 from planner.none import NO_AREA
 
-Why = Literal["travel", "cover", "follow", "hold", "idle"]
-"""`travel` to its area, `cover` it, `follow` another planner's path; `hold`: it waits its turn, or has no moves left or
-makes no progress; `idle`: nothing is left for it."""
+Why = Literal["travel", "cover", "follow", "return", "hold", "idle"]
+"""`travel` to its area, `cover` it, `follow` another planner's path, `return` home; `hold`: it waits its turn, has no
+moves left or makes no progress; `idle`: nothing is left for it."""
 Cell = tuple[int, int]
 
 

@@ -94,7 +94,7 @@ def learned_state(state: MissionState, world: World, changed: NDArray[np.int64],
     # a lost robot on an obstacle is told to lie beside a live one, as where a zone is closed
     robots = tuple(robot if free[robot.cell] else replace(robot, cell=here) for robot in state.robots)
     state = _without_completed(replace(state, robots=robots))
-    problem = prepare(world, state.starts, settings)
+    problem = prepare(world, state.starts, settings, homes=state.homes(settings.return_to))
     levels, news = problem.levels.of_cell, np.zeros(free.size, dtype=np.bool_)
     news[changed] = True
     areas = []

@@ -155,7 +155,9 @@ class Board:
         for robot, its in zip(self.robots, state.robots, strict=True):
             robot.status, robot.area, robot.held = Doing[its.status.upper()], its.area, its.held
             robot.ahead, robot.to_do, robot.moves = its.ahead[::-1].tolist(), its.to_do, robot.moves - its.moves
-            robot.path = [robot.cell] * (state.step + 1)
+            robot.path, robot.turned = [robot.cell] * (state.step + 1), its.turned
+            if robot.status is Doing.RETURNING and self.problem.home is not None:
+                robot.ahead = self.problem.home.way(robot.number, robot.cell)[::-1]
 
     def fork(self) -> Self:
         """A run that goes on from here, in mid-step too; what it writes down (paths, legs, areas made) begins here."""

@@ -21,7 +21,7 @@ def first_area(board: Board, robot: Robot, *, own: bool = False, refusing: bool 
         return _nearest(board, robot)
     seen = offered(board, robot, own=own)
     if refusing and board.rule.limited:
-        seen = [choice for choice in seen if not _is_refused(board, choice)]
+        seen = [choice for choice in seen if not _is_refused(board, robot, choice)]
     return min(seen, key=lambda choice: (board.rule.key(choice.offer), choice.area), default=None)
 
 
@@ -67,10 +67,12 @@ def offer_of(board: Board, number: int, cost: int) -> Offer:
     return Offer(area.level, cost, area.unvisited, int(problem.entry[area.level]), value, problem.beyond)
 
 
-def _is_refused(board: Board, choice: Choice) -> bool:
-    problem = board.problem
+def _is_refused(board: Board, robot: Robot, choice: Choice) -> bool:
+    problem, offer = board.problem, choice.offer
     limited = board.rule.limited and problem.theta < NO_REFUSAL
-    return bool(limited and is_refused(choice.offer, problem.costs.size, problem.theta, problem.scale))
+    if limited and problem.home is not None:  # what it costs includes a longer way home
+        offer = offer._replace(cost=offer.cost + problem.home.further(robot.number, robot.cell, choice.target))
+    return bool(limited and is_refused(offer, problem.costs.size, problem.theta, problem.scale))
 
 
 def first_to_share(board: Board, robot: Robot) -> Choice | None:
@@ -80,7 +82,7 @@ def first_to_share(board: Board, robot: Robot) -> Choice | None:
         left = {number for number in numbers if board.areas[number].level == level}
         while left and (choice := _nearest_of(board, robot, left)) is not None:
             steps = len(board.problem.paths.path(robot.cell, choice.target))
-            if steps <= board.areas[choice.area].unvisited and not _is_refused(board, choice):
+            if steps <= board.areas[choice.area].unvisited and not _is_refused(board, robot, choice):
                 return choice
             left.remove(choice.area)
     return None

@@ -61,6 +61,7 @@ class Executive(Board):
         if state is not None:
             self.set_back_to(state)
             self.step, self.quiet = state.step, state.quiet
+            self.over = None if state.over is None else Outcome[state.over.upper()]
             for _ in range(state.step + 1):
                 self._look()
             return
@@ -161,7 +162,7 @@ class Executive(Board):
         robot = self.robots[number]
         self.survived[robot.cell] = True
         if robot.status is Doing.RETURNING:
-            if not robot.ahead:
+            if not robot.ahead or robot.moves == 0:
                 self._arrive(robot)
         elif robot.moves == 0:
             self._stay(robot)
@@ -178,7 +179,8 @@ class Executive(Board):
 
     def _stay(self, robot: Robot) -> None:
         """The end of the robot's range: it is done for good, and others may have what is left of its area."""
-        if self.problem.home is not None:
+        home = self.problem.home
+        if home is not None and is_home(home, robot):
             self._turn_home(robot)
             return
         self._note(EventKind.RANGE_ENDED, robot, robot.area, robot.cell)
@@ -196,12 +198,11 @@ class Executive(Board):
         """At the end of a step: all turn once nothing more is to be done, before that who would come too late."""
         home = self.problem.home
         assert home is not None
-        if self.over is not None:
-            return
-        self.over = self._over()
+        self.over = self._over() if self.over is None else self.over
         for robot in self.robots:
             late = robot.able and not robot.busy and has_to_leave(home, robot, self.step)
-            if robot.alive and not robot.turned and (late or self.over is not None):
+            can = robot.alive and robot.moves > 0 and not robot.turned
+            if can and (late or self.over is not None):
                 self._turn_home(robot)
 
     def _turn_home(self, robot: Robot) -> None:
@@ -219,8 +220,10 @@ class Executive(Board):
             self._arrive(robot)
 
     def _arrive(self, robot: Robot) -> None:
-        robot.status = Doing.DONE
-        self._note(EventKind.HOME, robot, NO_AREA, robot.cell)
+        """It is home; or at the end of its range, which was less than it thought."""
+        kind = EventKind.RANGE_ENDED if robot.ahead else EventKind.HOME
+        robot.status, robot.ahead = Doing.DONE, []
+        self._note(kind, robot, NO_AREA, robot.cell)
 
     def _mark(self, robot: Robot, cell: int) -> None:
         """The robot visits the cell."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from planner.mrac.board import Board, Robot
-from planner.mrac.homeward import CUT_OFF, Homeward
+from planner.mrac.homeward import Homeward
 from planner.trace import Doing
 
 
 def can_go_on(board: Board, home: Homeward, robot: Robot, step: int) -> bool:
     """Whether the robot, which has yet to move in this step, could come home from every cell of the rest of its leg."""
     left = min(robot.moves, home.last - step + 1)
-    return all(left - made >= home.moves(robot.number, cell) for made, cell in enumerate(rest_of_leg(board, robot), 1))
+    return all(home.moves(robot.number, cell) <= left - made for made, cell in enumerate(rest_of_leg(board, robot), 1))
 
 
 def rest_of_leg(board: Board, robot: Robot) -> list[int]:
@@ -26,7 +26,7 @@ def rest_of_leg(board: Board, robot: Robot) -> list[int]:
 
 def has_to_leave(home: Homeward, robot: Robot, step: int) -> bool:
     """Whether the robot, which waits at the end of this step, could come home too late if it waited for another."""
-    return home.last - step <= home.moves(robot.number, robot.cell) < CUT_OFF and not is_home(home, robot)
+    return home.moves(robot.number, robot.cell) > max(home.last - step - 1, 0)
 
 
 def is_home(home: Homeward, robot: Robot) -> bool:

@@ -16,8 +16,8 @@ from planner.mrac.search import UNREACHED
 from planner.none import NO_CELL
 from planner.settings import Settings
 
-CUT_OFF = 2**30
-"""Moves of a way home where no base can be reached: more than a run has steps."""
+CUT_OFF = -1
+"""Moves of a way home where no base can be reached: less than any robot has left, so that nothing turns it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,13 +25,14 @@ class Homeward:
     """The ways home. Axes: `B` sets of bases, `N` cells, `K` robots.
 
     Attributes:
-        of: int64 `[K]`, the set of each robot.
+        starts: int64 `[K]`, the cells where the robots started. of: int64 `[K]`, the set of bases of each.
         cost: int64 `[B, N]`, cost of the way home, UNREACHED where there is none.
         steps: int32 `[B, N]`, its moves, 0 at a base, CUT_OFF where there is none.
         onward: int32 `[B, N]`, the cell that is entered next, NO_CELL at a base and where there is none.
         last: D, the step at which the robots know that the mission ends; MAX_STEP if at none.
     """
 
+    starts: NDArray[np.int64]
     of: NDArray[np.int64]
     cost: NDArray[np.int64]
     steps: NDArray[np.int32]
@@ -42,6 +43,11 @@ class Homeward:
         """h: moves of the robot's way home from the cell."""
         return int(self.steps[self.of[robot], cell])
 
+    def further(self, robot: int, here: int, there: int) -> int:
+        """How much dearer the robot's way home is from `there` than from `here`, 0 if it is not."""
+        cost = self.cost[self.of[robot]]
+        return max(int(cost[there] - cost[here]), 0)
+
     def way(self, robot: int, cell: int) -> list[int]:
         """The cells that the robot enters on its way home from the cell; none at a base, and where it is cut off."""
         onward, found = self.onward[self.of[robot]], []
@@ -51,26 +57,34 @@ class Homeward:
 
 
 def ways_home(
-    settings: Settings, starts: NDArray[np.int64], shape: tuple[int, int], paths: SafestPaths, costs: NDArray[np.int64]
+    settings: Settings,
+    starts: NDArray[np.int64],
+    shape: tuple[int, int],
+    paths: SafestPaths,
+    costs: NDArray[np.int64],
+    homes: NDArray[np.int64] | None = None,
 ) -> Homeward | None:
     """The ways home of robots from `starts` `[K]`, cells; None where they need not come home.
 
-    `costs`: int64 `[N]`, of entering each cell. Cost: a search from every base. Raises PlanError for a base that is off
-    the map or an obstacle, and for a robot that no base is within the reach of.
+    `costs`: int64 `[N]`, of entering each cell. `homes`: cells `[K]` where robots of a mission under way started. Cost:
+    a search from every base. Raises PlanError for a base that is off the map, and of a mission that begins for a robot
+    that cannot reach one.
     """
     if settings.return_to is None:
         return None
+    begun = starts if homes is None else homes
     if settings.return_to == "home":
-        bases, of = np.unique(starts, return_inverse=True)
+        bases, of = np.unique(begun, return_inverse=True)
         sets = [np.array([base]) for base in bases.tolist()]
     else:
-        shared = np.unique(starts) if settings.return_to == "nearest" else _cells(settings.return_to, shape)
+        shared = np.unique(begun) if settings.return_to == "nearest" else _cells(settings.return_to, shape)
         sets, of = [shared], np.zeros(len(starts), dtype=np.int64)
     found = [_ways(cells, paths, costs) for cells in sets]
     cost, steps, onward = (np.stack(rows) for rows in zip(*found, strict=True))
     last = MAX_STEP if settings.last_step is None else settings.last_step
-    home = Homeward(of.astype(np.int64), cost, steps, onward, last)
-    _check(home, settings, starts, shape)
+    home = Homeward(begun, of.astype(np.int64), cost, steps, onward, last)
+    if homes is None:
+        _check(home, settings, starts, shape)
     return home
 
 
@@ -112,10 +126,11 @@ def _ways(
         back[base] = 0
         nearer = (back != UNREACHED) & ((cost == UNREACHED) | (back < cost))
         cost[nearer] = back[nearer]
-    steps, onward = np.full(n, CUT_OFF, dtype=np.int32), np.full(n, NO_CELL, dtype=np.int32)
+    steps, onward = np.full(n, 2**30, dtype=np.int32), np.full(n, NO_CELL, dtype=np.int32)
     reached = np.flatnonzero(cost != UNREACHED)
     nearest_first = reached[np.argsort(cost[reached], kind="stable")]
     _follow(nearest_first, cost, costs, paths.neighbours, steps, onward)
+    steps[cost == UNREACHED] = CUT_OFF
     return cost, steps, onward
 
 

@@ -36,7 +36,7 @@ def allocated_plan(world: World, starts: ArrayLike, settings: Settings, state: M
 
     It is rolled out as the whole plan is. Raises as `make_plan`.
     """
-    problem = prepare(world, starts, settings)
+    problem = prepare(world, starts, settings, homes=None if state is None else state.homes(settings.return_to))
     robots = tuple(RobotPlan(cell) for cell in problem.starts[:, None])
     if state is None:
         return Plan(world.shape, world.sha256, problem.settings, robots, allocate(problem), source=world.source)
@@ -75,7 +75,8 @@ def make_plan(
     """
     if settings is not None and settings.plan_for != "closed":
         raise PlanError(f"plan_for is {settings.plan_for} in a plan with areas", expected="closed")
-    problem = prepare(world, starts, settings or Settings())
+    settings = settings or Settings()
+    problem = prepare(world, starts, settings, homes=None if state is None else state.homes(settings.return_to))
     if state is not None:
         world.check_settled("the rest of a mission")
         state = made_ready(problem, state)

@@ -113,8 +113,17 @@ def most_steps(settings: Settings, levels: ThreatLevels, given: int = 0) -> int:
     return min(8 * len(levels.values) * int(levels.accessible.sum()) + 64 + given, MAX_STEP)
 
 
-def prepare(world: World, starts: ArrayLike, settings: Settings, given: tuple[NDArray[np.int64], ...] = ()) -> Problem:
-    """Levels, costs and safest paths of a world for robots at `starts` `[K, 2]`. Raises WorldError."""
+def prepare(
+    world: World,
+    starts: ArrayLike,
+    settings: Settings,
+    given: tuple[NDArray[np.int64], ...] = (),
+    homes: NDArray[np.int64] | None = None,
+) -> Problem:
+    """Levels, costs and safest paths of a world for robots at `starts` `[K, 2]`. Raises WorldError.
+
+    `homes`: cells `[K]` where robots that come home started, of a mission under way.
+    """
     settings.check()
     if settings.return_to is not None:
         world.check_told("a team that comes home")
@@ -130,7 +139,7 @@ def prepare(world: World, starts: ArrayLike, settings: Settings, given: tuple[ND
     _check_comparisons(rule, levels, costs, entry, value, world.source, apart=told)
     part, moves = _parts(levels, world.shape), _range(settings, len(cells))
     paths = safest_paths(world.shape, costs)
-    home = ways_home(settings, cells, world.shape, paths, costs)
+    home = ways_home(settings, cells, world.shape, paths, costs, homes)
     problem = Problem(
         world, settings, cells, levels, costs, paths, part, moves, rule, entry, given, value, unknown, home
     )

@@ -18,7 +18,7 @@ from planner.mrac.problem import Problem
 from planner.mrac.search import NOT_WANTED
 from planner.none import NO_AREA, NO_ROBOT
 from planner.plans.plan import Area
-from planner.plans.state import NAT, ON_ITS_WAY, AreaState, MissionState, RobotState
+from planner.plans.state import NAT, ON_ITS_WAY, RETURNING, AreaState, MissionState, RobotState
 from planner.tolerance import MOST
 from planner.trace import Doing
 from planner.worlds.levels import NO_LEVEL
@@ -31,8 +31,7 @@ def state_of(run: Executive, borne: Sequence[int] | None = None) -> MissionState
     borne more than any luck that is drawn: then it is kept as the most that one can.
     """
     world, settings = run.problem.world, run.problem.settings
-    settings.check_stays("the state of a mission")
-    known = None
+    known, home = None, run.problem.home
     if borne is not None and settings.wear != 1:
         known = np.minimum(borne, settings.bearing().most(len(run.robots))).tolist()
     kept = [number for number, area in enumerate(run.areas) if len(area.cells)]
@@ -47,6 +46,8 @@ def state_of(run: Executive, borne: Sequence[int] | None = None) -> MissionState
             moves=int(run.problem.range[robot.number]) - robot.moves,
             held=robot.held,
             exposure=None if known is None else known[robot.number],
+            home=None if home is None else int(home.starts[robot.number]),
+            turned=robot.turned,
         )
         for robot in run.robots
     )
@@ -56,7 +57,8 @@ def state_of(run: Executive, borne: Sequence[int] | None = None) -> MissionState
         has_it = area.robot != NO_ROBOT and owner.on_its_way and owner.area == number
         areas.append(AreaState(area.level, area.robot if has_it else NO_ROBOT, area.state.value, area.cells))
     visited, survived = np.flatnonzero(run.visited), np.flatnonzero(run.survived)
-    return MissionState(world.shape, world.sha256, run.step, visited, survived, robots, tuple(areas), run.quiet)
+    over, quiet = (None, run.quiet) if run.over is None else (run.over.name.lower(), 0)
+    return MissionState(world.shape, world.sha256, run.step, visited, survived, robots, tuple(areas), quiet, over)
 
 
 def _still_to_do(run: Executive, robot: Robot) -> NDArray[np.int64]:
@@ -68,7 +70,6 @@ def _still_to_do(run: Executive, robot: Robot) -> NDArray[np.int64]:
 
 def made_ready(problem: Problem, state: MissionState) -> MissionState:
     """The state as runs begin with it: with areas, those of Algorithm 1 where it has none. Raises StateError."""
-    problem.settings.check_stays("the state of a mission")
     if state.step >= problem.max_steps:
         raise StateError(f"the state is of step {state.step}", expected=f"a step before the last, {problem.max_steps}")
     left = problem.range - [robot.moves for robot in state.robots]
@@ -78,10 +79,14 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
             raise StateError(problem_is, expected=f"at most its range, {problem.range[number]}")
     _check_exposures(problem, state)
     ended = [robot.alive and moves == 0 for robot, moves in zip(state.robots, left, strict=True)]
+    for number, robot in enumerate(state.robots):
+        if robot.status == RETURNING and (problem.home is None or problem.home.moves(number, robot.cell) <= 0):
+            ended[number] = True  # it is there, or cut off
     robots = (replace(r, status="done") if end else r for r, end in zip(state.robots, ended, strict=True))
     state = replace(state, robots=tuple(robots))
     if not state.areas:
-        return _allocated(problem, state, [n for n, r in enumerate(state.robots) if r.alive and not ended[n]])
+        able = [n for n, r in enumerate(state.robots) if r.alive and not ended[n] and not r.turned]
+        return _allocated(problem, state, able)
     for number, area in enumerate(state.areas):
         if (problem.levels.of_cell[area.cells] != area.level).any():
             raise StateError(

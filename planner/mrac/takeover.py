@@ -29,7 +29,8 @@ def ready_loop(plan: Plan, world: World) -> tuple[Problem, tuple[Area, ...]]:
     if settings.transit == "area":
         world.check_told('`transit="area"`, legs that stay in their area,')
     if not plan.is_foreign:
-        return prepare(world, plan.starts, settings), plan.areas
+        homes = None if plan.state is None else plan.state.homes(settings.return_to)
+        return prepare(world, plan.starts, settings, homes=homes), plan.areas
     problem = prepare(world, plan.starts, settings, given=tuple(robot.path for robot in plan.robots))
     return problem, areas_of_paths(problem)
 

@@ -17,7 +17,8 @@ FORMAT, VERSION = "mrac-state", 1
 NAT = 2**32
 """Units of exposure in a nat."""
 ON_ITS_WAY = ("traveling", "covering")
-STATUSES = ("idle", *ON_ITS_WAY, "done", "dead")
+RETURNING = "returning"
+STATUSES = ("idle", *ON_ITS_WAY, RETURNING, "done", "dead")
 NO_CELLS = np.zeros(0, dtype=np.int64)
 AREA_STATES = ("unassigned", "assigned", "completed")
 
@@ -32,6 +33,7 @@ class RobotState:
         to_do: int64, the cells that its coverage path has still to reach, rising.
         moves: that it has made. held: kept from areas at risk (`reserve`).
         exposure: that it has borne, in units of 2**-32 nat; None: not known.
+        home: the cell where it started, None: not known. turned: it has turned for home (SPEC section 19).
     """
 
     cell: int
@@ -42,6 +44,8 @@ class RobotState:
     moves: int
     held: bool
     exposure: int | None = None
+    home: int | None = None
+    turned: bool = False
 
     @property
     def alive(self) -> bool:
@@ -74,6 +78,7 @@ class MissionState:
         visited, survived: int64, cells, rising.
         robots: one each. areas: in id order, every accessible cell in one of them; none: to be allocated anew.
         quiet: steps in a row without a move or an allocation.
+        over: how the mission ended for which all have turned for home; None: it goes on.
     """
 
     shape: tuple[int, int]
@@ -84,6 +89,20 @@ class MissionState:
     robots: tuple[RobotState, ...]
     areas: tuple[AreaState, ...] = ()
     quiet: int = 0
+    over: str | None = None
+
+    def homes(self, return_to: object) -> NDArray[np.int64] | None:
+        """The cells where the robots started, int64 `[K]`; None where none of them comes home.
+
+        Raises StateError where they are asked for, and not known.
+        """
+        if return_to is None:
+            return None
+        for number, robot in enumerate(self.robots):
+            if robot.home is None and isinstance(return_to, str):
+                problem = f"robot {number} is to come home, and it is not said where it started"
+                raise StateError(problem, expected='"home": [row, col] of each robot', fix="or name bases to return to")
+        return np.array([NO_AREA if robot.home is None else robot.home for robot in self.robots], dtype=np.int64)
 
     @property
     def starts(self) -> NDArray[np.int64]:
@@ -112,6 +131,8 @@ class MissionState:
             "robots": [
                 {"cell": r.cell, "status": r.status, "area": r.area, "ahead": r.ahead.tolist(), "moves": r.moves}
                 | ({} if r.exposure is None else {"exposure": r.exposure / NAT})
+                | ({} if r.home is None else {"home": r.home})
+                | ({"turned": True} if r.turned else {})
                 for r in self.robots
             ],
             "areas": [
@@ -120,6 +141,7 @@ class MissionState:
             "to_do": [robot.to_do.tolist() for robot in self.robots],
             "held": [number for number, robot in enumerate(self.robots) if robot.held],
             "quiet": self.quiet,
+            **({} if self.over is None else {"over": self.over}),
         }
 
     def save(self, path: str | Path) -> None:

@@ -20,6 +20,7 @@ from planner.plans.state import (
     FORMAT,
     NAT,
     ON_ITS_WAY,
+    RETURNING,
     STATUSES,
     VERSION,
     AreaState,
@@ -29,12 +30,16 @@ from planner.plans.state import (
 from planner.worlds.keys import Key
 from planner.worlds.world import MAX_ROBOTS, World
 
+OVER = ("complete", "stuck", "called_off", "stopped")
+"""How a mission may be over while robots are on their way home."""
 NATS = Numbers(0, 1e6, "nats")
 Fault = tuple[str, ...]
 """What is wrong, what was expected, and the fix if that does not say it."""
 ANEW = "write it with `record --state-at`, or leave areas, ahead and to_do out: areas are then allocated anew"
 DEFAULTS = {"world": {}, "step": 0, "survived": None, "areas": [], "to_do": None, "held": [], "quiet": 0}
-OF_ROBOTS = {"status": "idle", "area": NO_AREA, "ahead": [], "moves": 0, "exposure": None}
+DEFAULTS |= {"over": None}
+OF_ROBOTS = {"status": "idle", "area": NO_AREA, "ahead": [], "moves": 0, "exposure": None, "home": None}
+OF_ROBOTS |= {"turned": False}
 """What a state, and each of its robots, may leave out."""
 
 
@@ -68,7 +73,8 @@ def parse_state(data: object, world: World, source: str) -> MissionState:
         standing = np.array([robot.cell for robot in robots if robot.alive], dtype=np.int64)
         survived = np.union1d(read_cells(keys["survived"], world), standing)
     step, quiet = keys["step"].number(whole(0, MAX_STEP)), keys["quiet"].number(whole(0, 1))
-    found = MissionState(world.shape, world.sha256, step, visited, survived, robots, areas, quiet)
+    over = None if keys["over"].value is None else keys["over"].choice(OVER)
+    found = MissionState(world.shape, world.sha256, step, visited, survived, robots, areas, quiet, over)
     check_state(found, world, source)
     return found
 
@@ -85,7 +91,11 @@ def _robot(key: Key, to_do: Key, held: bool, world: World) -> RobotState:
     if (np.abs(np.diff(rows)) + np.abs(np.diff(cols)) != 1).any():
         raise keys["ahead"].fault("jumps", "one cell north, south, east or west at a time")
     exposure = None if keys["exposure"].value is None else round(keys["exposure"].number(NATS) * NAT)
-    return RobotState(cell, status, area, ahead, read_cells(to_do, world), moves, held, exposure)
+    home = None if keys["home"].value is None else read_cell(keys["home"], world)
+    if not isinstance(keys["turned"].value, bool):
+        raise keys["turned"].wrong("true or false")
+    turned = keys["turned"].value or status == RETURNING
+    return RobotState(cell, status, area, ahead, read_cells(to_do, world), moves, held, exposure, home, turned)
 
 
 def _area(key: Key, world: World) -> AreaState:
@@ -115,7 +125,7 @@ def _of_cover(state: MissionState, world: World) -> Iterator[Fault]:
         yield f"survived: cell {at(extra, world)} is not visited", "some of the visited cells"
     if not any(robot.alive for robot in state.robots):
         yield "every robot is dead", "a robot that goes on"
-    if len(state.visited) == int(accessible.sum()):
+    if len(state.visited) == int(accessible.sum()) and not any(robot.status == RETURNING for robot in state.robots):
         yield "every cell in reach is visited", "something left to do"
 
 

@@ -77,8 +77,8 @@ def _check_no_starts(starts: ArrayLike | None, path: Path) -> None:
         raise UsageError(f"{other} and {path}, which says where the robots are", fix=f"leave {other} out")
 
 
-def _robot(cell: int, status: str = "idle", moves: int = 0) -> RobotState:
-    return RobotState(cell, status, NO_AREA, NO_CELLS, NO_CELLS, moves, False)
+def _robot(cell: int, status: str = "idle", moves: int = 0, home: int | None = None) -> RobotState:
+    return RobotState(cell, status, NO_AREA, NO_CELLS, NO_CELLS, moves, False, home=home)
 
 
 def _state(found: Found, world: World, path: Path) -> tuple[MissionState, tuple[str, ...]]:
@@ -228,7 +228,7 @@ def _tracks(table: Table, world: World) -> Found:
         if status not in ("", "idle", "done", "dead"):
             problem = f"line {table.rows[lines[-1]][0]}: status {status[:40]!r}"
             raise MapError(problem, source=path, expected="idle, done or dead")
-        robots.append(_robot(int(track[-1]), status or "idle", min(int(away), MAX_STEP)))
+        robots.append(_robot(int(track[-1]), status or "idle", min(int(away), MAX_STEP), int(track[0])))
     off = int((~on).sum())
     notes = (f"{off} of {len(on)} places lie off the map or on obstacles: left out",) if off else ()
     step = int(steps.max()) if step_at is not None else max(robot.moves for robot in robots)
