@@ -17,11 +17,14 @@ from analysis.sampling import RolloutChoices
 from planner.errors import InputError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.kernels.tree import WHOLE, grow_tree
-from planner.mrac.make_plan import make_plan
+from planner.missions.mission import Mission
+from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.reference import ReferenceLoop
+from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
+from planner.plans.state_file import parse_state
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
 from planner.tally import Outcome
@@ -223,7 +226,82 @@ def test_what_does_not_know_the_way_home_says_so() -> None:
     plan = make_plan(world, starts, Settings(return_to="home"))
     for call in (
         lambda: make_engine(plan, world, Rolling(), "jax"),
-        lambda: ReferenceLoop(plan, world).state_at(2, 0, 0),
+        lambda: plan_team(world, starts, Settings(return_to="home", plan_for="open")),
     ):
         with pytest.raises(InputError, match="return_to"):
             call()
+
+
+def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped() -> None:
+    """On the way home, too, and once all are called: the rest is the uncut run's, in both engines."""
+    returning = 0
+    for number, seed in ((0, 4), (2, 5), (5, 7)):
+        world, starts = drawn(seed)
+        plan = make_plan(world, starts, Settings(**KINDS[number]))
+        whole = ReferenceLoop(plan, world, luck="step")
+        for rollout in range(3):
+            trace = whole.trace(0, rollout)
+            for step in {4, trace.time // 2, trace.time - 5, trace.time - 1}:
+                state = whole.state_at(step, 0, rollout)
+                if state is None:
+                    continue
+                read = parse_state(state.to_json(), world, "state")
+                rest = allocated_plan(world, read.starts, Settings(**KINDS[number]), read)
+                again = ReferenceLoop(rest, world, luck="step").trace(0, rollout)
+                np.testing.assert_array_equal(again.cells[step:], trace.cells[step:])
+                assert again.outcome == trace.outcome
+                compiled = compile_closed_loop(rest, world, luck="step", tabled=seed % 2 == 0)
+                assert_same_trace(trace_rollouts(compiled, 0, [rollout])[0], again)
+                returning += any(robot.status == "returning" for robot in read.robots)
+    assert returning > 5
+
+
+def driven(mission: Mission, steps: int) -> list[str]:
+    """What the orders were for, of so many steps in which everybody does what it is told, nobody is lost."""
+    said = []
+    for _ in range(steps):
+        for order in mission.orders().values():
+            said.append(order.why)
+            mission.report(order.robot, cell=order.cell)
+        mission.advance()
+    return said
+
+
+def test_a_driven_mission_is_called_off_and_a_new_battery_sends_out_again() -> None:
+    world = corridor(12, 0.01)
+    mission = Mission(world, make_plan(world, [[0, 0]], Settings(return_to="home", range=8)))
+    assert "return" not in driven(mission, 5) and set(driven(mission, 4)) == {"return"}
+    assert mission.outcome is None and mission._fleet.robots[0].turned
+    mission.report(0, cell=(0, 0), moves_left=24)
+    assert set(driven(mission, 4)) == {"hold", "travel"}
+    mission.call_off()
+    assert set(driven(mission, 3)) == {"return"}
+    while mission.outcome is None:
+        driven(mission, 1)
+    assert mission.outcome == Outcome.CALLED_OFF and mission._fleet.robots[0].cell == 0
+
+
+def test_who_is_cut_off_from_home_goes_on_and_stays_where_it_ends(tmp_path: Any) -> None:
+    world = corridor(8, 0.01)
+    mission = Mission(world, make_plan(world, [[0, 0]], Settings(return_to="home")))
+    driven(mission, 4)
+    mission.close([[0, 1]])
+    mission.save(tmp_path / "now.json")
+    mission = Mission.resume(tmp_path / "now.json", world, make_plan(world, [[0, 0]], Settings(return_to="home")))
+    while mission.outcome is None:
+        driven(mission, 1)
+    assert mission.outcome == Outcome.COMPLETE and mission._fleet.robots[0].cell == 7
+
+
+def test_worth_counts_the_way_home() -> None:
+    """Seven safe cells beyond a danger p = .2: V = 15 robots' cells of n = 10 make theta 3, so that C = 17 is less than
+    7 theta, and more with the 11 by which the way home gets dearer.
+    """
+    world, visited = World.create([[0.0, 0.0, 0.2, *[0.0] * 7]]), {}
+    for to in (None, "home"):
+        for worth in (5.0, 15.0, 20.0):
+            plan = make_plan(world, [[0, 0]], Settings(policy="per_cell", worth=worth, return_to=to))
+            visited[to, worth] = len(np.unique(plan.robots[0].path))
+    assert visited == {(None, 5.0): 10, (None, 15.0): 10, (None, 20.0): 2} | {
+        ("home", 5.0): 10, ("home", 15.0): 2, ("home", 20.0): 2,
+    }  # fmt: skip

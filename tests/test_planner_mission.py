@@ -43,6 +43,8 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "worth": {"policy": "per_cell", "worth": 12.0, "reserve": 0.5},
     "per_cell, range": {"policy": "per_cell", "range": (20, 30, 40, 50)},
     "wear": {"wear": 2.0, "susceptibility": (1.0, 0.5, 2.0, 1.0)},
+    "home": {"return_to": "home", "range": 40},
+    "nearest, deadline": {"return_to": "nearest", "deadline": 40, "policy": "per_cell", "worth": 15.0},
     "own rule": {"policy": Rule("by_size", lambda offer: ((offer.level, 1), (-offer.unvisited, 1)))},
 }
 

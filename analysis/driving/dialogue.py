@@ -18,7 +18,7 @@ from planner.worlds.keys import Key
 FORMAT, VERSION = "mrac-drive", 1
 LONGEST = 2**20
 """Characters of a line that is read."""
-KINDS = ("report", "step", "close", "orders", "outlook")
+KINDS = ("report", "step", "close", "call_off", "orders", "outlook")
 
 
 class Dialogue:
@@ -63,6 +63,10 @@ class Dialogue:
             yield from self._go_on(changed=told, step=over)
         elif kind == "close":
             self.mission.close(given.mapping(("cells",))["cells"].value)
+            yield from self._go_on(changed=True)
+        elif kind == "call_off":
+            given.mapping()
+            self.mission.call_off()
             yield from self._go_on(changed=True)
         elif kind == "step":
             of = given.mapping(defaults={"step": self.mission.step})["step"].number(whole(0))

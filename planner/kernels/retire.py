@@ -99,6 +99,8 @@ def turn_home(t, s, w, log, robot):
     while moves_home(t, robot, base) > 0:
         base = np.int64(onward[base])
     note(log, s, robot, TURNED_HOME_EVENT, area if owns else np.int64(NONE), base)
+    if holds(s.waiting, robot):
+        s.team[robot, UNTIL] += s.marks[STEP]  # as of one that moves from the next step on
     drop(s.movers, robot)
     drop(s.waiting, robot)
     me[DOING], me[HELD] = DONE, 0

@@ -121,4 +121,6 @@ class Fleet(Executive):
         robot, ranges = self.robots[number], self.problem.range.copy()
         made = max(int(ranges[number]) - robot.moves, 1)
         ranges[number], robot.moves = made + moves, moves
+        if moves > 0 and robot.status is Doing.DONE and self.over is None:
+            robot.turned = False  # with a new battery it gets work again
         self.problem = replace(self.problem, range=ranges)

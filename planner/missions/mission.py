@@ -334,6 +334,14 @@ class Mission:
         if self.patience is not None and self._waits[number] >= self.patience and robot.busy:
             self._fleet.set_aside(number)
 
+    def call_off(self) -> None:
+        """From now on all go home. Raises StateError before the first step has ended, and where nobody comes home."""
+        if self.settings.return_to is None or self._fleet.step == NOT_BEGUN:
+            problem = "a mission is called off whose robots do not come home, or have not set out"
+            raise StateError(problem, expected="robots on a mission with `return_to`", fix="give them no more orders")
+        self._fleet.call_off()
+        self._orders = None
+
     def close(self, cells: ArrayLike) -> None:
         """These cells, `[[row, col], ...]`, are no-go from now on: robots keep their areas, and go round.
 
