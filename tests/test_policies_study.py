@@ -16,6 +16,7 @@ from analysis.policies.report import headline, report, study_json
 from analysis.policies.settings import FRONT_TEAMS, KINDS, ON_LARGE, SMALL, TEAMS, Setting
 from analysis.policies.study import Study, bound_of, study_policies
 from analysis.report.face import print_report
+from analysis.statistics.estimate import mean_estimate
 from analysis.sweeps.engine import Finished
 from analysis.sweeps.store.store import Store
 from analysis.theory.any_strategy import any_strategy
@@ -26,7 +27,10 @@ from planner.settings import Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 
-FEW = (Setting("contiguous", 2), Setting("contiguous", 2, "per_cell", 0.25), Setting("contiguous", 2, cut=20))
+FEW = (
+    Setting("contiguous", 2), Setting("contiguous", 2, "per_cell", 0.25), Setting("contiguous", 2, cut=20),
+    Setting("contiguous", 4),
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -45,15 +49,23 @@ def test_columns_are_those_of_the_maps_rolled_out_by_hand(tmp_path: Path) -> Non
     assert again.finished.rollouts == 0
     for number, seed in enumerate((5, 6)):
         world = random_world(pattern=ThreatPattern("contiguous", seed=seed))
-        starts = place_starts(world, 2)[0]
         for setting in FEW:
+            starts = place_starts(world, setting.robots)[0]
             settings = Settings(policy=setting.policy, reserve=setting.reserve, max_steps=setting.cut)
-            tally = run_range(compile_closed_loop(make_plan(world, starts, settings), world), seed, 0, 30)[0]
-            mean = tally.visited @ np.arange(tally.accessible + 1) / 30 / tally.accessible
+            few, exact = setting.robots == 4, setting.robots == 2
+            tally = run_range(
+                compile_closed_loop(make_plan(world, starts, settings), world), seed, 0, 30 if few else 2**15
+            )[0]
             found = {name: values[number] for name, values in study.columns[setting].items()}
-            assert found["visited"] == pytest.approx(mean)
-            assert found["losses"] == pytest.approx(2 - tally.alive @ np.arange(3) / 30)
+            figures = {"visited": tally.visited, "time": tally.time, "losses": tally.alive[::-1]}
+            for name, counts in figures.items():  # of two robots the tree's, within some 5 standard errors of rollouts
+                mean = mean_estimate(counts, 1 / tally.accessible if name == "visited" else 1.0)
+                near = pytest.approx(mean.mean, abs=2.6 * mean.half_width) if exact else pytest.approx(mean.mean)
+                assert found[name] == near
+                assert not exact or found[name] != mean.mean or mean.se == 0
             assert again.columns[setting]["visited"][number] == found["visited"]
+            assert (found["exact"], found["se"] == 0) == (exact, exact)
+    starts = place_starts(random_world(pattern=ThreatPattern("contiguous", seed=5)), 2)[0]
     bound = any_strategy(world := random_world(pattern=ThreatPattern("contiguous", seed=5)), starts, flow=True).cells
     assert study.bounds["contiguous", 2].tolist() == [bound / world.accessible(starts).sum()]
     assert study.bounds["contiguous", 2][0] == bound_of(("contiguous", 2, 5))
@@ -69,7 +81,7 @@ def made_up(maps: int = 4) -> Study:
         losses = np.full(maps, setting.robots * (0.5 if setting.worth else 1.0))
         columns[setting] = {
             "visited": visited, "losses": losses, "time": np.full(maps, 200.0), "complete": np.zeros(maps),
-            "se": np.full(maps, 0.005),
+            "se": np.full(maps, 0.005), "exact": np.full(maps, setting.robots <= 2),
         }  # fmt: skip
     bounds = {(kind, robots): np.full(1, 0.9) for kind in KINDS for robots in TEAMS}
     return Study(columns, bounds, 200, 7, Finished(10, 20, 30, 1.0))
@@ -96,7 +108,9 @@ def test_its_faces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     )
     said = as_text(lambda console: print_report(report(study), console), 140)
     assert "scattered, k = 8: 1 of 4 maps, 1 of them beyond 3 standard errors: seed 8 (-3.0)" in said
+    assert "Each map's means are exact for k = 1 and 2." in said
     found = study_json(study)
+    assert {(point["robots"], point["exact"]) for point in found["points"]} == {(1, 4), (2, 4), (4, 0), (8, 0), (20, 0)}
     assert len(found["points"]) == len(SMALL) + len(ON_LARGE)
     assert [entry["robots"] for entry in found["worse"] if entry["maps"]] == [8]
     assert "partial" not in found

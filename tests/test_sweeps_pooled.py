@@ -5,15 +5,17 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from analysis.cli.app import run
+from analysis.statistics.pooled_control import BESIDE
 from analysis.sweeps.pooled import Part, Setting, complete, map_of, moments_over, single_over
 from analysis.sweeps.results import collect, select
-from analysis.sweeps.rows import KEPT, figure_of, single_map
+from analysis.sweeps.rows import DIFFERENCES, KEPT, Row, figures_of, single_map
 from analysis.sweeps.spec import read_spec
 from analysis.sweeps.store.store import Run, Store
 from analysis.sweeps.sweep import run_sweep
@@ -47,7 +49,9 @@ def test_a_row_counts_a_map_once(tmp_path: Path) -> None:
         assert "pooled over risk: log, paper" in note and "by=['robots', 'risk']" in note
         for row in found.rows:
             places = [{"robots": (str(row.labels["robots"]),), "map": (str(seed),)} for seed in range(4)]
-            means = [np.mean([figure_of(each, "visited")[0] for each in select(store, place)]) for place in places]
+            means = [
+                np.mean([figures_of(each)[0][KEPT["visited"], 0] for each in select(store, place)]) for place in places
+            ]
             assert row.estimate("visited").mean == pytest.approx(np.mean(means))
             assert row.estimate("visited").se == pytest.approx(np.std(means, ddof=1) / 2)
         everything = collect(store, {}, ["kind"]).rows
@@ -136,7 +140,9 @@ def apart(store: Store) -> Store:
 
 
 def part(setting: int, seed: int, mean: float, error: float) -> Part:
-    return Part("", (setting,), seed, 100, 0, np.tile([[mean], [error]], len(KEPT)))
+    means, errors = np.zeros((len(KEPT), BESIDE)), np.zeros((len(KEPT), BESIDE, BESIDE))
+    means[:, 0], errors[:, 0, 0] = mean, error**2
+    return Part("", (setting,), seed, 100, 0, means, errors)
 
 
 def held(make: object, truth: float) -> tuple[float, float]:
@@ -225,3 +231,35 @@ def test_complete() -> None:
     first, second, third = ([part(s, 0, 0.0, 0.0) for s in settings] for settings in ((0, 1), (1, 0, 1), (1,)))
     assert complete([first, second, third]) == [first, second]
     assert complete([third, [part(0, 0, 0.0, 0.0)]]) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "robots", "rollouts"), [*product(("contiguous", "scattered"), (2, 8), (20, 60))])
+def test_intervals_over_maps_hold_with_the_control(tmp_path: Path, kind: str, robots: int, rollouts: int) -> None:
+    """300 samples of 60 maps of 6,000: each figure of a row, and its difference from another policy, holds the mean of
+    all maps as often as it says (3 standard errors below .95); the control halves what noise the rollouts leave."""
+    text = f"base: {{kind: {kind}, robots: {robots}, size: 12x14}}\nmaps: 6000\nrollouts: {rollouts}\n"
+    with Store.memory() as store:
+        swept(tmp_path, text + "sweep: {policy: [mrac, per_cell]}", store)
+        found: dict[tuple[str, int], tuple[np.ndarray, np.ndarray]] = {
+            (str(each.what["policy"]), int(each.what["map"] or 0)): figures_of(each) for each in store.runs()
+        }
+    means = {name: np.mean([found[name, n][0] for n in range(6000)], axis=0)[:, 0] for name in ("mrac", "per_cell")}
+    random, names, held, gains = np.random.default_rng(0), ("visited", "survived", "time", "alive"), [], []
+    for _ in range(300):
+        rows = [Row({}), Row({})]
+        rows[1].first = rows[0].moments
+        for number in random.choice(6000, 60, replace=False).tolist():
+            one, other = (found[name, number] for name in ("mrac", "per_cell"))
+            for row, mine in zip(rows, (one, other), strict=True):
+                row.add(*mine, rollouts - 1, one[0])
+        truths = [means["per_cell"][KEPT[name]] for name in names]
+        truths += [float((means["per_cell"] - means["mrac"])[KEPT[name]]) for name in DIFFERENCES]
+        estimates = [rows[1].estimate(name) for name in names] + [rows[1].difference(name) for name in DIFFERENCES]  # type: ignore[list-item]
+        held.append(
+            [low <= truth <= high for truth, (low, high) in zip(truths, (e.ci95 for e in estimates), strict=True)]
+        )
+        by, spread = rows[1].moments.weights(KEPT["visited"]), rows[1].moments.within[KEPT["visited"]]
+        gains.append(spread[0, 0] / (by @ spread @ by))
+    assert (np.mean(held, axis=0) >= 0.95 - 3 * math.sqrt(0.95 * 0.05 / 300)).all(), np.mean(held, axis=0)
+    assert np.median(gains) > 2

@@ -8,6 +8,8 @@ import pytest
 from analysis.reproduction.points import COVERAGE, Point, columns_of, runs_of
 from analysis.reproduction.statements import Finding, StatementVerdict, findings
 from analysis.statistics.estimate import over_maps
+from analysis.sweeps.store.packed import sums_of
+from analysis.sweeps.store.store import Run
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.threefry import uniform
@@ -80,7 +82,14 @@ def test_columns_of_a_map_are_those_of_its_runs() -> None:
     plan = make_plan(world, [[0, 0], [3, 4], [3, 0], [2, 4]])
     tally, results = run_range(compile_closed_loop(plan, world), 3, 0, 500, singles=True)
     assert results is not None
-    columns, runs = columns_of(tally, "closed", 19), runs_of(tally, 19)
+    facts = {
+        "cells": {"accessible": 19, "free": 19, "dangerous": 6},
+        "exact": dict.fromkeys(("visited", "survived"), 0),
+    }
+    facts |= {"robots": 4, "longest": 90, "ideal_team": None}
+    run = Run("key", {}, facts, ((0, 500),), sums_of(tally))
+    columns, runs = columns_of(run, tally, "closed", 19), runs_of(tally, 19)
+    assert columns["beside", "closed", "visited_free"][0] == pytest.approx(columns["run", "closed", "visited_free"])
     assert columns["run", "closed", "visited_free"] == pytest.approx(results.visited.mean() / 19)
     assert columns["square", "closed", "survived"] == pytest.approx(((results.survived / 19) ** 2).mean())
     assert columns["run", "closed", "time"] == pytest.approx(results.time.mean())

@@ -16,7 +16,7 @@ import pytest
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import Case, Places, Team, generated_case, run_key
 from analysis.sweeps.store import file as store_file
-from analysis.sweeps.store.packed import pack, sums_of, unpack
+from analysis.sweeps.store.packed import add_sums, pack, sums_of, unpack
 from analysis.sweeps.store.ranges import joined, without
 from analysis.sweeps.store.store import Store, StoreError
 from analysis.sweeps.tasks import RunResult, Task, Wanted, run_task
@@ -42,7 +42,11 @@ def test_tally_survives_packing() -> None:
     assert len(blob) < 3000
     sums, values = sums_of(tally), np.arange(len(tally.visited))
     assert sums["visited"] == [int(tally.visited @ values), int(tally.visited @ values**2)]
-    assert sums["rollouts"] == 100 == sum(sums["outcomes"])
+    assert sums["rollouts"] == 100 == sum(sums["outcomes"]) == sums["luck"][0]
+    half, other = (results_of(ids)[0].tallies[0] for ids in ((0, 40), (40, 100)))
+    assert add_sums(sums_of(half), sums_of(other)) == sums
+    before = {name: values for name, values in sums_of(half).items() if name != "luck"}
+    assert add_sums(before, sums_of(other)) == add_sums(sums_of(other), before) != sums  # of an earlier release
     for broken in (blob[:-5], blob[:30] + bytes([blob[30] ^ 1]) + blob[31:], b""):
         with pytest.raises(ValueError, match="no tally"):
             unpack(broken, tally.ids)

@@ -17,17 +17,22 @@ import mrac_jax as mrac
 from analysis.cli import sweeps as commands
 from analysis.cli.app import run
 from analysis.sampling import RolloutChoices
+from analysis.statistics.control import POWERS, expected_powers
 from analysis.sweeps import report, rows
 from analysis.sweeps.cases import Places
 from analysis.sweeps.engine import Done, Job, run_cases
-from analysis.sweeps.rows import figure_of, single_map
+from analysis.sweeps.results import collect
+from analysis.sweeps.rows import KEPT, figures_of, single_map
 from analysis.sweeps.spec import read_spec
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.summary import Moments
 from analysis.sweeps.sweep import run_sweep
 from analysis.sweeps.worlds import Generated, Written
 from planner.errors import InputError
+from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
+from planner.rollouts.by_luck import luck_classes
+from planner.settings import Settings
 from planner.tally import Tally
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
@@ -115,6 +120,45 @@ def test_a_sweep_is_the_mean_of_map_means(tmp_path: Path, processes: int) -> Non
                 assert all(map(np.array_equal, vars(one).values(), vars(two).values()))
 
 
+CONTROLLED = """
+base: {kind: contiguous, size: 7x9, ratio: 0.2}
+maps: 6
+rollouts: 200
+sweep: {robots: [2, 3], policy: [mrac, per_cell]}
+"""
+
+
+def test_rows_are_put_right_by_what_all_maps_tell_of_luck(tmp_path: Path) -> None:
+    """Against least squares over all single rollouts, with a level for each map; differences too, also of two teams."""
+    with Store.memory() as store:
+        answer = run_sweep(read_spec(spec_file(tmp_path, CONTROLLED)), store, processes=1)
+        again = collect(store, {}).rows
+    levels, means = np.repeat(np.eye(6), 200, axis=0), []
+    for row in answer.rows:
+        robots, policy = int(row.labels["robots"] or 0), str(row.labels["policy"])
+        y, powers = [], []
+        for seed in range(6):
+            world = random_world(7, 9, ThreatPattern(seed=seed), threats=0.2)
+            plan = make_plan(world, place_starts(world, robots)[0], Settings(policy=policy))
+            loop = compile_closed_loop(plan, world)
+            y.append(run_range(loop, seed, 0, 200, singles=True)[1].visited / len(loop.cells))  # type: ignore[union-attr]
+            total = ((luck_classes(seed, 0, 200, robots) + 0.5) / 8 - robots) / robots**0.5
+            powers.append(np.stack([total**power for power in POWERS], axis=1) - expected_powers(robots))
+        fit = np.linalg.lstsq(np.hstack([levels, np.concatenate(powers)]), np.concatenate(y), rcond=None)[0]
+        means.append(fit[:6])
+        found, change = row.estimate("visited"), row.difference("visited")
+        assert (found.mean, found.se) == pytest.approx((fit[:6].mean(), stats.sem(fit[:6])))
+        assert abs(found.mean - np.mean(y)) > 1e-4 and change is not None
+        apart = fit[:6] - means[0]
+        assert (change.mean, change.se) == pytest.approx((apart.mean(), stats.sem(apart)), abs=1e-12)
+        left = np.concatenate(y) - np.hstack([levels, np.concatenate(powers)]) @ fit
+        noise = (left.reshape(6, 200) ** 2).sum(axis=1).mean() / 199 / 200
+        assert row.within_share == pytest.approx(min(1.0, noise / fit[:6].var(ddof=1)))
+    ends = {tuple(sorted(row.labels.items())): row.estimate("visited").ci95 for row in answer.rows}
+    for row in again:
+        assert row.estimate("visited").ci95 == pytest.approx(ends[tuple(sorted(row.labels.items()))])
+
+
 def keys_of(store: Store, places: Places, job: Job) -> list[str]:
     from analysis.sweeps.cases import run_key
 
@@ -122,19 +166,30 @@ def keys_of(store: Store, places: Places, job: Job) -> list[str]:
 
 
 def test_moments_against_numpy() -> None:
-    values = np.random.default_rng(0).exponential(size=200)
-    moments = Moments(2)
+    values = np.random.default_rng(0).exponential(size=(200, 2, 2))
+    values[:, 1] = 7.0
+    error = np.array([[[0.1, 0.02], [0.02, 0.05]], [[0.0, 0.0], [0.0, 0.0]]])
+    moments = Moments(2, 2)
     for value in values:
-        moments.add([float(value), 7.0], [0.1, 0.0])
-    apart = values - values.mean()
-    assert moments.scatter == pytest.approx([(apart**2).sum(), 0.0])
-    assert moments.lean == pytest.approx([(apart**3).sum(), 0.0])
+        moments.add(value, error, 6)
+    apart = values[:, 0] - values[:, 0].mean(axis=0)
+    assert moments.scatter[0] == pytest.approx(apart.T @ apart) and not moments.scatter[1].any()
+    assert (
+        moments.lean[0] == pytest.approx(np.einsum("ma,mb,mc->abc", apart, apart, apart)) and not moments.lean[1].any()
+    )
+    right = values[:, 0] @ [1.0, -0.4]  # 0.02 / 0.05, of 1,200 rollouts
+    far = right - right.mean()
+    rare = (far**3).sum() / (far**2).sum() / 200
     found = moments.estimate(0, -np.inf, np.inf)
-    assert found.half_width > stats.t.ppf(0.975, 199) * found.se
-    assert moments.within_share(1) is None and moments.within_share(0) == pytest.approx(0.1 / values.var(ddof=1))
-    same = Moments(1)
+    assert (found.mean, found.se) == pytest.approx((right.mean(), stats.sem(right)))
+    assert found.half_width == pytest.approx(stats.t.ppf(0.975, 199) * math.hypot(found.se, math.sqrt(6) * rare))
+    left = 0.1 - 0.02**2 / 0.05
+    assert moments.within_share(1) is None and moments.within_share(0) == pytest.approx(left / right.var(ddof=1))
+    moments.shared += 0.01
+    assert moments.estimate(0, -np.inf, np.inf).mean == pytest.approx(values[:, 0, 0].mean())  # they share their luck
+    same = Moments(1, 1)
     for _ in range(10):
-        same.add(1.0, 0.0)
+        same.add(np.ones((1, 1)), 0.0)
     assert same.estimate(0, 0, 1).ci95 == (pytest.approx(0.7), 1.0)  # every map so far: not a proof
 
 
@@ -158,9 +213,9 @@ def test_intervals_over_maps_hold_as_often_as_they_say() -> None:
     for draw, mean, maps in ((random.normal, 0.0, 12), (random.exponential, 1.0, 50)):
         held = 0
         for sample in draw(size=(trials, maps)):
-            moments = Moments(1)
-            for value in sample.tolist():
-                moments.add(value, 0.0)
+            moments = Moments(1, 1)
+            for value in sample:
+                moments.add(value.reshape(1, 1), 0.0)
             low, high = moments.estimate(0, -np.inf, np.inf).ci95
             held += low <= mean <= high
         assert held / trials > 0.95 - 5 * math.sqrt(0.05 * 0.95 / trials)
@@ -428,8 +483,9 @@ def test_figures_of_a_run_are_those_of_its_tally(tmp_path: Path) -> None:
         tally = store.tally(found.key)
         assert isinstance(tally, Tally)
         values = np.repeat(np.arange(len(tally.visited)), tally.visited) / tally.accessible
-        mean, squared = figure_of(found, "visited")
+        means, errors = figures_of(found)
+        mean, squared = means[KEPT["visited"], 0], errors[KEPT["visited"], 0, 0]
         assert mean == pytest.approx(values.mean()) and squared == pytest.approx(values.var(ddof=1) / len(values))
-        mean, squared = figure_of(found, "complete")
+        mean, squared = means[KEPT["complete"], 0], errors[KEPT["complete"], 0, 0]
         share = tally.outcomes[0] / tally.rollouts
         assert mean == share and squared == pytest.approx(share * (1 - share) / (tally.rollouts - 1))

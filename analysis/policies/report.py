@@ -46,7 +46,7 @@ def report(study: Study) -> Report:
         parts=(
             Part("Gains", [gains_table(study)], drawn=lambda: gains),
             Part("Coverage against losses", [front_table(study, robots) for robots in FRONT_TEAMS],
-                 [*_worse_lines(study), *NOTES], drawn=lambda: charts),
+                 [*_worse_lines(study), *NOTES, *_exact_lines(study)], drawn=lambda: charts),
         ),
         warnings=("Interrupted: the maps that were done.",) if finished.partial else (),
         pictures={"gains.png": lambda: gains}
@@ -153,6 +153,12 @@ def _worse_lines(study: Study) -> list[str]:
     return lines
 
 
+def _exact_lines(study: Study) -> list[str]:
+    """For which teams the maps' means are exact."""
+    whole = [k for k in TEAMS if all(study.exact(one) == study.maps(one) for kind in KINDS for one in rivals(kind, k))]
+    return [f"Each map's means are exact for k = {' and '.join(map(str, whole))}."] if whole else []
+
+
 def worse_line(study: Study, kind: Kind, robots: int) -> str:
     """Where `per_cell` covers over a point less; "" if nowhere."""
     setting = rivals(kind, robots)[1]
@@ -179,6 +185,7 @@ def study_json(study: Study) -> Json:
             "policy": {"name": setting.policy, "reserve": setting.reserve, "worth": setting.worth},
             "deadline": setting.cut,
             "maps": study.maps(setting),
+            "exact": study.exact(setting),
             **{figure: study.estimate(setting, figure).to_json() for figure in FIGURES},
             "gain": study.gain(setting).to_json(),
         }

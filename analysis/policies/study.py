@@ -66,6 +66,10 @@ class Study(Answer):
         """Mean over maps."""
         return over_maps(self.columns[setting][figure])
 
+    def exact(self, setting: Setting) -> int:
+        """Maps of a setting whose figures are known exactly."""
+        return int(self.columns[setting]["exact"].sum())
+
     def gain(self, setting: Setting) -> Estimate:
         """Coverage beyond `mrac`'s with that team, map by map."""
         return over_maps(self._apart(setting))
@@ -107,7 +111,10 @@ def study_policies(
     check_maps(maps, seed)
     few = -(-maps // PART)
     by_map = ByMap(
-        lambda number: [(one, _case(one, seed + number)) for one in SMALL + ON_LARGE * (number < few)], seed, rollouts
+        lambda number: [(one, _case(one, seed + number)) for one in SMALL + ON_LARGE * (number < few)],
+        seed,
+        rollouts,
+        exact=True,
     )
     total = maps * len(SMALL) + few * len(ON_LARGE)
     finished = by_map.run(maps, total, store, progress, processes=processes, scheduler=scheduler)

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.statistics.control import luck_of, pooled_slope
+from analysis.statistics import pooled_control
 from analysis.statistics.estimate import Estimate, over_maps
+from analysis.sweeps.rows import KEPT, figures_of
+from analysis.sweeps.store.store import Run
 from planner.tally import Tally
 
 MEANINGS = ("visited", "survived")
@@ -22,7 +24,7 @@ FIGURE4 = {4: (0.8033, 311), 10: (0.9733, 244)}
 
 
 Key = tuple[str, str, str]
-"""What it is ("mean", "run", "square", "share", and "off", "spread", "along" of luck), the loop, the figure. Loops:
+"""What it is ("mean", "run", "square", "share", "beside" luck, "errors"), the loop, the figure. Loops:
 "closed", every visit checked; "first", only the first visit of a cell by anybody; "open", no reallocation, exact."""
 
 
@@ -61,26 +63,24 @@ class Point:
         return float(np.sqrt(max(square - mean**2, 0.0)))
 
 
-def columns_of(tally: Tally, loop: str, free: int) -> dict[Key, Any]:
-    """What one map's rollouts of a loop came to; `free`: free cells of its map.
+def columns_of(run: Run, tally: Tally, loop: str, free: int) -> dict[Key, Any]:
+    """What one map's rollouts of a loop came to, a run and its tally; `free`: free cells of its map.
 
     run, square: mean and mean square of single runs, of each of COVERAGE (fractions) and "time" (steps). share: of
     those that cover no more of the free cells ("coverage"), or take no longer ("time"), than the run of Fig. 4 with so
     many robots.
-    off, spread, and along of each: of `analysis.statistics.control.luck_of`, by tolerance.
+    beside, errors: of `analysis.statistics.pooled_control.beside_luck`.
     """
     found: dict[Key, Any] = {}
-    luck = luck_of(tally)
-    if luck is not None:
-        found |= {("off", loop, ""): luck.off, ("spread", loop, ""): luck.spread}
+    means, errors = figures_of(run)
     for figure in (*COVERAGE, "time"):
         counts = tally.time if figure == "time" else getattr(tally, figure.removesuffix("_free"))
         unit = 1.0 if figure == "time" else 1.0 / (free if figure.endswith("_free") else tally.accessible)
         values = np.arange(len(counts)) * unit
         for what, power in (("run", 1), ("square", 2)):
             found[what, loop, figure] = float(counts @ values**power) / tally.rollouts
-        if luck is not None:
-            found["along", loop, figure] = luck.along[figure.removesuffix("_free")] * unit
+        place = KEPT[figure.replace("_free", "_of_free")]
+        found["beside", loop, figure], found["errors", loop, figure] = means[place], errors[place]
     if tally.robots in FIGURE4:
         coverage, steps = FIGURE4[tally.robots]
         cells = int(np.floor(coverage * free + 0.5))
@@ -91,12 +91,9 @@ def columns_of(tally: Tally, loop: str, free: int) -> dict[Key, Any]:
 
 def put_right(columns: dict[Key, NDArray[np.float64]], rollouts: int) -> None:
     """Add each map's "mean" to its "run": less what its luck is worth, by all maps together; by step the same."""
-    for _, loop, figure in [key for key in columns if key[0] == "run"]:
-        mean = columns["run", loop, figure]
-        if ("off", loop, "") in columns:
-            slope = pooled_slope(columns["spread", loop, ""], columns["along", loop, figure], rollouts)
-            mean = mean - columns["off", loop, ""] @ slope
-        columns["mean", loop, figure] = mean
+    for _, loop, figure in [key for key in columns if key[0] == "beside"]:
+        means, errors = columns["beside", loop, figure], columns["errors", loop, figure]
+        columns["mean", loop, figure], _ = pooled_control.put_right(means, errors, len(means) * (rollouts - 1))
 
 
 def runs_of(tally: Tally, free: int) -> dict[str, NDArray[np.int64]]:

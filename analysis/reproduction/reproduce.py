@@ -101,14 +101,15 @@ class _Collected:
         labels = dict(done.job.case.labels)
         kind: Kind = "contiguous" if labels["kind"] == "contiguous" else "scattered"
         setting = Setting(kind, int(labels["robots"] or 0), float(labels["ratio"] or 0))
-        run, (closed, first) = self.store.run(done.keys[0]), map(self.store.tally, done.keys)
-        assert run is not None and closed is not None and first is not None
-        free, accessible = run.facts["cells"]["free"], run.facts["cells"]["accessible"]
-        columns = _exact_columns(run.facts, free, accessible)
-        for loop, tally in (("closed", closed), ("first", first)):
-            columns |= columns_of(tally, loop, free)
+        columns, singles = Columns(), list[Runs]()
+        for loop, key in zip(("closed", "first"), done.keys, strict=True):
+            run, tally = self.store.run(key), self.store.tally(key)
+            assert run is not None and tally is not None
+            free, accessible = run.facts["cells"]["free"], run.facts["cells"]["accessible"]
+            columns |= columns_of(run, tally, loop, free) | _exact_columns(run.facts, free, accessible)
+            singles.append(runs_of(tally, free))
         number = int(labels["map"] or 0) - self.seed
-        self.found.setdefault(setting, {})[number] = (columns, runs_of(closed, free))
+        self.found.setdefault(setting, {})[number] = (columns, singles[0])
 
     def points(self, rollouts: int) -> tuple[dict[Setting, Point], int]:
         """The points over the maps that every setting has, and how many those are."""

@@ -93,47 +93,6 @@ def _in_nats(slope: NDArray[np.float64], robots: int) -> tuple[float, ...]:
     return tuple(whole(np.polynomial.Polynomial([-robots * scale, scale])).coef[1:].tolist())
 
 
-def pooled_slope(spread: NDArray[np.float64], along: NDArray[np.float64], rollouts: int) -> NDArray[np.float64]:
-    """The slopes `[3]` that the rollouts of all maps `M` tell together: each map's own mean tells nothing of them.
-
-    `spread` `[M, 3, 3]`, `along` `[M, 3]`: as of `luck_of`. `rollouts`: of each map. Zeros where they are too few.
-
-    A map's mean less `off @ slope` is unbiased but for what the map's own rollouts, of so many, add to the slope; and
-    where all maps have other luck it is a sample of one from each, so its interval is that of any means over maps.
-    """
-    if len(along) * (rollouts - 1) < LEAST:
-        return np.zeros(FITTED - 1)
-    return np.linalg.solve(spread.sum(axis=0), along.sum(axis=0))
-
-
-@dataclass(frozen=True)
-class Luck:
-    """How lucky a map's rollouts were, and what they tell of what luck is worth.
-
-    Attributes:
-        off: float64 `[3]`, the mean of `_powers` less what is expected of it. spread: `[3, 3]`, sums of their products,
-            from that mean. along: `[3]` by figure, of the products with the figure.
-    """
-
-    off: NDArray[np.float64]
-    spread: NDArray[np.float64]
-    along: dict[str, NDArray[np.float64]]
-
-
-def luck_of(tally: Tally) -> Luck | None:
-    """Of a map's rollouts, "visited", "survived", "time", "alive" and "complete"; None without the sums."""
-    by_luck = tally.by_luck.reshape(-1, len(COLUMNS))
-    if tally.rollouts == 0 or int(by_luck[:, 0].sum()) != tally.rollouts:
-        return None
-    held = np.flatnonzero(by_luck[:, 0])
-    often, *sums = by_luck[held].T.astype(np.float64)
-    luck = _powers(held, tally.robots) - expected_powers(tally.robots)
-    off = often @ luck / tally.rollouts
-    luck -= off
-    along = {figure: of @ luck for figure, of in zip(COLUMNS[1:], sums, strict=True)}
-    return Luck(off, np.einsum("c,cp,cq->pq", often, luck, luck), along)
-
-
 def of_tally(tally: Tally, figure: str) -> Controlled | None:
     """The mean of "visited", "survived", "time", "alive" or "complete"; None without the sums, or of too few rollouts.
 

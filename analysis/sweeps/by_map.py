@@ -13,17 +13,22 @@ from numpy.typing import NDArray
 
 from analysis.kit.notes import Progress
 from analysis.sampling import RolloutChoices
-from analysis.statistics.control import tally_mean
+from analysis.statistics.pooled_control import put_right
 from analysis.sweeps.cases import Case
 from analysis.sweeps.engine import Done, Finished, Job, run_cases
+from analysis.sweeps.rows import KEPT, figures_of, is_exact
 from analysis.sweeps.store.store import Store
-from planner.tally import Outcome, Tally
 
 Setting = TypeVar("Setting")
 Columns = dict[str, NDArray[np.float64]]
-"""Float64 `[M]` by figure, M maps: means of each map's rollouts. "visited" and "complete" are fractions, "losses"
-robots, "time" steps; "se": the standard error of "visited"."""
+"""Float64 `[M]` by figure, M maps: means of each map's rollouts, put right by their luck, or exact. "visited" and
+"complete" are fractions, "losses" robots, "time" steps; "se": the standard error of "visited"; "exact": 1 where the
+figures are known exactly."""
+OfMap = tuple[NDArray[np.float64], NDArray[np.float64], bool]
+"""Means and errors of `figures_of`, and whether they are exact."""
 FIGURES = ("visited", "losses", "time", "complete")
+EXACT_TEAM, EXACT_SECONDS = 2, 0.01
+"""Robots whose tree takes about as long as some hundred rollouts (four take a second a map), and what it may take."""
 
 
 class ByMap(Generic[Setting]):
@@ -31,13 +36,15 @@ class ByMap(Generic[Setting]):
 
     Args:
         cases: of a map's number, its settings with the case of each. seed: of the first map and its rollouts.
-        rollouts: of each map and setting.
+        rollouts: of each map and setting. exact: whether the exact values of teams of up to EXACT_TEAM are looked for.
     """
 
-    def __init__(self, cases: Callable[[int], Iterable[tuple[Setting, Case]]], seed: int, rollouts: int) -> None:
-        self._cases, self._seed, self._rollouts = cases, seed, rollouts
+    def __init__(
+        self, cases: Callable[[int], Iterable[tuple[Setting, Case]]], seed: int, rollouts: int, exact: bool = False
+    ) -> None:
+        self._cases, self._seed, self._rollouts, self._exact = cases, seed, rollouts, exact
         self._under_way: dict[Case, tuple[Setting, int]] = {}
-        self._found: dict[Setting, dict[int, dict[str, float]]] = {}
+        self._found: dict[Setting, dict[int, OfMap]] = {}
 
     def run(self, maps: int, total: int, store: Store | None, progress: Progress | None, **where: Any) -> Finished:
         """Run `maps` maps, `total` jobs, into the store if there is one.
@@ -48,9 +55,9 @@ class ByMap(Generic[Setting]):
 
         def take(done: Done) -> None:
             setting, number = self._under_way.pop(done.job.case)
-            tally = held.tally(done.keys[0])
-            assert tally is not None
-            self._found.setdefault(setting, {})[number] = _columns(tally)
+            run = held.run(done.keys[0])
+            assert run is not None
+            self._found.setdefault(setting, {})[number] = (*figures_of(run), is_exact(run))
             if progress is not None:
                 progress(done.jobs, done.total, done.seconds)
 
@@ -61,7 +68,9 @@ class ByMap(Generic[Setting]):
         for number in range(maps):
             for setting, case in self._cases(number):
                 self._under_way[case] = (setting, number)
-                yield Job(case, (RolloutChoices(seed=self._seed + number),), self._rollouts)
+                small = self._exact and case.robots is not None and case.robots <= EXACT_TEAM
+                model = RolloutChoices(seed=self._seed + number)
+                yield Job(case, (model,), self._rollouts, exact_seconds=EXACT_SECONDS if small else 0.0)
 
     def columns(self, settings: Sequence[Setting]) -> dict[Setting, Columns]:
         """Of the maps, from the first on, that all of these settings have; nothing if there is none."""
@@ -69,20 +78,17 @@ class ByMap(Generic[Setting]):
         while settings and all(whole in self._found.get(setting, ()) for setting in settings):
             whole += 1
         return {
-            setting: {
-                figure: np.array([self._found[setting][n][figure] for n in range(whole)]) for figure in (*FIGURES, "se")
-            }
+            setting: _columns([self._found[setting][n] for n in range(whole)], self._rollouts)
             for setting in settings
             if whole
         }
 
 
-def _columns(tally: Tally) -> dict[str, float]:
-    visited = tally_mean(tally, "visited", 1.0 / tally.accessible)
-    return {
-        "visited": visited.mean,
-        "se": visited.se,
-        "losses": tally_mean(tally, "lost").mean,
-        "time": tally_mean(tally, "time").mean,
-        "complete": float(tally.outcomes[Outcome.COMPLETE]) / tally.rollouts,
-    }
+def _columns(maps: Sequence[OfMap], rollouts: int) -> Columns:
+    means, errors, exact = (np.array(of_all) for of_all in zip(*maps, strict=True))
+    names, freedom = ("visited", "alive", "time", "complete"), len(maps) * (rollouts - 1)
+    found = {name: put_right(means[:, KEPT[name]], errors[:, KEPT[name]], freedom) for name in names}
+    (visited, se), (alive, _), (time, _), (complete, _) = (found[name] for name in names)
+    losses = means[:, KEPT["robots"], 0] - alive
+    figures = {"visited": visited, "losses": losses, "time": time, "complete": complete}
+    return figures | {"se": se, "exact": exact.astype(np.float64)}

@@ -30,12 +30,16 @@ LEAST_SHARE = 64
 
 @dataclass(frozen=True)
 class Job:
-    """A case with its models, and the first `rollouts` ids of each; `tag` is whoever asks's own."""
+    """A case with its models, and the first `rollouts` ids of each; `tag` is whoever asks's own.
+
+    `exact_seconds`: of looking for the closed loops' exact values, about, which rows then go by (`tasks.exact_means`).
+    """
 
     case: Case
     models: tuple[RolloutChoices, ...]
     rollouts: int
     tag: int = 0
+    exact_seconds: float = 0.0
 
     def __post_init__(self) -> None:
         if not 1 <= self.rollouts <= MOST_ROLLOUTS:
@@ -186,7 +190,7 @@ class _Run:
         if held:
             self.reused += held
             self.store.label(key, labels_of(job.case, team, model))
-        return Wanted(key, model, missing)
+        return Wanted(key, model, missing, job.exact_seconds)
 
     def take(self, task: Task, results: list[RunResult]) -> None:
         """Keep a task's results; finish its job when it was the last one."""
@@ -224,5 +228,5 @@ def _split(wanted: list[Wanted], share: int) -> list[tuple[Wanted, ...]]:
     tasks: dict[int, list[Wanted]] = {}
     for each in wanted:
         for number, ids in groupby(cut(each.ids, share), lambda part: part[0] // share):
-            tasks.setdefault(number, []).append(Wanted(each.key, each.model, tuple(ids)))
+            tasks.setdefault(number, []).append(replace(each, ids=tuple(ids)))
     return [tuple(tasks[number]) for number in sorted(tasks)]

@@ -32,7 +32,7 @@ class Part:
 
     Attributes:
         key: the run's. setting: its values of what is pooled. seed: of its rollouts.
-        rollouts, timeouts: how many. figures: float64 `[2, KEPT]`, means and standard errors.
+        rollouts, timeouts: how many. means, errors: of `figures_of`.
     """
 
     key: str
@@ -40,15 +40,14 @@ class Part:
     seed: Label
     rollouts: int
     timeouts: int
-    figures: NDArray[np.float64]
+    means: NDArray[np.float64]
+    errors: NDArray[np.float64]
 
 
 def part_of(run: Run, pooled: Sequence[str]) -> Part:
     """The part that a run is of its row; `pooled`: names of labels that vary within rows."""
-    means, squares = figures_of(run)
     setting = tuple(run.what.get(name) for name in pooled if name != "input" or "map" in run.what)
-    figures = np.array([means, np.sqrt(squares)])
-    return Part(run.key, setting, run.what.get("rollout_seed"), run.rollouts, timeouts_of(run), figures)
+    return Part(run.key, setting, run.what.get("rollout_seed"), run.rollouts, timeouts_of(run), *figures_of(run))
 
 
 def map_of(run: Run) -> tuple[str, Label]:
@@ -86,20 +85,32 @@ def moments_over(maps: Sequence[Sequence[Part]]) -> Moments:
     of the mean is added (`Moments.shared`).
     """
     found = Moments(len(KEPT))
-    errors: dict[Label, list[NDArray[np.float64]]] = {}
+    shared: dict[Label, list[NDArray[np.float64]]] = {}
     for parts in maps:
         weights = weights_of([(part.setting, part.rollouts) for part in parts])
-        of_seed: dict[Label, NDArray[np.float64]] = {}
-        for weight, part in zip(weights, parts, strict=True):
-            of_seed[part.seed] = of_seed.get(part.seed, 0.0) + weight * part.figures[1]
-        means = weights @ np.array([part.figures[0] for part in parts])
-        found.add(means, (np.array(list(of_seed.values())) ** 2).sum(axis=0))
-        for seed, error in of_seed.items():
-            errors.setdefault(seed, []).append(error / len(maps))
-    for each in errors.values():
+        of_seed: dict[Label, list[tuple[float, Part]]] = {}
+        for weight, part in zip(weights.tolist(), parts, strict=True):
+            of_seed.setdefault(part.seed, []).append((weight, part))
+        errors = {seed: _errors(each) for seed, each in of_seed.items()}
+        freedom = sum(max(part.rollouts for _, part in each) - 1 for each in of_seed.values())
+        means = np.tensordot(weights, [part.means for part in parts], 1)
+        found.add(means, np.sum([*errors.values()], axis=0), freedom)
+        for seed, error in errors.items():
+            shared.setdefault(seed, []).append(np.sqrt(error[:, 0, 0]) / len(maps))
+    for each in shared.values():
         if len(each) > 1:
             found.shared += sum(each) ** 2
     return found
+
+
+def _errors(parts: Sequence[tuple[float, Part]]) -> NDArray[np.float64]:
+    """The covariances `[KEPT, L, L]` of a map's errors by one seed, which are added up as if they were one and the
+    same."""
+    alone = np.sum([weight**2 * part.errors for weight, part in parts], axis=0)
+    apart = np.sqrt(alone[:, 0, 0])
+    together = np.sum([weight * np.sqrt(part.errors[:, 0, 0]) for weight, part in parts], axis=0)
+    scale: NDArray[np.float64] = np.divide(together, apart, out=np.ones_like(apart), where=apart > 0) ** 2
+    return alone * scale[:, None, None]
 
 
 def single_over(found: Sequence[tuple[Setting, Run, Tally]]) -> dict[str, Estimate]:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from analysis.statistics.control import complete_chance, tally_mean
 from analysis.statistics.estimate import Estimate
+from analysis.statistics.pooled_control import BESIDE, beside_luck
+from analysis.statistics.pooled_control import FIGURES as BESIDE_LUCK
 from analysis.sweeps.cases import Label
 from analysis.sweeps.store.store import Run
 from analysis.sweeps.summary import Moments
@@ -34,7 +36,7 @@ class Row:
 
     Attributes:
         labels: what it is. rollouts, timeouts: how many. moments: of KEPT.
-        apart: of DIFFERENCES, from the first row on the same maps.
+        apart: of DIFFERENCES, from the first row on the same maps, beside the luck of both. first: that row's moments.
         single: estimates of a single map's rollouts, by name (FIGURES); empty where there are several maps.
     """
 
@@ -42,8 +44,22 @@ class Row:
     rollouts: int = 0
     timeouts: int = 0
     moments: Moments = field(default_factory=lambda: Moments(len(KEPT)))
-    apart: Moments = field(default_factory=lambda: Moments(len(DIFFERENCES)))
+    apart: Moments = field(default_factory=lambda: Moments(len(DIFFERENCES), 2 * BESIDE - 1))
+    first: Moments | None = None
     single: dict[str, Estimate] = field(default_factory=dict)
+
+    def add(
+        self,
+        means: NDArray[np.float64],
+        errors: NDArray[np.float64],
+        freedom: int,
+        first: NDArray[np.float64] | None = None,
+    ) -> None:
+        """One more map, as of `Moments.add`; `first`: the first row's means on it."""
+        self.moments.add(means, errors, freedom)
+        if first is not None:
+            here, there = (of[[KEPT[name] for name in DIFFERENCES]] for of in (means, first))
+            self.apart.add(np.hstack([here[:, :1] - there[:, :1], here[:, 1:], there[:, 1:]]), 0.0)
 
     @property
     def maps(self) -> int:
@@ -61,12 +77,15 @@ class Row:
 
     def reach(self, name: str) -> float:
         """How large a figure may be on a map like these."""
-        return float(self.moments.mean[KEPT[REACH[name]]]) if name in REACH else 1.0
+        return float(self.moments.mean[KEPT[REACH[name]], 0]) if name in REACH else 1.0
 
     def difference(self, name: str) -> Estimate | None:
         """What it has more of than the first row, "visited" or "time", on the maps that both have."""
-        reach = self.reach(name)
-        return self.apart.estimate(DIFFERENCES.index(name), -reach, reach) if self.apart.maps > 1 else None
+        if self.apart.maps < 2 or self.first is None:
+            return None
+        reach, (mine, theirs) = self.reach(name), (of.weights(KEPT[name]) for of in (self.moments, self.first))
+        weights = np.concatenate([mine, -theirs[1:]])
+        return self.apart.estimate(DIFFERENCES.index(name), -reach, reach, weights)
 
     @property
     def within_share(self) -> float | None:
@@ -74,13 +93,33 @@ class Row:
         return self.moments.within_share(KEPT["visited"])
 
 
-def figures_of(run: Run) -> NDArray[np.float64]:
-    """What a run says about its map: means of KEPT, and their squared standard errors, float64 `[2, KEPT]`."""
+def figures_of(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What a run says about its map: means of KEPT beside its luck `[KEPT, L]`, and the covariances of their errors.
+
+    Where the closed loop is known exactly, that, without an error.
+    """
     facts, ideal = run.facts, run.facts["ideal_team"]
+    assert run.sums is not None
+    done = run.sums["outcomes"][Outcome.COMPLETE]
+    sums = [(done, done) if name == "complete" else tuple(run.sums[name]) for name in BESIDE_LUCK]
+    found = beside_luck(run.rollouts, sums, run.sums.get("luck", ()), facts["robots"])
+    if is_exact(run):
+        found = np.zeros_like(found[0]), np.zeros_like(found[1])
+        found[0][:, 0] = [facts["closed_loop"][name] for name in BESIDE_LUCK]
+    means, errors = (np.zeros((len(KEPT), *one.shape[1:])) for one in found)
+    for name in FIGURES:
+        place, unit = BESIDE_LUCK.index(name.removesuffix("_of_free")), unit_of(run, name)
+        own = np.array([unit, *(1.0,) * (BESIDE - 1)])
+        means[KEPT[name]], errors[KEPT[name]] = found[0][place] * own, found[1][place] * np.outer(own, own)
     known = [exact_of(run, name) for name in EXACT]
     known.append(nan if ideal is None else ideal / facts["cells"]["accessible"])
-    known += [facts["robots"], longest_of(run)]
-    return np.array([*(figure_of(run, name) for name in FIGURES), *((value, 0.0) for value in known)]).T
+    means[len(FIGURES) :, 0] = [*known, facts["robots"], longest_of(run)]
+    return means, errors
+
+
+def is_exact(run: Run) -> bool:
+    """Whether the means of its closed loop are known exactly."""
+    return bool(run.facts.get("closed_loop"))
 
 
 def timeouts_of(run: Run) -> int:

@@ -18,7 +18,7 @@ import numpy as np
 
 from analysis.report.answer import Answer
 from analysis.sweeps.engine import Done, Finished, run_cases, stored_luck
-from analysis.sweeps.rows import DIFFERENCES, KEPT, Row, figures_of, single_map, timeouts_of
+from analysis.sweeps.rows import Row, figures_of, single_map, timeouts_of
 from analysis.sweeps.spec import Spec
 from analysis.sweeps.store.store import Store, StoreError
 from analysis.sweeps.worlds import MOST_MAPS
@@ -66,7 +66,7 @@ class Sweep(Answer):
 
 
 class _Table:
-    """The rows of the settings that have a map, by setting; some 2 kB each, however many maps.
+    """The rows of the settings that have a map, by setting; some 12 kB each, however many maps.
 
     Jobs are added in order of their tags, whoever finished first, so that the sums do not depend on the engine.
     """
@@ -76,7 +76,7 @@ class _Table:
         self.found: dict[int, Row] = {}
         self.waiting: list[tuple[int, tuple[str, ...]]] = []
         self.next = 0
-        self.first = (-1, np.zeros(len(DIFFERENCES)))
+        self.first = (-1, np.empty(0))
 
     def add(self, tag: int, keys: tuple[str, ...]) -> None:
         """A finished job, by the keys of its runs."""
@@ -99,13 +99,11 @@ class _Table:
                 raise StoreError(f"run {key[:12]} has gone", source=self.store.path or "store")
             if setting not in self.found:
                 self.found[setting] = Row(self.spec.labels(case, model))
-            row, (means, squares) = self.found[setting], figures_of(run)
-            row.moments.add(means, squares)
-            here = means[[KEPT[name] for name in DIFFERENCES]]
+            row, (means, errors) = self.found[setting], figures_of(run)
             if setting == 0:
-                self.first = (number, here)
-            if self.first[0] == number:
-                row.apart.add(here - self.first[1], 0.0)
+                self.first = (number, means)
+            row.first = self.found[0].moments if 0 in self.found else None
+            row.add(means, errors, run.rollouts - 1, self.first[1] if self.first[0] == number else None)
             row.rollouts, row.timeouts = row.rollouts + run.rollouts, row.timeouts + timeouts_of(run)
             tally = self.store.tally(key) if self.spec.maps is None else None
             if tally is not None:

@@ -40,11 +40,15 @@ ONCE_UNDER_WAY: dict[str, Any] = {
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """Rollout ids of one model to run: `key` of the run (`cases.run_key`), what it is found by, and the ids."""
+    """Rollout ids of one model to run: `key` of the run (`cases.run_key`), what it is found by, and the ids.
+
+    `exact_seconds`: as of `engine.Job`.
+    """
 
     key: str
     model: RolloutChoices
     ids: Ranges
+    exact_seconds: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +101,10 @@ def _run(wanted: Wanted, task: Task, loops: _Loops) -> RunResult:
         else engine.tally(start, stop - start)
         for start, stop in cut(wanted.ids, BLOCK)
     )
-    return RunResult(wanted.key, labels_of(task.case, task.team, wanted.model), loops.facts, tallies)
+    facts = dict(loops.facts)
+    if controlled and wanted.exact_seconds:
+        facts["closed_loop"] = exact_means(loops.closed(wanted.model), wanted.exact_seconds)
+    return RunResult(wanted.key, labels_of(task.case, task.team, wanted.model), facts, tallies)
 
 
 class _Loops:
@@ -129,14 +136,16 @@ class _Loops:
         if model.loop == "open":
             drawn: Any = model.drawn
             return open_loop_engine(compile_plan(self._plan, world), model.seed, drawn, "numba", 1)
+        return closed_loop_engine(self.closed(model), model.seed, "numba", threads=1)
+
+    def closed(self, model: RolloutChoices) -> ClosedLoop:
+        """A model's closed loop."""
         if self._closed is None:
             self._closed = self._compiled(self._plan, model.luck)
         loop = self._closed
         if model.first_only:
             loop = replace(loop, identity=f"{loop.identity}!first_visit", first_only=True)
-        if model.luck != loop.luck:
-            loop = loop.by(model.luck, world)
-        return closed_loop_engine(loop, model.seed, "numba", threads=1)
+        return loop if model.luck == loop.luck else loop.by(model.luck, self._team.world)
 
     def _compiled(self, plan: Plan, luck: LuckName) -> ClosedLoop:
         from planner.kernels.closed_loop import compile_closed_loop
@@ -175,12 +184,31 @@ def _all_pairs(world: str) -> AllPairs:
     return AllPairs()
 
 
+def exact_means(loop: ClosedLoop, seconds: float) -> Json | None:
+    """Means of the figures of a closed loop, cells, steps, robots and a chance; None where its tree is too dear."""
+    from analysis.trials.exact_loop import tree_of
+    from analysis.trials.measured import Known
+
+    tree = tree_of(loop, seconds)
+    if tree is None:
+        return None
+    known = Known(tree)
+    found = {name: known.mean(name) for name in ("visited", "survived", "time", "alive")}
+    found["complete"] = known.chance("visited", len(tree.counts.visited) - 1)
+    return (
+        {name: one.mean for name, one in found.items()}
+        if all(one.se == one.half_width == 0 for one in found.values())
+        else None
+    )
+
+
 def facts_of(team: Team, plan: Plan) -> Json:
     """What is known of a team's plan without rolling out, as JSON: cells, the open loop's exact values, the ideal.
 
     `exact`: of the open loop, in cells, steps and robots; None what is not known. `ideal_team`, `ideal_one`: SPEC
     section 7, cells; None where robots wear or differ, and where threats move.
-    `longest`: steps that a run of either loop takes at most; stores of earlier releases lack it.
+    `longest`: steps that a run of either loop takes at most; stores of earlier releases lack it. Where a job asks for
+    exact values, its runs' facts have `closed_loop` too (`exact_means`).
     """
     from analysis.theory.bounds import ideal_team
     from analysis.theory.exact import open_loop_exact

@@ -11,7 +11,7 @@ from typing import Any
 
 from analysis.sweeps.cases import Label
 from analysis.sweeps.results import Where, labels_of, select
-from analysis.sweeps.rows import FIGURES, exact_of, figure_of
+from analysis.sweeps.rows import FIGURES, KEPT, exact_of, figures_of
 from analysis.sweeps.store.store import Run, Store
 from planner.arguments import argument
 from planner.errors import UsageError
@@ -42,9 +42,10 @@ def flat(run: Run, labels: list[str]) -> Json:
     row |= zip(OUTCOMES, run.sums["outcomes"], strict=False)  # older blocks lack the outcomes that came later
     row |= {"height": run.facts["shape"][0], "width": run.facts["shape"][1], "makespan": run.facts["makespan"]}
     row |= {name: cells[name] for name in ("accessible", "free", "dangerous")}
+    means, errors = figures_of(run)
     for name in FIGURES:
-        mean, squared = figure_of(run, name)
-        row[f"{name}_mean"], row[f"{name}_se"] = mean, math.sqrt(squared)
+        row[f"{name}_mean"] = float(means[KEPT[name], 0])
+        row[f"{name}_se"] = math.sqrt(errors[KEPT[name], 0, 0])
     for name in ("visited", "survived", "time"):
         row[f"open_loop_exact_{name}"] = exact_of(run, name)
     ideal = run.facts["ideal_team"]

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.statistics.pooled_control import luck_sums
 from planner.files import Json
 from planner.tally import Tally
 
@@ -58,8 +59,11 @@ def _narrow(values: NDArray[np.int64]) -> NDArray[Any]:
 
 
 def sums_of(tally: Tally) -> Json:
-    """The tally's sums, exact integers that add: `rollouts`, `outcomes`, and [sum, sum of squares] of each figure."""
-    said: Json = {"rollouts": tally.rollouts, "outcomes": tally.outcomes.tolist()}
+    """The tally's sums, exact integers that add: `rollouts`, `outcomes`, and [sum, sum of squares] of each figure.
+
+    `luck`: of `analysis.statistics.pooled_control.luck_sums`.
+    """
+    said: Json = {"rollouts": tally.rollouts, "outcomes": tally.outcomes.tolist(), "luck": luck_sums(tally)}
     for figure in FIGURES:
         counts = getattr(tally, figure)
         held = np.flatnonzero(counts)
@@ -69,10 +73,10 @@ def sums_of(tally: Tally) -> Json:
 
 
 def add_sums(left: Json, right: Json) -> Json:
-    """The sums of both tallies together. Blocks from before there was an outcome lack its count."""
+    """The sums of both tallies together. Blocks from before there was an outcome, or luck, lack its sums."""
     return {
         name: left[name] + right[name]
         if name == "rollouts"
-        else [a + b for a, b in zip_longest(left[name], right[name], fillvalue=0)]
-        for name in left
+        else [a + b for a, b in zip_longest(left.get(name, ()), right.get(name, ()), fillvalue=0)]
+        for name in left | right
     }
