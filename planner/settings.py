@@ -122,6 +122,7 @@ class Settings:
         susceptibility: how many times exposure counts, one number for all or one a robot. No decision knows these two.
         return_to: the bases that robots come home to (SPEC section 19): "home", their own starts; "nearest", anybody's;
             or cells, a tuple of (row, col); None = robots stay where they end.
+        recharge: steps at a base after which a robot that comes home has its range again; None = it does not.
         in_area: which cell of an area is next; others than `cheapest_first` are a user's own, and not saved.
     """
 
@@ -185,6 +186,10 @@ class Settings:
         None, "return to", 'Robots come home: to home, their own start; nearest; or to bases, "row,col;row,col;...".',
         words=("home", "nearest"), unset="nowhere", places=True, later=True,
     )  # fmt: skip
+    recharge: int | None = _setting(
+        None, "recharge", "With range and return-to: so many steps at a base, then a robot has its range again.",
+        whole(1, MAX_STEP), unset="never", later=True,
+    )  # fmt: skip
     in_area: InAreaOrder = cheapest_first
 
     @property
@@ -214,6 +219,11 @@ class Settings:
         """Raise PlanError for robots that come home, which `what` knows nothing of."""
         if self.return_to is not None:
             raise PlanError(f"{what} with {argument('return_to')}", fix=f"leave {argument('return_to')} out")
+
+    def check_not_charged(self, what: str) -> None:
+        """Raise PlanError for robots that are charged at their bases, which `what` knows nothing of."""
+        if self.recharge is not None:
+            raise PlanError(f"{what} with {argument('recharge')}", fix=f"leave {argument('recharge')} out")
 
     def check(self, source: str = "") -> None:
         """Raise PlanError, naming `source`, for unknown words, values out of range, limits without their policy.
@@ -252,6 +262,9 @@ class Settings:
             problem = f"{said('effort', str(self.effort))} with {called('plan_for')} {self.plan_for}"
             expected, fix = f"{called('plan_for')} open", f"leave {called('effort')} out"
             raise PlanError(problem, source=source, expected=expected, fix=fix)
+        if self.recharge is not None and None in (self.range, self.return_to):
+            problem = f"{said('recharge', str(self.recharge))} without {called('range')} and {called('return_to')}"
+            raise PlanError(problem, source=source, fix=f"give both, or leave {called('recharge')} out")
         if not callable(self.in_area):
             raise PlanError(f"in_area is {self.in_area!r}", source=source, expected="a function of a CellOffer")
 

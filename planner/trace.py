@@ -27,6 +27,8 @@ class Doing(IntEnum):
     """It follows the path that another planner gave it."""
     RETURNING = 6
     """It is on its way home."""
+    CHARGING = 7
+    """It stands at a base until it has its range again."""
 
 
 class EventKind(IntEnum):
@@ -62,7 +64,9 @@ class EventKind(IntEnum):
     TURNED_HOME = 9
     """The robot turns for home (SPEC section 19). area: its own, or NO_AREA. other: the base that it heads for."""
     HOME = 10
-    """The robot has come home for good. other: the base."""
+    """The robot has come home. other: the base."""
+    CHARGED = 11
+    """The robot has its range again. other: the cell where it is."""
 
 
 @dataclass(frozen=True, eq=False)

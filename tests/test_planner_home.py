@@ -41,6 +41,15 @@ KINDS: list[dict[str, Any]] = [
     {"return_to": "nearest", "policy": "per_cell", "reserve": 0.4, "deadline": 60},
     {"return_to": "home", "policy": "per_cell", "range": 45},
     {"return_to": "nearest", "transit": "area", "range": 50},
+    {"return_to": "home", "range": 30, "recharge": 4},
+    {
+        "return_to": "nearest",
+        "range": (25, 40, 60),
+        "recharge": 7,
+        "deadline": 140,
+        "policy": "per_cell",
+        "worth": 20.0,
+    },
 ]
 
 
@@ -83,8 +92,12 @@ def check_rules(trace: Trace, world: World, plan: Plan, found: list[dict[int, tu
         cells, doing = trace.cells[:, robot].tolist(), trace.doing[:, robot].tolist()
         turned = [row[0] for row in trace.events.tolist() if row[1:3] == [robot, EventKind.TURNED_HOME]]
         given = settings.range[robot] if isinstance(settings.range, tuple) else settings.range
+        charged = {row[0] for row in trace.events.tolist() if row[1:3] == [robot, EventKind.CHARGED]}
         moves = 0
         for step, cell in enumerate(cells):
+            if step in charged:
+                assert way[cell] == (0, 0) and moves > 0
+                moves = 0
             moves += step > 0 and cell != cells[step - 1]
             if doing[step] == Doing.DEAD:
                 break
@@ -92,14 +105,21 @@ def check_rules(trace: Trace, world: World, plan: Plan, found: list[dict[int, tu
             assert settings.deadline is None or way[cell][1] <= settings.deadline - step
         if doing[-1] != Doing.DEAD:
             assert way[cells[-1]] == (0, 0)
-        assert len(turned) <= 1
-        for step in range(turned[0] + 1 if turned else trace.time, trace.time):
-            before, after = cells[step], cells[step + 1]
-            if doing[step] == Doing.DEAD:
-                break
-            assert doing[step] in (Doing.RETURNING, Doing.DONE) and trace.areas[step, robot] == -1
-            assert way[after][1] == way[before][1] - (doing[step] == Doing.RETURNING)
-            assert way[after][0] <= way[before][0]
+        assert len(turned) <= 1 + len(charged)
+        for begun in turned:
+            check_way_home(trace, robot, begun, way, charged)
+
+
+def check_way_home(trace: Trace, robot: int, turned: int, way: dict[int, tuple[int, int]], charged: set[int]) -> None:
+    """From where it turned a robot goes home and nowhere else, and stays there, at least until it is charged."""
+    cells, doing = trace.cells[:, robot].tolist(), trace.doing[:, robot].tolist()
+    for step in range(turned + 1, trace.time):
+        if step + 1 in charged or doing[step] == Doing.DEAD:
+            return
+        before, after = cells[step], cells[step + 1]
+        assert doing[step] in (Doing.RETURNING, Doing.DONE, Doing.CHARGING) and trace.areas[step, robot] == -1
+        assert way[after][1] == way[before][1] - (doing[step] == Doing.RETURNING)
+        assert way[after][0] <= way[before][0]
 
 
 @pytest.mark.parametrize("number", range(len(KINDS)))
@@ -158,7 +178,22 @@ def test_a_corridor_by_hand(more: dict[str, int], turns_at: int) -> None:
     assert answer.visited.cells == pytest.approx(1 + sum((1 - p) ** k for k in range(turns_at)), rel=1e-6)
 
 
-@pytest.mark.parametrize("number", [0, 1, 3, 4])
+def test_a_charged_robot_goes_out_again_by_hand() -> None:
+    """From the middle of a corridor with nine moves: one side and back, three steps of charging, then the other."""
+    p = 0.05
+    world = World.create([[p] * 4 + [0.0] + [p] * 4])
+    plan = make_plan(world, [[0, 4]], Settings(return_to="home", range=9, recharge=3))
+    assert plan.robots[0].path.tolist() == [4, 3, 2, 1, 0, 1, 2, 3, 4, 4, 4, 4, 5, 6, 7, 8, 7, 6, 5, 4]
+    assert (plan.outcome, plan.time) == ("complete", 19)
+    answer = evaluate(world, plan, RolloutChoices(rollouts=2000))
+    passes = (1 - float(np.float32(p))) ** np.arange(15)
+    assert answer.figures.home is not None and answer.figures.home.mean == pytest.approx(passes[14], rel=1e-6)
+    assert answer.visited.cells == pytest.approx(1 + passes[:4].sum() + passes[7:11].sum(), rel=1e-6)
+    without = make_plan(world, [[0, 4]], Settings(return_to="home", range=9))
+    assert (without.outcome, len(np.unique(without.robots[0].path))) == ("stuck", 5)
+
+
+@pytest.mark.parametrize("number", [0, 1, 3, 4, 7])
 def test_the_exact_tree_knows_who_comes_home(number: int) -> None:
     world = World.create(
         [[0, 0.1, 0.1, 0], [0, np.nan, 0, 0.3], [0.2, 0, 0, np.nan], [0.2, 0.1, 0, 0.3]],
@@ -210,6 +245,7 @@ def test_open_loop_paths_end_at_home(tmp_path: Any) -> None:
         ({"return_to": ((0, 2),), "range": 1}, "2 moves from its base"),
         ({"return_to": "base"}, "home"),
         ({"return_to": ()}, "home"),
+        ({"return_to": "home", "recharge": 3}, "range"),
     ],
 )
 def test_what_cannot_come_home_is_refused(more: dict[str, Any], said: str | None) -> None:

@@ -20,15 +20,16 @@ OTHER = {
     "levels": 3, "density": 2.5, "risk": "log", "transit": "area", "max_steps": 99,
     "policy": "per_cell", "reserve": 0.5, "worth": 7.5,
     "plan_for": "open", "effort": 7, "range": 9, "deadline": 30,
-    "wear": 2.5, "susceptibility": 0.5, "return_to": "nearest",
+    "wear": 2.5, "susceptibility": 0.5, "return_to": "nearest", "recharge": 4,
 }  # fmt: skip
 WRONG = {
     "levels": 1, "density": 1.0, "risk": "brave", "transit": "air", "max_steps": 0,
     "policy": "bold", "reserve": 1.5, "worth": 0.0,
     "plan_for": "both", "effort": -1, "range": -1, "deadline": -1,
-    "wear": 0.1, "susceptibility": 65.0, "return_to": "base",
+    "wear": 0.1, "susceptibility": 65.0, "return_to": "base", "recharge": 0,
 }  # fmt: skip
 NEEDS = {"reserve": {"policy": "per_cell"}, "worth": {"policy": "per_cell"}, "effort": {"plan_for": "open"}}
+NEEDS |= {"recharge": {"range": 9, "return_to": "home"}}
 """What else has to be chosen."""
 
 

@@ -60,8 +60,8 @@ def test_traces_of_random_worlds_and_all_that_happens_in_them() -> None:
             seen.update(Doing(doing).name for doing in np.unique(trace.doing))
             seen[trace.outcome.name] += 1
     of_mrac = set(EventKind) - {EventKind.LOOKED_AGAIN, EventKind.REFUSED, EventKind.RANGE_ENDED, EventKind.SURPRISED}
-    stays = of_mrac - {EventKind.TURNED_HOME, EventKind.HOME}
-    doings = set(Doing) - {Doing.FOLLOWING, Doing.RETURNING}
+    stays = of_mrac - {EventKind.TURNED_HOME, EventKind.HOME, EventKind.CHARGED}
+    doings = set(Doing) - {Doing.FOLLOWING, Doing.RETURNING, Doing.CHARGING}
     assert {kind.name for kind in stays} | {doing.name for doing in doings} <= seen.keys()
     assert {"COMPLETE", "STOPPED"} <= seen.keys()
 

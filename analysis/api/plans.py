@@ -87,6 +87,7 @@ def plan(
     wear: float | None = None,
     susceptibility: float | Sequence[float] | None = None,
     return_to: ReturnTo = None,
+    recharge: int | None = None,
     state: MissionState | str | Path | None = None,
     in_area: InAreaOrder = cheapest_first,
 ) -> Plan:
@@ -114,6 +115,7 @@ def plan(
         return_to: robots come home, "home" to their own starts, to the "nearest" start of anybody, or of the bases
             `[[row, col], ...]`: they turn once everything is covered or nothing more can be done, or while range and
             deadline still leave them the way.
+        recharge: with `range` and `return_to`, steps at a base after which a robot has its range again.
         state: of a mission under way, or a file of it (a state, tracks, visited cells, a mask, an OccupancyGrid): the
             plan of the rest; the robots are its own, or at `starts` where the file does not say where they are.
         in_area: which cell of an area is next; an order of your own is a function of a `CellOffer`, least first.
@@ -125,7 +127,7 @@ def plan(
 
     sought = policy == BEST
     asked = (levels, density, risk, transit, max_steps, BASE if sought else policy, reserve, worth, plan_for, effort)
-    bears = {"wear": wear, "susceptibility": one_or_each(susceptibility)}
+    bears = {"wear": wear, "susceptibility": one_or_each(susceptibility), "recharge": recharge}
     settings = settings_of(world, range, *asked, deadline=deadline, in_area=in_area, return_to=return_to, **bears)
     if sought and state is not None:
         raise UsageError(f"both {argument('policy', BEST)} and a state", expected="one of them")

@@ -74,6 +74,7 @@ def front(
     wear: float | None = None,
     susceptibility: float | Sequence[float] | None = None,
     return_to: ReturnTo = None,
+    recharge: int | None = None,
     losses: float | None = None,
     target: float | None = None,
     reserves: Sequence[float] | None = None,
@@ -91,7 +92,8 @@ def front(
     """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
 
     Args:
-        robots, starts, levels, density, risk, transit, max_steps, range, wear, susceptibility, return_to: as of `plan`.
+        robots, starts, levels, density, risk, transit, max_steps, range, wear, susceptibility, return_to, recharge: as
+            of `plan`.
         losses: pick the setting that covers most with at most so many robots lost on average; or `target`: the one
             that loses the fewest with so much covered. `answer.picked` is it, `answer.plan_of(answer.picked)` its plan.
         reserves, worths: to look at (default: as the map suggests).
@@ -104,7 +106,9 @@ def front(
 
     check_world(world)
     goal, bears = make_goal(losses, target), {"wear": wear, "susceptibility": one_or_each(susceptibility)}
-    settings = settings_of(world, range, levels, density, risk, transit, max_steps, return_to=return_to, **bears)
+    settings = settings_of(
+        world, range, levels, density, risk, transit, max_steps, return_to=return_to, recharge=recharge, **bears
+    )
     ladders = Ladders(None if reserves is None else tuple(reserves), None if worths is None else tuple(worths))
     placed = np.asarray(starts_of(world, robots, starts))
     count = usual_rollouts(world, placed) if rollouts is None else rollouts
@@ -134,6 +138,7 @@ def starts(
     wear: float | None = None,
     susceptibility: float | Sequence[float] | None = None,
     return_to: ReturnTo = None,
+    recharge: int | None = None,
     rollouts: int = 4096,
     seed: int = 0,
     deadline: int | str | None = None,
@@ -157,7 +162,7 @@ def starts(
     check_world(world)
     bears = {"wear": wear, "susceptibility": one_or_each(susceptibility)}
     asked = (levels, density, risk, transit, max_steps, policy, reserve, worth)
-    settings = settings_of(world, range, *asked, return_to=return_to, **bears)
+    settings = settings_of(world, range, *asked, return_to=return_to, recharge=recharge, **bears)
     choices = RolloutChoices(
         rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
     )
@@ -186,6 +191,7 @@ def clear(
     wear: float | None = None,
     susceptibility: float | Sequence[float] | None = None,
     return_to: ReturnTo = None,
+    recharge: int | None = None,
     rollouts: int = 4096,
     seed: int = 0,
     deadline: int | str | None = None,
@@ -210,7 +216,7 @@ def clear(
     check_world(world)
     bears = {"wear": wear, "susceptibility": one_or_each(susceptibility)}
     asked = (levels, density, risk, transit, max_steps, policy, reserve, worth)
-    settings = settings_of(world, range, *asked, return_to=return_to, **bears)
+    settings = settings_of(world, range, *asked, return_to=return_to, recharge=recharge, **bears)
     choices = RolloutChoices(
         rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
     )
@@ -239,6 +245,7 @@ def attack(
     wear: float | None = None,
     susceptibility: float | Sequence[float] | None = None,
     return_to: ReturnTo = None,
+    recharge: int | None = None,
     rollouts: int = 4096,
     seed: int = 0,
     deadline: int | str | None = None,
@@ -262,7 +269,7 @@ def attack(
     check_world(world)
     bears = {"wear": wear, "susceptibility": one_or_each(susceptibility)}
     asked = (levels, density, risk, transit, max_steps, policy, reserve, worth)
-    settings = settings_of(world, range, *asked, return_to=return_to, **bears)
+    settings = settings_of(world, range, *asked, return_to=return_to, recharge=recharge, **bears)
     choices = RolloutChoices(
         rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
     )

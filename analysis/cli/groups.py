@@ -141,10 +141,7 @@ def _planner_options(name: str, group: Group, without: tuple[str, ...] = (), bes
     for key in [key for key in SETTINGS if key not in without]:
         setting = SETTINGS[key]
         words = setting.words + (BEST,) * (best and key == "policy")
-        kind = (
-            kinds.get(setting.kind)
-            or Annotated[Literal[words] | None, Parameter(converter=one_of(*words))]
-        )
+        kind = kinds.get(setting.kind) or Annotated[Literal[words] | None, Parameter(converter=one_of(*words))]
         options.append((key, Annotated[kind, Parameter(group=group, help=setting.help)], None))
     return make_dataclass(name, options, bases=(_Chosen,))
 

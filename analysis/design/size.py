@@ -242,7 +242,8 @@ class _Search:
         self._check()
         self.needed = math.ceil(goal.target * self.cells - 1e-9)
         _check_alike(settings)
-        ends = [end for end in (choices.deadline, settings.last_step, settings.range) if isinstance(end, int)]
+        moves = settings.range if settings.recharge is None else None
+        ends = [end for end in (choices.deadline, settings.last_step, moves) if isinstance(end, int)]
         self.ideals: Ideals = team_ideals(world, self.starts, self.cells, self.needed, min(ends, default=None))
         if not settings.bearing().is_plain:  # they presume that a visit stops with p
             self.ideals = Ideals(np.ones(len(self.starts)), np.ones(len(self.starts)))

@@ -32,6 +32,7 @@ _EVENTS = {
     ),
     EventKind.TURNED_HOME: (Log.INFO, "robot {robot} turns for home", "{short}, to {cell}{its_area}"),
     EventKind.HOME: (Log.INFO, "robot {robot} is home", "{short}, at {cell}"),
+    EventKind.CHARGED: (Log.INFO, "robot {robot} is charged", "{short}, at {cell}"),
     EventKind.SURPRISED: (Log.INFO, "{cells} are not as believed", "robots see that {cells} are not as they believed"),
 }  # fmt: skip
 """Of each kind foxglove.Log's level, what happened in short (on a picture there is little room), and in full."""

@@ -15,7 +15,7 @@ from planner.worlds.world import FOUR_NEIGHBOURS, World
 def moves_left(plan: Plan) -> list[int] | None:
     """Of each robot, -1 of one that is lost; None: without end."""
     limit = None if plan.settings is None else plan.settings.range
-    if limit is None:
+    if limit is None or (plan.settings is not None and plan.settings.recharge is not None):
         return None
     moves = list(limit) if isinstance(limit, tuple) else [limit] * len(plan.robots)
     if plan.state is None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, rare_kernel, spliced
+from planner.kernels.afford import affords, comes_home
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
 from planner.kernels.nearest import open_at, seek
 from planner.kernels.paths import cheapest_cell, entry_of, set_out
@@ -96,9 +97,42 @@ def give(s, robot, area):
         s.robots[robot, DOING] = TRAVELING
 
 
+@rare_kernel
+def find_affordable(t, s, w, robot):
+    """The same of what a robot that comes home can afford, by `costs_from` it."""
+    here = np.int64(s.robots[robot, CELL])
+    if len(t.cost_to) > 0:
+        return affordable(t, s, w, robot, t.cost_to[here], t.area_cost[here], t.area_entry[here])
+    row = row_from(t, s, w, here)
+    return affordable(t, s, w, robot, w.rows[row], w.row_costs[row], w.row_entries[row])
+
+
+@kernel
+def affordable(t, s, w, robot, costs, area_costs, area_entries):
+    """As `look_up_among`, of all unassigned areas."""
+    best, best_level, best_cost, best_cell = np.int64(NONE), FAR, FAR, np.int64(NONE)
+    for area in range(s.marks[AREAS]):
+        if not holds(s.open, area):
+            continue
+        level, root = np.int64(s.areas[area, LEVEL]), np.int64(s.areas[area, ROOT])
+        cost, cell = np.int64(area_costs[root]), np.int64(area_entries[root])
+        if level > best_level or (level == best_level and cost >= best_cost):
+            continue
+        if cost >= 0 and np.int64(s.home[cell]) >> AREA_BITS != area:
+            cell = cheapest_cell(costs, s, area)
+            cost = np.int64(costs[cell])
+        better = cost >= 0 and (level < best_level or cost < best_cost)
+        if better and affords(t, s, w, robot, cell):
+            best, best_level, best_cost, best_cell = np.int64(area), level, cost, cell
+    return best, best_cell
+
+
 @spliced
-def find_next_area(t, s, w, here):
+def find_next_area(t, s, w, robot):
     """(area, cell) of the next area by (level, cost, id), NONE if none is reachable."""
+    if comes_home(t):
+        return find_affordable(t, s, w, robot)
+    here = np.int64(s.robots[robot, CELL])
     if len(t.cost_to) > 0:
         return look_up_next_area(s, t.cost_to[here], t.area_cost[here], t.area_entry[here])
     if len(s.mind) > 0:  # areas gain cells: none is a part of one of t = 0
@@ -381,7 +415,8 @@ def owner_to_share_with(t, s, w, helper, costs):
         cost, left = np.int64(costs[cell]), s.areas[area, LEFT_IN]
         better = (level, cost, area) < (best_level, best_cost, best_area)
         # Steps are counted along the path only where the cost does not tell: a step costs 1 at least.
-        if better and (cost <= left or is_within(t, s, w, helper, cell, left)):  # a step costs 1 at least
+        near = better and (cost <= left or is_within(t, s, w, helper, cell, left))  # a step costs 1 at least
+        if near and (not comes_home(t) or affords(t, s, w, helper, cell)):
             best, best_level, best_cost, best_area = owner, level, cost, area
     return best
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, program, rare_kernel, spliced
+from planner.kernels.afford import comes_home
 from planner.kernels.areas import costs_from, give, reopen, share_between
 from planner.kernels.believe import forget_news, is_lost, look_about, recall, revise
 from planner.kernels.bits import ONE, holds, lowest_bit
@@ -20,7 +21,7 @@ from planner.kernels.follow import is_danger, offer_of
 from planner.kernels.handed import hand
 from planner.kernels.meet import is_meeting
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
-from planner.kernels.retire import call_home, can_go_on, comes_home, go_home, stay, turn_home
+from planner.kernels.retire import call_home, charge, go_home, may_be_charged, stay, turn_home, turns
 from planner.kernels.rollouts import begin_next, go_on_with, level_of
 from planner.kernels.runs import (
     after_turns,
@@ -43,6 +44,7 @@ from planner.kernels.state import (
     CALLED_OFF,
     CELL,
     CHANGES,
+    CHARGING,
     COVERING,
     DOING,
     DONE,
@@ -53,6 +55,7 @@ from planner.kernels.state import (
     LAST,
     LEFT_IN,
     NEXT,
+    NOW,
     OPEN,
     PARTED,
     PASSED,
@@ -68,6 +71,7 @@ from planner.kernels.state import (
     TARGET,
     TO_DO,
     TRAVELING,
+    UNLIMITED,
     UNTIL,
     VERDICT,
     VISITED,
@@ -126,6 +130,17 @@ def take(t, p, s, w, log, robot, area, target):
 
 
 @rare_kernel
+def would_be_charged(t, p, s, w, robot):
+    """Whether there is an area for the robot, if it is charged."""
+    if not may_be_charged(t, s, robot):
+        return False
+    s.marks[UNLIMITED] = 1
+    area, _, _ = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))
+    s.marks[UNLIMITED] = 0
+    return area != NONE
+
+
+@rare_kernel
 def share_or_rest(t, p, s, w, log, robot):
     """`Find Area To Share`, else done: 1 if the robot got a part, 0 if not, NONE if there is no room."""
     owner, cost = first_to_share(t, p, s, w, robot)
@@ -145,7 +160,10 @@ def share_or_rest(t, p, s, w, log, robot):
         if area != NONE:
             note(log, s, robot, REFUSED_EVENT, area, target)
     s.robots[robot, DOING] = DONE
-    waits(s, robot)
+    if comes_home(t) and would_be_charged(t, p, s, w, robot):
+        turn_home(t, s, w, log, robot, True)
+    else:
+        waits(s, robot)
     return 0
 
 
@@ -159,8 +177,12 @@ def allocate_next(t, p, s, w, log, robot, idle):
         area, target, cost = first_of_idle(t, p, s, w, robot)
     else:
         area, target, cost = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))
+    if area == NONE and idle and not s.robots[robot, HELD]:
+        if comes_home(t) and would_be_charged(t, p, s, w, robot):
+            turn_home(t, s, w, log, robot, True)
+        return 0
     if area == NONE:
-        return 0 if idle and not s.robots[robot, HELD] else share_or_rest(t, p, s, w, log, robot)
+        return share_or_rest(t, p, s, w, log, robot)
     if has_to_wait(t, p, s, w, robot, area, cost):
         s.robots[robot, HELD] = 1
         return share_or_rest(t, p, s, w, log, robot)
@@ -391,15 +413,25 @@ def advance(t, p, s, c, w, log, how, ids):
                 got = allocate_next(t, p, s, w, log, robot, np.bool_(True))
                 stays = True
             else:
-                if step > 0 and robots[robot, DOING] != RETURNING and notices(p, s, robot):
+                charging = comes_home(t) and robots[robot, DOING] == CHARGING
+                if charging:
+                    progress = np.int64(1)
+                    if charge(t, s, log, robot, step):
+                        robots[robot, DOING] = IDLE
+                        got = allocate_next(t, p, s, w, log, robot, np.bool_(False))
+                elif step > 0 and robots[robot, DOING] != RETURNING and notices(p, s, robot):
+                    marks[NOW] = 1
                     got = look_up(t, p, s, w, log, how, robot)
-                stays = not holds(s.movers, robot)
-                s.team[robot, UNTIL] += stays  # it has not moved in this step
-                if comes_home(t) and step > 0 and has_area(robots, robot) and not can_go_on(t, s, robot, step):
-                    if got == NONE or not turn_home(t, s, w, log, robot):
-                        return AREAS_FULL
-                    unsettle(s)
-                    stays = not holds(s.movers, robot)
+                    marks[NOW] = 0
+                stays = charging or not holds(s.movers, robot)
+                s.team[robot, UNTIL] += stays and not charging  # it has not moved in this step
+                if comes_home(t) and not stays and step > 0:
+                    how_turns = turns(t, s, robot, step) if has_area(robots, robot) else 0
+                    if how_turns > 0:
+                        if got == NONE or not turn_home(t, s, w, log, robot, how_turns > 1):
+                            return AREAS_FULL
+                        unsettle(s)
+                    stays = not holds(s.movers, robot) or robots[robot, DOING] == CHARGING
             if got == NONE:
                 return AREAS_FULL
             progress |= got

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, rare_kernel
+from planner.kernels.afford import moves_home
 from planner.kernels.areas import any_to_share, costs_from, is_within, may_be_shared
 from planner.kernels.bits import holds
 from planner.kernels.first import (
@@ -15,12 +16,11 @@ from planner.kernels.first import (
     cheapest_unvisited,
     first_area,
     first_of_idle,
-    is_way_home_too_dear,
+    is_too_far_from_home,
 )
 from planner.kernels.follow import is_before, is_danger, offer_of, refuses
 from planner.kernels.nearest import one_cell, seek
 from planner.kernels.paths import set_out
-from planner.kernels.retire import moves_home
 from planner.kernels.rows import row_from
 from planner.kernels.state import (
     AHEAD,
@@ -62,10 +62,11 @@ def first_to_share(t, p, s, w, helper):
             continue
         cell, cost = cheapest_unvisited(costs, s, area)
         offer = offer_of(p, s, area, cost)
-        if cell == NONE or refuses(p, offer) or is_way_home_too_dear(t, p, helper, here, cell, offer):
+        if cell == NONE or refuses(p, offer):
             continue
         better = (level, cost, area) < (best_level, best_cost, best_area)
-        if better and is_within(t, s, w, helper, cell, s.areas[area, LEFT_IN]):
+        near = better and is_within(t, s, w, helper, cell, s.areas[area, LEFT_IN])
+        if near and not is_too_far_from_home(t, p, s, w, helper, here, cell, offer, np.bool_(True)):
             best, best_level, best_cost, best_area = np.int64(owner), level, cost, area
     return best, best_cost
 

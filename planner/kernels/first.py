@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, rare_kernel
+from planner.kernels.afford import affords, comes_home
 from planner.kernels.areas import costs_from, make_lowest
 from planner.kernels.bits import ONE, holds, lowest_bit
 from planner.kernels.follow import is_before, offer_of, refuses
-from planner.kernels.retire import comes_home
 from planner.kernels.state import (
     AREA_BITS,
     AREAS,
@@ -73,9 +73,13 @@ def see(t, s, costs, here, area):
 
 
 @kernel
-def is_way_home_too_dear(t, p, robot, here, target, offer):
-    """Whether a robot that comes home refuses an area since the way home is dearer from there (SPEC section 19)."""
+def is_too_far_from_home(t, p, s, w, robot, here, target, offer, refusing):
+    """Whether a robot that comes home leaves an area alone: it cannot afford it, or refuses it for the way home."""
     if not comes_home(t):
+        return False
+    if not affords(t, s, w, robot, target):
+        return True
+    if not refusing:
         return False
     way = t.home_cost[t.home_of[robot]]
     cost = offer.cost + max(way[target] - way[here], 0)
@@ -124,7 +128,7 @@ def least_open(p, s):
 
 
 @kernel
-def look_at(t, p, s, costs, robot, here, area, closely, best, target, first, refusing):
+def look_at(t, p, s, w, costs, robot, here, area, closely, best, target, first, refusing):
     """(area, target, offer) of the first of the `best` so far and an unassigned area; and whether the area may go
     before it, but for a look at its cells: `closely`, they have it.
     """
@@ -138,14 +142,14 @@ def look_at(t, p, s, costs, robot, here, area, closely, best, target, first, ref
             return best, target, first, True
         cell, cost = cheapest_unvisited(costs, s, area)
         offer = offer_of(p, s, area, cost)
-    dear = cell != NONE and refusing and is_way_home_too_dear(t, p, robot, here, cell, offer)
-    if cell != NONE and not dear and goes_first(p, offer, area, first, best, refusing):
+    before = cell != NONE and goes_first(p, offer, area, first, best, refusing)
+    if before and not is_too_far_from_home(t, p, s, w, robot, here, cell, offer, refusing):
         return area, cell, offer, False
     return best, target, first, False
 
 
 @kernel
-def first_among(t, p, s, costs, robot, here, further, closely, best, target, first, refusing):
+def first_among(t, p, s, w, costs, robot, here, further, closely, best, target, first, refusing):
     """(area, target, offer) of the first among the `best` so far and the areas of the least level, or the `further`
     ones; and whether there are some that may go before it, but for a look at their cells: `closely`, they have it.
     """
@@ -156,7 +160,7 @@ def first_among(t, p, s, costs, robot, here, further, closely, best, target, fir
             area = np.int64(word * WORD + lowest_bit(bits))
             bits &= bits - ONE
             best, target, first, more = look_at(
-                t, p, s, costs, robot, here, area, closely, best, target, first, refusing
+                t, p, s, w, costs, robot, here, area, closely, best, target, first, refusing
             )
             unseen |= more
     return best, target, first, unseen
@@ -172,7 +176,7 @@ def is_last(t, p, here, area, best, first):
 
 
 @kernel
-def first_ranked(t, p, s, costs, robot, here, best, target, first, refusing):
+def first_ranked(t, p, s, w, costs, robot, here, best, target, first, refusing):
     """(area, target, offer) of the first among the `best` so far and the unassigned areas, and whether that is all.
 
     An area costs no less per cell than it did when nothing of it was visited, nor does a part of it: those of t = 0 are
@@ -186,7 +190,7 @@ def first_ranked(t, p, s, costs, robot, here, best, target, first, refusing):
             all_seen = True
             break
         if holds(s.open, area):
-            best, target, first, _ = look_at(t, p, s, costs, robot, here, area, True, best, target, first, refusing)
+            best, target, first, _ = look_at(t, p, s, w, costs, robot, here, area, True, best, target, first, refusing)
     for word in range(given // WORD, (s.marks[AREAS] + WORD - 1) // WORD):
         bits = s.open[word]
         if word == given // WORD:
@@ -194,7 +198,7 @@ def first_ranked(t, p, s, costs, robot, here, best, target, first, refusing):
         while bits != 0:
             area = np.int64(word * WORD + lowest_bit(bits))
             bits &= bits - ONE
-            best, target, first, _ = look_at(t, p, s, costs, robot, here, area, True, best, target, first, refusing)
+            best, target, first, _ = look_at(t, p, s, w, costs, robot, here, area, True, best, target, first, refusing)
     return best, target, first, all_seen
 
 
@@ -215,17 +219,17 @@ def first_area(t, p, s, w, robot, own, refusing):
         if s.home[cell] & VISITED or len(s.mind) > 0:
             cell, cost = see(t, s, costs, here, own)
         offer = offer_of(p, s, own, cost)
-        dear = refusing and is_way_home_too_dear(t, p, robot, here, cell, offer)
-        if goes_first(p, offer, own, first, best, refusing) and not dear:
+        before = goes_first(p, offer, own, first, best, refusing)
+        if before and not is_too_far_from_home(t, p, s, w, robot, here, cell, offer, refusing):
             best, target, first = own, cell, offer
     home = np.int64(s.home[here])
     # A start that nobody has visited yet: its area alone may cost less than entering one.
     if home & VISITED == 0 and holds(s.open, home >> AREA_BITS):
         best, target, first, _ = look_at(
-            t, p, s, costs, robot, here, home >> AREA_BITS, True, best, target, first, refusing
+            t, p, s, w, costs, robot, here, home >> AREA_BITS, True, best, target, first, refusing
         )
     if len(t.foremost) > 0:
-        best, target, first, all_seen = first_ranked(t, p, s, costs, robot, here, best, target, first, refusing)
+        best, target, first, all_seen = first_ranked(t, p, s, w, costs, robot, here, best, target, first, refusing)
         if all_seen:
             return best, target, first.cost
     level = least_open(p, s)
@@ -235,7 +239,7 @@ def first_area(t, p, s, w, robot, own, refusing):
             if is_below(t, p, s, here, first, best, level + further):
                 return best, target, first.cost
             best, target, first, unseen = first_among(
-                t, p, s, costs, robot, here, further, closely, best, target, first, refusing
+                t, p, s, w, costs, robot, here, further, closely, best, target, first, refusing
             )
             if not unseen:
                 break
@@ -247,7 +251,7 @@ def first_of_idle(t, p, s, w, robot):
     """The same of a robot that waits, kept until an unassigned area comes, goes, or loses a cell to do."""
     kept, here = w.kept[robot], np.int64(s.robots[robot, CELL])
     # CHANGES counts whatever could alter the answer, so an equal count means the same answer.
-    if kept[0] != s.marks[CHANGES] or kept[1] != here:
+    if kept[0] != s.marks[CHANGES] or kept[1] != here or comes_home(t):  # what it can afford changes by itself
         area, target, cost = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))
         kept[0], kept[1], kept[2], kept[3], kept[4] = s.marks[CHANGES], here, area, target, cost
     return kept[2], kept[3], kept[4]

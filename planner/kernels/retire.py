@@ -1,7 +1,6 @@
 """Robots that do no more: at the end of their range, or since they turn for home (SPEC section 19).
 
-Part of `planner.kernels.rollouts`, which see; `planner.mrac.homecoming` is the readable one. Ways home are tables:
-`Tables.home_of`, `home_steps`, `onward`, empty where robots stay where they end.
+Part of `planner.kernels.rollouts`, which see; the readable one is `planner.mrac.executive`.
 """
 
 from __future__ import annotations
@@ -9,26 +8,31 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, rare_kernel
+from planner.kernels.afford import can_go_on, comes_home, moves_home, own_moves
 from planner.kernels.areas import replace
 from planner.kernels.bits import drop, holds, put
 from planner.kernels.state import (
-    AHEAD,
     AREA,
     AT_HOME,
     CELL,
+    CHARGING,
     DEAD,
     DOING,
     DONE,
+    FAR,
     HELD,
     LAST_STEP,
     NEXT,
+    OPEN,
     OVER,
+    READY,
+    RECHARGE,
     RETURNING,
     STEP,
-    TARGET,
     UNTIL,
 )
 from planner.kernels.trace import (
+    CHARGED_EVENT,
     HOME_EVENT,
     RANGE_ENDED_EVENT,
     REALLOCATED_EVENT,
@@ -52,7 +56,7 @@ def leave(t, s, w, log, robot, area):
 def stay(t, s, w, log, robot):
     """The robot is at the end of its range: it neither moves nor waits for an area. False: no room for areas."""
     if comes_home(t) and moves_home(t, robot, np.int64(s.robots[robot, CELL])) == 0:
-        return turn_home(t, s, w, log, robot)
+        return turn_home(t, s, w, log, robot, t.limits[RECHARGE] > 0)
     area = np.int64(s.robots[robot, AREA])
     drop(s.movers, robot)
     s.robots[robot, DOING] = DONE
@@ -60,39 +64,45 @@ def stay(t, s, w, log, robot):
     return leave(t, s, w, log, robot, area)
 
 
-@kernel
-def comes_home(t):
-    """Whether robots come home."""
-    return len(t.home_of) > 0
+@rare_kernel
+def turns(t, s, robot, step):
+    """Whether the robot, which has yet to move in this step, turns for home: 1; to be charged there: 2; else 0."""
+    own = s.team[robot, UNTIL] - step
+    if can_go_on(t, s, robot, min(own, t.limits[LAST_STEP] - step)):
+        return 0
+    return 2 if t.limits[RECHARGE] > 0 and own + 1 < t.range[robot] and not can_go_on(t, s, robot, own) else 1
 
 
 @kernel
-def moves_home(t, robot, cell):
-    """h: moves of the robot's way home from the cell."""
-    return np.int64(t.home_steps[t.home_of[robot], cell])
+def arrive(t, s, log, robot):
+    """The robot is home, for good or until it has its range again."""
+    note(log, s, robot, HOME_EVENT, np.int64(NONE), np.int64(s.robots[robot, CELL]))
+    drop(s.movers, robot)
+    s.robots[robot, DOING] = DONE
+    if s.team[robot, READY] > 0 and s.marks[OVER] == 0:
+        s.robots[robot, DOING], s.team[robot, READY] = CHARGING, s.marks[STEP] + t.limits[RECHARGE]
+        put(s.movers, robot)
+
+
+@kernel
+def charge(t, s, log, robot, step):
+    """A step at the base; whether the robot has its range again, as one that may move from the next step on."""
+    if step < s.team[robot, READY]:
+        return False
+    s.team[robot, READY], s.team[robot, UNTIL] = 0, t.range[robot] + step
+    note(log, s, robot, CHARGED_EVENT, np.int64(NONE), np.int64(s.robots[robot, CELL]))
+    return True
+
+
+@kernel
+def may_be_charged(t, s, robot):
+    """Whether a robot for which nothing is left has made moves, and is charged at its base."""
+    return t.limits[RECHARGE] > 0 and s.marks[OPEN] > 0 and own_moves(s, robot) < t.range[robot]
 
 
 @rare_kernel
-def can_go_on(t, s, robot, step):
-    """Whether the robot, which has yet to move in this step, could come home from every cell of the rest of its leg."""
-    me = s.robots[robot]
-    left, ahead = min(s.team[robot, UNTIL], t.limits[LAST_STEP]) - step, np.int64(me[AHEAD])
-    cell, target = np.int64(me[NEXT]), np.int64(me[TARGET])
-    while moves_home(t, robot, cell) <= left:
-        if cell == target:
-            return True
-        if ahead > 0:
-            ahead -= 1
-            cell = np.int64(s.legs[robot, ahead])
-        else:
-            cell = np.int64(t.hop_to[target, cell])
-        left -= 1
-    return False
-
-
-@rare_kernel
-def turn_home(t, s, w, log, robot):
-    """The robot turns for home, for good: others may have what is left of its area. False: no room for areas."""
+def turn_home(t, s, w, log, robot, charges):
+    """The robot turns for home, for good unless it is charged there. False: no room for what is left of its area."""
     me = s.robots[robot]
     cell, owns, area = np.int64(me[CELL]), has_area(s.robots, robot), np.int64(me[AREA])
     onward, base = t.onward[t.home_of[robot]], cell
@@ -104,10 +114,11 @@ def turn_home(t, s, w, log, robot):
     drop(s.movers, robot)
     drop(s.waiting, robot)
     me[DOING], me[HELD] = DONE, 0
+    s.team[robot, READY] = FAR if charges else 0
     if owns and not leave(t, s, w, log, robot, area):
         return False
     if moves_home(t, robot, cell) == 0:
-        note(log, s, robot, HOME_EVENT, np.int64(NONE), cell)
+        arrive(t, s, log, robot)
     elif base != cell:
         me[DOING], me[NEXT] = RETURNING, onward[cell]
         put(s.movers, robot)
@@ -123,9 +134,12 @@ def go_home(t, s, log, robot):
     if not arrives and s.marks[STEP] != s.team[robot, UNTIL]:
         me[NEXT] = t.onward[t.home_of[robot], cell]
         return
+    if arrives:
+        arrive(t, s, log, robot)
+        return
     drop(s.movers, robot)
     me[DOING] = DONE
-    note(log, s, robot, HOME_EVENT if arrives else RANGE_ENDED_EVENT, np.int64(NONE), cell)
+    note(log, s, robot, RANGE_ENDED_EVENT, np.int64(NONE), cell)
 
 
 @rare_kernel
@@ -141,8 +155,12 @@ def call_home(t, s, w, log, over):
     for robot in range(len(s.robots)):
         waits, way = holds(s.waiting, robot), moves_home(t, robot, np.int64(s.robots[robot, CELL]))
         late = waits and way > 0 and t.limits[LAST_STEP] - marks[STEP] <= way
-        turned = not waits and (not holds(s.movers, robot) or s.robots[robot, DOING] == RETURNING)
-        if not turned and (late or over != NONE) and not turn_home(t, s, w, log, robot):
+        doing = s.robots[robot, DOING]
+        if doing == CHARGING and over != NONE:
+            drop(s.movers, robot)
+            s.robots[robot, DOING] = DONE
+        turned = not waits and (not holds(s.movers, robot) or doing in (RETURNING, CHARGING))
+        if not turned and (late or over != NONE) and not turn_home(t, s, w, log, robot, False):
             return False
     return True
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, rare_kernel, spliced
+from planner.kernels.afford import comes_home
 from planner.kernels.areas import close, find_next_area, give, share
 from planner.kernels.believe import forget_news, is_lost, look_about, recall, revise
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
@@ -21,14 +22,15 @@ from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_le
 from planner.kernels.remember import can_be_remembered, remember
 from planner.kernels.retire import (
     call_home,
-    can_go_on,
-    comes_home,
+    charge,
     count_home,
     go_home,
     is_away,
     leave,
+    may_be_charged,
     stay,
     turn_home,
+    turns,
 )
 from planner.kernels.state import (
     ACTS,
@@ -41,6 +43,7 @@ from planner.kernels.state import (
     BEGIN,
     BORNE,
     CELL,
+    CHARGING,
     COMPLETE,
     COVERED,
     COVERING,
@@ -80,6 +83,7 @@ from planner.kernels.state import (
     TO_DO,
     TRAVELING,
     UNFINISHED,
+    UNLIMITED,
     UNSURVIVED,
     UNTIL,
     VERDICT,
@@ -297,13 +301,24 @@ def take_next_area(t, s, w, log, robot):
     """`Allocate Next Area`: whether the robot got one."""
     if s.marks[OPEN] == 0:
         return False
-    area, cell = find_next_area(t, s, w, np.int64(s.robots[robot, CELL]))
+    area, cell = find_next_area(t, s, w, robot)
     if area == NONE:
         return False
     give(s, robot, area)
     set_out(t, s, w, robot, cell, len(t.cost_to) == 0)
     note(log, s, robot, ALLOCATED_EVENT, area, cell)
     return True
+
+
+@rare_kernel
+def would_be_charged(t, s, w, robot):
+    """Whether there is an area for the robot, if it is charged."""
+    if not may_be_charged(t, s, robot):
+        return False
+    s.marks[UNLIMITED] = 1
+    area, _ = find_next_area(t, s, w, robot)
+    s.marks[UNLIMITED] = 0
+    return area != NONE
 
 
 @spliced
@@ -338,6 +353,8 @@ def settle(t, s, w, log, how, robot):
         if take_next_area(t, s, w, log, robot):
             got = 1
         elif doing in (IDLE, DONE):
+            if comes_home(t) and would_be_charged(t, s, w, robot):
+                turn_home(t, s, w, log, robot, True)
             return got
         else:
             shared = share(t, s, w, log, robot)
@@ -345,7 +362,10 @@ def settle(t, s, w, log, how, robot):
                 return NONE
             if shared == 0:
                 robots[robot, DOING] = DONE
-                waits(s, robot)
+                if comes_home(t) and would_be_charged(t, s, w, robot):
+                    turn_home(t, s, w, log, robot, True)
+                else:
+                    waits(s, robot)
                 return got
             got = 1
         if doing in (IDLE, DONE):
@@ -559,13 +579,21 @@ def advance(t, s, c, w, log, how, ids):
                 continue
             robot = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
-            if comes_home(t) and step > 0 and has_area(robots, robot) and not can_go_on(t, s, robot, step):
-                if not turn_home(t, s, w, log, robot):
-                    return AREAS_FULL
-                bits = actors(s, word, robot % WORD)
-                if robots[robot, DOING] == DONE:
+            charged = False
+            if comes_home(t) and robots[robot, DOING] == CHARGING:
+                progress, charged = 1, charge(t, s, log, robot, step)
+                if not charged:
                     continue
-            moves = robots[robot, DOING] != IDLE and robots[robot, DOING] != DONE
+                robots[robot, DOING], robots[robot, LEFT] = COVERING, 0  # as one that has covered its area
+            elif comes_home(t) and step > 0 and has_area(robots, robot):
+                how_turns = turns(t, s, robot, step)
+                if how_turns > 0:
+                    if not turn_home(t, s, w, log, robot, how_turns > 1):
+                        return AREAS_FULL
+                    bits = actors(s, word, robot % WORD)
+                    if robots[robot, DOING] != RETURNING:
+                        continue
+            moves = not charged and robots[robot, DOING] != IDLE and robots[robot, DOING] != DONE
             if moves:
                 cell, progress = robots[robot, NEXT], 1
                 # t = 0 enters the start; later the same cell again is a wait, which is no visit.

@@ -21,7 +21,7 @@ from planner.trace import Doing
 
 Given = TypeVar("Given", bound=tuple)
 
-IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING, RETURNING = map(int, Doing)
+IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING, RETURNING, CHARGING = map(int, Doing)
 LANDING, STARTING = range(len(Doing), len(Doing) + 2)
 """What a robot does besides: it has not entered its start yet, and has no area, or has one."""
 COMPLETE, STOPPED, STUCK, TIMEOUT, _, CALLED_OFF = map(int, Outcome)
@@ -45,8 +45,9 @@ MOST_PASSES = 8
 """Survived visits of a cell that are told apart; what further ones add to a chance to detect is bounded
 (`analysis.evaluation.outputs.value`)."""
 
-NEAR, WIDE, PATIENCE, GOAL, LAST_STEP, LIMITS = range(6)
-"""`Tables.limits` of searches, the cells that can truly be visited, and when robots know that the mission ends."""
+NEAR, WIDE, PATIENCE, GOAL, LAST_STEP, RECHARGE, LIMITS = range(7)
+"""`Tables.limits` of searches, the cells that can truly be visited, when robots know that the mission ends, and
+steps that they are charged."""
 
 
 class Tables(NamedTuple):
@@ -68,7 +69,8 @@ class Tables(NamedTuple):
             where there are tables.
         limits: int64 `[LIMITS]`. NEAR: cells that a search passes before it is one for what is far; WIDE: as of
             `SafeParts`; PATIENCE: searches from a cell before its costs to all are kept. GOAL: cells that count.
-            LAST_STEP: by which robots that come home are to be there.
+            LAST_STEP: by which robots that come home are to be there; RECHARGE: steps until they have their range
+            again, 0: they do not.
         truths: int16 `[M, A]`, level of each cell in each map that may be true, NONE of an obstacle, of robots that
             learn it; belief: int16 `[A]`, what they believe before the first step; price: int64 `[L]`, cost of entering
             a cell of each level; in_view: like near, what is seen from each cell, from `view_begin` int64 `[A + 1]` on
@@ -178,17 +180,19 @@ CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, HELD, SURE, PATH, ROBOT_WORDS = ra
 to do on the coverage path, how many cells of `legs` or of the remembered path PATH come after NEXT (0: the leg is one
 move, or in `hop_to`), whether it is held (`reserve`), whether it need not look again
 (`planner.kernels.attentive.decide`), and the number of that path."""
-UNTIL, BORNE, BEARS, TEAM_WORDS = range(4)
+UNTIL, BORNE, BEARS, READY, TEAM_WORDS = range(5)
 """`team`: the step of the last move of a robot that moves from now on, of who waits the moves left; the exposure that
-it has borne; no rollout of the set has less tolerance."""
+it has borne; no rollout of the set has less tolerance; the step in which it has its range again, at a base, before that
+FAR if it is to be charged there, else 0."""
 STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
 AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, CHANGES, COVERED, UNSURVIVED, ROAMED = range(7, 18)
-OVER, AT_HOME, MARKS = range(18, 21)
+OVER, AT_HOME, NOW, UNLIMITED, MARKS = range(18, 23)
 """`marks`: who acts in which step and what became of it, steps without progress, progress in this one, the set's part
 of the ids; areas so far, unassigned ones, the level of `State.lowest`, areas with unvisited cells, robots alive, areas
 shared by bisection, areas shared that lay in several components already, changes of the unassigned areas, cells
 visited, those of them in which nobody has survived yet, the steps that movers have made; 0, or the outcome and 1 once
-all turn for home, and at the end how many are there."""
+all turn for home, at the end how many are there; 1 while a robot decides that moves in the same step; and 1 while it
+may choose what it cannot afford."""
 STAYS, HITS, ROUTE, ROUTE_LENGTH, MOVER_WORDS = range(5)
 """`Tables.movers`: of 24 bits that are below, one that walks stays, and who is met is stopped; where its route begins
 in `routes`, and how many cells it has, 0: it walks."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planner.bearing import PLAIN, Bearing
 from planner.kernels.all_pairs import all_pairs, to_areas
-from planner.kernels.state import GOAL, LAST_STEP, MOST_CELLS, MOVER_WORDS, NEAR, RANKED, WORD, Tables
+from planner.kernels.state import GOAL, LAST_STEP, MOST_CELLS, MOVER_WORDS, NEAR, RANKED, RECHARGE, WORD, Tables
 from planner.luck_names import LuckName
 from planner.mrac.costs import neighbour_table
 from planner.mrac.far_search import find_safe_parts
@@ -115,7 +115,7 @@ def make_tables(
         **_ways_home(problem, cells, compact, narrow),
     )
     if problem.home is not None:
-        tables.limits[LAST_STEP] = problem.home.last
+        tables.limits[[LAST_STEP, RECHARGE]] = problem.home.last, problem.settings.recharge or 0
     if unknown is not None:  # a search passes all that is near enough to matter: nothing is far
         tables.limits[[NEAR, GOAL]] = len(cells), unknown.accessible.sum()
     return tables
@@ -222,7 +222,7 @@ def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: typ
         "kind": kind.astype(narrow),
         "kind_cost": kind_cost,
         "kind_begin": np.cumsum(counts) - counts,
-        "limits": np.array([NEAR_CELLS, parts.wide, ASKED_BEFORE if len(near) >= MOST_CELLS else 0, len(near), 0]),
+        "limits": np.array([NEAR_CELLS, parts.wide, ASKED_BEFORE if len(near) >= MOST_CELLS else 0, len(near), 0, 0]),
     }
 
 

@@ -49,7 +49,7 @@ class Chosen(Executive):
 
     def choose(self, robot: Robot, *, idle: bool = False, own: bool = False) -> Choice | None:
         """As it was answered. Who took none is asked again once other areas are nobody's. Raises Decision."""
-        now = (self.changes, robot.cell)
+        now = (self.changes, robot.cell, 0)
         if idle and robot.asked == now:
             return None
         robot.asked = now

@@ -26,7 +26,9 @@ class Fleet(Executive):
         """As of `Executive`, once a robot that is under way has looked for an area that is worth to turn round for."""
         robot = self.robots[number]
         if self.gain < 1 and self.step > 0 and robot.status is Doing.TRAVELING and self.areas[robot.area].unvisited:
+            self.next_move = self.step
             self._look_round(robot)
+            self.next_move = self.step + 1
         return super().decide(number)
 
     def _look_round(self, robot: Robot) -> None:

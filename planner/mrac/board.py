@@ -51,7 +51,7 @@ class Robot:
         to_do: cells of its coverage path when it was computed, with `path` as long as `since`.
         held: kept from areas at risk (`reserve`), until it gets one.
         moves: that it can still make (`range`). aside: it makes no progress, and gets nothing (`planner.missions`).
-        turned: for home, for good: it gets nothing any more.
+        turned: for home: it gets nothing any more. charges: unless it is charged there, at the step `ready`.
         path: its cell at every step so far. legs: its travel and cover legs.
         asked: after how many changes of the board, and where, it was asked what it would take `first` (`choose`).
     """
@@ -67,9 +67,11 @@ class Robot:
     moves: int = NO_LIMIT
     aside: bool = False
     turned: bool = False
+    charges: bool = False
+    ready: int = 0
     path: list[int] = field(default_factory=list)
     legs: list[Stretch] = field(default_factory=list)
-    asked: tuple[int, int] | None = None
+    asked: tuple[int, int, int] | None = None
     first: Choice | None = None
 
     @property
@@ -114,6 +116,8 @@ class Board:
         open_in: how many of them lie in a (connected part of the map, level).
         open: int32 `[N]`, the area of each cell whose area nobody has and is of level `open_level`, else NOT_WANTED.
         changes: how often an area that nobody has came, went, or lost an unvisited cell.
+        next_move: the step in which a robot that decides now moves first. limited: it takes only what it can afford, of
+            robots that come home.
         made: every area as it was when it was made; the first `given` of them at t = 0.
     """
 
@@ -123,6 +127,7 @@ class Board:
         self.visited, self.survived = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
         self.area_of = np.full(n, NO_AREA, dtype=np.int32)
         self.open, self.open_level = np.full(n, NOT_WANTED, dtype=np.int32), 0
+        self.next_move, self.limited = 0, True
         self.unassigned: set[int] = set()
         self.open_in: Counter[tuple[int, int]] = Counter()
         self.changes = 0

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.mrac.board import Board, Choice, Robot
+from planner.mrac.homecoming import can_afford
 from planner.mrac.search import NOT_WANTED, UNREACHED
 from planner.policies.limits import NO_REFUSAL, is_dangerous, is_refused, most_at_risk
 from planner.policies.offer import Offer
@@ -17,9 +18,9 @@ def first_area(board: Board, robot: Robot, *, own: bool = False, refusing: bool 
 
     `own`: its own area is among them. `refusing`: areas that cost more than a robot is worth are not.
     """
-    if board.rule.nearest:
+    if board.rule.nearest and board.problem.home is None:
         return _nearest(board, robot)
-    seen = offered(board, robot, own=own)
+    seen = [choice for choice in offered(board, robot, own=own) if can_afford(board, robot, choice.target)]
     if refusing and board.rule.limited:
         seen = [choice for choice in seen if not _is_refused(board, robot, choice)]
     return min(seen, key=lambda choice: (board.rule.key(choice.offer), choice.area), default=None)
@@ -35,7 +36,7 @@ def offered(board: Board, robot: Robot, *, own: bool = False) -> list[Choice]:
 
 def first_of_idle(board: Board, robot: Robot) -> Choice | None:
     """The same of a robot that waits, kept until an unassigned area comes, goes, or loses a cell to do."""
-    now = (board.changes, robot.cell)
+    now = (board.changes, robot.cell, 0 if board.problem.home is None else board.next_move)
     if robot.asked != now:
         robot.asked, robot.first = now, first_area(board, robot)
     return robot.first
@@ -82,7 +83,8 @@ def first_to_share(board: Board, robot: Robot) -> Choice | None:
         left = {number for number in numbers if board.areas[number].level == level}
         while left and (choice := _nearest_of(board, robot, left)) is not None:
             steps = len(board.problem.paths.path(robot.cell, choice.target))
-            if steps <= board.areas[choice.area].unvisited and not _is_refused(board, robot, choice):
+            near = steps <= board.areas[choice.area].unvisited and can_afford(board, robot, choice.target)
+            if near and not _is_refused(board, robot, choice):
                 return choice
             left.remove(choice.area)
     return None

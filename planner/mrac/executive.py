@@ -15,7 +15,7 @@ from planner.mrac.allocate import choose_parts
 from planner.mrac.board import Board, Choice, Robot, State
 from planner.mrac.choose import first_area, first_of_idle, first_to_share, has_to_wait, is_at_risk, is_full
 from planner.mrac.coverage import coverage_path
-from planner.mrac.homecoming import can_go_on, has_to_leave, is_home
+from planner.mrac.homecoming import can_go_on, has_to_leave, is_home, moves_left
 from planner.mrac.partition import bisect
 from planner.mrac.problem import Problem
 from planner.mrac.recorder import Recorder
@@ -72,7 +72,7 @@ class Executive(Board):
     def begin_step(self) -> None:
         """The next step."""
         self.step += 1
-        self.progress = False
+        self.progress, self.next_move = False, self.step + 1
 
     def end_step(self) -> None:
         """Every robot has had its turn."""
@@ -119,15 +119,24 @@ class Executive(Board):
             robot.path.append(robot.ahead.pop())
             self._finish_paths(robot)
             return None
+        if robot.status is Doing.CHARGING:
+            self._charge(robot)
+            robot.path.append(robot.cell)
+            self._finish_paths(robot)
+            return None
         if robot.on_its_way and self.rule.attentive:
+            self.next_move = self.step
             self._look_up(robot)
-        elif robot.able and not robot.busy and self._allocate_next(robot, idle=True):
+            self.next_move = self.step + 1
+        elif robot.able and not robot.busy and (self._allocate_next(robot, idle=True) or robot.turned):
             robot.path.append(robot.cell)
             self._finish_paths(robot)
             return None
         home = self.problem.home
-        if home is not None and robot.on_its_way and not can_go_on(self, home, robot, self.step):
-            self._turn_home(robot)
+        if home is not None and robot.on_its_way:
+            left = moves_left(home, robot, self.step)
+            if not can_go_on(self, home, robot, left):
+                self._turn_home(robot, charges=not can_go_on(self, home, robot, robot.moves))
         if robot.busy:
             return robot.ahead[-1]
         if robot.alive:
@@ -181,7 +190,7 @@ class Executive(Board):
         """The end of the robot's range: it is done for good, and others may have what is left of its area."""
         home = self.problem.home
         if home is not None and is_home(home, robot):
-            self._turn_home(robot)
+            self._turn_home(robot, charges=True)
             return
         self._note(EventKind.RANGE_ENDED, robot, robot.area, robot.cell)
         self._lay_down(robot)
@@ -200,13 +209,43 @@ class Executive(Board):
         assert home is not None
         self.over = self._over() if self.over is None else self.over
         for robot in self.robots:
+            if robot.status is Doing.CHARGING and self.over is not None:
+                robot.status = Doing.DONE
             late = robot.able and not robot.busy and has_to_leave(home, robot, self.step)
             can = robot.alive and robot.moves > 0 and not robot.turned
             if can and (late or self.over is not None):
                 self._turn_home(robot)
 
-    def _turn_home(self, robot: Robot) -> None:
-        """The robot turns for home, for good: others may have what is left of its area."""
+    def _charge(self, robot: Robot) -> None:
+        """A step at the base; at its end the robot has its range again, and looks for an area."""
+        self.progress = True
+        if self.step < robot.ready:
+            return
+        robot.moves, robot.turned, robot.charges = int(self.problem.range[robot.number]), False, False
+        robot.status = Doing.IDLE
+        self._note(EventKind.CHARGED, robot, NO_AREA, robot.cell)
+        self._allocate_next(robot)
+
+    def _rest(self, robot: Robot, *, waits: bool = False) -> None:
+        """Nothing is left that it can afford: it is charged, if there is something else; else it waits."""
+        used = robot.moves < self.problem.range[robot.number]
+        charges = self.problem.settings.recharge is not None and used and self._would_take(robot)
+        if charges or not waits:
+            robot.status, robot.area, robot.ahead = Doing.DONE, NO_AREA, []
+        if charges:
+            self._turn_home(robot, charges=True)
+
+    def _would_take(self, robot: Robot) -> bool:
+        """Whether there is an area for the robot, however far away."""
+        self.limited = False
+        first = first_area(self, robot)
+        self.limited = True
+        return first is not None
+
+    def _turn_home(self, robot: Robot, *, charges: bool = False) -> None:
+        """The robot turns for home: others may have what is left of its area. `charges`: if it does, not for good."""
+        used = robot.moves < self.problem.range[robot.number]
+        robot.charges = charges and used and self.problem.settings.recharge is not None
         home = self.problem.home
         assert home is not None
         way = home.way(robot.number, robot.cell)
@@ -224,6 +263,9 @@ class Executive(Board):
         kind = EventKind.RANGE_ENDED if robot.ahead else EventKind.HOME
         robot.status, robot.ahead = Doing.DONE, []
         self._note(kind, robot, NO_AREA, robot.cell)
+        if robot.charges and kind is EventKind.HOME and self.over is None:
+            assert self.problem.settings.recharge is not None
+            robot.status, robot.ready = Doing.CHARGING, self.step + self.problem.settings.recharge
 
     def _mark(self, robot: Robot, cell: int) -> None:
         """The robot visits the cell."""
@@ -332,7 +374,10 @@ class Executive(Board):
         """
         first = self.choose(robot, idle=idle)
         if first is None:
-            return self._share_or_rest(robot) if not idle or robot.held else False
+            if not idle or robot.held:
+                return self._share_or_rest(robot)
+            self._rest(robot, waits=True)
+            return False
         if has_to_wait(self, robot, first):
             robot.held = True
             return self._share_or_rest(robot)
@@ -358,7 +403,7 @@ class Executive(Board):
             refused = first_area(self, robot, refusing=False)
             if refused is not None:
                 self._note(EventKind.REFUSED, robot, refused.area, refused.target)
-        robot.status, robot.area, robot.ahead = Doing.DONE, NO_AREA, []
+        self._rest(robot)
         return False
 
     def _share(self, helper: Robot, number: int) -> None:

@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 from planner.mrac.board import Board, Robot
-from planner.mrac.homeward import Homeward
+from planner.mrac.homeward import CUT_OFF, Homeward
 from planner.trace import Doing
 
 
-def can_go_on(board: Board, home: Homeward, robot: Robot, step: int) -> bool:
-    """Whether the robot, which has yet to move in this step, could come home from every cell of the rest of its leg."""
-    left = min(robot.moves, home.last - step + 1)
+def can_go_on(board: Board, home: Homeward, robot: Robot, left: int) -> bool:
+    """Whether the robot, with so many moves left, could come home from every cell of the rest of its leg."""
     return all(home.moves(robot.number, cell) <= left - made for made, cell in enumerate(rest_of_leg(board, robot), 1))
+
+
+def moves_left(home: Homeward, robot: Robot, step: int) -> int:
+    """Moves that the robot can make from this step on: its range, and the mission's end if that is sooner."""
+    return min(robot.moves, home.last - step + 1)
+
+
+def can_afford(board: Board, robot: Robot, target: int) -> bool:
+    """Whether a robot that comes home could do so from this cell, once it has gone there."""
+    home = board.problem.home
+    if home is None or not board.limited or home.moves(robot.number, target) == CUT_OFF:
+        return True
+    there = len(board.problem.paths.path(robot.cell, target)) if target != robot.cell else 0
+    return there + home.moves(robot.number, target) <= moves_left(home, robot, board.next_move)
 
 
 def rest_of_leg(board: Board, robot: Robot) -> list[int]:

@@ -31,6 +31,7 @@ def state_of(run: Executive, borne: Sequence[int] | None = None) -> MissionState
     borne more than any luck that is drawn: then it is kept as the most that one can.
     """
     world, settings = run.problem.world, run.problem.settings
+    settings.check_not_charged("the state of a mission")
     known, home = None, run.problem.home
     if borne is not None and settings.wear != 1:
         known = np.minimum(borne, settings.bearing().most(len(run.robots))).tolist()
@@ -70,6 +71,7 @@ def _still_to_do(run: Executive, robot: Robot) -> NDArray[np.int64]:
 
 def made_ready(problem: Problem, state: MissionState) -> MissionState:
     """The state as runs begin with it: with areas, those of Algorithm 1 where it has none. Raises StateError."""
+    problem.settings.check_not_charged("the state of a mission")
     if state.step >= problem.max_steps:
         raise StateError(f"the state is of step {state.step}", expected=f"a step before the last, {problem.max_steps}")
     left = problem.range - [robot.moves for robot in state.robots]

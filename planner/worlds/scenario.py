@@ -43,7 +43,7 @@ DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 IN_DOUBT = ("hazard", "uncertain", "movers")
 """Keys that say by what else than the threats robots are stopped, one of them at most."""
 SETTINGS = ("levels", "policy", "reserve", "worth", "plan_for", "wear", "deadline")
-OF_ROBOTS = ("range", "susceptibility", "return_to")
+OF_ROBOTS = ("range", "susceptibility", "return_to", "recharge")
 """Settings of the planner that a scenario file may name, and those that stand under its key `robots`."""
 OPTIONAL = (
     "cell_size", "datum", "keepout", "robots", *IN_DOUBT, "plan_on", "value", "detect", *KNOWLEDGE,
