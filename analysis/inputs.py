@@ -17,6 +17,7 @@ from planner.files import read_json, why_no_file
 from planner.limits import MAX_PLAN_BYTES
 from planner.plans.plan import FORMAT, Plan
 from planner.plans.state import MissionState
+from planner.policies.per_cell import PER_CELL
 from planner.settings import BEARING, BEST, Choices, Settings
 from planner.worlds.learning import seeing
 from planner.worlds.world import EXAMPLE, World, check_starts
@@ -144,17 +145,17 @@ def load_or_make_plan(
     plan_file: Path | None = None,
     state: Path | None = None,
     *,
+    find_best: Callable[..., Plan],
     doing: Callable[[str], None] | None = None,
     seconds: float | None = None,
     first: Callable[[World], None] | None = None,
 ) -> Found:
     """The plan in `plan_file` or of the INPUT, or a new one; `doing` hears of it. Raises InputError.
 
-    `seconds`: of the search for the best policy, or for a plan for the open loop, at most. `state`: file of the mission
-    that it is the rest of.
+    `find_best`: the search for the best policy (`analysis.trials.best.plan_best`). `seconds`: of it, or of the search
+    for a plan for the open loop, at most. `state`: file of the mission that it is the rest of.
     `first`: raises InputError for a world that is not to be planned for.
     """
-    from analysis.trials.best import BASE, plan_best
     from planner.plan_team import plan_team
 
     sought = asked.choices.policy == BEST
@@ -167,12 +168,12 @@ def load_or_make_plan(
         asked, plan_file = _on_its_map(asked)
     if plan_file is not None:
         return _load_plan(asked, plan_file)
-    task = load_task(replace(asked, choices=replace(asked.choices, policy=BASE)) if sought else asked)
+    task = load_task(replace(asked, choices=replace(asked.choices, policy=PER_CELL.name)) if sought else asked)
     if first is not None:
         first(task.world)
     if doing is not None:
         doing("the best policy" if sought else "planning")
-    make = plan_best if sought else plan_team
+    make = find_best if sought else plan_team
     made = make(task.world, task.starts, task.settings, seconds)
     return task.world, made, task.notes + made.notes
 

@@ -29,7 +29,8 @@ def load_or_make_plan(
 ) -> tuple[World, Plan, tuple[str, ...]]:
     """`analysis.inputs.load_or_make_plan`, watched."""
     from analysis.inputs import load_or_make_plan as load
+    from analysis.trials.best import plan_best
 
     with show_progress() as watch:
         watch.doing("the map")
-        return load(asked, plan_file, state, doing=watch.doing, **how)
+        return load(asked, plan_file, state, find_best=plan_best, doing=watch.doing, **how)
