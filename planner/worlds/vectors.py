@@ -119,7 +119,7 @@ def _check_geopackage(path: Path) -> None:
             if state != "ok":
                 raise MapError(f"is damaged ({printable(state)[:80]})", source=path, expected=WHOLE)
             _check_tables(database, path)
-    except (sqlite3.Error, OSError) as error:
+    except (sqlite3.Error, UnicodeDecodeError, OSError) as error:  # SQLite quotes damaged names in its errors
         raise MapError(f"is damaged ({error})", source=path, expected=WHOLE) from error
 
 
