@@ -104,7 +104,7 @@ def load_task(asked: Asked) -> Task:
         count = robots if robots is not None else (team.robots or 1)
         placed, more = place_starts(world, count, team.start)
         notes += more
-    settings = asked.choices.settings(team.settings, world.pace)
+    settings = asked.choices.settings(team.settings, world.pace, by=world.source)
     notes += _cut_off(world, placed)
     if not (world.met > 0).any():
         notes += ("no cell is dangerous, so every robot survives: put threats on the map (a scenario's `threats`)",)
@@ -210,7 +210,9 @@ def _plan_the_rest(asked: Asked, file: Path, plan_file: Path | None) -> Found:
     world = asked.load()
     state, notes = read_state(file, world, None if asked.starts is None else parse_starts(asked.starts))
     _check_team(asked, len(state.robots), file)
-    made = plan_from_state(world, state, asked.choices.settings(world.team.settings, world.pace), str(file))
+    made = plan_from_state(
+        world, state, asked.choices.settings(world.team.settings, world.pace, by=world.source), str(file)
+    )
     return world.with_starts(state.starts), made, world.notes + notes
 
 

@@ -69,22 +69,22 @@ class Pace:
         """ "450 steps (22 min 30 s)"."""
         return f"{counted(steps, 'step')}{self.also(steps)}"
 
-    def last_step(self, name: str, given: Any) -> Any:
+    def last_step(self, name: str, given: Any, source: str = "") -> Any:
         """The last step that is over by a deadline, which is one or a time; anything else as it is, for a check.
 
-        Raises UsageError, naming the argument `name`, for a text that is no time, and where nobody says how long a
-        step takes.
+        Raises UsageError, naming the argument `name`, or the key of that name in `source`, for a text that is no time,
+        and where nobody says how long a step takes.
         """
         if not isinstance(given, str):
             return given
-        seconds = seconds_of(given)
+        seconds, said = seconds_of(given), f"`{name}` is {given}" if source else argument(name, given)
         if seconds is None:
-            raise UsageError(argument(name, given), expected=SPANS)
+            raise UsageError(said, source=source, expected=SPANS)
         if self.seconds is None:
-            fix = f"give {argument('step_seconds')} or {argument('speed')}, or {HOW_TO_SAY}"
-            raise UsageError(
-                f"{argument(name, given)}, but nobody says how long a step takes", expected="steps", fix=fix
-            )
+            options = "" if source else f"{argument('step_seconds')} or {argument('speed')}, or "
+            fix = f"give {options}{HOW_TO_SAY}"
+            problem = f"{said}, but nobody says how long a step takes"
+            raise UsageError(problem, source=source, expected="steps", fix=fix)
         return math.floor(seconds / self.seconds * (1 + WHOLE))
 
 

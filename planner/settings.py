@@ -309,14 +309,15 @@ class Choices(_Given):
         left = left_behind(given)
         return {name: value for name, value in asked.items() if name not in left} | given
 
-    def settings(self, asked: Mapping[str, Any], pace: Pace, source: str = "", **own: Any) -> Settings:
+    def settings(self, asked: Mapping[str, Any], pace: Pace, source: str = "", *, by: str = "", **own: Any) -> Settings:
         """The settings that these make of what an input asks for, checked; a deadline in minutes is a step by `pace`.
 
-        `own`: what is no choice, as an in-area order. Raises PlanError, naming `source`, and UsageError.
+        `by`: the input that asks. `own`: what is no choice, as an in-area order. Raises PlanError, naming `source`, and
+        UsageError.
         """
         said = self.over(asked)
         if "deadline" in said:
-            said["deadline"] = pace.last_step("deadline", said["deadline"])
+            said["deadline"] = pace.last_step("deadline", said["deadline"], by if self.deadline is None else source)
         made = Settings(**said, **own)
         made.check(source)
         return made

@@ -14,7 +14,8 @@ from page_reader import check_page_is_sound
 import mrac_jax as mrac
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.knowledge import Knowledge
-from analysis.evaluation.runs import run_of
+from analysis.evaluation.runs import run_of, runs
+from analysis.sampling import RolloutChoices
 from analysis.theory.longest import longest_run
 from analysis.trials.told import MOST_MAPS
 from planner.errors import InputError
@@ -122,7 +123,7 @@ def test_of_many_maps_the_first_ones_are_planned_on() -> None:
 def test_fog_is_what_nobody_has_seen(answer: Evaluation) -> None:
     engine = make_engine(answer.plan, DARK, Rolling("closed"))
     for trace in engine.traces([0, 5, 11]):
-        run = run_of("one", trace, DARK, 0)
+        run = run_of("one", trace, DARK, RolloutChoices())
         expected = np.full(DARK.threat.size, NO_STEP)
         for step in range(len(trace.cells) - 1, -1, -1):
             for robot in np.flatnonzero(trace.doing[step] != Doing.DEAD):
@@ -131,6 +132,10 @@ def test_fog_is_what_nobody_has_seen(answer: Evaluation) -> None:
                     if hypot(cell // 10 - row, cell % 10 - col) <= 2:
                         expected[cell] = step
         assert run.seen is not None and (run.seen == expected).all()
+    for world, loop in ((mrac.with_sense(DARK, 0), "closed"), (DARK, "open")):  # nobody looks, and nothing is dark
+        choices = RolloutChoices(loop=loop, rollouts=20)
+        found, note = runs(world, mrac.plan(world), choices, 20, False)
+        assert [run.seen for run in found] == [None] * 4 and "Dark" not in note
 
 
 def test_words_and_page(answer: Evaluation, tmp_path: Path) -> None:

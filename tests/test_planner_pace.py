@@ -159,8 +159,13 @@ def test_a_scenario_that_is_wrong(tmp_path: Path, lines: tuple[str, ...], said: 
         load_input(scenario(tmp_path, *lines))
 
 
-def test_what_nobody_says_is_asked_for() -> None:
+def test_what_nobody_says_is_asked_for(tmp_path: Path) -> None:
     world = World.create(CELLS, cell_size=2.0)
+    soon = tmp_path / "soon.yaml"
+    soon.write_text("map: cells.npy\nrobots: {count: 1}\ndeadline: 20s\n")
+    np.save(tmp_path / "cells.npy", np.zeros((3, 3)))
+    with pytest.raises(UsageError, match=r"soon.yaml: `deadline` is 20s, but nobody .* give the scenario's `step:"):
+        mrac.plan(mrac.load(soon))
     with pytest.raises(UsageError, match="nobody says how long a step takes"):
         mrac.plan(world, 1, deadline="45min")
     with pytest.raises(UsageError, match="'soon'"):

@@ -346,6 +346,8 @@ def test_100_boards_at_once_are_answered_with_the_last_one(served: Served) -> No
         ({"unknown": "AAAA"}, "`unknown`"),
         ({"believed": 1}, "`believed`"),
         ({"sense": 0.5, "unknown": base64.b64encode(np.ones(14 * 23, "u1").tobytes()).decode()}, "sense is 0.5"),
+        ({"deadline": "45min"}, "nobody says how long a step takes"),
+        ({"deadline": "soon"}, "`deadline` is soon"),
         ({"starts": [[99, 0]]}, "outside the map"),
         ({"starts": [[2**70, 0]]}, "`starts[0][0]`"),
         ({"starts": [[0, 0, 0]]}, "`starts[0]`"),
@@ -364,6 +366,14 @@ def test_a_wrong_board_is_named_in_one_line(change: dict[str, Any], named: str) 
     with pytest.raises(InputError) as found:
         read_sketch(json.dumps(first.to_json() | change).encode(), first)
     assert named in str(found.value) and "\n" not in str(found.value)
+
+
+def test_a_deadline_may_be_a_time_where_the_pace_is_known() -> None:
+    first = replace(sketch(), world=sketch().world.with_pace(3.0))
+    for given, step in (("2min", 40), ("1min30s", 30), (7, 7)):
+        assert read_sketch(json.dumps(first.to_json() | {"deadline": given}).encode(), first)[0].deadline == step
+    with pytest.raises(InputError, match="`deadline` is 0"):
+        read_sketch(json.dumps(first.to_json() | {"deadline": "1s"}).encode(), first)
 
 
 def test_what_is_no_board_is_refused(served: Served) -> None:

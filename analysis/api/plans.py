@@ -154,7 +154,7 @@ def settings_of(
     """What is asked, in the order of `Settings`, in the place of what the world came with."""
     bases = return_to if return_to is None or isinstance(return_to, str) else tuple(map(one_or_each, return_to))
     given = Choices(*asked, range=one_or_each(range), deadline=deadline, return_to=bases, **more)
-    return given.settings(world.team.settings, world.pace, in_area=in_area)
+    return given.settings(world.team.settings, world.pace, by=world.source, in_area=in_area)
 
 
 def one_or_each(given: Any) -> Any:

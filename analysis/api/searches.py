@@ -53,7 +53,7 @@ def size(
 
     check_world(world)
     choices = RolloutChoices(loop=loop, rollouts=rollouts, seed=seed, deadline=deadline, exact=exact)
-    settings = Choices().settings(world.team.settings, world.pace)
+    settings = Choices().settings(world.team.settings, world.pace, by=world.source)
     goal = make_goal(target, confidence, complete, meaning, most)
 
     search = partial(find_size, world, settings, goal, choices)

@@ -72,7 +72,7 @@ def starts(
     team = Team(cell_size=cell_size, step_seconds=step_seconds, speed=speed)
     asked = team.asked(source, planning.choices())
     world = asked.load()
-    settings = asked.choices.settings(world.team.settings, world.pace)
+    settings = asked.choices.settings(world.team.settings, world.pace, by=world.source)
     say(world.notes)
     with show_progress() as progress:
         answer = find_starts(

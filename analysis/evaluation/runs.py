@@ -33,9 +33,9 @@ def runs(world: World, plan: Plan, choices: RolloutChoices, rollouts: int, certa
     """
     if world.threat.size > MOST_CELLS:
         return [], ""
-    if world.knowledge is None:
+    if not looks(world, choices):
         played, note = [nominal(plan)], "The plan: the run in which nobody is lost."
-    else:  # what is planned is what robots believe, and nobody drives it
+    else:  # what is planned is what robots believe at first, and nobody drives it
         played, note = [], "Dark: what nobody has seen yet."
     if not certain:
         found, ids, looked_at = picked(world, plan, choices, rollouts)
@@ -43,6 +43,11 @@ def runs(world: World, plan: Plan, choices: RolloutChoices, rollouts: int, certa
         some = counted(looked_at, "rollout")
         note += f" Median, worst and best by cells visited of the first {some}: numbers {', '.join(map(str, ids))}."
     return played, note
+
+
+def looks(world: World, choices: RolloutChoices) -> bool:
+    """Whether robots come to know the map by what they see."""
+    return choices.loop == "closed" and world.knowledge is not None and world.knowledge.sense.range > 0
 
 
 def nominal(plan: Plan) -> Run:
@@ -68,13 +73,14 @@ def picked(world: World, plan: Plan, choices: RolloutChoices, total: int) -> tup
     shares = [100 * int(results.visited[number]) / engine.accessible for number in ids]
     names = [f"{pick.name}, {share:.1f} %" for pick, share in zip(PICKS, shares, strict=True)]
     traces = zip(names, engine.traces(ids), strict=True)
-    return [run_of(name, trace, world, choices.seed) for name, trace in traces], ids, count
+    return [run_of(name, trace, world, choices) for name, trace in traces], ids, count
 
 
-def run_of(name: str, trace: Trace, world: World, seed: int) -> Run:
+def run_of(name: str, trace: Trace, world: World, choices: RolloutChoices) -> Run:
     """A rollout as the page plays it."""
     dead = trace.doing == Doing.DEAD
     told = world.movers is not None
-    movers = ways_of_movers(world, seed, trace.rollout, len(trace.cells)) if told else None
-    seen = None if world.knowledge is None else world.knowledge.first_seen(trace.cells, ~dead)
+    movers = ways_of_movers(world, choices.seed, trace.rollout, len(trace.cells)) if told else None
+    known = world.knowledge if looks(world, choices) else None
+    seen = None if known is None else known.first_seen(trace.cells, ~dead)
     return Run(name, trace.cells, np.where(dead.any(axis=0), dead.argmax(axis=0), NO_STEP), movers, seen)

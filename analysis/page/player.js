@@ -143,8 +143,9 @@ function player(group) {
   tellers.set(box, (row, col) => {
     const cell = row * cols + col;
     if (!replay) return [];
-    const when = replay.when[cell];
-    return [["", "in this run", when < 0 ? "not covered" : "step " + told(when), when < 0 ? "" : "robot " + replay.who[cell]]];
+    const when = replay.when[cell], seen = replay.seen ? replay.seen[cell] : null;
+    const known = seen === null ? [] : [["", "first seen", seen < 0 ? "never" : "step " + told(seen), ""]];
+    return [...known, ["", "in this run", when < 0 ? "not covered" : "step " + told(when), when < 0 ? "" : "robot " + replay.who[cell]]];
   });
 
   // --- playing: a run takes some 20 seconds, a short one less ---

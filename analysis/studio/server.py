@@ -139,7 +139,8 @@ class _Board(_Guarded):
 
     def get(self) -> None:
         studio, first = self.studio, self.studio.first
-        about = {"name": studio.name, "out": str(studio.out), "shape": first.world.shape, "palettes": palettes()}
+        about: Json = {"name": studio.name, "out": str(studio.out), "shape": first.world.shape, "palettes": palettes()}
+        about |= {"paced": bool(first.world.pace)}
         self.finish(about | {"board": studio.board.to_json(), "first": first.to_json(), "notes": first.world.notes})
 
 

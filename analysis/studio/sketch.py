@@ -140,7 +140,8 @@ def read_sketch(body: bytes, first: Sketch) -> tuple[Sketch, Mapping[str, Key]]:
     )  # fmt: skip
     world, deadline = replace(world, pace=ground.pace, measured=ground.measured), None
     if keys["deadline"].value is not None:
-        deadline = keys["deadline"].number(whole(1, MAX_STEP, "a step"))
+        step = ground.pace.last_step("deadline", keys["deadline"].value, str(PAGE))
+        deadline = replace(keys["deadline"], value=step).number(whole(1, MAX_STEP, "a step"))
     believed, sees = keys["believed"].number(PROBABILITY), keys["sense"]
     sense = replace(first.sense, range=inf if sees.value is None else sees.number(RANGE))
     unknown = _cells(keys["unknown"], ground.shape, "u1").astype(np.bool_)

@@ -20,15 +20,17 @@ async function start() {
   document.title = about.name + " - mrac-jax studio";
   at("policy").value = about.board.policy;
   for (const key of numbers) at(key).value = about.board[key] ?? "";
+  at("deadline-unit").textContent = about.paced ? "step, or a time: 45min" : "step";
   at("believed").value = +(100 * about.board.believed).toPrecision(6);
   at("sense").value = about.board.sense ?? "";
   at("save").textContent = "Save as " + about.out;
 
   // --- what is asked, and what is answered ---
+  const written_or_step = (text) => (/^\s*\d*\s*$/.test(text) ? +text || null : text.trim());
   const number = (key) => (at(key).value === "" || at(key).disabled ? null : +at(key).value);
   const body = () => ({
     cells: packCells(board.cells), starts: board.starts, robots: board.robots, policy: at("policy").value,
-    reserve: number("reserve"), worth: number("worth"), deadline: number("deadline"),
+    reserve: number("reserve"), worth: number("worth"), deadline: written_or_step(at("deadline").value),
     unknown: packCells(board.unknown), believed: number("believed") / 100, sense: number("sense"),
   });
   async function ask() {
@@ -197,7 +199,7 @@ async function start() {
     changed();
   });
   addEventListener("keydown", (event) => {
-    if (!(event.ctrlKey || event.metaKey) || event.target.matches("input[type=number]")) return;
+    if (!(event.ctrlKey || event.metaKey) || event.target.matches("input[type=number], input[type=text]")) return;
     const key = event.key.toLowerCase(), forth = key === "y" || (key === "z" && event.shiftKey);
     if (key !== "z" && key !== "y") return;
     event.preventDefault();

@@ -132,7 +132,7 @@ class Places:
         else:
             count = case.robots if case.robots is not None else (world.team.robots or 1)
             starts, _ = place_starts(world, count, world.team.start)
-        settings = case.choices.settings(world.team.settings, world.pace, case.name)
+        settings = case.choices.settings(world.team.settings, world.pace, case.name, by=world.source)
         return Team(world, starts, settings)
 
     def _planned(self, case: Case, world: World) -> Team:

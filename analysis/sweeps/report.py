@@ -107,7 +107,7 @@ def notes_of(sweep: Sweep) -> list[str]:
         notes.append(f"{argument('precision')} was not reached with all maps and rollouts that there are")
     cut = sum(row.timeouts for row in sweep.rows)
     if cut:
-        notes.append(f"{cut:,} rollouts were cut off at the limit of steps (timeout): raise max_steps")
+        notes.append(f"{cut:,} rollouts ended at max_steps or a deadline (timeout), not of themselves")
     return notes
 
 
