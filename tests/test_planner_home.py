@@ -14,6 +14,8 @@ from oracle_tree import Tree as ReadableTree
 
 from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
+from analysis.tradeoff.front import settings_of
+from analysis.tradeoff.search import Ladders, find_front
 from planner.errors import InputError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.kernels.tree import WHOLE, grow_tree
@@ -218,7 +220,7 @@ def test_the_exact_tree_knows_who_comes_home(number: int) -> None:
 def test_threats_that_move_meet_who_goes_home_and_who_waits_there() -> None:
     world = moving_world(3)
     starts = place_starts(world, 3)[0]
-    for asked in KINDS[:3]:
+    for asked in (*KINDS[:3], KINDS[7], KINDS[8]):
         plan = make_plan(world, starts, Settings(**asked))
         readable, loop = ReferenceLoop(plan, world), compile_closed_loop(plan, world)
         for mine in trace_rollouts(loop, 1, range(8)):
@@ -341,3 +343,19 @@ def test_worth_counts_the_way_home() -> None:
     assert visited == {(None, 5.0): 10, (None, 15.0): 10, (None, 20.0): 2} | {
         ("home", 5.0): 10, ("home", 15.0): 2, ("home", 20.0): 2,
     }  # fmt: skip
+
+
+def test_the_settings_of_a_front_are_missions_that_end_at_home() -> None:
+    world, starts = drawn(7)
+    settings, choices = Settings(return_to="nearest"), RolloutChoices(rollouts=256, exact="never", luck="tolerance")
+    ladders = Ladders(reserves=(), worths=(), landmarks=(0.5,))
+    front = find_front(world, starts, settings, choices, ladders=ladders)
+    ended = [point for point in front.points if point.setting.deadline is not None]
+    assert len(ended) == 2 and any("home" in note for note in front.notes)
+    for point in ended:
+        plan = make_plan(world, starts, settings_of(settings, point.setting))
+        tally, singles = run_range(compile_closed_loop(plan, world), 0, 0, 256, singles=True)
+        assert singles is not None and singles.time.max() <= (point.setting.deadline or 0)
+        np.testing.assert_array_equal(singles.home, singles.alive)
+        mean = (tally.visited @ np.arange(len(tally.visited))) / 256 / tally.accessible
+        assert point.coverage.mean == pytest.approx(mean, abs=1e-9)

@@ -21,6 +21,7 @@ from analysis.report.words import (
 )
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.rules import LANDMARKS, Setting
+from planner.arguments import argument
 from planner.files import Json
 from planner.shown import counted
 
@@ -126,13 +127,17 @@ def pick_lines(front: Front) -> list[str]:
     if front.tried > 1 and again is not None:
         place = {2: "second", 3: "third"}.get(front.tried, f"{front.tried}th")
         lines.append(f"It is the {place} that was tried there; the 95 % holds with all tries.")
+    home = front.settings.return_to is not None
     if front.words and told:
-        lines.append(f"run it: {command_of(front, told[(len(told) - 1) // 2])}")
+        point = told[(len(told) - 1) // 2]
+        # `evaluate --deadline` cuts runs off: only the plan's robots know when to turn.
+        unknown = home and point.setting.deadline is not None and not front.plan_file
+        run = f"{argument('plan_out')} writes its plan" if unknown else f"run it: {command_of(front, point)}"
+        lines.append(run)
     if again is not None and again.setting.deadline is not None:
         end = again.setting.deadline
-        lines.append(
-            f"The mission ends at {front.world.pace.step(end)}, and so does its plan: bring the team home then."
-        )
+        then = "robots turn so as to be home by then" if home else "bring the team home then"
+        lines.append(f"The mission ends at {front.world.pace.step(end)}, and so does its plan: {then}.")
     return lines
 
 

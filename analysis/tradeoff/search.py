@@ -55,6 +55,7 @@ AMPLE = 1.5
 """Margins between a mean and its bound that a mission is ended beyond a target, so that other rollouts bear it out."""
 SETTINGS_ABOUT = 32
 """Of a front: the share of its exact seconds that each may take."""
+ENDS_AT_HOME = "robots come home: a mission that is ended early is one whose robots turn so as to be home by that step"
 BY_CELLS = "what is picked, and what nothing beats, goes by cells covered; value is told beside them"
 
 
@@ -188,6 +189,8 @@ class _Search:
         self.longest = longest_mission(world, starts, settings)
         self.least_deadline = self._way_home()
         self.notes: list[str] = [] if world.value is None else [BY_CELLS]
+        if settings.return_to is not None:
+            self.notes.append(ENDS_AT_HOME)
         _check_ladder("worth", ladders.worths or ())
         self.reserves = self._reserves()
 
