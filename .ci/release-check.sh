@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
-# What a release must pass: sdist and wheel build and describe themselves; the wheel, alone in a clean environment, gives the demo's answer;
+# What a release must pass: the slow tests on the code as it is (docs/evidence.md); sdist and wheel build and describe themselves; the wheel, alone in a clean environment, gives the demo's answer;
 # the tests of the sdist pass on its own installation.
 # PYTHON: which interpreter. TESTS: which of the sdist's tests; "tests": all quick ones.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 : "${PYTHON:=python3}"
 : "${TESTS:=tests/test_door.py tests/test_readme.py tests/test_planner_simulate.py tests/test_planner_closed_loop_fixtures.py}"
+"$PYTHON" tests/evidence.py --check
 root=$PWD work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 export XDG_CACHE_HOME=$work/cache
