@@ -147,7 +147,8 @@ class Settings:
         whole(1, MAX_STEP), unset="8 x levels x cells + 64",
     )  # fmt: skip
     policy: Policy = _setting(  # noqa: RUF009
-        DEFAULT, "policy", "Next area: mrac, cheapest to reach; per_cell, least cost a cell (default: mrac).",
+        DEFAULT, "policy",
+        "Next area: mrac, nearest; per_cell, least cost a cell; frontier, that a cell done or shown (default: mrac).",
         words=tuple(RULES), later=True,
     )  # fmt: skip
     reserve: float | None = _setting(

@@ -256,15 +256,15 @@ BEYOND = 2**70
 """More than any price of OFFERS."""
 
 
-def offer_of(level: int, cost: int, unvisited: int, entry: int, value: int | None = None) -> Offer:
-    """An area whose cells to do are worth `value`; None: 1 each."""
-    return Offer(level, cost, unvisited, entry, unvisited if value is None else value, BEYOND)
+def offer_of(level: int, cost: int, unvisited: int, entry: int, value: int | None = None, shown: int = 0) -> Offer:
+    """An area whose cells to do are worth `value`, None: 1 each, and would show so many."""
+    return Offer(level, cost, unvisited, entry, unvisited if value is None else value, BEYOND, shown)
 
 
 OFFERS = st.lists(
     st.builds(
         offer_of, st.integers(0, 15), WHOLE, st.integers(1, 2**26), st.integers(1, 2**31),
-        st.none() | st.integers(0, 3) | st.integers(0, 1000 * 2**26),
+        st.none() | st.integers(0, 3) | st.integers(0, 1000 * 2**26), st.just(0) | st.integers(0, 2**26),
     ),
     min_size=1, max_size=6,
 )  # fmt: skip
@@ -276,14 +276,23 @@ def mrac_twin(areas: list[tuple[int, Offer]]) -> list[int]:
 
 def per_cell_twin(areas: list[tuple[int, Offer]]) -> list[int]:
     def key(item: tuple[int, Offer]) -> tuple[bool, Fraction, int, int]:
-        number, (_, cost, unvisited, entry, value, _) = item
+        number, (_, cost, unvisited, entry, value, _, _) = item
         price = cost + (unvisited - 1) * entry
         return value == 0, Fraction(price, value) if value else Fraction(price), cost, number
 
     return [number for number, _ in sorted(areas, key=key)]
 
 
-TWINS = {"mrac": mrac_twin, "per_cell": per_cell_twin}
+def frontier_twin(areas: list[tuple[int, Offer]]) -> list[int]:
+    def key(item: tuple[int, Offer]) -> tuple[bool, Fraction, int, int]:
+        number, (_, cost, unvisited, entry, value, _, shown) = item
+        price, gain = Fraction(cost + (unvisited - 1) * entry), value + Fraction(shown, 4)
+        return gain == 0, price / gain if gain else price, cost, number
+
+    return [number for number, _ in sorted(areas, key=key)]
+
+
+TWINS = {"mrac": mrac_twin, "per_cell": per_cell_twin, "frontier": frontier_twin}
 
 
 @pytest.mark.parametrize("name", RULES)

@@ -108,7 +108,10 @@ def drawn(number, stream):
     return believed, truth, starts, sense
 
 
-POLICIES = ("mrac", "per_cell", {"policy": "per_cell", "reserve": 0.5}, {"policy": "per_cell", "worth": 3.0})
+POLICIES = (
+    "mrac", "per_cell", {"policy": "per_cell", "reserve": 0.5}, {"policy": "per_cell", "worth": 3.0}, "frontier",
+    {"policy": "frontier", "reserve": 0.5},
+)  # fmt: skip
 
 
 def fuzz(number):

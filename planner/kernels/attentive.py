@@ -273,7 +273,10 @@ def go(t, p, s, w, log, how, robot, step, cell):
 @rare_kernel
 def learn(t, p, s, w, log, how):
     """At the end of a step: what robots see, and what follows; 1 if somebody got an area, else 0; NONE: no room."""
-    count, got = look_about(t, s, w), 0
+    count, fresh = look_about(t, s, w)
+    got = 0
+    if fresh and len(p.view_begin) > 0:
+        s.marks[CHANGES] += 1  # areas would show less: what is kept of offers is void
     if count == 0:
         return 0
     if not revise(t, s, w, log, count):

@@ -48,8 +48,10 @@ GONE, WHOLE, BROKEN, TOUCHED, OWNED = range(5)
 
 @rare_kernel
 def look_about(t, s, w):
-    """Believe what live robots see from where nobody has looked yet; how many cells surprise, which `w.news` lists."""
-    truth, count = t.truths[s.mind[TRUTH]], 0
+    """Believe what live robots see from where nobody has looked yet; how many cells surprise, which `w.news` lists,
+    and whether any was seen for the first time.
+    """
+    truth, count, fresh = t.truths[s.mind[TRUTH]], 0, False
     for robot in range(len(s.robots)):
         here = s.robots[robot, CELL]
         if s.robots[robot, DOING] == DEAD or s.known[here] & LOOKED:
@@ -59,11 +61,12 @@ def look_about(t, s, w):
             cell = t.in_view[place]
             if s.known[cell] & SEEN == 0:
                 s.known[cell] |= SEEN
+                fresh = True
                 if s.level[cell] != truth[cell]:
                     change_level(t, s, cell, truth[cell])
                     w.news[count] = cell
                     count += 1
-    return count
+    return count, fresh
 
 
 @kernel

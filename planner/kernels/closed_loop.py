@@ -68,15 +68,16 @@ def compile_closed_loop(
     learns, unknown = problem.learns, problem.unknown
     cells = np.flatnonzero(problem.levels.accessible if unknown is None or not learns else unknown.within)
     tabled = not learns and (len(cells) <= MOST_TABLED if tabled is None else tabled)
+    tables = make_tables(problem, cells, areas, tabled, kept, luck, plan.bearing)
     return ClosedLoop(
         identity=_identity(problem, areas, first_only, plan.state),
         shape=world.shape,
         cells=cells,
-        tables=make_tables(problem, cells, areas, tabled, kept, luck, plan.bearing),
+        tables=tables,
         max_steps=problem.max_steps,
         first_only=first_only,
         stay_inside=settings.transit == "area",
-        policy=make_policy(problem, cells) if rule.attentive else None,
+        policy=make_policy(problem, cells, tables) if rule.attentive else None,
         state=plan.state,
         purpose=purpose_of(world),
         luck=luck,

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from planner.errors import PlanError
 from planner.jit import OF_THIS_PROCESS, UNCOUNTED, kernel, rare_kernel
 from planner.kernels.handed import Handed
-from planner.kernels.state import BEGIN, END, LEFT_IN, LEVEL, VISITED
+from planner.kernels.state import BEGIN, END, LEFT_IN, LEVEL, SEEN, VISITED
+from planner.kernels.tables import Tables
 from planner.mrac.problem import Problem
 from planner.policies import RULES
 from planner.policies.limits import NO_REFUSAL, is_dangerous, is_refused, most_at_risk
@@ -86,6 +87,8 @@ class Policy(NamedTuple):
         worth: whether robots say what they refuse.
         most: int64 `[K + 1]`, robots that may be at risk of so many alive; empty: all of them.
         value: int64 `[A]`, what cells count; empty: 1 each. scale, beyond: as in `planner.mrac.problem.Problem`.
+        view_begin, in_view: as of `Tables`, if the rule looks ahead and robots learn, else empty.
+        stamp: int64 `[A + 1]`, scratch of a thread: the last offer that a cell was counted for; last: offers.
     """
 
     rule: Followed
@@ -101,10 +104,14 @@ class Policy(NamedTuple):
     value: NDArray[np.int64]
     scale: int
     beyond: int
+    view_begin: NDArray[np.int64]
+    in_view: NDArray[Any]
+    stamp: NDArray[np.int64]
 
 
-def make_policy(problem: Problem, cells: NDArray[np.int64]) -> Policy:
+def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables) -> Policy:
     """The policy of an attentive, exact rule; `cells` int64 `[A]`, the accessible ones. Raises PlanError."""
+    ahead = slice(None if problem.rule.looks_ahead else 0)
     rule, settings = problem.rule, problem.settings
     alive = range(len(problem.starts) + 1 if settings.reserve is not None else 0)
     policy = Policy(
@@ -121,6 +128,9 @@ def make_policy(problem: Problem, cells: NDArray[np.int64]) -> Policy:
         value=np.zeros(0, dtype=np.int64) if problem.value is None else problem.value[cells],
         scale=problem.scale,
         beyond=problem.beyond,
+        view_begin=tables.view_begin[ahead],
+        in_view=tables.in_view[ahead],
+        stamp=np.zeros(len(cells) + 1, dtype=np.int64)[ahead],
     )
     if RULES.get(rule.name) is not rule:
         _check_order(policy)
@@ -129,7 +139,7 @@ def make_policy(problem: Problem, cells: NDArray[np.int64]) -> Policy:
 
 def _check_order(policy: Policy) -> None:
     """Raise PlanError for an order that is not arithmetic."""
-    offer = typeof(Offer(*map(np.int64, (0, 1, 1, 1, 1, 0))))
+    offer = typeof(Offer(*map(np.int64, (0, 1, 1, 1, 1, 0, 0))))
     try:
         is_before.compile((Handed(typeof(policy)), offer, offer, types.boolean))  # type: ignore[attr-defined]
     except NumbaError as error:
@@ -156,7 +166,25 @@ def offer_of(p, s, area, cost):
     """An area as the rule sees it, its target being at this cost."""
     level, left = np.int64(s.areas[area, LEVEL]), np.int64(s.areas[area, LEFT_IN])
     value = value_left(p, s, area) if len(p.value) > 0 else left
-    return Offer(level, np.int64(cost), left, p.entry[level], value, np.int64(p.beyond))
+    shown = frontier(p, s, area) if len(p.view_begin) > 0 else np.int64(0)
+    return Offer(level, np.int64(cost), left, p.entry[level], value, np.int64(p.beyond), shown)
+
+
+@rare_kernel
+def frontier(p, s, area):
+    """How many cells that nobody has seen are seen from the area's cells to do."""
+    last, shown = len(p.stamp) - 1, np.int64(0)
+    p.stamp[last] += 1
+    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
+        cell = np.int64(s.order[place])
+        if s.home[cell] & VISITED:
+            continue
+        for at in range(p.view_begin[cell], p.view_begin[cell + 1]):
+            other = p.in_view[at]
+            if s.known[other] & SEEN == 0 and p.stamp[other] != p.stamp[last]:
+                p.stamp[other] = p.stamp[last]
+                shown += 1
+    return shown
 
 
 @kernel

@@ -21,7 +21,8 @@ def nominal_trace(loop: ClosedLoop) -> Trace:
         limits = tables.limits.copy()
         limits[GOAL] = len(tables.order)
         safe = safe._replace(truths=tables.belief[None], limits=limits)
-    return trace_rollouts(replace(loop, tables=safe, movers=None, doubt=None), 0, (0,))[0]
+    policy = None if loop.policy is None else loop.policy._replace(view_begin=loop.policy.view_begin[:0])
+    return trace_rollouts(replace(loop, tables=safe, movers=None, doubt=None, policy=policy), 0, (0,))[0]
 
 
 def with_nominal_run(plan: Plan, loop: ClosedLoop) -> Plan:

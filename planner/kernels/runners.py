@@ -268,7 +268,8 @@ class Runner:
     def __init__(self, loop: ClosedLoop, seed: int, most: int, known: list[Work] | None = None) -> None:
         """`most`: rollouts of a set. `known`: scratch of earlier calls, one of which is taken."""
         self._loop, self._seed, self._most = loop, seed, most
-        self._tables, self._policy = plain(loop.tables), None if loop.policy is None else plain(loop.policy)
+        self._tables, policy = plain(loop.tables), loop.policy
+        self._policy = None if policy is None else plain(policy._replace(stamp=policy.stamp.copy()))
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         moving = [own_key(seed, draw) if loop.movers is not None else (0, 0) for draw in (MOVE_DRAW, MEETING_DRAW)]
         keys = [np.uint32(half) for key in (key_of_luck(seed, loop.luck), own, *moving) for half in key]

@@ -395,7 +395,8 @@ def set_right(t, s, w, log, how, robot):
 @rare_kernel
 def learn(t, s, w, log, how):
     """At the end of a step: what robots see, and what follows; 1 if somebody got an area, else 0; NONE: no room."""
-    count, got = look_about(t, s, w), 0
+    count, _ = look_about(t, s, w)
+    got = 0
     if count == 0:
         return 0
     if not revise(t, s, w, log, count):

@@ -463,6 +463,8 @@ def _begin(state: State, tables: Tables) -> None:
         state.home[:] = len(state.areas) - 1 << AREA_BITS | VISITED | SURVIVED
         state.known[:], state.known[tables.order] = OUT, 0
         state.areas[-1, LEVEL] = NOWHERE_LEVEL
+        for cell in tables.starts if len(tables.truths) == 1 else ():
+            state.known[tables.in_view[tables.view_begin[cell] : tables.view_begin[cell + 1]]] |= SEEN
     state.home[tables.order] = np.repeat(np.arange(given), sizes) << AREA_BITS
     # What is blocked looks visited and belongs to no area: no neighbour has to be asked whether it is a cell.
     state.home[-1] = VISITED | SURVIVED

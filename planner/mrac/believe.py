@@ -46,6 +46,8 @@ class Learning(Executive):
         if problem.unknown is not None and truth is not None:
             self.belief = problem.unknown.belief.copy()
             self.unvisited = int(problem.unknown.accessible.sum())
+            if problem.rule.looks_ahead:
+                self.seen = problem.unknown.seen_at(problem.starts)
 
     def end_step(self) -> None:
         """Every robot has had its turn, and looks about."""
@@ -54,6 +56,9 @@ class Learning(Executive):
             views = [self.problem.unknown.view(robot.cell) for robot in self.robots if robot.alive]
             if views:
                 seen = np.unique(np.concatenate(views))
+                if self.seen is not None:
+                    self.changes += not self.seen[seen].all()
+                    self.seen[seen] = True
                 self.believe(seen, self.truth[seen])
         super().end_step()
 

@@ -115,9 +115,10 @@ class Board:
         area_of: int32 `[N]`, the area that holds each cell. unassigned: ids of the areas that nobody has.
         open_in: how many of them lie in a (connected part of the map, level).
         open: int32 `[N]`, the area of each cell whose area nobody has and is of level `open_level`, else NOT_WANTED.
-        changes: how often an area that nobody has came, went, or lost an unvisited cell.
+        changes: how often an area that nobody has came, went, or lost an unvisited cell, or would show less.
         next_move: the step in which a robot that decides now moves first. limited: it takes only what it can afford, of
             robots that come home.
+        seen: bool `[N]`, cells that somebody has seen; None: nothing is left to see, or nobody asks.
         made: every area as it was when it was made; the first `given` of them at t = 0.
     """
 
@@ -131,6 +132,7 @@ class Board:
         self.unassigned: set[int] = set()
         self.open_in: Counter[tuple[int, int]] = Counter()
         self.changes = 0
+        self.seen: NDArray[np.bool_] | None = None
         self.areas: list[AreaNow] = []
         self.made: list[Area] = []
         team = enumerate(zip(problem.starts.tolist(), problem.range.tolist(), strict=True))

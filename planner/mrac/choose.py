@@ -65,7 +65,18 @@ def offer_of(board: Board, number: int, cost: int) -> Offer:
     """An area whose target costs so much to reach, as a rule sees it."""
     area, problem = board.areas[number], board.problem
     value = area.unvisited if problem.value is None else int(problem.value[board.to_do(number)].sum())
-    return Offer(area.level, cost, area.unvisited, int(problem.entry[area.level]), value, problem.beyond)
+    entry, shown = int(problem.entry[area.level]), frontier(board, number)
+    return Offer(area.level, cost, area.unvisited, entry, value, problem.beyond, shown)
+
+
+def frontier(board: Board, number: int) -> int:
+    """How many cells that nobody has seen are seen from the area's cells to do."""
+    if board.seen is None or board.problem.unknown is None:
+        return 0
+    shown = np.zeros_like(board.seen)
+    for cell in board.to_do(number).tolist():
+        shown[board.problem.unknown.view(cell)] = True
+    return int(np.count_nonzero(shown & ~board.seen))
 
 
 def _is_refused(board: Board, robot: Robot, choice: Choice) -> bool:

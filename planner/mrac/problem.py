@@ -196,7 +196,10 @@ def _check_comparisons(
     number, longest = len(entry), int(costs.sum())
     beyond = 0 if value is None else _beyond(longest, costs.size, entry)
     most = counts if value is None else [MOST_WORTH * n for n in counts]
-    dearest = list(map(Offer, range(number), [longest] * number, counts, entry.tolist(), most, [beyond] * number))
+    shown = [costs.size if rule.looks_ahead else 0] * number
+    dearest = list(
+        map(Offer, range(number), [longest] * number, counts, entry.tolist(), most, [beyond] * number, shown)
+    )
     if value is not None:
         dearest += [offer._replace(value=0) for offer in dearest]
     if rule.largest(dearest) >= 2**63:

@@ -61,6 +61,13 @@ class Unknown:
         number = int(self._place[cell])
         return seen[begin[number] : begin[number + 1]]
 
+    def seen_at(self, starts: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """bool `[N]`: what robots in these cells have seen before the first step: nothing where the truth is drawn."""
+        seen = np.zeros(len(self.within), dtype=np.bool_)
+        for cell in starts.tolist() if len(self.truths) == 1 else ():
+            seen[self.view(cell)] = True
+        return seen
+
     @cached_property
     def _place(self) -> NDArray[np.int64]:
         return np.cumsum(self.within) - 1

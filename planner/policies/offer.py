@@ -15,6 +15,8 @@ class Offer(NamedTuple):
         entry: w, cost of entering one cell of its level.
         value: U, what its cells to do are worth in whole numbers (SPEC section 13); u where no cell has a value.
         beyond: more than any C where cells have a value, 0 where they have none: areas worth nothing go last.
+        frontier: F, cells that nobody has seen and that would be seen from its cells to do, where robots learn the map
+            as they drive and the rule looks ahead; else 0.
     """
 
     level: Any
@@ -23,6 +25,7 @@ class Offer(NamedTuple):
     entry: Any
     value: Any
     beyond: Any
+    frontier: Any = 0
 
 
 def price(offer: Offer) -> Any:

@@ -24,6 +24,7 @@ class Rule:
             cells *still* unvisited, leg by leg. Otherwise: its cheapest cell, visited or not, and a path once computed
             is driven to its end (SPEC section 5).
         looks_again: on its way, before each dangerous cell, the robot compares its area with the unassigned ones.
+        looks_ahead: it asks what areas would show (`Offer.frontier`), which takes time; the robots are attentive.
         limited: `reserve` and `worth` may go with it.
         nearest: the order is (level, cost): engines may search for the nearest area of the least level.
         by_price: the order is (C / U, d), those of U = 0 last: engines may leave out areas for which bounds of C tell
@@ -39,12 +40,15 @@ class Rule:
     nearest: bool = False
     by_price: bool = False
     exact: bool = True
+    looks_ahead: bool = False
 
     def __post_init__(self) -> None:
         if self.nearest and self.attentive:
             raise ValueError(f"rule {self.name}: the nearest area is one of any cells, visited or not")
-        if (self.looks_again or self.limited) and not self.attentive:
-            raise ValueError(f"rule {self.name}: who looks again, or asks what a cell is worth, has to be attentive")
+        if (self.looks_again or self.looks_ahead or self.limited) and not self.attentive:
+            raise ValueError(
+                f"rule {self.name}: who looks again or ahead, or asks what a cell is worth, has to be attentive"
+            )
 
     def key(self, offer: Offer) -> Any:
         """What the readable simulator sorts by: the fractions as such."""
