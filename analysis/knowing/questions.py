@@ -16,7 +16,7 @@ from planner.worlds.generate import Kind
 
 Team = tuple[Kind, int, str]
 """Kind of map, robots, policy."""
-TEAMS: tuple[Team, ...] = tuple(product(get_args(Kind), (1, 2, 4, 8, 20), ("mrac", "per_cell")))
+ROBOTS = (1, 2, 4, 8, 20)
 P = 0.04
 """The threat that robots expect of cells that they know nothing of."""
 
@@ -28,14 +28,21 @@ class Question:
     Attributes:
         name: of the command. title: in words.
         ways: by name, what the map has beside itself: keys of a scenario (`analysis.sweeps.worlds.BESIDE`).
+        policies: of the teams; the last one is also compared with the one before.
         less: (one, other): by how much more one covers. main: of these, those that the headline tells, with its words.
     """
 
     name: str
     title: str
     ways: dict[str, Json]
+    policies: tuple[str, ...]
     less: tuple[tuple[str, str], ...]
     main: dict[tuple[str, str], str]
+
+    @property
+    def teams(self) -> tuple[Team, ...]:
+        """Those that meet it."""
+        return tuple(product(get_args(Kind), ROBOTS, self.policies))
 
 
 @dataclass(frozen=True)
@@ -77,6 +84,7 @@ ONLINE = Question(
         SEES: {"prior": {"p": P, "obstacles": "known"}, "sense": 3},
         BLIND: {"prior": {"p": P, "obstacles": "known"}, "sense": 0},
     },
+    ("mrac", "per_cell", "frontier"),
     (*((TOLD, _see(cells)) for cells in (5, 3, 2, 1)), (SEES, BLIND)),
     {
         (TOLD, _see(3)): "Robots that know nothing of the map and see three cells cover {} points less than those told",
@@ -95,6 +103,7 @@ MOVING = Question(
     "moving",
     "What if the threats walk?",
     {STAND: {}, LOST: _moving(1), WALK: _moving(0.5), PLANNED: _moving(0.5, "joined")},
+    ("mrac", "per_cell"),
     ((STAND, LOST), (WALK, LOST), (PLANNED, WALK)),
     {
         (STAND, LOST): "To be told where threats stand is worth {} points",

@@ -36,7 +36,7 @@ def report(study: Study) -> Report:
         took=[f"{finished.seconds:.0f} s: {finished.rollouts:,} rollouts run, {finished.reused:,} from the store"],
         parts=(
             Part("Coverage", [ways_table(study)], drawn=lambda: [one for pair in charts.values() for one in pair]),
-            Part("What lies between", [less_table(study)], [NOTE]),
+            Part("What lies between", [less_table(study), gains_table(study)], [NOTE]),
         ),
         warnings=("Interrupted: the maps that were done.",) if finished.partial else (),
         pictures={f"{policy}.png": partial(list, pair) for policy, pair in charts.items()},
@@ -79,6 +79,16 @@ def less_table(study: Study) -> Table:
     return table
 
 
+def gains_table(study: Study) -> Table:
+    """How much more a team covers by the last rule than by the one before it, by way."""
+    before, last = study.question.policies[-2:]
+    table = make_table(("kind", "k", *study.question.ways), f"Points more by {last} than by {before}", left=("kind",))
+    for kind, robots in dict.fromkeys(team[:2] for team in study.teams):
+        gains = [study.gain(kind, robots, way) for way in study.question.ways]
+        table.add_row(kind, str(robots), *("" if gain is None else _shown(gain, sign="+") for gain in gains))
+    return table
+
+
 def _table(title: str, columns: list[str]) -> Table:
     return make_table(("kind", "k", "policy", *columns), title, left=("kind", "policy"), padding=(0, 1, 0, 0))
 
@@ -109,6 +119,19 @@ def study_json(study: Study) -> Json:
             said | {"of": one, "less": other, "visited": study.apart(team, one, other).to_json()}
             for team, said in teams.items()
             for one, other in study.question.less
+        ],
+        "gains": [
+            {
+                "kind": kind,
+                "robots": robots,
+                "way": way,
+                "of": study.question.policies[-1],
+                "less": study.question.policies[-2],
+                "visited": gain.to_json(),
+            }
+            for kind, robots in dict.fromkeys(team[:2] for team in study.teams)
+            for way in study.question.ways
+            if (gain := study.gain(kind, robots, way)) is not None
         ],
         "maps": study.maps,
         "rollouts": study.rollouts,

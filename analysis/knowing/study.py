@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from analysis.kit.notes import Progress
-from analysis.knowing.questions import QUESTIONS, TEAMS, Question, Setting, Team, settings_of
+from analysis.knowing.questions import QUESTIONS, Question, Setting, Team, settings_of
 from analysis.report.answer import Answer
 from analysis.statistics.estimate import Estimate, over_maps
 from analysis.sweeps.by_map import ByMap, Columns
 from analysis.sweeps.engine import Finished
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.worlds import check_maps
+from planner.worlds.generate import Kind
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,6 +50,13 @@ class Study(Answer):
         """Coverage by which one way is ahead of another, map by map."""
         return over_maps(self._of(team, one)["visited"] - self._of(team, other)["visited"])
 
+    def gain(self, kind: Kind, robots: int, way: str) -> Estimate | None:
+        """Coverage by which the question's last rule is ahead of the one before; None if one of them was not asked."""
+        before, last = ((kind, robots, policy) for policy in self.question.policies[-2:])
+        if not {before, last} <= set(self.teams):
+            return None
+        return over_maps(self._of(last, way)["visited"] - self._of(before, way)["visited"])
+
     def _of(self, team: Team, way: str) -> Columns:
         kind, robots, policy = team
         return self.columns[Setting(kind, way, robots, policy)]
@@ -61,7 +69,7 @@ def study_knowing(
     rollouts: int,
     seed: int = 0,
     store: Store | None = None,
-    teams: tuple[Team, ...] = TEAMS,
+    teams: tuple[Team, ...] | None = None,
     progress: Progress | None = None,
     **where: Any,
 ) -> Study:
@@ -71,6 +79,7 @@ def study_knowing(
     """
     check_maps(maps, seed)
     asked = QUESTIONS[question]
+    teams = asked.teams if teams is None else teams
     settings = settings_of(asked, teams)
     by_map = ByMap(lambda number: ((one, one.case(asked, seed + number)) for one in settings), seed, rollouts)
     finished = by_map.run(maps, maps * len(settings), store, progress, **where)
