@@ -3,7 +3,7 @@
 import itertools
 from collections import Counter
 from dataclasses import replace
-from math import inf
+from math import hypot, inf
 
 import numpy as np
 import pytest
@@ -11,11 +11,12 @@ from closed_loop_worlds import survey_worlds
 from oracle_unknown import Twin
 
 from planner.errors import WorldError
+from planner.mrac.choose import frontier
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.recorder import Recorder
 from planner.mrac.reference import ReferenceLoop
-from planner.mrac.simulate import simulate
+from planner.mrac.simulate import make_team, simulate
 from planner.none import NO_ROBOT
 from planner.settings import Settings
 from planner.tally import Outcome
@@ -161,7 +162,7 @@ def same(one, other):
     return one.outcome == other.outcome and one.time == other.time and all(map(np.array_equal, one.paths, other.paths))
 
 
-@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+@pytest.mark.parametrize("policy", ["mrac", "per_cell", "frontier"])
 def test_who_believes_the_truth_runs_as_told(policy):
     told = random_world(12, 12, ThreatPattern(seed=3))
     starts, _ = place_starts(told, 4)
@@ -171,6 +172,21 @@ def test_who_believes_the_truth_runs_as_told(policy):
         assert make_plan(world, starts, plan.settings).to_json() == plan.to_json()
         for rollout in range(5):
             assert ReferenceLoop(plan, world).trace(7, rollout) == ReferenceLoop(plan, told).trace(7, rollout)
+
+
+def test_what_an_area_would_show_is_counted_cell_by_cell():
+    world = with_prior(random_world(7, 9, ThreatPattern(seed=2)), 0.04, sense=1.5)
+    starts, _ = place_starts(world, 2)
+    problem = prepare(world, starts, Settings(policy="frontier"))
+    team = make_team(problem, make_plan(world, starts, problem.settings).areas, truth=0)
+
+    def near(cell, cells):
+        return any(hypot(*np.subtract(divmod(cell, 9), divmod(int(other), 9))) <= 1.5 for other in cells)
+
+    unseen = [cell for cell in np.flatnonzero(problem.unknown.within) if not near(cell, problem.starts)]
+    shown = [sum(near(cell, area.cells) for cell in unseen) for area in team.areas]
+    assert [frontier(team, number) for number in range(len(team.areas))] == shown
+    assert len(set(shown)) > 1 and max(shown) == len(unseen)
 
 
 def mixed_up(world, stream):

@@ -82,7 +82,7 @@ def test_so_they_are_on_the_survey_and_who_sees_everything_runs_as_told(policy):
             assert trace_rollouts(sees_all, one.seed, range(4)) == trace_rollouts(one.loop(), one.seed, range(4))
 
 
-@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+@pytest.mark.parametrize("policy", ["mrac", "per_cell", "frontier"])
 def test_counts_add_up_whatever_the_threads_and_chunks(policy):
     world, plan = paper_like(policy)
     loop, readable = compile_closed_loop(plan, world), ReferenceLoop(plan, world)
@@ -96,7 +96,7 @@ def test_counts_add_up_whatever_the_threads_and_chunks(policy):
         assert found == (run.visited.sum(), run.survived.sum(), run.time, run.outcome)
 
 
-@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+@pytest.mark.parametrize("policy", ["mrac", "per_cell", "frontier"])
 def test_robots_learn_which_of_several_maps_is_true(policy):
     base = random_world(8, 8, ThreatPattern(areas=3, seed=1))
     maps = [random_world(8, 8, ThreatPattern(areas=3, seed=seed)).threat for seed in range(1, 5)]
@@ -114,6 +114,19 @@ def test_robots_learn_which_of_several_maps_is_true(policy):
         tally, results = run_range(loop, 2, 0, 30, threads=1, singles=True)
         assert results.visited.tolist() == [readable.run(2, rollout).visited.sum() for rollout in range(30)]
         assert tally.visited @ np.arange(len(tally.visited)) == results.visited.sum()
+
+
+def test_robots_that_are_told_look_ahead_at_nothing():
+    """Then `frontier` is `per_cell`."""
+    for seed in range(6):
+        world = random_world(9, 9, ThreatPattern(seed=seed))
+        starts, _ = place_starts(world, 3)
+        loops = [
+            compile_closed_loop(make_plan(world, starts, Settings(policy=name)), world)
+            for name in ("per_cell", "frontier")
+        ]
+        one, other = (trace_rollouts(loop, seed, range(10)) for loop in loops)
+        assert one == other
 
 
 def test_a_tree_of_what_robots_learn_is_what_rollouts_come_to():
