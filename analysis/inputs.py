@@ -65,7 +65,7 @@ class Asked:
     Attributes:
         source: an INPUT. choices: the planner's settings that are given.
         robots: how many. starts: where, "row,col;row,col;...". cell_size: of a bare map, in metres.
-        step_seconds, speed: of `World.with_pace`. sense: how many cells robots see that are not told the map.
+        step_seconds, speed, turn: of `World.with_pace`. sense: how many cells robots see that are not told the map.
     """
 
     source: str
@@ -75,11 +75,12 @@ class Asked:
     cell_size: float | None = None
     step_seconds: float | None = None
     speed: float | None = None
+    turn: float | None = None
     sense: float | None = None
 
     def load(self) -> World:
         """The world of the INPUT. Raises InputError."""
-        world = load_world(self.source, self.cell_size).with_pace(self.step_seconds, self.speed)
+        world = load_world(self.source, self.cell_size).with_pace(self.step_seconds, self.speed, self.turn)
         return world if self.sense is None else seeing(world, self.sense)
 
 

@@ -1,4 +1,5 @@
-"""How long a step takes, where somebody says it: a time in steps is then said in minutes too, and given in either.
+"""How long a step takes, where somebody says it: a time in steps is then said in minutes too, and given in either; and
+how many steps a quarter turn costs, which is said beside it.
 
 No plan, tally, hash or count knows it (docs/spec.md, section 18).
 """
@@ -16,6 +17,7 @@ from planner.shown import counted, duration
 
 STEP_SECONDS = Numbers(1e-6, 1e6, "seconds")
 SPEEDS = Numbers(0, 1_000, "metres a second", above=True)
+TURNS = Numbers(0, 1_000, "steps a quarter turn")
 UNITS = {"h": 3600.0, "min": 60.0, "s": 1.0}
 SPAN = re.compile(r"\s*".join(rf"(?:([0-9]{{1,9}}(?:\.[0-9]{{1,9}})?)\s*{unit})?" for unit in UNITS))
 TIMES = "45min, 1h30min or 90s"
@@ -37,9 +39,10 @@ def seconds_of(text: str) -> float | None:
 
 @dataclass(frozen=True)
 class Pace:
-    """The seconds that a step takes; None: nobody says, and times are in steps alone."""
+    """The seconds that a step takes; None: nobody says, and times are in steps alone. `turn`: steps a quarter turn."""
 
     seconds: float | None = None
+    turn: float = 0.0
 
     def __bool__(self) -> bool:
         return self.seconds is not None

@@ -11,7 +11,7 @@ from planner.errors import PlanError
 from planner.limits import LEAST_SHAPE, LEAST_SUSCEPTIBILITY, MAX_STEP, MOST_SHAPE, MOST_SUSCEPTIBILITY
 from planner.pace import TIMES, UNPACED, Pace
 from planner.policies import DEFAULT, RULES, Rule, rule_of
-from planner.policies.in_area import InAreaOrder, cheapest_first
+from planner.policies.in_area import NEAREST, ORDERS, InAreaOrder
 from planner.policies.offer import Offer
 
 if TYPE_CHECKING:
@@ -123,7 +123,8 @@ class Settings:
         return_to: the bases that robots come home to (SPEC section 19): "home", their own starts; "nearest", anybody's;
             or cells, a tuple of (row, col); None = robots stay where they end.
         recharge: steps at a base after which a robot that comes home has its range again; None = it does not.
-        in_area: which cell of an area is next; others than `cheapest_first` are a user's own, and not saved.
+        in_area: which cell of an area is next: one of `planner.policies.in_area.ORDERS`; or a user's own, a function of
+            a `CellOffer`, which is not saved.
     """
 
     levels: int = _setting(
@@ -191,7 +192,10 @@ class Settings:
         None, "recharge", "With range and return-to: so many steps at a base, then a robot has its range again.",
         whole(1, MAX_STEP), unset="never", later=True,
     )  # fmt: skip
-    in_area: InAreaOrder = cheapest_first
+    in_area: InAreaOrder = _setting(  # noqa: RUF009
+        NEAREST, "order within areas", "In safe areas straight on: boustrophedon, or rows, columns (default: nearest).",
+        words=ORDERS, later=True,
+    )  # fmt: skip
 
     @property
     def last_step(self) -> int | None:
@@ -213,7 +217,7 @@ class Settings:
     def own_words(self) -> str:
         """What is the user's own among them, in words; "" where nothing is."""
         rule = f"the user's own rule {self.rule.name}" if not isinstance(self.policy, str) else ""
-        order = "an in-area order of the user's own" if self.in_area is not cheapest_first else ""
+        order = "" if isinstance(self.in_area, str) else "an in-area order of the user's own"
         return " and ".join(filter(None, (rule, order)))
 
     def check_stays(self, what: str) -> None:
@@ -241,7 +245,7 @@ class Settings:
 
         for name, setting in SETTINGS.items():
             value = getattr(self, name)
-            if name == "policy" and (isinstance(value, Rule) or callable(value)):
+            if name in ("policy", "in_area") and (isinstance(value, Rule) or callable(value)):
                 continue
             if setting.kind == "word":
                 check_word(name, value, setting.words, PlanError, source)
@@ -266,12 +270,11 @@ class Settings:
         if self.recharge is not None and None in (self.range, self.return_to):
             problem = f"{said('recharge', str(self.recharge))} without {called('range')} and {called('return_to')}"
             raise PlanError(problem, source=source, fix=f"give both, or leave {called('recharge')} out")
-        if not callable(self.in_area):
-            raise PlanError(f"in_area is {self.in_area!r}", source=source, expected="a function of a CellOffer")
 
     def shown(self, pace: Pace = UNPACED) -> dict[str, str]:
         """Every setting by its title, for pages."""
         said = {name: getattr(self, name) for name in SETTINGS} | {"policy": self.rule.name}
+        said["in_area"] = self.in_area if isinstance(self.in_area, str) else "the user's own"
         shown = {setting.title: setting.shown(said[name]) for name, setting in SETTINGS.items()}
         ends = {SETTINGS[name].title: said[name] for name in ("deadline", "max_steps") if said[name] is not None}
         return shown | {title: shown[title] + pace.also(step) for title, step in ends.items()}
@@ -282,8 +285,9 @@ class Settings:
         said = {name: SETTINGS[name].plain(value) for name, value in said.items()}
         if not isinstance(self.policy, str):
             said["policy"] = f"own {self.rule.name} {id(self.policy):x}"
-        own_order = self.in_area is not cheapest_first
-        return said | {"in_area": f"own {id(self.in_area):x}" if own_order else "cheapest first"}
+        if not isinstance(self.in_area, str):
+            said["in_area"] = f"own {id(self.in_area):x}"
+        return said
 
     def to_json(self) -> dict[str, Any]:
         """The settings as plan files hold them and identities go by them: later ones where they are not the default."""
@@ -310,16 +314,15 @@ class Choices(_Given):
         left = left_behind(given)
         return {name: value for name, value in asked.items() if name not in left} | given
 
-    def settings(self, asked: Mapping[str, Any], pace: Pace, source: str = "", *, by: str = "", **own: Any) -> Settings:
+    def settings(self, asked: Mapping[str, Any], pace: Pace, source: str = "", *, by: str = "") -> Settings:
         """The settings that these make of what an input asks for, checked; a deadline in minutes is a step by `pace`.
 
-        `by`: the input that asks. `own`: what is no choice, as an in-area order. Raises PlanError, naming `source`, and
-        UsageError.
+        `by`: the input that asks. Raises PlanError, naming `source`, and UsageError.
         """
         said = self.over(asked)
         if "deadline" in said:
             said["deadline"] = pace.last_step("deadline", said["deadline"], by if self.deadline is None else source)
-        made = Settings(**said, **own)
+        made = Settings(**said)
         made.check(source)
         return made
 

@@ -49,13 +49,17 @@ def mission(request: pytest.FixtureRequest) -> tuple[World, Plan]:
 
 
 def cells_of(world: World, places: list[list[float]]) -> list[int]:
-    """The cells under longitudes and latitudes (PROJ), every one on the straight line between two places."""
+    """The cells of the straight lines between longitudes and latitudes (PROJ)."""
     east, north = zip(*places, strict=True)
     place = world.georeference
     assert place is not None
     if place.crs != "EPSG:4326":
         east, north = rasterio.warp.transform("EPSG:4326", place.crs, east, north)
-    points = (np.stack([east, north], axis=-1) - place.origin) / place.scale
+    return cells_along(world, (np.stack([east, north], axis=-1) - place.origin) / place.scale)
+
+
+def cells_along(world: World, points: np.ndarray) -> list[int]:
+    """The cells of the straight lines from point to point, metres in the map frame."""
     fine = [points[:1]]
     for one, other in pairwise(points):
         count = round(float(np.abs(other - one).max()) / world.cell_size * 8) + 1
@@ -101,13 +105,17 @@ def test_poses_and_rows_are_the_plans_cells(tmp_path: Path, mission: tuple[World
     for robot, file in enumerate(mrac.export(world, plan, tmp_path / "go.yaml")):
         assert file.name == f"go-{robot}.yaml"
         poses = [pose["pose"] for pose in yaml.safe_load(file.read_text())["poses"]]
-        points = [[pose["position"]["x"], pose["position"]["y"]] for pose in poses]
-        cells = world.to_cells(points) @ [world.shape[1], 1]
-        assert cells.tolist() == without_waits(plan.robots[robot].path.tolist())
+        points = np.array([[pose["position"]["x"], pose["position"]["y"]] for pose in poses])
+        assert cells_along(world, points) == without_waits(plan.robots[robot].path.tolist())
         turn = [pose["orientation"] for pose in poses]
         yaws = np.array([2 * math.atan2(one["z"], one["w"]) for one in turn])[1:]
-        steps = np.diff(points, axis=0) / world.cell_size
-        np.testing.assert_allclose(np.stack([np.cos(yaws), np.sin(yaws)], axis=-1), steps, atol=1e-6)
+        runs = np.diff(points, axis=0)
+        ways = runs / np.linalg.norm(runs, axis=1, keepdims=True)
+        np.testing.assert_allclose(np.stack([np.cos(yaws), np.sin(yaws)], axis=-1), ways, atol=1e-6)
+        moves = np.diff(plan.robots[robot].path)
+        waits = np.count_nonzero((moves[:-1] == 0) & (moves[1:] != 0))  # at most so many runs go on straight
+        assert np.count_nonzero(np.isclose((ways[1:] * ways[:-1]).sum(axis=1), 1)) <= waits
+        assert f"is below {world.cell_size / 2:g} m" in file.read_text()
     (file,) = mrac.export(world, plan, tmp_path / "go.csv")
     rows = list(csv.DictReader(file.read_text().splitlines()))
     cells = world.to_cells([[float(row["x"]), float(row["y"])] for row in rows]) @ [world.shape[1], 1]

@@ -71,6 +71,9 @@ def test_equals_the_compiled_simulator_on_every_kind_of_world() -> None:
         shares += int(results.bisected.sum() + results.divided.sum())
     assert len({one.kind for one in worlds}) >= 18
     assert shares > 500
+    for number, one in enumerate(worlds[::3]):  # straight on in safe areas
+        order = ("boustrophedon", "columns")[number % 2]
+        compare(replace(one, settings=replace(one.settings, in_area=order)), 100, TRACED)
 
 
 @pytest.mark.slow

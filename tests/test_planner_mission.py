@@ -45,6 +45,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "wear": {"wear": 2.0, "susceptibility": (1.0, 0.5, 2.0, 1.0)},
     "home": {"return_to": "home", "range": 40},
     "nearest, deadline": {"return_to": "nearest", "deadline": 40, "policy": "per_cell", "worth": 15.0},
+    "straight on": {"in_area": "boustrophedon"},
     "own rule": {"policy": Rule("by_size", lambda offer: ((offer.level, 1), (-offer.unvisited, 1)))},
 }
 

@@ -34,7 +34,7 @@ from planner.mrac.simulate import never_hit, play_step
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan, parse_plan
 from planner.policies import RULES
-from planner.policies.in_area import CellOffer, cheapest_first
+from planner.policies.in_area import CellOffer
 from planner.policies.limits import NO_REFUSAL, is_refused, most_at_risk, refusal_threshold
 from planner.policies.offer import Offer
 from planner.policies.rule import Rule
@@ -512,7 +512,7 @@ def test_an_in_area_order_of_the_user_s_own_is_followed_or_refused(transit: Any,
         plan.save(tmp_path / "plan.json")
     with pytest.raises(InputError, match="do not follow an in-area order"):
         compile_closed_loop(plan, world)
-    same = mrac.plan(world, starts=[[0, 1]], transit=transit, in_area=lambda offer: cheapest_first(offer))
+    same = mrac.plan(world, starts=[[0, 1]], transit=transit, in_area=lambda offer: (offer.cost, offer.cell))
     assert same.robots[0].path.tolist() == mrac.plan(world, starts=[[0, 1]]).robots[0].path.tolist()
 
 

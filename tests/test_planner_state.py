@@ -37,6 +37,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "reserve": {"policy": "per_cell", "reserve": 0.3},
     "worth": {"policy": "per_cell", "worth": 12.0, "reserve": 0.5},
     "per_cell, range": {"policy": "per_cell", "range": (20, 30, 40, 50)},
+    "straight on": {"in_area": "boustrophedon"},
 }
 STEPS = (0, 3, 11, 25)
 """Where rollouts are cut, every other one of them each."""

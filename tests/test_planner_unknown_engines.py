@@ -38,6 +38,7 @@ def agree(number, rollouts=2):
     settings = Settings(**given) if isinstance(given, dict) else Settings(policy=given)
     if number % 5 == 0:
         settings = replace(settings, range=4 + stream.below(12))
+    settings = replace(settings, in_area="boustrophedon" if number % 4 == 1 else "nearest")
     plan = make_plan(world, starts, settings)
     first_only, luck = number % 3 == 0, "step" if number % 7 == 0 else "tolerance"
     loop = compile_closed_loop(plan, world, first_only=first_only, luck=luck)

@@ -16,7 +16,7 @@ from planner.plan_team import plan_team, read_plan
 from planner.plans.plan import Plan
 from planner.plans.state import MissionState
 from planner.plans.state_traces import read_state
-from planner.policies.in_area import InAreaOrder, cheapest_first
+from planner.policies.in_area import InAreaOrder
 from planner.settings import BEST, Choices, Policy, Settings
 from planner.worlds.reported import with_route
 from planner.worlds.starts import starts_of
@@ -37,6 +37,7 @@ def load(
     cell_size: float | None = None,
     step_seconds: float | None = None,
     speed: float | None = None,
+    turn: float | None = None,
     value: ArrayLike | None = None,
     detect: ArrayLike | None = None,
     route: ArrayLike | None = None,
@@ -49,6 +50,7 @@ def load(
         cell_size: side of a cell in metres; coarsens a map, and is what an array's cells measure (default 1).
         step_seconds: that a step takes, or `speed`, metres a second: every time is said in minutes too, and deadlines
             may be given so, as "45min" (in the place of what the source says).
+        turn: steps that a quarter turn costs: `evaluate` and `plan` say how long a mission takes with turns too.
         value, detect: what each cell is worth, and the chance that a visit which the robot survives finds what is in
             it: `[H, W]` or one number, in the place of what the source says (if that is nothing: 1 each).
         route: `[row, col]` of the corners of the route that is to be safe.
@@ -60,7 +62,7 @@ def load(
     else:
         world = World.create(source, cell_size=1.0 if cell_size is None else cell_size, source="array")
         world = replace(world, measured=cell_size is not None)
-    world = world.with_pace(step_seconds, speed)
+    world = world.with_pace(step_seconds, speed, turn)
     if value is not None or detect is not None:
         world = world.with_values(world.value if value is None else value, world.detect if detect is None else detect)
     return world if route is None else with_route(world, route)
@@ -89,7 +91,7 @@ def plan(
     return_to: ReturnTo = None,
     recharge: int | None = None,
     state: MissionState | str | Path | None = None,
-    in_area: InAreaOrder = cheapest_first,
+    in_area: InAreaOrder | None = None,
 ) -> Plan:
     """The plan of a team (Algorithms 1 to 3): its areas, and every robot's path if nobody is lost.
 
@@ -118,7 +120,8 @@ def plan(
         recharge: with `range` and `return_to`, steps at a base after which a robot has its range again.
         state: of a mission under way, or a file of it (a state, tracks, visited cells, a mask, an OccupancyGrid): the
             plan of the rest; the robots are its own, or at `starts` where the file does not say where they are.
-        in_area: which cell of an area is next; an order of your own is a function of a `CellOffer`, least first.
+        in_area: "boustrophedon", "rows" or "columns": in safe areas straight on, so with fewer turns; an order of your
+            own is a function of a `CellOffer`, the least first.
 
     A rule or an order of your own cannot be saved, nor (yet) rolled out by the compiled engines.
     """
@@ -147,14 +150,13 @@ def settings_of(
     range: Any,
     *asked: object,
     deadline: int | str | None = None,
-    in_area: InAreaOrder = cheapest_first,
     return_to: ReturnTo = None,
     **more: Any,
 ) -> Settings:
     """What is asked, in the order of `Settings`, in the place of what the world came with."""
     bases = return_to if return_to is None or isinstance(return_to, str) else tuple(map(one_or_each, return_to))
     given = Choices(*asked, range=one_or_each(range), deadline=deadline, return_to=bases, **more)
-    return given.settings(world.team.settings, world.pace, by=world.source, in_area=in_area)
+    return given.settings(world.team.settings, world.pace, by=world.source)
 
 
 def one_or_each(given: Any) -> Any:

@@ -37,6 +37,7 @@ from analysis.cli.options import (
     Starts,
     StepSeconds,
     Text,
+    Turn,
     Whole,
     Wholes,
     how_far,
@@ -71,6 +72,7 @@ class Team:
     cell_size: CellSize = None
     step_seconds: StepSeconds = None
     speed: Speed = None
+    turn: Turn = None
 
     def asked(self, source: str, choices: Choices) -> Asked:
         """A plan for them in an INPUT, with these settings."""

@@ -163,6 +163,7 @@ StepSeconds = Annotated[
     Number,
     Parameter(group=TEAM, help="Seconds that a step takes: times are said in minutes too, and may be given so."),
 ]
+Turn = Annotated[Number, Parameter(group=TEAM, help="Steps that a quarter turn costs: times with turns are said too.")]
 Speed = Annotated[Number, Parameter(group=TEAM, help="Instead of --step-seconds: metres a second, a cell a step.")]
 Sense = Annotated[
     float | None,

@@ -8,7 +8,8 @@ from rich.console import Console
 from analysis.kit.tables import make_table
 from analysis.kit.words import bearing_words, plan_words, span_words
 from analysis.theory.exact import open_loop_exact
-from planner.plans.plan import Plan, entries
+from planner.plans.plan import Plan
+from planner.plans.turns import drive_of
 from planner.shown import counted
 from planner.worlds.world import World
 
@@ -27,10 +28,13 @@ def print_plan(made: Plan, world: World, console: Console) -> None:
         )
     if means := bearing_words(made, world):
         console.print(f"Robots: {means}.", highlight=False)
-    table = make_table(("robot", "start", "moves", "areas covered", "survives its path, %"))
+    drive = drive_of(robot.path for robot in made.robots)
+    table = make_table(("robot", "start", "moves", "quarter turns", "areas covered", "survives its path, %"))
     for number, (robot, chance) in enumerate(zip(made.robots, open_loop_exact(made, world).survival, strict=True)):
         start = divmod(int(robot.path[0]), made.shape[1])
         covered = "" if made.is_foreign else str(sum(leg.kind == "cover" for leg in robot.legs))
         survival = f"{100 * chance:.2f}" if np.isfinite(chance) else ""
-        table.add_row(str(number), str(list(start)), str(len(entries(robot.path)) - 1), covered, survival)
+        table.add_row(
+            str(number), str(list(start)), str(drive.moves[number]), str(drive.turns[number]), covered, survival
+        )
     console.print(table)

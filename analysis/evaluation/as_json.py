@@ -12,6 +12,7 @@ from analysis.theory.truth import ClosedTruth, Truth
 from analysis.theory.verdicts import MEANINGS
 from planner.files import Json
 from planner.plans.plan import Plan
+from planner.plans.turns import drive_of
 from planner.tally import Outcome
 
 
@@ -19,6 +20,7 @@ def to_json(evaluation: Evaluation) -> Json:
     """The JSON object of SPEC section 9; undefined values are None."""
     tally, plan, known = evaluation.tally, evaluation.plan, evaluation.exact
     cells, found = evaluation.cells, evaluation.figures
+    drive = drive_of(robot.path for robot in plan.robots)
     lost = None if known.alive is None else tally.robots - known.alive
     out: Json = {
         "loop": evaluation.loop,
@@ -55,6 +57,8 @@ def to_json(evaluation: Evaluation) -> Json:
             "areas": len(plan.areas),
             "levels": len({area.level for area in plan.areas}),
             **{name: getattr(plan, name) for name in ("makespan", "outcome", "shares")},
+            "moves": int(drive.moves.sum()),
+            "quarter_turns": int(drive.turns.sum()),
         },
         "rollouts_per_second": tally.rollouts / evaluation.seconds if evaluation.seconds > 0 else None,
         "compile_seconds": evaluation.compile_seconds,

@@ -133,6 +133,7 @@ def _wanted(choices: RolloutChoices, asked: dict[str, Any], world: World) -> dic
         "deadline": choices.deadline,
         "knowledge": None if world.knowledge is None else (world.knowledge.sense.range,),
         "map_doubt": isinstance(world.doubt, Uncertain),
+        "turn": world.pace.turn or None,
         "value": _metrics(world),
     } | asked
     wanted = {key: given[key] for key in OUTPUTS if given.get(key) not in (None, ()) and given[key] is not False}

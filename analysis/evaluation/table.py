@@ -16,6 +16,7 @@ from analysis.kit.words import percent
 from analysis.statistics.coverage import AT_LEAST, losses_shown
 from analysis.statistics.words import lost_words
 from analysis.theory.verdicts import MEANINGS
+from planner.plans.turns import drive_of
 from planner.tally import Outcome
 
 LISTED = 10
@@ -119,12 +120,14 @@ def worst_of(lost: NDArray[np.float64], most: int) -> NDArray[np.int64]:
 def robots_table(evaluation: Evaluation) -> Table:
     """A row for each robot; its survival is that of its nominal path."""
     plan, survival = evaluation.plan, evaluation.closed_form.survival.tolist()
-    columns = ("robot", "start [row, col]", "moves", "areas covered", "survives its nominal path")
+    columns = ("robot", "start [row, col]", "moves", "quarter turns", "areas covered", "survives its nominal path")
+    drive = drive_of(robot.path for robot in plan.robots)
     table = make_table(columns, "Robots of the plan, and the chance that each ends its path", left=columns[:1])
     for number, (robot, chance) in enumerate(zip(plan.robots, survival, strict=True)):
         row, col = divmod(int(robot.path[0]), plan.shape[1])
-        moves = int(np.count_nonzero(np.diff(robot.path)))
         areas = "" if plan.is_foreign else f"{sum(leg.kind == 'cover' for leg in robot.legs)}"
         known = "not known" if math.isnan(chance) else percent(chance, 2)
-        table.add_row(f"{number}", f"[{row}, {col}]", f"{moves:,}", areas, known)
+        table.add_row(
+            f"{number}", f"[{row}, {col}]", f"{drive.moves[number]:,}", f"{drive.turns[number]:,}", areas, known
+        )
     return table

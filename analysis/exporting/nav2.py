@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from analysis.exporting.mission import Mission
-from planner.plans.plan import entries
 from planner.plans.waypoints import DECIMALS, headings
 
 POSE = (
@@ -15,21 +16,28 @@ POSE = (
     "    orientation: {{x: 0.0, y: 0.0, z: {z}, w: {w}}}\n"
 )
 """A geometry_msgs/PoseStamped; stamp 0: the latest transform."""
+PRESUMED = (
+    "# A pose ends a straight run along cells of {cell:g} m. Presumed: footprint and inflation fit into a cell, so\n"
+    "# that the costmap leaves the straight way free; xy_goal_tolerance of the goal checker is below {half:g} m, so\n"
+    "# that the robot turns in that cell. Threats are not in the costmap: a way around something may enter others.\n"
+)
 
 
 def nav2_poses(mission: Mission, robot: int) -> str:
-    """`poses:`, one for every cell that the robot enters (its start first), metres in the map frame.
+    """`poses:`, the start and the end of every straight run, metres in the map frame.
 
-    It faces along the move that enters the cell. Waiting is left out: nav2 goes on when it has arrived.
+    It faces along the run that it ends. Waiting is left out: nav2 goes on when it has arrived.
     """
     path = mission.plan.robots[robot].path
-    steps = entries(path)
+    steps = np.array([stop.step for stop in mission.stops(robot)])
     points, yaws = mission.world.to_xy(path[steps]), headings(path, mission.world)[steps]
     poses = [
         POSE.format(x=_number(x), y=_number(y), z=_number(math.sin(yaw / 2), 12), w=_number(math.cos(yaw / 2), 12))
         for (x, y), yaw in zip(points.tolist(), yaws.tolist(), strict=True)
     ]
-    return f"# robot {robot}\nposes:\n{''.join(poses)}"
+    cell = mission.world.cell_size
+    presumed = PRESUMED.format(cell=cell, half=cell / 2)
+    return f"# robot {robot}\n{presumed}poses:\n{''.join(poses)}"
 
 
 def _number(value: float, decimals: int = DECIMALS) -> str:

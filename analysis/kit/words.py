@@ -20,12 +20,21 @@ def plan_words(plan: Plan) -> str:
 
 
 def span_words(plan: Plan, pace: Pace) -> str:
-    """ "makespan 1,315 steps"; a run that ends before all is covered ends STUCK_AFTER steps after the last move."""
-    from planner.mrac.executive import STUCK_AFTER
+    """ "makespan 1,315 steps, 2,612 moves, 511 quarter turns"; with what turns cost, if somebody says.
 
+    A run that ends before all is covered ends STUCK_AFTER steps after the last move.
+    """
+    from planner.mrac.executive import STUCK_AFTER
+    from planner.plans.turns import drive_of
+
+    drive = drive_of(robot.path for robot in plan.robots)
+    driven = f"{counted(int(drive.moves.sum()), 'move')}, {counted(int(drive.turns.sum()), 'quarter turn')}"
+    if pace.turn:
+        steps = drive.time(pace.turn)
+        driven += f": with turns {steps:,.0f} steps{pace.also(steps)}"
     if plan.outcome in ("called_off", "stuck"):
-        return f"the last move is at {pace.step(plan.makespan)}, the end {STUCK_AFTER} steps later"
-    return f"makespan {plan.makespan:,} steps{pace.also(plan.makespan)}"
+        return f"the last move is at {pace.step(plan.makespan)}, the end {STUCK_AFTER} steps later, {driven}"
+    return f"makespan {plan.makespan:,} steps{pace.also(plan.makespan)}, {driven}"
 
 
 def bearing_words(plan: Plan, world: World) -> str:

@@ -277,11 +277,11 @@ def _count_passes(lanes: Lanes, sums: Sums, move: _Move) -> tuple[Lanes, Sums]:
 
 
 def _adjacent(tables: LaneTables, cells: jax.Array, row: jax.Array, cell: jax.Array, area: jax.Array) -> jax.Array:
-    """The adjacent pending cell of the area, lowest index first, int32 `[B]`: always the cheapest. Or "no cell"."""
+    """The adjacent pending cell of the area that goes first, int32 `[B]`: always the cheapest. Or "no cell"."""
     wanted = jnp.uint32(PENDING) | area.astype(jnp.uint32)
     best = jnp.full_like(cell, tables.none)
     for side in reversed(range(SIDES)):
-        near = read(tables.near, cell * SIDES + side).astype(jnp.int32)
+        near = read(tables.sweep, cell * SIDES + side).astype(jnp.int32)
         best = jnp.where((read(cells, row + near) & (PENDING | LABEL)) == wanted, near, best)
     return best
 

@@ -69,7 +69,7 @@ class LaneTables:
         nearest: uint16 `[A * L * NEAREST]`, for each cell and level the cheapest cells by (cost, index); "no cell"
             after the last that it can reach.
         cost: int32 `[A, A]`, UNREACHABLE where it is.
-        near: uint16 `[A * SIDES]`, the neighbours in rising index, "no cell" where there is none.
+        sweep: uint16 `[A * SIDES]`, the neighbours, the one that goes first on coverage paths first; "no cell" if none.
         exposure: uint32 `[A, 2]`, what a visit adds to a robot's exposure (`mrac_jax.two_words`). doubt: how much it is
             in a rollout where the map is in doubt, else None.
         level: int32 `[A]`, level of each cell's area.
@@ -90,7 +90,7 @@ class LaneTables:
     hop: Array
     nearest: Array
     cost: Array
-    near: Array
+    sweep: Array
     exposure: Array
     doubt: Doubt | None
     level: Array
@@ -182,8 +182,8 @@ def lane_tables(loop: ClosedLoop, seed: int, least: tuple[int, int] = (1, 1)) ->
     board, none = bucket(max(used, least[0]), BOARD_BUCKETS), size - 1
     cell_at = np.full(board, none, dtype=np.int32)
     cell_at[places] = np.arange(count)
-    near = np.full((size, SIDES), none, dtype=np.uint16)
-    near[:count] = np.where(tables.near == count, none, tables.near)
+    sweep = np.full((size, SIDES), none, dtype=np.uint16)
+    sweep[:count] = np.where(tables.sweep == count, none, tables.sweep)
     level = tables.level[areas_at(loop)]
     cost, hop = _squares(loop, size)
     return on_host(
@@ -191,7 +191,7 @@ def lane_tables(loop: ClosedLoop, seed: int, least: tuple[int, int] = (1, 1)) ->
         hop=hop.reshape(-1),
         nearest=_nearest(cost, level, none),
         cost=cost,
-        near=near.reshape(-1),
+        sweep=sweep.reshape(-1),
         exposure=two_words(np.pad(tables.exposure, (0, size - count))),
         doubt=make_doubt(tables, own_key(seed, loop.purpose), len(tables.spent) > 0, size) if loop.in_doubt else None,
         level=padded(level, size, 0),

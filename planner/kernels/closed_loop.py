@@ -23,7 +23,6 @@ from planner.mrac.takeover import ready_loop
 from planner.none import NO_AREA
 from planner.plans.plan import Area, Plan
 from planner.plans.state import MissionState
-from planner.policies.in_area import cheapest_first
 from planner.roaming import check_counters
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
 from planner.trace import EventKind, Trace
@@ -58,7 +57,7 @@ def compile_closed_loop(
     plan.bearing.check_luck(luck)
     problem, areas = ready_loop(plan, world)
     settings, rule = problem.settings, problem.rule
-    if settings.in_area is not cheapest_first or not (rule.nearest or (rule.attentive and rule.exact)):
+    if not isinstance(settings.in_area, str) or not (rule.nearest or (rule.attentive and rule.exact)):
         raise PlanError(
             f"the compiled engines do not follow {settings.own_words}",
             expected="an exact Rule of attentive robots, cells in the planner's own order",

@@ -111,9 +111,9 @@ def to_do_in(area):
 
 @kernel
 def next_leg(t, s, w, how, robot):
-    """The leg to the cheapest cell to do, lowest index first; an adjacent one is always the cheapest."""
+    """The leg to the cheapest cell to do, lowest index first; an adjacent one, by its side, is always the cheapest."""
     robots = s.robots
-    # Cells of an area cost the same to enter, so nothing beats a neighbour; neighbours rise in index (N, W, E, S).
+    # Cells of an area cost the same to enter, so nothing beats a neighbour.
     cell = adjacent(t, s, robots[robot, CELL], to_do_in(robots[robot, AREA]))
     if cell != NONE:
         robots[robot, TARGET] = robots[robot, NEXT] = cell
@@ -123,9 +123,9 @@ def next_leg(t, s, w, how, robot):
 
 @kernel
 def adjacent(t, s, here, wanted):
-    """The first neighbour of `here` that is as `to_do_in` says, NONE if none is."""
+    """The neighbour of `here` that goes first of those that are as `to_do_in` says, NONE if none is."""
     for side in range(4):
-        cell = np.int64(t.near[here, side])
+        cell = np.int64(t.sweep[here, side])
         if np.int64(s.home[cell]) >> 2 == wanted:
             return cell
     return np.int64(NONE)

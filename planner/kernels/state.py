@@ -54,7 +54,8 @@ class Tables(NamedTuple):
     """What every rollout reads.
 
     Attributes:
-        near: uint16 or uint32 `[A, 4]`, neighbours N, W, E, S; A if blocked.
+        near: uint16 or uint32 `[A, 4]`, neighbours N, W, E, S; A if blocked. sweep: the same, first the one that
+            goes first on coverage paths (`Problem.sides`).
         cost_to: int32 or int64 `[A, A]`, safest-path cost from row to column; NONE if unreachable.
         hop_to: like near `[A, A]`, first cell of the path to the row from the column: a leg stays in one row.
         ranked: like near `[A, RANKED]`, the cells of least cost from each, by (cost, index); A after the last.
@@ -99,6 +100,7 @@ class Tables(NamedTuple):
     """
 
     near: NDArray
+    sweep: NDArray
     cost_to: NDArray
     hop_to: NDArray
     ranked: NDArray

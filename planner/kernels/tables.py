@@ -17,6 +17,7 @@ from planner.mrac.far_search import find_safe_parts
 from planner.mrac.paths import SafestPaths
 from planner.mrac.problem import Problem
 from planner.mrac.search import UNREACHED
+from planner.mrac.sides import BY_INDEX
 from planner.mrac.unknown import Unknown
 from planner.none import NO_CELL
 from planner.plans.plan import Area
@@ -90,8 +91,11 @@ def make_tables(
         if problem.rule.by_price and problem.value is None:
             foremost = _foremost(area_cost, np.diff(begin), problem.entry[level]).astype(narrow)
     searches = not tabled or problem.settings.transit == "area"
+    beside = np.where(near == NO_CELL, len(cells), near).astype(narrow)
+    sides = problem.sides[cells]
     tables = Tables(
-        near=np.where(near == NO_CELL, len(cells), near).astype(narrow),
+        near=beside,
+        sweep=beside if (sides == BY_INDEX).all() else np.take_along_axis(beside, sides, axis=1),
         cost_to=cost,
         hop_to=hop,
         ranked=ranked,

@@ -193,8 +193,7 @@ class Learning(Executive):
     def _cover_on(self, robot: Robot, leg: NDArray[np.int64]) -> None:
         """On along the leg, and then by legs that are found as the map is believed now."""
         left = self._still_to_cover(robot)
-        further = coverage_path(
-            self.problem.paths, int(leg[-1]), left[left != leg[-1]], None, self.problem.settings.in_area
-        )
+        order, sides = self.problem.settings.in_area, self.problem.sides
+        further = coverage_path(self.problem.paths, int(leg[-1]), left[left != leg[-1]], None, order, sides)
         robot.ahead = np.concatenate([leg, further])[::-1].tolist()
         robot.to_do, robot.since = left, len(robot.path)

@@ -340,7 +340,8 @@ class Executive(Board):
             inside[self.areas[robot.area].cells] = True
         to_do, order = self.to_do(robot.area), self.problem.settings.in_area
         robot.to_do, robot.since = to_do, len(robot.path)
-        legs = coverage_path(self.problem.paths, robot.cell, to_do, inside, order, 1 if self.rule.attentive else None)
+        most = 1 if self.rule.attentive else None
+        legs = coverage_path(self.problem.paths, robot.cell, to_do, inside, order, self.problem.sides, most)
         robot.ahead = legs[::-1].tolist()
         robot.status = Doing.COVERING
 

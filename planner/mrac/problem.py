@@ -15,6 +15,7 @@ from planner.limits import MAX_STEP
 from planner.mrac.costs import BLOCKED, entry_costs, level_costs
 from planner.mrac.homeward import Homeward, ways_home
 from planner.mrac.paths import SafestPaths, safest_paths
+from planner.mrac.sides import sides_first
 from planner.mrac.unknown import Unknown, reached, unknown_of
 from planner.policies import Rule, rule_of
 from planner.policies.limits import refusal_threshold
@@ -41,6 +42,7 @@ class Problem:
         range: int64 `[K]`, moves that each robot can make; NO_LIMIT of them where nothing limits it.
         rule: the policy's. entry: int64 `[L]`, cost of entering a cell of each level (1 where a level has none).
         given: paths of another planner, int64 `[steps + 1]` each, that the robots follow first; empty: none.
+        sides: int64 `[N, 4]`, which neighbour goes first on coverage paths (`planner.mrac.sides`).
         value: int64 `[N]`, what attentive robots count cells by; None: 1 each.
         unknown: what robots are not told of the map, None: nothing. Levels, costs, paths and parts are of what they
             believe, and all that is accessible is what they believe that one of them can reach.
@@ -57,6 +59,7 @@ class Problem:
     range: NDArray[np.int64]
     rule: Rule
     entry: NDArray[np.int64]
+    sides: NDArray[np.int64]
     given: tuple[NDArray[np.int64], ...] = ()
     value: NDArray[np.int64] | None = None
     unknown: Unknown | None = None
@@ -140,8 +143,10 @@ def prepare(
     part, moves = _parts(levels, world.shape), _range(settings, len(cells))
     paths = safest_paths(world.shape, costs)
     home = ways_home(settings, cells, world.shape, paths, costs, homes)
+    safe = (levels.of_cell if unknown is None else unknown.belief).reshape(world.shape) == 0
+    sides = sides_first(settings.in_area, safe)
     problem = Problem(
-        world, settings, cells, levels, costs, paths, part, moves, rule, entry, given, value, unknown, home
+        world, settings, cells, levels, costs, paths, part, moves, rule, entry, sides, given, value, unknown, home
     )
     return problem if unknown is None else problem.believing(unknown.belief, cells)
 

@@ -57,7 +57,7 @@ def make_open_loop_plan(
     found = search(nodes, orders[int(np.argmax(worth))], begin, effort, seed, seconds)
     last = MAX_STEP if settings.last_step is None else settings.last_step
     paths = tuple(
-        nodes.drive(order, start, problem.paths)[: min(last, moves) + 1]
+        nodes.drive(order, start, problem)[: min(last, moves) + 1]
         for order, start, moves in zip(found.orders, problem.starts.tolist(), problem.range.tolist(), strict=True)
     )
     cells, before = (expected_worth(some, world) for some in (paths, [robot.path for robot in nominal.robots]))

@@ -14,8 +14,9 @@ from scipy.sparse.csgraph import dijkstra
 from planner.errors import PlanError
 from planner.mrac.costs import neighbour_table
 from planner.mrac.coverage import coverage_path
-from planner.mrac.paths import SafestPaths
+from planner.mrac.problem import Problem
 from planner.none import NO_CELL
+from planner.policies.in_area import NEAREST
 from planner.worlds.world import FOUR_NEIGHBOURS, World
 
 MOST_NODES = 6_000
@@ -48,12 +49,13 @@ class Nodes:
         nodes = np.concatenate([first, self.of_cell[path]])
         return nodes[np.sort(np.unique(nodes, return_index=True)[1])]
 
-    def drive(self, order: NDArray[np.int64], start: int, paths: SafestPaths) -> NDArray[np.int64]:
+    def drive(self, order: NDArray[np.int64], start: int, problem: Problem) -> NDArray[np.int64]:
         """The cells, int64 `[steps + 1]`, of a robot at cell `start` that goes to the nodes in this order.
 
         It takes the safest ways; nodes that it passed on them are no targets any more. A safe area is covered when it
         is first entered.
         """
+        paths = problem.paths
         legs, here, before, seen = [np.array([start], dtype=np.int64)], start, self.of_cell[start], set()
         for node in self._way(order, int(self.of_cell[start])):
             inside = np.zeros(len(self.of_cell), dtype=np.bool_)
@@ -61,7 +63,7 @@ class Nodes:
             before, target = node, int(self.cells[node][0])
             if node < self.areas:
                 to_do = self.cells[node][:0] if node in seen else self.cells[node]
-                leg = coverage_path(paths, here, to_do, inside)
+                leg = coverage_path(paths, here, to_do, inside, NEAREST, problem.sides)
             else:
                 leg = paths.path(here, target, inside) if here != target else self.cells[node][:0]
             seen.add(node)

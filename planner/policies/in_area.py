@@ -5,6 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+NEAREST, BOUSTROPHEDON, ROWS, COLUMNS = "nearest", "boustrophedon", "rows", "columns"
+ORDERS = (NEAREST, BOUSTROPHEDON, ROWS, COLUMNS)
+"""The orders of every engine: the cheapest cell is next. Of cells beside the robot, which cost alike, `nearest` takes
+the lowest index; in safe areas `rows` goes on along the row and `columns` along the column as far as it leads, and
+`boustrophedon` along those of the two of which there are fewer (`planner.mrac.sides`)."""
+
 
 class CellOffer(NamedTuple):
     """A cell still to do in a robot's area, where the robot's last leg has ended.
@@ -19,10 +25,5 @@ class CellOffer(NamedTuple):
     cost: int
 
 
-InAreaOrder = Callable[[CellOffer], Any]
-"""The cell of the least value is next. Orders besides `cheapest_first` are followed by the readable simulator alone."""
-
-
-def cheapest_first(offer: CellOffer) -> tuple[int, int]:
-    """The cheapest cell, then the lowest index (SPEC section 5): the order of every engine."""
-    return offer.cost, offer.cell
+InAreaOrder = str | Callable[[CellOffer], Any]
+"""One of ORDERS, or a user's own: the cell of the least value is next, which the readable simulator alone follows."""

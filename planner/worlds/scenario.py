@@ -42,7 +42,7 @@ DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
 IN_DOUBT = ("hazard", "uncertain", "movers")
 """Keys that say by what else than the threats robots are stopped, one of them at most."""
-SETTINGS = ("levels", "policy", "reserve", "worth", "plan_for", "wear", "deadline")
+SETTINGS = ("levels", "policy", "reserve", "worth", "plan_for", "wear", "deadline", "in_area")
 OF_ROBOTS = ("range", "susceptibility", "return_to", "recharge")
 """Settings of the planner that a scenario file may name, and those that stand under its key `robots`."""
 OPTIONAL = (

@@ -17,7 +17,7 @@ from scipy import ndimage
 from planner.arguments import Numbers, argument, exactly
 from planner.errors import MapError, WorldError
 from planner.files import atomic_write, check_file, read_csv_grid, read_npy, read_npz
-from planner.pace import UNPACED, Pace, pace_of
+from planner.pace import TURNS, UNPACED, Pace, pace_of
 from planner.shown import html_of, text_of
 from planner.tolerance import exposure_of
 from planner.worlds.doubt import Draws, Hazard, Uncertain, doubt_in
@@ -242,13 +242,18 @@ class World:
         worth = checked_layer(value, VALUE, free, self.source)
         return replace(self, value=worth, detect=checked_layer(detect, DETECT, free, self.source))
 
-    def with_pace(self, step_seconds: float | None = None, speed: float | None = None) -> World:
+    def with_pace(
+        self, step_seconds: float | None = None, speed: float | None = None, turn: float | None = None
+    ) -> World:
         """The same world, a step of which takes so many seconds, or as long as a cell at so many metres a second.
 
-        With neither as it was. Raises UsageError, also for a speed where nobody said how large cells are.
+        `turn`: steps that a quarter turn costs. What is not given is as it was. Raises UsageError, also for a speed
+        where nobody said how large cells are.
         """
         found = pace_of(step_seconds, speed, self.cell_size if self.measured else None)
-        return replace(self, pace=found) if found else self
+        TURNS.check("turn", turn, optional=True)
+        pace = found if found else self.pace
+        return replace(self, pace=replace(pace, turn=self.pace.turn if turn is None else float(turn)))
 
     def to_cells(self, points: ArrayLike) -> NDArray[np.int64]:
         """(row, col) int64 `[..., 2]` of the cells that hold points (x, y) in metres; they may lie off the map."""

@@ -29,7 +29,6 @@ from planner.errors import PlanError, WorldError
 from planner.files import Json
 from planner.plans.plan import Plan
 from planner.policies import RULES
-from planner.policies.in_area import cheapest_first
 
 FEWEST = 64
 """Rollouts of a plan below which nobody asks what would be better."""
@@ -207,5 +206,5 @@ def _has_another(run: Run) -> bool:
         and run.plan.state is None
         and settings.plan_for == "closed"
         and settings.rule.name in RULES
-        and settings.in_area is cheapest_first
+        and isinstance(settings.in_area, str)
     )

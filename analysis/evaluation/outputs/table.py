@@ -9,12 +9,14 @@ from analysis.evaluation.outputs.knowledge import Knowledge
 from analysis.evaluation.outputs.map_doubt import MapDoubt
 from analysis.evaluation.outputs.output import Output
 from analysis.evaluation.outputs.threat_scale import ThreatScale
+from analysis.evaluation.outputs.turning import Turning
 from analysis.evaluation.outputs.value import Value
 
 OUTPUTS: dict[str, type[Output]] = {
     "threat_scale": ThreatScale,
     "deadline": Deadline,
     "value": Value,
+    "turn": Turning,
     "band": Band,
     "knowledge": Knowledge,
     "map_doubt": MapDoubt,
