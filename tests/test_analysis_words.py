@@ -286,7 +286,10 @@ def test_figures_have_the_digits_that_their_interval_allows() -> None:
 def test_the_end_that_a_plan_names_is_that_of_its_rollouts() -> None:
     """A mission that is called off ends some steps after its last move: headline and plan say so alike."""
     world = World.create(np.array([[0.0, 0.0, 0.0, 0.5, 0.0]]))
-    for worth, said in ((None, "makespan 4 steps"), (1000.0, "the last move is at step 2, the end 2 steps later")):
+    for worth, said in (
+        (None, "makespan 4 steps, 4 moves, 0 quarter turns"),
+        (1000.0, "the last move is at step 2, the end 2 steps later, 2 moves, 0 quarter turns"),
+    ):
         plan = make_plan(world, np.array([[0, 0]]), Settings(policy="per_cell", worth=worth))
         assert span_words(plan, world.pace) == said
         ended = mrac.evaluate(world, plan, rollouts=64, advice=False).tally.time
