@@ -11,6 +11,7 @@ from node u to node v, and `y_v`, the chance that a cell of v is visited. Maximi
     arrive:  y_v <= a_v
     reach:   y_v <= g_v                          `analysis.theory.own_bounds.reach_chances`
     spend:   sum_D p_v y_v <= E min(k, hits)     for every set D of dangerous cells
+    way:     a cell is visited no more often than somebody gets there, `analysis.theory.ways`
 
 Proof. A robot leaves a node only after an arrival that it survived; a cell is visited only if its node is arrived at.
 The team's first visit of a cell stops the robot with chance p whatever came before, so the left side of `spend` is the
@@ -21,9 +22,10 @@ programme, and its optimum is no smaller than their `sum w_v y_v`. Presumes that
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import NamedTuple
 
 import highspy
 import numpy as np
@@ -31,6 +33,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, csr_array, hstack, vstack
 
 from analysis.theory.nodes import ULP, Nodes
+from analysis.theory.ways import Way, missing_ways
 
 ROUNDS = 200
 """Times that it is solved at most; fewer only make the bound less sharp."""
@@ -40,17 +43,31 @@ NEW_SETS = 8
 """Sets D added a round from each order of the cells."""
 
 
+SWEEPS = 100
+"""Times that prices are raised one by one."""
+
+
+class Spend(NamedTuple):
+    """Of a set D, its `members` int64 `[|D|]` spend so much at `most`."""
+
+    members: NDArray[np.int64]
+    most: float
+
+
+Row = Spend | Way
+
+
 @dataclass(frozen=True, eq=False)
 class Dual:
-    """Prices of the programme's constraints, float64: `flow`, `arrive` `[V]`, `spend` `[S]` for the sets D."""
+    """Prices of the programme's constraints, float64: `flow`, `arrive` `[V]`, `rows` of its sets D and ways."""
 
     flow: NDArray[np.float64]
     arrive: NDArray[np.float64]
-    spend: NDArray[np.float64]
+    rows: NDArray[np.float64]
 
 
 def flow_bound(nodes: Nodes, rounds: int = ROUNDS) -> float:
-    """The programme's certified bound, in cells: sets D are added while the solution spends more than they allow.
+    """The programme's certified bound, in cells: sets D and ways are added while the solution violates them.
 
     `rounds`: times that it is solved at most.
     """
@@ -58,25 +75,24 @@ def flow_bound(nodes: Nodes, rounds: int = ROUNDS) -> float:
     programme = Programme(nodes)
     optima: list[float] = []
     while True:
-        visited, dual = programme.solve()
+        moves, visited, dual = programme.solve()
         optima.append(float(nodes.weight @ visited))
         enough = optima[-PATIENCE - 1 : -PATIENCE] and optima[-PATIENCE - 1] - optima[-1] < GAIN * nodes.weight.sum()
         orders = (np.argsort(-visited[dangerous], kind="stable"), np.argsort(nodes.threat[dangerous], kind="stable"))
-        found = [new for order in orders for new in _overspent(nodes, dangerous[order], visited)]
+        found: list[Row] = [new for order in orders for new in _overspent(nodes, dangerous[order], visited)]
+        found += missing_ways(nodes, moves, visited)
         if enough or not found or len(optima) == rounds:
-            return min(certified(nodes, programme.sets, dual), float(nodes.weight.sum()))
+            return min(certified(nodes, programme.rows, dual), float(nodes.weight.sum()))
         programme.add(found)
 
 
-def _overspent(
-    nodes: Nodes, order: NDArray[np.int64], visited: NDArray[np.float64]
-) -> Iterator[tuple[NDArray[np.int64], float]]:
-    """The beginnings D of `order` that spend most above what is allowed, with that; none within rounding."""
+def _overspent(nodes: Nodes, order: NDArray[np.int64], visited: NDArray[np.float64]) -> Iterator[Spend]:
+    """The beginnings D of `order` that spend most above what is allowed; none within rounding."""
     most = most_stopped(nodes.threat[order], nodes.robots)
     over = np.cumsum(nodes.threat[order] * visited[order]) - most
     peaks = np.flatnonzero((over >= np.append(over[1:], -1.0)) & (over > np.insert(over[:-1], 0, -1.0)) & (over > 1e-6))
     for place in peaks[np.argsort(-over[peaks], kind="stable")][:NEW_SETS].tolist():
-        yield np.sort(order[: place + 1]), float(most[place])
+        yield Spend(np.sort(order[: place + 1]), float(most[place]))
 
 
 def most_stopped(threat: NDArray[np.float64], robots: int) -> NDArray[np.float64]:
@@ -94,14 +110,14 @@ def most_stopped(threat: NDArray[np.float64], robots: int) -> NDArray[np.float64
 
 
 class Programme:
-    """The programme with the sets D so far. It stays in the solver: sets are rows added to a basis that is kept.
+    """The programme with the `rows` so far. It stays in the solver: they are added to a basis that is kept.
 
-    `sets`: int64 `[|D|]` each. Nothing that it says is trusted.
+    Nothing that it says is trusted.
     """
 
     def __init__(self, nodes: Nodes) -> None:
-        """Without sets D; columns are x `[E]` and y `[V]`, rows `flow` `[V]` and `arrive` `[V]`."""
-        self.nodes, self.sets = nodes, list[NDArray[np.int64]]()
+        """Without more rows; columns are x `[E]` and y `[V]`, rows `flow` `[V]` and `arrive` `[V]`."""
+        self.nodes, self.rows = nodes, list[Row]()
         count, moves = len(nodes.weight), len(nodes.source)
         every, each, passed = np.arange(moves), np.arange(count), 1.0 - nodes.threat
         into = coo_array((np.ones(moves), (nodes.target, every)), shape=(count, moves)).tocsr()
@@ -123,66 +139,80 @@ class Programme:
         self._solver.setOptionValue("threads", 1)  # none of its own, which a fork of this process would lack
         self._solver.passModel(programme)
 
-    def add(self, found: list[tuple[NDArray[np.int64], float]]) -> None:
-        """Sets D, and what each allows to be spent."""
-        sets, allowed = [members for members, _ in found], np.array([most for _, most in found])
-        members, sizes = np.concatenate(sets), [len(members) for members in sets]
-        columns = (len(self.nodes.source) + members).astype(np.int32)
-        begin = np.cumsum([0, *sizes[:-1]]).astype(np.int32)
-        below = np.full(len(sets), -highspy.kHighsInf)
-        threat = self.nodes.threat[members]
-        self._solver.addRows(len(sets), below, allowed, len(members), begin, columns, threat)
-        self.sets += sets
+    def add(self, found: Sequence[Row]) -> None:
+        """More rows."""
+        first = len(self.nodes.source)
+        for row in found:
+            if isinstance(row, Way):
+                columns, shares, most = np.append(row.moves, first + row.node), np.append(-row.share, 1.0), row.free
+            else:
+                columns, shares, most = first + row.members, self.nodes.threat[row.members], row.most
+            self._solver.addRow(-highspy.kHighsInf, most, len(columns), columns.astype(np.int32), shares)
+        self.rows += found
 
-    def solve(self) -> tuple[NDArray[np.float64], Dual]:
-        """(y `[V]`, the prices)."""
+    def solve(self) -> tuple[NDArray[np.float64], NDArray[np.float64], Dual]:
+        """(x `[E]`, y `[V]`, the prices)."""
         self._solver.run()
         found, count = self._solver.getSolution(), len(self.nodes.weight)
         if not found.dual_valid:  # no prices: they prove nothing, and the other bounds stand
-            return np.zeros(count), Dual(np.zeros(count), np.zeros(count), np.zeros(len(self.sets)))
+            nothing = np.zeros(count)
+            return np.zeros(len(self.nodes.source)), nothing, Dual(nothing, nothing, np.zeros(len(self.rows)))
         prices = np.maximum(-np.array(found.row_dual), 0.0)
-        visited = np.array(found.col_value)[len(self.nodes.source) :]
-        return visited, Dual(prices[:count], prices[count : 2 * count], prices[2 * count :])
+        moves, visited = np.split(np.array(found.col_value), [len(self.nodes.source)])
+        return moves, visited, Dual(prices[:count], prices[count : 2 * count], prices[2 * count :])
 
 
-def certified(nodes: Nodes, sets: list[NDArray[np.int64]], dual: Dual) -> float:
+def certified(nodes: Nodes, rows: Sequence[Row], dual: Dual) -> float:
     """What prices prove, in cells, whatever they are: they are made feasible, and checked and added up exactly.
 
-    Feasible are prices >= 0 with `flow_u >= (1 - p_v) flow_v + arrive_v` for every move, and for every node
-    `arrive_v + reach_v + p_v (the spend of all D with v in it) >= w_v`. Rounding raises `flow` until the first can
-    hold, lowers `arrive` until it does, and takes the `reach` that is left. Then
-    `sum (1 - p) s flow + s arrive + g reach + (what D allows) spend` is no less than the programme's optimum.
+    Feasible are prices >= 0 with `flow_u >= (1 - p_v) flow_v + arrive_v + (the shares of all ways in u -> v)` for every
+    move, and for every node `arrive_v + reach_v + p_v (the spend of all D with v in it) + (the ways to v) >= w_v`.
+    `flow` is raised until the first holds, and takes the `reach` that is left. Then `sum (1 - p) s flow + s arrive +
+    g reach + (what D allows) spend + (what is free) way` is no less than the programme's optimum.
     """
-    rounded = _feasible(nodes, dual)
-    exact = [[Fraction(value) for value in values.tolist()] for values in (rounded.flow, rounded.arrive, dual.spend)]
-    flow, arrive, spend = exact
+    tolls, paid, total = [Fraction(0)] * len(nodes.source), [Fraction(0)] * len(nodes.weight), Fraction(0)
     passed = [1 - Fraction(p) for p in nodes.threat.tolist()]
-    for source, target in zip(nodes.source.tolist(), nodes.target.tolist(), strict=True):
-        if flow[source] < passed[target] * flow[target] + arrive[target]:
+    for row, price in zip(rows, map(Fraction, dual.rows.tolist()), strict=True):
+        if not price:
+            continue
+        if isinstance(row, Way):
+            total += price * Fraction(row.free)
+            paid[row.node] += price
+            for move, share in zip(row.moves.tolist(), row.share.tolist(), strict=True):
+                tolls[move] += price * Fraction(share)
+        else:
+            total += price * Fraction(row.most)
+            for member in row.members.tolist():
+                paid[member] += price * (1 - passed[member])
+    arrive = [Fraction(value) for value in dual.arrive.tolist()]
+    toll = np.array([float(value) for value in tolls]) * (1 + ULP)
+    flow = [Fraction(value) for value in _feasible(nodes, dual, toll).tolist()]
+    for move, (source, target) in enumerate(zip(nodes.source.tolist(), nodes.target.tolist(), strict=True)):
+        if flow[source] < passed[target] * flow[target] + arrive[target] + tolls[move]:
             return float(nodes.weight.sum())
-    paid = [Fraction(0)] * len(flow)
-    total = Fraction(0)
-    for members, price in zip(sets, spend, strict=True):
-        if price > 0:
-            total += price * Fraction(float(most_stopped(nodes.threat[members], nodes.robots)[-1]))
-            for member in members.tolist():
-                paid[member] += price
     for node, weight in enumerate(nodes.weight.tolist()):
-        starts, p = int(nodes.starts[node]), 1 - passed[node]
-        reach = max(Fraction(0), Fraction(weight) - arrive[node] - p * paid[node])
-        total += starts * (passed[node] * flow[node] + arrive[node]) + reach * Fraction(float(nodes.reach[node]))
+        reach = max(Fraction(0), Fraction(weight) - arrive[node] - paid[node])
+        total += int(nodes.starts[node]) * (passed[node] * flow[node] + arrive[node])
+        total += reach * Fraction(float(nodes.reach[node]))
     return float(np.nextafter(float(total), np.inf))
 
 
-def _feasible(nodes: Nodes, dual: Dual) -> Dual:
-    """Prices near these for which every move's condition holds, but for the last bits of rounding."""
+def _feasible(nodes: Nodes, dual: Dual, toll: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Prices `flow` `[V]`, no lower than these, for which every move's condition holds; `toll` `[E]`: of its ways.
+
+    They are raised where they fall short, again and again; what is short then is met by raising them all, of dangerous
+    nodes by `more` and of safe ones by a little less: between safe areas there are no moves.
+    """
     flow, passed = dual.flow.copy(), 1.0 - nodes.threat
-    while True:
-        least = flow.copy()
-        np.maximum.at(least, nodes.source, (passed * flow * (1 + 4 * ULP))[nodes.target])
-        if (least == flow).all():
-            break
-        flow = least
-    room = np.full(len(flow), np.inf)
-    np.minimum.at(room, nodes.target, (flow[nodes.source] - (passed * flow)[nodes.target]) - 4 * ULP * flow.max())
-    return Dual(flow, np.maximum(np.minimum(dual.arrive, room), 0.0), dual.spend)
+    if not len(nodes.source):
+        return flow
+    asked = (dual.arrive[nodes.target] + toll) * (1 + 4 * ULP)
+    for _ in range(SWEEPS):
+        needed = passed[nodes.target] * flow[nodes.target] * (1 + 4 * ULP) + asked
+        short = float((needed - flow[nodes.source]).max())
+        if short <= 0:
+            return flow
+        np.maximum.at(flow, nodes.source, needed * (1 + 2 * ULP))
+    least = float(nodes.threat[nodes.threat > 0].min()) / 2
+    short += 16 * ULP * float(flow.max())
+    return flow + (short / least) * (1 + 1e-6) * np.where(nodes.threat > 0, 1.0, 1.0 - least)
