@@ -18,10 +18,10 @@ from analysis.evaluation.report import report as evaluation_report
 from analysis.kit.folder import as_text
 from analysis.report.face import print_report
 from analysis.theory.any_strategy import any_strategy, value_bound
-from analysis.theory.flow import Dual, Programme, certified, flow_bound, most_stopped
+from analysis.theory.flow import Dual, Programme, Row, Spend, certified, flow_bound, most_stopped
 from analysis.theory.nodes import contract
-from analysis.theory.one_robot import Mixture, path_bound
 from analysis.theory.optimum import optimum
+from analysis.theory.ways import missing_ways, way_within
 from planner.mrac.make_plan import make_plan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.worlds.generate import ThreatPattern, random_world
@@ -97,78 +97,85 @@ def test_whatever_the_prices_what_they_prove_is_true(monkeypatch: pytest.MonkeyP
     world, starts = tiny_world(3, 2, 4), np.array([[0, 0]])
     best, nodes = optimum(world, starts), contract(world, starts)
     count = len(nodes.weight)
-    sets = [np.flatnonzero(nodes.threat > 0)]
+    dangerous = np.flatnonzero(nodes.threat > 0)
+    inside = np.arange(count) != np.flatnonzero(nodes.starts)
+    rows: list[Row] = [Spend(dangerous, float(most_stopped(nodes.threat[dangerous], 1)[-1]))]
+    rows += [way_within(nodes, node, inside) for node in np.flatnonzero(inside).tolist()]
     draw = np.random.default_rng(5)
     assert best is not None
     for _ in range(300):
         scale = 10.0 ** draw.uniform(-3, 2)
-        dual = Dual(draw.random(count) * scale, draw.random(count) * 2, draw.random(1) * scale)
-        assert certified(nodes, sets, dual) >= best
+        dual = Dual(draw.random(count) * scale, draw.random(count) * 2, draw.random(len(rows)) * scale)
+        assert certified(nodes, rows, dual) >= best
         with monkeypatch.context() as careless:  # prices that were not made feasible prove no more than that
-            careless.setattr("analysis.theory.flow._feasible", lambda nodes, dual: dual)
-            assert certified(nodes, sets, dual) >= best
-    nothing = Dual(np.zeros(count), np.zeros(count), np.zeros(1))
-    assert certified(nodes, sets, nothing) == pytest.approx(nodes.weight @ nodes.reach, abs=1e-9)
+            careless.setattr("analysis.theory.flow._feasible", lambda nodes, dual, toll: dual.flow)
+            assert certified(nodes, rows, dual) >= best
+    nothing = Dual(np.zeros(count), np.zeros(count), np.zeros(len(rows)))
+    assert certified(nodes, rows, nothing) == pytest.approx(nodes.weight @ nodes.reach, abs=1e-9)
 
 
 def test_the_certificate_loses_next_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rounds end when ten of them together gain less than 4e-5 of the cells, and no sooner."""
-    world = random_world(pattern=ThreatPattern(seed=0))
+    """Rounds end when ten of them together gain less than 2e-4 of the cells, and no sooner."""
+    world = random_world(pattern=ThreatPattern(seed=1))
     nodes, optima, solve = contract(world, place_starts(world, 4)[0]), [], Programme.solve
 
-    def noted(programme: Programme) -> tuple[np.ndarray, Dual]:
-        visited, dual = solve(programme)
+    def noted(programme: Programme) -> tuple[np.ndarray, np.ndarray, Dual]:
+        moves, visited, dual = solve(programme)
         optima.append(float(nodes.weight @ visited))
-        return visited, dual
+        return moves, visited, dual
 
     monkeypatch.setattr(Programme, "solve", noted)
     bound = flow_bound(nodes)
     assert optima[-1] - 1e-6 <= bound <= optima[-1] + 1e-4
     gains = np.subtract(optima[:-10], optima[10:])
-    assert len(gains) > 1 and gains[:-1].min() >= 4e-5 * nodes.weight.sum() > gains[-1]
+    assert len(gains) > 1 and gains[:-1].min() >= 2e-4 * nodes.weight.sum() > gains[-1]
 
 
-@pytest.mark.parametrize("prices", ["its own", "random"])
-def test_whatever_the_prices_no_path_is_above_its_bound(prices: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Prices of their own lose a few hundredths of a cell on tiny worlds, others more; none proves what is false."""
+@pytest.mark.parametrize("robots", [1, 2])
+def test_whatever_the_nodes_a_way_holds_of_the_best_strategy(robots: int) -> None:
+    """Rows of any far side of any node leave the optimum in."""
     draw = np.random.default_rng(8)
-    if prices == "random":
-        monkeypatch.setattr(Mixture, "add", lambda self, counted, value: (0.0, 2 * draw.random(len(counted))))
-    monkeypatch.setattr("analysis.theory.one_robot.ROUNDS", 40)
-    over = []
-    for seed in range(20):
-        world = tiny_world(seed, 3, 4)
-        best, nodes = optimum(world, [[0, 0]]), contract(world, np.array([[0, 0]]))
+    for seed in range(30):
+        world, starts = tiny_world(seed, 2, 4), np.array([[0, 0]] * robots)
+        best, nodes = optimum(world, starts), contract(world, starts)
         assert best is not None
-        over.append(path_bound(nodes) - best)
-        assert over[-1] >= 0
-    assert (np.mean(over) < 0.2) == (prices == "its own")
+        programme = Programme(nodes)
+        for node in np.flatnonzero(nodes.starts == 0).tolist():
+            for _ in range(8):
+                inside = draw.random(len(nodes.weight)) < 0.6
+                inside[node] = True
+                programme.add([way_within(nodes, node, inside)])
+        visited, dual = programme.solve()[1:]
+        proven = certified(nodes, programme.rows, dual)
+        assert best <= proven <= nodes.weight @ visited + 1e-5
+        assert best <= flow_bound(nodes)
+
+
+def test_half_a_robot_does_not_fill_a_room_by_going_round_in_it() -> None:
+    """Beyond a door of p a ring of danger: what gets in is what is visited there, however often it goes round."""
+    world = World.create([[0.0, 0.5, 0.1, 0.1], [np.nan, np.nan, 0.1, 0.0], [0.0, 0.5, 0.1, 0.1], [0.0, 0.0, 0.0, 0.0]])
+    nodes = contract(world, np.array([[3, 0]]))
+    moves, visited, _ = Programme(nodes).solve()
+    found = list(missing_ways(nodes, moves, visited))
+    assert found and all(visited[way.node] > way.free + way.share @ moves[way.moves] for way in found)
 
 
 @pytest.mark.slow
-def test_no_bound_of_one_robot_is_below_the_optimum_on_10000_worlds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.theory.one_robot.ROUNDS", 40)
+def test_the_programme_is_never_below_the_optimum_on_10000_worlds() -> None:
     for seed in range(10_000):
         world = tiny_world(seed, 2, 5) if seed % 2 else tiny_world(seed, 3, 3)
-        best, bound = optimum(world, [[0, 0]]), any_strategy(world, [[0, 0]], flow=True)
-        assert best is not None and bound.flow is not None and bound.path is not None
-        assert best <= min(bound.flow, bound.path), seed
+        starts = [[0, 0]] * (1 + seed % 3 // 2)
+        best, bound = optimum(world, starts), flow_bound(contract(world, np.array(starts)))
+        assert best is None or best <= bound, seed
 
 
-def test_a_path_is_sharper_than_flow_for_one_robot_alone() -> None:
-    """3 points or more on the map of the other test; not known of two, of dangers too small to tell, unless asked."""
+def test_ways_are_what_makes_it_sharp() -> None:
+    """2 points or more on the map of the other test, and whoever asks for none has the rest."""
     world = random_world(pattern=ThreatPattern(kind="scattered", seed=0))
-    starts = place_starts(world, 1)[0]
-    bound = any_strategy(world, starts, flow=True)
-    assert bound.flow is not None and bound.path is not None
-    assert bound.cells == bound.path < bound.flow - 0.03 * world.accessible(starts).sum()
-    tally = make_engine(make_plan(world, starts), world, Rolling()).tally(0, 2000)
-    assert tally.visited @ np.arange(len(tally.visited)) / 2000 < bound.cells
-    assert any_strategy(world, starts).path is None
-    assert any_strategy(world, np.repeat(starts, 2, axis=0), flow=True).path is None
-    assert any_strategy(World.create([[0.0, 1e-7, 0.0]]), [[0, 0]], flow=True).path is None
-    certain = World.create([[0.0, 0.9999, 0.0, 0.0, 0.0]])
-    assert any_strategy(certain, [[0, 0]], flow=True).path == pytest.approx(2, abs=0.01)
+    starts = place_starts(world, 4)[0]
+    with_ways, without = (any_strategy(world, starts, ways=ways).flow for ways in (True, False))
+    assert with_ways is not None and without is not None
+    assert with_ways < without - 0.02 * world.accessible(starts).sum()
 
 
 def test_most_stopped_is_the_expectation_rounded_up() -> None:
@@ -186,7 +193,7 @@ def test_most_stopped_is_the_expectation_rounded_up() -> None:
 
 def test_unasked_on_a_larger_map_in_fewer_rounds_and_not_among_many_dangers(monkeypatch: pytest.MonkeyPatch) -> None:
     rounds: list[int] = []
-    monkeypatch.setattr("analysis.theory.any_strategy.flow_bound", lambda nodes, most: rounds.append(most) or 0.0)
+    monkeypatch.setattr("analysis.theory.any_strategy.flow_bound", lambda nodes, most, ways: rounds.append(most) or 0.0)
     for side, danger in ((20, 0.1), (30, 0.1), (40, 0.1), (40, 0.0)):
         for flow in (None, True):
             any_strategy(World.create(np.full((side, side), danger)), [[0, 0]] * 2, flow)

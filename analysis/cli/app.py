@@ -105,7 +105,7 @@ def evaluate(
         sense: Also if robots that are not told the map see so many cells far, on the same luck: "0,1,2,inf".
         metrics: What is found and left of what cells are worth, in the words of this field.
         bound: Also the bound for every strategy where it is dear, above 1,000 dangerous cells; as sharp as it gets
-            above 500 accessible ones, and for one robot.
+            above 500 accessible ones.
         theory: Also list the paper's formulas, each with a verdict.
         advice: What costs no robot, and what the rest costs: a second or two more.
         out: Write the page, pictures, plan and JSON to this folder.

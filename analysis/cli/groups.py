@@ -359,7 +359,7 @@ class Checking(_Rolled):
         size: Of each, HxW in cells (default: 20x20).
         processes: Worlds looked at at a time; no result depends on it (default: one a core).
         bound: Also the bound for every strategy where it is dear: above 1,000 dangerous cells, or with --worlds; as
-            sharp as it gets above 500 accessible ones, and for one robot.
+            sharp as it gets above 500 accessible ones.
     """
 
     robots: Annotated[Text, Parameter(group=TEAM)] = None

@@ -137,12 +137,12 @@ class Search:
         return [sign * (bound(self.other(world, threat), flow) - before) for threat in threats]
 
     def _bound(self, world: World, flow: bool) -> float:
-        return any_strategy(world, self.starts, flow).cells
+        return any_strategy(world, self.starts, flow, ways=False).cells
 
     def _value_bound(self, world: World, flow: bool) -> float:
         """The programme with values, or the value by the chance to reach each cell."""
         if flow:
-            return value_bound(world, self.starts)
+            return value_bound(world, self.starts, ways=False)
         return float(Worth.of(world).value @ reach_chances(world, self.starts))
 
     def confirm(self, trials: Sequence[Trial]) -> list[Gain]:

@@ -10,13 +10,12 @@ from numpy.typing import ArrayLike
 from analysis.theory.bounds import ideal_team
 from analysis.theory.flow import ROUNDS, flow_bound
 from analysis.theory.nodes import ULP, contract
-from analysis.theory.one_robot import path_bound
 from analysis.theory.own_bounds import ideal_connected
 from planner.worlds.doubt import Hazard
 from planner.worlds.world import World, check_starts
 
 MOST_CELLS = 500
-"""Accessible cells up to which the programme is solved as sharply unasked as asked: within a second on most maps."""
+"""Accessible cells up to which the programme is solved as sharply unasked as asked: about half a second."""
 MOST_DANGEROUS, HASTY = 1000, 12
 """Dangerous cells up to which it is solved unasked on larger maps, in so many rounds: within 3 seconds."""
 
@@ -27,27 +26,24 @@ class AnyStrategy:
 
     Attributes:
         flow: the programme's bound, certified; None: it was not solved.
-        path: `one_robot.path_bound`; None: it was not asked for, or there is more than one robot.
         connected: `own_bounds.ideal_connected`. ideal: `bounds.ideal_team`.
     """
 
     flow: float | None
-    path: float | None
     connected: float
     ideal: float
 
     @property
     def cells(self) -> float:
         """The least of them."""
-        return min(bound for bound in (self.flow, self.path, self.connected, self.ideal) if bound is not None)
+        return min(bound for bound in (self.flow, self.connected, self.ideal) if bound is not None)
 
 
-def any_strategy(world: World, starts: ArrayLike, flow: bool | None = None) -> AnyStrategy:
+def any_strategy(world: World, starts: ArrayLike, flow: bool | None = None, ways: bool = True) -> AnyStrategy:
     """The bounds of `world` for robots at `starts` `[K, 2]`.
 
-    `flow`: whether the programme is solved, and of one robot the best path sought, which takes seconds; None: the
-    programme alone, in HASTY rounds at most on maps of more than MOST_CELLS, and not where more than MOST_DANGEROUS of
-    them are dangerous.
+    `flow`: whether the programme is solved, which may take seconds; None: in HASTY rounds at most on maps of more than
+    MOST_CELLS, and not where more than MOST_DANGEROUS of them are dangerous. `ways`: as of `flow_bound`.
     """
     world.check_settled("the bound for every strategy")
     checked = check_starts(starts, world.threat, world.source)
@@ -56,8 +52,7 @@ def any_strategy(world: World, starts: ArrayLike, flow: bool | None = None) -> A
     rounds = ROUNDS if flow or len(threat) <= MOST_CELLS else HASTY
     nodes = contract(world, checked) if solved else None
     return AnyStrategy(
-        flow=None if nodes is None else flow_bound(nodes, rounds),
-        path=path_bound(nodes) if nodes is not None and flow else None,
+        flow=None if nodes is None else flow_bound(nodes, rounds, ways),
         connected=ideal_connected(world, checked),
         ideal=ideal_team(threat, len(checked)),
     )
@@ -76,10 +71,14 @@ def most_cells(world: World, starts: ArrayLike, flow: bool | None = None) -> flo
     return ideal_team(np.sort(threat), len(checked))
 
 
-def value_bound(world: World, starts: ArrayLike) -> float:
-    """Expected value of visited cells that no strategy exceeds: the programme with a cell's value as its weight."""
+def value_bound(world: World, starts: ArrayLike, ways: bool = True) -> float:
+    """Expected value of visited cells that no strategy exceeds: the programme with a cell's value as its weight.
+
+    `ways`: as of `flow_bound`.
+    """
     checked = check_starts(starts, world.threat, world.source)
     if world.value is None:
-        return flow_bound(contract(world, checked))
+        return flow_bound(contract(world, checked), ways=ways)
     largest = float(world.value.max())
-    return flow_bound(contract(world, checked, world.value / largest * (1.0 + ULP))) * largest * (1.0 + ULP)
+    nodes = contract(world, checked, world.value / largest * (1.0 + ULP))
+    return flow_bound(nodes, ways=ways) * largest * (1.0 + ULP)

@@ -213,7 +213,7 @@ def own_bounds(plan: Plan, world: World, bounds: Bounds, limit: AnyStrategy) -> 
         values["eq4_sum", meaning] = sum(getattr(gain, meaning) for gain in bounds.eq4)
     values["ideal_connected", "visited"] = limit.connected
     if limit.flow is not None:
-        values["any_strategy", "visited"] = limit.flow if limit.path is None else min(limit.flow, limit.path)
+        values["any_strategy", "visited"] = limit.flow
     best = optimum(world, plan.starts)
     if best is not None:
         values["optimum", "visited"] = best

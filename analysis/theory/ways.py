@@ -61,14 +61,11 @@ def missing_ways(nodes: Nodes, moves: NDArray[np.float64], visited: NDArray[np.f
         found = maximum_flow(graph, count, node)
         if found.flow_value < (visited[node] - LEAST) * UNITS:
             left = csr_array(graph - found.flow > 0)
-            near = breadth_first_order(left, count, return_predecessors=False)
-            far = breadth_first_order(csr_array(left.T), node, return_predecessors=False)
-            beyond, behind = np.ones(count + 1, dtype=np.bool_), np.zeros(count + 1, dtype=np.bool_)
-            beyond[near], behind[far] = False, True
-            for inside in (beyond, behind):
-                way = way_within(nodes, node, inside[:count])
-                if visited[node] - way.free - way.share @ moves[way.moves] > LEAST:
-                    yield way
+            beyond = np.ones(count + 1, dtype=np.bool_)
+            beyond[breadth_first_order(left, count, return_predecessors=False)] = False
+            way = way_within(nodes, node, beyond[:count])
+            if visited[node] - way.free - way.share @ moves[way.moves] > LEAST:
+                yield way
 
 
 def _whole(flow: NDArray[np.float64]) -> NDArray[np.int32]:
