@@ -118,7 +118,7 @@ class Sample:
         if self.scatter <= 0:
             return 0.0
         missed = MISSED * (self.lean / self.scatter / self.n) ** 2
-        if not self.few:
+        if not self.few and self.fitted == 1:  # what is fitted takes the bell away, not the rare events
             missed = min(missed, MOST_MISSED / max(self.thin, 1.0) * self.se**2)
         return _student(self.n - self.fitted) * math.sqrt(self.se**2 + missed) + self.step / 2 / self.n
 
@@ -148,7 +148,8 @@ def mean_estimate(counts: NDArray[np.int64], unit: float, most: int | None = Non
     - `u = 3.69 / n exp(-(m / 30)^4)` is the chance that something has which did not happen in n rollouts (the rule of
       three, `-ln(0.025) / n`). It fades as m grows: who has seen 45 on either side of the mean has seen what there is.
 
-    Where at most FEW different values were seen, u does not fade and s^2 has no limit. So the interval never collapses
+    Where at most FEW different values were seen, u does not fade and s^2 has no limit; with the control by luck it has
+    none either. So the interval never collapses
     to a point while every rollout so far gave the same, and it is at most 1.1 times 1.96 se wide where 100 rollouts
     or more lie on each side of the mean and more than FEW different values were seen. How often it holds the truth:
     `tests/test_analysis_estimate.py`. Values lie in `0 .. most`, to which the interval is clipped; None: `len(counts) -
