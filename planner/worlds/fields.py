@@ -27,8 +27,13 @@ WIDEST = 3.0
 PLAIN_DEGREES = re.compile(r"CRS:?84$|EPSG:.*\b4326$", re.IGNORECASE)
 
 
-def read_field(path: Path, cell_size: float, boundary: str = BOUNDARIES[0]) -> Grid:
+def read_field(
+    path: Path, cell_size: float, boundary: str = BOUNDARIES[0], direction: float = 0.0, swath: float | None = None
+) -> Grid:
     """The polygons of a file, all together, in cells of `cell_size` metres from their upper-left corner.
+
+    `direction`: of the rows, radians counter-clockwise from x (east). `swath`: side of the squares of cells that a
+    visit covers, a whole number of cells; each cell is then worth 1, so that what is covered is counted on them.
 
     `boundary` "whole": a cell is free if it lies within a polygon and no edge of any runs through it, as a cell is an
     obstacle as soon as one pixel is; "centre": if its centre lies within one. In degrees the frame is metres east and
@@ -36,7 +41,8 @@ def read_field(path: Path, cell_size: float, boundary: str = BOUNDARIES[0]) -> G
     """
     shapes = read_shapes(path)
     polygons, place, notes = _in_metres(shapes, path)
-    frame = _frame(polygons, cell_size, path)
+    blocks = 1 if swath is None else round(swath / cell_size)
+    frame = _frame(polygons, cell_size, path, direction, blocks)
     held, crossed = np.zeros(frame.shape, dtype=bool), np.zeros(frame.shape, dtype=bool)
     for rings in polygons:
         held |= inside(rings, frame)
@@ -57,7 +63,8 @@ def read_field(path: Path, cell_size: float, boundary: str = BOUNDARIES[0]) -> G
     if any(feature.number is not None for feature in shapes.features):
         notes += ("its property p is not read, as this is the map: name the file under `threats` of a scenario too",)
     state = np.where(free, FREE, OCCUPIED).astype(np.uint8)
-    return Grid(state, frame, str(path), notes=notes, georeference=place)
+    worth = None if swath is None else np.ones(frame.shape)
+    return Grid(state, frame, str(path), notes=notes, georeference=place, value=worth, swath=swath)
 
 
 def touched(rings: Rings, frame: Frame) -> NDArray[np.bool_]:
@@ -86,15 +93,21 @@ def touched(rings: Rings, frame: Frame) -> NDArray[np.bool_]:
     return np.cumsum(counts, axis=1)[:, :width] > 0
 
 
-def _frame(polygons: list[Rings], cell_size: float, path: Path) -> Frame:
-    """Cells from the upper-left corner of all polygons, where blocks of pixels begin too, to beyond the lower-right."""
-    corners = np.concatenate([ring for rings in polygons for ring in rings])
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    width, height = (max(math.ceil(side / cell_size - WHOLE), 1) for side in high - low)
+def _frame(polygons: list[Rings], cell_size: float, path: Path, yaw: float, blocks: int) -> Frame:
+    """Cells from the upper-left corner of all polygons, where blocks of pixels begin too, to beyond the lower-right.
+
+    Corners, rows and columns are those of a frame that is turned by `yaw`; `blocks` x `blocks` cells are not cut.
+    """
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    turned = np.concatenate([ring for rings in polygons for ring in rings]) @ [[cos, -sin], [sin, cos]]
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    side = blocks * cell_size
+    width, height = (blocks * max(math.ceil(span / side - WHOLE), 1) for span in high - low)
     if height * width > MAX_CELLS:
         problem = f"a field of {high[0] - low[0]:g} x {high[1] - low[1]:g} m makes {width} x {height} cells"
         raise MapError(problem, source=path, expected=f"at most {MAX_CELLS}", fix="give larger cells")
-    return Frame((height, width), cell_size, (float(low[0]), float(high[1]) - height * cell_size, 0.0))
+    left, bottom = float(low[0]), float(high[1]) - height * cell_size
+    return Frame((height, width), cell_size, (cos * left - sin * bottom, sin * left + cos * bottom, yaw))
 
 
 def _in_metres(shapes: Shapes, path: Path) -> tuple[list[Rings], Georeference | None, tuple[str, ...]]:

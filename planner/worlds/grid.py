@@ -87,6 +87,7 @@ class Grid:
         doubt: what a world file says is in doubt about its threats, or moves, or None.
         knowledge: what it says is true beside them, or None.
         measured: the file says how large a pixel is; else it is presumed.
+        swath: metres, the side of the cells that a visit covers, where that is more than a pixel; else None.
     """
 
     state: NDArray[np.uint8]
@@ -103,6 +104,7 @@ class Grid:
     doubt: Hazard | Uncertain | Movers | None = None
     knowledge: Knowledge | None = None
     measured: bool = True
+    swath: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +127,9 @@ class Ground:
 
     @cached_property
     def free(self) -> NDArray[np.bool_]:
-        """bool `[H, W]`: cells all of whose pixels are free."""
-        return np.all(self.blocks(self.free_pixels), axis=2)
+        """bool `[H, W]`: cells all of whose pixels are free; by swaths, at least half of them."""
+        share = self.blocks(self.free_pixels).mean(axis=2)
+        return share == 1 if self.grid.swath is None else share >= 0.5
 
     def blocks(self, pixels: NDArray) -> NDArray:
         """The pixels `[H0, W0]` of every cell: `[H, W, ratio * ratio]`."""
@@ -166,6 +169,7 @@ def coarsen(grid: Grid, cell_size: float | None = None, unknown_free: bool = Fal
     own axes. Raises MapError when a cell is no whole number of pixels, or no whole cell fits.
     """
     (height, width), size = grid.frame.shape, grid.frame.size
+    cell_size = cell_size if grid.swath is None else grid.swath
     grid = replace(grid, measured=grid.measured or cell_size is not None)
     ratio = _ratio(cell_size, grid)
     rows, cols = height // ratio, width // ratio
@@ -180,7 +184,17 @@ def coarsen(grid: Grid, cell_size: float | None = None, unknown_free: bool = Fal
     origin = (x - math.sin(yaw) * left_over, y + math.cos(yaw) * left_over, yaw)
     frame = Frame((rows, cols), size if cell_size is None else cell_size, origin)
     free_pixels = (grid.state == FREE) | (unknown_free & (grid.state == UNKNOWN))
-    return Ground(grid, free_pixels, ratio, frame, _notes(grid, ratio, unknown_free))
+    ground = Ground(grid, free_pixels, ratio, frame, _notes(grid, ratio, unknown_free))
+    return ground if grid.swath is None else replace(ground, notes=(*ground.notes, _edge(ground)))
+
+
+def _edge(ground: Ground) -> str:
+    """What of a field no swath covers."""
+    kept = np.where(ground.free, ground.blocks(ground.free_pixels).sum(axis=2), 0).sum() / ground.free_pixels.sum()
+    return (
+        f"swaths of {ground.frame.size:g} m hold {100 * kept:.2f} % of the field's cells of {ground.grid.frame.size:g} "
+        "m, the rest lies along the edge and is not counted; `value` is what is covered of those held"
+    )
 
 
 def _ratio(cell_size: float | None, grid: Grid) -> int:

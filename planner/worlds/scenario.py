@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from planner.files import check_file
 from planner.settings import SETTINGS as KNOWN
 from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
 from planner.worlds.fields import BOUNDARIES, read_field
-from planner.worlds.grid import Grid, Ground, coarsen
+from planner.worlds.grid import WHOLE, Grid, Ground, coarsen
 from planner.worlds.keepout import keep_out
 from planner.worlds.keys import PLACE, Key, read_yaml
 from planner.worlds.learning import KEYS as KNOWLEDGE
@@ -50,6 +51,9 @@ OPTIONAL = (
     *REPORTED, *TIMED, *SETTINGS,
 )  # fmt: skip
 """Keys that may be there."""
+OF_FIELDS = ("boundary", "direction", "swath")
+"""What may stand beside the polygons of a field."""
+DEGREES_ROUND = Numbers(-180, 180, "degrees")
 SMALL_ROBOT = 0.2
 """Metres: a cell is a robot's footprint, and few are smaller."""
 CELLS_OF_A_MAP = "give `cell_size:` beside `map:`, the side of a cell in metres"
@@ -121,12 +125,12 @@ def _map(key: Key, cell_size: float | None) -> Grid:
     """The map of a scenario: `{file: ...}` (or just the name), or `{elevation: ..., max_slope_deg: ...}`."""
     if isinstance(key.value, str):
         key = Key({"file": key.value}, key.path, key.source)
-    keys = key.mapping(optional=("file", "elevation", "max_slope_deg", "resolution", "polygons", "boundary"))
+    keys = key.mapping(optional=("file", "elevation", "max_slope_deg", "resolution", "polygons", *OF_FIELDS))
     kind = one_source(key, ("file", "elevation", "polygons"))
     if kind == "elevation":
         return _elevation(key.mapping(optional=("elevation", "max_slope_deg", "resolution")), cell_size)
     if kind == "polygons":
-        return _field(key.mapping(("polygons",), optional=("boundary",)), cell_size)
+        return _field(key.mapping(("polygons",), optional=OF_FIELDS), cell_size)
     if "resolution" in keys:
         raise keys["resolution"].wrong("none: a pixel has the metres that its file says, or 1", CELLS_OF_A_MAP)
     path = key.mapping(("file",))["file"].file("a map file")
@@ -141,7 +145,11 @@ def _field(keys: dict[str, Key], cell_size: float | None) -> Grid:
     if cell_size is None:
         raise key.fault("has no pixels", fix="give `cell_size:`, metres, beside `map:`")
     boundary = keys["boundary"].choice(BOUNDARIES) if "boundary" in keys else BOUNDARIES[0]
-    return read_field(key.file("a file of polygons"), cell_size, boundary)
+    direction = math.radians(keys["direction"].number(DEGREES_ROUND)) if "direction" in keys else 0.0
+    swath = keys["swath"].number(CELL_SIZE) if "swath" in keys else None
+    if swath is not None and (swath < cell_size or abs(swath / cell_size - round(swath / cell_size)) > WHOLE):
+        raise keys["swath"].fault(f"is {swath:g} m", f"a whole number of cells of {cell_size:g} m, `cell_size`")
+    return read_field(key.file("a file of polygons"), cell_size, boundary, direction, swath)
 
 
 def _elevation(keys: dict[str, Key], cell_size: float | None) -> Grid:

@@ -32,6 +32,8 @@ def _layer(key: Key | None, of: Quantity, ground: Ground) -> Layer | None:
     own = None if own is None else _over_pixels(of, ground)(own)
     if key is None:
         return own
+    if of is VALUE and ground.grid.swath is not None:
+        raise key.wrong("none of a map with a swath, where it counts the field's cells", "leave one of the two out")
     if not isinstance(key.value, list):
         return np.full(ground.frame.shape, key.number(of.numbers, f"{of.numbers.expected}, or a list of sources"))
     layer = np.ones(ground.frame.shape) if own is None else own
