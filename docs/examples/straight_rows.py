@@ -1,7 +1,6 @@
-"""The table of `docs/fields.md`: turns, moves, time and coverage of the orders within areas, on the same maps and luck.
+"""What `docs/fields.md` says of random maps: turns, moves, time and coverage of straight rows, on the same maps and luck.
 
-python docs/examples/straight_rows.py ROLLOUTS MAPS [FILE:CELL_SIZE ...]; 100, 50 and the maps of MovingAI and ROS are
-behind the table.
+python docs/examples/straight_rows.py ROLLOUTS MAPS [FILE:CELL_SIZE ...]; 100 and 20 are behind it.
 """
 
 from __future__ import annotations
