@@ -71,4 +71,4 @@ def test_where_it_cannot_be_asked(capsys: pytest.CaptureFixture[str]) -> None:
         assert run(["evaluate", *world, *words]) == 2
         assert capsys.readouterr().err.startswith("error: ")
     assert run(["size", "example:paper", "--policy", "best"]) == 2
-    assert capsys.readouterr().err == "error: --policy 'best'; expected mrac or per_cell\n"
+    assert capsys.readouterr().err == "error: --policy 'best'; expected mrac or per_cell or watchful\n"

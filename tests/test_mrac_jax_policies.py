@@ -36,11 +36,12 @@ SHAPE = (150, 8)
 """Least room for cells and robots: that of all quick worlds here."""
 LIMITED: list[dict[str, Any]] = [
     {}, {"reserve": 0.25}, {"worth": 4.0}, {"reserve": 1.0}, {"worth": 40.0}, {"reserve": 0.5, "worth": 9.0},
+    {"policy": "watchful", "reserve": 0.1}, {"policy": "watchful", "reserve": 0.5, "worth": 9.0},
 ]  # fmt: skip
 
 
 def loop_of(one: SurveyWorld, **asked: Any) -> ClosedLoop:
-    plan = make_plan(one.world, one.starts, replace(one.settings, policy="per_cell", **asked))
+    plan = make_plan(one.world, one.starts, replace(one.settings, **{"policy": "per_cell"} | asked))
     return compile_closed_loop(plan, one.world, first_only=one.first_only, luck="tolerance")
 
 
@@ -76,6 +77,12 @@ def test_counts_are_the_compiled_simulator_s(monkeypatch: pytest.MonkeyPatch) ->
     assert len(sizes) == 1  # limits are numbers in the program
     assert len(kinds) >= 17
     assert shares > 500 and called_off > 100
+
+
+@pytest.mark.slow
+def test_who_breaks_off_is_followed_event_for_event() -> None:
+    for one in first_worlds(5, cells=80):
+        same_runs(loop_of(one, policy="watchful", reserve=0.1), one.seed, 40, one.name, traced=(0, 39))
 
 
 @pytest.mark.slow

@@ -54,7 +54,12 @@ LARGE = [name for name in PAPER if name.endswith("k8")]
 FEW = 1
 """Seeded runs of the readable simulator on the paper's maps; 8 on the tiny ones, of the compiled one all 24."""
 LIMITED: list[dict[str, Any]] = [
-    {}, {"reserve": 0.25}, {"reserve": 1.0}, {"worth": 4.0}, {"worth": 40.0}, {"reserve": 0.5, "worth": 9.0},
+    {"policy": "per_cell", **limits}
+    for limits in (
+        {}, {"reserve": 0.25}, {"reserve": 1.0}, {"worth": 4.0}, {"worth": 40.0}, {"reserve": 0.5, "worth": 9.0},
+        {"policy": "watchful"}, {"policy": "watchful", "reserve": 0.1},
+        {"policy": "watchful", "reserve": 0.5, "worth": 9.0},
+    )
 ]  # fmt: skip
 
 
@@ -131,7 +136,7 @@ def test_compiled_runs_are_the_readable_ones_event_for_event(limits: dict[str, A
     counts, kinds = np.zeros(len(EventKind), dtype=np.int64), set()
     for number, one in enumerate(survey_worlds()[LIMITED.index(limits) :: 15]):
         transit: Any = ("grid", "area")[number % 2]
-        asked = replace(one.settings, policy="per_cell", transit=transit, **limits)
+        asked = replace(one.settings, transit=transit, **limits)
         try:
             plan = make_plan(one.world, one.starts, asked)
         except WorldError as error:
@@ -292,7 +297,7 @@ def frontier_twin(areas: list[tuple[int, Offer]]) -> list[int]:
     return [number for number, _ in sorted(areas, key=key)]
 
 
-TWINS = {"mrac": mrac_twin, "per_cell": per_cell_twin, "frontier": frontier_twin}
+TWINS = {"mrac": mrac_twin, "per_cell": per_cell_twin, "frontier": frontier_twin, "watchful": per_cell_twin}
 
 
 @pytest.mark.parametrize("name", RULES)
@@ -362,7 +367,7 @@ def test_the_shortcut_of_the_nearest_area_is_the_rule() -> None:
 @given(worlds_with_starts(), st.sampled_from(LIMITED), st.integers(0, 99), st.sampled_from(["grid", "area"]))
 def test_no_run_ends_at_the_limit(given_world: tuple[World, np.ndarray], limits: Any, rollout: int, way: Any) -> None:
     world, starts = given_world
-    plan = make_plan(world, starts, Settings(policy="per_cell", transit=way, **limits))
+    plan = make_plan(world, starts, Settings(transit=way, **limits))
     assert plan.outcome == "complete" or (plan.outcome == "called_off" and "worth" in limits)
     assert validate(plan, world) == []
     run = ReferenceLoop(plan, world).run(5, rollout)
@@ -380,7 +385,8 @@ def test_no_compiled_run_of_100_000_ends_at_the_limit(capsys: pytest.CaptureFixt
         threat = luck.choice(kinds, p=[0.2, 0.3, 0.2, 0.2, 0.1], size=shape).astype(np.float32)
         threat[0, 0] = 0.0
         world, free = World.create(threat), np.argwhere(~np.isnan(threat))
-        asked = Settings() if number % 7 == 6 else Settings(policy="per_cell", **LIMITED[number % 7])
+        kind = number % (len(LIMITED) + 1)
+        asked = Settings(**LIMITED[kind]) if kind < len(LIMITED) else Settings()
         plan = make_plan(world, free[luck.integers(len(free), size=luck.integers(1, 6))], asked)
         tally = run_range(compile_closed_loop(plan, world, tabled=number % 3 > 0), number, 0, 250)[0]
         assert asked.worth is not None or tally.outcomes[Outcome.CALLED_OFF] == 0

@@ -215,7 +215,7 @@ def _cover_rules(facts: Facts, robot: int, leg: Leg, history: History) -> Iterat
         yield facts.broken("cover-ends", robot=robot, step=leg.stop - 1, cell=path[leg.stop - 1])
     kept = cells[history.holder[cells] == leg.area]
     late = kept[facts.first[kept] > (leg.stop if cut_short else leg.stop - 1)]
-    if len(late):
+    if len(late) and not facts.breaks_off:
         yield facts.broken("cover-all", robot=robot, step=leg.stop - 1, cell=late[0])
 
 
@@ -226,7 +226,7 @@ def _claim_rules(facts: Facts, shared: frozenset[int]) -> Iterator[Violation]:
     """
     plan = facts.plan
     if facts.adaptive:
-        yield from _cover_claims(facts)
+        yield from () if facts.breaks_off else _cover_claims(facts)
         return
     claims: dict[int, tuple[int, set[str]]] = {}
     for robot, given in enumerate(plan.robots):

@@ -52,6 +52,11 @@ class Facts:
         """The plan follows another policy than the paper's: its robots may change their minds (SPEC section 11)."""
         return self.plan.settings is not None and self.plan.settings.policy != "mrac"
 
+    @property
+    def breaks_off(self) -> bool:
+        """Its robots may change their minds while they cover, too."""
+        return self.plan.settings is not None and self.plan.settings.rule.breaks_off
+
     def broken(
         self, rule: str, *, robot: int | None = None, step: int | None = None, cell: int | None = None
     ) -> Violation:

@@ -61,6 +61,8 @@ def notice(
     mode = jnp.where(gone, jnp.where(traveling, RETARGET, FIND_CELL), ACT)
     if tables.policy.looks_again:
         others = (lanes.waiting > 0) | tables.policy.refuses
+        if tables.policy.breaks_off:
+            traveling, others = jnp.ones_like(traveling), others | tables.policy.holds
         wary = traveling & others & (read(tables.level, ahead) > 0)
         mode = jnp.where(wary, LOOK_AGAIN, mode)
     done = low_half(read(lanes.areas, row + area)) == 0
@@ -93,12 +95,16 @@ def _find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     offered = (unvisited & (looks | stays)[:, None]) | (open_cells(words) & ~stays[:, None])
     first = first_area(tables, lanes, chosen, chosen.here, offered, ~stays)
     label, held = first.candidate.label, bits_at(lanes.held[:, at], robot)
-    waits = has_to_wait(tables, lanes, chosen, first, ~(stays | looks))
+    breaks_off = tables.policy is not None and tables.policy.breaks_off
+    waits = has_to_wait(tables, lanes, chosen, first, ~stays if breaks_off else ~(stays | looks))
     found = first.found & ~waits
     keeps = found & (looks | stays) & (label == own)
     takes, frees = found & ~keeps, looks & ~keeps
     # Who keeps its area keeps its target until somebody visits it, also if another cell is cheaper by now.
-    keeps_goal = keeps & looks & ((entry(words, goal) & VISITED) == 0)
+    fresh = (entry(words, goal) & VISITED) == 0
+    covers = bits_at(lanes.covering[:, at], robot) & looks & keeps
+    keeps_goal = keeps & looks & (fresh | covers)
+    after = jnp.where(covers & ~fresh, FIND_CELL, lanes.found_next(at))
     lanes = _release(tables, lanes, chosen, own, frees)
     words = jnp.where(mine & frees[:, None], words | OPEN, words)
     shut = takes[:, None] & (low_half(words) == label[:, None])
@@ -108,7 +114,7 @@ def _find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
         cells=put_rows(lanes, lanes.cells, lane, jnp.where(shut, words & ~jnp.uint32(OPEN), words)),
         place=put(lanes, lanes.place, lane, robot, pack(chosen.here, first.cell), found & ~keeps_goal),
         held=hold(lanes, chosen, waits, takes),
-        mode=spread(lanes.mode, chosen.slot, jnp.where(found, lanes.found_next(at), jnp.where(rests, NEXT, SHARE))),
+        mode=spread(lanes.mode, chosen.slot, jnp.where(found, after, jnp.where(rests, NEXT, SHARE))),
     )
     return take_area(lanes, chosen, first.cell, label, takes, ~first.found)
 

@@ -33,7 +33,16 @@ def hold(lanes: Lanes, chosen: Chosen, on: jax.Array, off: jax.Array) -> jax.Arr
 
 
 def is_full(tables: LaneTables, lanes: Lanes, at: jax.Array, robot: jax.Array) -> jax.Array:
-    """Whether as many robots besides this one as may be are at risk in the lanes `at`; int32 and bool `[S]`.
+    """Whether as many robots besides this one as may be are at risk in the lanes `at`; int32 and bool `[S]`."""
+    policy, risky = tables.policy, at_risk(tables, lanes, at)
+    assert policy is not None
+    others = risky & (jnp.arange(risky.shape[1], dtype=jnp.int32) != robot[:, None])
+    alive = jax.lax.population_count(lanes.unharmed[:, at]).sum(axis=0, dtype=jnp.uint32).astype(jnp.int32)
+    return policy.holds & (others.sum(axis=1, dtype=jnp.int32) >= policy.most[alive])
+
+
+def at_risk(tables: LaneTables, lanes: Lanes, at: jax.Array) -> jax.Array:
+    """Which robots are at risk in the lanes `at`, bool `[S, K]`.
 
     One dangerous cell on the way to a target costs more than every safe one.
     """
@@ -44,9 +53,7 @@ def is_full(tables: LaneTables, lanes: Lanes, at: jax.Array, robot: jax.Array) -
     word, bit = word_and_bit(robots)
     moves = (((lanes.traveling | lanes.covering)[:, at][word] & bit[:, None]) != 0).T  # [S, K]
     dangerous = (tables.cost[low_half(place), high_half(place)] >= policy.cells) | (tables.level[area] > 0)
-    risky = moves & dangerous & (robots != robot[:, None])
-    alive = jax.lax.population_count(lanes.unharmed[:, at]).sum(axis=0, dtype=jnp.uint32).astype(jnp.int32)
-    return policy.holds & (risky.sum(axis=1, dtype=jnp.int32) >= policy.most[alive])
+    return moves & dangerous
 
 
 def asking(tables: LaneTables, lanes: Lanes) -> jax.Array:
@@ -76,15 +83,20 @@ def has_to_wait(tables: LaneTables, lanes: Lanes, chosen: Chosen, mine: First, a
 
 
 def _is_another_s(tables: LaneTables, lanes: Lanes, chosen: Chosen, mine: First, asks: jax.Array) -> jax.Array:
-    """Whether another robot without an area would get its own first one before, `[S]`."""
-    batch = lanes.mode.shape[0]
+    """Whether another robot without an area, or where robots break off one not at risk, would get its own first one
+    before, `[S]`.
+    """
+    batch, policy = lanes.mode.shape[0], tables.policy
+    assert policy is not None
     at = jnp.minimum(chosen.lane, batch - 1)
-    at_rest = (lanes.alive & ~(lanes.traveling | lanes.covering))[:, at]
+    busy = jnp.zeros_like(lanes.alive) if policy.breaks_off else lanes.traveling | lanes.covering
+    at_rest, risky = (lanes.alive & ~busy)[:, at], at_risk(tables, lanes, at) if policy.breaks_off else None
     place, offered = low_half(lanes.place.reshape(batch, -1)[at]), open_cells(chosen.words)
 
     def also(robot: jax.Array, before: jax.Array) -> jax.Array:
         # Robot by robot, since nearly always none other is at rest and the branch is not taken.
         could = asks & (robot != chosen.robot) & bits_at(at_rest, jnp.full_like(chosen.robot, robot))
+        could = could if risky is None else could & ~risky[:, robot]
 
         def compare() -> jax.Array:
             theirs = first_area(tables, lanes, chosen, place[:, robot], offered)

@@ -38,7 +38,7 @@ class LanePolicy:
         most: int32 `[K + 1]`, robots that may be at risk of so many alive. holds: bool scalar, there is a `reserve`.
         value: int32 `[A]`, what cells count; None: 1 each. scale, beyond: int32 scalars as in
             `planner.mrac.problem.Problem`.
-        order: of the rule, offer -> two fractions. looks_again: as in `planner.policies.rule.Rule`. Static.
+        order: of the rule, offer -> two fractions. looks_again, breaks_off: as in `planner.policies.rule.Rule`. Static.
     """
 
     entry: Array
@@ -52,6 +52,7 @@ class LanePolicy:
     beyond: Array
     order: Callable[[Offer], Any] = field(metadata=STATIC)
     looks_again: bool = field(metadata=STATIC)
+    breaks_off: bool = field(metadata=STATIC)
 
 
 def lane_policy(loop: ClosedLoop, level: NDArray[np.int32], robots: int) -> LanePolicy | None:
@@ -74,6 +75,7 @@ def lane_policy(loop: ClosedLoop, level: NDArray[np.int32], robots: int) -> Lane
         beyond=np.int32(policy.beyond),
         order=policy.rule.order,
         looks_again=policy.looks_again,
+        breaks_off=policy.breaks_off,
     )
 
 

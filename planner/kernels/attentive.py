@@ -110,7 +110,8 @@ def decide(p, s, robot, area):
     A step on the way of cost e makes the area cheaper by e, others by e at most, and by less per cell where they have
     more cells; what others visit makes none better. Where areas are refused one may be accepted from nearby.
     """
-    s.robots[robot, SURE] = p.by_price and not p.limited and len(p.value) == 0 and s.areas[area, LEFT_IN] == 1
+    sure = p.by_price and not (p.limited or p.breaks_off)
+    s.robots[robot, SURE] = sure and len(p.value) == 0 and s.areas[area, LEFT_IN] == 1
 
 
 @kernel
@@ -194,15 +195,18 @@ def allocate_next(t, p, s, w, log, robot, idle):
 def look_again(t, p, s, w, log, robot):
     """Before a danger: another area may be better by now, or none worth it; answers as `share_or_rest`."""
     own = np.int64(s.robots[robot, AREA])
-    area, target, _ = first_area(t, p, s, w, robot, own, np.bool_(True))
-    if area == own:
+    area, target, cost = first_area(t, p, s, w, robot, own, np.bool_(True))
+    waits = p.breaks_off and area != NONE and has_to_wait(t, p, s, w, robot, area, cost)
+    if area == own and not waits:
         decide(p, s, robot, own)
         return 0
     note(log, s, robot, LOOKED_AGAIN_EVENT, own, s.robots[robot, NEXT])
     # Its own area goes back into the pool before it takes another: somebody else may want it.
     reopen(s, own)
     unsettle(s)
-    if area == NONE:
+    if waits:
+        s.robots[robot, HELD] = 1
+    if area == NONE or waits:
         return share_or_rest(t, p, s, w, log, robot)
     take(t, p, s, w, log, robot, area, target)
     return 1
@@ -226,7 +230,7 @@ def look_up(t, p, s, w, log, how, robot):
     robots, got = s.robots, 0
     if s.areas[robots[robot, AREA], LEFT_IN] == 0:
         return allocate_next(t, p, s, w, log, robot, np.bool_(False))
-    wary = p.looks_again and robots[robot, DOING] == TRAVELING and not robots[robot, SURE]
+    wary = p.looks_again and (p.breaks_off or robots[robot, DOING] == TRAVELING) and not robots[robot, SURE]
     if wary and is_danger(p, s, robots[robot, NEXT]):
         got = look_again(t, p, s, w, log, robot)
         if got != 0 or not has_area(robots, robot):

@@ -130,8 +130,11 @@ def has_to_wait(t, p, s, w, robot, area, cost):
     if is_full(t, p, s, robot):
         return True
     for other in range(len(s.robots)):
-        # One that waits and would take a better offer goes first (`reserve`).
-        if other != robot and (s.robots[other, DOING] == IDLE or holds(s.waiting, other)):
+        # One that waits, or will without danger, and would take a better offer goes first (`reserve`).
+        rests = s.robots[other, DOING] == IDLE or holds(s.waiting, other)
+        if p.breaks_off and has_area(s.robots, other):
+            rests = not is_at_risk(t, p, s, other)
+        if other != robot and rests:
             theirs, _, their_cost = first_of_idle(t, p, s, w, other)
             if theirs != NONE and is_before(p, offer_of(p, s, theirs, their_cost), mine, False):
                 return True

@@ -81,7 +81,7 @@ class Policy(NamedTuple):
     """What an attentive robot decides by. Axes: `A` accessible cells, `K` robots, `L` threat levels.
 
     Attributes:
-        rule: orders areas. looks_again, by_price: as in `Rule`. limited: whether areas are ever refused.
+        rule: orders areas. looks_again, breaks_off, by_price: as in `Rule`. limited: whether areas are ever refused.
         entry: int64 `[L]`, cost of entering a cell of each level. danger: bool `[A]`, cells of a dangerous level.
         cells: n of the whole map. theta: the price per new cell from which an area is refused.
         worth: whether robots say what they refuse.
@@ -93,6 +93,7 @@ class Policy(NamedTuple):
 
     rule: Followed
     looks_again: bool
+    breaks_off: bool
     by_price: bool
     limited: bool
     entry: NDArray[np.int64]
@@ -117,6 +118,7 @@ def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables) -> P
     policy = Policy(
         rule=Followed(rule),
         looks_again=rule.looks_again,
+        breaks_off=rule.breaks_off,
         by_price=rule.by_price,
         limited=rule.limited and problem.theta < NO_REFUSAL,
         entry=problem.entry,

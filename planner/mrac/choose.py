@@ -152,7 +152,8 @@ def _is_now_at_risk(board: Board, robot: Robot) -> bool:
 
 def has_to_wait(board: Board, robot: Robot, choice: Choice) -> bool:
     """True if `reserve` holds the robot from an area that it would be allocated: too many are at risk, or one of the
-    idle and done robots would get its own first area at a lower price.
+    idle and done robots, or where robots break off of those that are not at risk, would get its own first area at a
+    lower price.
     """
     if board.problem.settings.reserve is None or not is_at_risk(board, choice):
         return False
@@ -160,7 +161,8 @@ def has_to_wait(board: Board, robot: Robot, choice: Choice) -> bool:
         return True
     mine = board.rule.key(choice.offer)
     for other in board.robots:
-        if other is not robot and other.able and not other.on_its_way:
+        busy = other.on_its_way and not (board.rule.breaks_off and not _is_now_at_risk(board, other))
+        if other is not robot and other.able and not busy:
             first = first_of_idle(board, other)
             if first is not None and board.rule.key(first.offer) < mine:
                 return True

@@ -285,7 +285,7 @@ class Executive(Board):
         if self.areas[robot.area].unvisited == 0:
             self._allocate_next(robot)
             return
-        wary = self.rule.looks_again and robot.status is Doing.TRAVELING
+        wary = self.rule.looks_again and (self.rule.breaks_off or robot.status is Doing.TRAVELING)
         if wary and self.problem.levels.of_cell[robot.ahead[-1]] > 0:
             self._look_again(robot)
         if robot.on_its_way and self.visited[robot.ahead[0]]:
@@ -294,12 +294,14 @@ class Executive(Board):
     def _look_again(self, robot: Robot) -> None:
         """Another area may be better by now than the one behind the danger; or none is worth it any more."""
         first = self.choose(robot, own=True)
-        if first is not None and first.area == robot.area:
+        waits = self.rule.breaks_off and first is not None and has_to_wait(self, robot, first)
+        if first is not None and first.area == robot.area and not waits:
             return
         self._note(EventKind.LOOKED_AGAIN, robot, robot.area, robot.ahead[-1])
         self.release(robot)
         robot.ahead = []
-        if first is not None:
+        robot.held |= waits
+        if first is not None and not waits:
             self._take(robot, first)
         else:
             self._share_or_rest(robot)

@@ -14,8 +14,9 @@ from planner.policies.mrac import MRAC
 from planner.policies.offer import Offer
 from planner.policies.per_cell import PER_CELL
 from planner.policies.rule import Rule, own_rule
+from planner.policies.watchful import WATCHFUL
 
-RULES: dict[str, Rule] = {rule.name: rule for rule in (MRAC, PER_CELL, FRONTIER)}
+RULES: dict[str, Rule] = {rule.name: rule for rule in (MRAC, PER_CELL, FRONTIER, WATCHFUL)}
 """Every rule that a plan can name."""
 DEFAULT = MRAC.name
 

@@ -24,6 +24,7 @@ class Rule:
             cells *still* unvisited, leg by leg. Otherwise: its cheapest cell, visited or not, and a path once computed
             is driven to its end (SPEC section 5).
         looks_again: on its way, before each dangerous cell, the robot compares its area with the unassigned ones.
+        breaks_off: it looks again while it covers too, and is then also held by `reserve`. Needs `looks_again`.
         looks_ahead: it asks what areas would show (`Offer.frontier`), which takes time; the robots are attentive.
         limited: `reserve` and `worth` may go with it.
         nearest: the order is (level, cost): engines may search for the nearest area of the least level.
@@ -36,6 +37,7 @@ class Rule:
     order: Callable[[Offer], Any]
     attentive: bool = True
     looks_again: bool = False
+    breaks_off: bool = False
     limited: bool = False
     nearest: bool = False
     by_price: bool = False
