@@ -149,7 +149,8 @@ class Settings:
     )  # fmt: skip
     policy: Policy = _setting(  # noqa: RUF009
         DEFAULT, "policy",
-        "Next area: mrac, nearest; per_cell, least cost a cell; frontier, that a cell done or shown (default: mrac).",
+        "Next area: mrac, nearest; per_cell, least cost a cell; watchful, looks again before every danger; frontier, "
+        "for robots that learn the map (default: mrac).",
         words=tuple(RULES), later=True,
     )  # fmt: skip
     reserve: float | None = _setting(

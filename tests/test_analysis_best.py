@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from analysis.trials import best
 from analysis.trials.best import contenders
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
+from planner.policies import RULES
 from planner.settings import Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
@@ -21,12 +23,13 @@ from planner.worlds.starts import place_starts
 
 def test_what_is_given_stays_and_no_setting_comes_twice() -> None:
     raced = contenders(Settings(), 8)
-    assert len(raced) == len(set(raced)) == 9
+    assert len(raced) == len(set(raced)) == 10
     assert {one.reserve for one in raced} == {None, 1 / 2, 1 / 4, 1 / 8}
     assert [one.policy for one in raced].count("mrac") == 1
     assert {one.reserve for one in contenders(Settings(), 1)} == {None}
     limited = contenders(Settings(reserve=0.3, worth=20.0, density=6.0, risk="log"), 8)
-    assert limited == [Settings(policy="per_cell", reserve=0.3, worth=20.0, density=6.0, risk="log")]
+    given = Settings(policy="per_cell", reserve=0.3, worth=20.0, density=6.0, risk="log")
+    assert limited == [given, replace(given, policy="watchful")]
 
 
 def test_on_small_maps_it_is_the_best_by_the_readable_tree() -> None:
@@ -71,4 +74,4 @@ def test_where_it_cannot_be_asked(capsys: pytest.CaptureFixture[str]) -> None:
         assert run(["evaluate", *world, *words]) == 2
         assert capsys.readouterr().err.startswith("error: ")
     assert run(["size", "example:paper", "--policy", "best"]) == 2
-    assert capsys.readouterr().err == "error: --policy 'best'; expected mrac or per_cell or watchful\n"
+    assert capsys.readouterr().err == f"error: --policy 'best'; expected {' or '.join(RULES)}\n"
