@@ -76,7 +76,7 @@ def test_a_command_line_names_options_and_a_file_its_keys() -> None:
         assert told(range=-3) == "--range -3; expected a whole number, 1 to 4194302, or a list of one a robot"
         assert told(range=(0, 5)).startswith("--range 0,5; expected")
         assert told(worth=5.0).startswith(
-            "--worth 5 with --policy mrac; expected --policy per_cell or frontier; leave --worth out"
+            "--worth 5 with --policy mrac; expected --policy per_cell or frontier or watchful;"
         )
         assert told(effort=5) == "--effort 5 with --plan-for closed; expected --plan-for open; leave --effort out"
         assert told("plan.json", range=-3).startswith("plan.json: range is -3; expected") and told(
