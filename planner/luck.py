@@ -14,7 +14,8 @@ from planner.bearing import PLAIN, Bearing
 from planner.luck_names import LuckName
 from planner.threefry import own_key, threefry2x32, uniform
 from planner.tolerance import exposure_of
-from planner.worlds.doubt import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Uncertain
+from planner.worlds.doubt import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Uncertain, bounds_of
+from planner.worlds.evidence import READING_DRAW
 from planner.worlds.movers import Movers
 from planner.worlds.world import World
 
@@ -47,6 +48,17 @@ class Luck:
             self._spent.add(cell)
         return True
 
+    def readings(self, robot: int, step: int, cells: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """For which of the cells the robot's detector gives an alarm at the end of this step, bool `[n]`."""
+        doubt = self._world.doubt
+        assert isinstance(doubt, Hazard)
+        assert doubt.detector is not None
+        own = threefry2x32(own_key(self._seed, READING_DRAW), self._rollout, step)
+        words, _ = threefry2x32((int(own[0]), int(own[1])), robot, cells)
+        there = self._are_there(doubt, cells)
+        chances = np.array([doubt.detector.false_alarm, doubt.detector.detect], dtype=np.float32)
+        return (words >> np.uint32(8)) < bounds_of(chances)[there.astype(np.intp)]
+
     def _by_step(self, robot: int, step: int, chance: np.float32) -> bool:
         return bool(uniform(self._seed, self._rollout, step, robot) < chance)
 
@@ -67,9 +79,14 @@ class Luck:
         if doubt is None or isinstance(doubt, Movers):
             return self._world.met[place]
         if isinstance(doubt, Hazard):
-            there = cell not in self._spent and self._number(HAZARD_DRAW, cell) < float(doubt.q[place]) * UNIT
-            return doubt.h[place] if there else np.float32(0)
+            return doubt.h[place] if self._are_there(doubt, np.array([cell]))[0] else np.float32(0)
         return doubt.chances[self._row(doubt, int(doubt.number[place])), doubt.column[place]]
+
+    def _are_there(self, doubt: Hazard, cells: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Whether a hazard is in each of the cells `[n]`, and has not been consumed."""
+        words, _ = threefry2x32(own_key(self._seed, HAZARD_DRAW), self._rollout, cells)
+        drawn = (words >> np.uint32(8)) < doubt.q.ravel()[cells].astype(np.float64) * UNIT
+        return np.asarray(drawn & ~np.isin(cells, list(self._spent)))
 
     def _row(self, doubt: Uncertain, number: int) -> int:
         """Which of the maps is true, or for a level."""
@@ -89,6 +106,12 @@ def _exposure(chance: np.float32) -> int:
 def true_map(doubt: Uncertain, seed: int, rollout: int) -> NDArray[np.float32]:
     """float32 `[H, W]`, the map that a rollout meets."""
     return doubt.threat_at(rows_met(doubt, seed, rollout))
+
+
+def hazards_met(doubt: Hazard, seed: int, rollouts: ArrayLike) -> NDArray[np.bool_]:
+    """bool `[..., N]`: in which cells a hazard is at first in these rollouts `[...]`."""
+    words, _ = threefry2x32(own_key(seed, HAZARD_DRAW), np.asarray(rollouts)[..., None], np.arange(doubt.q.size))
+    return np.asarray((words >> np.uint32(8)) < doubt.q.ravel().astype(np.float64) * UNIT)
 
 
 def rows_met(doubt: Uncertain, seed: int, rollouts: ArrayLike) -> NDArray[np.int64]:

@@ -23,7 +23,7 @@ from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan, is_certain
 from planner.tally import Outcome, Tally
-from planner.worlds.doubt import Uncertain
+from planner.worlds.doubt import Hazard, Uncertain
 from planner.worlds.world import World
 
 FINE_SECONDS = 0.2
@@ -132,6 +132,7 @@ def _wanted(choices: RolloutChoices, asked: dict[str, Any], world: World) -> dic
     given = {
         "deadline": choices.deadline,
         "knowledge": None if world.knowledge is None else (world.knowledge.sense.range,),
+        "experience": isinstance(world.doubt, Hazard) and world.doubt.learn,
         "map_doubt": isinstance(world.doubt, Uncertain),
         "turn": world.pace.turn or None,
         "value": _metrics(world),

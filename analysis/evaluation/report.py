@@ -70,7 +70,9 @@ def report(evaluation: Evaluation, theory: bool = False) -> Report:
         settings=looked_at | _settings(evaluation),
         last=_in_lines(evaluation, looked_at),
         pictures=_pictures(evaluation, rest),
-        files={"plan.json": lambda: json_text(plan.to_json(), compact=True)}, pace=world.pace,
+        files={"plan.json": lambda: json_text(plan.to_json(), compact=True)}
+        | {name: make for found in outputs for name, make in found.files.items()},
+        pace=world.pace,
     )  # fmt: skip
 
 

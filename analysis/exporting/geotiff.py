@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.exporting.mission import Mission
 from planner.worlds.georeference import Georeference, rasterio_for
 from planner.worlds.grid import Frame
 from planner.worlds.warp import affine
+from planner.worlds.world import World
 
 BANDS = {
     "threat": "chance that one visit stops a robot",
@@ -20,26 +23,30 @@ BANDS = {
 
 
 def geotiff(mission: Mission) -> bytes:
-    """Four bands of float32, NaN on obstacles (BANDS). A map that nobody has put on the Earth has no CRS in it either.
-
-    Raises MapError without rasterio.
-    """
-    rasterio = rasterio_for("a GeoTIFF", mission.world.source)
+    """The bands BANDS. Raises MapError without rasterio."""
     world, shape = mission.world, mission.world.shape
     threat, covered = world.threat.astype(np.float64), mission.exact.visited_by_cell.reshape(shape)
     losses = mission.exact.stops_by_cell.reshape(shape)
-    bands = np.where(world.free, np.stack([threat, covered, losses, threat * (1 - covered)]), np.nan)
+    return raster(world, BANDS, np.stack([threat, covered, losses, threat * (1 - covered)]))
+
+
+def raster(world: World, names: Mapping[str, str], bands: NDArray[np.float64]) -> bytes:
+    """Bands `[B, H, W]` as float32, NaN on obstacles; `names`: of each, and what it means.
+
+    A map that nobody has put on the Earth has no CRS in it either. Raises MapError without rasterio.
+    """
+    rasterio, shape, bands = rasterio_for("a GeoTIFF", world.source), world.shape, np.where(world.free, bands, np.nan)
     frame, place = Frame(shape, world.cell_size, world.origin), world.georeference or Georeference("")
     height, width = shape
     with (
         rasterio.io.MemoryFile() as memory,
         memory.open(
-            driver="GTiff", width=width, height=height, count=len(BANDS), dtype="float32", nodata=math.nan,
+            driver="GTiff", width=width, height=height, count=len(names), dtype="float32", nodata=math.nan,
             crs=place.crs or None, transform=rasterio.Affine(*affine(frame, place)), compress="deflate",
         ) as data,
     ):  # fmt: skip
         data.write(bands.astype(np.float32))
-        for band, (name, words) in enumerate(BANDS.items(), start=1):
+        for band, (name, words) in enumerate(names.items(), start=1):
             data.set_band_description(band, name)
             data.update_tags(band, meaning=words)
         data.close()

@@ -1,4 +1,5 @@
-"""The team of a plan with other eyes; and told which of several maps is true, each rollout on a plan for its own."""
+"""The team of a plan with other eyes; and told which of several maps is true, or where hazards are, each rollout
+on a plan for its own."""
 
 from __future__ import annotations
 
@@ -11,12 +12,12 @@ from numpy.typing import NDArray
 from analysis.sampling import RolloutChoices
 from analysis.trials.measured import Sampled
 from analysis.trials.trial import Trial
-from planner.luck import rows_met
+from planner.luck import hazards_met, rows_met
 from planner.mrac.make_plan import allocated_plan
 from planner.plans.plan import Plan
 from planner.rollouts.by_luck import sums_by_luck
 from planner.tally import Outcome, RolloutResults
-from planner.worlds.doubt import Uncertain
+from planner.worlds.doubt import LARGEST, Hazard, Uncertain
 from planner.worlds.learning import seeing
 from planner.worlds.world import World
 
@@ -57,6 +58,24 @@ def told_of_drawn(world: World, plan: Plan, choices: RolloutChoices, count: int)
         for of in fields(RolloutResults)[1:]
     }
     return only(replace(sample, results=RolloutResults(0, **columns)), within), within
+
+
+def told_of_hazards(world: World, plan: Plan, choices: RolloutChoices, count: int) -> Sampled:
+    """Rollouts `0 .. count - 1` of the plan's team, each told which cells have a hazard in it, and planning for that.
+
+    Where one is a visit stops a robot with h; a sure stop is planned on as the largest chance below 1.
+    """
+    doubt, settings, results = world.doubt, plan.require(world), []
+    assert isinstance(doubt, Hazard)
+    for rollout, there in enumerate(hazards_met(doubt, choices.seed, np.arange(count))):
+        q = np.where(there.reshape(world.shape), np.where(doubt.h < 1, 1.0, LARGEST), 0.0)
+        told = replace(doubt, q=np.where(world.free, q, np.nan).astype(np.float32), detector=None)
+        one = replace(world, threat=told.threat, doubt=told)
+        sample = Trial(one, allocated_plan(one, plan.starts, settings), choices).sample(rollout, 1)
+        assert sample.results is not None
+        results.append(sample.results)
+    joined = RolloutResults.join(results)
+    return only(replace(sample, results=joined), np.ones(count, dtype=np.bool_))
 
 
 def only(sample: Sampled, kept: NDArray[np.bool_]) -> Sampled:

@@ -56,8 +56,7 @@ class AreaEnv:
     ) -> None:
         """`rule`: by which robots travel and cover, and offers are in order. Raises InputError as `CoverageEnv`."""
         placed = starts_of(world, robots, starts)
-        if not isinstance(world.doubt, Hazard):
-            world.check_settled("the environment")
+        (world.check_told if isinstance(world.doubt, Hazard) else world.check_settled)("the environment")
         world.check_alike("the environment")
         Numbers(0).check("worth", worth)
         whole(1, 1024).check("offers", offers)

@@ -88,8 +88,7 @@ class CoverageEnv:
         """Raises InputError for starts or numbers that are none, and for uncertain maps or values."""
         placed = starts_of(world, robots, starts)
         self._hazards = world.draws if isinstance(world.doubt, Hazard) else None
-        if self._hazards is None:
-            world.check_settled("the environment")
+        (world.check_settled if self._hazards is None else world.check_told)("the environment")
         world.check_alike("the environment")
         Numbers(0).check("worth", worth)
         whole(0).check("view", view, optional=True)

@@ -13,9 +13,10 @@ import numpy as np
 from planner.jit import kernel, program, rare_kernel, spliced
 from planner.kernels.afford import comes_home
 from planner.kernels.areas import costs_from, give, reopen, share_between
-from planner.kernels.believe import forget_news, is_lost, look_about, recall, revise
+from planner.kernels.believe import forget_news, is_lost, recall, revise
 from planner.kernels.bits import ONE, holds, lowest_bit
 from planner.kernels.choose import could_go_on, first_to_share, has_to_wait, head_for, is_full
+from planner.kernels.experience import learns_of, take_note
 from planner.kernels.first import first_area, first_of_idle, see
 from planner.kernels.follow import is_danger, offer_of
 from planner.kernels.handed import hand
@@ -275,9 +276,9 @@ def go(t, p, s, w, log, how, robot, step, cell):
 
 
 @rare_kernel
-def learn(t, p, s, w, log, how):
+def learn(t, p, s, w, log, how, ids):
     """At the end of a step: what robots see, and what follows; 1 if somebody got an area, else 0; NONE: no room."""
-    count, fresh = look_about(t, s, w)
+    count, fresh = learns_of(t, s, w, how, ids)
     got = 0
     if fresh and len(p.view_begin) > 0:
         s.marks[CHANGES] += 1  # areas would show less: what is kept of offers is void
@@ -388,7 +389,7 @@ def advance(t, p, s, c, w, log, how, ids):
                         if verdict != ACTS:
                             break
                     if len(s.mind) > 0:
-                        got = learn(t, p, s, w, log, how)
+                        got = learn(t, p, s, w, log, how, ids)
                         if got == NONE:
                             return AREAS_FULL
                         progress |= got
@@ -466,6 +467,8 @@ def advance(t, p, s, c, w, log, how, ids):
                 verdict = np.int64(ACTS)
                 if len(s.entered) == 0:
                     survive(s, c, step, cell, size)
+                    if len(s.odds) > 0:
+                        take_note(t, s, cell)
             if robots[robot, DOING] == RETURNING:
                 go_home(t, s, log, robot)
             elif step == s.team[robot, UNTIL]:

@@ -19,7 +19,7 @@ from planner.kernels.tables import AllPairs, make_tables
 from planner.kernels.trace import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_log
 from planner.luck_names import LuckName
 from planner.mrac.problem import Problem
-from planner.mrac.takeover import ready_loop
+from planner.mrac.takeover import check_every_visit, ready_loop
 from planner.none import NO_AREA
 from planner.plans.plan import Area, Plan
 from planner.plans.state import MissionState
@@ -64,6 +64,7 @@ def compile_closed_loop(
             fix="roll it out open loop, or with the readable simulator: planner.mrac.reference.ReferenceLoop",
         )
     check_counters(world, len(problem.starts), problem.max_steps)
+    check_every_visit(world, first_only)
     learns, unknown = problem.learns, problem.unknown
     cells = np.flatnonzero(problem.levels.accessible if unknown is None or not learns else unknown.within)
     tabled = not learns and (len(cells) <= MOST_TABLED if tabled is None else tabled)
@@ -141,6 +142,22 @@ def new_cells(
 
     on_threads(loop, seed, start, count, SINGLE_FILE, threads, work)
     return [curves[rollout] for rollout in range(start, start + count)]
+
+
+def final_odds(loop: ClosedLoop, seed: int, start: int, count: int, *, threads: int | None = None) -> NDArray[np.int64]:
+    """Log odds of a hazard at the end of each rollout `start .. start + count - 1`, int64 `[count, A]`.
+
+    They are those of robots that learn, of the rollouts that `run_range` counts.
+    """
+    odds = np.empty((count, len(loop.tables.odds)), dtype=np.int64)
+
+    def work(runner: Runner, first: int, stop: int) -> None:
+        for rollout in range(first, stop):
+            runner.run_one(rollout)
+            odds[rollout - start] = runner.odds
+
+    on_threads(loop, seed, start, count, SINGLE_FILE, threads, work)
+    return odds
 
 
 def trace_rollouts(loop: ClosedLoop, seed: int, ids: Iterable[int]) -> list[Trace]:

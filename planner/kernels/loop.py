@@ -13,7 +13,7 @@ from planner.bearing import PLAIN, Bearing
 from planner.errors import UsageError
 from planner.kernels.follow import Policy
 from planner.kernels.resume import set_back_to
-from planner.kernels.state import GOAL, TRUTH, State, Tables, first_state
+from planner.kernels.state import DETECTS, GOAL, TRUTH, State, Tables, first_state
 from planner.kernels.tables import luck_tables
 from planner.luck_names import LuckName
 from planner.plans.state import MissionState
@@ -88,6 +88,11 @@ class ClosedLoop:
         return len(self.tables.home_of) > 0
 
     @property
+    def runs_alone(self) -> bool:
+        """True if every rollout is a set by itself: no two have the same readings."""
+        return bool(self.tables.lessons[DETECTS:].any())
+
+    @property
     def robots(self) -> int:
         """K."""
         return len(self.tables.starts)
@@ -110,7 +115,7 @@ class ClosedLoop:
     @property
     def keeps_apart(self) -> bool:
         """True if something is kept for every rollout."""
-        return self.keeps_tolerances or self.movers is not None
+        return self.keeps_tolerances or self.movers is not None or self.runs_alone
 
     @cached_property
     def _first(self) -> dict[int, State]:
@@ -122,7 +127,7 @@ class ClosedLoop:
             first = first_state(self.tables, room, self.weights is not None)
             if self.state is not None:
                 set_back_to(self.state, first, self.tables, self.cells)
-            levels = max(len(self.tables.truths), 1)
+            levels = 1 if self.doubt is None else len(self.tables.truths)
             self._first[room] = State._make(np.repeat(row[None], levels, axis=0) for row in first)
             if self.learns:
                 self._first[room].mind[:, TRUTH] = np.arange(levels)

@@ -79,6 +79,7 @@ def level_of(stack, level):
         stack.marks[level], stack.team[level], stack.movers[level], stack.waiting[level], stack.open[level],
         stack.lowest[level], stack.spent[level], stack.passes[level], stack.entered[level], stack.near[level],
         stack.entry[level], stack.level[level], stack.known[level], stack.fate[level], stack.mind[level],
+        stack.odds[level],
     )  # fmt: skip
 
 
@@ -121,6 +122,7 @@ def copy_mind(of, to):
     copy_row(of.level, to.level, len(of.level))
     copy_row(of.known, to.known, len(of.known))
     copy_row(of.mind, to.mind, len(of.mind))
+    copy_row(of.odds, to.odds, len(of.odds))
     to.areas[len(to.areas) - 1, LEVEL] = NOWHERE_LEVEL
 
 

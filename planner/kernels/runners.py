@@ -50,6 +50,7 @@ from planner.roaming import MEETING_DRAW, MOVE_DRAW
 from planner.threefry import own_key
 from planner.tolerance import LEAST, key_of_luck
 from planner.worlds.doubt import Uncertain
+from planner.worlds.evidence import READING_DRAW
 
 LARGEST_SET = 2**20
 """Rollouts that a thread takes at a time, of 8 bytes each, 12 where histories are shared out: more gain nothing."""
@@ -213,6 +214,12 @@ def whole_set(ids: NDArray[np.uint32]) -> Tasks:
     return np.array([[0, 0, len(ids)]]), np.zeros(1, dtype=np.int64)
 
 
+def sets_of_one(ids: NDArray[np.uint32]) -> Tasks:
+    """Each id a set, from level 0 on."""
+    begin = np.arange(len(ids))
+    return np.column_stack([np.zeros_like(begin), begin, begin + 1]), np.zeros(1, dtype=np.int64)
+
+
 def sets_of_truths(ids: NDArray[np.uint32], doubt: Uncertain, seed: int) -> Tasks:
     """The ids, put in order of the map that is true, in one set a map, from the level of that number on."""
     truth = rows_met(doubt, seed, ids)[:, 0]
@@ -271,7 +278,7 @@ class Runner:
         self._tables, policy = plain(loop.tables), loop.policy
         self._policy = None if policy is None else plain(policy._replace(stamp=policy.stamp.copy()))
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
-        moving = [own_key(seed, draw) if loop.movers is not None else (0, 0) for draw in (MOVE_DRAW, MEETING_DRAW)]
+        moving = [own_key(seed, draw) for draw in (MOVE_DRAW, MEETING_DRAW, READING_DRAW)]
         keys = [np.uint32(half) for key in (key_of_luck(seed, loop.luck), own, *moving) for half in key]
         options = loop.max_steps, loop.first_only, loop.stay_inside, 0
         self._how = How._make((*keys[:4], *options, *keys[4:], 0, 0))
@@ -285,6 +292,11 @@ class Runner:
         """The last area of each cell, int32 `[A]`, at the end of the last run."""
         found = (self._state.home[0, :-1] >> AREA_BITS).astype(np.int32)
         return np.where(found == self._room - 1, NO_AREA, found) if self._loop.learns else found
+
+    @property
+    def odds(self) -> NDArray[np.int64]:
+        """Log odds of a hazard in each cell, int64 `[A]`, at the end of the last run; of none where nobody learns."""
+        return self._state.odds[0]
 
     @property
     def has_grown(self) -> bool:
@@ -320,10 +332,16 @@ class Runner:
                 self.work.left[: len(ids)] = self._loop.bearing.tolerances(self._seed, ids, self._loop.robots)
             if self._loop.movers is not None:
                 self.work.at[: len(ids)] = self._loop.first_places(self._seed, ids)
-            tasks = whole_set(ids) if self._loop.doubt is None else sets_of_truths(ids, self._loop.doubt, self._seed)
+            tasks = self._tasks(ids)
             if not self.take(begin, tasks, ids, singles, log):
                 return False
         return True
+
+    def _tasks(self, ids: NDArray[np.uint32]) -> Tasks:
+        """The sets that these rollouts begin as."""
+        if self._loop.doubt is not None:
+            return sets_of_truths(ids, self._loop.doubt, self._seed)
+        return sets_of_one(ids) if self._loop.runs_alone else whole_set(ids)
 
     def run_one(self, rollout: int, log: Log = NO_LOG) -> NDArray[np.int32]:
         """Run one rollout; its numbers `[SINGLES]`. What it is counted into is not kept from one to the next."""

@@ -14,8 +14,9 @@ import numpy as np
 from planner.jit import kernel, rare_kernel, spliced
 from planner.kernels.afford import comes_home
 from planner.kernels.areas import close, find_next_area, give, share
-from planner.kernels.believe import forget_news, is_lost, look_about, recall, revise
+from planner.kernels.believe import forget_news, is_lost, recall, revise
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
+from planner.kernels.experience import learns_of, take_note
 from planner.kernels.luck import fresh, stopped_from
 from planner.kernels.meet import has_entered, is_meeting, meet
 from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
@@ -39,6 +40,7 @@ from planner.kernels.state import (
     AREA,
     AREA_BITS,
     AREAS_FULL,
+    AT_STOP,
     BEARS,
     BEGIN,
     BORNE,
@@ -255,6 +257,8 @@ def lose(t, s, c, w, log, robot, size):
     c.stops[cell] += size
     if len(s.spent) > 0:
         put(s.spent, cell)
+    if len(s.odds) > 0:
+        s.odds[cell] = t.lessons[AT_STOP]
     s.marks[ALIVE] -= 1
     drop(s.movers, robot)
     if len(s.entered) > 0:
@@ -393,9 +397,9 @@ def set_right(t, s, w, log, how, robot):
 
 
 @rare_kernel
-def learn(t, s, w, log, how):
+def learn(t, s, w, log, how, ids):
     """At the end of a step: what robots see, and what follows; 1 if somebody got an area, else 0; NONE: no room."""
-    count, _ = look_about(t, s, w)
+    count, _ = learns_of(t, s, w, how, ids)
     got = 0
     if count == 0:
         return 0
@@ -556,7 +560,7 @@ def advance(t, s, c, w, log, how, ids):
                         if verdict != ACTS:
                             break
                     if len(s.mind) > 0:
-                        got = learn(t, s, w, log, how)
+                        got = learn(t, s, w, log, how, ids)
                         if got == NONE:
                             return AREAS_FULL
                         progress |= got
@@ -613,6 +617,8 @@ def advance(t, s, c, w, log, how, ids):
             verdict = ACTS
             if len(s.entered) == 0:
                 survive(s, c, step, cell, size)
+                if len(s.odds) > 0:
+                    take_note(t, s, cell)
         if moves and robots[robot, DOING] == RETURNING:
             go_home(t, s, log, robot)
             continue

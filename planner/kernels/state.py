@@ -77,6 +77,8 @@ class Tables(NamedTuple):
             a cell of each level; in_view: like near, what is seen from each cell, from `view_begin` int64 `[A + 1]` on
             (`planner.kernels.believe`). Cells that they come to believe to be within reach are accessible here, and
             `entry` is of before the first step. All empty where they are told.
+        odds, survival, step: int64 `[A]`, what robots that learn about hazards go by (`planner.worlds.evidence`), whose
+            `truths` are its classes; lessons: int64 `[LESSONS]`, the rest of it. Else empty.
         bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this. Where the map
             is in doubt no rollout has a larger one; own_counter, there, column `[A]` and table say how it is drawn, as
             `planner.worlds.doubt.Draws` does; else they are empty. spent: uint64 `[A / 64]`, no bits, where the first
@@ -120,6 +122,10 @@ class Tables(NamedTuple):
     price: NDArray
     view_begin: NDArray
     in_view: NDArray
+    odds: NDArray
+    survival: NDArray
+    step: NDArray
+    lessons: NDArray
     bound: NDArray
     own_counter: NDArray
     there: NDArray
@@ -151,7 +157,7 @@ class Tables(NamedTuple):
 class How(NamedTuple):
     """What else a call depends on: the halves of luck's key, those of the key for what is in doubt, T_max, two options.
 
-    `move0` .. `meet1`: those of the keys of movers' moves and of meetings.
+    `move0` .. `read1`: those of the keys of movers' moves, of meetings, and of readings.
 
     `aside`: 0, or how many sets of those who are hit the call puts aside, at most (`planner.kernels.rollouts.run_set`).
     `cut`: 0, or the mass below which a branch of a tree is left (`planner.kernels.tree`); `most`: histories of it.
@@ -169,6 +175,8 @@ class How(NamedTuple):
     move1: np.uint32
     meet0: np.uint32
     meet1: np.uint32
+    read0: np.uint32
+    read1: np.uint32
     cut: int = 0
     most: int = 0
 
@@ -198,6 +206,9 @@ may choose what it cannot afford."""
 STAYS, HITS, ROUTE, ROUTE_LENGTH, MOVER_WORDS = range(5)
 """`Tables.movers`: of 24 bits that are below, one that walks stays, and who is met is stopped; where its route begins
 in `routes`, and how many cells it has, 0: it walks."""
+AT_STOP, MORE, LESS, ALARM, SILENCE, DETECTS, ERRS, LESSONS = range(8)
+"""`Tables.lessons`: log odds after a stop, classes above and below the first; with a detector what an alarm adds and
+silence takes, and of how many of 2**24 readings the alarms are, where a hazard is and where none is; else 0."""
 SEEN, LOOKED, OUT = 1, 2, 4
 TRUTH, BELIEF, MIND = range(3)
 """`mind`: which of the maps is true; the number of the belief, of which a thread has kept its rows."""
@@ -225,7 +236,7 @@ class State(NamedTuple):
             but robots: only then it is not said by the end of their turns whether they survive there.
         near, entry, level: like `Tables.near`, `entry` and `truths[m]`, as robots that learn believe it; known: uint8
             `[A]`, SEEN, LOOKED from, OUT of every area and not visited; fate: like home `[room]`, scratch; mind: int64
-            `[MIND]`. All empty where they are told.
+            `[MIND]`. All empty where they are told. odds: like `Tables.odds`, by now.
     """
 
     home: NDArray
@@ -248,6 +259,7 @@ class State(NamedTuple):
     known: NDArray
     fate: NDArray
     mind: NDArray
+    odds: NDArray
 
 
 class Work(NamedTuple):
@@ -438,6 +450,7 @@ def _first_mind(tables: Tables, room: int, kind: DTypeLike) -> Iterator[NDArray]
     yield np.zeros(size, dtype=np.uint8)
     yield np.zeros(room if learning else 0, dtype=kind)
     yield np.zeros(MIND if learning else 0, dtype=np.int64)
+    yield tables.odds.copy()
 
 
 def make_state(first: State, levels: int) -> State:

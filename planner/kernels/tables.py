@@ -23,6 +23,7 @@ from planner.none import NO_CELL
 from planner.plans.plan import Area
 from planner.roaming import chance_bound
 from planner.worlds.doubt import bounds_of
+from planner.worlds.evidence import Evidence
 from planner.worlds.world import World
 
 NEAR_CELLS = 500
@@ -30,6 +31,7 @@ NEAR_CELLS = 500
 ASKED_BEFORE = 2
 """Searches for the next area from a cell of a map of MOST_CELLS or more before its costs to all are kept: there a row
 costs as much as some searches, on smaller maps hardly more than one."""
+NO_VIEWS = np.zeros(2, dtype=np.int64), np.zeros(0, dtype=np.int32)
 STRIP = 2**20
 """Pairs of a cell and an area that are sorted at a time: 40 bytes each."""
 
@@ -149,15 +151,27 @@ def _learning(
             "view_begin": numbers,
             "in_view": numbers.astype(narrow),
         }
-        return nothing | {"truths": levels.reshape(0, 0)}
-    begin, seen = unknown.views
-    return {
+        return nothing | {"truths": levels.reshape(0, 0)} | _evidence(None, cells)
+    begin, seen = unknown.views if unknown.evidence is None or unknown.evidence.detector else NO_VIEWS
+    return _evidence(unknown.evidence, cells) | {
         "truths": np.ascontiguousarray(unknown.truths[:, cells]),
         "belief": unknown.belief[cells],
         "price": price,
         "view_begin": begin,
         "in_view": compact[seen].astype(narrow),
     }
+
+
+def _evidence(evidence: Evidence | None, cells: NDArray[np.int64]) -> dict[str, NDArray]:
+    """The fields of `Tables` that only robots that learn about hazards read."""
+    if evidence is None:
+        return dict.fromkeys(("odds", "survival", "step", "lessons"), np.zeros(0, dtype=np.int64))
+    lessons = [evidence.stop, evidence.more, evidence.less, 0, 0, 0, 0]
+    if (detector := evidence.detector) is not None:
+        bounds = bounds_of(np.array([detector.detect, detector.false_alarm], dtype=np.float32)).tolist()
+        lessons[3:] = [detector.alarm, detector.silence, *bounds]
+    rows = {"odds": evidence.prior, "survival": evidence.survival, "step": evidence.step}
+    return {name: row[cells] for name, row in rows.items()} | {"lessons": np.array(lessons)}
 
 
 def most_cost(near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray[np.int32]) -> int:

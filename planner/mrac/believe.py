@@ -46,21 +46,30 @@ class Learning(Executive):
         if problem.unknown is not None and truth is not None:
             self.belief = problem.unknown.belief.copy()
             self.unvisited = int(problem.unknown.accessible.sum())
-            if problem.rule.looks_ahead:
+            if problem.rule.looks_ahead and problem.unknown.evidence is None:
                 self.seen = problem.unknown.seen_at(problem.starts)
 
     def end_step(self) -> None:
-        """Every robot has had its turn, and looks about."""
-        if self.truth is not None:
-            assert self.problem.unknown is not None
-            views = [self.problem.unknown.view(robot.cell) for robot in self.robots if robot.alive]
-            if views:
-                seen = np.unique(np.concatenate(views))
-                if self.seen is not None:
-                    self.changes += not self.seen[seen].all()
-                    self.seen[seen] = True
-                self.believe(seen, self.truth[seen])
+        """Every robot has had its turn, and they learn."""
+        cells = self.looked_at()
+        if len(cells):
+            if self.seen is not None:
+                self.changes += not self.seen[cells].all()
+                self.seen[cells] = True
+            self.believe(cells, self.found(cells))
         super().end_step()
+
+    def looked_at(self) -> NDArray[np.int64]:
+        """The cells of which robots may learn something at the end of this step, int64 `[n]`, rising."""
+        unknown, live = self.problem.unknown, [robot.cell for robot in self.robots if robot.alive]
+        if unknown is None or self.truth is None or not live:
+            return np.zeros(0, dtype=np.int64)
+        return np.unique(np.concatenate([unknown.view(cell) for cell in live])).astype(np.int64)
+
+    def found(self, cells: NDArray[np.int64]) -> NDArray[np.int16]:
+        """What they now know of these cells: the levels `[n]`."""
+        assert self.truth is not None
+        return self.truth[cells]
 
     def believe(self, cells: NDArray[np.integer], levels: NDArray[np.int16]) -> None:
         """From now on robots believe these cells to be of these levels, NO_LEVEL: an obstacle."""

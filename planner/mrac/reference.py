@@ -17,7 +17,7 @@ from planner.mrac.partition import bisect
 from planner.mrac.recorder import Recorder
 from planner.mrac.resume import state_of
 from planner.mrac.simulate import Hit, Run, make_team, play_step, simulate
-from planner.mrac.takeover import ready_loop
+from planner.mrac.takeover import check_every_visit, ready_loop
 from planner.plans.plan import Plan
 from planner.plans.state import MissionState
 from planner.roaming import Roaming, check_counters
@@ -49,6 +49,7 @@ class ReferenceLoop:
     ) -> None:
         self._problem, self._areas = ready_loop(plan, world)
         check_counters(world, len(plan.robots), self._problem.max_steps)
+        check_every_visit(world, first_only)
         plan.bearing.check_luck(luck)
         self._luck: LuckName = luck
         self._bearing = plan.bearing
@@ -57,11 +58,11 @@ class ReferenceLoop:
     def run(self, seed: int, rollout: int, recorder: Recorder | None = None) -> Run:
         """Rollout `rollout` (below 2**32) of `seed`, `0 <= seed < 2**64`."""
         problem, areas = self._problem, self._areas
-        hit = self._hit(self._luck_of(seed, rollout))
-        truth, movers = self._truth(seed, rollout), self._movers_of(seed, rollout)
+        luck = self._luck_of(seed, rollout)
         return simulate(
-            problem, areas, hit=hit, split=self._split, recorder=recorder, state=self._state, truth=truth, movers=movers
-        )
+            problem, areas, hit=self._hit(luck), split=self._split, recorder=recorder, state=self._state,
+            truth=self._truth(seed, rollout), movers=self._movers_of(seed, rollout), readings=luck.readings,
+        )  # fmt: skip
 
     def state_at(self, step: int, seed: int, rollout: int) -> MissionState | None:
         """Where the rollout stands at the end of a step, to go on from; None if it has ended by then."""
@@ -77,7 +78,9 @@ class ReferenceLoop:
 
     def _steps(self, seed: int, rollout: int, luck: Luck) -> Iterator[Executive]:
         truth, movers, hit = self._truth(seed, rollout), self._movers_of(seed, rollout), self._hit(luck)
-        team = make_team(self._problem, self._areas, self._split, state=self._state, truth=truth)
+        team = make_team(
+            self._problem, self._areas, self._split, state=self._state, truth=truth, readings=luck.readings
+        )
         while team.outcome(self._problem.max_steps) is None:
             play_step(team, hit, movers)
             yield team

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from planner.mrac.believe import Learning
 from planner.mrac.board import Stretch
 from planner.mrac.executive import Executive, Split
+from planner.mrac.experience import Experienced
 from planner.mrac.homecoming import is_home
 from planner.mrac.partition import bisect
 from planner.mrac.problem import Problem
@@ -22,6 +23,7 @@ from planner.plans.plan import Area, Leg
 from planner.plans.state import MissionState
 from planner.roaming import Roaming
 from planner.tally import Outcome
+from planner.worlds.evidence import Readings
 
 Hit = Callable[[int, int, int], bool]
 """`hit(robot, step, cell)`: is the robot stopped as it enters the cell at this step?"""
@@ -77,6 +79,7 @@ def simulate(
     state: MissionState | None = None,
     truth: int | None = None,
     movers: Roaming | None = None,
+    readings: Readings | None = None,
 ) -> Run:
     """Run Algorithm 2 from an allocation to its end, by the policy of the problem's settings (SPEC section 11).
 
@@ -85,10 +88,10 @@ def simulate(
         max_steps: T_max, the step at which an unfinished run ends as a timeout; None = the problem's.
         hit: decides every hit; called once for each cell that a live robot enters, in order.
         truth: which of the maps robots meet and learn, where they are not told it (`Problem.unknown`); None: the one
-            that they believe.
-        movers: threats that move (SPEC section 16).
+            that they believe. Of hazards it is none of them, but robots learn.
+        movers: threats that move (SPEC section 16). readings: of robots with detectors.
     """
-    team, last = make_team(problem, allocation, split, recorder, state, truth), max_steps or problem.max_steps
+    team, last = make_team(problem, allocation, split, recorder, state, truth, readings), max_steps or problem.max_steps
     while (outcome := team.outcome(last)) is None:
         play_step(team, hit, movers)
     return run_of(team, outcome)
@@ -101,10 +104,13 @@ def make_team(
     recorder: Recorder | None = None,
     state: MissionState | None = None,
     truth: int | None = None,
+    readings: Readings | None = None,
 ) -> Executive:
     """A run that has not begun; arguments as of `simulate`."""
     if truth is None or problem.unknown is None or not problem.learns:
         return Executive(problem, allocation, split, recorder, state)
+    if problem.unknown.evidence is not None:
+        return Experienced(problem, allocation, split, recorder, problem.unknown.evidence, readings)
     return Learning(problem, allocation, split, recorder, state, problem.unknown.truths[truth])
 
 

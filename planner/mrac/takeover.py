@@ -11,10 +11,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import argument
 from planner.mrac.areas import connected_parts
 from planner.mrac.problem import Problem, prepare
 from planner.none import NO_ROBOT
 from planner.plans.plan import Area, Plan
+from planner.worlds.doubt import Hazard
 from planner.worlds.world import World
 
 
@@ -33,6 +35,12 @@ def ready_loop(plan: Plan, world: World) -> tuple[Problem, tuple[Area, ...]]:
         return prepare(world, plan.starts, settings, homes=homes), plan.areas
     problem = prepare(world, plan.starts, settings, given=tuple(robot.path for robot in plan.robots))
     return problem, areas_of_paths(problem)
+
+
+def check_every_visit(world: World, first_only: bool) -> None:
+    """Raise WorldError where robots would learn from visits that nobody checks."""
+    if first_only and isinstance(world.doubt, Hazard):
+        world.check_told(argument("threat_checks", "first_visit"))
 
 
 def areas_of_paths(problem: Problem) -> tuple[Area, ...]:

@@ -1,4 +1,7 @@
-"""What robots that are not told the map believe at first, and what is true: levels on one scale (SPEC section 15)."""
+"""What robots that are not told the map believe at first, and what may be true: levels on one scale (SPEC section 15).
+
+Robots that learn about hazards believe one of several classes of each cell, whatever is true.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planner.worlds.doubt import Uncertain
+from planner.worlds.doubt import Hazard, Uncertain
+from planner.worlds.evidence import Evidence
 from planner.worlds.knowledge import Knowledge
 from planner.worlds.learning import as_planned
 from planner.worlds.levels import NO_LEVEL, ThreatLevels, levels_of_maps
+from planner.worlds.sight import Sense
 from planner.worlds.world import FOUR_NEIGHBOURS, World
 
 
@@ -23,9 +28,10 @@ class Unknown:
     Attributes:
         knowledge: of the world. values: float64 `[L]`, of all maps together; quantised: as of `ThreatLevels`.
         belief: int16 `[N]`, level of each cell that is believed free, NO_LEVEL of an obstacle: before the first step.
-        truths: int16 `[M, N]`, the same truly.
+        truths: int16 `[M, N]`, the same truly; of hazards, what each class of the evidence makes robots believe.
         within: bool `[N]`, cells that robots may come to reach, whatever they learn.
         accessible: bool `[N]`, those that they truly can reach.
+        evidence: what robots that learn about hazards go by; None: they see what is true.
     """
 
     knowledge: Knowledge
@@ -35,12 +41,13 @@ class Unknown:
     truths: NDArray[np.int16]
     within: NDArray[np.bool_]
     accessible: NDArray[np.bool_]
+    evidence: Evidence | None = None
 
     @cached_property
     def learns(self) -> bool:
         """Whether anything is left to learn, and somebody looks."""
         differ = (self.truths != self.belief)[:, self.within]
-        return self.knowledge.sense.range > 0 and bool(differ.any())
+        return (self.evidence is not None or self.knowledge.sense.range > 0) and bool(differ.any())
 
     @property
     def dearest(self) -> ThreatLevels:
@@ -76,6 +83,8 @@ class Unknown:
 def unknown_of(world: World, starts: NDArray[np.int64], most: int) -> Unknown | None:
     """Of robots at `starts` `[K, 2]` and at most so many levels; None where they are told the map."""
     known = world.knowledge
+    if isinstance(world.doubt, Hazard) and world.doubt.learn:
+        return _of_hazards(world, world.doubt.evidence, starts, most)
     if known is None:
         return None
     told = as_planned(world, starts).threat
@@ -90,6 +99,19 @@ def unknown_of(world: World, starts: NDArray[np.int64], most: int) -> Unknown | 
     looked = ((told != world.threat) & ~(np.isnan(told) & np.isnan(world.threat))).ravel()
     belief = np.where(looked, of_cell[1], of_cell[0]).astype(np.int16)
     return Unknown(known, values, quantised, belief, of_cell[1:], within, world.accessible(starts).ravel())
+
+
+def _of_hazards(world: World, evidence: Evidence, starts: NDArray[np.int64], most: int) -> Unknown | None:
+    """Of robots that learn about hazards; None where nothing that happens changes what they plan on."""
+    within = world.accessible(starts).ravel()
+    classes, first = evidence.chances, world.threat.ravel()
+    if np.array_equal(classes[:, within], np.broadcast_to(first[within], classes[:, within].shape), equal_nan=True):
+        return None
+    values, of_cell, quantised = levels_of_maps(classes, within, most)
+    detector = evidence.detector
+    known = Knowledge(world.threat, Sense() if detector is None else detector.sense)
+    belief = of_cell[evidence.class_of(evidence.prior, np.arange(len(first))), np.arange(len(first))]
+    return Unknown(known, values, quantised, belief, of_cell, within, within, evidence)
 
 
 def reached(free: NDArray[np.bool_], cells: NDArray[np.int64]) -> NDArray[np.bool_]:

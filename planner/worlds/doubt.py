@@ -1,14 +1,15 @@
 """Maps that may be wrong: hazards that are there or not, and several maps one of which is true (SPEC section 13).
 
-Robots plan on one map, the world's `threat`, and learn nothing; what a rollout meets is drawn once, by numbers of its
-own, and then visit by visit. Axis letters: `M` maps, `C` columns of their chances, `N` = H * W cells.
+Robots plan on one map, the world's `threat`; what a rollout meets is drawn once, by numbers of its own, and then visit
+by visit. Axis letters: `M` maps, `C` columns of their chances, `N` = H * W cells.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -18,6 +19,7 @@ from scipy.special import betainc, betaincinv, ndtr, ndtri
 from planner.arguments import Numbers, check_word
 from planner.errors import WorldError
 from planner.tolerance import exposure_of
+from planner.worlds.evidence import Detector, Evidence, detector_in, evidence_of
 from planner.worlds.quantities import CHANCE, Quantity, checked_layer, first_of
 
 HazardKind = Literal["persistent", "consumed"]
@@ -86,17 +88,37 @@ class Hazard:
     Attributes:
         kind: "persistent", or "consumed": the first hit removes it.
         q: float32 `[H, W]`, chance that it is there. h: float32 `[H, W]`, chance that a visit to it stops the robot.
+        learn: robots learn from what happens to them. detector: what else they learn from, or None.
     """
 
     kind: HazardKind
     q: NDArray[np.float32]
     h: NDArray[np.float32]
+    learn: bool = False
+    detector: Detector | None = None
 
     @property
     def said(self) -> str:
         """It in words."""
         removed = ", removed by the first hit" if self.kind == "consumed" else ""
-        return f"{self.kind} hazards: there or not for a whole run{removed}"
+        return f"{self.kind} hazards: there or not for a whole run{removed}{self.learning}"
+
+    @property
+    def learning(self) -> str:
+        """What robots learn from, in words; "" where they learn nothing."""
+        has = "" if self.detector is None else f", and have {self.detector.said}"
+        return f"; robots learn from what happens to them{has}" if self.learn else ""
+
+    @property
+    def taught(self) -> str:
+        """What of it robots' decisions depend on besides `threat`: "" where they learn nothing."""
+        detector = [] if self.detector is None else self.detector.array().tolist()
+        return f"~{self.draws().sha256}{detector}" if self.learn else ""
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """What each happening says of a cell."""
+        return evidence_of(self.q, self.h, self.threat, self.kind == "consumed", self.detector)
 
     @property
     def threat(self) -> NDArray[np.float32]:
@@ -123,7 +145,9 @@ class Hazard:
 
     def arrays(self) -> dict[str, NDArray]:
         """What the world file holds of it."""
-        return {"hazard_kind": np.array(self.kind), "hazard_q": self.q, "hazard_h": self.h}
+        found: dict[str, NDArray] = {"hazard_kind": np.array(self.kind), "hazard_q": self.q, "hazard_h": self.h}
+        found |= {"hazard_learn": np.array(True)} if self.learn else {}
+        return found | ({} if self.detector is None else {"hazard_detector": self.detector.array()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +241,9 @@ def doubt_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source:
     free = ~np.isnan(threat)
     if "hazard_kind" in arrays:
         q, h = (arrays.get(f"hazard_{name}", np.array("missing")) for name in ("q", "h"))
-        return make_hazard(str(arrays["hazard_kind"]), q, h, free, source)
+        hazard = make_hazard(str(arrays["hazard_kind"]), q, h, free, source)
+        learns = bool(np.any(arrays.get("hazard_learn", False)))
+        return replace(hazard, learn=learns, detector=detector_in(arrays, source)) if learns else hazard
     if "uncertain_chances" not in arrays:
         return None
     chances, column, number = (arrays.get(f"uncertain_{name}", np.zeros(0)) for name in ("chances", "column", "number"))

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.arguments import check_word
 from planner.errors import WorldError
-from planner.worlds.doubt import Uncertain
+from planner.worlds.doubt import Hazard, Uncertain
+from planner.worlds.evidence import make_detector
 from planner.worlds.keys import Key, read_yaml
 from planner.worlds.knowledge import make_knowledge, make_sense
 from planner.worlds.quantities import PROBABILITY
@@ -23,6 +24,8 @@ from planner.worlds.world import World, check_starts
 Obstacles = Literal["unknown", "known"]
 OBSTACLES: tuple[Obstacles, ...] = ("unknown", "known")
 KEYS = ("truth", "prior", "sense")
+DETECTS = ("detect", "false_alarm")
+"""What a `sense` says besides where robots learn about hazards."""
 Given = float | Sense | Mapping[str, Any]
 """A range in cells, or `{range, sight}`."""
 
@@ -52,10 +55,17 @@ def with_prior(world: World, p: float, obstacles: Obstacles = "unknown", sense: 
 
 
 def with_sense(world: World, sense: Given) -> World:
-    """The same with other sensors: of robots that are not told the map, or whose map is in doubt. Raises WorldError."""
+    """The same with other sensors: of robots that are not told the map, or whose map is in doubt. Raises WorldError.
+
+    Of robots that learn about hazards: a detector, `{range, sight, detect, false_alarm}`.
+    """
+    if isinstance(world.doubt, Hazard) and world.doubt.learn:
+        return replace(world, doubt=replace(world.doubt, detector=make_detector(sense, world.source)))
     if world.knowledge is None and not isinstance(world.doubt, Uncertain):
         problem = "robots are told the map, and there is nothing to sense"
-        raise WorldError(problem, source=world.source, fix="give a `truth`, a `prior`, or `uncertain` maps")
+        hazard = "give the hazard `learn: true`" if isinstance(world.doubt, Hazard) else ""
+        fix = hazard or "give a `truth`, a `prior`, or `uncertain` maps"
+        raise WorldError(problem, source=world.source, fix=fix)
     return _knowing(world, world.threat, world.met, sense)
 
 
@@ -105,7 +115,8 @@ def read_knowledge(keys: dict[str, Key], world: World, load: Callable[[Path], Wo
             world = with_prior(world, prior["p"].number(PROBABILITY), obstacles, inf)
     key = keys.get("sense", keys[named[0]])
     with key.naming():
-        return with_sense(world, _sense(keys["sense"]) if "sense" in keys else 0)
+        learns = isinstance(world.doubt, Hazard) and world.doubt.learn
+        return with_sense(world, _sense(keys["sense"], DETECTS if learns else ()) if "sense" in keys else 0)
 
 
 def _plain_input(key: Key) -> Path:
@@ -117,10 +128,10 @@ def _plain_input(key: Key) -> Path:
     return path
 
 
-def _sense(key: Key) -> Given:
+def _sense(key: Key, more: tuple[str, ...]) -> Given:
     if not isinstance(key.value, dict):
         return key.value
-    return {name: one.value for name, one in key.mapping(("range",), optional=("sight",)).items()}
+    return {name: one.value for name, one in key.mapping(("range", *more), optional=("sight",)).items()}
 
 
 def as_it_is(world: World) -> World:

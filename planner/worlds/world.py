@@ -172,6 +172,7 @@ class World:
         are not told."""
         of = self.draws or self.movers
         drawn = "" if of is None else f"?{of.sha256}"
+        drawn += self.doubt.taught if isinstance(self.doubt, Hazard) else ""
         return self.sha256 + drawn + ("" if self.knowledge is None else f"!{self.knowledge.sha256}")
 
     def check_settled(self, what: str, or_else: str = "") -> None:
@@ -186,7 +187,10 @@ class World:
         self.check_told(what, or_else)
 
     def check_told(self, what: str, or_else: str = "") -> None:
-        """Raise WorldError if robots are not told the map; arguments as of `check_settled`."""
+        """Raise WorldError if robots are not told the map, or learn about it; arguments as of `check_settled`."""
+        if isinstance(self.doubt, Hazard) and self.doubt.learn:
+            problem = f"{what} presumes robots that learn nothing; here: {self.doubt.said}"
+            raise WorldError(problem, source=self.source, fix="leave `learn` out" + or_else)
         if self.knowledge is not None:
             problem = f"{what} presumes a map that robots are told; here: {self.knowledge.said}"
             raise WorldError(problem, source=self.source, fix="leave `truth`, `prior` and `sense` out" + or_else)

@@ -40,17 +40,22 @@ AMOUNT = {"lognormal": "sigma", "beta": "sample_size"}
 PLAN_ON = Numbers(0, 1, above=True, below=True, said="mean, or a number between 0 and 1")
 
 
-def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0) -> World:
+def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn: bool = False) -> World:
     """The world with hazards that are there or not for a whole run, in the place of its threats; robots plan on q * h.
 
     Args:
         kind: "persistent"; "consumed": the first hit removes it; "independent": every visit is drawn, from q * h.
         q: chance that the hazard is there; h: chance that a visit to one that is there stops the robot. Numbers, or
             arrays `[H, W]`.
+        learn: robots learn from what happens to them; `with_sense` gives them detectors too.
 
     Raises WorldError for chances that are none.
     """
+    if learn and kind == "independent":
+        problem = "robots learn nothing of hazards that are drawn anew for every visit"
+        raise WorldError(problem, source=world.source, expected="persistent or consumed ones", fix="leave `learn` out")
     hazard = make_hazard("persistent" if kind == "independent" else kind, q, h, world.free, world.source)
+    hazard = replace(hazard, learn=bool(learn))
     return replace(world, threat=_frozen(hazard.threat), doubt=None if kind == "independent" else hazard)
 
 
@@ -101,11 +106,16 @@ def _frozen(threat: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def read_hazard(key: Key, world: World, ground: Ground) -> World:
-    """The world of a scenario with `hazard: {kind, q, h}`; by default q is what its `threats` say, and h is 1."""
-    keys = key.mapping(("kind",), optional=("q", "h"))
+    """The world of a scenario with `hazard: {kind, q, h, learn}`; by default q is what `threats` say, and h is 1."""
+    keys = key.mapping(("kind",), optional=("q", "h", "learn"))
     kind = keys["kind"].choice(("independent", *HAZARDS))
+    learn = keys["learn"].value if "learn" in keys else False
+    if not isinstance(learn, bool):
+        raise keys["learn"].wrong("true or false")
     named = [name for name in ("q", "h") if name in keys]
     if kind == "independent":
+        if learn:
+            raise keys["learn"].wrong("false: every visit is drawn anew, and nothing can be learned", "leave it out")
         if named:
             raise keys[named[0]].wrong("none: independent hazards are the `threats` themselves", "leave it out")
         return world
@@ -117,7 +127,7 @@ def read_hazard(key: Key, world: World, ground: Ground) -> World:
         raise given["q"].wrong(f"{FROM_SOURCES}, or no threats at all", "leave q out, or the threats")
     values = {name: _chances(given[name], world, ground) for name in ("q", "h")}
     with key.naming():
-        return with_hazard(world, kind, values["q"], values["h"])
+        return with_hazard(world, kind, values["q"], values["h"], learn)
 
 
 def _chances(key: Key, world: World, ground: Ground) -> ArrayLike:

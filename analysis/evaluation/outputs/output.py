@@ -65,7 +65,7 @@ class Blocks:
         rows: of the table of coverage. tables: below it. notes: below all of them.
         curves, marks: of the chart of coverage over time, in percent of the accessible cells, and its upright lines.
         below: charts below the answer. layers: of the maps cell by cell, each a picture by this name.
-        pictures: as of `Report`. settings: what was asked for.
+        pictures, files: as of `Report`. settings: what was asked for.
     """
 
     opens: Sequence[str] = ()
@@ -78,6 +78,7 @@ class Blocks:
     below: Sequence[Chart] = ()
     layers: Mapping[str, Callable[[], CellLayer]] = field(default_factory=dict)
     pictures: Mapping[str, Callable[[], Pictured]] = field(default_factory=dict)
+    files: Mapping[str, Callable[[], str | bytes]] = field(default_factory=dict)
     settings: Mapping[str, str] = field(default_factory=dict)
 
 

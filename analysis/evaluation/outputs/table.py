@@ -5,6 +5,7 @@ from __future__ import annotations
 from analysis.evaluation.outputs.advice import Advice
 from analysis.evaluation.outputs.band import Band
 from analysis.evaluation.outputs.deadline import Deadline
+from analysis.evaluation.outputs.experience import Experience
 from analysis.evaluation.outputs.knowledge import Knowledge
 from analysis.evaluation.outputs.map_doubt import MapDoubt
 from analysis.evaluation.outputs.output import Output
@@ -19,6 +20,7 @@ OUTPUTS: dict[str, type[Output]] = {
     "turn": Turning,
     "band": Band,
     "knowledge": Knowledge,
+    "experience": Experience,
     "map_doubt": MapDoubt,
     "advice": Advice,
 }
