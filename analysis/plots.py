@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from matplotlib.figure import Figure
 
-from analysis.attack.answer import Attack
+from analysis.adversary.answer import Attack
 from analysis.checking.check_map import MapCheck
 from analysis.depots.answer import Starts
 from analysis.design.size import TeamSize

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import mrac_jax as mrac
-from analysis.attack import search
-from analysis.attack.answer import Attack
-from analysis.attack.report import findings, headline
+from analysis.adversary import search
+from analysis.adversary.answer import Attack
+from analysis.adversary.report import findings, headline
 from analysis.cli.app import run
 from analysis.sampling import make_singles
 from planner.errors import InputError

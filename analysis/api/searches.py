@@ -20,7 +20,7 @@ from planner.worlds.starts import starts_of
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
-    from analysis.attack.answer import Attack
+    from analysis.adversary.answer import Attack
     from analysis.depots.answer import Starts
     from analysis.design.size import TeamSize
     from analysis.removal.answer import Clearing
@@ -264,7 +264,7 @@ def attack(
         rollouts: of the last two places that are left, the same for all. deadline: end every mission at this step.
         luck, exact, progress, on_interrupt: as of `evaluate`; `exact`: of all that is compared together.
     """
-    from analysis.attack.search import find_attack
+    from analysis.adversary.search import find_attack
 
     check_world(world)
     bears = {"wear": wear, "susceptibility": one_or_each(susceptibility)}

@@ -150,7 +150,7 @@ def attack(
         p: The chance that a visit of one stops a robot, beside what else is there (default: 0.2).
         out: Write the page, the pictures, JSON and both maps (.npz) to this folder.
     """
-    from analysis.attack.search import find_attack
+    from analysis.adversary.search import find_attack
     from analysis.inputs import load_task
     from analysis.kit.progress import show_progress
 

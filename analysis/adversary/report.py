@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from rich.table import Table
 
-from analysis.attack.answer import Attack, Placed
+from analysis.adversary.answer import Attack, Placed
 from analysis.kit.tables import make_table
 from analysis.removal.threat import Gain, Threat, Weighed, by_cell
 from analysis.report.blocks import CellMaps, KeyFigure, Part, Report

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.attack.answer import Attack, Placed, with_all
+from analysis.adversary.answer import Attack, Placed, with_all
 from analysis.kit.notes import Doing, Progress, quiet
 from analysis.removal.threat import Threat
 from analysis.removal.turns import Search
