@@ -428,7 +428,7 @@ LINE = [[0.0, 0.0, 0.1, 0.1, 0.3]]
         ({"policy": "per_cell", "worth": float("nan")}, "worth is nan"),
         ({"policy": "percell"}, "did you mean 'per_cell'"),
         ({"policy": 3}, "policy"),
-        ({"in_area": "spiral"}, "in_area is 'spiral'"),
+        ({"in_area": "spiral"}, "in_area='spiral'; expected 'nearest' or"),
     ],
 )
 def test_bad_policies_are_one_clear_error(asked: dict[str, Any], words: str) -> None:

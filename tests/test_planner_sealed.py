@@ -97,7 +97,7 @@ def seed_of(how: How) -> int:
 
 
 def test_code_is_stale_when_a_tuple_that_it_is_handed_has_changed(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    how, changed = How(*map(np.uint32, (5, 6, 7, 8)), 9, True, False, 0, *map(np.uint32, range(4))), set[str]()
+    how, changed = How(*map(np.uint32, (5, 6, 7, 8)), 9, True, False, 0, *map(np.uint32, range(6))), set[str]()
     monkeypatch.setattr("planner.jit.sources_hash", lambda module, file: f"{module} {module in changed}")
 
     def hits() -> int:

@@ -159,4 +159,4 @@ def test_every_kind_of_event_comes_about() -> None:
             kinds.update(trace.events[:, 2].tolist())
             doing.update(trace.doing.ravel().tolist())
     assert {EventKind.HIT, EventKind.REALLOCATED, EventKind.ALLOCATED, EventKind.SHARED, EventKind.COMPLETED} <= kinds
-    assert doing == set(Doing) - {Doing.IDLE}
+    assert doing == set(Doing) - {Doing.IDLE, Doing.RETURNING, Doing.CHARGING}

@@ -74,9 +74,9 @@ def test_compiled_runs_are_the_readable_ones_event_for_event(limits: dict[str, A
     for name, rollouts in (("contiguous-14x23-1000-k2", 2), ("scattered-14x23-1000-k8", 1)):
         fixture = load_fixture(name)
         world = fixture.world.with_values(values_of(fixture.world, 3))
-        plan = make_plan(world, fixture.starts, Settings(policy="per_cell", **limits), fixture.allocation)
+        plan = make_plan(world, fixture.starts, Settings(**limits), fixture.allocation)
         compare_traces(world, plan, range(rollouts))
-        plain = make_plan(fixture.world, fixture.starts, Settings(policy="per_cell", **limits), fixture.allocation)
+        plain = make_plan(fixture.world, fixture.starts, Settings(**limits), fixture.allocation)
         changed += any(
             one.path.tolist() != other.path.tolist() for one, other in zip(plan.robots, plain.robots, strict=True)
         )
@@ -107,7 +107,7 @@ def test_the_lanes_count_the_same(limits: dict[str, Any]) -> None:
     for number, one in enumerate(first_worlds(12)):
         world = one.world.with_values(values_of(one.world, number))
         try:
-            plan = make_plan(world, one.starts, Settings(policy="per_cell", **limits))
+            plan = make_plan(world, one.starts, Settings(**limits))
             engine = JaxClosedLoop(compile_closed_loop(plan, world, luck="tolerance"), 7, streams=1, lanes=64)
         except WorldError:
             continue

@@ -18,6 +18,7 @@ from analysis.recording.pictures.animation import animation_gif, durations, pict
 from analysis.recording.pictures.parts import boxes_for
 from analysis.recording.pictures.picture import RolloutPicture
 from analysis.recording.viewers.topics import Stage
+from analysis.trials.best import plan_best
 from planner.errors import UsageError
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
 from planner.mrac.make_plan import make_plan
@@ -41,7 +42,7 @@ def small(height: int = 5, width: int = 9, threat: float = 0.3, robots: int = 3)
 
 @pytest.fixture(scope="module")
 def paper() -> tuple[Trace, Plan, World]:
-    world, plan, _ = load_or_make_plan(Asked("example:paper", Choices(), 8))
+    world, plan, _ = load_or_make_plan(Asked("example:paper", Choices(), 8), find_best=plan_best)
     return trace_rollouts(compile_closed_loop(plan, world), 0, [3])[0], plan, world
 
 
