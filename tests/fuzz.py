@@ -300,7 +300,7 @@ def _faults(words: list[str], given: bytes, file: str) -> Iterator[str]:
         return
     finally:
         signal.alarm(0)
-    if _most_memory() > max(memory, MEMORY):  # a process of tests may have had as much before
+    if _most_memory() > memory + MEMORY:  # what others had in this process is not its own
         yield "more than 2 GiB"
     if status not in (0, 1, 2):
         yield f"status {status}"
