@@ -5,13 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from analysis.removal.answer import Searched
 from analysis.removal.threat import Gain, Threat, Turn
-from analysis.report.answer import Answer
-from analysis.sampling import RolloutChoices
-from planner.settings import Settings
 from planner.worlds.world import World
 
 
@@ -27,38 +22,19 @@ class Placed:
     hidden: Gain | None = None
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Attack(Answer):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Attack(Searched):
     """The answer.
 
     Attributes:
-        world, starts, settings: the map, the team int64 `[K, 2]`, what plans are made with. choices: what was rolled
-            out: most rollouts of a place, seed, the step at which every mission ends.
         p: the chance that a visit of a threat stops. turn: what one threat costs in each cell.
         known, hidden: the worst found for robots that know of them, and for robots that do not.
-        cells: accessible cells. engine: that rolled out; "": all is exact.
-        partial: it was interrupted. notes: what a user should know.
     """
 
-    listed = "threats"
-
-    world: World
-    starts: NDArray[np.int64]
-    settings: Settings
-    choices: RolloutChoices
     p: float
     turn: Turn
     known: Placed
     hidden: Placed
-    cells: int
-    engine: str
-    partial: bool = False
-    notes: tuple[str, ...] = ()
-
-    @property
-    def unit(self) -> str:
-        """Of what is lost."""
-        return "cells" if self.world.value is None else "of value"
 
     @property
     def known_world(self) -> World:

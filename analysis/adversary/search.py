@@ -19,7 +19,6 @@ from analysis.trials.halving import check_search, screened
 from analysis.trials.trial import Trial
 from planner.arguments import Numbers, whole
 from planner.errors import UsageError
-from planner.rollouts.engine import choose_engine
 from planner.settings import Settings
 from planner.worlds.world import World
 
@@ -113,16 +112,11 @@ def find_attack(
     except KeyboardInterrupt:
         ends, stopped = (Placed(tuple(known.picks)), Placed(tuple(hidden.picks))), True
     return Attack(
-        world=world,
-        starts=starts,
-        settings=settings,
-        choices=choices,
+        **search.asked(world),
         p=float(p),
         turn=turn,
         known=ends[0],
         hidden=ends[1],
-        cells=search.cells,
-        engine="" if search.exact else choose_engine(choices.engine).name,
         partial=stopped,
         notes=notes + (screened(settings) if len(places) > search.room else ()),
     )

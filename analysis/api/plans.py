@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from numpy.typing import ArrayLike
 
@@ -21,10 +21,6 @@ from planner.settings import BEST, Choices, Policy, Settings
 from planner.worlds.reported import with_route
 from planner.worlds.starts import starts_of
 from planner.worlds.world import World
-
-if TYPE_CHECKING:
-    pass
-
 
 Loop = Literal["closed", "open"]
 ReturnTo = str | Sequence[Sequence[int]] | None
@@ -125,12 +121,12 @@ def plan(
 
     A rule or an order of your own cannot be saved, nor (yet) rolled out by the compiled engines.
     """
-    check_world(world)
     from analysis.trials.best import BASE, plan_best
 
+    check_world(world)
     sought = policy == BEST
     asked = (levels, density, risk, transit, max_steps, BASE if sought else policy, reserve, worth, plan_for, effort)
-    bears = {"wear": wear, "susceptibility": one_or_each(susceptibility), "recharge": recharge}
+    bears = {"wear": wear, "susceptibility": susceptibility, "recharge": recharge}
     settings = settings_of(world, range, *asked, deadline=deadline, in_area=in_area, return_to=return_to, **bears)
     if sought and state is not None:
         raise UsageError(f"both {argument('policy', BEST)} and a state", expected="one of them")
@@ -151,11 +147,13 @@ def settings_of(
     *asked: object,
     deadline: int | str | None = None,
     return_to: ReturnTo = None,
+    susceptibility: float | Sequence[float] | None = None,
     **more: Any,
 ) -> Settings:
     """What is asked, in the order of `Settings`, in the place of what the world came with."""
     bases = return_to if return_to is None or isinstance(return_to, str) else tuple(map(one_or_each, return_to))
-    given = Choices(*asked, range=one_or_each(range), deadline=deadline, return_to=bases, **more)
+    each: dict[str, Any] = {"range": one_or_each(range), "susceptibility": one_or_each(susceptibility)}
+    given = Choices(*asked, deadline=deadline, return_to=bases, **each, **more)
     return given.settings(world.team.settings, world.pace, by=world.source)
 
 

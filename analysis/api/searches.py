@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.api.plans import Loop, ReturnTo, check_world, one_or_each, settings_of
-from analysis.kit.calls import OnInterrupt, ask
+from analysis.api.plans import Loop, ReturnTo, check_world, settings_of
+from analysis.kit.calls import Found, OnInterrupt, ask
 from analysis.kit.notes import Progress
 from analysis.sampling import Exactness, RolloutChoices
 from planner.luck_names import LuckName
@@ -25,6 +25,14 @@ if TYPE_CHECKING:
     from analysis.design.size import TeamSize
     from analysis.removal.answer import Clearing
     from analysis.tradeoff.front import Front
+
+
+Answered = TypeVar("Answered", bound=Found)
+
+
+def _ask(search: Callable[..., Answered], progress: Progress | bool | None, on_interrupt: OnInterrupt) -> Answered:
+    """The answer of a search that says how far it is."""
+    return ask(lambda tell, doing: search(progress=tell, doing=doing), progress, on_interrupt)
 
 
 def size(
@@ -57,7 +65,7 @@ def size(
     goal = make_goal(target, confidence, complete, meaning, most)
 
     search = partial(find_size, world, settings, goal, choices)
-    return ask(lambda tell, doing: search(progress=tell, doing=doing), progress, on_interrupt)
+    return _ask(search, progress, on_interrupt)
 
 
 def front(
@@ -105,10 +113,14 @@ def front(
     from analysis.tradeoff.search import Ladders, find_front
 
     check_world(world)
-    goal, bears = make_goal(losses, target), {"wear": wear, "susceptibility": one_or_each(susceptibility)}
-    settings = settings_of(
-        world, range, levels, density, risk, transit, max_steps, return_to=return_to, recharge=recharge, **bears
-    )
+    goal, asked = make_goal(losses, target), (levels, density, risk, transit, max_steps)
+    robot: dict[str, Any] = {
+        "wear": wear,
+        "susceptibility": susceptibility,
+        "return_to": return_to,
+        "recharge": recharge,
+    }
+    settings = settings_of(world, range, *asked, **robot)
     ladders = Ladders(None if reserves is None else tuple(reserves), None if worths is None else tuple(worths))
     placed = np.asarray(starts_of(world, robots, starts))
     count = usual_rollouts(world, placed) if rollouts is None else rollouts
@@ -117,7 +129,7 @@ def front(
     )
 
     search = partial(find_front, world, placed, settings, choices, goal=goal, ladders=ladders)
-    return ask(lambda tell, doing: search(progress=tell, doing=doing), progress, on_interrupt)
+    return _ask(search, progress, on_interrupt)
 
 
 def starts(
@@ -160,16 +172,21 @@ def starts(
     from analysis.depots.search import find_starts, team_size
 
     check_world(world)
-    bears = {"wear": wear, "susceptibility": one_or_each(susceptibility)}
     asked = (levels, density, risk, transit, max_steps, policy, reserve, worth)
-    settings = settings_of(world, range, *asked, return_to=return_to, recharge=recharge, **bears)
+    robot: dict[str, Any] = {
+        "wear": wear,
+        "susceptibility": susceptibility,
+        "return_to": return_to,
+        "recharge": recharge,
+    }
+    settings = settings_of(world, range, *asked, **robot)
     choices = RolloutChoices(
         rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
     )
     size = team_size(world, robots)
 
     search = partial(find_starts, world, size, settings, choices, depot=depot, candidates=candidates)
-    return ask(lambda tell, doing: search(progress=tell, doing=doing), progress, on_interrupt)
+    return _ask(search, progress, on_interrupt)
 
 
 def clear(
@@ -214,16 +231,21 @@ def clear(
     from analysis.removal.search import find_clearing
 
     check_world(world)
-    bears = {"wear": wear, "susceptibility": one_or_each(susceptibility)}
     asked = (levels, density, risk, transit, max_steps, policy, reserve, worth)
-    settings = settings_of(world, range, *asked, return_to=return_to, recharge=recharge, **bears)
+    robot: dict[str, Any] = {
+        "wear": wear,
+        "susceptibility": susceptibility,
+        "return_to": return_to,
+        "recharge": recharge,
+    }
+    settings = settings_of(world, range, *asked, **robot)
     choices = RolloutChoices(
         rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
     )
     placed = np.asarray(starts_of(world, robots, starts))
 
     search = partial(find_clearing, world, placed, settings, choices, count=count, remove=remove)
-    return ask(lambda tell, doing: search(progress=tell, doing=doing), progress, on_interrupt)
+    return _ask(search, progress, on_interrupt)
 
 
 def attack(
@@ -267,13 +289,18 @@ def attack(
     from analysis.adversary.search import find_attack
 
     check_world(world)
-    bears = {"wear": wear, "susceptibility": one_or_each(susceptibility)}
     asked = (levels, density, risk, transit, max_steps, policy, reserve, worth)
-    settings = settings_of(world, range, *asked, return_to=return_to, recharge=recharge, **bears)
+    robot: dict[str, Any] = {
+        "wear": wear,
+        "susceptibility": susceptibility,
+        "return_to": return_to,
+        "recharge": recharge,
+    }
+    settings = settings_of(world, range, *asked, **robot)
     choices = RolloutChoices(
         rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
     )
     placed = np.asarray(starts_of(world, robots, starts))
 
     search = partial(find_attack, world, placed, settings, choices, count=count, p=p)
-    return ask(lambda tell, doing: search(progress=tell, doing=doing), progress, on_interrupt)
+    return _ask(search, progress, on_interrupt)

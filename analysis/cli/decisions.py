@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -25,6 +27,9 @@ from analysis.cli.options import (
     Whole,
 )
 from analysis.kit.notes import say
+
+if TYPE_CHECKING:
+    from analysis.report.answer import Answer
 
 
 def starts(
@@ -111,21 +116,10 @@ def clear(
             threats (default: sources where there are several, else areas).
         out: Write the page, the pictures and JSON to this folder.
     """
-    from analysis.inputs import load_task
-    from analysis.kit.progress import show_progress
     from analysis.removal.search import find_clearing
 
-    team, what, planning = team or Team(), what or CommonLuck(), planning or Together()
-    choices = what.choices()
-    check_folder(out)
-    task = load_task(team.asked(source, planning.choices()))
-    say(task.notes)
-    with show_progress() as progress:
-        answer = find_clearing(
-            task.world, task.starts, task.settings, choices, count=1 if count is None else count, remove=remove,
-            progress=progress, doing=progress.doing,
-        )  # fmt: skip
-    return deliver(answer, out=out, as_json=as_json)
+    search = partial(find_clearing, count=1 if count is None else count, remove=remove)
+    return _of_threats(search, source, team, what, planning, out, as_json)
 
 
 def attack(
@@ -151,6 +145,21 @@ def attack(
         out: Write the page, the pictures, JSON and both maps (.npz) to this folder.
     """
     from analysis.adversary.search import find_attack
+
+    search = partial(find_attack, count=1 if count is None else count, p=0.2 if p is None else p)
+    return _of_threats(search, source, team, what, planning, out, as_json)
+
+
+def _of_threats(
+    search: Callable[..., Answer],
+    source: str,
+    team: Team | None,
+    what: CommonLuck | None,
+    planning: Together | None,
+    out: Path | None,
+    as_json: bool,
+) -> int:
+    """Run a search for threats, and show its answer."""
     from analysis.inputs import load_task
     from analysis.kit.progress import show_progress
 
@@ -160,8 +169,5 @@ def attack(
     task = load_task(team.asked(source, planning.choices()))
     say(task.notes)
     with show_progress() as progress:
-        answer = find_attack(
-            task.world, task.starts, task.settings, choices, count=1 if count is None else count,
-            p=0.2 if p is None else p, progress=progress, doing=progress.doing,
-        )  # fmt: skip
+        answer = search(task.world, task.starts, task.settings, choices, progress=progress, doing=progress.doing)
     return deliver(answer, out=out, as_json=as_json)

@@ -7,17 +7,16 @@ from typing import Any
 
 from analysis.kit.notes import Progress
 from analysis.knowing.questions import QUESTIONS, Question, Setting, Team, settings_of
-from analysis.report.answer import Answer
 from analysis.statistics.estimate import Estimate, over_maps
 from analysis.sweeps.by_map import ByMap, Columns
-from analysis.sweeps.engine import Finished
+from analysis.sweeps.engine import Finished, Swept
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.worlds import check_maps
 from planner.worlds.generate import Kind
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Study(Answer):
+class Study(Swept):
     """The answer.
 
     Attributes:
@@ -31,11 +30,6 @@ class Study(Answer):
     rollouts: int
     seed: int
     finished: Finished
-
-    @property
-    def partial(self) -> bool:  # type: ignore[override]
-        """It was interrupted."""
-        return self.finished.partial
 
     @property
     def maps(self) -> int:

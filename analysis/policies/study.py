@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from analysis.kit.notes import Progress
 from analysis.kit.pool import answers, wanted_processes
 from analysis.policies.settings import KINDS, ON_LARGE, PART, SMALL, TEAMS, Setting
-from analysis.report.answer import Answer
 from analysis.statistics.estimate import Estimate, over_maps
 from analysis.sweeps.by_map import ByMap, Columns
 from analysis.sweeps.cases import Case, generated_case
-from analysis.sweeps.engine import Finished
+from analysis.sweeps.engine import Finished, Swept
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.worlds import check_maps
 from analysis.theory.any_strategy import any_strategy
@@ -38,7 +37,7 @@ class Worse:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Study(Answer):
+class Study(Swept):
     """The answer. Axis `M` = maps, in order of their seeds; those of `ON_LARGE` and of the bound are the first of them.
 
     Attributes:
@@ -52,11 +51,6 @@ class Study(Answer):
     rollouts: int
     seed: int
     finished: Finished
-
-    @property
-    def partial(self) -> bool:  # type: ignore[override]
-        """It was interrupted."""
-        return self.finished.partial
 
     def maps(self, setting: Setting) -> int:
         """Maps of a setting."""

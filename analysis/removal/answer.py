@@ -21,16 +21,14 @@ from planner.worlds.world import World
 Remove = Literal["areas", "sources"]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Clearing(Answer):
-    """The answer.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Searched(Answer):
+    """What the answers to both searches for threats hold.
 
     Attributes:
         world, starts, settings: the map, the team int64 `[K, 2]`, what plans are made with. choices: what was rolled
             out: most rollouts of a threat, seed, the step at which every mission ends.
-        remove: what threats are: "areas", or the "sources" of the scenario.
-        turns: one for each threat that is cleared. cells: accessible cells. engine: that rolled out; "": all is exact.
-        gain: of clearing all picks, on rollouts that had no part in the choice, ids from `choices.rollouts` on.
+        cells: accessible cells. engine: that rolled out; "": all is exact.
         partial: it was interrupted. notes: what a user should know.
     """
 
@@ -40,18 +38,30 @@ class Clearing(Answer):
     starts: NDArray[np.int64]
     settings: Settings
     choices: RolloutChoices
-    remove: Remove
-    turns: tuple[Turn, ...]
     cells: int
     engine: str
-    gain: Gain | None = None
     partial: bool = False
     notes: tuple[str, ...] = ()
 
     @property
     def unit(self) -> str:
-        """Of gains."""
+        """Of what a threat costs."""
         return "cells" if self.world.value is None else "of value"
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Clearing(Searched):
+    """The answer to what to clear first.
+
+    Attributes:
+        remove: what threats are: "areas", or the "sources" of the scenario.
+        turns: one for each threat that is cleared.
+        gain: of clearing all picks, on rollouts that had no part in the choice, ids from `choices.rollouts` on.
+    """
+
+    remove: Remove
+    turns: tuple[Turn, ...]
+    gain: Gain | None = None
 
     @property
     def picks(self) -> tuple[Threat, ...]:

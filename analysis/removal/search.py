@@ -16,7 +16,6 @@ from analysis.trials.halving import check_search, screened
 from planner.arguments import argument, check_word, whole
 from planner.errors import UsageError
 from planner.mrac.areas import find_areas
-from planner.rollouts.engine import choose_engine
 from planner.settings import Settings
 from planner.shown import counted
 from planner.worlds.levels import find_levels
@@ -97,7 +96,6 @@ def find_clearing(
     check_search(world, settings, choices, "a search for what to clear")
     chosen, threats, notes = threats_of(world, starts, settings.levels, remove)
     whole(1, len(threats), "a whole number of threats").check("count", count)
-    cells = int(world.accessible(starts).sum())
     search = Search(world, starts, settings, choices, progress, doing or quiet, most=SIMULATED)
     turns: list[Turn] = []
     left, now, gain, stopped = threats, world, None, False
@@ -112,14 +110,9 @@ def find_clearing(
             raise
         stopped = True
     return Clearing(
-        world=world,
-        starts=starts,
-        settings=settings,
-        choices=choices,
+        **search.asked(world),
         remove=chosen,
         turns=tuple(turns),
-        cells=cells,
-        engine="" if search.exact else choose_engine(choices.engine).name,
         gain=gain,
         partial=stopped,
         notes=notes + _notes(len(threats), search.room) + screened(settings),

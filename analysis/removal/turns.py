@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from analysis.trials.halving import Halving
 from analysis.trials.measured import Measured
 from analysis.trials.trial import Trial, alike
 from planner.mrac.make_plan import make_plan
+from planner.rollouts.engine import choose_engine
 from planner.settings import Settings
 from planner.worlds.world import World
 
@@ -63,6 +65,12 @@ class Search:
         self.total = Worth.of(world).total if self.valued else float(self.cells)
         self.exact = True
         self.room = min(most, max(FEWEST, TABLES // self.cells**2))
+
+    def asked(self, world: World) -> dict[str, Any]:
+        """What an answer says of it (`answer.Searched`)."""
+        engine = "" if self.exact else choose_engine(self.choices.engine).name
+        return {"world": world, "starts": self.starts, "settings": self.settings, "choices": self.choices,
+                "cells": self.cells, "engine": engine}  # fmt: skip
 
     def anew(self, world: World) -> Trial:
         """The team's plan on a map."""

@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.kit.notes import Progress
-from analysis.report.answer import Answer
 from analysis.reproduction.points import COVERAGE, Key, Point, columns_of, put_right, runs_of
 from analysis.reproduction.statements import Finding, findings
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import generated_case
-from analysis.sweeps.engine import Done, Finished, Job, run_cases, stored_luck
+from analysis.sweeps.engine import Done, Finished, Job, Swept, run_cases, stored_luck
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.worlds import check_maps
 from planner.arguments import check_word
@@ -56,7 +55,7 @@ SETTINGS: dict[str, tuple[Setting, ...]] = {
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Reproduction(Answer):
+class Reproduction(Swept):
     """The answer: points by figure, what became of the paper's statements.
 
     Attributes:
@@ -70,11 +69,6 @@ class Reproduction(Answer):
     rollouts: int
     seed: int
     finished: Finished
-
-    @property
-    def partial(self) -> bool:  # type: ignore[override]
-        """It was interrupted."""
-        return self.finished.partial
 
     def of(self, figure: str) -> list[Point]:
         """The points of a figure."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from itertools import groupby
 
 from analysis.kit.pool import Pool, wanted_processes
+from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import Case, Places, Team, labels_of, run_key
 from analysis.sweeps.store.ranges import cut
@@ -85,6 +86,17 @@ class Finished:
     reused: int
     seconds: float
     partial: bool = False
+
+
+class Swept(Answer):
+    """An answer that a sweep gave; `finished`: how it ended."""
+
+    finished: Finished
+
+    @property
+    def partial(self) -> bool:  # type: ignore[override]
+        """It was interrupted."""
+        return self.finished.partial
 
 
 def run_cases(

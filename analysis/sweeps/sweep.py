@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.report.answer import Answer
-from analysis.sweeps.engine import Done, Finished, run_cases, stored_luck
+from analysis.sweeps.engine import Done, Finished, Swept, run_cases, stored_luck
 from analysis.sweeps.rows import Row, figures_of, single_map, timeouts_of
 from analysis.sweeps.spec import Spec
 from analysis.sweeps.store.store import Store, StoreError
@@ -33,7 +32,7 @@ Watch = Callable[[int, int, float, str], None]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sweep(Answer):
+class Sweep(Swept):
     """A sweep's answer. `rows` in the order of the settings; partial: interrupted."""
 
     listed = "settings"
@@ -43,11 +42,6 @@ class Sweep(Answer):
     finished: Finished
     precision: float | None = None
     reached: bool = True
-
-    @property
-    def partial(self) -> bool:  # type: ignore[override]
-        """True if it was interrupted."""
-        return self.finished.partial
 
     @property
     def widest_row(self) -> Row | None:
