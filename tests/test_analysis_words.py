@@ -12,6 +12,7 @@ import mrac_jax as mrac
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.figures import Chance, sampled_share
 from analysis.evaluation.formulas import WORDS, formula_counts, formulas_words
+from analysis.evaluation.table import answer_tables
 from analysis.evaluation.words import cell_words, chances_words, losses_words
 from analysis.kit.words import plan_words, share, span_words
 from analysis.statistics.coverage import losses_shown
@@ -21,7 +22,7 @@ from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import Verdict, overall
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import NOMINAL
+from planner.plans.plan import NO_MORE, NOMINAL
 from planner.plans.state import NO_CELLS, MissionState, RobotState
 from planner.settings import Settings
 from planner.shown import duration
@@ -250,6 +251,16 @@ def test_what_a_plan_is_has_words_and_no_codes() -> None:
     assert {outcome.name.lower() for outcome in Outcome} == set(NOMINAL)
     first = repr(plan).splitlines()[0]
     assert first == "Plan of MRAC: 1 robot on 1 x 3 cells; if nobody is lost, the mission visits every accessible cell"
+
+
+def test_a_plan_says_its_policy_and_whether_robots_come_home() -> None:
+    world = World.create([[0.0, 0.2, 0.0, 0.0]])
+    settings = Settings(policy="watchful", reserve=0.5, return_to="home", range=4)
+    plan = make_plan(world, [[0, 0]], settings)
+    ended = f"the mission ends {NO_MORE}"
+    assert plan_words(plan) == f"watchful, reserve 0.5; 3 areas; if nobody is lost, {ended}"
+    (table, *_) = answer_tables(mrac.evaluate(world, plan, rollouts=64, advice=False))
+    assert f"chance to end {NO_MORE}" in list(table.columns[0].cells)
 
 
 def test_a_time_is_said_in_its_two_largest_units() -> None:

@@ -73,7 +73,7 @@ def findings(attack: Attack) -> Iterator[str]:
             f"The other way round: {_at(attack.known.threats)} would cost {HIDDEN} {_said(attack, known)}, "
             f"and {_at(attack.hidden.threats)} {KNOWN} {_said(attack, hidden)}."
         )
-    yield f"{attack.turn.picked.threat.name} alone is the worst cell. {attack.turn.certainty('worse')}".capitalize()
+    yield f"A single threat costs {KNOWN} most in {attack.turn.picked.threat.name}. {attack.turn.certainty('worse')}"
 
 
 def _key_figures(attack: Attack) -> list[KeyFigure]:

@@ -16,6 +16,7 @@ from analysis.kit.words import percent
 from analysis.statistics.coverage import AT_LEAST, losses_shown
 from analysis.statistics.words import lost_words
 from analysis.theory.verdicts import MEANINGS
+from planner.plans.plan import NO_MORE
 from planner.plans.turns import drive_of
 from planner.tally import Outcome
 
@@ -69,7 +70,7 @@ def _chances_table(evaluation: Evaluation) -> Table:
     settings = evaluation.plan.settings
     limit = "limit of steps" if settings is None or settings.deadline is None else "deadline"
     ends = {
-        Outcome.STUCK: "chance to end stuck: no robot can go on",
+        Outcome.STUCK: f"chance to end {NO_MORE if evaluation.plan.comes_home else 'stuck: no robot can go on'}",
         Outcome.TIMEOUT: f"chance to end at the {limit}",
         Outcome.CALLED_OFF: "chance to end as the rest is not worth a robot",
     }

@@ -10,13 +10,26 @@ from planner.shown import counted
 if TYPE_CHECKING:
     from planner.pace import Pace
     from planner.plans.plan import Plan
+    from planner.settings import Settings
     from planner.worlds.world import World
 
 
+def policy_words(settings: Settings) -> str:
+    """A policy and its limits: "watchful, reserve 0.25"."""
+    limits = {name: getattr(settings, name) for name in ("reserve", "worth", "density")}
+    own = [f"{name} {value:g}" for name, value in limits.items() if value != getattr(type(settings), name)]
+    return ", ".join([settings.rule.name, *own])
+
+
 def plan_words(plan: Plan) -> str:
-    """A plan of ours: "6 areas, shared 10 times; if nobody is lost, the mission visits every accessible cell"."""
+    """A plan of ours: "6 areas, shared 10 times; if nobody is lost, the mission visits every accessible cell".
+
+    With its policy first, unless it is the paper's with nothing of its own.
+    """
     shared = f", shared {plan.shares} time{'s' * (plan.shares != 1)}" if plan.shares else ""
-    return f"{counted(len(plan.areas), 'area')}{shared}; {plan.ends}"
+    policy = "" if plan.settings is None else policy_words(plan.settings)
+    by = "" if policy in ("", "mrac") else f"{policy}; "
+    return f"{by}{counted(len(plan.areas), 'area')}{shared}; {plan.ends}"
 
 
 def span_words(plan: Plan, pace: Pace) -> str:

@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.kit.words import policy_words
 from analysis.sampling import SECONDS, RolloutChoices
 from analysis.trials.halving import USUAL, Halving, check_search
 from analysis.trials.trial import Trial, alike
@@ -78,9 +79,9 @@ def plan_best(
     made = make_plan(world, starts, raced[best])
     told, plain = alike([makers[best](), makers[0]()], USUAL, USUAL)
     gain = told.ahead(plain, told.counted, 1.0 / told.largest(told.counted)).said(100, " points")
-    more = f", {gain} more than {_words(raced[0], settings)} on other luck" if best else ""
+    more = f", {gain} more than {policy_words(raced[0])} on other luck" if best else ""
     over = "" if in_time else f"; the search ended after {seconds or SECONDS:g} s"
-    note = f"the best of {counted(len(raced), 'setting')} is {_words(raced[best], settings)}{more}{over}"
+    note = f"the best of {counted(len(raced), 'setting')} is {policy_words(raced[best])}{more}{over}"
     return replace(made, notes=(*made.notes, note))
 
 
@@ -100,10 +101,3 @@ def _trial(
     world: World, starts: NDArray[np.int64], settings: Settings, choices: RolloutChoices, kept: AllPairs
 ) -> Trial:
     return Trial(world, allocated_plan(world, starts, settings), choices, kept)
-
-
-def _words(settings: Settings, common: Settings) -> str:
-    """A policy, and what else it has of its own, as options say it."""
-    own = [f"{name} {getattr(settings, name):g}" for name in ("reserve", "density")
-           if getattr(settings, name) not in (None, getattr(common, name))]  # fmt: skip
-    return ", ".join([settings.rule.name, *own])

@@ -33,6 +33,8 @@ NOMINAL = {
     "stopped": "ends with the last robot",
 }
 """How the run in which nobody is lost may end."""
+NO_MORE = "with cells left too far to come home from"
+"""How that of a team that comes home ends, in the place of "stuck"."""
 
 
 LegKind = Literal["travel", "cover"]
@@ -210,7 +212,9 @@ class Plan:
     @property
     def ends(self) -> str:
         """How the run without losses ends: "if nobody is lost, the mission visits every accessible cell"."""
-        return f"if nobody is lost, the mission {NOMINAL.get(self.outcome, self.outcome)}"
+        no_more = self.comes_home and self.outcome == "stuck"
+        ended = f"ends {NO_MORE}" if no_more else NOMINAL.get(self.outcome, self.outcome)
+        return f"if nobody is lost, the mission {ended}"
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("makespan", f"{self.makespan} steps")]
