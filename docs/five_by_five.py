@@ -101,3 +101,52 @@ def visited_by(trace: Trace, step: int) -> NDArray[np.bool_]:
 def happened(trace: Trace, step: int) -> set[tuple[int, str]]:
     """(robot, what) of a step."""
     return {(int(e[1]), EventKind(e[2]).name) for e in trace.events if e[0] == step}
+
+
+def draw_map() -> None:
+    """p, and the areas."""
+    number = np.full(25, -1)
+    for index, area in enumerate(plan.areas):
+        number[area.cells] = index
+    number = number.reshape(5, 5)
+    left, right = boards(2)
+    board(left, "p, in %", [[f"{100 * p:.0f}" for p in row] for row in threat])
+    board(right, "areas by number", [[str(a) for a in row] for row in number], areas=number)
+    assert len(plan.areas) == 5 and [area.level for area in plan.areas] == [1, 2, 2, 0, 0]
+    assert [area.robot for area in plan.areas] == [-1, -1, -1, 0, 1]
+
+
+def draw_costs() -> None:
+    """What entering each cell costs, and a safest path."""
+    costs = problem.costs.reshape(5, 5) / 25
+    path = np.array([23, *problem.paths.path(23, 14)])
+    left, right = boards(2)
+    board(left, "cost of entering", [[f"{c:.2g}" for c in row] for row in costs])
+    board(right, "safest path: 5 moves; the shortest has 3", path=path)
+    assert np.isclose(costs[0, 0], 1 / 25) and costs[4, 0] == 1 and costs[0, 4] == 2
+    assert not threat.ravel()[path].any() and len(path) == 6
+
+
+def draw_steps(trace: Trace, steps: Sequence[int]) -> None:
+    """A run at four steps."""
+    for axes, step in zip(boards(len(steps)), steps, strict=True):
+        board(axes, f"step {step}", visited=visited_by(trace, step))
+        robots_at(axes, trace, step)
+
+
+def draw_calm() -> None:
+    """The run without losses."""
+    calm = run()
+    draw_steps(calm, (0, 7, 12, 16))
+    assert (0, "ALLOCATED") in happened(calm, 7) and (1, "ALLOCATED") in happened(calm, 12)
+    assert (0, "SHARED") in happened(calm, 16) and calm.time == 19
+    assert calm.areas[7, 0] == 0 and set(calm.areas[12]) == {1, 2}
+
+
+def draw_hurt() -> None:
+    """The run in which robot 0 is stopped at step 9."""
+    hurt = run(lambda robot, step, cell: robot == 0 and step == 9)
+    draw_steps(hurt, (8, 9, 17, 27))
+    assert {(0, "HIT"), (0, "REALLOCATED")} == happened(hurt, 9) and hurt.time == 27
+    assert visited_by(hurt, 27)[~np.isnan(threat)].all()
+    assert [int(e[3]) for e in hurt.events if e[2] == EventKind.ALLOCATED and e[1] == 1] == [5, 2, 1]
