@@ -415,7 +415,9 @@ def test_a_setting_that_covers_more_for_no_more_robots_is_advised() -> None:
     assert said.endswith("more are covered, for no more robots lost, with `policy='per_cell', worth=40`.")
     assert Advice((now, exactly(0.95), exactly(0.2)), 5, (point,), 64).better() is None
     costly = Advice((now, exactly(0.95), exactly(5.0)), 5, (point,), 64, point, exactly(-0.05))
-    assert list(costly.blocks().leads) == ["90.0 % costs 0.10 of 5: `policy='per_cell', worth=40`; 95.0 % costs all 5."]
+    assert list(costly.blocks().leads) == [
+        "90.0 % costs 0.10 robots: `policy='per_cell', worth=40`; 95.0 % costs all 5 robots."
+    ]
 
 
 def test_what_hardly_covers_anything_is_not_advised_because_it_is_free() -> None:
@@ -434,8 +436,8 @@ def test_what_hardly_covers_anything_is_not_advised_because_it_is_free() -> None
     whole = replace(found, points=(*points, best), advised=points[1], difference=exactly(-0.1))
     (said,) = whole.blocks().leads
     assert said == (
-        "50.0 % costs 1.00 of 3: `policy='per_cell', worth=20`; "
-        "60.0 % costs all 3, and 70.0 % costs no more: `policy='per_cell'`."
+        "50.0 % costs 1.00 robots: `policy='per_cell', worth=20`; "
+        "60.0 % costs all 3 robots, and 70.0 % costs no more: `policy='per_cell'`."
     )
 
 
@@ -453,7 +455,7 @@ def test_the_knee_is_the_best_bargain_between_two_settings() -> None:
     assert bent.corners() == (free, middle, most)
     assert headline(bent) == (
         "30.0 % covered on average costs no robot (per_cell, worth 9); 99.0 % costs 0.05 robots (per_cell, worth 7); "
-        "100 % costs 2.00 robots (mrac)."
+        "100 % costs both robots (mrac)."
     )
     assert any(line.startswith("run it: ") and "--worth 7 " in line for line in pick_lines(bent)), "the bargain"
 

@@ -58,7 +58,7 @@ SAID = {
     (5, 15): "The robot is lost in 25 % of runs.",
     (3722, 6278): "The robot is lost in 37.2 % of runs.",
     (20000, 0, 0): "Both robots are lost in each of the 20,000 runs.",
-    (60, 30, 10): "Both robots are lost in 60 % of runs, no robot is in 10 %; on average 1.5 of 2.",
+    (60, 30, 10): "Both robots are lost in 60 % of runs, none in 10 %; on average 1.5 of 2.",
     (19990, 10, *[0] * 7): "All 8 robots are lost in 99.95 % of runs; on average next to all 8.",
     (99999, 1, 0, 0): "All 3 robots are lost in 99.999 % of runs; on average next to all 3.",
     (0, 0, 880, 120): "No robot is lost in 12 % of runs; on average 0.88 of 3.",
@@ -67,7 +67,7 @@ SAID = {
     (0, 40, 60, 0): "1 to 2 robots of 3 are lost in each of the 100 runs, on average 1.4 of 3.",
     (0, 0, 100, 0): "1 robot of 3 is lost in each of the 100 runs, on average 1.0 of 3.",
     (0, 100, 0, 0): "2 robots of 3 are lost in each of the 100 runs, on average 2.0 of 3.",
-    (2, 50, 48): "No robot is lost in 48 % of runs, both robots are in 2 %; on average 0.5 of 2.",
+    (2, 50, 48): "No robot is lost in 48 % of runs, both in 2 %; on average 0.5 of 2.",
 }  # fmt: skip
 """Sentences by the runs that left 0, 1, ... robots."""
 
@@ -82,7 +82,7 @@ def test_losses_in_words(alive: tuple[int, ...]) -> None:
     [
         ((9, 0, 0, 0), "Both robots that were left are lost in each of the 9 runs."),
         ((0, 0, 9, 0), "No further robot is lost in any of the 9 runs."),
-        ((60, 30, 10, 0), "Both robots that were left are lost in 60 % of runs, no further robot is in 10 %; on "
+        ((60, 30, 10, 0), "Both robots that were left are lost in 60 % of runs, none in 10 %; on "
          "average 1.5 of 2 that were left."),
     ],
 )  # fmt: skip

@@ -64,9 +64,7 @@ def findings(attack: Attack) -> Iterator[str]:
     """What both cost in cells and robots, what it is worth to know, and how sure the worst cell is."""
     for placed, own, kind in ((attack.known, attack.known.known, KNOWN), (attack.hidden, attack.hidden.hidden, HIDDEN)):
         if own is not None:
-            worth = "" if own.value is None else f"{own.value.said(unit=' of value')} and "
-            lost = f"{worth}{own.cells.said(unit=' cells')} fewer, {own.robots.said()} robots lost more"
-            yield f"{source_words(own.rollouts)}, {_at(placed.threats)} against {kind}: {lost}."
+            yield f"{source_words(own.rollouts)}, {_at(placed.threats)} against {kind}: {own.said('fewer')}."
     known, hidden = attack.known.hidden, attack.hidden.known
     if known is not None and hidden is not None:
         yield (

@@ -44,7 +44,7 @@ def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
         return f"{nobody[:1].upper()}{nobody[1:]} lost in {_any(none.rollouts)}."
     lost_before, lost = len(evaluation.plan.robots) - robots, evaluation.losses
     mean = f"on average {lost_words(lost.mean - lost_before, robots, lost.decimals)}{left}"
-    often = {all_of_them: every, nobody: none}
+    often = [(all_of_them, "both" if robots == 2 else f"all {robots}", every), (nobody, "none", none)]
     if robots == 1:
         return f"{all_of_them} lost in {every.share} of runs."
     if every.mean == none.mean == 0:
@@ -52,10 +52,10 @@ def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
         least, most = robots - max(seen), robots - min(seen)
         some = f"{counted(least, 'robot')}" if least == most else f"{least} to {most} robots"
         return f"{some} of {robots}{left} {'is' if most == 1 else 'are'} lost in {_each(every.rollouts)}, {mean}."
-    (first, number), *rest = sorted(often.items(), key=lambda item: -item[1].mean)
+    (first, _, number), (_, other, rare) = sorted(often, key=lambda item: -item[2].mean)
     said = f"{first} lost in {number.share} of runs"
-    rest = [(other, rare) for other, rare in rest if rare.mean and rare.share[0] != "<"]
-    said += "".join(f", {other[0].lower()}{other[1:]} in {rare.share}" for other, rare in rest)
+    if rare.mean and rare.share[0] != "<":
+        said += f", {other} in {rare.share}"
     return f"{said[0].upper()}{said[1:]}; {mean}."
 
 

@@ -66,9 +66,7 @@ def findings(clearing: Clearing) -> Iterator[str]:
     """How sure that is, what the old plan wins, and what the picks add."""
     first, gain = clearing.turns[0], clearing.gain
     if gain is not None:
-        worth = "" if gain.value is None else f"{gain.value.said(unit=' of value')} and "
-        won = f"{worth}{gain.cells.said(unit=' cells')} more"
-        yield f"{source_words(gain.rollouts)}, after replanning: {won}, {gain.robots.said()} robots lost fewer."
+        yield f"{source_words(gain.rollouts)}, after replanning: {gain.said('more')}."
     yield first.certainty("worth more")
     unknown = first.best_unknown
     most, own = (_said(clearing, one.unknown) for one in (unknown, first.picked))

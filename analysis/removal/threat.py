@@ -13,6 +13,9 @@ from planner.files import Json
 from planner.worlds.sources import Sources, Thing, Things
 from planner.worlds.world import World
 
+EVEN = 0.05
+"""Robots lost more or fewer that are called none."""
+
 
 @dataclass(frozen=True, eq=False)
 class Threat:
@@ -68,6 +71,14 @@ class Gain:
     def counted(self) -> Estimate:
         """What is gone by: value where there is any, else cells."""
         return self.cells if self.value is None else self.value
+
+    def said(self, more: str) -> str:
+        """Beside the figure that is gone by: cells that are `more` or fewer, if that is value, and robots lost."""
+        cells = "" if self.value is None else f"{self.cells.said(unit=' cells')} {more}, "
+        even = max(map(abs, self.robots.ci95))
+        if even < EVEN:
+            return f"{cells}as many robots lost" + (f" (± {even:.1g})" if even else "")
+        return f"{cells}{self.robots.said()} robots lost {'fewer' if more == 'more' else 'more'}"
 
     def to_json(self) -> Json:
         """Cells, with value and robots beside them."""

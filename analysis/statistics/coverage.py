@@ -32,6 +32,16 @@ TARGETS = Numbers(0, 1, "a fraction of the accessible cells", above=True)
 """What a user may want covered."""
 
 
+def losses_said(losses: Estimate, robots: int, *, mean_only: bool = False) -> str:
+    """The same in a sentence: "all 4 robots", "no robot", "0.67 ± 0.01 (95 %) robots"; `mean_only`: "0.67 robots"."""
+    if losses.mean == 0 == losses.half_width:
+        return "no robot"
+    words = lost_words(losses.mean, robots, min(losses.digits(), 2))
+    if words[0].isdigit():
+        return f"{losses.mean:.2f} robots" if mean_only else f"{losses.said()} robots"
+    return words if words.endswith(("robot", "robots")) else f"{words} robots"
+
+
 def losses_shown(losses: Estimate, robots: int) -> tuple[str, str]:
     """Robots lost of so many, and the interval: ("1.87 of 5", "1.85 .. 1.89"), ("next to all 5", "4.98 or more")."""
     (low, high), digits = losses.ci95, min(losses.digits(), 2)

@@ -19,6 +19,7 @@ from analysis.report.words import (
     share_figure,
     source_words,
 )
+from analysis.statistics.coverage import losses_said
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.rules import LANDMARKS, Setting
 from planner.arguments import argument
@@ -75,8 +76,8 @@ def headline(front: Front) -> str:
     if front.goal:
         return _picked(front)
     first, *most = front.priced
-    said = f"{_percent(first)} covered on average costs {_lost(first)} ({_named(front, first)})"
-    said += "".join(f"; {_percent(point)} costs {_lost(point)} ({_named(front, point)})" for point in most) + "."
+    said = f"{_percent(first)} covered on average costs {_lost(front, first)} ({_named(front, first)})"
+    said += "".join(f"; {_percent(point)} costs {_lost(front, point)} ({_named(front, point)})" for point in most) + "."
     return said + " Exact." * all(point.exact for point in front.priced)
 
 
@@ -89,7 +90,7 @@ def _picked(front: Front) -> str:
     if again is not None:
         bound = f"at most {again.most:.2f} lost" if by_losses else f"at least {100 * again.least:.2f} % covered"
         sure = "exact" if again.exact else f"95 %: {bound}"
-        said = f"{_percent(again)} covered, {_lost(again)} lost on average"
+        said = f"{_percent(again)} covered, {_lost(front, again)} lost on average"
         return f"Best found with {limit}: {_named(front, again)}. {said}; the limit is kept ({sure})."
     if goal.pick([point.figures for point in front.points]) is not None:
         other = "more" if by_losses else "less"
@@ -109,9 +110,8 @@ def _percent(point: Point) -> str:
     return percent(point.coverage.mean)
 
 
-def _lost(point: Point) -> str:
-    mean = point.losses.mean
-    return "no robot" if mean == 0 else "less than 0.01 robots" if mean < 0.005 else f"{mean:.2f} robots"
+def _lost(front: Front, point: Point) -> str:
+    return losses_said(point.losses, len(front.starts), mean_only=True)
 
 
 def _told(front: Front) -> list[Point]:
@@ -123,7 +123,7 @@ def pick_lines(front: Front) -> list[str]:
     """How sure the figures of the headline are, and how to have them again."""
     told, again = _told(front), front.confirmed
     one = source_words(not all(point.exact for point in told))
-    lines = [f"{one if len(told) == 1 else _named(front, point)}: {_fresh(point)}." for point in told]
+    lines = [f"{one if len(told) == 1 else _named(front, point)}: {_fresh(front, point)}." for point in told]
     if front.tried > 1 and again is not None:
         place = {2: "second", 3: "third"}.get(front.tried, f"{front.tried}th")
         lines.append(f"It is the {place} that was tried there; the 95 % holds with all tries.")
@@ -141,8 +141,8 @@ def pick_lines(front: Front) -> list[str]:
     return lines
 
 
-def _fresh(point: Point) -> str:
-    return f"{point.coverage.said(100, ' %')} covered, {point.losses.said()} robots lost"
+def _fresh(front: Front, point: Point) -> str:
+    return f"{point.coverage.said(100, ' %')} covered, {losses_said(point.losses, len(front.starts))} lost"
 
 
 def command_of(front: Front, point: Point) -> str:
@@ -156,7 +156,8 @@ def _key_figures(front: Front) -> list[KeyFigure]:
     again = front.confirmed
     if again is None:
         return [
-            share_figure(point.coverage, f"costs {_lost(point)}", f", {_named(front, point)}") for point in front.priced
+            share_figure(point.coverage, f"costs {_lost(front, point)}", f", {_named(front, point)}")
+            for point in front.priced
         ]
     steps = again.time.mean
     return [

@@ -19,8 +19,8 @@ from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.kit.words import percent
 from analysis.page.series import Chart, Series
 from analysis.statistics.control import tally_mean
+from analysis.statistics.coverage import losses_said
 from analysis.statistics.estimate import Estimate
-from analysis.statistics.words import lost_words
 from analysis.tradeoff.front import Point, settings_of
 from analysis.tradeoff.rules import Figures, Goal, Setting, efficient, knee
 from analysis.tradeoff.search import quick_points
@@ -177,7 +177,7 @@ class Advice(Output):
     def _cost(self, losses: Estimate) -> str:
         if losses.mean == 0:
             return "no robot" if losses.ci95[1] == 0 else f"no robot in {self.rollouts:,} runs"
-        return lost_words(losses.mean, self.robots)
+        return losses_said(losses, self.robots, mean_only=True)
 
 
 def _as_asked(setting: Setting) -> str:
