@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
+from numpy.typing import NDArray
+
 from analysis.statistics.control import LEAST
 from analysis.statistics.estimate import looks
 from planner.arguments import POSITIVE, SEED, Numbers, argument, as_whole, check_word, whole
@@ -170,6 +172,32 @@ def check_deadline(plan: Plan, choices: RolloutChoices) -> None:
     if ends is not None and choices.deadline is not None and choices.deadline > ends:
         problem = f"{argument('deadline', choices.deadline)}, but the plan ends the mission at step {ends:,}"
         raise UsageError(problem, expected=f"a step up to {ends}", fix="leave it out, or plan anew")
+
+
+def knowing_deadline(world: World, plan: Plan, choices: RolloutChoices, *, nominal: bool = True) -> Plan:
+    """The plan of robots that come home by the deadline of the choices, which they know; any other plan as it is.
+
+    `nominal`: with its run without losses, which rollouts do not need. Raises PlanError where one is late from the
+    start.
+    """
+    from planner.mrac.make_plan import make_plan
+
+    if not plan.comes_home or choices.loop == "open" or choices.deadline is None:
+        return plan
+    settings = replace(plan.require(world), deadline=choices.deadline)
+    if not nominal or settings == plan.settings:
+        return replace(plan, settings=settings)
+    return replace(make_plan(world, plan.starts, settings, plan.areas, plan.state), notes=plan.notes)
+
+
+def home_of(plan: Plan, found: Tally | RolloutResults, loop: str) -> NDArray | None:
+    """Robots that are home at the end, as `found` counts robots alive; None where that is not asked for.
+
+    In the open loop robots follow their paths: if these end at home, who is alive at the end is there.
+    """
+    if loop == "open":
+        return found.alive if plan.ends_home else None
+    return found.home if plan.comes_home else None
 
 
 def make_engine_for(

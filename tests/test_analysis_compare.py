@@ -23,6 +23,7 @@ from analysis.statistics.estimate import FIRST_LOOK
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
+from planner.settings import Settings
 from planner.worlds.learning import with_prior, with_sense
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -262,3 +263,28 @@ def test_wrong_usage_is_one_line_and_status_2(words: str, said: str, capsys: pyt
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.startswith("error: ") and captured.err.count("\n") == 1
     assert said in captured.err.lower()
+
+
+def test_who_comes_home_is_compared_too(capsys: pytest.CaptureFixture[str]) -> None:
+    """Against the rollouts one by one; where one side alone comes home its own figures stand in a note."""
+    world, _ = team(3)
+    starts = place_starts(world, 3)[0]
+    plans = [make_plan(world, starts, Settings(return_to="home", range=60, policy=p)) for p in ("mrac", "per_cell")]
+    choices = RolloutChoices(rollouts=1024, seed=5)
+    sides = [make_side(world, plan, choices) for plan in plans]
+    found, singles = compare(*sides), [make_singles(world, plan, choices)(0, 1024) for plan in plans]
+    home = np.array([one.home for one in singles], dtype=np.int64)
+    assert [found.mean(side, "home") for side in sides] == pytest.approx(home.mean(axis=1))
+    apart = {"home": home[1] - home[0], "all_home": (home[1] == 3).astype(int) - (home[0] == 3)}
+    for figure, values in apart.items():
+        estimate = found.difference(figure).estimate
+        assert estimate.mean == pytest.approx(values.mean()) and abs(values).sum() > 0
+        assert estimate.se == pytest.approx(values.std(ddof=1) / 32, rel=1e-9)
+    asked = (WORLD, "--robots", "3", "--return-to", "home", "--rollouts", "256")
+    both = answer(capsys, *asked, "--b.policy", "per_cell")
+    assert both["difference"].keys() == both["a"]["mean"].keys() == {*FIGURES, "home", "all_home"}
+    assert run(["compare", WORLD, "--robots", "3", "--b.return-to", "home", "--rollouts", "256"]) == 0
+    assert "note: B's robots come home, " in " ".join(capsys.readouterr().out.split())
+    alone = answer(capsys, *asked[:3], "--b.return-to", "home", "--rollouts", "256")
+    assert alone["difference"].keys() == alone["a"]["mean"].keys() == set(FIGURES)
+    assert "home" in alone["b"]["mean"]

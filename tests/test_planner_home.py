@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
 from analysis.tradeoff.front import settings_of
 from analysis.tradeoff.search import Ladders, find_front
+from analysis.trials.trial import Trial
 from planner.errors import InputError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.kernels.tree import WHOLE, grow_tree
@@ -359,3 +361,24 @@ def test_the_settings_of_a_front_are_missions_that_end_at_home() -> None:
         np.testing.assert_array_equal(singles.home, singles.alive)
         mean = (tally.visited @ np.arange(len(tally.visited))) / 256 / tally.accessible
         assert point.coverage.mean == pytest.approx(mean, abs=1e-9)
+
+
+def test_robots_know_the_deadline_of_an_answer() -> None:
+    """By a deadline `evaluate` answers as for a plan with that deadline; who does not know it is still away then."""
+    world, starts = drawn(7)
+    blind = make_plan(world, starts, Settings(return_to="home"))
+    choices = RolloutChoices(rollouts=256, exact="never", luck="tolerance", deadline=30)
+    told = evaluate(world, blind, choices, band=False, advice=False)
+    knows = evaluate(
+        world, make_plan(world, starts, Settings(return_to="home", deadline=30)), replace(choices, deadline=None)
+    )
+    assert told.tally == knows.tally and told.plan.settings == knows.plan.settings
+    np.testing.assert_array_equal(told.plan.robots[0].path, knows.plan.robots[0].path)
+    np.testing.assert_array_equal(told.tally.home, told.tally.alive)
+    cut_off, _ = run_range(compile_closed_loop(blind, world).until(30), 0, 0, 256)
+    assert cut_off.home @ np.arange(4) < told.tally.home @ np.arange(4)
+    trial = Trial(world, blind, choices)
+    assert trial.sample(0, 256).tally.visited.tolist() == told.tally.visited.tolist()
+    far = make_plan(world, starts, Settings(return_to=(tuple(map(int, starts[0])),)))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="moves from its base"):
+        evaluate(world, far, replace(choices, deadline=1))

@@ -77,7 +77,7 @@ def evaluate(
             every visit, as releases before 0.3 had it. The law is the same. None: tolerance.
         mode: of luck by step in the open loop: "fast" or "step". seed: of the rollouts.
         engine: "auto" takes JAX where it has an accelerator, else Numba.
-        deadline: a step at which coverage is reported too.
+        deadline: a step at which coverage is reported too; robots that come home know it, and are home by then.
         first_visit: only the first visit of a cell by anybody can stop a robot.
         threat_scale: also if all threats are so many times the map's.
         sense: also if robots that are not told the map see so many cells far, on the same luck; 0: blind.

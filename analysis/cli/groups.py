@@ -214,7 +214,8 @@ class Rollouts(_Rolled):
         mode: Luck by step in the open loop: one draw a robot (fast), or one a dangerous entry (step).
         rollouts: How many (default: 100000).
         precision: Instead of a number: stop when the half-width of the 95 % interval of mean coverage is below this.
-        deadline: Report coverage by the end of this step too, or by a time: 45min, 1h30min, 90s.
+        deadline: Report coverage by the end of this step too, or by a time: 45min, 1h30min, 90s. Robots that come home
+            are home by then.
         engine: Which engine; the counts are the same. auto: numba, the faster one on a CPU.
         exact: Look for the closed loop's exact values, which small teams have: auto (about 2 s), never, or for about so
             many seconds; size: of each team.

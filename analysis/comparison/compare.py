@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.kit.notes import Progress
 from analysis.report.answer import Answer
-from analysis.sampling import RolloutChoices, check_deadline, make_singles
+from analysis.sampling import RolloutChoices, check_deadline, home_of, knowing_deadline, make_singles
 from analysis.statistics.control import LEAST, controlled
 from analysis.statistics.differences import CommonLuck, Difference, Paired, difference
 from analysis.statistics.estimate import Estimate, looks
@@ -35,6 +35,8 @@ from planner.worlds.world import World
 
 FIGURES = ("visited", "survived", "complete", "alive", "time")
 """What is compared: cells covered in both meanings, whether all were, robots alive at the end, steps."""
+OF_HOME = ("home", "all_home")
+"""And where robots come home: those that are home at the end, and whether all are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +61,11 @@ class Side:
         """Steps that a run takes at most."""
         most = longest_run(self.world, self.plan, self.choices.loop)
         return most if self.choices.deadline is None else min(most, self.choices.deadline)
+
+    @property
+    def comes_home(self) -> bool:
+        """Whether it is asked who comes home."""
+        return self.plan.ends_home if self.choices.loop == "open" else self.plan.comes_home
 
     def unit(self, figure: str) -> float:
         """What one of a figure is worth: cells are fractions of the accessible ones."""
@@ -95,6 +102,15 @@ class Comparison(Answer):
         return self.pairs["visited"].rollouts
 
     @property
+    def figures(self) -> tuple[str, ...]:
+        """What both are compared in."""
+        return FIGURES + OF_HOME * all(side.comes_home for side in self.sides)
+
+    def figures_of(self, side: Side) -> tuple[str, ...]:
+        """What one of them comes to."""
+        return FIGURES + OF_HOME * side.comes_home
+
+    @property
     def same_cells(self) -> bool:
         """True if both can reach the same cells of maps of one shape."""
         a, b = (side.world.accessible(side.plan.starts) for side in (self.a, self.b))
@@ -106,12 +122,12 @@ class Comparison(Answer):
         return differing(self.a, self.b)
 
     def difference(self, figure: str) -> Difference:
-        """B - A: fractions of the accessible cells, chance to cover all, robots, steps; a point if both are alike."""
+        """B - A: fractions of the accessible cells, chances, robots, steps; a point if both are alike."""
         if not any(self.differing):
             return Difference(Estimate(0.0, 0.0, (0.0, 0.0)), math.inf)
         reach = 1.0
-        if figure in ("alive", "time"):
-            reach = float(max(len(side.plan.robots) if figure == "alive" else side.longest for side in self.sides))
+        if figure in ("alive", "home", "time"):
+            reach = float(max(side.longest if figure == "time" else len(side.plan.robots) for side in self.sides))
         units = self.a.unit(figure), self.b.unit(figure)
         return difference(self.pairs[figure], *units, reach, self.certain, self._luck(figure))
 
@@ -119,6 +135,8 @@ class Comparison(Answer):
         if not len(self.by_luck[0]):
             return None
         a, b = (sums.reshape(-1, len(COLUMNS)) for sums in self.by_luck)
+        if figure not in COLUMNS:
+            return None
         column = COLUMNS.index(figure)
         return CommonLuck(most_robots(self.a, self.b), a[:, 0], a[:, column], b[:, column])
 
@@ -197,6 +215,7 @@ def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:
     """A side, with its exact expected coverage where that is cheap. Raises InputError."""
     choices = choices.timed(world.pace)
     check_deadline(plan, choices)
+    plan = knowing_deadline(world, plan, choices)
     exact = open_loop_exact(plan, world)
     if choices.loop == "open":
         last = plan.makespan if choices.deadline is None else choices.deadline
@@ -225,7 +244,7 @@ def compare(a: Side, b: Side, progress: Progress | None = None, kept: AllPairs |
     certain = all(is_certain(side.world, side.plan, side.choices.loop) for side in (a, b))
     if certain:
         choices = replace(choices, rollouts=1, precision=None, seconds=None)
-    answer = Comparison(a, b, {figure: Paired() for figure in FIGURES}, 0, 0, 0.0, certain=certain)
+    answer = Comparison(a, b, {figure: Paired() for figure in FIGURES + OF_HOME}, 0, 0, 0.0, certain=certain)
     most, total = (choices.rollouts, choices.rollouts) if choices.precision is None else (MOST_ROLLOUTS, 0)
     cells = max(a.cells, b.cells)
     marks, unit = looks(), worth_a_call(cells) if cells <= MOST_TABLED else 1
@@ -252,7 +271,8 @@ def compare(a: Side, b: Side, progress: Progress | None = None, kept: AllPairs |
 
 
 def _add(so_far: Comparison, a: RolloutResults, b: RolloutResults, seconds: float) -> Comparison:
-    pairs = {f: so_far.pairs[f] + Paired.of(_figure(a, f), _figure(b, f)) for f in FIGURES}
+    sides = (so_far.a, a), (so_far.b, b)
+    pairs = {f: before + Paired.of(*(_figure(*side, f) for side in sides)) for f, before in so_far.pairs.items()}
     mine, theirs = a.visited.astype(np.int64) * so_far.b.cells, b.visited.astype(np.int64) * so_far.a.cells
     ahead, behind = int((theirs > mine).sum()), int((theirs < mine).sum())
     found = replace(so_far, pairs=pairs, ahead=so_far.ahead + ahead, behind=so_far.behind + behind, seconds=seconds)
@@ -269,7 +289,12 @@ def most_robots(a: Side, b: Side) -> int:
     return max(len(side.plan.robots) for side in (a, b))
 
 
-def _figure(results: RolloutResults, figure: str) -> NDArray[np.int32]:
+def _figure(side: Side, results: RolloutResults, figure: str) -> NDArray[np.int32]:
+    if figure in OF_HOME:
+        home = home_of(side.plan, results, side.choices.loop)
+        if home is None:
+            return np.zeros(len(results.visited), dtype=np.int32)
+        return home if figure == "home" else (home == len(side.plan.robots)).astype(np.int32)
     if figure == "complete":
         return (results.outcome == Outcome.COMPLETE).astype(np.int32)
     values: NDArray[np.int32] = getattr(results, figure)

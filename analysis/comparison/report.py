@@ -6,9 +6,9 @@ import math
 
 from rich.table import Table
 
-from analysis.comparison.compare import FIGURES, Comparison, Side
+from analysis.comparison.compare import FIGURES, OF_HOME, Comparison, Side
 from analysis.kit.tables import make_table
-from analysis.kit.words import bearing_words, span_words
+from analysis.kit.words import bearing_words, percent, span_words
 from analysis.report.answer import json_end
 from analysis.report.blocks import KeyFigure, Part, Report
 from analysis.statistics.estimate import proportion
@@ -23,6 +23,8 @@ SHOWN = {
     "complete": ("chance to visit every cell, %", 100.0),
     "alive": ("robots alive at the end", 1.0),
     "time": ("time, steps", 1.0),
+    "home": ("robots home at the end", 1.0),
+    "all_home": ("chance that all are home, %", 100.0),
 }
 """Name and scale of each figure in the table."""
 COLUMNS = "from .. to: 95 % interval of B - A; sharper: variance of the difference on independent runs / on these"
@@ -79,6 +81,11 @@ def _notes(answer: Comparison) -> list[str]:
             f"in {closed} the survivors take over the areas of the lost, in {open_} nobody does: the difference is the "
             "loop's too" + (f"; {closed}'s plan alone: --loop open" if many else "")
         )
+    for name, side in zip("AB", answer.sides, strict=True):
+        if side.comes_home and "home" not in answer.figures:
+            mean, every = (answer.mean(side, figure) for figure in OF_HOME)
+            said = f"{name}'s robots come home, {mean:.2f} of {len(side.plan.robots)}, all of them in {percent(every)}"
+            found.append(f"{said} of runs; the other side's need not")
     if many:
         found.append("A and B differ in more than one thing; the difference is that of all together")
     return found
@@ -106,7 +113,7 @@ def _shown(answer: Comparison) -> list[tuple[str, str, float]]:
     """Each row's figure, name and scale."""
     pace = _pace(answer)
     minutes = [("time", "time, minutes", pace.minutes)] * bool(pace)
-    return [*((figure, *about) for figure, about in SHOWN.items()), *minutes]
+    return [*((figure, *SHOWN[figure]) for figure in answer.figures), *minutes]
 
 
 def _key_figures(answer: Comparison) -> list[KeyFigure]:
@@ -140,7 +147,7 @@ def _table(answer: Comparison) -> Table:
 
 def _json(answer: Comparison) -> Json:
     """Coverage and its differences are fractions of the accessible cells."""
-    apart = {figure: answer.difference(figure) for figure in FIGURES}
+    apart = {figure: answer.difference(figure) for figure in answer.figures}
     return {
         "answer": headline(answer),
         "a": _side_json(answer, answer.a),
@@ -174,6 +181,6 @@ def _side_json(answer: Comparison, side: Side) -> Json:
         "deadline": choices.deadline,
         "plan_for": plan.plan_for,
         "settings": plan.settings,
-        "mean": {figure: answer.mean(side, figure) for figure in FIGURES},
+        "mean": {figure: answer.mean(side, figure) for figure in answer.figures_of(side)},
         "exact": exact,
     }

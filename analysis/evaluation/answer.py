@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.evaluation.expected import Expected, Known, Limits
-from analysis.evaluation.figures import Coverage, Figures, Losses, home_counts, last_shown
+from analysis.evaluation.figures import Coverage, Figures, Losses, last_shown
 from analysis.evaluation.outputs.output import Blocks, Output
 from analysis.evaluation.rest import Rest, rest_of
 from analysis.kit.frames import frame_of
 from analysis.kit.words import bearing_words
 from analysis.report.answer import Answer
-from analysis.sampling import RolloutChoices, make_singles
+from analysis.sampling import RolloutChoices, home_of, make_singles
 from analysis.statistics.control import Controlled, of_tally
 from analysis.statistics.coverage import Amount
 from analysis.statistics.estimate import Estimate, exactly
@@ -110,7 +110,7 @@ class Evaluation(Answer):
     def figures(self) -> Figures:
         """What the rollouts come to, or all that can happen."""
         longest = longest_run(self.world, self.plan, self.loop)
-        sampled = Figures.of(self.tally, self.certain, longest, home_counts(self.plan, self.tally, self.loop))
+        sampled = Figures.of(self.tally, self.certain, longest, home_of(self.plan, self.tally, self.loop))
         return sampled.with_tree(self.closed.tree) if isinstance(self.closed, TreeTruth) else sampled
 
     @cached_property

@@ -12,7 +12,7 @@ from analysis.evaluation.outputs.output import Output, Run
 from analysis.evaluation.outputs.table import OUTPUTS
 from analysis.first_answer import first_answers
 from analysis.kit.notes import Doing, Progress, quiet
-from analysis.sampling import RolloutChoices, Stage, check_deadline, make_roll_out
+from analysis.sampling import RolloutChoices, Stage, check_deadline, knowing_deadline, make_roll_out
 from analysis.statistics.control import tally_mean
 from analysis.statistics.estimate import FIRST_LOOK, looks
 from analysis.theory.bounds import all_bounds
@@ -57,6 +57,7 @@ def evaluate(
     """
     choices = choices.timed(world.pace)
     check_deadline(plan, choices)
+    plan = knowing_deadline(world, plan, choices)
     if world.doubt is not None and choices.luck == "step":
         choices = replace(choices, mode="step")
     wanted = _wanted(choices, asked, world)

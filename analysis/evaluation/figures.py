@@ -297,13 +297,3 @@ class Figures:
 def last_shown(plan: Plan, loop: str, tally: Tally) -> int:
     """Where a time axis ends: the makespan; of a closed loop at least where 99.9 % of its rollouts have ended."""
     return plan.makespan if loop == "open" else max(plan.makespan, quantile(tally.time, ENDED))
-
-
-def home_counts(plan: Plan, tally: Tally, loop: str) -> NDArray[np.int64] | None:
-    """Rollouts by robots that are home at the end, int64 `[K + 1]`; None where that is not asked for.
-
-    In the open loop robots follow their paths: if these end at home, who is alive at the end is there.
-    """
-    if loop == "open":
-        return tally.alive if plan.ends_home else None
-    return tally.home if plan.comes_home else None

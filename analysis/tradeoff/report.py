@@ -22,7 +22,6 @@ from analysis.report.words import (
 from analysis.statistics.coverage import losses_said
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.rules import LANDMARKS, Setting
-from planner.arguments import argument
 from planner.files import Json
 from planner.shown import counted
 
@@ -130,10 +129,7 @@ def pick_lines(front: Front) -> list[str]:
     home = front.settings.return_to is not None
     if front.words and told:
         point = told[(len(told) - 1) // 2]
-        # `evaluate --deadline` cuts runs off: only the plan's robots know when to turn.
-        unknown = home and point.setting.deadline is not None and not front.plan_file
-        run = f"{argument('plan_out')} writes its plan" if unknown else f"run it: {command_of(front, point)}"
-        lines.append(run)
+        lines.append(f"run it: {command_of(front, point)}")
     if again is not None and again.setting.deadline is not None:
         end = again.setting.deadline
         then = "robots turn so as to be home by then" if home else "bring the team home then"

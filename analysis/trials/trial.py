@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.sampling import RolloutChoices, make_engine_for
+from analysis.sampling import RolloutChoices, knowing_deadline, make_engine_for
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.value import Worth
 from analysis.trials.exact_loop import tree_of
@@ -40,6 +40,8 @@ class Trial:
         loop: ClosedLoop | None = None,
     ) -> None:
         """`kept`: where all-pairs tables are kept. `loop`: in the place of the plan's. Raises InputError."""
+        if loop is None:
+            plan = knowing_deadline(world, plan, choices, nominal=False)
         self.world, self.plan, self.choices = world, plan, choices
         self.certain = choices.loop == "open" and is_certain(world, plan, "open")
         self._known: Known | None = None
