@@ -141,6 +141,13 @@ def read_npz(path: Path, most_bytes: int) -> dict[str, NDArray]:
     return _unpack(path, most_bytes, path)
 
 
+def npz_bytes(**arrays: Any) -> bytes:
+    """A NumPy archive, the same for the same arrays."""
+    out = io.BytesIO()
+    np.savez_compressed(out, **arrays)
+    return out.getvalue()
+
+
 def unpack_npz(data: bytes, most_bytes: int, source: str) -> dict[str, NDArray]:
     """`read_npz` of a file's bytes; `source` names them in errors."""
     return _unpack(io.BytesIO(data), most_bytes, source)

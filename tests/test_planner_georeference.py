@@ -13,7 +13,7 @@ import yaml
 from test_planner_rasters import tif
 
 import planner.worlds.markup
-from analysis.recording.contents import read_world, world_bytes
+from analysis.recording.contents import read_world
 from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.worlds.georeference import Georeference, around, reproject
 from planner.worlds.scenario import load_input
@@ -115,7 +115,7 @@ def test_files_keep_it(tmp_path: Path) -> None:
     world = World.create(np.zeros((2, 3)), georeference=place)
     world.save(tmp_path / "w.npz")
     assert load_world_file(tmp_path / "w.npz").georeference == place
-    assert read_world(world_bytes(world), "a log").georeference == place
+    assert read_world(world.to_bytes(), "a log").georeference == place
     assert world.sha256 == replace(world, georeference=None).sha256
     for name, value, words in (
         ("crs", np.array(3.0), "expected the text of a CRS"),

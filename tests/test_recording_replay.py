@@ -39,6 +39,7 @@ from analysis.recording.rollouts import read_outcomes, read_rollouts
 from analysis.recording.viewers import schemas
 from analysis.recording.viewers.topics import DATA_TOPICS
 from planner.errors import InputError
+from planner.files import npz_bytes
 from planner.mcap import LogMessage
 
 
@@ -304,7 +305,7 @@ def test_changed_picks_tallies_and_outcomes_are_found_with_all(good: Path, tmp_p
     assert "tally" in replay(bad, everything=True).difference
     cells = dict(np.load(io.BytesIO(log.attachment(contents.TALLY_CELLS))))
     cells["stops"][0] += 1
-    rewrite(good, bad, attachments={contents.TALLY_CELLS: contents.npz_bytes(**cells)})
+    rewrite(good, bad, attachments={contents.TALLY_CELLS: npz_bytes(**cells)})
     assert "tally" in replay(bad, everything=True).difference
 
     def edit(block: Any) -> None:
@@ -356,7 +357,7 @@ def test_a_changed_world_is_found(good: Path, tmp_path: Path) -> None:
         "cells": world_with(world, cell_size=1.0),
         "origin": world_with(world, origin=(10.0, -20.0, 0.0)),
     }.items():
-        rewrite(good, tmp_path / "bad.mcap", attachments={contents.WORLD: contents.world_bytes(changed)})
+        rewrite(good, tmp_path / "bad.mcap", attachments={contents.WORLD: changed.to_bytes()})
         found = replay(tmp_path / "bad.mcap")
         assert not found.identical, name
         assert ("plan for another map" if name == "threat" else "/map/threat") in found.difference

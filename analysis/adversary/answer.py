@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from analysis.removal.answer import Searched
+from analysis.removal.answer import Weighing
 from analysis.removal.threat import Gain, Threat, Turn
 from planner.worlds.world import World
 
@@ -23,7 +23,7 @@ class Placed:
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Attack(Searched):
+class Attack(Weighing):
     """The answer.
 
     Attributes:

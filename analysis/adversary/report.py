@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
 
 import numpy as np
@@ -15,7 +14,6 @@ from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
 from analysis.report.words import asked, luck_words, map_words, search_end, source_words
 from planner.files import Json
 from planner.shown import counted
-from planner.worlds.world import World
 
 SHOWN = 12
 """Cells in the table; the JSON object holds all."""
@@ -37,7 +35,7 @@ def report(attack: Attack) -> Report:
         picture=lambda: _maps(attack), parts=[Part("Cells", [_table(attack)], _footnotes(attack))],
         notes=attack.notes, settings=attack.settings.shown(attack.world.pace), pace=attack.world.pace,
         pictures={"attack.png": lambda: _maps(attack, 0), "hidden.png": lambda: _maps(attack, 1)},
-        files={"known.npz": lambda: _file(attack.known_world), "hidden.npz": lambda: _file(attack.hidden_world)},
+        files={"known.npz": attack.known_world.to_bytes, "hidden.npz": attack.hidden_world.to_bytes},
     )  # fmt: skip
 
 
@@ -122,13 +120,6 @@ def _footnotes(attack: Attack) -> list[str]:
         "from .. to: 95 % intervals, each by itself.",
         *(["bound: how much the bound for every strategy falls."] if attack.turn.picked.screen is not None else []),
     ]
-
-
-def _file(world: World) -> bytes:
-    """A world file."""
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **world.arrays())
-    return stream.getvalue()
 
 
 def _json(attack: Attack) -> Json:

@@ -15,7 +15,7 @@ from analysis.kit.notes import Progress
 from analysis.sampling import Exactness, RolloutChoices
 from planner.luck_names import LuckName
 from planner.rollouts.names import EngineName
-from planner.settings import Choices, Policy
+from planner.settings import SETTINGS, Choices, Policy, Settings
 from planner.worlds.starts import starts_of
 from planner.worlds.world import World
 
@@ -28,6 +28,17 @@ if TYPE_CHECKING:
 
 
 Answered = TypeVar("Answered", bound=Found)
+
+
+ROLLED = ("rollouts", "seed", "engine", "deadline", "luck", "exact")
+"""Arguments that say what is rolled out, as `RolloutChoices` names them."""
+
+
+def _chosen(world: World, first_visit: bool, **given: Any) -> tuple[Settings, RolloutChoices]:
+    """The settings and the rollouts among the arguments of a search. Raises InputError."""
+    check_world(world)
+    settings = settings_of(world, **{name: given.get(name) for name in SETTINGS if name != "deadline"})
+    return settings, RolloutChoices(first_only=first_visit, **{name: given[name] for name in ROLLED})
 
 
 def _ask(search: Callable[..., Answered], progress: Progress | bool | None, on_interrupt: OnInterrupt) -> Answered:
@@ -113,20 +124,11 @@ def front(
     from analysis.tradeoff.search import Ladders, find_front
 
     check_world(world)
-    goal, asked = make_goal(losses, target), (levels, density, risk, transit, max_steps)
-    robot: dict[str, Any] = {
-        "wear": wear,
-        "susceptibility": susceptibility,
-        "return_to": return_to,
-        "recharge": recharge,
-    }
-    settings = settings_of(world, range, *asked, **robot)
+    given, goal = locals(), make_goal(losses, target)
     ladders = Ladders(None if reserves is None else tuple(reserves), None if worths is None else tuple(worths))
     placed = np.asarray(starts_of(world, robots, starts))
     count = usual_rollouts(world, placed) if rollouts is None else rollouts
-    choices = RolloutChoices(
-        rollouts=count, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
-    )
+    settings, choices = _chosen(**given | {"rollouts": count})
 
     search = partial(find_front, world, placed, settings, choices, goal=goal, ladders=ladders)
     return _ask(search, progress, on_interrupt)
@@ -171,18 +173,7 @@ def starts(
     """
     from analysis.depots.search import find_starts, team_size
 
-    check_world(world)
-    asked = (levels, density, risk, transit, max_steps, policy, reserve, worth)
-    robot: dict[str, Any] = {
-        "wear": wear,
-        "susceptibility": susceptibility,
-        "return_to": return_to,
-        "recharge": recharge,
-    }
-    settings = settings_of(world, range, *asked, **robot)
-    choices = RolloutChoices(
-        rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
-    )
+    settings, choices = _chosen(**locals())
     size = team_size(world, robots)
 
     search = partial(find_starts, world, size, settings, choices, depot=depot, candidates=candidates)
@@ -230,18 +221,7 @@ def clear(
     """
     from analysis.removal.search import find_clearing
 
-    check_world(world)
-    asked = (levels, density, risk, transit, max_steps, policy, reserve, worth)
-    robot: dict[str, Any] = {
-        "wear": wear,
-        "susceptibility": susceptibility,
-        "return_to": return_to,
-        "recharge": recharge,
-    }
-    settings = settings_of(world, range, *asked, **robot)
-    choices = RolloutChoices(
-        rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
-    )
+    settings, choices = _chosen(**locals())
     placed = np.asarray(starts_of(world, robots, starts))
 
     search = partial(find_clearing, world, placed, settings, choices, count=count, remove=remove)
@@ -288,18 +268,7 @@ def attack(
     """
     from analysis.adversary.search import find_attack
 
-    check_world(world)
-    asked = (levels, density, risk, transit, max_steps, policy, reserve, worth)
-    robot: dict[str, Any] = {
-        "wear": wear,
-        "susceptibility": susceptibility,
-        "return_to": return_to,
-        "recharge": recharge,
-    }
-    settings = settings_of(world, range, *asked, **robot)
-    choices = RolloutChoices(
-        rollouts=rollouts, seed=seed, engine=engine, deadline=deadline, first_only=first_visit, luck=luck, exact=exact
-    )
+    settings, choices = _chosen(**locals())
     placed = np.asarray(starts_of(world, robots, starts))
 
     search = partial(find_attack, world, placed, settings, choices, count=count, p=p)

@@ -8,12 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.answer import Answer
-from analysis.sampling import RolloutChoices
+from analysis.report.searched import Searched
 from analysis.statistics.estimate import Estimate
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
-from planner.settings import Settings
 from planner.worlds.world import World
 
 
@@ -62,44 +60,28 @@ class Place:
         return " ".join(f"[{row}, {col}]" for row, col in places.tolist())
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Starts(Answer):
-    """The answer.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Starts(Searched):
+    """The answer; `words`: without the starts.
 
     Attributes:
-        world, settings: the map, and what plans are made with. depot: one place for all robots.
-        choices: what was rolled out: most rollouts of a place, seed, the step at which every mission ends.
+        depot: one place for all robots.
         places: looked at: depots in order of screening, or teams of starts and depots; then where the team stands.
         best: place of the best found, of the depots with `depot`.
         gain: how much more is covered (or of the value) from the best than from `here`, on fresh rollouts, a fraction.
-        candidates: cells that robots may start at. cells: accessible cells. engine: that rolled out; "": all is exact.
-        rolled: rollouts of all places. confirmed: `chosen` on fresh rollouts, ids from `choices.rollouts` on.
-        words: of the command `evaluate` for this input, without the starts; empty in Python.
-        partial: it was interrupted. notes: what a user should know.
+        candidates: cells that robots may start at. rolled: rollouts of all places.
+        confirmed: `chosen` on fresh rollouts, ids from `choices.rollouts` on.
     """
 
     listed = "candidates"
 
-    world: World
-    settings: Settings
     depot: bool
-    choices: RolloutChoices
     places: tuple[Place, ...]
     best: int
     candidates: NDArray[np.int64]
-    cells: int
-    engine: str
     rolled: int
     gain: Estimate | None = None
     confirmed: Place | None = None
-    words: tuple[str, ...] = ()
-    partial: bool = False
-    notes: tuple[str, ...] = ()
-
-    @property
-    def exact(self) -> bool:
-        """Whether nothing was rolled out."""
-        return not self.engine
 
     @property
     def covered(self) -> str:

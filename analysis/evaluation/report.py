@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING
 
 from analysis.evaluation import maps
 from analysis.evaluation.answer import Evaluation
@@ -32,9 +31,6 @@ from analysis.report.words import asked
 from analysis.statistics.coverage import losses_shown
 from analysis.trials.exact_loop import TreeTruth
 from planner.shown import counted
-
-if TYPE_CHECKING:
-    pass
 
 
 def report(evaluation: Evaluation, theory: bool = False) -> Report:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -14,7 +13,7 @@ from analysis.report.face import as_json
 from analysis.theory.bounds import Bounds
 from planner.arguments import is_whole
 from planner.errors import InputError
-from planner.files import Json, unpack_npz
+from planner.files import Json, npz_bytes, unpack_npz
 from planner.limits import MAX_PLAN_BYTES
 from planner.luck_names import LUCKS, LuckName
 from planner.plans.plan import Plan
@@ -83,18 +82,6 @@ def json_bytes(value: object) -> bytes:
     return json.dumps(value, allow_nan=False, indent=1, sort_keys=False).encode() + b"\n"
 
 
-def npz_bytes(**arrays: Any) -> bytes:
-    """A NumPy archive, the same for the same arrays."""
-    out = io.BytesIO()
-    np.savez_compressed(out, **arrays)
-    return out.getvalue()
-
-
-def world_bytes(world: World) -> bytes:
-    """The world file of SPEC section 9."""
-    return npz_bytes(**world.arrays())
-
-
 def plan_bytes(plan: Plan) -> bytes:
     """The plan file of SPEC section 9."""
     return json.dumps(plan.to_json(), separators=(",", ":")).encode() + b"\n"
@@ -140,7 +127,7 @@ def read_tally(text: bytes, cells: bytes, source: str) -> Tally:
 
 
 def read_world(data: bytes, source: str) -> World:
-    """The world of `world_bytes`. Raises InputError."""
+    """The world of a world file. Raises InputError."""
     where = f"{source} ({WORLD})"
     return world_of(unpack_npz(data, 8 * MAX_CELLS, where), where)
 

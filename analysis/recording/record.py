@@ -126,7 +126,7 @@ def _write(
     def write(message: Message) -> None:
         log.write(log.channel(message.topic, type_of(message.topic)), message.time, message.data)
 
-    log.attach(contents.WORLD, "application/octet-stream", contents.world_bytes(world))
+    log.attach(contents.WORLD, "application/octet-stream", world.to_bytes())
     log.attach(contents.PLAN, "application/json", contents.plan_bytes(plan))
     if request.scenario is not None:
         log.attach(contents.SCENARIO, "application/yaml", request.scenario)

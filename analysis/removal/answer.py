@@ -10,38 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.removal.threat import Gain, Threat, Turn, Weighed
-from analysis.report.answer import Answer
-from analysis.sampling import RolloutChoices
+from analysis.report.searched import Searched
 from analysis.theory.exact import coverage_gradient
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
-from planner.settings import Settings
 from planner.worlds.world import World
 
 Remove = Literal["areas", "sources"]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Searched(Answer):
-    """What the answers to both searches for threats hold.
-
-    Attributes:
-        world, starts, settings: the map, the team int64 `[K, 2]`, what plans are made with. choices: what was rolled
-            out: most rollouts of a threat, seed, the step at which every mission ends.
-        cells: accessible cells. engine: that rolled out; "": all is exact.
-        partial: it was interrupted. notes: what a user should know.
-    """
+class Weighing(Searched):
+    """What the answers to both searches for threats hold; `starts`: of the team, int64 `[K, 2]`."""
 
     listed = "threats"
 
-    world: World
     starts: NDArray[np.int64]
-    settings: Settings
-    choices: RolloutChoices
-    cells: int
-    engine: str
-    partial: bool = False
-    notes: tuple[str, ...] = ()
 
     @property
     def unit(self) -> str:
@@ -50,7 +34,7 @@ class Searched(Answer):
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Clearing(Searched):
+class Clearing(Weighing):
     """The answer to what to clear first.
 
     Attributes:

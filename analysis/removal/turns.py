@@ -67,7 +67,7 @@ class Search:
         self.room = min(most, max(FEWEST, TABLES // self.cells**2))
 
     def asked(self, world: World) -> dict[str, Any]:
-        """What an answer says of it (`answer.Searched`)."""
+        """What an answer says of it (`answer.Weighing`)."""
         engine = "" if self.exact else choose_engine(self.choices.engine).name
         return {"world": world, "starts": self.starts, "settings": self.settings, "choices": self.choices,
                 "cells": self.cells, "engine": engine}  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
 from functools import partial
 
@@ -47,7 +46,7 @@ def report(standing: Standing) -> Report:
                 [*_markdown(RANKS, map(_ranked, standing.entries)), "",
                  *_markdown(_columns(standing), _worlds(standing)), ""]),
             "suite.csv": lambda: csv_text(CSV, _lines(standing)),
-            **{f"worlds/{played.name}.npz": partial(_world_file, played.name) for played in standing.worlds},
+            **{f"worlds/{played.name}.npz": suite_world(played.name).to_bytes for played in standing.worlds},
         },
     )  # fmt: skip
 
@@ -140,9 +139,3 @@ def _json(standing: Standing) -> Json:
         "worlds": {played.name: _world_json(played) for played in standing.worlds},
         **json_end(standing),
     }  # fmt: skip
-
-
-def _world_file(name: str) -> bytes:
-    out = io.BytesIO()
-    np.savez_compressed(out, **suite_world(name).arrays())
-    return out.getvalue()

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
 from rich.table import Table
 
 from analysis.kit.folder import csv_text
@@ -199,6 +197,5 @@ def _file(key: str, row: Row) -> str:
 
 
 def _world_file(survey: Survey, row: Row) -> bytes:
-    world, out = survey_world(survey.choices, row.seed), io.BytesIO()
-    np.savez_compressed(out, **world.with_starts(survey_starts(world, row.robots)).arrays())
-    return out.getvalue()
+    world = survey_world(survey.choices, row.seed)
+    return world.with_starts(survey_starts(world, row.robots)).to_bytes()

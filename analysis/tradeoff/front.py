@@ -8,15 +8,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.answer import Answer
-from analysis.sampling import RolloutChoices
+from analysis.report.searched import Searched
 from analysis.statistics.estimate import Estimate
 from analysis.tradeoff.rules import NEXT_TO_NONE, Figures, Goal, Setting, efficient, knee
 from analysis.trials.measured import Measured
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan
 from planner.settings import Settings
-from planner.worlds.world import World
 
 
 @dataclass(frozen=True)
@@ -48,15 +46,12 @@ class Point:
         return Figures(self.least, self.most, self.time.mean)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Front(Answer):
-    """The answer.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Front(Searched):
+    """The answer; `words`: without the setting.
 
     Attributes:
-        world, starts, settings: the map, the team int64 `[K, 2]`, and the planner's other settings.
-        choices: what was rolled out: rollouts, seed, the step at which every mission ends.
-        goal: what to pick by. points: the settings looked at. cells: accessible cells. engine: that rolled out; "": all
-            is exact.
+        starts: of the team, int64 `[K, 2]`. goal: what to pick by. points: the settings looked at.
         pick: the place of the point that the goal picks; None: no goal, nothing is sure to keep it, or not all was
             looked at.
         confirmed: the pick on as many rollouts that had no part in the choice, ids from `rollouts` on. tried: so many
@@ -64,28 +59,18 @@ class Front(Answer):
             error of half the one before, so that the pick keeps it with 95 %.
         priced: without a goal: the settings that the headline speaks of on those other rollouts.
         plan_file: that the plan of the pick is written to; "" for none.
-        words: of the command `evaluate` for this input, without the setting; empty in Python.
-        partial: it was interrupted, and holds the settings that were done. notes: what a user should know.
     """
 
     listed = "points"
 
-    world: World
     starts: NDArray[np.int64]
-    settings: Settings
-    choices: RolloutChoices
     goal: Goal
     points: tuple[Point, ...]
-    cells: int
-    engine: str
     pick: int | None = None
     confirmed: Point | None = None
     tried: int = 0
     priced: tuple[Point, ...] = ()
     plan_file: str = ""
-    words: tuple[str, ...] = ()
-    partial: bool = False
-    notes: tuple[str, ...] = ()
 
     @cached_property
     def efficient(self) -> tuple[bool, ...]:

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from planner.arguments import Numbers, argument, exactly
 from planner.errors import MapError, WorldError
-from planner.files import atomic_write, check_file, read_csv_grid, read_npy, read_npz
+from planner.files import atomic_write, check_file, npz_bytes, read_csv_grid, read_npy, read_npz
 from planner.pace import TURNS, UNPACED, Pace, pace_of
 from planner.shown import html_of, text_of
 from planner.tolerance import exposure_of
@@ -293,7 +293,11 @@ class World:
     def save(self, path: str | Path) -> None:
         """Write the world file (`.npz`) of SPEC section 9, whole or not at all."""
         with atomic_write(Path(path), "wb") as out:
-            np.savez_compressed(out, **self.arrays())
+            out.write(self.to_bytes())
+
+    def to_bytes(self) -> bytes:
+        """The world file itself, the same for the same world."""
+        return npz_bytes(**self.arrays())
 
     def arrays(self) -> dict[str, Any]:
         """What the world file holds."""
