@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import FRACTION, argument
+from planner.arguments import FRACTION, argument, numbers_of
 from planner.errors import PlanError, StateError, UsageError
 from planner.files import read_json, why_no_file
 from planner.limits import MAX_PLAN_BYTES
@@ -289,7 +289,7 @@ def generate_world(
     share = 0.25 if ratio is None else ratio
     FRACTION.check("ratio", share)
     check_robots(robots)
-    chosen = PAPER_LEVELS if levels is None else _numbers(levels)
+    chosen = PAPER_LEVELS if levels is None else numbers_of("levels", levels, 'probabilities "0.04,0.08,..."')
     pattern = ThreatPattern(kind, 10 if areas is None else areas, chosen, seed or 0)
     check_pattern(pattern)
     notes: tuple[str, ...] = ()
@@ -307,13 +307,6 @@ def generate_world(
         placed, more = place_starts(world, robots)
         return world.with_starts(placed), notes + more
     return world, notes
-
-
-def _numbers(text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise UsageError(f"{argument('levels')} {text!r}", expected='probabilities "0.04,0.08,..."') from None
 
 
 def map_size(text: str) -> tuple[int, int]:

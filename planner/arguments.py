@@ -142,6 +142,14 @@ def check_word(
     raise error(argument(name, value), source=source, expected=expected, fix=did_you_mean(value, words))
 
 
+def numbers_of(name: str, text: str, expected: str) -> tuple[float, ...]:
+    """The numbers of "0.5,1,2". Raises UsageError, which names the argument."""
+    try:
+        return tuple(map(float, text.split(",")))
+    except ValueError:
+        raise UsageError(f"{argument(name)} {text!r}", expected=expected) from None
+
+
 def did_you_mean(given: object, words: Iterable[str]) -> str:
     """The fix for a word that is none of `words`: the one that is near it, "" if none is."""
     close = difflib.get_close_matches(str(given)[:60], words, n=1)

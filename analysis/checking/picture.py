@@ -8,15 +8,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator
 
 from analysis.checking.check_map import MapCheck
-from analysis.pictures.style import (
-    GRID,
-    INK,
-    WIDTH,
-    heading,
-    inches,
-    new_figure,
-    plain,
-)
+from analysis.pictures.style import GRID, INK, WIDTH, heading, inches, new_figure, plain
 from analysis.theory.formulas import FORMULAS, Direction
 from analysis.theory.verdicts import Check, Verdict
 from planner.shown import counted

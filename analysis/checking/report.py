@@ -169,12 +169,9 @@ def _findings(checked: MapCheck) -> list[str]:
     for check in checked.rows:
         if check.verdict is Verdict.FAILS:
             unit = "" if check.about.unit == "chance" else f" {check.about.unit}"
-            where = "nominal run" if check.loop == "nominal" else f"{check.loop} loop"
-            of = f"{check.meaning}, {where}" if check.meaning else where
-            title = f"{check.about.title[0].upper()}{check.about.title[1:]}"
             truth = shown(check.truth, 2 if unit else 4)
             said = f"{SAYS[check.about.direction]} {check.value:.4g}{unit}"
-            out.append(f"{title} ({of}) fails: it says {said}, the truth is {truth}.")
+            out.append(f"{check.named} fails: it says {said}, the truth is {truth}.")
     return [*out, *(f"{note[0].upper()}{note[1:]}." for note in checked.left_out)]
 
 

@@ -34,19 +34,26 @@ def deliver(
     """
     from analysis.kit.progress import show_progress
     from analysis.report.answer import report_of
-    from analysis.report.face import json_of, print_report, save_report
+    from analysis.report.face import save_report
 
     report, written = said or report_of(answer), list[Path]()
     if out is not None:
         with show_progress() as progress:
             progress.doing("pictures and page")
             written = save_report(report, out, command_line() if command is None else command)
+    show(report, as_json)
+    say([*notes, *(f"wrote {file}" for file in written)])
+    return INTERRUPTED if answer.partial else CHECK_FAILED if report.faults else DONE
+
+
+def show(report: Report, as_json: bool) -> None:
+    """Print a report as tables or as JSON."""
+    from analysis.report.face import json_of, print_report
+
     if as_json:
         print_json(json_of(report))
     else:
         print_report(report, output_console())
-    say([*notes, *(f"wrote {file}" for file in written)])
-    return INTERRUPTED if answer.partial else CHECK_FAILED if report.faults else DONE
 
 
 def print_json(content: object) -> None:

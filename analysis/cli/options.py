@@ -103,6 +103,11 @@ def verbatim(kind: Any, tokens: Sequence[Token]) -> str:
     return tokens[0].value
 
 
+def verbatims(kind: Any, tokens: Sequence[Token]) -> list[str]:
+    """The texts themselves, of an option that may be given more than once."""
+    return [token.value for token in tokens]
+
+
 def path(kind: Any, tokens: Sequence[Token]) -> Path:
     """A path; the empty one is refused."""
     if not tokens[0].value:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from analysis.cli.console import check_files, output_console
-from analysis.cli.deliver import CHECK_FAILED, DONE, INTERRUPTED, deliver, print_json
+from analysis.cli.console import check_files
+from analysis.cli.deliver import CHECK_FAILED, DONE, INTERRUPTED, deliver, show
 from analysis.cli.groups import PlanningToTheEnd, Team
 from analysis.cli.options import (
     OUTPUT,
@@ -27,18 +27,8 @@ from analysis.cli.options import (
 )
 from analysis.cli.recording_options import Recording
 from analysis.kit.notes import say
-from analysis.recording.names import (
-    SUFFIX,
-    check_name,
-    growing_name,
-    layout_name,
-    left_over,
-    state_name,
-)
+from analysis.recording.names import SUFFIX, check_name, growing_name, layout_name, left_over, state_name
 from planner.errors import InputError, UsageError
-
-if TYPE_CHECKING:
-    from analysis.report.blocks import Report
 
 File = Annotated[Path, Parameter(name="FILE", converter=path, help="A recording (.mcap).")]
 TIMELINE = Group("Timeline", sort_key=3)
@@ -183,7 +173,7 @@ def replay(
 
     with show_progress() as progress:
         found = replay_file(file, engine, everything=everything, progress=progress)
-    tell(replayed(found), as_json)
+    show(replayed(found), as_json)
     return DONE if found.identical else CHECK_FAILED
 
 
@@ -193,7 +183,7 @@ def inspect(file: File, /, *, events: Shown = "main", as_json: Json = False) -> 
     from analysis.recording.report import MOST_LINES, inspected
 
     most = {"main": MOST_LINES, "all": None, "none": 0}[events]
-    tell(inspected(inspect_file(file), most), as_json)
+    show(inspected(inspect_file(file), most), as_json)
     return DONE
 
 
@@ -216,19 +206,9 @@ def recover(
     check_name(target, SUFFIX)
     check_files(str(file), target, suffix=SUFFIX)
     found = recover_file(file, target)
-    tell(recovered(found), as_json)
+    show(recovered(found), as_json)
     say([f"wrote {target}"])
     return DONE if found.complete else CHECK_FAILED
-
-
-def tell(report: Report, as_json: bool) -> None:
-    """Print the answer."""
-    from analysis.report.face import print_report
-
-    if as_json:
-        print_json(report.json())
-    else:
-        print_report(report, output_console())
 
 
 def default_recovered(file: Path) -> Path:

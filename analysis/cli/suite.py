@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from analysis.cli.console import check_folder
 from analysis.cli.deliver import deliver
-from analysis.cli.options import Json, OutPath, Seed, Text, Whole, one_of, path
+from analysis.cli.options import Json, OutPath, Seed, Text, Whole, one_of, path, verbatims
 from planner.errors import UsageError
 
 ROLLOUTS = 1000
@@ -19,9 +19,7 @@ def suite(
     *,
     policy: Annotated[Path | None, Parameter(converter=path)] = None,
     actions: Annotated[Literal["moves", "areas"], Parameter(converter=one_of("moves", "areas"))] = "moves",
-    plans: Annotated[
-        list[str] | None, Parameter(converter=lambda kind, tokens: [t.value for t in tokens], negative="")
-    ] = None,
+    plans: Annotated[list[str] | None, Parameter(converter=verbatims, negative="")] = None,
     only: Text = None,
     rollouts: Whole = None,
     seed: Seed = None,

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from analysis.cli.console import check_files, check_folder
 from analysis.cli.deliver import deliver
-from analysis.cli.options import OUTPUT, Json, Number, OutPath, Text, Whole, one_of, path
+from analysis.cli.options import OUTPUT, Json, Number, OutPath, Text, Whole, one_of, path, verbatims
 from analysis.kit.notes import say
 from planner.errors import UsageError
 from planner.shown import counted
@@ -62,15 +62,13 @@ def results(
     store: Annotated[Path, Parameter(name="STORE", converter=path)],
     /,
     *,
-    where: Annotated[list[str] | None, Parameter(converter=lambda kind, tokens: [t.value for t in tokens])] = None,
+    where: Annotated[list[str] | None, Parameter(converter=verbatims)] = None,
     by: Text = None,
     figure: Annotated[Figure, Parameter(converter=one_of(*get_args(Figure)))] = "visited",
     plot: OutPath = None,
     csv: OutPath = None,
     parquet: OutPath = None,
-    merge: Annotated[
-        list[Path] | None, Parameter(converter=lambda kind, tokens: [Path(t.value) for t in tokens], group=OUTPUT)
-    ] = None,
+    merge: Annotated[list[str] | None, Parameter(converter=verbatims, group=OUTPUT)] = None,
     as_json: Json = False,
 ) -> int:
     """What a store holds: table, filter, picture, export, and union with other stores.
@@ -96,7 +94,7 @@ def results(
     if by is not None and not names:
         raise UsageError(f"--by {by!r}", expected='names of labels, "robots,kind"')
     if merge:
-        _merge(store, merge)
+        _merge(store, list(map(Path, merge)))
     with Store.open(store, write=False) as opened:
         found = collect(opened, wanted, names)
         for file, write in ((csv, write_csv), (parquet, write_parquet)):

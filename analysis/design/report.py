@@ -88,11 +88,8 @@ def _aim(size: TeamSize) -> str:
 
 
 def _by(size: TeamSize) -> str:
-    return (
-        ""
-        if size.choices.deadline is None
-        else f" by step {size.choices.deadline}{size.world.pace.also(size.choices.deadline)}"
-    )
+    end = size.choices.deadline
+    return "" if end is None else f" by step {end}{size.world.pace.also(end)}"
 
 
 def _share(size: TeamSize) -> str:
@@ -189,18 +186,8 @@ def _title(size: TeamSize) -> str:
 def _table(size: TeamSize) -> Table:
     value = ["value"] * (size.world.value is not None)
     pace, minutes = size.world.pace, ["minutes"] * bool(size.world.pace)
-    names = (
-        "robots",
-        size.goal.meaning,
-        "interval",
-        "chance",
-        "interval",
-        *value,
-        "time",
-        *minutes,
-        "alive",
-        "verdict",
-    )
+    figures = (size.goal.meaning, "interval", "chance", "interval")
+    names = ("robots", *figures, *value, "time", *minutes, "alive", "verdict")
     table = make_table(names, left=("verdict",), dropped=("time", "alive"), padding=(0, 1, 0, 0))
     ruled_out = [point for point in size.points if point.verdict is TeamVerdict.IMPOSSIBLE]
     if ruled_out:
@@ -223,19 +210,18 @@ def _footnotes(size: TeamSize) -> list[str]:
     figure = "coverage" if size.goal.confidence is None else "chance"
     rolled = [point.rollouts for point in size.points if point.rollouts]
     lines = []
-    if any(point.coverage for point in size.points) and not rolled:
+    if any(point.coverage for point in size.points):
+        both = "both in %, with 95 % intervals" if rolled else "both in %"
         lines.append(
-            f"{size.goal.meaning}: expected coverage; chance: of {_share(size)}; both in %. time: steps; alive: "
-            "robots at the end."
+            f"{size.goal.meaning}: expected coverage; chance: of {_share(size)}; {both}. time: steps; alive: robots at "
+            "the end."
         )
     if rolled:
         often = f"{min(rolled):,} to {max(rolled):,}" if min(rolled) < max(rolled) else f"{rolled[0]:,}"
-        lines += [
-            f"{size.goal.meaning}: expected coverage; chance: of {_share(size)}; both in %, with 95 % intervals. time: "
-            "steps; alive: robots at the end.",
+        lines.append(
             f"{often} rollouts a team. The verdicts are on the {figure}, and hold together "
-            f"with {100 * (1 - ALPHA):g} % confidence.",
-        ]
+            f"with {100 * (1 - ALPHA):g} % confidence."
+        )
     if size.of(TeamVerdict.UNDECIDED) and size.choices.precision is None and not size.partial:
         lines.append(f"undecided: more than {argument('rollouts', size.choices.rollouts)} may tell.")
     if size.of(TeamVerdict.IMPOSSIBLE):

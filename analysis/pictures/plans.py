@@ -91,11 +91,9 @@ def _draw_plan(axes: Axes, plan: Plan, points: float) -> None:
 
 
 def _how_long(world: World, plan: Plan | None) -> str:
-    return (
-        ""
-        if plan is None
-        else f"; {plan.origin + ', ' if plan.is_foreign else ''}makespan {world.pace.steps(plan.makespan)}"
-    )
+    if plan is None:
+        return ""
+    return f"; {plan.origin + ', ' if plan.is_foreign else ''}makespan {world.pace.steps(plan.makespan)}"
 
 
 def _area_numbers(plan: Plan) -> NDArray[np.int64]:

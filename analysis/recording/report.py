@@ -39,17 +39,8 @@ def report(done: Recorded) -> Report:
 
 def _rollouts_table(done: Recorded) -> Table:
     cells, pace = done.tally.accessible, done.pace
-    columns = (
-        "rollout",
-        "picked as",
-        "ends",
-        "step",
-        *["minutes"] * bool(pace),
-        "visited, %",
-        "survived, %",
-        "alive",
-        "events",
-    )
+    of, figures = ("rollout", "picked as", "ends", "step"), ("visited, %", "survived, %", "alive", "events")
+    columns = (*of, *["minutes"] * bool(pace), *figures)
     table = make_table(columns, left=("picked as", "ends"), dropped=("events", "survived, %"))
     for row in done.rows:
         ends = "all lost" if row.outcome == "stopped" else row.outcome.replace("_", " ")

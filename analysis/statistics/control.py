@@ -17,15 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainc, gammaincc
 
-from analysis.statistics.estimate import (
-    FIRST_LOOK,
-    RARE,
-    Estimate,
-    Sample,
-    mean_estimate,
-    proportion,
-    sample_of,
-)
+from analysis.statistics.estimate import FIRST_LOOK, RARE, Estimate, Sample, mean_estimate, proportion, sample_of
 from planner.rollouts.by_luck import CLASSES_A_NAT, COLUMNS
 from planner.tally import Outcome, Tally
 

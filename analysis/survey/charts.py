@@ -6,7 +6,7 @@ import numpy as np
 
 from analysis.page.series import Chart, Series
 from analysis.statistics.estimate import Estimate, over_maps
-from analysis.survey.survey import Survey, check_name
+from analysis.survey.survey import Survey
 
 DRAWN = {
     "eq7_team/visited/closed": "ideal of one robot, eq. (7)",
@@ -23,7 +23,7 @@ def failing(survey: Survey) -> Chart:
     series = []
     for most in survey.failing.values():
         rows = [row for row in survey.rows if row.check.key == most.check.key]
-        series.append(Series.of(check_name(most.check), [row.robots for row in rows], [row.fails for row in rows]))
+        series.append(Series.of(most.check.named, [row.robots for row in rows], [row.fails for row in rows]))
     return Chart(
         title="How often the paper's formulas fail",
         series=tuple(series),

@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING
 
 from rich.table import Table
 
+from analysis.checking.as_json import check_head, check_row
 from analysis.kit.folder import csv_text
 from analysis.kit.tables import make_table
 from analysis.page.series import Chart
+from analysis.report.answer import json_end
 from analysis.report.blocks import KeyFigure, Part, Report
 from analysis.statistics.intervals import ALPHA
-from analysis.survey.as_json import survey_json
-from analysis.survey.survey import Row, Survey, check_name, survey_starts, survey_world
+from analysis.survey.survey import Row, Survey, survey_starts, survey_world
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.verdicts import Verdict
+from planner.files import Json
 from planner.shown import counted
 
 if TYPE_CHECKING:
@@ -32,7 +34,7 @@ def report(survey: Survey) -> Report:
     said = headline(survey)
     return Report(
         "survey", "check --worlds", f"{survey.said}: which formulas hold?", said,
-        lambda: {"answer": said} | survey_json(survey),
+        lambda: _json(survey, said),
         findings=_findings(survey), figures=_key_figures(survey), heading=_heading(survey),
         parts=(
             Part("Over the size of the team", drawn=lambda: _charts(survey)),
@@ -156,10 +158,45 @@ def _findings(survey: Survey) -> list[str]:
         check = row.check
         digits, unit = (4, "") if check.about.unit == "chance" else (1, f" {check.about.unit}")
         out.append(
-            f"{check_name(check)}: worst on the world of seed {row.seed} with {counted(row.robots, 'robot')}, where it "
+            f"{check.named}: worst on the world of seed {row.seed} with {counted(row.robots, 'robot')}, where it "
             f"says {check.value:.{digits}f} and the truth is {check.truth.value:.{digits}f}{unit} ({_file(key, row)})."
         )
     return out or ["Nothing fails on any of these worlds."]
+
+
+def _json(survey: Survey, said: str) -> Json:
+    choices = survey.choices
+    return {
+        "answer": said,
+        "worlds": survey.worlds,
+        "kind": choices.kind,
+        "size": [choices.height, choices.width],
+        "robots": list(choices.teams),
+        "seed": survey.rollouts.seed,
+        "rollouts": survey.rollouts.rollouts,
+        "doubt": ALPHA / choices.figures,
+        "rows": [_row_json(row) for row in survey.rows],
+        "worst": {key: {"seed": row.seed, "robots": row.robots} for key, row in survey.worst_failures().items()},
+        "faults": [{"seed": seed, "robots": robots, **check_row(check)} for seed, robots, check in survey.faults],
+        "seconds": survey.seconds,
+        **json_end(survey),
+    }
+
+
+def _row_json(row: Row) -> Json:
+    return check_head(row.check) | {
+        "robots": row.robots,
+        "worlds": row.worlds,
+        **{str(verdict): count for verdict, count in row.verdicts.items()},
+        "fails_fraction": {"mean": row.fails.mean, "ci95": list(row.fails.ci95)},
+        "worst": {
+            "seed": row.seed,
+            "margin": row.check.margin,
+            "value": row.check.value,
+            "truth": row.check.truth.value,
+        },
+        "median_tightness": row.tightness,
+    }
 
 
 def _csv(survey: Survey) -> str:

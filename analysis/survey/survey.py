@@ -144,7 +144,6 @@ class Survey(Answer):
     def grouped(self) -> Iterator[tuple[str, int, list[tuple[int, Check]]]]:
         """(key, robots, [(seed, check)]) in the order of tables."""
         groups: dict[tuple[str, int], list[tuple[int, Check]]] = {}
-        keys: list[str] = []
         for entry in self.entries:
             for check in entry.checks:
                 groups.setdefault((check.key, entry.robots), []).append((entry.seed, check))
@@ -169,9 +168,8 @@ class Survey(Answer):
 
 def make_row(robots: int, found: list[tuple[int, Check]]) -> Row:
     """The row of [(seed, check)] of one key and one size of team; the worst is a failure if there is one."""
-    order = list(Verdict)
     seed, worst = min(found, key=lambda one: (one[1].verdict is not Verdict.FAILS, one[1].margin, one[0]))
-    verdicts = {verdict: sum(check.verdict is verdict for _, check in found) for verdict in order}
+    verdicts = {verdict: sum(check.verdict is verdict for _, check in found) for verdict in Verdict}
     tight = [check.tightness for _, check in found if check.tightness is not None]
     fails = proportion(verdicts[Verdict.FAILS], len(found))
     return Row(worst, seed, robots, len(found), verdicts, float(np.median(tight)) if tight else None, fails)
@@ -275,9 +273,3 @@ def _looked_at(
         return
     with Pool(task, count, name=lambda seed: f"world {seed}") as pool:
         yield (found for _, found in pool.run(seeds))
-
-
-def check_name(check: Check) -> str:
-    """A formula with its meaning and loop, to begin a sentence with."""
-    of = f"{check.meaning}, {check.loop} loop" if check.meaning else f"{check.loop} loop"
-    return f"{check.about.title[0].upper()}{check.about.title[1:]} ({of})"

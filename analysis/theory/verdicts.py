@@ -70,6 +70,13 @@ class Check:
         return "/".join(part for part in (self.formula, self.meaning, self.loop) if part)
 
     @property
+    def named(self) -> str:
+        """The formula with its meaning and loop, to begin a sentence with."""
+        run = "nominal run" if self.loop == "nominal" else f"{self.loop} loop"
+        of = f"{self.meaning}, {run}" if self.meaning else run
+        return f"{self.about.title[0].upper()}{self.about.title[1:]} ({of})"
+
+    @property
     def tightness(self) -> float | None:
         """Value over truth: 1 is tight; None where the truth is 0."""
         return self.value / self.truth.value if self.truth.value else None

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from analysis.statistics.coverage import TARGETS
 from analysis.statistics.words import meant_fraction
-from planner.arguments import Numbers, argument, exactly
+from planner.arguments import Numbers, argument, exactly, numbers_of
 from planner.errors import UsageError
 from planner.pace import UNPACED, Pace
 from planner.worlds.world import World
@@ -186,7 +186,4 @@ def parse_numbers(name: str, text: str | None) -> tuple[float, ...] | None:
     """The numbers of "5,10,20"; "" for none of them; None stays None. Raises UsageError naming the option."""
     if text is None:
         return None
-    try:
-        return tuple(float(part) for part in text.split(",")) if text.strip() else ()
-    except ValueError:
-        raise UsageError(f"--{name} {text!r}", expected='numbers, as "5,10,20"') from None
+    return numbers_of(name, text, 'numbers, as "5,10,20"') if text.strip() else ()

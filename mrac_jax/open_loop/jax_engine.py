@@ -20,12 +20,7 @@ from mrac_jax.arrays import Array, on_host
 from mrac_jax.caches import keep_jax_programs
 from mrac_jax.doubt import exposure_in_doubt
 from mrac_jax.open_loop.joint_events import count_events, unite, weigh
-from mrac_jax.open_loop.padding import (
-    ENTRIES_A_STEP,
-    PaddedDraws,
-    PaddedTables,
-    pad_tables,
-)
+from mrac_jax.open_loop.padding import ENTRIES_A_STEP, PaddedDraws, PaddedTables, pad_tables
 from mrac_jax.threefry import threefry2x32
 from mrac_jax.two_words import is_reached, less, two_words
 from planner.arguments import argument

@@ -22,7 +22,7 @@ from analysis.statistics.estimate import Estimate
 from analysis.trials.measured import Measured, Sampled
 from analysis.trials.told import only, told_of_drawn, with_eyes
 from analysis.trials.trial import alike
-from planner.arguments import argument
+from planner.arguments import argument, numbers_of
 from planner.errors import UsageError
 from planner.files import Json
 from planner.plans.plan import Plan
@@ -38,11 +38,7 @@ LEAST = 1024
 
 def parse_ranges(text: str | None) -> tuple[float, ...]:
     """The ranges of "0,1,2,inf"; raises UsageError for what is no such list."""
-    expected = 'ranges in cells, such as "0,1,2,inf"'
-    try:
-        found = tuple(map(float, text.split(","))) if text else ()
-    except ValueError:
-        raise UsageError(f"{argument('sense')} {text!r}", expected=expected) from None
+    found = numbers_of("sense", text, 'ranges in cells, such as "0,1,2,inf"') if text else ()
     if len(found) > MOST_RANGES:
         raise UsageError(f"{argument('sense')} has {len(found)} ranges", expected=f"{MOST_RANGES} at most")
     for one in found:

@@ -20,7 +20,7 @@ from analysis.kit.tables import make_table
 from analysis.kit.words import share
 from analysis.sampling import make_roll_out
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
-from planner.arguments import argument, is_real
+from planner.arguments import argument, is_real, numbers_of
 from planner.errors import UsageError
 from planner.files import Json
 from planner.plans.plan import is_certain
@@ -36,10 +36,7 @@ def parse_scales(text: str | None) -> tuple[float, ...]:
     if text is None:
         return ()
     expected = 'numbers, 0 or above, as "0.5,1,2"'
-    try:
-        scales = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise UsageError(f"{argument('threat_scale')} {text!r}", expected=expected) from None
+    scales = numbers_of("threat_scale", text, expected)
     if len(scales) > MOST_SCALES:
         raise UsageError(f"{argument('threat_scale')} has {len(scales)} scales", expected=f"{MOST_SCALES} at most")
     if not all(0 <= scale < float("inf") for scale in scales):

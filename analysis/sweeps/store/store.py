@@ -18,15 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from analysis.sweeps.cases import Label, canonical
-from analysis.sweeps.store.file import (
-    StoreError,
-    checksum,
-    damaged,
-    open_file,
-    open_memory,
-    told,
-    transaction,
-)
+from analysis.sweeps.store.file import StoreError, checksum, damaged, open_file, open_memory, told, transaction
 from analysis.sweeps.store.packed import add_sums, pack, sums_of, unpack
 from analysis.sweeps.store.ranges import Ranges, joined, without
 from analysis.sweeps.store.salvage import rows_of
