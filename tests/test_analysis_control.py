@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import FOLDER
 from numpy.typing import NDArray
+from scipy import stats
 
 from analysis.cli.app import run
 from analysis.comparison.compare import compare, make_side
@@ -16,10 +17,9 @@ from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
 from analysis.statistics.control import (
     LEAST,
-    POWERS,
     complete_chance,
     controlled,
-    expected_powers,
+    expected_pieces,
     of_tally,
     tally_mean,
 )
@@ -43,15 +43,20 @@ def engine_of(world: World, robots: int, policy: str = "mrac", seed: int = 0) ->
     return make_engine(plan, world, Rolling(seed=seed, luck="tolerance"), "numba")
 
 
+def broken(total: NDArray[np.float64], robots: int) -> NDArray[np.float64]:
+    """`[n, 6]`, luck in half classes and beyond the 2.3, 16, 50, 84, 98 % points of the total, to a half class."""
+    bends = [round(16 * (stats.gamma.ppf(stats.norm.cdf(at), robots) - robots)) for at in (-2, -1, 0, 1, 2)]
+    luck = 16 * (total - robots)
+    return np.stack([luck, *(np.maximum(luck - bend, 0) for bend in bends)], axis=1)
+
+
 def fitted(y: NDArray, total: NDArray[np.float64], robots: int) -> tuple[float, float, float]:
-    """Least squares over rollouts: what y is where all powers of the total are as expected, with its standard error;
+    """Least squares over rollouts: what y is where all pieces of the line are as expected, with its standard error;
     the residual variance."""
-    standard = (total - robots) / np.sqrt(robots)
-    known = expected_powers(robots)
-    powers = np.stack([np.ones(len(y)), *(standard**power - known[power - 1] for power in POWERS)], axis=1)
-    found, residual, *_ = np.linalg.lstsq(powers, y, rcond=None)
-    variance = float(residual[0]) / (len(y) - len(POWERS) - 1)
-    return float(found[0]), float(np.sqrt(variance * np.linalg.inv(powers.T @ powers)[0, 0])), variance
+    pieces = np.column_stack([np.ones(len(y)), broken(total, robots) - expected_pieces(robots)])
+    found, residual, *_ = np.linalg.lstsq(pieces, y, rcond=None)
+    variance = float(residual[0]) / (len(y) - pieces.shape[1])
+    return float(found[0]), float(np.sqrt(variance * np.linalg.inv(pieces.T @ pieces)[0, 0])), variance
 
 
 def test_classes_are_of_the_tolerances() -> None:
@@ -63,11 +68,15 @@ def test_classes_are_of_the_tolerances() -> None:
 def test_what_is_expected_of_a_class_is_what_is_met(robots: int) -> None:
     """Of 100,000 teams, within 5 standard errors; and close to what is known of the total itself."""
     middle = (luck_classes(1, 0, 100_000, robots) + 0.5) / CLASSES_A_NAT
-    standard, known = (middle - robots) / np.sqrt(robots), expected_powers(robots)
-    for power, expected in zip(POWERS, known, strict=True):
-        met = standard**power
-        assert abs(met.mean() - expected) <= 5 * met.std() / np.sqrt(len(met))
-    assert known == pytest.approx([0.0, 1.0, 2 / np.sqrt(robots)], abs=0.005)
+    met, known = broken(middle, robots), expected_pieces(robots)
+    assert (abs(met.mean(axis=0) - known) <= 5 * met.std(axis=0) / np.sqrt(len(met))).all()
+    assert known[0] == pytest.approx(0.0, abs=0.021) and known[3] == pytest.approx(16 * above_median(robots), rel=0.02)
+
+
+def above_median(robots: int) -> float:
+    """E[max(S - median, 0)] of a Gamma variable, from tables: the mean above a point has shape K + 1."""
+    median = stats.gamma.ppf(0.5, robots)
+    return float(robots * stats.gamma.sf(median, robots + 1) - median / 2)
 
 
 def test_sums_are_those_of_the_rollouts_however_they_are_shared_out() -> None:
@@ -92,21 +101,21 @@ def test_means_and_errors_are_the_regression_s() -> None:
         assert found.mean == pytest.approx(mean, rel=1e-9)
         assert found.sample.se == pytest.approx(error, rel=1e-7)  # with that of the slopes
         assert found.gain == pytest.approx((y.var(ddof=1) / 2048) / found.sample.se**2)
-        line = sum(weight * total**power for weight, power in zip(found.weights, POWERS, strict=True))
-        assert np.var(y - line) == pytest.approx(variance, rel=0.01)
+        steeper = np.diff(found.weights, prepend=0.0) / 16
+        assert np.var(y - broken(total, 8) @ steeper) == pytest.approx(variance, rel=0.01)
     lost, alive = tally_mean(tally, "lost"), tally_mean(tally, "alive")
     assert lost.mean == 8 - alive.mean and lost.ci95 == (8 - alive.ci95[1], 8 - alive.ci95[0])
 
 
 def test_a_figure_that_the_luck_tells_is_known() -> None:
     """y = 16 S + 1 of teams of four, by class: its mean is 65, whatever teams the rollouts happened to have."""
-    classes = np.array([20, 28, 36, 44, 52, 60])
-    by_class, y = np.zeros(64, dtype=np.int64), 2 * np.arange(64) + 2
-    by_class[classes] = [300, 200, 200, 150, 150, 100]
+    classes = np.array([4, 12, 20, 28, 36, 44, 52, 60, 80, 90])
+    by_class, y = np.zeros(96, dtype=np.int64), 2 * np.arange(96) + 2
+    by_class[classes] = [30, 50, 300, 200, 200, 150, 150, 100, 10, 20]
     found = controlled(by_class, (by_class * y).astype(float), sample_of(y, by_class), 4)
     assert found.mean == pytest.approx(16 * 4 + 1, abs=16 * 0.005) and found.gain > 1e9
-    assert found.weights == pytest.approx((16, 0, 0), abs=1e-9)
-    alike = controlled(by_class, 5.0 * by_class, sample_of(np.array([5]), np.array([1100])), 4)
+    assert found.weights == pytest.approx((16,) * 6, abs=1e-9)
+    alike = controlled(by_class, 5.0 * by_class, sample_of(np.array([5]), np.array([1210])), 4)
     assert (alike.mean, alike.gain, alike.sample.se) == (5, 1, 0)
 
 
@@ -168,7 +177,7 @@ def test_evaluate_goes_by_it(capsys: pytest.CaptureFixture[str]) -> None:
         found.append(json.loads(capsys.readouterr().out))
     plain, sharper = found
     assert plain["control"] is None
-    assert sharper["control"]["gain"]["visited"] > 10 and len(sharper["control"]["weights"]["visited"]) == 3
+    assert sharper["control"]["gain"]["visited"] > 10 and len(sharper["control"]["weights"]["visited"]) == 6
     assert sharper["rollouts"] * 4 <= plain["rollouts"]
     (low, high), (least, most) = (answer["coverage"]["visited"]["ci95"] for answer in found)
     assert (most - least) / 2 <= 0.002 and low < most and least < high

@@ -13,7 +13,7 @@ from analysis.cli.app import run
 from analysis.reproduction import reproduce as reproduction
 from analysis.reproduction.points import put_right
 from analysis.reproduction.reproduce import SETTINGS, Reproduction, Setting, reproduce
-from analysis.statistics.control import POWERS, expected_powers
+from analysis.statistics.control import expected_pieces, pieces
 from analysis.statistics.estimate import over_maps
 from analysis.sweeps.engine import run_cases
 from analysis.sweeps.store.store import Store
@@ -60,15 +60,15 @@ def test_maps_are_put_right_by_what_all_of_them_tell_of_luck() -> None:
     """Least squares over the single rollouts of all maps, with a level for each map, gives the same means."""
     [setting, _], maps, rollouts = SETTINGS["fig4"], 6, 300
     point = reproduce("fig4", maps=maps, rollouts=rollouts, processes=1).points[setting]
-    y, powers = [], []
+    y, luck = [], []
     for seed in range(maps):
         world = random_world(20, 20, ThreatPattern("contiguous", seed=seed))
         loop = compile_closed_loop(make_plan(world, place_starts(world, setting.robots)[0]), world)
         y.append(run_range(loop, seed, 0, rollouts, singles=True)[1].visited / len(loop.cells))  # type: ignore[union-attr]
-        total = ((luck_classes(seed, 0, rollouts, setting.robots) + 0.5) / 8 - setting.robots) / setting.robots**0.5
-        powers.append(np.stack([total**power for power in POWERS], axis=1) - expected_powers(setting.robots))
+        met = pieces(luck_classes(seed, 0, rollouts, setting.robots), setting.robots)
+        luck.append(met - expected_pieces(setting.robots))
     levels = np.repeat(np.eye(maps), rollouts, axis=0)
-    found = np.linalg.lstsq(np.hstack([levels, np.concatenate(powers)]), np.concatenate(y), rcond=None)[0]
+    found = np.linalg.lstsq(np.hstack([levels, np.concatenate(luck)]), np.concatenate(y), rcond=None)[0]
     assert point.columns["mean", "closed", "visited"] == pytest.approx(found[:maps])
     raw = point.columns["run", "closed", "visited"]
     assert raw == pytest.approx(np.mean(y, axis=1)) and abs(raw - found[:maps]).max() > 0.001

@@ -17,7 +17,7 @@ import mrac_jax as mrac
 from analysis.cli import sweeps as commands
 from analysis.cli.app import run
 from analysis.sampling import RolloutChoices
-from analysis.statistics.control import POWERS, expected_powers
+from analysis.statistics.control import expected_pieces, pieces
 from analysis.sweeps import report, rows
 from analysis.sweeps.cases import Places
 from analysis.sweeps.engine import Done, Job, run_cases
@@ -136,22 +136,21 @@ def test_rows_are_put_right_by_what_all_maps_tell_of_luck(tmp_path: Path) -> Non
     levels, means = np.repeat(np.eye(6), 200, axis=0), []
     for row in answer.rows:
         robots, policy = int(row.labels["robots"] or 0), str(row.labels["policy"])
-        y, powers = [], []
+        y, luck = [], []
         for seed in range(6):
             world = random_world(7, 9, ThreatPattern(seed=seed), threats=0.2)
             plan = make_plan(world, place_starts(world, robots)[0], Settings(policy=policy))
             loop = compile_closed_loop(plan, world)
             y.append(run_range(loop, seed, 0, 200, singles=True)[1].visited / len(loop.cells))  # type: ignore[union-attr]
-            total = ((luck_classes(seed, 0, 200, robots) + 0.5) / 8 - robots) / robots**0.5
-            powers.append(np.stack([total**power for power in POWERS], axis=1) - expected_powers(robots))
-        fit = np.linalg.lstsq(np.hstack([levels, np.concatenate(powers)]), np.concatenate(y), rcond=None)[0]
+            luck.append(pieces(luck_classes(seed, 0, 200, robots), robots) - expected_pieces(robots))
+        fit = np.linalg.lstsq(np.hstack([levels, np.concatenate(luck)]), np.concatenate(y), rcond=None)[0]
         means.append(fit[:6])
         found, change = row.estimate("visited"), row.difference("visited")
         assert (found.mean, found.se) == pytest.approx((fit[:6].mean(), stats.sem(fit[:6])))
         assert abs(found.mean - np.mean(y)) > 1e-4 and change is not None
         apart = fit[:6] - means[0]
         assert (change.mean, change.se) == pytest.approx((apart.mean(), stats.sem(apart)), abs=1e-12)
-        left = np.concatenate(y) - np.hstack([levels, np.concatenate(powers)]) @ fit
+        left = np.concatenate(y) - np.hstack([levels, np.concatenate(luck)]) @ fit
         noise = (left.reshape(6, 200) ** 2).sum(axis=1).mean() / 199 / 200
         assert row.within_share == pytest.approx(min(1.0, noise / fit[:6].var(ddof=1)))
     ends = {tuple(sorted(row.labels.items())): row.estimate("visited").ci95 for row in answer.rows}

@@ -74,7 +74,7 @@ def to_json(evaluation: Evaluation) -> Json:
 
 
 def _control_json(evaluation: Evaluation) -> Json | None:
-    """By figure: how many times smaller the variance is, and the weights of S, S**2, S**3 (nat); None: no control."""
+    """By figure: how many times smaller the variance is, and what a nat of S weighs where; None: no control."""
     found = evaluation.control
     said = {"gain": {key: one.gain for key, one in found.items()}, "weights": {k: v.weights for k, v in found.items()}}
     return said if found else None

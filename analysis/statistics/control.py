@@ -2,9 +2,10 @@
 
 What a team covers goes with how much its robots bear together, S, and E[S] is known. So where the rollouts happened to
 be luckier than they should, their mean is taken down by what that luck is worth: `mean(y) - b (mean(g(S)) - E[g(S)])`,
-g = S, S**2, S**3, b by least squares (Glasserman, Monte Carlo Methods in Financial Engineering, section 4.1.2). S goes
-in by classes (`planner.rollouts.by_luck`), of which the expectation is that of classes too: nothing is lost but the
-little that S says within its class.
+b by least squares (Glasserman, Monte Carlo Methods in Financial Engineering, section 4.1.2). g are the pieces of a
+broken line with BENDS: coverage rises with S up to all there is and rises no more, which powers of S follow badly, and
+the few largest S would weigh most. S goes in by classes (`planner.rollouts.by_luck`), of which the expectation is that
+of classes too: nothing is lost but the little that S says within its class.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammainc, gammaincc
+from scipy.special import gammainc, gammaincc, gammaincinv, ndtr
 
 from analysis.statistics.estimate import FIRST_LOOK, RARE, Estimate, Sample, mean_estimate, proportion, sample_of
 from planner.rollouts.by_luck import CLASSES_A_NAT, COLUMNS
@@ -23,8 +24,13 @@ from planner.tally import Outcome, Tally
 
 LEAST = FIRST_LOOK
 """Rollouts below which intervals with the control are too narrow."""
-POWERS = (1, 2, 3)
-FITTED = 1 + len(POWERS)
+BENDS = (-2.0, -1.0, 0.0, 1.0, 2.0)
+"""Where the line bends: at the quantiles of S that a bell has so many standard deviations from its mean."""
+PIECES = 1 + len(BENDS)
+HALVES = 2 * CLASSES_A_NAT
+"""Half classes a nat: the middle of a class is a whole number of them."""
+NOTHING_NEW = 1e-11
+"""Share of the largest below which a spread is rounding: where no rollout lies beyond a bend, say."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +38,7 @@ class Controlled:
     """A mean with the control.
 
     Attributes:
-        mean: of one figure. sample: what its interval follows from. weights: b, of S, S**2 and S**3 in nat.
+        mean: of one figure. sample: what its interval follows from. weights: of a nat more of S, in each of PIECES.
         gain: variance of the mean without the control / with it.
     """
 
@@ -49,40 +55,47 @@ def controlled(by_class: NDArray[np.int64], sums: NDArray[np.float64], plain: Sa
     """
     held = np.flatnonzero(by_class)
     often, sums, n = by_class[held].astype(np.float64), sums[held], plain.n
-    luck = _powers(held, robots) - expected_powers(robots)
+    luck = pieces(held, robots) - expected_pieces(robots)
     off, mean = np.einsum("c,cp->p", often, luck) / n, float(sums.sum()) / n
     luck = luck - off
-    spread = np.einsum("c,cp,cq->pq", often, luck, luck)
+    inverse, rank = inverse_of(np.einsum("c,cp,cq->pq", often, luck, luck))
     along = np.einsum("c,cp->p", sums - mean * often, luck)
-    slope = np.linalg.solve(spread, along)
+    slope = inverse @ along
     left = max(plain.scatter - float((slope * along).sum()), 0.0)
-    left *= 1.0 + n * float((off * np.linalg.solve(spread, off)).sum())  # the slopes are not known exactly
+    left *= 1.0 + n * float(off @ inverse @ off)  # the slopes are not known exactly
     lean = plain.lean * (left / plain.scatter if plain.scatter > 0 else 0.0)  # so that rare events weigh as without
-    sample = replace(plain, scatter=left, lean=lean, fitted=FITTED)
+    sample = replace(plain, scatter=left, lean=lean, fitted=1 + rank)
     gain = 1.0 if plain.scatter == 0 else math.inf if left == 0 else (plain.se / sample.se) ** 2
-    return Controlled(mean - float((slope * off).sum()), sample, _in_nats(slope, robots), gain)
+    return Controlled(mean - float((slope * off).sum()), sample, tuple((HALVES * np.cumsum(slope)).tolist()), gain)
 
 
-def _powers(classes: NDArray[np.int64], robots: int) -> NDArray[np.float64]:
-    """`[C, 3]`, powers of the class's middle, in standard deviations from the mean."""
-    middle = ((classes + 0.5) / CLASSES_A_NAT - robots) / math.sqrt(robots)
-    return np.stack([middle**power for power in POWERS], axis=1)
+def pieces(classes: NDArray[np.int64], robots: int) -> NDArray[np.int64]:
+    """`[C, PIECES]`, whole half classes: how far the class's middle is from the mean, and how far beyond each bend."""
+    luck = 2 * classes + 1 - HALVES * robots
+    return np.column_stack([luck, np.maximum(luck[:, None] - np.array(_bends(robots)), 0)])
 
 
 @cache
-def expected_powers(robots: int) -> NDArray[np.float64]:
-    """E of `_powers`, `[3]`: S is a sum of so many Exp(1), a Gamma variable."""
+def _bends(robots: int) -> tuple[int, ...]:
+    """BENDS in half classes from the mean: S is a sum of so many Exp(1), a Gamma variable."""
+    return tuple(round(HALVES * (quantile - robots)) for quantile in gammaincinv(robots, ndtr(BENDS)).tolist())
+
+
+@cache
+def expected_pieces(robots: int) -> NDArray[np.float64]:
+    """E of `pieces`, `[PIECES]`."""
     classes = np.arange(math.ceil(CLASSES_A_NAT * (robots + 12 * math.sqrt(robots) + 40)))
     edges = np.arange(len(classes) + 1) / CLASSES_A_NAT
     below, above = gammainc(robots, edges), gammaincc(robots, edges)
     chance = np.where(edges[1:] < robots, np.diff(below), -np.diff(above))
-    return np.einsum("c,cp->p", chance, _powers(classes, robots))
+    return np.einsum("c,cp->p", chance, pieces(classes, robots))
 
 
-def _in_nats(slope: NDArray[np.float64], robots: int) -> tuple[float, ...]:
-    """The weights of S, S**2, S**3, of those of its standardized powers."""
-    scale, whole = 1 / math.sqrt(robots), np.polynomial.Polynomial([0.0, *slope.tolist()])
-    return tuple(whole(np.polynomial.Polynomial([-robots * scale, scale])).coef[1:].tolist())
+def inverse_of(spread: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+    """The inverse of a symmetric matrix as far as it has one (Moore & Penrose's), and its rank."""
+    values, axes = np.linalg.eigh(spread)
+    kept = values > NOTHING_NEW * values[-1]
+    return (axes[:, kept] / values[kept]) @ axes[:, kept].T, int(kept.sum())
 
 
 def of_tally(tally: Tally, figure: str) -> Controlled | None:

@@ -1,7 +1,7 @@
 """The control by total tolerance where no map alone has the rollouts for it: slopes that all maps tell together.
 
-A figure stands *beside* its luck: axis `L` = (figure, luck, luck**2, luck**3), luck in standard deviations of the total
-tolerance, less what is expected of it (`analysis.statistics.control`). The mean of a map's rollouts is one such vector,
+A figure stands *beside* its luck: axis `L` = (figure, pieces of its broken line by the total tolerance, less what is
+expected of them: `analysis.statistics.control`). The mean of a map's rollouts is one such vector,
 with the covariance of its error. For any b, `figure - luck b` has the figure's mean; the b that leaves least of the
 rollouts' noise in a mean over maps follows from the sum of these covariances, as each map's own mean tells nothing of
 it (analysis of covariance: Cochran, Biometrics 1957). What a map's own rollouts add to b bends its mean by a share of
@@ -11,35 +11,32 @@ interval is that of any means over maps.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.statistics.control import LEAST, POWERS, expected_powers
-from planner.rollouts.by_luck import CLASSES_A_NAT, COLUMNS
+from analysis.statistics.control import LEAST, PIECES, expected_pieces, inverse_of, pieces
+from planner.rollouts.by_luck import COLUMNS
 from planner.tally import Tally
 
-BESIDE = 1 + len(POWERS)
+BESIDE = 1 + PIECES
 FIGURES = COLUMNS[1:]
-HALVES = 2 * CLASSES_A_NAT
-"""The middle of a class is a whole number of half classes."""
+TRIANGLE = np.triu_indices(PIECES)
 
 
 def luck_sums(tally: Tally) -> list[int]:
-    """Whole numbers that add: rollouts, sums of u, ... u**6, and of each of FIGURES times u, u**2, u**3.
+    """Whole numbers that add: rollouts, sums of the pieces, of their products, and of each of FIGURES times each piece.
 
-    u is the middle of the class of the total tolerance less its mean, in half classes. Empty without sums by luck.
+    Of a block of rollouts, so that int64 holds them. Empty without sums by luck.
     """
     by_luck = tally.by_luck.reshape(-1, len(COLUMNS))
     held = np.flatnonzero(by_luck[:, 0])
     if not len(held):
         return []
-    often, *sums = by_luck[held].T.astype(object)  # whole numbers that do not overflow
-    powers = (2 * held + 1 - HALVES * tally.robots).astype(object)[:, None] ** np.arange(1, 2 * len(POWERS) + 1)
-    products = np.stack(sums) @ powers[:, : len(POWERS)]
-    return [int(each) for each in (often.sum(), *(often @ powers), *products.ravel())]
+    often, luck = by_luck[held, 0], pieces(held, tally.robots)
+    products, along = (often[:, None] * luck).T @ luck, by_luck[held, 1:].T @ luck
+    return np.concatenate([[often.sum()], often @ luck, products[TRIANGLE], along.ravel()]).tolist()
 
 
 def beside_luck(
@@ -58,14 +55,12 @@ def beside_luck(
     errors[:, 0, 0] = [(square * rollouts - total * total) / rollouts / pairs for total, square in figures]
     if not luck or luck[0] != rollouts:
         return means, errors
-    powers = np.arange(1, 2 * len(POWERS) + 1)
-    unit = (HALVES * math.sqrt(robots)) ** powers.astype(np.float64)
-    moments = np.array(luck[1 : 1 + len(powers)], dtype=np.float64) / unit
-    along = np.array(luck[1 + len(powers) :], dtype=np.float64).reshape(-1, len(POWERS)) / unit[: len(POWERS)]
-    met = moments[: len(POWERS)] / rollouts
-    means[:, 1:] = met - expected_powers(robots)
-    errors[:, 1:, 1:] = (moments[np.add.outer(POWERS, POWERS) - 1] - rollouts * np.outer(met, met)) / pairs
-    errors[:, 0, 1:] = errors[:, 1:, 0] = (along - means[:, :1] * rollouts * met) / pairs
+    sums, products, along = np.split(np.array(luck[1:], dtype=np.float64), [PIECES, PIECES + len(TRIANGLE[0])])
+    spread, met = np.zeros((PIECES, PIECES)), sums / rollouts
+    spread[TRIANGLE] = spread.T[TRIANGLE] = products
+    means[:, 1:] = met - expected_pieces(robots)
+    errors[:, 1:, 1:] = (spread - rollouts * np.outer(met, met)) / pairs
+    errors[:, 0, 1:] = errors[:, 1:, 0] = (along.reshape(-1, PIECES) - means[:, :1] * rollouts * met) / pairs
     return means, errors
 
 
@@ -77,7 +72,7 @@ def weights_of(errors: NDArray[np.float64], freedom: int) -> NDArray[np.float64]
     weights = np.zeros(len(errors))
     weights[0] = 1.0
     if freedom >= LEAST and errors[1:, 1:].any():
-        weights[1:] = -np.linalg.solve(errors[1:, 1:], errors[1:, 0])
+        weights[1:] = -inverse_of(errors[1:, 1:])[0] @ errors[1:, 0]
     return weights
 
 
