@@ -82,9 +82,14 @@ def test_the_same_on_both_sides_differs_in_nothing() -> None:
 
 def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     asked = (WORLD, "--robots", "1", "--b.robots", "4", "--b.risk", "log", "--rollouts", "512")
-    assert "than A (1 robot, risk paper) (exact)" in answer(capsys, *asked)["answer"]
+    assert (
+        "points (exact) more of the accessible cells than A (1 robot, risk paper);" in answer(capsys, *asked)["answer"]
+    )
     found = answer(capsys, *asked, "--exact", "never")
-    assert "A (1 robot, risk paper) (exact)" in answer(capsys, *asked, "--exact", "0.5")["answer"]
+    assert (
+        "points (exact) more of the accessible cells than A (1 robot, risk paper);"
+        in answer(capsys, *asked, "--exact", "0.5")["answer"]
+    )
     assert "B (4 robots, risk log) visits" in found["answer"]
     assert "than A (1 robot, risk paper) on average" in found["answer"]
     assert found["differing"] == {"a": ["1 robot", "risk paper"], "b": ["4 robots", "risk log"]}

@@ -55,8 +55,10 @@ def headline(answer: Comparison) -> str:
     runs = f"it is ahead in {ahead} of runs, behind in {behind}"
     known = answer.exact_difference("visited")
     if known is not None:
-        more = "as much of" if known == 0 else f"{abs(100 * known):.3f} points {_more(known)} of"
-        return f"{other} visits {more} the accessible cells {'as' if known == 0 else 'than'} {one} (exact); {runs}."
+        if known == 0:
+            return f"{other} visits exactly as much of the accessible cells as {one}; {runs}."
+        by = f"{abs(100 * known):.3f} points (exact) {_more(known)} of the accessible cells than {one}"
+        return f"{other} visits {by}; {runs}."
     estimate = answer.difference("visited").estimate
     low, high = (100 * bound for bound in estimate.ci95)
     if low <= 0 <= high:

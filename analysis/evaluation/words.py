@@ -68,7 +68,7 @@ def home_words(evaluation: Evaluation) -> str:
     if robots == 1:
         return f"The robot comes home in {every.share} of runs."
     mean = lost_words(home.mean, robots, min(home.digits(), 2))
-    return f"On average {mean} robots come home; every one of them does in {every.share} of runs."
+    return f"On average {mean} robots come home, all of them in {every.share} of runs."
 
 
 def chances_words(evaluation: Evaluation) -> str:

@@ -77,7 +77,7 @@ class Gain:
         cells = "" if self.value is None else f"{self.cells.said(unit=' cells')} {more}, "
         even = max(map(abs, self.robots.ci95))
         if even < EVEN:
-            return f"{cells}as many robots lost" + (f" (± {even:.1g})" if even else "")
+            return f"{cells}as many robots lost" + (f" (± {even:.1g})" if even >= EVEN / 10 else "")
         return f"{cells}{self.robots.said()} robots lost {'fewer' if more == 'more' else 'more'}"
 
     def to_json(self) -> Json:

@@ -79,7 +79,12 @@ def headline(sweep: Sweep) -> str:
 
 def named(row: Row) -> str:
     """A row's labels in words."""
-    return ", ".join(f"{name.replace('_', ' ')} {shown(value)}" for name, value in row.labels.items())
+
+    def said(name: str, value: Label | None) -> str:
+        team = name == "robots" and isinstance(value, int)
+        return counted(int(value), "robot") if team and value else f"{name.replace('_', ' ')} {shown(value)}"
+
+    return ", ".join(said(name, value) for name, value in row.labels.items())
 
 
 def done_words(sweep: Sweep) -> str:
