@@ -545,6 +545,7 @@ def advance(t, s, c, w, log, how, ids):
     # A set goes on in the middle of a step: after the check of the robot at which it parted.
     word, cell, progress, moves = robot // WORD, robots[robot, CELL], marks[PROGRESS], True
     bits = actors(s, word, robot % WORD if verdict != ACTS else NONE)
+    returns = comes_home(t)
     if is_meeting(s):
         word, bits, verdict = len(s.movers) - 1, np.uint64(0), ACTS if verdict == PASSED else verdict
     if len(s.mind) > 0:
@@ -565,7 +566,7 @@ def advance(t, s, c, w, log, how, ids):
                             return AREAS_FULL
                         progress |= got
                     marks[STEP], marks[QUIET] = step, 0 if progress else marks[QUIET] + 1
-                    if comes_home(t) and not call_home(t, s, w, log, np.int64(is_over(t, s))):
+                    if returns and not call_home(t, s, w, log, np.int64(is_over(t, s))):
                         return AREAS_FULL
                     look(log, s, step)
                     outcome = end_of(t, s, how, step)
@@ -585,12 +586,12 @@ def advance(t, s, c, w, log, how, ids):
             robot = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
             charged = False
-            if comes_home(t) and robots[robot, DOING] == CHARGING:
+            if returns and robots[robot, DOING] == CHARGING:
                 progress, charged = 1, charge(t, s, log, robot, step)
                 if not charged:
                     continue
                 robots[robot, DOING], robots[robot, LEFT] = COVERING, 0  # as one that has covered its area
-            elif comes_home(t) and step > 0 and has_area(robots, robot):
+            elif returns and step > 0 and has_area(robots, robot):
                 how_turns = turns(t, s, robot, step)
                 if how_turns > 0:
                     if not turn_home(t, s, w, log, robot, how_turns > 1):
@@ -619,7 +620,7 @@ def advance(t, s, c, w, log, how, ids):
                 survive(s, c, step, cell, size)
                 if len(s.odds) > 0:
                     take_note(t, s, cell)
-        if moves and robots[robot, DOING] == RETURNING:
+        if returns and moves and robots[robot, DOING] == RETURNING:
             go_home(t, s, log, robot)
             continue
         if step == s.team[robot, UNTIL] and moves:
