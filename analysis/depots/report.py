@@ -14,13 +14,13 @@ from analysis.kit.words import percent
 from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
 from analysis.report.words import (
     asked,
-    lost_figure,
     luck_words,
     map_words,
     run_again,
     search_end,
     share_figure,
     source_words,
+    team_figure,
 )
 from analysis.statistics.coverage import losses_said
 from analysis.statistics.words import between
@@ -115,7 +115,7 @@ def _key_figures(starts: Starts) -> list[KeyFigure]:
     if again is not None and again.counted is not None and again.losses is not None:
         name = "visited on average" if again.value is None else "of the value visited"
         fresh = "" if starts.exact else ", fresh rollouts"
-        out = [share_figure(again.counted, name, fresh), lost_figure(again.losses, len(starts.starts))]
+        out = [share_figure(again.counted, name, fresh), team_figure(again.losses, len(starts.starts))]
     if starts.gain is not None:
         low, high = (100 * end for end in starts.gain.ci95)
         note = f"{'exact' if low == high else between(low, high)}, against {standing_words(starts)}"

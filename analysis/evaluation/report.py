@@ -9,7 +9,6 @@ from analysis.evaluation import maps
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.as_json import to_json
 from analysis.evaluation.charts import distribution, over_time, over_time_words
-from analysis.evaluation.figures import AtHome
 from analysis.evaluation.formulas import formulas_part
 from analysis.evaluation.rest import Rest
 from analysis.evaluation.table import answer_tables, robots_table, worst_cells
@@ -27,8 +26,7 @@ from analysis.evaluation.words import (
 from analysis.kit.folder import json_text
 from analysis.kit.words import plan_words, span_words
 from analysis.report.blocks import KeyFigure, Part, Pictured, Report
-from analysis.report.words import asked
-from analysis.statistics.coverage import losses_shown
+from analysis.report.words import asked, team_figure
 from analysis.trials.exact_loop import TreeTruth
 from planner.shown import counted
 
@@ -118,7 +116,7 @@ def _settings(evaluation: Evaluation) -> dict[str, object]:
 def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
     """The few to take away."""
     found, cells, seen = evaluation.figures, evaluation.tally.accessible, evaluation.visited
-    (visited, between), (lost, lost_between) = seen.columns(100.0), evaluation.losses.columns()
+    visited, between = seen.columns(100.0)
     (complete, likely), (time, steps) = found.complete.columns(), evaluation.time.columns()
     between += " %" * (seen.half_width > 0)
     sure = "sure with 95 %" if found.visited.known is None else "exact"
@@ -127,15 +125,10 @@ def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
         KeyFigure(f"{visited} %", "visited on average", f"{between}, of {cells:,} accessible cells"),
         *([] if found.assured is None else [runs]),
         KeyFigure(f"{complete} %", "chance to visit every cell", likely),
-        KeyFigure(lost, "robots lost", lost_between),
-        *([] if found.home is None else [KeyFigure(*_home_figure(found.home))]),
+        team_figure(evaluation.losses, evaluation.losses.robots),
+        *([] if found.home is None else [team_figure(found.home, found.home.robots, "robots home at the end")]),
         KeyFigure(f"{time} steps", "mean time", steps + evaluation.world.pace.also(evaluation.time.mean)),
     ]
-
-
-def _home_figure(home: AtHome) -> tuple[str, str, str]:
-    shown, between = losses_shown(home, home.robots)
-    return shown, "robots home at the end", between
 
 
 def _pictures(evaluation: Evaluation, rest: Rest | None) -> Mapping[str, Callable[[], Pictured]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 
 from rich.table import Table
@@ -14,7 +13,6 @@ from analysis.knowing.study import Study
 from analysis.page.series import Chart, Series
 from analysis.report.answer import json_end
 from analysis.report.blocks import Part, Report
-from analysis.statistics.estimate import Estimate
 from analysis.sweeps.by_map import FIGURES
 from planner.files import Json
 from planner.worlds.generate import Kind
@@ -66,7 +64,7 @@ def ways_table(study: Study) -> Table:
     """What every team covers, by way."""
     table = _table("Visited, %", list(study.question.ways))
     for team in study.teams:
-        table.add_row(*_named(team), *(_shown(study.estimate(team, way)) for way in study.question.ways))
+        table.add_row(*_named(team), *(study.estimate(team, way).around(100) for way in study.question.ways))
     return table
 
 
@@ -75,7 +73,7 @@ def less_table(study: Study) -> Table:
     pairs = study.question.less
     table = _table("Points more", [f"{one} - {other}" for one, other in pairs])
     for team in study.teams:
-        table.add_row(*_named(team), *(_shown(study.apart(team, *pair), sign="+") for pair in pairs))
+        table.add_row(*_named(team), *(study.apart(team, *pair).around(100, "+") for pair in pairs))
     return table
 
 
@@ -85,7 +83,7 @@ def gains_table(study: Study) -> Table:
     table = make_table(("kind", "k", *study.question.ways), f"Points more by {last} than by {before}", left=("kind",))
     for kind, robots in dict.fromkeys(team[:2] for team in study.teams):
         gains = [study.gain(kind, robots, way) for way in study.question.ways]
-        table.add_row(kind, str(robots), *("" if gain is None else _shown(gain, sign="+") for gain in gains))
+        table.add_row(kind, str(robots), *("" if gain is None else gain.around(100, "+") for gain in gains))
     return table
 
 
@@ -96,11 +94,6 @@ def _table(title: str, columns: list[str]) -> Table:
 def _named(team: Team) -> tuple[str, str, str]:
     kind, robots, policy = team
     return kind, str(robots), policy
-
-
-def _shown(estimate: Estimate, sign: str = "") -> str:
-    half = f" ± {100 * estimate.half_width:.1f}" if math.isfinite(estimate.half_width) else ""
-    return f"{100 * estimate.mean:{sign}.1f}{half}"
 
 
 def study_json(study: Study) -> Json:

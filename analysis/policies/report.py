@@ -25,7 +25,6 @@ from analysis.policies.settings import (
 from analysis.policies.study import Study, Worse
 from analysis.report.answer import json_end
 from analysis.report.blocks import Part, Report
-from analysis.statistics.estimate import Estimate
 from analysis.sweeps.by_map import FIGURES
 from planner.files import Json
 from planner.worlds.generate import Kind
@@ -93,11 +92,6 @@ NOTES = (
 )
 
 
-def _shown(estimate: Estimate) -> str:
-    half = f" ± {100 * estimate.half_width:.1f}" if math.isfinite(estimate.half_width) else ""
-    return f"{100 * estimate.mean:+.1f}{half}"
-
-
 def gains_table(study: Study) -> Table:
     """A row for each kind and team: what each policy covers, its steps, its complete runs, and what is left."""
     columns = ("kind", "k", "mrac", "per_cell", "reserve 1/4", "steps", "all, %", "left")
@@ -114,12 +108,13 @@ def gains_table(study: Study) -> Table:
 
 
 def _add_gains(table: Table, study: Study, name: str, robots: int, settings: tuple[Setting, ...]) -> None:
-    gains = [_shown(study.gain(setting)) for setting in settings[1:]]
+    gains = [study.gain(setting).around(100, "+") for setting in settings[1:]]
     steps = " / ".join(f"{study.estimate(setting, 'time').mean:.0f}" for setting in settings)
     whole = " / ".join(f"{100 * study.estimate(setting, 'complete').mean:.1f}" for setting in settings)
-    left = study.gap(best_of(study, settings)) if settings[0].side != LARGE else None
+    gap = study.gap(best_of(study, settings)) if settings[0].side != LARGE else None
+    left = "" if gap is None else gap.around(100, "+")
     paper = f"{100 * study.estimate(settings[0], 'visited').mean:.1f}"
-    table.add_row(name, str(robots), paper, *[*gains, ""][:2], steps, whole, "" if left is None else _shown(left))
+    table.add_row(name, str(robots), paper, *[*gains, ""][:2], steps, whole, left)
 
 
 def best_of(study: Study, settings: tuple[Setting, ...]) -> Setting:
@@ -136,10 +131,8 @@ def front_table(study: Study, robots: int) -> Table:
         for settings in zip(*(of(kind, robots) for kind in KINDS), strict=True):
             shown: list[str] = []
             for setting in settings:
-                visited = study.estimate(setting, "visited")
-                half = f" ± {100 * visited.half_width:.1f}" if math.isfinite(visited.half_width) else ""
                 losses, steps = (study.estimate(setting, figure).mean for figure in ("losses", "time"))
-                shown += [f"{100 * visited.mean:.1f}{half}", f"{losses:.1f}", f"{steps:.0f}"]
+                shown += [study.estimate(setting, "visited").around(100), f"{losses:.1f}", f"{steps:.0f}"]
             table.add_row(settings[0].name, *shown)
     return table
 

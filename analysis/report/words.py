@@ -68,7 +68,7 @@ def search_end(answer: Any) -> Json:
     }
 
 
-def lost_figure(losses: Estimate, robots: int) -> KeyFigure:
-    """Robots lost of so many as a key figure."""
-    mean, interval = losses_shown(losses, robots)
-    return KeyFigure(mean, "robots lost", interval)
+def team_figure(estimate: Estimate, robots: int, name: str = "robots lost") -> KeyFigure:
+    """Of so many robots those that are lost, or what `name` says, as a key figure."""
+    mean, interval = losses_shown(estimate, robots)
+    return KeyFigure(mean, name, interval)

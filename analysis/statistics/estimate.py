@@ -63,6 +63,11 @@ class Estimate:
             return f"0{unit} (at most {up}{unit}, 95 %)"
         return f"{scale * self.mean:.{digits}f}{unit} ± {up} (95 %)"
 
+    def around(self, scale: float = 1.0, sign: str = "") -> str:
+        """ "67.4 ± 0.1", for a table; the mean alone where nobody knows how sure it is. `sign`: "+" shows it."""
+        half = f" ± {scale * self.half_width:.1f}" if math.isfinite(self.half_width) else ""
+        return f"{scale * self.mean:{sign}.1f}{half}"
+
     def digits(self, scale: float = 1.0) -> int:
         """The decimals that the interval allows of the mean times `scale`; two of what is known or has no interval."""
         half = scale * self.half_width

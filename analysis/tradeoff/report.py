@@ -11,13 +11,13 @@ from analysis.page.series import Chart, Series
 from analysis.report.blocks import KeyFigure, Part, Report
 from analysis.report.words import (
     asked,
-    lost_figure,
     luck_words,
     map_words,
     run_again,
     search_end,
     share_figure,
     source_words,
+    team_figure,
 )
 from analysis.statistics.coverage import losses_said
 from analysis.tradeoff.front import Front, Point, settings_of
@@ -158,7 +158,7 @@ def _key_figures(front: Front) -> list[KeyFigure]:
     steps = again.time.mean
     return [
         share_figure(again.coverage, "visited on average", "" if again.exact else ", fresh rollouts"),
-        lost_figure(again.losses, len(front.starts)),
+        team_figure(again.losses, len(front.starts)),
         KeyFigure(f"{steps:,.0f} steps{front.world.pace.also(steps)}", "mean time", _named(front, again)),
     ]
 
