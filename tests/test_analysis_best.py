@@ -11,6 +11,8 @@ from oracle_tree import closed_loop_exact
 
 import mrac_jax as mrac
 from analysis.cli.app import run
+from analysis.evaluation.report import report
+from analysis.kit.words import policy_words
 from analysis.trials import best
 from analysis.trials.best import contenders
 from planner.kernels.closed_loop import compile_closed_loop, run_range
@@ -66,6 +68,17 @@ def test_a_race_that_is_cut_off_says_so() -> None:
     plan = mrac.plan(world, 4, policy="best", seconds=1e-6)
     assert plan.settings in contenders(Settings(), 4)
     assert plan.notes[-1].endswith("the search ended after 1e-06 s")
+
+
+def test_one_sentence_says_what_was_found_and_what_no_strategy_exceeds() -> None:
+    world = random_world(pattern=ThreatPattern("scattered", seed=2))
+    plan = mrac.plan(world, 2, policy="best", seconds=1e-6)
+    answer = mrac.evaluate(world, plan, rollouts=64)
+    shown, limit = report(answer), answer.bounds.any_strategy
+    name, most = shown.headline.split(" on average with ")[1].split("; no strategy exceeds ")
+    assert limit is not None and 0 <= float(most.split(" %")[0]) - 100 * limit.mean <= 0.01
+    assert plan.settings is not None and name == policy_words(plan.settings)
+    assert not any("No strategy" in line for line in shown.findings)
 
 
 def test_where_it_cannot_be_asked(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,10 +9,11 @@ import numpy as np
 
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.rest import BEFORE, BEYOND, Rest
-from analysis.kit.words import percent, share
+from analysis.kit.words import percent, policy_words, share
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.words import lost_words
 from analysis.theory.reachable import moves_left
+from analysis.trials.best import is_best
 from planner.shown import counted
 
 
@@ -82,11 +83,17 @@ def chances_words(evaluation: Evaluation) -> str:
 
 def limit_words(evaluation: Evaluation) -> str:
     """What no strategy exceeds on average on this map, where that is proven and not plain; else nothing."""
+    if (most := _most(evaluation)) is None or is_best(evaluation.plan):
+        return ""
+    return f"No strategy visits more than {most:.2f} % on average with this team on this map ({proven(evaluation)})."
+
+
+def _most(evaluation: Evaluation) -> float | None:
+    """Per cent that no strategy exceeds on average, rounded upwards; None where that is not proven, or plain."""
     limit = evaluation.bounds.any_strategy
     if limit is None or limit.cells > evaluation.tally.accessible - 0.005:
-        return ""
-    most = math.ceil(10_000 * limit.mean) / 100
-    return f"No strategy visits more than {most:.2f} % on average with this team on this map ({proven(evaluation)})."
+        return None
+    return math.ceil(10_000 * limit.mean) / 100
 
 
 def proven(evaluation: Evaluation) -> str:
@@ -112,12 +119,19 @@ def _none(runs: int) -> str:
 
 
 def headline(evaluation: Evaluation) -> str:
-    """The answer in one sentence. What 95 % of runs reach is sure with 95 %, or left out."""
+    """The answer in one sentence: of a policy that was searched for, with its name and what none exceeds.
+
+    Else with what 95 % of runs reach, which is sure with 95 %, or left out.
+    """
     tally, robots, least = evaluation.tally, len(evaluation.plan.robots), evaluation.figures.assured
     if evaluation.certain:
         return certain_headline(evaluation)
     shown = evaluation.visited.said(100.0, " %") + " of the accessible cells on average"
     who = counted(robots, "robot visits", "robots visit")
+    if is_best(evaluation.plan) and (settings := evaluation.plan.settings) is not None:
+        most = _most(evaluation)
+        limit = "" if most is None else f"; no strategy exceeds {most:.2f} % on average ({proven(evaluation)})"
+        return f"{who} {shown} with {policy_words(settings)}{limit}."
     runs = "" if least is None else f", and at least {100.0 * least / tally.accessible:.1f} % in 95 % of runs"
     return f"{who} {shown}{runs}."
 

@@ -38,6 +38,9 @@ BASE = PER_CELL.name
 LUCK = 2**64 - 1
 """Seed of the search: nobody evaluates by it who does not ask for it, so that what is found is judged on other luck."""
 
+BEST_OF = "the best of "
+"""How the note of a plan that was searched for begins."""
+
 
 class _TimeOver(Exception):
     """The search's own, caught where it began."""
@@ -81,8 +84,13 @@ def plan_best(
     gain = told.ahead(plain, told.counted, 1.0 / told.largest(told.counted)).said(100, " points")
     more = f", {gain} more than {policy_words(raced[0])} on other luck" if best else ""
     over = "" if in_time else f"; the search ended after {seconds or SECONDS:g} s"
-    note = f"the best of {counted(len(raced), 'setting')} is {policy_words(raced[best])}{more}{over}"
+    note = f"{BEST_OF}{counted(len(raced), 'setting')} is {policy_words(raced[best])}{more}{over}"
     return replace(made, notes=(*made.notes, note))
+
+
+def is_best(plan: Plan) -> bool:
+    """Whether the plan is one of `plan_best`."""
+    return any(note.startswith(BEST_OF) for note in plan.notes)
 
 
 def contenders(settings: Settings, robots: int) -> list[Settings]:
