@@ -75,6 +75,8 @@ def draw_key(figure: Figure, box: Sequence[float], place: Sequence[float], colum
     bar.ax.tick_params(length=0, labelsize=8, labelcolor=INK)
     bar.outline.set_linewidth(0.5)
     bar.set_label(key.label, color=FAINT, fontsize=8.5)
+    if columns == 1:
+        bar.ax.yaxis.set_label_position("left")  # right of long numbers it would stand in the legend
     return figure.legend(
         handles=[handle for column in range(columns) for handle in key.handles[column::columns]],
         loc="upper left",
