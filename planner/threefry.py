@@ -5,6 +5,8 @@ A draw is addressed by (seed, rollout, step, robot), so it never depends on what
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -42,6 +44,7 @@ def key_of(seed: int) -> tuple[int, int]:
     return seed & 0xFFFFFFFF, seed >> 32
 
 
+@lru_cache
 def own_key(seed: int, purpose: int) -> tuple[int, int]:
     """The key of the numbers that say what is true in a rollout (SPEC section 13): one for hazards, one for maps."""
     x0, x1 = threefry2x32(key_of(seed), OWN_KEYS, purpose)

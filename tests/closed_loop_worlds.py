@@ -73,7 +73,7 @@ class SurveyWorld:
     @property
     def parts(self) -> int:
         """Parts of the map, not reachable from each other, that hold robots."""
-        return len(np.unique(self.world.components()[tuple(self.starts.T)]))
+        return len(np.unique(self.world.components[tuple(self.starts.T)]))
 
     def plan(self) -> Plan:
         """Algorithm 1's allocation and the nominal run."""
@@ -246,7 +246,7 @@ def _disconnected(n: int, robots: int, stream: Stream) -> Draft:
 def _shared(n: int, robots: int, stream: Stream) -> Draft:
     """All robots start in one cell, or in two."""
     free = random_world(*PAPER_SIZES[n % len(PAPER_SIZES)], ThreatPattern(seed=800 + n), threats=0).free
-    parts = World.create(np.where(free, 0.0, np.nan)).components()
+    parts = World.create(np.where(free, 0.0, np.nan)).components
     largest = parts == 1 + np.argmax(np.bincount(parts[parts > 0])[1:])
     starts = any_cells(largest, 1 + n % 2, stream)
     return threaten(free, (0.2, 0.3)[n // 2 % 2], n, 800 + n), starts[np.arange(robots) % len(starts)]

@@ -179,7 +179,7 @@ def test_areas_and_chances(tmp_path: Path, mission: tuple[World, Plan]) -> None:
 def test_outlines_enclose_the_cells_and_touch_themselves_nowhere(seed: int) -> None:
     rng = np.random.default_rng(seed)
     world = World.create(np.where(rng.random((9, 11)) < 0.35, np.nan, 0.0))
-    labels = world.components()
+    labels = world.components
     cells = np.flatnonzero(labels.ravel() == np.bincount(labels[labels > 0]).argmax())
     rings = outline(cells, 11)
     corners = [[(col, row) for row, col in ring] for ring in rings]

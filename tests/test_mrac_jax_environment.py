@@ -62,7 +62,7 @@ class Twin:
 @cache
 def made(**more: Any) -> CoverageEnv:
     world = random_world(ROWS, COLS, obstacles=0.15, threats=0.3)
-    assert world.components().max() == 1
+    assert world.components.max() == 1
     return CoverageEnv(world, ROBOTS, **more)
 
 

@@ -98,7 +98,7 @@ def readable_run(one: SurveyWorld, plan: Plan, rollout: int) -> Run:
 def check_stuck(one: SurveyWorld, plan: Plan, results: RolloutResults) -> int:
     """In a sample of the stuck rollouts no robot left can reach an unvisited cell; how many were looked at."""
     sample = np.flatnonzero(results.outcome == Outcome.STUCK)[:SAMPLED]
-    part = one.world.components().ravel()
+    part = one.world.components.ravel()
     accessible = one.world.accessible(one.starts).ravel()
     for rollout in sample.tolist():
         run = readable_run(one, plan, rollout)

@@ -66,7 +66,7 @@ def candidate_cells(world: World, given: ArrayLike, source: object = "") -> tupl
     Robots start in one part of the map: of several, the largest that has a candidate. Raises UsageError.
     """
     cells = _cells(world, given, str(source))
-    labels = world.components()
+    labels = world.components
     part = labels[tuple(cells.T)]
     size = np.bincount(labels.ravel())
     best = min(set(part.tolist()), key=lambda name: (-size[name], name))

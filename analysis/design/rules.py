@@ -100,7 +100,7 @@ def team_ideals(world: World, starts: NDArray[np.int64], cells: int, needed: int
     Args:
         cells: of which coverage is a fraction. needed: cells to visit. last_step: T, or None.
     """
-    labels = world.components()
+    labels = world.components
     own = labels[starts[:, 0], starts[:, 1]]
     coverage, chance = np.zeros(len(starts)), np.zeros(len(starts))
     for robots in range(1, len(starts) + 1):

@@ -29,6 +29,7 @@ from planner.tally import Tally
 if TYPE_CHECKING:
     from planner.kernels.loop import ClosedLoop
     from planner.kernels.tables import AllPairs
+    from planner.mrac.problem import Problem
     from planner.rollouts.engine import Engine
 
 ONCE_UNDER_WAY: dict[str, Any] = {
@@ -120,12 +121,14 @@ class _Loops:
             from planner.kernels.nominal import with_nominal_run
 
             alike = replace(team, settings=replace(team.settings, **ONCE_UNDER_WAY))
-            begun = replace(_allocated(_Same(alike.identity, alike)), settings=team.settings)
-            self._closed = self._compiled(begun, "step" if begun.bearing.is_plain else "tolerance")
+            problem, begun = _allocated(_Same(alike.identity, alike))
+            own = problem if team.settings == alike.settings else None
+            begun = replace(begun, settings=team.settings)
+            self._closed = self._compiled(begun, "step" if begun.bearing.is_plain else "tolerance", own)
             self._plan = with_nominal_run(begun, self._closed)
         else:
             self._plan = team.build()
-        self.facts = facts_of(team, self._plan)
+        self.facts = facts_of(team, self._plan, None if self._closed is None else self._closed.max_steps)
 
     def of(self, model: RolloutChoices) -> Engine:
         """What rolls a model out, on one thread."""
@@ -147,11 +150,11 @@ class _Loops:
             loop = replace(loop, identity=f"{loop.identity}!first_visit", first_only=True)
         return loop if model.luck == loop.luck else loop.by(model.luck, self._team.world)
 
-    def _compiled(self, plan: Plan, luck: LuckName) -> ClosedLoop:
+    def _compiled(self, plan: Plan, luck: LuckName, problem: Problem | None = None) -> ClosedLoop:
         from planner.kernels.closed_loop import compile_closed_loop
 
         kept = _all_pairs(self._team.world.sha256)
-        return compile_closed_loop(plan, self._team.world, kept=kept, luck=luck)
+        return compile_closed_loop(plan, self._team.world, kept=kept, luck=luck, problem=problem)
 
 
 @dataclass(frozen=True)
@@ -169,11 +172,11 @@ def _prepared(what: _Same, closed: bool) -> _Loops:
 
 
 @lru_cache(maxsize=1)
-def _allocated(what: _Same) -> Plan:
+def _allocated(what: _Same) -> tuple[Problem, Plan]:
     """The plan before its nominal run; the last one is kept, for other settings of a team on the same map."""
-    from planner.mrac.make_plan import allocated_plan
+    from planner.mrac.make_plan import allocated
 
-    return allocated_plan(what.team.world, what.team.starts, what.team.settings)
+    return allocated(what.team.world, what.team.starts, what.team.settings)
 
 
 @lru_cache(maxsize=1)
@@ -202,11 +205,12 @@ def exact_means(loop: ClosedLoop, seconds: float) -> Json | None:
     )
 
 
-def facts_of(team: Team, plan: Plan) -> Json:
+def facts_of(team: Team, plan: Plan, most: int | None = None) -> Json:
     """What is known of a team's plan without rolling out, as JSON: cells, the open loop's exact values, the ideal.
 
-    `exact`: of the open loop, in cells, steps and robots; None what is not known. `ideal_team`, `ideal_one`: SPEC
+    `exact`: of the open loop, in cells, steps and robots; None what is not known. `ideal_team`: SPEC
     section 7, cells; None where robots wear or differ, and where threats move.
+    `most`: T_max, if it is known.
     `longest`: steps that a run of either loop takes at most; stores of earlier releases lack it. Where a job asks for
     exact values, its runs' facts have `closed_loop` too (`exact_means`).
     """
@@ -235,8 +239,7 @@ def facts_of(team: Team, plan: Plan) -> Json:
         },
         "exact": {name: value if math.isfinite(value) else None for name, value in values.items()},
         "ideal_team": ideal_team(threat, robots) if ideal else None,
-        "ideal_one": ideal_team(threat, 1) if ideal else None,
         "makespan": plan.makespan,
-        "longest": longest_run(world, plan, "closed"),
+        "longest": longest_run(world, plan, "closed", most),
         "nominal": {"outcome": plan.outcome, "time": plan.time, "shares": plan.shares},
     }

@@ -22,8 +22,8 @@ def longest_mission(world: World, starts: ArrayLike, settings: Settings, given: 
     return most_steps(settings, levels, given)
 
 
-def longest_run(world: World, plan: Plan, loop: Literal["open", "closed"]) -> int:
-    """Steps that a run of this plan takes at most.
+def longest_run(world: World, plan: Plan, loop: Literal["open", "closed"], known: int | None = None) -> int:
+    """Steps that a run of this plan takes at most; `known`: T_max, if somebody made the closed loop already.
 
     Open loop: to the end of the longest path. One robot of ours that is told the map: its nominal run's, which a loss
     only cuts short. Else T_max, at which every run is cut off.
@@ -32,4 +32,6 @@ def longest_run(world: World, plan: Plan, loop: Literal["open", "closed"]) -> in
         return plan.makespan
     if len(plan.robots) == 1 and not plan.is_foreign and world.knowledge is None:
         return plan.time
+    if known is not None:
+        return known
     return longest_mission(world, plan.starts, plan.require(world), plan.makespan if plan.is_foreign else 0)

@@ -115,7 +115,7 @@ def as_stated(plan: Plan, world: World, outcomes: NDArray[np.float64], how: str)
     if _is_cut_off(plan):
         return None
     starts, (stuck, timeout) = plan.starts, outcomes[[Outcome.STUCK, Outcome.TIMEOUT]].tolist()
-    parts = len(np.unique(world.components()[starts[:, 0], starts[:, 1]]))
+    parts = len(np.unique(world.components[starts[:, 0], starts[:, 1]]))
     unknown = stuck if parts > 1 else 0.0
     high = 1.0 - timeout - (stuck - unknown)
     return Truth(high, high - unknown, high, how)

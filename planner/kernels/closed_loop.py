@@ -45,6 +45,7 @@ def compile_closed_loop(
     tabled: bool | None = None,
     kept: AllPairs | None = None,
     luck: LuckName = "tolerance",
+    problem: Problem | None = None,
 ) -> ClosedLoop:
     """The closed loop from the plan's allocation. Raises PlanError for a plan of another map.
 
@@ -52,10 +53,10 @@ def compile_closed_loop(
 
     `tabled`: distances from all-pairs tables, or searched for on demand; None: tables up to MOST_TABLED cells. No
     rollout depends on it. `kept`: where all-pairs tables are kept for other teams on the same map. `luck`: by which
-    robots are stopped.
+    robots are stopped. `problem`: the plan's own, if it is at hand.
     """
     plan.bearing.check_luck(luck)
-    problem, areas = ready_loop(plan, world)
+    problem, areas = ready_loop(plan, world) if problem is None else (problem, plan.areas)
     settings, rule = problem.settings, problem.rule
     if not isinstance(settings.in_area, str) or not (rule.nearest or (rule.attentive and rule.exact)):
         raise PlanError(

@@ -39,7 +39,7 @@ def closed_by(given: ArrayLike, reports: Reports) -> tuple[NDArray[np.int64], Wo
             problem = f"robot {number} is at {at(cell, world)}, which is to be closed"
             raise StateError(problem, expected="cells where no robot is", fix="close it when the robot has left it")
     without = closed_world(world, cells)
-    part = without.components().ravel()
+    part = without.components.ravel()
     for number, cell in reported:
         if part[cell] != part[fleet.robots[number].cell]:
             problem = f"what is to be closed cuts robot {number} off from {at(cell, world)}"
@@ -65,7 +65,7 @@ def closed_state(state: MissionState, world: World, levels: int) -> MissionState
     # a lost robot in a closed zone is told to lie beside a live one: it does nothing, and a start is a free cell
     state = replace(state, robots=tuple(r if free[r.cell] else replace(r, cell=here) for r in state.robots))
     kept = world.accessible(state.starts).ravel()
-    level_of, labels = find_levels(world, kept.reshape(world.shape), levels).of_cell, world.components().ravel()
+    level_of, labels = find_levels(world, kept.reshape(world.shape), levels).of_cell, world.components.ravel()
     visited = np.zeros(kept.size, dtype=np.bool_)
     visited[state.visited] = True
 

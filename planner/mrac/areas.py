@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planner.worlds.levels import ThreatLevels
+from planner.worlds.levels import NO_LEVEL, ThreatLevels
 from planner.worlds.world import FOUR_NEIGHBOURS
 
 
@@ -36,8 +36,20 @@ def split_by_label(ordered: NDArray[np.int64], label: NDArray) -> list[NDArray[n
 
 def find_areas(shape: tuple[int, int], levels: ThreatLevels) -> list[tuple[int, NDArray[np.int64]]]:
     """Every area as (level, cells), level by level and by lowest cell within a level: the order of area ids."""
-    areas = []
-    for level in range(len(levels.values)):
-        members = np.flatnonzero(levels.of_cell == level)
-        areas += [(level, part) for part in connected_parts(shape, members)]
-    return areas
+    cells = np.flatnonzero(levels.of_cell != NO_LEVEL)
+    parts = split_by_label(cells, connected_alike(shape, levels.of_cell)[0][cells])
+    return sorted(((int(levels.of_cell[part[0]]), part) for part in parts), key=lambda area: area[0])
+
+
+def connected_alike(shape: tuple[int, int], kind: NDArray[np.integer]) -> tuple[NDArray[np.int32], int]:
+    """The 4-connected components of cells of one `kind` `[N]`, all kinds at once: numbers `[N]` from 1, how many.
+
+    A kind below 0 is none, and has number 0. Between two neighbours lies a place that is free if they are alike.
+    """
+    of = kind.reshape(shape)
+    free = np.zeros((2 * shape[0] - 1, 2 * shape[1] - 1), dtype=np.bool_)
+    free[::2, ::2] = of >= 0
+    free[1::2, ::2] = (of[1:] == of[:-1]) & (of[1:] >= 0)
+    free[::2, 1::2] = (of[:, 1:] == of[:, :-1]) & (of[:, 1:] >= 0)
+    labels, count = ndimage.label(free, structure=FOUR_NEIGHBOURS)
+    return labels[::2, ::2].ravel(), count

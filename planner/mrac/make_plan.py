@@ -36,13 +36,22 @@ def allocated_plan(world: World, starts: ArrayLike, settings: Settings, state: M
 
     It is rolled out as the whole plan is. Raises as `make_plan`.
     """
+    return allocated(world, starts, settings, state)[1]
+
+
+def allocated(
+    world: World, starts: ArrayLike, settings: Settings, state: MissionState | None = None
+) -> tuple[Problem, Plan]:
+    """`allocated_plan`, and the problem that it is of."""
     problem = prepare(world, starts, settings, homes=None if state is None else state.homes(settings.return_to))
     robots = tuple(RobotPlan(cell) for cell in problem.starts[:, None])
     if state is None:
-        return Plan(world.shape, world.sha256, problem.settings, robots, allocate(problem), source=world.source)
+        areas = allocate(problem)
+        return problem, Plan(world.shape, world.sha256, problem.settings, robots, areas, source=world.source)
     world.check_settled("the rest of a mission")
     state = made_ready(problem, state)
-    return Plan(world.shape, world.sha256, problem.settings, robots, areas_of(state), state=state, source=world.source)
+    areas = areas_of(state)
+    return problem, Plan(world.shape, world.sha256, problem.settings, robots, areas, state=state, source=world.source)
 
 
 def nominal_run(problem: Problem, allocation: tuple[Area, ...], state: MissionState | None = None) -> Run:

@@ -11,7 +11,7 @@ import numpy as np
 import pymetis
 from numpy.typing import NDArray
 
-from planner.mrac.areas import connected_parts, split_by_label
+from planner.mrac.areas import connected_alike, connected_parts, split_by_label
 from planner.none import NO_CELL
 
 Partition = Callable[[tuple[int, int], NDArray[np.int64], int], list[NDArray[np.int64]]]
@@ -31,8 +31,9 @@ def metis_parts(shape: tuple[int, int], cells: NDArray[np.int64], count: int) ->
     options = pymetis.Options(contig=1, seed=0)
     adjacency = pymetis.CSRAdjacency(starts, targets)
     _, label = pymetis.part_graph(count, adjacency=adjacency, recursive=False, options=options)
-    parts = split_by_label(ordered, np.asarray(label))
-    if len(parts) == count and all(len(connected_parts(shape, part)) == 1 for part in parts):
+    parts, part_of = split_by_label(ordered, np.asarray(label)), np.full(shape[0] * shape[1], -1)
+    part_of[ordered] = label
+    if len(parts) == count == connected_alike(shape, part_of)[1]:
         return parts
     return wavefront_parts(shape, ordered, count)
 

@@ -66,7 +66,7 @@ def place_starts(world: World, robots: int, rule: str = "upper-left") -> tuple[N
 
 
 def _largest_component(world: World) -> NDArray[np.bool_]:
-    labels = world.components()
+    labels = world.components
     names, lowest, sizes = np.unique(labels[labels > 0], return_index=True, return_counts=True)
     best = np.lexsort((lowest, -sizes))[0]
     return labels == names[best]

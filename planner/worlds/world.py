@@ -203,6 +203,7 @@ class World:
             problem = f"{what} counts cells, which are all alike to it; here: {said}"
             raise WorldError(problem, source=self.source, fix=f"leave {said} out; evaluate, size and front tell value")
 
+    @cached_property
     def components(self) -> NDArray[np.int32]:
         """int32 `[H, W]`: 4-connected components of the cells that truly are free, numbered from 1; 0 = obstacle."""
         labels, _ = ndimage.label(~np.isnan(self.met), structure=FOUR_NEIGHBOURS)
@@ -210,9 +211,10 @@ class World:
 
     def accessible(self, starts: ArrayLike) -> NDArray[np.bool_]:
         """bool `[H, W]`: truly free cells that some robot can reach from its start `[K, 2]`."""
-        labels = self.components()
         rows, cols = check_starts(starts, self.met, self.source).T
-        return (labels > 0) & np.isin(labels, np.unique(labels[rows, cols]))
+        reached = np.zeros(self.components.max() + 1, dtype=np.bool_)
+        reached[self.components[rows, cols]] = True
+        return reached[self.components]
 
     def with_starts(self, starts: ArrayLike | None) -> World:
         """The same world with other starts, checked."""

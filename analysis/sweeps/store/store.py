@@ -224,7 +224,10 @@ class Store:
                 keep = tally if tally.rollouts > held.rollouts else held
                 left_out = old if keep is tally else new
                 tally = keep
-        texts, blob = (key, block, canonical(tally.ids), canonical(sums_of(tally))), pack(tally)
+        texts, blob = (
+            (key, block, canonical(tally.ids), canonical(sums_of(tally))),
+            pack(tally, 0 if self.path is None else 1),
+        )
         values = (*texts, blob, checksum(*texts, len(blob)))
         self._connection.execute("INSERT OR REPLACE INTO blocks VALUES (?, ?, ?, ?, ?, ?)", values)
         return left_out
