@@ -17,6 +17,7 @@ from planner.tolerance import exposure_of
 from planner.worlds.doubt import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Uncertain, bounds_of
 from planner.worlds.evidence import READING_DRAW
 from planner.worlds.movers import Movers
+from planner.worlds.phases import Phases
 from planner.worlds.world import World
 
 
@@ -40,7 +41,7 @@ class Luck:
 
     def hits(self, robot: int, step: int, cell: int) -> bool:
         """Whether the robot is stopped as it enters the cell at this step."""
-        chance = self._chance(cell)
+        chance = self._chance(cell, step)
         stops = self._by_tolerance if self._luck == "tolerance" else self._by_step
         if chance == 0 or not stops(robot, step, chance):
             return False
@@ -72,10 +73,12 @@ class Luck:
         """The robot's exposure so far, that before the rollout included; by tolerance."""
         return self._exposure[robot] + (self._bearing.begun[robot] if self._bearing.begun else 0)
 
-    def _chance(self, cell: int) -> np.float32:
-        """That a visit of the cell, as it is in this rollout, stops a robot."""
+    def _chance(self, cell: int, step: int) -> np.float32:
+        """That a visit of the cell in this step, as it is in this rollout, stops a robot."""
         doubt = self._world.doubt
         place = np.unravel_index(cell, self._world.shape)
+        if isinstance(doubt, Phases):
+            return doubt.threats[doubt.number_at(step)][place]
         if doubt is None or isinstance(doubt, Movers):
             return self._world.met[place]
         if isinstance(doubt, Hazard):

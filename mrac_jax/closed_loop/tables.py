@@ -148,6 +148,8 @@ def check_supported(loop: ClosedLoop) -> None:
         raise UsageError(what, expected=argument("transit", "grid"), fix=fix)
     if loop.comes_home:
         raise UsageError(f"{argument('engine', 'jax')} with {argument('return_to')}, in the closed loop", fix=fix)
+    if len(loop.tables.phases):
+        raise WorldError("threats that change with time, in the closed loop in JAX", fix=fix)
     if loop.learns:
         raise WorldError("robots that learn the map, in the closed loop in JAX", fix=fix)
     if not loop.tabled:

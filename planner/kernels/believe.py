@@ -62,11 +62,18 @@ def look_about(t, s, w):
             if s.known[cell] & SEEN == 0:
                 s.known[cell] |= SEEN
                 fresh = True
-                if s.level[cell] != truth[cell]:
-                    change_level(t, s, cell, truth[cell])
-                    w.news[count] = cell
-                    count += 1
+                count = believe(t, s, w, cell, truth[cell], count)
     return count, fresh
+
+
+@kernel
+def believe(t, s, w, cell, level, count):
+    """Believe a cell to be of a level; how many cells surprise by now, which `w.news` lists."""
+    if s.level[cell] == level:
+        return count
+    change_level(t, s, cell, level)
+    w.news[count] = cell
+    return count + 1
 
 
 @kernel

@@ -9,9 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, rare_kernel
-from planner.kernels.believe import change_level, look_about
+from planner.kernels.believe import believe, look_about
 from planner.kernels.bits import holds
 from planner.kernels.luck import own_word, threefry
+from planner.kernels.phases import foresee
 from planner.kernels.state import (
     ALARM,
     ALIVE,
@@ -31,7 +32,9 @@ from planner.worlds.evidence import ALWAYS, NEVER
 
 @kernel
 def learns_of(t, s, w, how, ids):
-    """`look_about`, or the same of the evidence, by which nothing is ever seen."""
+    """`look_about`, or the same of the evidence or of phases, by which nothing is ever seen."""
+    if len(t.phases) > 0:
+        return foresee(t, s, w), False
     return look_about(t, s, w) if len(s.odds) == 0 else (reckon(t, s, w, how, ids), False)
 
 
@@ -83,12 +86,7 @@ def read(t, s, how, rollout, robot):
 @kernel
 def heed(t, s, w, cell, count):
     """Believe what the evidence says of a cell; how many surprise by now."""
-    level = t.truths[class_of(t, s, cell), cell]
-    if s.level[cell] == level:
-        return count
-    change_level(t, s, cell, level)
-    w.news[count] = cell
-    return count + 1
+    return believe(t, s, w, cell, t.truths[class_of(t, s, cell), cell], count)
 
 
 @kernel

@@ -113,7 +113,7 @@ class Policy(NamedTuple):
 def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables) -> Policy:
     """The policy of an attentive, exact rule; `cells` int64 `[A]`, the accessible ones. Raises PlanError."""
     rule, settings, unknown = problem.rule, problem.settings, problem.unknown
-    ahead = slice(None if rule.looks_ahead and (unknown is None or unknown.evidence is None) else 0)
+    ahead = slice(None if rule.looks_ahead and (unknown is None or unknown.looks) else 0)
     alive = range(len(problem.starts) + 1 if settings.reserve is not None else 0)
     policy = Policy(
         rule=Followed(rule),

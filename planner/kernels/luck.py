@@ -85,36 +85,36 @@ def _fresh(t, robot, exposure):
 
 
 @rare_kernel
-def mass_stopped(t, s, robot, cell, mass):
+def mass_stopped(t, s, robot, place, mass):
     """Of a tree's branch of this mass, as much as a visit stops, which adds to what the robot has borne; rounded."""
     if len(t.times) == 0:
-        return np.int64(t.chance[cell] * mass + 0.5)
+        return np.int64(t.chance[place] * mass + 0.5)
     before = fresh(t, robot, s.team[robot, BORNE])
-    s.team[robot, BORNE] += t.exposure[cell]
+    s.team[robot, BORNE] += t.exposure[place]
     more = fresh(t, robot, s.team[robot, BORNE]) - before
     return np.int64(-math.expm1(-more * 2.0**-32) * mass + 0.5)
 
 
 @kernel
-def stopped_from(t, s, c, w, how, ids, step, robot, cell):
+def stopped_from(t, s, c, w, how, ids, step, robot, cell, place):
     """Part the set's ids at a visit, who is not stopped first, both in their order; where those who are begin.
 
     A rollout's word stops the robot from a limit on, the same for the whole set; its bits are turned over where small
     ones are to stop. By tolerance the word is the robot's, and none but who may be at the end of it is looked at.
-    A tree has no ids: as many of its mass are stopped as the chance says.
+    A tree has no ids: as many of its mass are stopped as the chance says. `place`: of the visit (`visit_of`).
     """
     first, last = s.marks[FIRST], s.marks[LAST]
     if how.cut > 0:
         c.histories[2] += 1
-        return last - mass_stopped(t, s, robot, cell, last - first)
+        return last - mass_stopped(t, s, robot, place, last - first)
     # What is true of the cell differs from rollout to rollout, so no limit serves the whole set.
     if len(t.own_counter) > 0:
         return part_in_doubt(t, ids, w, how, first, last, step, robot, cell)
     if len(t.exposure) == 0:
         # u < p with u = word >> 8: turned over, small words become large ones, and one comparison serves both lucks.
-        limit = np.uint32((2**32 - (np.int64(t.bound[cell]) << 8)) & (2**32 - 1))
+        limit = np.uint32((2**32 - (np.int64(t.bound[place]) << 8)) & (2**32 - 1))
         return part(ids, w.words, how, first, last, np.uint32(step * 1024 + robot), limit, ALL_BITS)
-    s.team[robot, BORNE] += t.exposure[cell]
+    s.team[robot, BORNE] += t.exposure[place]
     borne = fresh(t, robot, s.team[robot, BORNE])
     # Most visits end here, whatever the size of the set.
     if borne < s.team[robot, BEARS]:

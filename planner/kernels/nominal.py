@@ -17,7 +17,7 @@ def nominal_trace(loop: ClosedLoop) -> Trace:
     """The run of a closed loop with no hits, in which all is as robots believe it once they have looked about."""
     tables = loop.tables
     safe = tables._replace(bound=np.zeros_like(tables.bound), movers=tables.movers[:0])
-    if loop.learns:
+    if loop.learns and not len(tables.phases):  # threats change whatever happens
         limits = tables.limits.copy()
         limits[GOAL] = len(tables.order)
         safe = safe._replace(truths=tables.belief[None], limits=limits)

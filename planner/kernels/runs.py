@@ -20,6 +20,7 @@ from planner.kernels.experience import learns_of, take_note
 from planner.kernels.luck import fresh, stopped_from
 from planner.kernels.meet import has_entered, is_meeting, meet
 from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
+from planner.kernels.phases import visit_of
 from planner.kernels.remember import can_be_remembered, remember
 from planner.kernels.retire import (
     call_home,
@@ -201,9 +202,11 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     # The set is one run for all its rollouts: what one of them does is done `size` times.
     c.visits[cell] += size
     fresh = s.home[cell] & VISITED == 0
-    safe = t.bound[cell] == 0
-    verdict = ACTS if safe else PASSED
-    survives = safe and len(s.entered) == 0
+    place = visit_of(t, s, cell)
+    safe = t.bound[place] == 0
+    # Where threats change, a robot may have been stopped in what is safe by now.
+    verdict = ACTS if safe and len(t.phases) == 0 else PASSED
+    survives = verdict == ACTS and len(s.entered) == 0
     if survives:
         count_pass(s, cell)
     elif len(s.entered) > 0:
@@ -216,7 +219,7 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
             c.unsurvived[cell] += size
             marks[UNSURVIVED] += 1
     if not safe and (fresh or not how.first_only) and not (len(s.spent) > 0 and holds(s.spent, cell)):
-        hit_from = stopped_from(t, s, c, w, how, ids, step, robot, cell)
+        hit_from = stopped_from(t, s, c, w, how, ids, step, robot, cell, place)
         # All of them are hit alike: still one run, so nothing has to be copied.
         if hit_from == marks[FIRST] and how.aside == 0:
             verdict = HIT
@@ -458,15 +461,15 @@ def end_at_home(t, s, how, step):
 def only_mover(t, s, log):
     """The robot that alone can do something until the next hit, NONE if there are several, or none.
 
-    Also NONE where what it does is written down, its visits are counted, threats move, or it looks about, or for its
-    way home, every step.
+    Also NONE where what it does is written down, its visits are counted, threats move or change, or it looks about, or
+    for its way home, every step.
     """
     bits = s.movers[0]
     # bits & (bits - 1) takes the lowest bit away: 0 if it was the only one. One word of robots is enough for most
     # teams.
     alone = bits != 0 and bits & (bits - ONE) == 0 and (s.marks[OPEN] == 0 or s.waiting[0] == 0)
     noted = len(log.frames) > 0 or len(s.passes) > 0 or len(s.entered) > 0 or len(s.mind) > 0
-    if not alone or len(s.movers) != 1 or noted or comes_home(t):
+    if not alone or len(s.movers) != 1 or noted or comes_home(t) or len(t.phases) > 0:
         return NONE
     robot = lowest_bit(bits)
     return robot if s.robots[robot, DOING] != FOLLOWING else NONE

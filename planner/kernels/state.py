@@ -79,6 +79,8 @@ class Tables(NamedTuple):
             `entry` is of before the first step. All empty where they are told.
         odds, survival, step: int64 `[A]`, what robots that learn about hazards go by (`planner.worlds.evidence`), whose
             `truths` are its classes; lessons: int64 `[LESSONS]`, the rest of it. Else empty.
+        phases: int64 `[P]`, the step at which each phase begins, of threats that change (`planner.kernels.phases`):
+            then bound, exposure and chance are `[P A]`, phase by phase, and truths what is true in each; else empty.
         bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this. Where the map
             is in doubt no rollout has a larger one; own_counter, there, column `[A]` and table say how it is drawn, as
             `planner.worlds.doubt.Draws` does; else they are empty. spent: uint64 `[A / 64]`, no bits, where the first
@@ -126,6 +128,7 @@ class Tables(NamedTuple):
     survival: NDArray
     step: NDArray
     lessons: NDArray
+    phases: NDArray
     bound: NDArray
     own_counter: NDArray
     there: NDArray
@@ -412,18 +415,18 @@ def make_counts(cells: int, goal: int, robots: int, steps: int, passes: bool = F
 def first_room(tables: Tables) -> int:
     """Areas that a rollout hardly ever exceeds, in 16 bits if those of t = 0 take up at most half of them."""
     given = len(tables.level)
-    room = given + 4 * len(tables.bound)
+    room = given + 4 * len(tables.near)
     return min(room, MOST_NARROW) if 2 * given <= MOST_NARROW else room
 
 
 def fits_narrow(tables: Tables, room: int) -> bool:
     """Whether 16 bits hold the state of so many areas."""
-    return room <= MOST_NARROW and len(tables.bound) < MOST_CELLS
+    return room <= MOST_NARROW and len(tables.near) < MOST_CELLS
 
 
 def first_state(tables: Tables, room: int, passes: bool = False) -> State:
     """t = 0, before any robot has entered its start, with room for `room` areas; `passes`: they are counted."""
-    size, team = len(tables.bound), len(tables.starts)
+    size, team = len(tables.near), len(tables.starts)
     # Half the bytes: copying states is a good part of what parting costs.
     kind: DTypeLike = np.uint16 if fits_narrow(tables, room) else np.uint32
     searching = team if len(tables.entry) else 0
@@ -518,7 +521,7 @@ def make_work(tables: Tables, most: int, remembers: bool, known: Work | None = N
     met = np.zeros(len(at), dtype=np.int64)
     if known is not None:
         return known._replace(words=words, left=left, at=at, met=met)
-    size, learning = len(tables.bound), len(tables.truths) > 0
+    size, learning = len(tables.near), len(tables.truths) > 0
     searched = size if len(tables.entry) else 0
     remembered = min(REMEMBERED, 2 ** (8 + size.bit_length())) if remembers else 0
     rows = 0 if len(tables.cost_to) else max(2, min(size, ROWS_BYTES // (size * tables.cost_to.itemsize)))

@@ -207,11 +207,12 @@ def luck_tables(world: World, cells: NDArray[np.int64], luck: LuckName) -> dict[
     """The fields of `Tables` that say how a visit of each of `cells` `[A]` is drawn."""
     draws, exposure, doses = world.draws, np.zeros(0, dtype=np.int64), np.zeros((0, 0), dtype=np.int64)
     if luck == "tolerance":
-        exposure, doses = world.exposures[0][cells], world.exposures[1]
+        exposure, doses = world.exposures[0].reshape(-1, world.threat.size)[:, cells].ravel(), world.exposures[1]
     spends = draws is not None and draws.spends
     spent = np.zeros(-(-len(cells) // WORD) if spends else 0, dtype=np.uint64)
     drawn: dict[str, NDArray] = {"spent": spent, "exposure": exposure, "doses": doses}
-    threat = world.met.ravel()[cells]
+    threat = world.by_phase[:, cells].ravel()
+    drawn["phases"] = np.zeros(0, dtype=np.int64) if world.phases is None else world.phases.begins
     drawn["chance"] = threat.astype(np.float64)
     if draws is None:
         nothing = np.zeros(0, dtype=np.uint32)

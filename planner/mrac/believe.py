@@ -46,7 +46,7 @@ class Learning(Executive):
         if problem.unknown is not None and truth is not None:
             self.belief = problem.unknown.belief.copy()
             self.unvisited = int(problem.unknown.accessible.sum())
-            if problem.rule.looks_ahead and problem.unknown.evidence is None:
+            if problem.rule.looks_ahead and problem.unknown.looks:
                 self.seen = problem.unknown.seen_at(problem.starts)
 
     def end_step(self) -> None:

@@ -55,8 +55,9 @@ def allocated(
 
 
 def nominal_run(problem: Problem, allocation: tuple[Area, ...], state: MissionState | None = None) -> Run:
-    """Algorithm 2 from this allocation, or from a state with it, with no hits."""
-    return simulate(problem, allocation, state=state)
+    """Algorithm 2 from this allocation, or from a state with it, with no hits; threats change as they do."""
+    changing = problem.unknown is not None and problem.unknown.phases is not None
+    return simulate(problem, allocation, state=state, truth=0 if changing else None)
 
 
 def make_plan(

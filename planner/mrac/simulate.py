@@ -15,6 +15,7 @@ from planner.mrac.believe import Learning
 from planner.mrac.board import Stretch
 from planner.mrac.executive import Executive, Split
 from planner.mrac.experience import Experienced
+from planner.mrac.forewarned import Forewarned
 from planner.mrac.homecoming import is_home
 from planner.mrac.partition import bisect
 from planner.mrac.problem import Problem
@@ -111,6 +112,8 @@ def make_team(
         return Executive(problem, allocation, split, recorder, state)
     if problem.unknown.evidence is not None:
         return Experienced(problem, allocation, split, recorder, problem.unknown.evidence, readings)
+    if problem.unknown.phases is not None:
+        return Forewarned(problem, allocation, split, recorder, problem.unknown.phases)
     return Learning(problem, allocation, split, recorder, state, problem.unknown.truths[truth])
 
 

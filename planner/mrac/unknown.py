@@ -17,6 +17,7 @@ from planner.worlds.evidence import Evidence
 from planner.worlds.knowledge import Knowledge
 from planner.worlds.learning import as_planned
 from planner.worlds.levels import NO_LEVEL, ThreatLevels, levels_of_maps
+from planner.worlds.phases import Phases
 from planner.worlds.sight import Sense
 from planner.worlds.world import FOUR_NEIGHBOURS, World
 
@@ -28,10 +29,12 @@ class Unknown:
     Attributes:
         knowledge: of the world. values: float64 `[L]`, of all maps together; quantised: as of `ThreatLevels`.
         belief: int16 `[N]`, level of each cell that is believed free, NO_LEVEL of an obstacle: before the first step.
-        truths: int16 `[M, N]`, the same truly; of hazards, what each class of the evidence makes robots believe.
+        truths: int16 `[M, N]`, the same truly; of hazards, what each class of the evidence makes robots believe; of
+            phases, what is true in each.
         within: bool `[N]`, cells that robots may come to reach, whatever they learn.
         accessible: bool `[N]`, those that they truly can reach.
         evidence: what robots that learn about hazards go by; None: they see what is true.
+        phases: of threats that change, of which robots are told as they do; None: nothing changes.
     """
 
     knowledge: Knowledge
@@ -42,12 +45,18 @@ class Unknown:
     within: NDArray[np.bool_]
     accessible: NDArray[np.bool_]
     evidence: Evidence | None = None
+    phases: Phases | None = None
+
+    @property
+    def looks(self) -> bool:
+        """Whether robots look about, for cells that nobody has seen yet."""
+        return self.evidence is None and self.phases is None
 
     @cached_property
     def learns(self) -> bool:
         """Whether anything is left to learn, and somebody looks."""
         differ = (self.truths != self.belief)[:, self.within]
-        return (self.evidence is not None or self.knowledge.sense.range > 0) and bool(differ.any())
+        return (not self.looks or self.knowledge.sense.range > 0) and bool(differ.any())
 
     @property
     def dearest(self) -> ThreatLevels:
@@ -85,6 +94,8 @@ def unknown_of(world: World, starts: NDArray[np.int64], most: int) -> Unknown | 
     known = world.knowledge
     if isinstance(world.doubt, Hazard) and world.doubt.learn:
         return _of_hazards(world, world.doubt.evidence, starts, most)
+    if world.phases is not None and world.phases.told:
+        return _of_phases(world, world.phases, starts, most)
     if known is None:
         return None
     told = as_planned(world, starts).threat
@@ -112,6 +123,15 @@ def _of_hazards(world: World, evidence: Evidence, starts: NDArray[np.int64], mos
     known = Knowledge(world.threat, Sense() if detector is None else detector.sense)
     belief = of_cell[evidence.class_of(evidence.prior, np.arange(len(first))), np.arange(len(first))]
     return Unknown(known, values, quantised, belief, of_cell, within, within, evidence)
+
+
+def _of_phases(world: World, phases: Phases, starts: NDArray[np.int64], most: int) -> Unknown | None:
+    within = world.accessible(starts).ravel()
+    if (world.by_phase == world.by_phase[0])[:, within].all():
+        return None
+    values, of_cell, quantised = levels_of_maps(world.by_phase, within, most)
+    known = Knowledge(world.threat, Sense())
+    return Unknown(known, values, quantised, of_cell[0], of_cell, within, within, phases=phases)
 
 
 def reached(free: NDArray[np.bool_], cells: NDArray[np.int64]) -> NDArray[np.bool_]:

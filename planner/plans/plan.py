@@ -309,5 +309,5 @@ def is_certain(world: World, plan: Plan, loop: str = "closed") -> bool:
     unknown = plan.is_foreign or world.knowledge is not None
     if world.movers is not None or (loop == "closed" and unknown):
         return False
-    threat = world.met.reshape(-1) if world.draws is None else world.draws.bound
+    threat = world.by_phase.max(axis=0) if world.draws is None else world.draws.bound
     return not any((threat[robot.path] > 0).any() for robot in plan.robots)

@@ -14,6 +14,7 @@ from planner.worlds.doubt import Hazard, Uncertain
 from planner.worlds.georeference import Georeference
 from planner.worlds.knowledge import Knowledge
 from planner.worlds.movers import Movers
+from planner.worlds.phases import Phases
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 """States of a pixel."""
@@ -101,7 +102,7 @@ class Grid:
     georeference: Georeference | None = None
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
-    doubt: Hazard | Uncertain | Movers | None = None
+    doubt: Hazard | Uncertain | Movers | Phases | None = None
     knowledge: Knowledge | None = None
     measured: bool = True
     swath: float | None = None

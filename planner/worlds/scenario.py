@@ -25,6 +25,7 @@ from planner.worlds.learning import KEYS as KNOWLEDGE
 from planner.worlds.learning import read_knowledge
 from planner.worlds.maps import YAML, load_map
 from planner.worlds.moving import read_movers
+from planner.worlds.changing import read_phases
 from planner.worlds.peers import MAPS_KEY
 from planner.worlds.quantities import CELL_SIZE
 from planner.worlds.reported import KEYS as REPORTED
@@ -41,7 +42,7 @@ from planner.worlds.wrong_maps import read_hazard, read_uncertain
 
 DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
-IN_DOUBT = ("hazard", "uncertain", "movers")
+IN_DOUBT = ("hazard", "uncertain", "movers", "phases")
 """Keys that say by what else than the threats robots are stopped, one of them at most."""
 SETTINGS = ("levels", "policy", "reserve", "worth", "plan_for", "wear", "deadline", "in_area")
 OF_ROBOTS = ("range", "susceptibility", "return_to", "recharge")
@@ -196,15 +197,17 @@ def _in_doubt(world: World, ground: Ground, keys: dict[str, Key]) -> World:
     named = [name for name in IN_DOUBT if name in keys]
     if ground.grid.doubt is not None:
         if named or keys["threats"].value or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
-            problem = "brings hazards, uncertain maps or movers along, which nothing can be added to"
+            problem = "brings hazards, uncertain maps, movers or phases along, which nothing can be added to"
             raise MapError(problem, source=ground.grid.source, fix="use the world file by itself, as it is")
         return replace(world, doubt=ground.grid.doubt)
-    if "plan_on" in keys and "movers" not in keys:
-        raise keys["plan_on"].wrong("none without movers", "of uncertain maps it stands under `uncertain`")
+    if "plan_on" in keys and not {"movers", "phases"} & keys.keys():
+        raise keys["plan_on"].wrong("none without movers or phases", "of uncertain maps it stands under `uncertain`")
     if len(named) > 1:
         raise keys[named[1]].wrong(f"none beside {named[0]}", "leave one of the two out")
     if "movers" in keys:
         return read_movers(keys["movers"], keys.get("plan_on"), world)
+    if "phases" in keys:
+        return read_phases(keys, world, ground)
     if "hazard" in keys:
         return read_hazard(keys["hazard"], world, ground)
     return read_uncertain(keys["uncertain"], world, ground, keys["combine"].value) if named else world

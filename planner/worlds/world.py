@@ -25,6 +25,7 @@ from planner.worlds.georeference import HOW_TO_GIVE_ONE, LONGEST, Georeference
 from planner.worlds.grid import Frame
 from planner.worlds.knowledge import Knowledge, knowledge_in
 from planner.worlds.movers import Movers, movers_in
+from planner.worlds.phases import Phases, phases_in
 from planner.worlds.quantities import CELL_SIZE, COORDINATE, DETECT, POSE, SCALE, VALUE, checked_layer, first_of
 from planner.worlds.sources import Sources
 
@@ -68,8 +69,8 @@ class World:
         georeference: where the map's frame lies on the Earth, or None when nobody said.
         value: float64 `[H, W]`, what each cell is worth (0 on obstacles), or None: 1 each.
         detect: float64 `[H, W]`, chance that a visit which the robot survives finds what is there, or None: 1 each.
-        doubt: hazards that are there or not, maps one of which is true, or movers; robots plan on `threat`, and what
-            stops them is drawn from these. None: every visit is drawn for itself, from `threat`.
+        doubt: hazards that are there or not, maps one of which is true, movers, or phases; robots plan on `threat`, and
+            what stops them is drawn from these. None: every visit is drawn for itself, from `threat`.
         sources: what `threat` was combined from, where a scenario names polygons, points or sites.
         knowledge: what is true, where robots are not told it: `threat` is then what they believe. None: they are.
         measured: somebody said what `cell_size` is; else it is presumed. pace: how long a step takes, if that was said.
@@ -85,7 +86,7 @@ class World:
     georeference: Georeference | None = None
     value: NDArray[np.float64] | None = None
     detect: NDArray[np.float64] | None = None
-    doubt: Hazard | Uncertain | Movers | None = None
+    doubt: Hazard | Uncertain | Movers | Phases | None = None
     sources: Sources | None = None
     knowledge: Knowledge | None = None
     measured: bool = True
@@ -139,9 +140,11 @@ class World:
 
     @property
     def met(self) -> NDArray[np.float32]:
-        """float32 `[H, W]`, like `threat`: what robots meet in the cells themselves, whatever they plan on."""
+        """float32 `[H, W]`, like `threat`: what robots meet in the cells themselves, whatever they plan on; at first."""
         if self.movers is not None:
             return self.movers.own
+        if self.phases is not None:
+            return self.phases.threats[0]
         return self.threat if self.knowledge is None else self.knowledge.truth
 
     @property
@@ -154,6 +157,21 @@ class World:
         """Threats that move; None where there are none."""
         return self.doubt if isinstance(self.doubt, Movers) else None
 
+    @property
+    def phases(self) -> Phases | None:
+        """Threats that change with time; None where they stay as they are."""
+        return self.doubt if isinstance(self.doubt, Phases) else None
+
+    @property
+    def by_phase(self) -> NDArray[np.float32]:
+        """float32 `[P, N]`: `met` in each phase; one where threats do not change."""
+        return (self.met if self.phases is None else self.phases.threats).reshape(-1, self.threat.size)
+
+    def visits(self, cells: NDArray[np.integer], steps: ArrayLike) -> NDArray[np.int64]:
+        """Where `by_phase` and `exposures`, flat, have visits of these cells (indices) at these steps."""
+        phase = 0 if self.phases is None else self.phases.number_at(steps)
+        return np.asarray(cells + phase * self.threat.size, dtype=np.int64)
+
     @cached_property
     def draws(self) -> Draws | None:
         """How the engines draw what is true in a rollout; None where every visit is drawn from `threat`."""
@@ -161,16 +179,17 @@ class World:
 
     @cached_property
     def exposures(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """What a visit of each cell `[N]` adds to a robot's exposure; where maps differ the most, and all of it."""
-        if self.doubt is None or isinstance(self.doubt, Movers):
-            return exposure_of(self.met).ravel(), np.zeros((0, 0), dtype=np.int64)
+        """What a visit of each cell `[N]`, in phases `[P N]`, adds to a robot's exposure; where maps differ the most,
+        and all of it."""
+        if self.doubt is None or isinstance(self.doubt, Movers | Phases):
+            return exposure_of(self.by_phase).ravel(), np.zeros((0, 0), dtype=np.int64)
         return self.doubt.exposures()
 
     @property
     def luck_sha256(self) -> str:
         """The identity of what robots meet: of the map, of what is in doubt about it or moves on it, and of what they
         are not told."""
-        of = self.draws or self.movers
+        of = self.draws or self.movers or self.phases
         drawn = "" if of is None else f"?{of.sha256}"
         drawn += self.doubt.taught if isinstance(self.doubt, Hazard) else ""
         return self.sha256 + drawn + ("" if self.knowledge is None else f"!{self.knowledge.sha256}")
@@ -182,7 +201,7 @@ class World:
         """
         if self.doubt is not None:
             problem = f"{what} presumes one known map, every visit drawn for itself; here: {self.doubt.said}"
-            named = "`hazard` and `uncertain`" if self.movers is None else "`movers`"
+            named = {Movers: "`movers`", Phases: "`phases`"}.get(type(self.doubt), "`hazard` and `uncertain`")
             raise WorldError(problem, source=self.source, fix=f"leave {named} out{or_else}")
         self.check_told(what, or_else)
 
@@ -191,6 +210,9 @@ class World:
         if isinstance(self.doubt, Hazard) and self.doubt.learn:
             problem = f"{what} presumes robots that learn nothing; here: {self.doubt.said}"
             raise WorldError(problem, source=self.source, fix="leave `learn` out" + or_else)
+        if self.phases is not None and self.phases.told:
+            problem = f"{what} presumes threats that robots know beforehand; here: {self.phases.said}"
+            raise WorldError(problem, source=self.source, fix="give `plan_on: first` or `worst`" + or_else)
         if self.knowledge is not None:
             problem = f"{what} presumes a map that robots are told; here: {self.knowledge.said}"
             raise WorldError(problem, source=self.source, fix="leave `truth`, `prior` and `sense` out" + or_else)
@@ -279,7 +301,7 @@ class World:
             ("detect", "" if self.detect is None else f"{self.detect[free].mean():.3g} a visit, on average"),
             ("place", "" if self.georeference is None else f"in {self.georeference.crs[:60]}"),
             ("step", f"{self.pace.seconds:g} s" if self.pace.seconds else ""),
-            ("movers" if self.movers else "doubt", "" if self.doubt is None else self.doubt.said),
+            ("movers" if self.movers else "phases" if self.phases else "doubt", "" if self.doubt is None else self.doubt.said),
             ("told", "" if self.knowledge is None else self.knowledge.said),
             ("robots", team if self.starts is None else f"{len(self.starts)}, starts {self.starts[:8].tolist()}"),
             *(("note", note) for note in self.notes[:4]),
@@ -423,7 +445,8 @@ def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
     if "truth" in arrays:
         truth = _checked_threat(arrays["truth"], f"{source}: truth")[0]
         world = replace(world, knowledge=knowledge_in({**arrays, "truth": truth}, world.threat, source))
-    doubt = movers_in(arrays, world.met, source) or doubt_in(arrays, world.met, source)
+    doubt = movers_in(arrays, world.met, source) or phases_in(arrays, world.met, source)
+    doubt = doubt or doubt_in(arrays, world.met, source)
     world = replace(world, doubt=doubt, measured="cell_size" in arrays)
     return world.with_values(arrays.get("value"), arrays.get("detect"))
 
