@@ -49,6 +49,10 @@ class Learning(Executive):
             if problem.rule.looks_ahead and problem.unknown.looks:
                 self.seen = problem.unknown.seen_at(problem.starts)
 
+    def levels(self) -> NDArray[np.int16]:
+        """Those that are believed; of cells that nobody can reach any more too, which may be on an old way."""
+        return self.belief
+
     def end_step(self) -> None:
         """Every robot has had its turn, and they learn."""
         cells = self.looked_at()

@@ -182,6 +182,10 @@ class Board:
         other.made, other.given = [], 0
         return other
 
+    def levels(self) -> NDArray[np.int16]:
+        """The level of each cell `[N]` as robots know it, NO_LEVEL of an obstacle."""
+        return self.problem.levels.of_cell
+
     def to_do(self, number: int) -> NDArray[np.int64]:
         """The unvisited cells of an area."""
         cells = self.areas[number].cells

@@ -144,7 +144,7 @@ def is_full(board: Board, robot: Robot) -> bool:
 
 
 def _is_now_at_risk(board: Board, robot: Robot) -> bool:
-    dangerous = bool((board.problem.levels.of_cell[robot.ahead] > 0).any())
+    dangerous = bool((board.levels()[robot.ahead] > 0).any())
     if robot.status is Doing.RETURNING:
         return dangerous
     return robot.on_its_way and (board.areas[robot.area].level > 0 or dangerous)
