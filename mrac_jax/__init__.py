@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from planner.plan_team import read_plan
     from planner.plans.plan import Plan
     from planner.settings import Settings
+    from planner.worlds.changing import with_phases
     from planner.worlds.learning import with_prior, with_sense, with_truth
     from planner.worlds.moving import with_movers
     from planner.worlds.world import World
@@ -53,7 +54,7 @@ __all__ = [
     "InputError", "Plan", "Settings", "World", "attack", "check", "clear", "compare", "env", "evaluate", "export",
     "front", "judge", "load", "mission", "plan", "plots", "read_outcomes", "read_plan", "read_rollouts", "record",
     "reproduce", "results", "size", "starts", "suite", "sweep", "to_networkx", "with_hazard", "with_maps",
-    "with_movers", "with_prior", "with_sense", "with_spread", "with_truth",
+    "with_movers", "with_phases", "with_prior", "with_sense", "with_spread", "with_truth",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",
@@ -65,6 +66,7 @@ ELSEWHERE = {
     "read_plan": "planner.plan_team",
     "to_networkx": "planner.mrac.graph",
     "with_movers": "planner.worlds.moving",
+    "with_phases": "planner.worlds.changing",
     **dict.fromkeys(("with_hazard", "with_maps", "with_spread"), "planner.worlds.wrong_maps"),
     **dict.fromkeys(("with_prior", "with_sense", "with_truth"), "planner.worlds.learning"),
 }

@@ -111,7 +111,7 @@ def drawn(number, stream):
 
 POLICIES = (
     "mrac", "per_cell", {"policy": "per_cell", "reserve": 0.5}, {"policy": "per_cell", "worth": 3.0}, "frontier",
-    {"policy": "frontier", "reserve": 0.5},
+    {"policy": "frontier", "reserve": 0.5}, "watchful",
 )  # fmt: skip
 
 

@@ -66,8 +66,9 @@ def to_json(evaluation: Evaluation) -> Json:
     }
     if found.home is not None:
         out["home"] = found.home
-    if evaluation.world.movers is not None:
-        out["movers"] = evaluation.world.movers.to_json()
+    for name in ("movers", "phases"):
+        if (of := getattr(evaluation.world, name)) is not None:
+            out[name] = of.to_json()
     said = {key: found.as_json() for key, found in evaluation.outputs.items()}
     out |= {key: value for key, value in said.items() if value is not None}
     return out | json_end(evaluation, evaluation.notes)

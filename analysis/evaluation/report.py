@@ -29,6 +29,7 @@ from analysis.report.blocks import KeyFigure, Part, Pictured, Report
 from analysis.report.words import asked, team_figure
 from analysis.trials.exact_loop import TreeTruth
 from planner.shown import counted
+from planner.worlds.world import World
 
 
 def report(evaluation: Evaluation, theory: bool = False) -> Report:
@@ -80,7 +81,7 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
     return {
         "map": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
-        **({} if world.doubt is None else {"in doubt" if world.movers is None else "movers": world.doubt.said}),
+        **({} if world.doubt is None else {_of_doubt(world): world.doubt.said}),
         **({} if world.knowledge is None else {"told": world.knowledge.said}),
         **({"what p means": evaluation.p_means} if evaluation.p_means else {}),
         "plan": f"{plan.origin if plan.is_foreign else plan_words(plan)}, {span_words(plan, world.pace)}"
@@ -88,6 +89,11 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
         "rollouts": f"{whole}{counted(tally.rollouts, 'rollout')}, {loop}, seed {evaluation.seed}, "
         f"{evaluation.engine_said}",
     }
+
+
+def _of_doubt(world: World) -> str:
+    """What `World.doubt` is called."""
+    return "movers" if world.movers else "phases" if world.phases else "in doubt"
 
 
 def _in_lines(evaluation: Evaluation, looked_at: Mapping[str, str]) -> list[str]:

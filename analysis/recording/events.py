@@ -64,7 +64,7 @@ def event_line(row: NDArray, world: World) -> Line:
         "parts": counted(other, "part"),
         "cells": counted(other, "cell"),
         "cell": list(divmod(other, world.shape[1])),
-        "threat": 100 * float(world.met.reshape(-1)[other]) if kind == EventKind.HIT else 0.0,
+        "threat": 100 * float(world.by_phase.flat[world.visits(row[4], step)]) if kind == EventKind.HIT else 0.0,
         "its_area": "" if area == NO_AREA else f"; its area was {area}",
     }
     short = short.format(**facts)

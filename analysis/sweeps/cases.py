@@ -112,7 +112,7 @@ class Places:
         """The case's world, starts and settings. Raises InputError naming the case."""
         try:
             team = self._team(case)
-            if team.world.movers is None and team.world.doubt is not None:
+            if team.world.draws is not None:
                 team.world.check_settled("a sweep")
             team.world.check_alike("a sweep")
             return team

@@ -86,7 +86,7 @@ MODEL: dict[str, Reader] = {
     "seed": _one_of(SEED),
 }
 SETTINGS = {**INPUT, **WORLD, **PAPER, **UNSAID, **TEAM, **PLANNER, **MODEL}
-PLACES = ("map", "cell_size", "unknown", "threats", "combine", "truth", *BESIDE)
+PLACES = ("map", "cell_size", "unknown", "threats", "combine", "truth", "phases", *BESIDE)
 """Keys of a scenario in which a place may be swept: `threats[0].scale`."""
 PART = re.compile(r"([A-Za-z_][A-Za-z_0-9]*)|\[([0-9]+)\]")
 

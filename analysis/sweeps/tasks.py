@@ -226,7 +226,7 @@ def facts_of(team: Team, plan: Plan, most: int | None = None) -> Json:
         "visited": exact.visited, "survived": exact.survived, "time": exact.mean_time,
         "alive": float(exact.survival.sum()),
     }  # fmt: skip
-    ideal = plan.bearing.is_plain and world.movers is None
+    ideal = plan.bearing.is_plain and world.doubt is None
     return {
         "shape": list(world.shape),
         "world": world.luck_sha256,

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from planner.plans.plan import Plan, RobotPlan, entries
 from planner.worlds.doubt import Hazard, Uncertain
 from planner.worlds.movers import Movers
+from planner.worlds.phases import Phases
 from planner.worlds.world import World
 
 MOST_SHARED = 10
@@ -37,10 +38,10 @@ def ways(plan: Plan, world: World) -> Iterator[Way] | None:
     """Every way that matters for the plan; None where there are too many, or robots are not independent given one.
 
     The map is one of M: M ways. Hazards: the patterns of those that several robots meet, if these are few; `consumed`,
-    none of them may be, and by level there may be one robot. Threats that move: none.
+    none of them may be, and by level there may be one robot. Threats that move or change: none.
     """
     doubt = world.doubt
-    if isinstance(doubt, Movers):
+    if isinstance(doubt, Movers | Phases):
         return None
     if doubt is None or world.draws is None or not any(world.draws.bound[robot.path].any() for robot in plan.robots):
         return iter([Way(1.0, [_entered(world.met, robot) for robot in plan.robots])])

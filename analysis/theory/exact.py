@@ -82,7 +82,7 @@ def chances_among(robot: RobotPlan, world: World, bearing: Bearing = PLAIN) -> R
     """The chances of one robot alone, where threats move: of every step, waits too (`theory.moving`)."""
     moves = entries(robot.path)
     path = robot.path[: moves[-1] + 1]
-    own = chances_along(robot, world.met.ravel()[robot.path[moves]].astype(np.float64), bearing)
+    own = chances_along(robot, _met(robot, world), bearing)
     passed = np.ones(len(path))
     passed[moves] = 1.0 - own.threat
     passed *= passed_movers(path, world)
@@ -90,6 +90,12 @@ def chances_among(robot: RobotPlan, world: World, bearing: Bearing = PLAIN) -> R
     first[moves[own.first]] = True
     reach = np.concatenate([[1.0], np.cumprod(passed)[:-1]])
     return RobotChances(np.arange(len(path)), path, 1.0 - passed, reach, first)
+
+
+def _met(robot: RobotPlan, world: World) -> NDArray[np.float64]:
+    """float64 `[E]`: p of each entry of its path, when it is made."""
+    steps = entries(robot.path)
+    return world.by_phase.ravel()[world.visits(robot.path[steps], steps)].astype(np.float64)
 
 
 def chances_of(plan: Plan, world: World) -> list[RobotChances]:
@@ -168,8 +174,14 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
     `visited` and after it for `survived`. Cost: linear in the total length of the paths. Where the map is in doubt: the
     mean over the ways that it may be (`theory.doubt`); where they are too many, NaN in all that is not known. Where
     threats move robots are not independent: known of one robot alone, on maps that are not too large (`chances_among`).
+    Threats that change with time: p of an entry is that of its step.
     Robots that are not told the map meet the true one; NaN for who would run into an obstacle.
     """
+    if world.phases is not None:
+        robots = [
+            chances_along(robot, _met(robot, world), plan.bearing, number) for number, robot in enumerate(plan.robots)
+        ]
+        return exact_of(plan, robots, world.threat.size)
     if world.doubt is None and world.knowledge is None:
         return exact_of(plan, chances_of(plan, world), world.threat.size)
     if world.movers is not None and len(plan.robots) == 1 and is_worth_it(world, plan.makespan):

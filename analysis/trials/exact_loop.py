@@ -101,7 +101,7 @@ def _loop_of(plan: Plan, world: World, first_only: bool, kept: AllPairs | None) 
     """What a tree is grown of, or None where there is none, or it would be too dear."""
     from planner.kernels.closed_loop import compile_closed_loop
 
-    if world.doubt is not None or int(world.accessible(plan.starts).sum()) > MOST_CELLS:
+    if (world.doubt is not None and world.phases is None) or int(world.accessible(plan.starts).sum()) > MOST_CELLS:
         return None
     try:
         return compile_closed_loop(plan, world, first_only=first_only, kept=kept, luck="tolerance")

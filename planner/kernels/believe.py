@@ -214,6 +214,8 @@ def fall_apart(t, s, w, area):
         cell = s.order[place]
         if s.home[cell] & VISITED or w.gone[cell] or w.part[cell] == 0:
             let_go(s, cell)
+        else:
+            s.home[cell] = area << AREA_BITS  # not TO_DO any more, of who broke off
     w.stamp[0] += 1
     stamp, wanted, number = w.stamp[0], area << AREA_BITS, area
     for place in range(begin, end):

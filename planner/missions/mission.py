@@ -70,9 +70,9 @@ class Mission:
         recorder: Recorder | None = None,
     ) -> None:
         FRACTION.check("gain", gain)
-        world.check_told("a mission that is driven")
-        if world.movers is not None:
+        if world.movers is not None or world.phases is not None:
             world.check_settled("a mission that is driven")
+        world.check_told("a mission that is driven")
         self.world, self.patience, self.gain, self._recorder = world, patience, gain, recorder
         self.closed: list[int] = []
         self.seen: Seen = {}

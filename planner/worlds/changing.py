@@ -1,4 +1,4 @@
-"""Worlds whose threats change with time, made from arrays, or from a scenario's key `phases` (`planner.worlds.phases`)."""
+"""Worlds with threats that change, made from arrays, or from a scenario's key `phases` (`planner.worlds.phases`)."""
 
 from __future__ import annotations
 

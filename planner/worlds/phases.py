@@ -123,5 +123,7 @@ def phases_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source
     check_phases(begins.tolist(), maps, ~np.isnan(threat), source)
     found = Phases(begins.astype(np.int64), maps, next(word for word in PLAN_ON if word == plan_on))
     if not np.array_equal(found.planned, threat, equal_nan=True):
-        raise WorldError("`threat` is not what its phases say", source=source, expected="arrays as World.save writes them")
+        raise WorldError(
+            "`threat` is not what its phases say", source=source, expected="arrays as World.save writes them"
+        )
     return found

@@ -16,6 +16,7 @@ from planner.arguments import ANY, Numbers, argument, whole
 from planner.errors import InputError, MapError, ScenarioError
 from planner.files import check_file
 from planner.settings import SETTINGS as KNOWN
+from planner.worlds.changing import read_phases
 from planner.worlds.elevation import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
 from planner.worlds.fields import BOUNDARIES, read_field
 from planner.worlds.grid import WHOLE, Grid, Ground, coarsen
@@ -25,7 +26,6 @@ from planner.worlds.learning import KEYS as KNOWLEDGE
 from planner.worlds.learning import read_knowledge
 from planner.worlds.maps import YAML, load_map
 from planner.worlds.moving import read_movers
-from planner.worlds.changing import read_phases
 from planner.worlds.peers import MAPS_KEY
 from planner.worlds.quantities import CELL_SIZE
 from planner.worlds.reported import KEYS as REPORTED

@@ -140,7 +140,7 @@ class World:
 
     @property
     def met(self) -> NDArray[np.float32]:
-        """float32 `[H, W]`, like `threat`: what robots meet in the cells themselves, whatever they plan on; at first."""
+        """float32 `[H, W]`, like `threat`: what robots meet in the cells at first, whatever they plan on."""
         if self.movers is not None:
             return self.movers.own
         if self.phases is not None:
@@ -301,7 +301,10 @@ class World:
             ("detect", "" if self.detect is None else f"{self.detect[free].mean():.3g} a visit, on average"),
             ("place", "" if self.georeference is None else f"in {self.georeference.crs[:60]}"),
             ("step", f"{self.pace.seconds:g} s" if self.pace.seconds else ""),
-            ("movers" if self.movers else "phases" if self.phases else "doubt", "" if self.doubt is None else self.doubt.said),
+            (
+                "movers" if self.movers else "phases" if self.phases else "doubt",
+                "" if self.doubt is None else self.doubt.said,
+            ),
             ("told", "" if self.knowledge is None else self.knowledge.said),
             ("robots", team if self.starts is None else f"{len(self.starts)}, starts {self.starts[:8].tolist()}"),
             *(("note", note) for note in self.notes[:4]),

@@ -95,7 +95,8 @@ class CompiledPlan:
         if mode == "fast":
             return [survival_thresholds(threat) for threat in self.danger_threat]
         exposure, bearing = self.world.exposures[0], self.plan.bearing
-        borne = [bearing.fresh(np.cumsum(exposure[cell]), robot) for robot, cell in enumerate(self.danger_cell)]
+        visits = map(self.world.visits, self.danger_cell, self.danger_step)
+        borne = [bearing.fresh(np.cumsum(exposure[each]), robot) for robot, each in enumerate(visits)]
         return [least_word(one).astype(np.uint64) for one in borne]
 
     def until(self, step: int) -> CompiledPlan:
@@ -147,8 +148,9 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
     paths = [np.asarray(robot.path, dtype=np.int64) for robot in plan.robots]
     for robot, path in enumerate(paths):
         _check_path(robot, path, threat)
-    most = threat if world.draws is None else world.draws.bound.astype(np.float32) / np.float32(STEP_UNIT)
-    found = _find_entries(paths, most)
+    drawn = world.draws
+    most = world.by_phase.ravel() if drawn is None else drawn.bound.astype(np.float32) / np.float32(STEP_UNIT)
+    found = _find_entries(paths, world, most)
     per_robot = [found.dangerous & (found.robot == robot) for robot in range(len(paths))]
     moves = np.array([last_move(path) for path in paths], dtype=np.int64)
     return CompiledPlan(
@@ -161,7 +163,7 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
         entries=found,
         danger_step=tuple(found.step[mine] for mine in per_robot),
         danger_cell=tuple(found.cell[mine] for mine in per_robot),
-        danger_threat=tuple(most[found.cell[mine]] for mine in per_robot),
+        danger_threat=tuple(most[world.visits(found.cell[mine], found.step[mine])] for mine in per_robot),
         last_move=moves,
     )
 
@@ -198,12 +200,12 @@ def _check_path(robot: int, path: NDArray[np.int64], threat: NDArray[np.float32]
         raise PlanError(f"robot {robot} is in an obstacle at step {blocked[0]}", expected="free cells")
 
 
-def _find_entries(paths: list[NDArray[np.int64]], threat: NDArray[np.float32]) -> Entries:
+def _find_entries(paths: list[NDArray[np.int64]], world: World, threat: NDArray[np.float32]) -> Entries:
     parts: list[tuple[NDArray, ...]] = []
     for robot, path in enumerate(paths):
         step = entries(path)
         cell = path[step]
-        danger = threat[cell] > 0
+        danger = threat[world.visits(cell, step)] > 0
         first = np.zeros(len(cell), dtype=bool)
         first[np.unique(cell, return_index=True)[1]] = True
         robots = np.full(len(step), robot, dtype=np.int64)
@@ -231,7 +233,7 @@ def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
         raise UsageError(problem, fix="use mode step")
     dangers = np.array([len(steps) for steps in compiled.danger_step], dtype=np.int64)
     if draws is None and mode == "step":
-        draws = certain_draws(compiled.world.met.ravel())
+        draws = certain_draws(compiled.world.by_phase.ravel())
     drawn_once = draws is None
     thresholds = compiled.thresholds(mode) if drawn_once else []
     # A threshold of 0 is passed by no word: what lies beyond needs no rows.
@@ -244,6 +246,9 @@ def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
     ]
     alive = [(np.arange(deep + 1) == many).astype(np.int64) for deep, many in zip(depth, dangers, strict=True)]
     exposures = compiled.world.exposures if mode == "tolerance" else None
+    # Draws of cells, or of cells in each phase.
+    visits = compiled.world.visits(compiled.entries.cell, compiled.entries.step)
+    drawn = replace(compiled.entries, cell=visits)
     return ModeTables(
         mode=mode,
         groups=groups,
@@ -253,5 +258,5 @@ def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
         guide=make_guide([thresholds[r] if r >= 0 else thresholds[0][:0] for r in groups.slot_robot])
         if drawn_once
         else None,
-        joint=None if draws is None else joint_draws(draws, exposures, compiled.entries, groups, compiled.plan.bearing),
+        joint=None if draws is None else joint_draws(draws, exposures, drawn, groups, compiled.plan.bearing),
     )
