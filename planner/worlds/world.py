@@ -448,9 +448,8 @@ def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
     if "truth" in arrays:
         truth = _checked_threat(arrays["truth"], f"{source}: truth")[0]
         world = replace(world, knowledge=knowledge_in({**arrays, "truth": truth}, world.threat, source))
-    doubt = movers_in(arrays, world.met, source) or phases_in(arrays, world.met, source)
-    doubt = doubt or doubt_in(arrays, world.met, source)
-    world = replace(world, doubt=doubt, measured="cell_size" in arrays)
+    changing = movers_in(arrays, world.met, source) or phases_in(arrays, world.met, source)
+    world = replace(world, doubt=changing or doubt_in(arrays, world.met, source), measured="cell_size" in arrays)
     return world.with_values(arrays.get("value"), arrays.get("detect"))
 
 
