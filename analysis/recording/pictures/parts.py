@@ -36,7 +36,7 @@ from analysis.pictures.style import (
 )
 from analysis.recording.frames import Frames
 from planner.plans.plan import Plan
-from planner.worlds.levels import find_levels
+from planner.worlds.levels import levels_of_maps
 from planner.worlds.world import World
 
 NOBODY = SAFE
@@ -87,14 +87,22 @@ def boxes_for(shape: tuple[int, int]) -> Boxes:
     return Boxes(size, (threat, areas, curve), bar, (left + 3.0, bar[1] + 0.16), events)
 
 
-def draw_threat(axes: Axes, boxes: Boxes, world: World, plan: Plan, has_areas: bool, *, fog: bool = False) -> None:
-    """The world by threat, its colour bar, and the legend of both maps; `fog`: not all of it is seen at once."""
+def draw_threat(
+    axes: Axes, boxes: Boxes, world: World, plan: Plan, has_areas: bool, *, fog: bool = False
+) -> tuple[AxesImage, list[NDArray[np.float64]]]:
+    """The world by threat, its colour bar, and the legend of both maps; `fog`: not all of it is seen at once.
+
+    The image, and the colours that it has in each phase.
+    """
     accessible = world.accessible(plan.starts)
-    threat = np.nan_to_num(world.threat.astype(np.float64))
-    levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS).values
-    known = threat_scale(levels, float(threat[accessible].max(initial=0.0)))
-    colours = ScalarMappable(known.norm, known.colours).to_rgba(threat)
-    axes.imshow(cell_colours(world, accessible, colours), interpolation="nearest", zorder=0)
+    maps = world.threat[None] if world.phases is None else world.phases.threats
+    most = plan.settings.levels if plan.settings else MOST_LEVELS
+    levels, _, _ = levels_of_maps(maps.reshape(len(maps), -1), accessible.ravel(), most)
+    threats = np.nan_to_num(maps.astype(np.float64))
+    known = threat_scale(levels, float(threats[:, accessible].max(initial=0.0)))
+    paint = ScalarMappable(known.norm, known.colours)
+    painted = [cell_colours(world, accessible, paint.to_rgba(threat)) for threat in threats]
+    image = axes.imshow(painted[0], interpolation="nearest", zorder=0)
     map_frame(axes, world, "threat, and the paths driven")
     label, handles = (
         "chance that one visit stops the robot",
@@ -102,6 +110,7 @@ def draw_threat(axes: Axes, boxes: Boxes, world: World, plan: Plan, has_areas: b
     )
     key = Key("", "", label=label, handles=handles, **level_scale(levels, known))
     draw_key(root_figure(axes), boxes.bar, boxes.legend, 2, key)
+    return image, painted
 
 
 def _area_handles(has_areas: bool, before: bool, fog: bool, movers: bool) -> tuple[Patch | Line2D, ...]:

@@ -86,7 +86,8 @@ class RolloutPicture:
         boxes = boxes_for(world.shape)
         self.figure = new_figure(boxes.size, dpi)
         threat_axes, areas_axes, coverage = (self.figure.add_axes(inches(self.figure, box)) for box in boxes.axes)
-        draw_threat(threat_axes, boxes, world, plan, has_areas, fog=self._found is not None)
+        fog = self._found is not None
+        self._ground, self._painted = draw_threat(threat_axes, boxes, world, plan, has_areas, fog=fog)
         map_frame(areas_axes, world, "who covered it, and whose area it is" if has_areas else "who covered it")
         self._image = areas_axes.imshow(self._area_colours(0), interpolation="nearest", zorder=0)
         points = cell_points(threat_axes, world.shape)
@@ -109,6 +110,8 @@ class RolloutPicture:
         while self._next_map is not None and self._next_map.step <= step:
             self._map, self._next_map = self._next_map, next(self._maps, None)
         self._image.set_data(self._area_colours(step))
+        if self._world.phases is not None:
+            self._ground.set_data(self._painted[self._world.phases.number_at(step)])
         if self._found is not None:
             for fog in self._fog:
                 fog.set_alpha(np.where(self._found.seen(step), 0.0, FOG_ALPHA))
@@ -145,6 +148,7 @@ class RolloutPicture:
         """What `show` changes, from the lowest to the highest."""
         marks = [artist for markers in self._markers for artist in markers.artists]
         return [
+            *([self._ground] if len(self._painted) > 1 else []),
             self._image, *self._fog, *self._paths, *self._movers, *marks, *self._curves, self._losses,
             self._title, self._subtitle, *self._lines,
         ]  # fmt: skip

@@ -28,7 +28,7 @@ def layout_json(world: World, robots: int) -> str:
     panels, camera = layout["configById"], _camera(world)
     for name in ("3D!threat", "3D!areas"):
         panels[name]["cameraState"].update(camera)
-    largest = max(float(np.nanmax(layer, initial=0.0)) for layer in (world.threat, world.met))
+    largest = max(float(np.nanmax(layer, initial=0.0)) for layer in (world.threat, world.by_phase))
     panels["3D!threat"]["topics"]["/map/threat"]["maxValue"] = max(largest, 1e-6)
     if world.knowledge is not None and world.knowledge.sense.range > 0:
         _show_truth(layout)

@@ -42,7 +42,8 @@ class MapDrawer:
 
     def __init__(self, world: World, accessible: NDArray[np.bool_]) -> None:
         """`accessible`: bool `[H, W]`."""
-        self.world, self._threat, self._unknown = world, world.threat, world.free & ~accessible
+        self.world, self._threat = world, world.threat if world.phases is None else world.met
+        self._unknown = world.free & ~accessible
         self._grids = {
             "threat": _grid(self.place("threat"), world, np.dtype([("threat", "<f4")])),
             "obstacles": _grid(self.place("obstacles"), world, RGBA),
@@ -87,6 +88,10 @@ class MapDrawer:
     def believe(self, threat: NDArray[np.float32], seen: NDArray[np.bool_]) -> None:
         """From now on this is the map, float32 `[H, W]`, NaN = obstacle, and these cells of it are known."""
         self._threat, self._unknown = threat, ~seen
+
+    def change(self, threat: NDArray[np.float32]) -> None:
+        """From now on these are the threats, float32 `[H, W]`, NaN = obstacle."""
+        self._threat = threat
 
     def place(self, layer: str) -> Place:
         """Where a layer lies."""

@@ -81,6 +81,10 @@ class RolloutDrawer:
             self.map.hold(self.next_areas)
             self.open_areas = self.next_areas.open
             self.next_areas = next(self.areas, None)
+        phases = self.stage.world.phases
+        if phases is not None and (phases.begins[1:] == step).any():
+            self.map.change(phases.threats[phases.number_at(step)])
+            yield from self._known(time)
         yield from self._data(time, step)
         if self.discovery is not None and self._looks(step, self.every):
             yield from self._discovered(self.discovery, time, step)

@@ -135,10 +135,15 @@ class Stage:
 
     def area_maps(self, trace: Trace) -> Iterator[AreaMap]:
         """Who holds what, at the end of step 0 and of every later step that changes it; nothing without areas."""
-        if self.learns:
+        if self.rearranges:
             loop = ReferenceLoop(self.plan, self.world, first_only=self.first_only, luck=self.luck)
             return learned_maps(loop.teams(self.seed, trace.rollout))
         return area_maps(trace, self.areas, self.plan.state) if self.areas else iter(())
+
+    @property
+    def rearranges(self) -> bool:
+        """Whether robots may make other areas of what they come to know of the map."""
+        return self.loop == "closed" and ready_loop(self.plan, self.world)[0].learns
 
     def discovery(self, trace: Trace) -> Discovery | None:
         """What robots come to know of the map in a rollout; None where they learn nothing."""
