@@ -13,7 +13,7 @@ from analysis.cli.options import OUTPUT, Json, OutPath, Text, Whole, one_of, pat
 from planner.errors import UsageError
 
 NAMES = ("fig4", "fig5", "fig6", "fig7", "all", "policies", "online", "moving")
-MAPS, ROLLOUTS = 500, 50
+MAPS, ROLLOUTS = 500, 20
 USUAL = {"policies": 200, "online": 10, "moving": 40}
 """Rollouts of each map that the answers beside the paper's figures take."""
 
@@ -36,14 +36,14 @@ def reproduce(
 ) -> int:
     """The paper's experiments again, with intervals: which of its statements hold on random maps of its kind?
 
-    500 maps and 50 rollouts of each take some minutes on two cores (policies, online, moving: a quarter of an hour).
+    500 maps and 20 rollouts of each take some minutes on two cores (policies, online, moving: a quarter of an hour).
     The result depends on maps, rollouts and seed alone.
 
     Args:
         figure: Of the paper's section on experiments, or all of them; policies: what other policies bring; online: what
             a map is worth that robots are not given; moving: what if its threats walk.
         maps: Random maps a point (default: 500, as in the paper).
-        rollouts: Of each map (default: 50, of policies 200, online 10, moving 40; the paper ran one).
+        rollouts: Of each map (default: 20, of policies 200, online 10, moving 40; the paper ran one).
         seed: Of the first map and its rollouts (default: 0).
         store: Keep results in this file, and take from it what it has.
         processes: Maps at a time (default: one a core).
