@@ -17,8 +17,9 @@ from analysis.cli.app import run
 from analysis.evaluation.report import report as evaluation_report
 from analysis.kit.folder import as_text
 from analysis.report.face import print_report
+from analysis.theory import single
 from analysis.theory.any_strategy import any_strategy, value_bound
-from analysis.theory.flow import Dual, Programme, Row, Spend, certified, flow_bound, most_stopped
+from analysis.theory.flow import ROUNDS, Dual, Programme, Row, Spend, certified, flow_bound, most_stopped
 from analysis.theory.nodes import contract
 from analysis.theory.optimum import optimum
 from analysis.theory.ways import missing_ways, way_within
@@ -158,6 +159,34 @@ def test_half_a_robot_does_not_fill_a_room_by_going_round_in_it() -> None:
     moves, visited, _ = Programme(nodes).solve()
     found = list(missing_ways(nodes, moves, visited))
     assert found and all(visited[way.node] > way.free + way.share @ moves[way.moves] for way in found)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_whatever_the_prices_no_walk_of_one_robot_brings_more_than_they_prove(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, draw = tiny_world(seed, 3, 4), np.random.default_rng(seed)
+    nodes = contract(world, np.array([[0, 0]]))
+    programme = Programme(nodes)
+    moves, visited, _ = programme.solve()
+    rows = [Spend(np.flatnonzero(nodes.threat), 1.0), *missing_ways(nodes, moves, visited)]
+    best = optimum(world, [[0, 0]])
+    monkeypatch.setattr(single, "REMEMBERED", seed % 3)
+    for rounds in (1, 2, 5, 60):
+        monkeypatch.setattr(single, "ROUNDS", rounds)
+        arrive, prices = draw.exponential(0.5, len(nodes.weight)), draw.exponential(0.2, len(rows))
+        assert best is None or best <= single.single_bound(nodes, rows, arrive, prices)
+
+
+def test_a_walk_is_held_to_one_order_of_two_rooms() -> None:
+    """Left and right of the start a door of .5 before 6 cells: the second room is had by who passed three times.
+
+    1 + (1 + 6 / 2) + (1 + 6 / 2) / 4 cells; the programme sends half a robot each way first.
+    """
+    world = World.create([[0.0] * 6 + [0.5, 0.0, 0.5] + [0.0] * 6])
+    assert optimum(world, [[0, 7]]) == 6.0
+    flow = any_strategy(world, [[0, 7]]).flow
+    assert flow is not None and 6.0 <= flow < 6.2 < flow_bound(contract(world, np.array([[0, 7]])), rounds=ROUNDS - 1)
 
 
 @pytest.mark.slow

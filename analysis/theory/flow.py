@@ -25,7 +25,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import NamedTuple
 
 import highspy
 import numpy as np
@@ -33,7 +32,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, csr_array, hstack, vstack
 
 from analysis.theory.nodes import ULP, Nodes
-from analysis.theory.ways import Way, missing_ways
+from analysis.theory.single import MOST_NODES, single_bound
+from analysis.theory.ways import Spend, Way, missing_ways
 
 ROUNDS = 200
 """Times that it is solved at most; fewer only make the bound less sharp."""
@@ -45,13 +45,6 @@ NEW_SETS = 8
 
 SWEEPS = 100
 """Times that prices are raised one by one."""
-
-
-class Spend(NamedTuple):
-    """Of a set D, its `members` int64 `[|D|]` spend so much at `most`."""
-
-    members: NDArray[np.int64]
-    most: float
 
 
 Row = Spend | Way
@@ -82,7 +75,10 @@ def flow_bound(nodes: Nodes, rounds: int = ROUNDS, ways: bool = True) -> float:
         found: list[Row] = [new for order in orders for new in _overspent(nodes, dangerous[order], visited)]
         found += missing_ways(nodes, moves, visited) if ways else []
         if enough or not found or len(optima) == rounds:
-            return min(certified(nodes, programme.rows, dual), float(nodes.weight.sum()))
+            most = min(certified(nodes, programme.rows, dual), float(nodes.weight.sum()))
+            if nodes.robots > 1 or not ways or rounds < ROUNDS or len(nodes.weight) > MOST_NODES:
+                return most
+            return min(most, single_bound(nodes, programme.rows, dual.arrive, dual.rows))
         programme.add(found)
 
 

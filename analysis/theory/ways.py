@@ -35,6 +35,13 @@ MOST = 200
 """Nodes for which a way is sought at a time: those that count most."""
 
 
+class Spend(NamedTuple):
+    """Of a set D, its `members` int64 `[|D|]` spend so much at `most` (`analysis.theory.flow`)."""
+
+    members: NDArray[np.int64]
+    most: float
+
+
 class Way(NamedTuple):
     """`y[node] <= free + share @ x[moves]`; int64 and float64 `[m]`, no less than exact."""
 
