@@ -7,7 +7,7 @@ DOCS := .venv/.docs
 # Some machines' setting: hundreds of processes of the tests would each compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo test test-slow fuzz style types suite lint format bench bench-gpu docs release-check
+.PHONY: install demo test test-slow fuzz faults determinism style types suite lint format bench bench-gpu docs release-check
 
 install: $(READY)
 
@@ -37,6 +37,14 @@ COUNT ?= 20000
 FIRST ?= 0
 fuzz: $(READY)
 	$(BIN)/python tests/fuzz.py --count $(COUNT) --first $(FIRST)
+
+# Kills, full disks, second writers, flipped bits (an hour or more); random settings run in every way.
+KILLS ?= 300
+faults: $(READY)
+	$(BIN)/python tests/faults.py --kills $(KILLS)
+
+determinism: $(READY)
+	$(BIN)/python tests/determinism.py
 
 lint: style types
 

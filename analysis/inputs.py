@@ -190,7 +190,7 @@ def _on_its_map(asked: Asked) -> tuple[Asked, Path | None]:
     if not isinstance(named, str):
         raise PlanError("holds no map, and does not say where it is", source=path, expected=expected, fix=fix)
     source = named if named.startswith(EXAMPLE) else str(path.parent / named)
-    if source == named or not (problem := why_no_file(Path(source))):
+    if named.startswith(EXAMPLE) or not (problem := why_no_file(Path(source))):
         return replace(asked, source=source), path
     raise PlanError(f"its map is not at {source!r}: {problem}", source=path, expected="the map beside it", fix=fix)
 

@@ -2,7 +2,8 @@
 
 The folder that holds our three packages comes first on this process's path, and so on that of the workers it starts,
 before anything else is imported: a `planner.py` or `analysis/` of the user's own on PYTHONPATH changes nothing. From
-the first moment to the last an interrupt is one line and status 130.
+the first moment to the last an interrupt is one line and status 130; so is SIGTERM, with which schedulers of jobs
+begin.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ INTERRUPTED = 130
 def main() -> None:
     """Run the command line of this process and exit with its status."""
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         from analysis.cli.interrupts import keep_interrupts
 
@@ -27,7 +29,8 @@ def main() -> None:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)  # noqa: T201
         status = INTERRUPTED
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the answer is out: its status stands
+    for number in (signal.SIGINT, signal.SIGTERM):  # the answer is out: its status stands
+        signal.signal(number, signal.SIG_IGN)
     sys.exit(status)
 
 

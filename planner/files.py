@@ -12,6 +12,7 @@ import secrets
 import stat
 import warnings
 import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -24,6 +25,8 @@ from planner.errors import InputError, MapError, visible
 
 Json: TypeAlias = dict[str, Any]
 """A JSON object, or what a YAML file holds in its place: values are looked at before they are believed."""
+CHECKSUM = "checksum"
+"""Key of a plan's or state's file that `read_json` checks, where it is there."""
 LOG = logging.getLogger("mrac_jax")
 LONG_BYTES = 8 * 2**20
 """Text of more than this takes seconds to read."""
@@ -193,12 +196,20 @@ def _claimed(stream: IO[bytes], most: int, path: Path | str) -> tuple[tuple[int,
 
 
 def read_json(path: Path, most_bytes: int, error: type[InputError], expected: str) -> Any:
-    """What a JSON file of at most `most_bytes` holds; an `error` names the line that is no JSON."""
+    """What a JSON file of at most `most_bytes` holds; an `error` names the line that is no JSON.
+
+    A file of `write_json` must hold what it did when it was written; whoever changes it leaves its checksum out.
+    """
     check_size(path, most_bytes, error, expected)
     collecting = gc.isenabled()
     gc.disable()  # which would look through all values, none of them garbage, again and again: three times slower
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        data = json.loads(path.read_text(encoding="utf-8-sig"))
+        ours = isinstance(data, dict) and str(data.get("format")).startswith("mrac-") and CHECKSUM in data
+        if ours and data.pop(CHECKSUM) != _checksum(data):
+            problem, fix = "is damaged, or was changed: its checksum is of other content", f"leave {CHECKSUM} out"
+            raise error(problem, source=path, expected=expected, fix=f"if you changed it, {fix}")
+        return data
     except json.JSONDecodeError as wrong:
         problem = f"line {wrong.lineno}, column {wrong.colno}: no JSON ({wrong.msg})"
         raise error(problem, source=path, expected=expected) from None
@@ -211,12 +222,21 @@ def read_json(path: Path, most_bytes: int, error: type[InputError], expected: st
             gc.enable()
 
 
-def write_json(path: Path, data: object, most_bytes: int, error: type[InputError], *, sync: bool = False) -> None:
-    """Write `data` as one line of JSON, whole or not at all; an `error` where `read_json` would refuse the file.
+def _compact(data: object) -> str:
+    return json.dumps(data, separators=(",", ":"))
+
+
+def _checksum(data: Json) -> int:
+    """crc32 of the text of a JSON object."""
+    return zlib.crc32(_compact(data).encode())
+
+
+def write_json(path: Path, data: Json, most_bytes: int, error: type[InputError], *, sync: bool = False) -> None:
+    """Write `data` as one line of JSON with its checksum, whole or not; an `error` where `read_json` would refuse it.
 
     `sync`: it is on the disk before this returns.
     """
-    text = json.dumps(data, separators=(",", ":")) + "\n"
+    text = _compact({**data, CHECKSUM: _checksum(data)}) + "\n"
     if len(text) > most_bytes:  # ASCII
         problem, expected = f"would be {len(text)} bytes", f"at most {most_bytes}, more is not read back"
         raise error(problem, source=printable(path), expected=expected, fix="larger cells, or a part of the map")

@@ -121,7 +121,7 @@ def test_a_robot_that_was_lost_on_its_track(tmp_path: Path) -> None:
     assert plan.state is not None and plan.state.lost == 1 and any("3 cells are visited" in note for note in plan.notes)
     state.save(tmp_path / "now.json")
     said = json.loads((tmp_path / "now.json").read_text())
-    del said["world"]
+    del said["world"], said["checksum"]  # as whoever changes it by hand does
     (tmp_path / "now.json").write_text(json.dumps(said))
     again, _ = read_state(tmp_path / "now.json", WORLD)
     assert again.to_json() == state.to_json()

@@ -54,8 +54,9 @@ def nominal(plan: Plan) -> Run:
     """The plan's own paths; who has ended waits where it is."""
     cells = np.empty((plan.makespan + 1, len(plan.robots)), dtype=np.int32)
     for number, robot in enumerate(plan.robots):
-        cells[: len(robot.path), number] = robot.path
-        cells[len(robot.path) :, number] = robot.path[-1]
+        path = robot.path[: plan.makespan + 1]  # another planner's may wait at its end
+        cells[: len(path), number] = path
+        cells[len(path) :, number] = path[-1]
     return Run("plan", cells, np.full(len(plan.robots), NO_STEP))
 
 

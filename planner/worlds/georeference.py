@@ -43,9 +43,9 @@ class Georeference:
         """Points (x, y) `[..., 2]` of the map's frame, in metres, as coordinates of the CRS."""
         return np.asarray(points, dtype=np.float64) * self.scale + self.origin
 
-    def to_lonlat(self, points: ArrayLike) -> NDArray[np.float64]:
+    def to_lonlat(self, points: ArrayLike, file: str = "") -> NDArray[np.float64]:
         """Points (x, y) `[..., 2]` of the map's frame as (longitude, latitude) in degrees, WGS 84. Raises MapError."""
-        return reproject(self.to_crs(points), self.crs, WGS84)
+        return reproject(self.to_crs(points), self.crs, WGS84, file)
 
     def from_crs(self, points: ArrayLike, crs: str) -> NDArray[np.float64]:
         """Coordinates `[..., 2]` of any CRS as metres of the map's frame. Raises MapError."""
@@ -58,7 +58,7 @@ def around(latitude: float, longitude: float) -> Georeference:
     return Georeference(words)
 
 
-def reproject(points: ArrayLike, source: str, target: str) -> NDArray[np.float64]:
+def reproject(points: ArrayLike, source: str, target: str, file: str = "") -> NDArray[np.float64]:
     """Coordinates float64 `[..., 2]` of the CRS `source` in the CRS `target`, x or longitude first.
 
     Raises MapError for a CRS that PROJ does not know, for points outside of it, and without rasterio.
@@ -67,12 +67,14 @@ def reproject(points: ArrayLike, source: str, target: str) -> NDArray[np.float64
     if source == target or not given.size:
         return given
     rasterio = rasterio_for("another coordinate reference system", source)
-    with no_way(source, target), rasterio.Env():
+    with no_way(source, target, file), rasterio.Env():
         found = rasterio.warp.transform(source, target, *given.reshape(-1, 2).T.tolist())
     moved = np.stack(found, axis=-1).reshape(given.shape)
     if not np.isfinite(moved).all():
         wrong = given.reshape(-1, 2)[~np.isfinite(moved.reshape(-1, 2)).all(axis=1)][0].tolist()
-        raise MapError(f"{wrong} of the CRS {source[:60]!r} is no place in {target[:60]!r}", expected="points of both")
+        raise MapError(
+            f"{wrong} of the CRS {source[:60]!r} is no place in {target[:60]!r}", source=file, expected="points of both"
+        )
     return moved
 
 

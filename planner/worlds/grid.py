@@ -205,7 +205,10 @@ def _ratio(cell_size: float | None, grid: Grid) -> int:
     if exact < 1 - WHOLE:
         problem = f"cell_size {cell_size:g} m is smaller than a pixel of {grid.frame.size:g} m"
         raise MapError(problem, source=grid.source, fix=f"give at least {grid.frame.size:g}: maps are only coarsened")
-    if exact > 1e9 or abs(exact - round(exact)) > WHOLE:
+    if exact > 1e9:
+        problem = f"cell_size {cell_size:g} m is larger than every map"
+        raise MapError(problem, source=grid.source, expected="a whole number of pixels")
+    if abs(exact - round(exact)) > WHOLE:
         near = [f"{times * grid.frame.size:.9g}" for times in (math.floor(exact), math.floor(exact) + 1)]
         raise MapError(
             f"cell_size {cell_size:g} m is {exact:.6g} pixels of {grid.frame.size:g} m",

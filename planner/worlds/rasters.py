@@ -191,7 +191,9 @@ def _true_metres(raster: Raster, place: Georeference) -> tuple[str, ...]:
     """A note where a metre of the CRS is more than 1 % off on the ground in the middle of the map, as in EPSG:3857."""
     assert raster.frame is not None
     rows, cols = np.array(raster.frame.shape) / 2
-    (west, south), (east, north) = place.to_lonlat(raster.frame.at([rows, rows], [cols - 0.5, cols + 0.5]))
+    (west, south), (east, north) = place.to_lonlat(
+        raster.frame.at([rows, rows], [cols - 0.5, cols + 0.5]), raster.source
+    )
     up, across = degree_sides((south + north) / 2)
     ratio = math.hypot((east - west) * across, (north - south) * up) / raster.frame.size
     if abs(ratio - 1) <= TRUE:

@@ -178,6 +178,8 @@ def told(path: Path | None, *, write: bool = True) -> Iterator[None]:
     source = printable(path) if path else "store"
     try:
         yield
+    except UnicodeDecodeError as error:  # of SQLite's own message, which cites what it cannot read
+        raise damaged(path, "text that is no UTF-8") from error
     except sqlite3.DatabaseError as error:
         code = getattr(error, "sqlite_errorname", "") or ""
         text = str(error)
