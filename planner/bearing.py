@@ -7,6 +7,7 @@ asked the other way round, which Exp(1) tolerances an exposure reaches (`fresh`)
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,15 +29,22 @@ class Bearing:
         susceptibility: how many times exposure counts, one number for all robots or one each.
         begun: the exposure that each robot is known to have borne before rollouts begin, in units of 2**-32 nat; none:
             it does not matter.
+        types: of robots, whose maps differ (`World.of_robots`); None: there is one map.
     """
 
     shape: float = 1.0
     susceptibility: Susceptibility = 1.0
     begun: tuple[int, ...] = ()
+    types: str | tuple[str, ...] | None = None
 
     @property
     def is_plain(self) -> bool:
-        """True where the chance of each visit is the map's p, whatever came before."""
+        """True where the chance of each visit is the map's p, whoever makes it and whatever came before."""
+        return self.is_even and self.types is None
+
+    @property
+    def is_even(self) -> bool:
+        """True where it is p of the robot's own map."""
         return self.shape == 1 and bool((np.asarray(self.susceptibility) == 1).all())
 
     @property
@@ -47,13 +55,16 @@ class Bearing:
         least, most = f"{numbers[0]:g}", f"{numbers[-1]:g}"
         between = least if least == most else f"{least} to {most}"
         count = f"exposure that counts {between}-fold" if (numbers != 1).any() else ""
-        return " and ".join(filter(None, (wear, count)))
+        names = (self.types,) if isinstance(self.types, str) else dict.fromkeys(self.types or ())
+        kinds = f"robots of type {' and '.join(names)}" if names else ""
+        return " and ".join(filter(None, (wear, count, kinds)))
 
-    def to_json(self) -> dict[str, float | list[float]]:
+    def to_json(self) -> dict[str, Any]:
         """What is not the default of it, as plan files hold it."""
         of = self.susceptibility
         wear = {} if self.shape == 1 else {"wear": self.shape}
-        return wear | ({} if of == 1 else {"susceptibility": list(of) if isinstance(of, tuple) else of})
+        kinds = {} if self.types is None else {"types": self.types}
+        return wear | kinds | ({} if of == 1 else {"susceptibility": list(of) if isinstance(of, tuple) else of})
 
     def check(self, robots: int, source: str = "") -> None:
         """Raise PlanError where it is of another team."""
@@ -67,7 +78,7 @@ class Bearing:
 
     def check_luck(self, luck: LuckName) -> None:
         """Raise UsageError for luck that does not know what robots have borne."""
-        if luck != "tolerance" and not self.is_plain:
+        if luck != "tolerance" and not self.is_even:
             raise UsageError(
                 f"{self.said}, with {argument('luck', luck)}",
                 expected="luck that knows what each robot has borne",
@@ -78,7 +89,8 @@ class Bearing:
         """Raise UsageError where `what` presumes that every visit of a cell stops any robot with the chance p."""
         if not self.is_plain:
             problem = f"{what} presumes that each visit stops any robot with the map's p; here: {self.said}"
-            raise UsageError(problem, fix=f"leave {argument('wear')} and {argument('susceptibility')} out")
+            named = ("wear", "susceptibility") if self.types is None else ("wear", "susceptibility", "types")
+            raise UsageError(problem, fix=f"leave {' and '.join(map(argument, named))} out")
 
     def times(self, robots: int) -> NDArray[np.int64]:
         """Susceptibility of each robot `[K]`, in units of 1 / SCALE."""
@@ -108,7 +120,7 @@ class Bearing:
     def tolerances(self, seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]:
         """What each robot still bears in each rollout, int64 `[B, K]`, beyond what it is known to have borne."""
         drawn, begun = tolerances(seed, rollouts, robots), self.fresh_begun(robots)
-        if self.is_plain:
+        if self.is_even:
             return drawn
         ones = [
             susceptible(worn(drawn[:, one] + begun[one], self.shape), times / SCALE)

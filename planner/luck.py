@@ -28,6 +28,8 @@ class Luck:
         self, world: World, seed: int, rollout: int, luck: LuckName = "tolerance", bearing: Bearing = PLAIN
     ) -> None:
         bearing.check_luck(luck)
+        types = bearing.types
+        self._own = world.of_robots(types, len(types) if isinstance(types, tuple) else 1)
         self._world, self._seed, self._rollout, self._bearing, self._luck = world, seed, rollout, bearing, luck
         self._tolerance: dict[int, int] = {}
         self._spent: set[int] = set()
@@ -41,7 +43,7 @@ class Luck:
 
     def hits(self, robot: int, step: int, cell: int) -> bool:
         """Whether the robot is stopped as it enters the cell at this step."""
-        chance = self._chance(cell, step)
+        chance = self._chance(robot, cell, step)
         stops = self._by_tolerance if self._luck == "tolerance" else self._by_step
         if chance == 0 or not stops(robot, step, chance):
             return False
@@ -73,14 +75,14 @@ class Luck:
         """The robot's exposure so far, that before the rollout included; by tolerance."""
         return self._exposure[robot] + (self._bearing.begun[robot] if self._bearing.begun else 0)
 
-    def _chance(self, cell: int, step: int) -> np.float32:
-        """That a visit of the cell in this step, as it is in this rollout, stops a robot."""
+    def _chance(self, robot: int, cell: int, step: int) -> np.float32:
+        """That a visit of the cell in this step, as it is in this rollout, stops the robot."""
         doubt = self._world.doubt
         place = np.unravel_index(cell, self._world.shape)
         if isinstance(doubt, Phases):
             return doubt.threats[doubt.number_at(step)][place]
         if doubt is None or isinstance(doubt, Movers):
-            return self._world.met[place]
+            return self._own[min(robot, len(self._own) - 1)].met[place]
         if isinstance(doubt, Hazard):
             return doubt.h[place] if self._are_there(doubt, np.array([cell]))[0] else np.float32(0)
         return doubt.chances[self._row(doubt, int(doubt.number[place])), doubt.column[place]]

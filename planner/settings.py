@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, make_dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -30,6 +31,8 @@ GROUPS = {"policy": POLICY, "plan_for": ("plan_for", "effort")}
 MOST_LEVELS = 1024
 MOST_EFFORT = 10**9
 MOST_DENSITY = 1e6
+MOST_PACE = 64
+"""Steps that a move may take."""
 COUNT = whole(0, 2**31)
 
 
@@ -40,6 +43,7 @@ class Setting:
     Attributes:
         title: on pages. help: of its option.
         numbers: that it may be. each: one for all, or a tuple of one a robot. words: that it may be instead.
+        names: it is a name, or a tuple of one a robot.
         places: it is one of the words, or cells, a tuple of (row, col).
         unset: what None means, on pages; "": it is never None.
         time: it is a step, and may be given as a time (`planner.pace`).
@@ -55,16 +59,21 @@ class Setting:
     time: bool = False
     later: bool = False
     places: bool = False
+    names: bool = False
 
     @property
     def kind(self) -> str:
-        """ "word", "time", "places", "whole", "number", or of one a robot "wholes", "numbers"."""
+        """ "word", "time", "places", "names", "whole", "number", or of one a robot "wholes", "numbers"."""
+        if self.names:
+            return "names"
         if self.time or self.places:
             return "time" if self.time else "places"
         return "word" if self.words else ("whole" if self.numbers.whole else "number") + "s" * self.each
 
     def expected(self, unset: str) -> str:
         """What is accepted, in words; `unset`: how a None is written, "" where it is not."""
+        if self.names:
+            return f"a type, or a list of one a robot{f', or {unset}' * bool(unset)}"
         if self.words:
             listed = " or ".join(f'"{word}"' for word in self.words)
             return listed + (f" or a list of [row, col]{f', or {unset}' * bool(unset)}" if self.places else "")
@@ -73,6 +82,9 @@ class Setting:
 
     def accepts(self, value: Any) -> bool:
         """True for a value that the setting may have."""
+        if self.names:
+            each = value if isinstance(value, tuple) else (value,)
+            return value is None or (bool(each) and all(isinstance(name, str) and name for name in each))
         if self.places and isinstance(value, tuple):
             return bool(value) and all(
                 isinstance(p, tuple) and len(p) == 2 and all(map(COUNT.accepts, p)) for p in value
@@ -85,7 +97,7 @@ class Setting:
 
     def plain(self, value: Any) -> Any:
         """A value as files hold it: numbers that may have a fraction as float."""
-        if self.words or self.numbers.whole or value is None:
+        if self.words or self.names or self.numbers.whole or value is None:
             return value
         return tuple(map(float, value)) if isinstance(value, tuple) else float(value)
 
@@ -93,6 +105,8 @@ class Setting:
         """A value, on pages."""
         if self.places and isinstance(value, tuple):
             return " ".join(f"[{row}, {col}]" for row, col in value)
+        if self.names and value is not None:
+            return value if isinstance(value, str) else " ".join(value)
         if isinstance(value, tuple):
             return " ".join(f"{one:,g}" for one in value)
         return self.unset if value is None else value if self.words else f"{value:,g}"
@@ -123,6 +137,12 @@ class Settings:
         return_to: the bases that robots come home to (SPEC section 19): "home", their own starts; "nearest", anybody's;
             or cells, a tuple of (row, col); None = robots stay where they end.
         recharge: steps at a base after which a robot that comes home has its range again; None = it does not.
+        types: of robots (SPEC section 22), one for all or one a robot, by the names that the world's matrix has; None:
+            the map's p stops every robot.
+        steps_per_move: of robots that differ in speed (SPEC section 22), one for all or one a robot; only their ratios
+            count: reduced to whole numbers without a common factor. None: 1 each.
+        radio: cells over which robots hear each other, and a start or base (SPEC section 22): who is in no chain from
+            one of these takes no area and shares none. None: any distance.
         in_area: which cell of an area is next: one of `planner.policies.in_area.ORDERS`; or a user's own, a function of
             a `CellOffer`, which is not saved.
     """
@@ -193,6 +213,18 @@ class Settings:
         None, "recharge", "With range and return-to: so many steps at a base, then a robot has its range again.",
         whole(1, MAX_STEP), unset="never", later=True,
     )  # fmt: skip
+    types: str | tuple[str, ...] | None = _setting(
+        None, "types of robots", "Type of all robots, or of each, of the scenario's matrix: drone,rover,rover.",
+        unset="none", later=True, names=True,
+    )  # fmt: skip
+    steps_per_move: int | tuple[int, ...] | None = _setting(
+        None, "steps a move", "Steps that a move takes, where robots differ in speed: 1,2 (default: 1 each).",
+        whole(1, MOST_PACE), each=True, unset="1", later=True,
+    )  # fmt: skip
+    radio: float | None = _setting(
+        None, "radio", "Robots hear each other, and the base, as far as this, in cells, in a chain (default: any).",
+        Numbers(0, 1e6, above=True), unset="any distance", later=True,
+    )  # fmt: skip
     in_area: InAreaOrder = _setting(  # noqa: RUF009
         NEAREST, "order within areas", "In safe areas straight on: boustrophedon, or rows, columns (default: nearest).",
         words=ORDERS, later=True,
@@ -207,7 +239,7 @@ class Settings:
         """What the robots bear; `begun`: what each is known to have borne, in units of 2**-32 nat."""
         from planner.bearing import Bearing
 
-        return Bearing(self.wear, self.susceptibility, begun)
+        return Bearing(self.wear, self.susceptibility, begun, self.types)
 
     @property
     def rule(self) -> Rule:
@@ -225,6 +257,23 @@ class Settings:
         """Raise PlanError for robots that come home, which `what` knows nothing of."""
         if self.return_to is not None:
             raise PlanError(f"{what} with {argument('return_to')}", fix=f"leave {argument('return_to')} out")
+
+    @property
+    def paces(self) -> tuple[int, ...]:
+        """Steps a move of each robot, without a common factor; none where all have one speed."""
+        given = self.steps_per_move if isinstance(self.steps_per_move, tuple) else ()
+        reduced = tuple(steps // math.gcd(*given) for steps in given)
+        return reduced if len(set(reduced)) > 1 else ()
+
+    def check_alike(self, what: str) -> None:
+        """Raise PlanError for robots that differ, or do not hear everybody, which `what` knows nothing of."""
+        differ = (
+            ("types", self.types is not None),
+            ("steps_per_move", bool(self.paces)),
+            ("radio", self.radio is not None),
+        )
+        for name in (name for name, given in differ if given):
+            raise PlanError(f"{what} with {argument(name)}", fix=f"leave {argument(name)} out")
 
     def check_not_charged(self, what: str) -> None:
         """Raise PlanError for robots that are charged at their bases, which `what` knows nothing of."""

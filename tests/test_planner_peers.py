@@ -42,6 +42,19 @@ def test_a_maps_world(tmp_path: Path) -> None:
     assert load_input(tmp_path / "s.yaml").team.robots == 1
 
 
+def test_a_maps_world_of_several_types(tmp_path: Path) -> None:
+    """`adv_coverage.py`: p of a threat of type b on an agent of type a is `types_matrix[a][b]` times its p."""
+    threats = [[0, 1, 0.5, 0], [2, 3, 0.25, 1]]
+    path = maps(tmp_path, threat_location=threats, types_matrix=[[1.0, 0.4], [0.0, 2.0]], agents_type=[1, 0, 0])
+    world = load_input(path)
+    assert world.types is not None and world.types.names == ("0", "1")
+    found = {name: of[[0, 2], [1, 3]].tolist() for name, of in zip("01", world.types.threat, strict=True)}
+    assert found == {"0": pytest.approx([0.5, 0.1]), "1": pytest.approx([0.0, 0.5])}
+    assert world.team.settings == {"types": ("1", "0")}
+    (tmp_path / "s.yaml").write_text("map: m.yaml\nrobots: {types: '1'}\n")
+    assert load_input(tmp_path / "s.yaml").team.settings == {"types": "1"}
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -55,6 +68,10 @@ def test_a_maps_world(tmp_path: Path) -> None:
         ({"obstacles_location": [[0.5, 0]]}, r"is \[0.5, 0\]; expected"),
         ({"n_agents": 0}, "n_agents"),
         ({"agents_placement": [[1, 1]], "n_agents": 1}, "an obstacle"),
+        ({"types_matrix": [[1.0], [1.0, 2.0]]}, "`types_matrix` is"),
+        ({"types_matrix": [[1.0]]}, r"expected \[row, col, p, type\]"),
+        ({"types_matrix": [[1.0]], "threat_location": [[0, 1, 0.5, 1]]}, r"`threat_location\[0\]\[3\]` is 1"),
+        ({"types_matrix": [[3.0]], "threat_location": [[0, 1, 0.5, 0]]}, "type 0 is stopped with p = 1.5"),
     ],
 )
 def test_maps_that_are_refused(tmp_path: Path, changes: dict, words: str) -> None:

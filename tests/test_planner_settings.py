@@ -21,14 +21,14 @@ OTHER = {
     "policy": "per_cell", "reserve": 0.5, "worth": 7.5,
     "plan_for": "open", "effort": 7, "range": 9, "deadline": 30,
     "wear": 2.5, "susceptibility": 0.5, "return_to": "nearest", "recharge": 4,
-    "in_area": "boustrophedon",
+    "in_area": "boustrophedon", "types": "rover", "steps_per_move": 2, "radio": 4.5,
 }  # fmt: skip
 WRONG = {
     "levels": 1, "density": 1.0, "risk": "brave", "transit": "air", "max_steps": 0,
     "policy": "bold", "reserve": 1.5, "worth": 0.0,
     "plan_for": "both", "effort": -1, "range": -1, "deadline": -1,
     "wear": 0.1, "susceptibility": 65.0, "return_to": "base", "recharge": 0,
-    "in_area": "spiral",
+    "in_area": "spiral", "types": "", "steps_per_move": 0, "radio": 0.0,
 }  # fmt: skip
 NEEDS = {"reserve": {"policy": "per_cell"}, "worth": {"policy": "per_cell"}, "effort": {"plan_for": "open"}}
 NEEDS |= {"recharge": {"range": 9, "return_to": "home"}}

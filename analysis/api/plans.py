@@ -88,6 +88,9 @@ def plan(
     recharge: int | None = None,
     state: MissionState | str | Path | None = None,
     in_area: InAreaOrder | None = None,
+    types: str | Sequence[str] | None = None,
+    steps_per_move: int | Sequence[int] | None = None,
+    radio: float | None = None,
 ) -> Plan:
     """The plan of a team (Algorithms 1 to 3): its areas, and every robot's path if nobody is lost.
 
@@ -116,6 +119,10 @@ def plan(
         recharge: with `range` and `return_to`, steps at a base after which a robot has its range again.
         state: of a mission under way, or a file of it (a state, tracks, visited cells, a mask, an OccupancyGrid): the
             plan of the rest; the robots are its own, or at `starts` where the file does not say where they are.
+        types: of robots, of the world's matrix, one for all or one a robot: each plans with its own p, and is stopped
+            by it.
+        steps_per_move: of robots that differ in speed, one a robot: `(1, 2)`, the second is half as fast.
+        radio: cells over which robots hear each other, and a start or base: who is out of touch takes over nothing.
         in_area: "boustrophedon", "rows" or "columns": in safe areas straight on, so with fewer turns; an order of your
             own is a function of a `CellOffer`, the least first.
 
@@ -127,6 +134,7 @@ def plan(
     sought = policy == BEST
     asked = (levels, density, risk, transit, max_steps, BASE if sought else policy, reserve, worth, plan_for, effort)
     bears = {"wear": wear, "susceptibility": susceptibility, "recharge": recharge}
+    bears |= {"types": one_or_each(types), "steps_per_move": one_or_each(steps_per_move), "radio": radio}
     settings = settings_of(world, range, *asked, deadline=deadline, in_area=in_area, return_to=return_to, **bears)
     if sought and state is not None:
         raise UsageError(f"both {argument('policy', BEST)} and a state", expected="one of them")

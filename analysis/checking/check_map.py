@@ -163,6 +163,8 @@ def check_input(
     An interruption (KeyboardInterrupt) of the rollouts leaves what was done, `partial`. Raises InputError.
     """
     plan.bearing.check_known("what a check holds against each other")
+    if plan.settings is not None:
+        plan.settings.check_alike("what a check holds against each other")
     if plan.state is not None:
         raise UsageError(
             "the plan is the rest of a mission; the formulas are about whole ones", fix="check one from a start"

@@ -27,6 +27,7 @@ from analysis.cli.options import (
     Luck,
     Meaning,
     Mode,
+    Names,
     Number,
     Numbers,
     Places,
@@ -138,7 +139,7 @@ def _planner_options(name: str, group: Group, without: tuple[str, ...] = (), bes
     `best`: the policy may be left to a search.
     """
     kinds: dict[str, Any] = {"time": Deadline, "whole": Whole, "wholes": Wholes, "number": Number, "numbers": Numbers}
-    kinds["places"] = Places
+    kinds |= {"places": Places, "names": Names}
     options = []
     for key in [key for key in SETTINGS if key not in without]:
         setting = SETTINGS[key]

@@ -72,6 +72,12 @@ def places(kind: Any, tokens: Sequence[Token]) -> str | tuple[tuple[int, int], .
     return tuple((row, col) for row, col in found)
 
 
+def names(kind: Any, tokens: Sequence[Token]) -> str | tuple[str, ...]:
+    """A name, or several of them between commas, one a robot."""
+    found = tuple(part.strip() for part in tokens[0].value.split(","))
+    return found if len(found) > 1 else found[0]
+
+
 def number(kind: Any, tokens: Sequence[Token]) -> float:
     """A finite number; UsageError names the option."""
     return parse_number(tokens[0].value, _name(tokens))
@@ -135,6 +141,7 @@ Deadline = Annotated[str | None, Parameter(converter=deadline)]
 Numbers = Annotated[str | None, Parameter(converter=numbers)]
 Wholes = Annotated[str | None, Parameter(converter=wholes)]
 Places = Annotated[str | None, Parameter(converter=places)]
+Names = Annotated[str | None, Parameter(converter=names)]
 Number = Annotated[float | None, Parameter(converter=number)]
 Text = Annotated[str | None, Parameter(converter=verbatim)]
 OutPath = Annotated[Path | None, Parameter(converter=path, group=OUTPUT)]

@@ -10,6 +10,7 @@ from typing import Any
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.evaluation.outputs.table import OUTPUTS
+from analysis.evaluation.outputs.team import alike
 from analysis.first_answer import first_answers
 from analysis.kit.notes import Doing, Progress, quiet
 from analysis.sampling import RolloutChoices, Stage, check_deadline, knowing_deadline, make_roll_out
@@ -60,7 +61,7 @@ def evaluate(
     plan = knowing_deadline(world, plan, choices)
     if world.doubt is not None and choices.luck == "step":
         choices = replace(choices, mode="step")
-    wanted = _wanted(choices, asked, world)
+    wanted = _wanted(choices, {"team": bool(alike(plan))} | asked, world)
     certain = is_certain(world, plan, choices.loop)
     if certain:
         choices = replace(choices, rollouts=1, precision=None, seconds=None)

@@ -55,6 +55,8 @@ def bearing_words(plan: Plan, world: World) -> str:
     bearing, worst = plan.bearing, float(world.threat[world.free].max(initial=0.0))
     if bearing.is_plain:
         return ""
+    if bearing.is_even:
+        return f"{bearing.said}: each is stopped by the p of its type; the map's own p is that of no type"
     chances = [bearing.first_chance(worst, robot) for robot in range(len(plan.robots))]
     least, most = (f"{100 * chance:.3g} %" for chance in (min(chances), max(chances)))
     fresh = least if least == most else f"{least} to {most}, by robot"

@@ -53,7 +53,7 @@ def _draw(axes: Axes, world: World, plan: Plan | None, more: str) -> Key:
         + more,
         label=(
             "chance that one visit stops the robot"
-            if plan is None or plan.bearing.is_plain
+            if plan is None or plan.bearing.is_even
             else "p, the dose of a visit"
         )
         + (" (level's mean)" if levels.quantised else ""),

@@ -58,7 +58,7 @@ class Sketch:
     def of(cls, world: World, robots: int, settings: Settings) -> Sketch:
         """The board of an input. Raises WorldError where it cannot be painted on."""
         known, sketch = world.knowledge, cls(world, robots, settings)
-        if world.doubt is not None:
+        if world.doubt is not None or world.types is not None:
             world.check_settled("painting")
         if known is None:
             return sketch

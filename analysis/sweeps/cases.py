@@ -115,6 +115,7 @@ class Places:
             if team.world.draws is not None:
                 team.world.check_settled("a sweep")
             team.world.check_alike("a sweep")
+            team.settings.check_alike("a sweep")
             return team
         except InputError as error:
             raise naming(error, case.name) from error

@@ -67,7 +67,7 @@ def chances_along(
     """
     steps = entries(robot.path)
     cells = robot.path[steps]
-    if not bearing.is_plain:
+    if not bearing.is_even:
         with np.errstate(divide="ignore"):
             left = bearing.survival(np.cumsum(-np.log1p(-threat)), number)
         reach = np.concatenate([[1.0], left[:-1]])
@@ -101,7 +101,8 @@ def _met(robot: RobotPlan, world: World) -> NDArray[np.float64]:
 def chances_of(plan: Plan, world: World) -> list[RobotChances]:
     """`robot_chances` of every robot. Who goes on from a state has entered its cell before; who was lost stays lost."""
     if plan.state is None:
-        return [robot_chances(robot, world, plan.bearing, number) for number, robot in enumerate(plan.robots)]
+        own = world.of_robots(plan.bearing.types, len(plan.robots))
+        return [robot_chances(robot, own[number], plan.bearing, number) for number, robot in enumerate(plan.robots)]
     world.check_settled("what a robot survives by eq. (1)")
     begun = []
     for number, (robot, its) in enumerate(zip(plan.robots, plan.state.robots, strict=True)):

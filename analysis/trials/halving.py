@@ -33,6 +33,7 @@ USUAL = 4096
 def check_search(world: World, settings: Settings, choices: RolloutChoices, what: str) -> None:
     """Raise InputError for what a search cannot go by: a map in doubt, plans for the open loop, too many rollouts."""
     world.check_settled(what)
+    settings.check_alike(what)
     if settings.plan_for != "closed":
         raise PlanError(f"plan_for is {settings.plan_for} in {what}", expected="closed", fix="leave it out")
     if choices.rollouts > MOST_ROLLOUTS // 2:

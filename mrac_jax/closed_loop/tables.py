@@ -150,6 +150,11 @@ def check_supported(loop: ClosedLoop) -> None:
         raise UsageError(f"{argument('engine', 'jax')} with {argument('return_to')}, in the closed loop", fix=fix)
     if len(loop.tables.phases):
         raise WorldError("threats that change with time, in the closed loop in JAX", fix=fix)
+    if loop.is_mixed:
+        named = argument(
+            "types" if len(loop.tables.type_of) else "steps_per_move" if len(loop.tables.pace) else "radio"
+        )
+        raise UsageError(f"{argument('engine', 'jax')} with {named}, in the closed loop", fix=fix)
     if loop.learns:
         raise WorldError("robots that learn the map, in the closed loop in JAX", fix=fix)
     if not loop.tabled:

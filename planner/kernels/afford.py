@@ -10,6 +10,7 @@ import numpy as np
 
 from planner.jit import kernel, rare_kernel
 from planner.kernels.bits import holds
+from planner.kernels.own import own_turn
 from planner.kernels.rows import walk_back
 from planner.kernels.state import AHEAD, CELL, LAST_STEP, NEXT, NOW, STEP, TARGET, UNLIMITED, UNTIL
 
@@ -27,10 +28,10 @@ def moves_home(t, robot, cell):
 
 
 @kernel
-def own_moves(s, robot):
+def own_moves(t, s, robot):
     """The moves that are left of its range to a robot that decides."""
     until = s.team[robot, UNTIL]
-    return until if holds(s.waiting, robot) else until - s.marks[STEP] + s.marks[NOW]
+    return until if holds(s.waiting, robot) else until - own_turn(t, robot, s.marks[STEP]) + s.marks[NOW]
 
 
 @rare_kernel
@@ -42,7 +43,8 @@ def affords(t, s, w, robot, target):
     if s.marks[UNLIMITED] > 0 or way < 0:
         return True
     here = np.int64(s.robots[robot, CELL])
-    left = min(own_moves(s, robot), t.limits[LAST_STEP] - s.marks[STEP] + s.marks[NOW]) - way
+    last = own_turn(t, robot, t.limits[LAST_STEP]) - own_turn(t, robot, s.marks[STEP] - s.marks[NOW])
+    left = min(own_moves(t, s, robot), last) - way
     if len(t.cost_to) == 0:
         return walk_back(t, s, w, here, target, w.stack) <= left
     for _ in range(left):

@@ -11,7 +11,9 @@ from planner.jit import kernel, rare_kernel, spliced
 from planner.kernels.afford import affords, comes_home
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
 from planner.kernels.nearest import open_at, seek
+from planner.kernels.own import moves_until, own, own_level
 from planner.kernels.paths import cheapest_cell, entry_of, set_out
+from planner.kernels.radio import hears
 from planner.kernels.rows import row_from, row_if_asked, walk_back
 from planner.kernels.state import (
     AREA,
@@ -99,10 +101,11 @@ def give(s, robot, area):
 
 @rare_kernel
 def find_affordable(t, s, w, robot):
-    """The same of what a robot that comes home can afford, by `costs_from` it."""
+    """The same by `costs_from` the robot, of what one that comes home can afford, and by its own levels."""
     here = np.int64(s.robots[robot, CELL])
     if len(t.cost_to) > 0:
-        return affordable(t, s, w, robot, t.cost_to[here], t.area_cost[here], t.area_entry[here])
+        row = own(t, robot, here)
+        return affordable(t, s, w, robot, t.cost_to[row], t.area_cost[row], t.area_entry[row])
     row = row_from(t, s, w, here)
     return affordable(t, s, w, robot, w.rows[row], w.row_costs[row], w.row_entries[row])
 
@@ -114,7 +117,7 @@ def affordable(t, s, w, robot, costs, area_costs, area_entries):
     for area in range(s.marks[AREAS]):
         if not holds(s.open, area):
             continue
-        level, root = np.int64(s.areas[area, LEVEL]), np.int64(s.areas[area, ROOT])
+        level, root = own_level(t, robot, s.areas[area, LEVEL]), np.int64(s.areas[area, ROOT])
         cost, cell = np.int64(area_costs[root]), np.int64(area_entries[root])
         if level > best_level or (level == best_level and cost >= best_cost):
             continue
@@ -122,7 +125,7 @@ def affordable(t, s, w, robot, costs, area_costs, area_entries):
             cell = cheapest_cell(costs, s, area)
             cost = np.int64(costs[cell])
         better = cost >= 0 and (level < best_level or cost < best_cost)
-        if better and affords(t, s, w, robot, cell):
+        if better and (not comes_home(t) or affords(t, s, w, robot, cell)):
             best, best_level, best_cost, best_cell = np.int64(area), level, cost, cell
     return best, best_cell
 
@@ -130,7 +133,9 @@ def affordable(t, s, w, robot, costs, area_costs, area_entries):
 @spliced
 def find_next_area(t, s, w, robot):
     """(area, cell) of the next area by (level, cost, id), NONE if none is reachable."""
-    if comes_home(t):
+    if not hears(t, s, robot):
+        return np.int64(NONE), np.int64(NONE)
+    if comes_home(t) or len(t.type_of) > 0:
         return find_affordable(t, s, w, robot)
     here = np.int64(s.robots[robot, CELL])
     if len(t.cost_to) > 0:
@@ -368,7 +373,7 @@ def replace(t, s, w, area, split):
 def costs_from(t, s, w, robot):
     """The cost from the robot's cell to every cell, NONE if unreachable; without tables a row for two robots' time."""
     here = np.int64(s.robots[robot, CELL])
-    return t.cost_to[here] if len(t.cost_to) > 0 else w.rows[row_from(t, s, w, here)]
+    return t.cost_to[own(t, robot, here)] if len(t.cost_to) > 0 else w.rows[row_from(t, s, w, here)]
 
 
 @kernel
@@ -380,21 +385,26 @@ def is_within(t, s, w, helper, target, most):
     for _ in range(most):
         if here == target:
             break
-        here = t.hop_to[target, here]
+        here = t.hop_to[own(t, helper, target), here]
     return here == target
 
 
 @kernel
-def may_be_shared(s, owner, helper):
-    return owner != helper and has_area(s.robots, owner) and s.areas[s.robots[owner, AREA], LEFT_IN] >= 2
+def may_be_shared(t, s, owner, helper):
+    return (
+        owner != helper
+        and has_area(s.robots, owner)
+        and s.areas[s.robots[owner, AREA], LEFT_IN] >= 2
+        and hears(t, s, owner)
+    )
 
 
 @kernel
-def any_to_share(s, helper):
+def any_to_share(t, s, helper):
     """Whether there is an area to share, however far away."""
     found = False
     for owner in range(len(s.robots)):
-        found = found or may_be_shared(s, owner, helper)
+        found = found or may_be_shared(t, s, owner, helper)
     return found
 
 
@@ -403,16 +413,16 @@ def owner_to_share_with(t, s, w, helper, costs):
     """The robot whose area is the best to share by (level, cost, id), NONE if there is none; `costs` of the helper."""
     best, best_level, best_cost, best_area = NONE, FAR, FAR, FAR
     for owner in range(len(s.robots)):
-        if not may_be_shared(s, owner, helper):
+        if not may_be_shared(t, s, owner, helper):
             continue
         area = np.int64(s.robots[owner, AREA])
-        level = np.int64(s.areas[area, LEVEL])
+        level = own_level(t, helper, s.areas[area, LEVEL])
         if level > best_level:
             continue
         cell = cheapest_cell(costs, s, area)
         if cell == NONE:
             continue
-        cost, left = np.int64(costs[cell]), s.areas[area, LEFT_IN]
+        cost, left = np.int64(costs[cell]), moves_until(t, helper, owner, np.int64(s.areas[area, LEFT_IN]))
         better = (level, cost, area) < (best_level, best_cost, best_area)
         # Steps are counted along the path only where the cost does not tell: a step costs 1 at least.
         near = better and (cost <= left or is_within(t, s, w, helper, cell, left))  # a step costs 1 at least
@@ -438,7 +448,7 @@ def choose_parts(s, owner_costs, helper_costs, first, parts):
 @rare_kernel
 def share(t, s, w, log, helper):
     """`Find Area To Share`: 1 if the helper got a part, 0 if there is nothing to share, NONE if there is no room."""
-    if len(t.cost_to) == 0 and not any_to_share(s, helper):  # nothing to search costs for
+    if not hears(t, s, helper) or (len(t.cost_to) == 0 and not any_to_share(t, s, helper)):  # nothing to search for
         return 0
     # Two rows at once: there is always room for two, and the last answer's is not thrown out (`rows.row_from`).
     helper_costs = costs_from(t, s, w, helper)

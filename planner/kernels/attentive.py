@@ -21,7 +21,9 @@ from planner.kernels.first import first_area, first_of_idle, see
 from planner.kernels.follow import is_danger, offer_of
 from planner.kernels.handed import hand
 from planner.kernels.meet import is_meeting
+from planner.kernels.own import on_turn, own, own_turn
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
+from planner.kernels.radio import hears
 from planner.kernels.retire import call_home, charge, go_home, may_be_charged, stay, turn_home, turns
 from planner.kernels.rollouts import begin_next, go_on_with, level_of
 from planner.kernels.runs import (
@@ -98,10 +100,10 @@ def begin(t, s, w):
 
 
 @kernel
-def moves(s, robot):
+def moves(t, s, robot):
     """The robot has got an area, from which nothing holds it any more."""
     s.robots[robot, HELD] = 0
-    moves_on(s, robot)
+    moves_on(t, s, robot)
 
 
 @kernel
@@ -126,7 +128,7 @@ def unsettle(s):
 def take(t, p, s, w, log, robot, area, target):
     give(s, robot, area)
     decide(p, s, robot, area)
-    moves(s, robot)
+    moves(t, s, robot)
     head_for(t, s, w, robot, target)
     note(log, s, robot, ALLOCATED_EVENT, area, target)
 
@@ -147,7 +149,7 @@ def share_or_rest(t, p, s, w, log, robot):
     """`Find Area To Share`, else done: 1 if the robot got a part, 0 if not, NONE if there is no room."""
     owner, cost = first_to_share(t, p, s, w, robot)
     limited = owner != NONE and len(p.most) > 0
-    if limited and is_dangerous(offer_of(p, s, s.robots[owner, AREA], cost), p.cells):
+    if limited and is_dangerous(offer_of(t, p, s, robot, s.robots[owner, AREA], cost), p.cells):
         held = s.robots[robot, HELD] or is_full(t, p, s, robot)
         s.robots[robot, HELD] = held
         owner = NONE if held else owner
@@ -155,7 +157,7 @@ def share_or_rest(t, p, s, w, log, robot):
         if share_between(t, s, w, log, robot, owner, costs_from(t, s, w, robot)) == NONE:
             return NONE
         unsettle(s)
-        moves(s, robot)
+        moves(t, s, robot)
         return 1
     if p.worth and not s.robots[robot, HELD] and s.robots[robot, DOING] != DONE:
         area, target, _ = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(False))
@@ -165,7 +167,7 @@ def share_or_rest(t, p, s, w, log, robot):
     if comes_home(t) and would_be_charged(t, p, s, w, robot):
         turn_home(t, s, w, log, robot, True)
     else:
-        waits(s, robot)
+        waits(t, s, robot)
     return 0
 
 
@@ -218,7 +220,7 @@ def aim(t, s, w, how, robot):
     """On to the next target of its area, in which cells are left."""
     if s.robots[robot, DOING] == TRAVELING:
         costs = costs_from(t, s, w, robot)
-        target, _ = see(t, s, costs, np.int64(s.robots[robot, CELL]), np.int64(s.robots[robot, AREA]))
+        target, _ = see(t, s, costs, robot, np.int64(s.robots[robot, CELL]), np.int64(s.robots[robot, AREA]))
         set_out(t, s, w, robot, target, len(t.cost_to) == 0)
     else:
         s.robots[robot, AHEAD] = 0
@@ -232,7 +234,7 @@ def look_up(t, p, s, w, log, how, robot):
     if s.areas[robots[robot, AREA], LEFT_IN] == 0:
         return allocate_next(t, p, s, w, log, robot, np.bool_(False))
     wary = p.looks_again and (p.breaks_off or robots[robot, DOING] == TRAVELING) and not robots[robot, SURE]
-    if wary and is_danger(p, s, robots[robot, NEXT]):
+    if wary and is_danger(t, p, s, robot, robots[robot, NEXT]) and hears(t, s, robot):
         got = look_again(t, p, s, w, log, robot)
         if got != 0 or not has_area(robots, robot):
             return got
@@ -265,7 +267,7 @@ def go(t, p, s, w, log, how, robot, step, cell):
         go_on(t, s, w, robot)
         return 0
     if robots[robot, DOING] == IDLE:
-        waits(s, robot)
+        waits(t, s, robot)
         return 0
     area = np.int64(robots[robot, AREA])
     if np.int64(s.home[cell]) >> AREA_BITS == area or s.areas[area, LEFT_IN] == 0:
@@ -300,17 +302,18 @@ def learn(t, p, s, w, log, how, ids):
 
 
 @kernel
-def notices(p, s, robot):
+def notices(t, p, s, robot):
     """Whether something is to be looked at before the robot moves: an area without cells to do has no target either."""
-    return s.home[s.robots[robot, TARGET]] & VISITED != 0 or is_danger(p, s, s.robots[robot, NEXT])
+    return s.home[s.robots[robot, TARGET]] & VISITED != 0 or is_danger(t, p, s, robot, s.robots[robot, NEXT])
 
 
 @kernel
-def actors(p, s, word, after):
+def actors(t, p, s, word, after):
     """Bits of the robots of a word that still act in this step, those after this one; who is held asks in each."""
     bits = s.movers[word]
     if s.marks[OPEN] > 0 or len(p.most) > 0:
         bits |= s.waiting[word]
+    bits = on_turn(t, s.marks[STEP], word, bits)
     return bits & (~np.uint64(1) << np.uint64(after)) if after >= 0 else bits
 
 
@@ -328,10 +331,10 @@ def walk_alone(t, p, s, c, w, how, robot, step, size):
     Before whatever else can happen, or has to be noticed, it stops.
     """
     me, stop = s.robots[robot], min(how.max_steps, s.team[robot, UNTIL])
-    while step + 1 < stop and not notices(p, s, robot):
+    while step + 1 < stop and not notices(t, p, s, robot):
         cell, arrives = np.int64(me[NEXT]), me[NEXT] == me[TARGET]
         home = np.int64(s.home[cell]) & ~TO_DO
-        if t.bound[cell] > 0 or (arrives and me[DOING] == TRAVELING):
+        if t.bound[own(t, robot, cell)] > 0 or (arrives and me[DOING] == TRAVELING):
             break
         if home & VISITED == 0:
             if s.areas[home >> AREA_BITS, LEFT_IN] == 1:
@@ -370,7 +373,7 @@ def advance(t, p, s, c, w, log, how, ids):
     marks, robots = s.marks, s.robots
     size, step, robot, verdict = marks[LAST] - marks[FIRST], marks[STEP], marks[ROBOT], marks[VERDICT]
     word, cell, progress = robot // WORD, np.int64(robots[robot, CELL]), marks[PROGRESS]
-    bits = actors(p, s, word, robot % WORD if verdict != ACTS else NONE)
+    bits = actors(t, p, s, word, robot % WORD if verdict != ACTS else NONE)
     if is_meeting(s):
         word, bits, verdict = len(s.movers) - 1, np.uint64(0), ACTS if verdict == PASSED else verdict
     # What `first_of_idle` keeps is of one level of the stack, and scratch is of the thread.
@@ -408,7 +411,7 @@ def advance(t, p, s, c, w, log, how, ids):
                             step = walk_alone(t, p, s, c, w, how, robot, step, size)
                     step, word, progress = step + 1, 0, 0
                     marks[STEP] = step
-                bits = actors(p, s, word, NONE)
+                bits = actors(t, p, s, word, NONE)
             if verdict == PARTED:
                 return verdict
             if verdict == HIT:
@@ -427,7 +430,7 @@ def advance(t, p, s, c, w, log, how, ids):
                     if charge(t, s, log, robot, step):
                         robots[robot, DOING] = IDLE
                         got = allocate_next(t, p, s, w, log, robot, np.bool_(False))
-                elif step > 0 and robots[robot, DOING] != RETURNING and notices(p, s, robot):
+                elif step > 0 and robots[robot, DOING] != RETURNING and notices(t, p, s, robot):
                     marks[NOW] = 1
                     got = look_up(t, p, s, w, log, how, robot)
                     marks[NOW] = 0
@@ -444,7 +447,7 @@ def advance(t, p, s, c, w, log, how, ids):
                 return AREAS_FULL
             progress |= got
             if stays:
-                bits = actors(p, s, word, robot % WORD)
+                bits = actors(t, p, s, word, robot % WORD)
                 continue
             cell, progress = np.int64(robots[robot, NEXT if step > 0 else CELL]), np.int64(1)
             # A visit of another's cell makes that area a worse offer: what is kept of offers is void.
@@ -471,13 +474,13 @@ def advance(t, p, s, c, w, log, how, ids):
                         take_note(t, s, cell)
             if robots[robot, DOING] == RETURNING:
                 go_home(t, s, log, robot)
-            elif step == s.team[robot, UNTIL]:
+            elif own_turn(t, robot, step) == s.team[robot, UNTIL]:
                 if not stay(t, s, w, log, robot):
                     return AREAS_FULL
                 unsettle(s)
             elif go(t, p, s, w, log, how, robot, step, cell) == NONE:
                 return AREAS_FULL
-        bits = actors(p, s, word, robot % WORD)
+        bits = actors(t, p, s, word, robot % WORD)
 
 
 @program

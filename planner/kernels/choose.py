@@ -20,7 +20,9 @@ from planner.kernels.first import (
 )
 from planner.kernels.follow import is_before, is_danger, offer_of, refuses
 from planner.kernels.nearest import one_cell, seek
+from planner.kernels.own import moves_until, own, own_level
 from planner.kernels.paths import set_out
+from planner.kernels.radio import hears
 from planner.kernels.rows import row_from
 from planner.kernels.state import (
     AHEAD,
@@ -49,23 +51,24 @@ def first_to_share(t, p, s, w, helper):
     Who is held gets none but a safe area that it reaches without danger, where a step costs 1.
     """
     best, best_level, best_cost, best_area = np.int64(NONE), FAR, np.int64(FAR), FAR
-    if not any_to_share(s, helper):
+    if not any_to_share(t, s, helper) or not hears(t, s, helper):
         return best, best_cost
     costs = costs_from(t, s, w, helper)
     here, held = np.int64(s.robots[helper, CELL]), s.robots[helper, HELD] != 0
     for owner in range(len(s.robots)):
-        if not may_be_shared(s, owner, helper):
+        if not may_be_shared(t, s, owner, helper):
             continue
         area = np.int64(s.robots[owner, AREA])
-        level = np.int64(s.areas[area, LEVEL])
-        if held and (level > 0 or bound_of(t, s, here, area)[1] > s.areas[area, LEFT_IN]):
+        level, most = own_level(t, helper, s.areas[area, LEVEL]), np.int64(s.areas[area, LEFT_IN])
+        most = moves_until(t, helper, owner, most)
+        if held and (level > 0 or bound_of(t, s, helper, here, area)[1] > most):
             continue
         cell, cost = cheapest_unvisited(costs, s, area)
-        offer = offer_of(p, s, area, cost)
+        offer = offer_of(t, p, s, helper, area, cost)
         if cell == NONE or refuses(p, offer):
             continue
         better = (level, cost, area) < (best_level, best_cost, best_area)
-        near = better and is_within(t, s, w, helper, cell, s.areas[area, LEFT_IN])
+        near = better and is_within(t, s, w, helper, cell, most)
         if near and not is_too_far_from_home(t, p, s, w, helper, here, cell, offer, np.bool_(True)):
             best, best_level, best_cost, best_area = np.int64(owner), level, cost, area
     return best, best_cost
@@ -90,22 +93,22 @@ def is_at_risk(t, p, s, robot):
     me = s.robots[robot]
     cell = np.int64(me[NEXT])
     if me[DOING] == RETURNING:
-        found = is_danger(p, s, cell)
+        found = is_danger(t, p, s, robot, cell)
         while not found and moves_home(t, robot, cell) > 0:
             cell = np.int64(t.onward[t.home_of[robot], cell])
-            found = is_danger(p, s, cell)
+            found = is_danger(t, p, s, robot, cell)
         return found
     if not has_area(s.robots, robot):
         return False
-    found = s.areas[me[AREA], LEVEL] > 0 or is_danger(p, s, cell)
+    found = own_level(t, robot, s.areas[me[AREA], LEVEL]) > 0 or is_danger(t, p, s, robot, cell)
     if me[AHEAD] > 0:
         for place in range(me[AHEAD]):
-            found = found or is_danger(p, s, s.legs[robot, place])
+            found = found or is_danger(t, p, s, robot, s.legs[robot, place])
         return found
     # With tables the rest of the way is not written down: it is walked.
     while not found and cell != me[TARGET]:
-        cell = np.int64(t.hop_to[me[TARGET], cell])
-        found = p.danger[cell]
+        cell = np.int64(t.hop_to[own(t, robot, me[TARGET]), cell])
+        found = p.danger[own(t, robot, cell)]
     return found
 
 
@@ -124,7 +127,7 @@ def is_full(t, p, s, robot):
 @rare_kernel
 def has_to_wait(t, p, s, w, robot, area, cost):
     """Whether the robot is held from an area that it would be allocated (`reserve`)."""
-    mine = offer_of(p, s, area, cost)
+    mine = offer_of(t, p, s, robot, area, cost)
     if len(p.most) == 0 or not is_dangerous(mine, p.cells):
         return False
     if is_full(t, p, s, robot):
@@ -136,7 +139,7 @@ def has_to_wait(t, p, s, w, robot, area, cost):
             rests = not is_at_risk(t, p, s, other)
         if other != robot and rests:
             theirs, _, their_cost = first_of_idle(t, p, s, w, other)
-            if theirs != NONE and is_before(p, offer_of(p, s, theirs, their_cost), mine, False):
+            if theirs != NONE and is_before(p, offer_of(t, p, s, other, theirs, their_cost), mine, False):
                 return True
     return False
 

@@ -69,6 +69,14 @@ def compile_closed_loop(
     learns, unknown = problem.learns, problem.unknown
     cells = np.flatnonzero(problem.levels.accessible if unknown is None or not learns else unknown.within)
     tabled = not learns and (len(cells) <= MOST_TABLED if tabled is None else tabled)
+    if problem.own is not None:
+        tabled = True
+        if len(problem.own.costs) * len(cells) ** 2 > MOST_TABLED**2:
+            raise PlanError(
+                f"{len(problem.own.costs)} types of robots on {len(cells):,} cells",
+                expected=f"types x cells x cells up to {MOST_TABLED**2:,}",
+                fix="coarsen the map",
+            )
     tables = make_tables(problem, cells, areas, tabled, kept, luck, plan.bearing)
     return ClosedLoop(
         identity=_identity(problem, areas, first_only, plan.state),

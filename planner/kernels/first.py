@@ -11,7 +11,9 @@ from planner.jit import kernel, rare_kernel
 from planner.kernels.afford import affords, comes_home
 from planner.kernels.areas import costs_from, make_lowest
 from planner.kernels.bits import ONE, holds, lowest_bit
-from planner.kernels.follow import is_before, offer_of, refuses
+from planner.kernels.follow import dearer, is_before, offer_of, refuses
+from planner.kernels.own import own
+from planner.kernels.radio import hears
 from planner.kernels.state import (
     AREA_BITS,
     AREAS,
@@ -46,15 +48,15 @@ def cheapest_unvisited(costs, s, area):
 
 
 @kernel
-def bound_of(t, s, here, area):
+def bound_of(t, s, robot, here, area):
     """(cell, cost) from the tables: no unvisited cell of the area costs less from `here`, NONE if none can be reached.
 
     The cell is the area's target if it is an unvisited one of the area. Without tables nothing is known.
     """
     if len(t.cost_to) == 0:
         return np.int64(len(s.order)), np.int64(0)
-    root = np.int64(s.areas[area, ROOT])
-    return np.int64(t.area_entry[here, root]), np.int64(t.area_cost[here, root])
+    root, row = np.int64(s.areas[area, ROOT]), own(t, robot, here)
+    return np.int64(t.area_entry[row, root]), np.int64(t.area_cost[row, root])
 
 
 @kernel
@@ -64,9 +66,9 @@ def is_target(s, cell, area):
 
 
 @kernel
-def see(t, s, costs, here, area):
+def see(t, s, costs, robot, here, area):
     """(cell, cost) of the area's target from `here`, where `costs` `[A]` are from; cell NONE if there is none."""
-    cell, cost = bound_of(t, s, here, area)
+    cell, cost = bound_of(t, s, robot, here, area)
     if cost < 0:
         return np.int64(NONE), np.int64(FAR)
     return (cell, cost) if is_target(s, cell, area) else cheapest_unvisited(costs, s, area)
@@ -132,8 +134,8 @@ def look_at(t, p, s, w, costs, robot, here, area, closely, best, target, first, 
     """(area, target, offer) of the first of the `best` so far and an unassigned area; and whether the area may go
     before it, but for a look at its cells: `closely`, they have it.
     """
-    cell, cost = bound_of(t, s, here, area)
-    offer = offer_of(p, s, area, cost)
+    cell, cost = bound_of(t, s, robot, here, area)
+    offer = offer_of(t, p, s, robot, area, cost)
     # The table's cost is a lower bound: if even that comes later, no cell has to be looked at.
     if cost < 0 or (p.by_price and not goes_first(p, offer, area, first, best, refusing)):
         return best, target, first, False
@@ -141,7 +143,7 @@ def look_at(t, p, s, w, costs, robot, here, area, closely, best, target, first, 
         if not closely:
             return best, target, first, True
         cell, cost = cheapest_unvisited(costs, s, area)
-        offer = offer_of(p, s, area, cost)
+        offer = offer_of(t, p, s, robot, area, cost)
     before = cell != NONE and goes_first(p, offer, area, first, best, refusing)
     if before and not is_too_far_from_home(t, p, s, w, robot, here, cell, offer, refusing):
         return area, cell, offer, False
@@ -202,26 +204,34 @@ def first_ranked(t, p, s, w, costs, robot, here, best, target, first, refusing):
     return best, target, first, all_seen
 
 
+@kernel
+def own_cost(t, p, s, robot, area, first):
+    """The cost of the way to an area that was offered so: `offer_of` makes the same offer of it."""
+    if len(t.type_of) == 0 or area == NONE:
+        return first.cost
+    return first.cost - dearer(t, p, s, robot, area)
+
+
 @rare_kernel
-def first_area(t, p, s, w, robot, own, refusing):
+def first_area(t, p, s, w, robot, its_own, refusing):
     """(area, target, cost) of the first unassigned area that the robot can reach, area NONE if there is none.
 
-    `own`: an area that is among them, or NONE. `refusing`: areas that cost more than a robot is worth are not.
+    `its_own`: an area that is among them, or NONE. `refusing`: areas that cost more than a robot is worth are not.
     """
-    best, target, first = np.int64(NONE), np.int64(NONE), offer_of(p, s, 0, FAR)
-    if s.marks[OPEN] == 0 and own == NONE:
-        return best, target, first.cost
+    best, target, first = np.int64(NONE), np.int64(NONE), offer_of(t, p, s, robot, 0, FAR)
+    if (s.marks[OPEN] == 0 and its_own == NONE) or not hears(t, s, robot):
+        return best, target, own_cost(t, p, s, robot, best, first)
     here = np.int64(s.robots[robot, CELL])
     costs = costs_from(t, s, w, robot)
-    if own != NONE:  # its target stays the same on the way there, until it is visited, or costs are others
+    if its_own != NONE:  # its target stays the same on the way there, until it is visited, or costs are others
         cell = np.int64(s.robots[robot, TARGET])
         cost = np.int64(costs[cell])
         if s.home[cell] & VISITED or len(s.mind) > 0:
-            cell, cost = see(t, s, costs, here, own)
-        offer = offer_of(p, s, own, cost)
-        before = goes_first(p, offer, own, first, best, refusing)
+            cell, cost = see(t, s, costs, robot, here, its_own)
+        offer = offer_of(t, p, s, robot, its_own, cost)
+        before = goes_first(p, offer, its_own, first, best, refusing)
         if before and not is_too_far_from_home(t, p, s, w, robot, here, cell, offer, refusing):
-            best, target, first = own, cell, offer
+            best, target, first = its_own, cell, offer
     home = np.int64(s.home[here])
     # A start that nobody has visited yet: its area alone may cost less than entering one.
     if home & VISITED == 0 and holds(s.open, home >> AREA_BITS):
@@ -231,25 +241,28 @@ def first_area(t, p, s, w, robot, own, refusing):
     if len(t.foremost) > 0:
         best, target, first, all_seen = first_ranked(t, p, s, w, costs, robot, here, best, target, first, refusing)
         if all_seen:
-            return best, target, first.cost
+            return best, target, own_cost(t, p, s, robot, best, first)
     level = least_open(p, s)
+    mixed = len(t.type_of) > 0 and s.marks[OPEN] > 0  # levels of areas are in the order of nobody's own
     for further in range(2):
         # First by bounds from the tables alone; cells are looked at only of what may still go before.
         for closely in range(2):
-            if is_below(t, p, s, here, first, best, level + further):
-                return best, target, first.cost
+            if is_below(t, p, s, here, first, best, np.int64(0) if mixed else level + further):
+                return best, target, own_cost(t, p, s, robot, best, first)
             best, target, first, unseen = first_among(
                 t, p, s, w, costs, robot, here, further, closely, best, target, first, refusing
             )
             if not unseen:
                 break
-    return best, target, first.cost
+    return best, target, own_cost(t, p, s, robot, best, first)
 
 
 @rare_kernel
 def first_of_idle(t, p, s, w, robot):
     """The same of a robot that waits, kept until an unassigned area comes, goes, or loses a cell to do."""
     kept, here = w.kept[robot], np.int64(s.robots[robot, CELL])
+    if not hears(t, s, robot):
+        return np.int64(NONE), np.int64(NONE), np.int64(FAR)
     # CHANGES counts whatever could alter the answer, so an equal count means the same answer.
     if kept[0] != s.marks[CHANGES] or kept[1] != here or comes_home(t):  # what it can afford changes by itself
         area, target, cost = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from planner.errors import PlanError
 from planner.jit import OF_THIS_PROCESS, UNCOUNTED, kernel, rare_kernel
 from planner.kernels.handed import Handed
-from planner.kernels.state import BEGIN, END, LEFT_IN, LEVEL, SEEN, VISITED
+from planner.kernels.own import own, own_level
+from planner.kernels.state import BEGIN, DEAD, DOING, END, FAR, LEFT_IN, LEVEL, SEEN, VISITED
 from planner.kernels.tables import Tables
 from planner.mrac.problem import Problem
 from planner.policies import RULES
@@ -110,6 +111,12 @@ class Policy(NamedTuple):
     stamp: NDArray[np.int64]
 
 
+def dangerous(problem: Problem, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """`Policy.danger` of these cells `[A]`; where robots differ in type, `[Y A]`."""
+    of_cell = problem.levels.of_cell[cells]
+    return (of_cell if problem.own is None else problem.own.level[:, of_cell].ravel()) > 0
+
+
 def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables) -> Policy:
     """The policy of an attentive, exact rule; `cells` int64 `[A]`, the accessible ones. Raises PlanError."""
     rule, settings, unknown = problem.rule, problem.settings, problem.unknown
@@ -122,7 +129,7 @@ def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables) -> P
         by_price=rule.by_price,
         limited=rule.limited and problem.theta < NO_REFUSAL,
         entry=problem.entry,
-        danger=problem.levels.of_cell[cells] > 0,
+        danger=dangerous(problem, cells),
         cells=problem.costs.size,
         theta=problem.theta,
         worth=settings.worth is not None,
@@ -164,12 +171,25 @@ def value_left(p, s, area):
 
 
 @kernel
-def offer_of(p, s, area, cost):
-    """An area as the rule sees it, its target being at this cost."""
-    level, left = np.int64(s.areas[area, LEVEL]), np.int64(s.areas[area, LEFT_IN])
+def offer_of(t, p, s, robot, area, cost):
+    """An area as the rule sees it, its target being at this cost from the robot."""
+    level, left = own_level(t, robot, s.areas[area, LEVEL]), np.int64(s.areas[area, LEFT_IN])
+    if len(t.type_of) > 0 and cost < FAR:
+        cost += dearer(t, p, s, robot, area)
     value = value_left(p, s, area) if len(p.value) > 0 else left
     shown = frontier(p, s, area) if len(p.view_begin) > 0 else np.int64(0)
     return Offer(level, np.int64(cost), left, p.entry[level], value, np.int64(p.beyond), shown)
+
+
+@rare_kernel
+def dearer(t, p, s, robot, area):
+    """How much less a robot alive of another type would pay for the area's cells to do."""
+    level = np.int64(s.areas[area, LEVEL])
+    mine = least = p.entry[own_level(t, robot, level)]
+    for other in range(len(s.robots)):
+        if s.robots[other, DOING] != DEAD:
+            least = min(least, p.entry[own_level(t, other, level)])
+    return (mine - least) * np.int64(s.areas[area, LEFT_IN])
 
 
 @rare_kernel
@@ -190,9 +210,9 @@ def frontier(p, s, area):
 
 
 @kernel
-def is_danger(p, s, cell):
-    """Whether the cell is of a dangerous level, as robots know it."""
-    return s.level[cell] > 0 if len(s.mind) > 0 else p.danger[cell]
+def is_danger(t, p, s, robot, cell):
+    """Whether the cell is of a dangerous level, as the robot knows it."""
+    return s.level[cell] > 0 if len(s.mind) > 0 else p.danger[own(t, robot, cell)]
 
 
 @kernel

@@ -14,7 +14,7 @@ from planner.errors import UsageError
 from planner.kernels.follow import Policy
 from planner.kernels.resume import set_back_to
 from planner.kernels.state import DETECTS, GOAL, TRUTH, State, Tables, first_state
-from planner.kernels.tables import luck_tables
+from planner.kernels.tables import kinds_of, luck_tables
 from planner.luck_names import LuckName
 from planner.plans.state import MissionState
 from planner.roaming import first_places
@@ -86,6 +86,11 @@ class ClosedLoop:
     def comes_home(self) -> bool:
         """True if robots come home."""
         return len(self.tables.home_of) > 0
+
+    @property
+    def is_mixed(self) -> bool:
+        """True if robots are of several types, or speeds, or do not hear each other everywhere."""
+        return len(self.tables.type_of) + len(self.tables.pace) + len(self.tables.reach) > 0
 
     @property
     def runs_alone(self) -> bool:
@@ -160,13 +165,18 @@ class ClosedLoop:
 
     def under(self, world: World) -> ClosedLoop:
         """The same decisions, but robots are stopped by the threats of `world`, a map of the same cells."""
-        tables = self.tables._replace(**luck_tables(world, self.cells, self.luck))
+        tables = self.tables._replace(**luck_tables(self._kinds(world), self.cells, self.luck))
         return replace(self, identity=f"{self.identity}~{world.luck_sha256}", tables=tables, purpose=purpose_of(world))
 
     def by(self, luck: LuckName, world: World) -> ClosedLoop:
         """The same on its own map, `world`, by this luck."""
         self.bearing.check_luck(luck)
-        return replace(self, luck=luck, tables=self.tables._replace(**luck_tables(world, self.cells, luck)))
+        return replace(
+            self, luck=luck, tables=self.tables._replace(**luck_tables(self._kinds(world), self.cells, luck))
+        )
+
+    def _kinds(self, world: World) -> tuple[World, ...]:
+        return kinds_of(world, self.bearing.types, self.robots)
 
     def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> ClosedLoop:
         """The same rollouts, survived visits counted. Arguments as of `Weights`, but of all cells `[N, ..]`."""

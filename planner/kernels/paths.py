@@ -10,6 +10,7 @@ import numpy as np
 
 from planner.jit import kernel, rare_kernel
 from planner.kernels.nearest import any_of, seek, to_do_of
+from planner.kernels.own import own
 from planner.kernels.rows import row_from, walk_back
 from planner.kernels.state import (
     AHEAD,
@@ -55,8 +56,9 @@ def entry_of(t, s, w, robot, area):
     """The cheapest cell of an area that the robot can reach."""
     here = s.robots[robot, CELL]
     if len(t.cost_to) > 0:
-        cell = np.int64(t.area_entry[here, s.areas[area, ROOT]])
-        return cell if np.int64(s.home[cell]) >> AREA_BITS == area else cheapest_cell(t.cost_to[here], s, area)
+        row = own(t, robot, here)
+        cell = np.int64(t.area_entry[row, s.areas[area, ROOT]])
+        return cell if np.int64(s.home[cell]) >> AREA_BITS == area else cheapest_cell(t.cost_to[row], s, area)
     if w.row_of[here] != NONE:
         return cheapest_cell(w.rows[row_from(t, s, w, here)], s, area)
     return seek(t, s, w, here, any_of(area), np.int64(NONE))
@@ -74,7 +76,7 @@ def set_out(t, s, w, robot, target, searched):
             robots[robot, NEXT] = s.legs[robot, ahead]
         else:
             # By target: a whole leg stays in one row of the table.
-            robots[robot, NEXT] = t.hop_to[target, here]
+            robots[robot, NEXT] = t.hop_to[own(t, robot, target), here]
     robots[robot, AHEAD], robots[robot, PATH] = ahead, 0
 
 
@@ -84,7 +86,7 @@ def go_on(t, s, w, robot):
     robots = s.robots
     ahead = robots[robot, AHEAD]
     if ahead == 0:
-        robots[robot, NEXT] = t.hop_to[robots[robot, TARGET], robots[robot, CELL]]
+        robots[robot, NEXT] = t.hop_to[own(t, robot, robots[robot, TARGET]), robots[robot, CELL]]
     else:
         robots[robot, AHEAD] = ahead - 1
         path = robots[robot, PATH]
@@ -136,28 +138,28 @@ def set_out_far(t, s, w, how, robot):
     """The same where none is adjacent."""
     here, area = s.robots[robot, CELL], np.int64(s.robots[robot, AREA])
     if len(t.entry) == 0:
-        set_out(t, s, w, robot, look_up_nearest(t, s, here, area), False)
+        set_out(t, s, w, robot, look_up_nearest(t, s, own(t, robot, here), area), False)
     else:
         set_out(t, s, w, robot, search_nearest(t, s, w, how, here, area), True)
 
 
 @kernel
-def look_up_nearest(t, s, here, area):
-    """The cheapest cell of the area to do, from tables.
+def look_up_nearest(t, s, row, area):
+    """The cheapest cell of the area to do, from a row of the tables.
 
     In a safe area it is looked for among the cells ranked by cost; before a dangerous one come too many safe cells.
     """
     if s.areas[area, LEVEL] == 0:
         wanted = to_do_in(area)
         for place in range(t.ranked.shape[1]):
-            cell = t.ranked[here, place]
+            cell = t.ranked[row, place]
             if np.int64(s.home[cell]) >> 2 == wanted:
                 return np.int64(cell)
     best, least = NONE, FAR
     for place in range(s.areas[area, BEGIN], s.areas[area, END]):
         cell = s.order[place]
-        if s.home[cell] & TO_DO and t.cost_to[here, cell] < least:
-            best, least = np.int64(cell), np.int64(t.cost_to[here, cell])
+        if s.home[cell] & TO_DO and t.cost_to[row, cell] < least:
+            best, least = np.int64(cell), np.int64(t.cost_to[row, cell])
     return best
 
 

@@ -5,10 +5,9 @@ Time is a function of the step, so a set's rollouts have it in common. Part of `
 
 from __future__ import annotations
 
-import numpy as np
-
 from planner.jit import kernel, rare_kernel
 from planner.kernels.believe import believe
+from planner.kernels.own import own
 from planner.kernels.state import ALIVE, STEP
 
 
@@ -22,9 +21,9 @@ def phase_at(t, step):
 
 
 @kernel
-def visit_of(t, s, cell):
-    """Where `Tables.bound`, `exposure` and `chance` have a visit of the cell in this step."""
-    return np.int64(cell) if len(t.phases) == 0 else cell + len(t.near) * phase_at(t, s.marks[STEP])
+def visit_of(t, s, robot, cell):
+    """Where `Tables.bound`, `exposure` and `chance` have a visit of the cell by the robot in this step."""
+    return own(t, robot, cell) if len(t.phases) == 0 else cell + len(t.near) * phase_at(t, s.marks[STEP])
 
 
 @rare_kernel

@@ -11,6 +11,7 @@ from planner.jit import kernel, rare_kernel
 from planner.kernels.afford import can_go_on, comes_home, moves_home, own_moves
 from planner.kernels.areas import replace
 from planner.kernels.bits import drop, holds, put
+from planner.kernels.own import own_turn
 from planner.kernels.state import (
     AREA,
     AT_HOME,
@@ -67,8 +68,9 @@ def stay(t, s, w, log, robot):
 @rare_kernel
 def turns(t, s, robot, step):
     """Whether the robot, which has yet to move in this step, turns for home: 1; to be charged there: 2; else 0."""
-    own = s.team[robot, UNTIL] - step
-    if can_go_on(t, s, robot, min(own, t.limits[LAST_STEP] - step)):
+    now = own_turn(t, robot, step)
+    own = s.team[robot, UNTIL] - now
+    if can_go_on(t, s, robot, min(own, own_turn(t, robot, t.limits[LAST_STEP]) - now)):
         return 0
     return 2 if t.limits[RECHARGE] > 0 and own + 1 < t.range[robot] and not can_go_on(t, s, robot, own) else 1
 
@@ -89,7 +91,7 @@ def charge(t, s, log, robot, step):
     """A step at the base; whether the robot has its range again, as one that may move from the next step on."""
     if step < s.team[robot, READY]:
         return False
-    s.team[robot, READY], s.team[robot, UNTIL] = 0, t.range[robot] + step
+    s.team[robot, READY], s.team[robot, UNTIL] = 0, t.range[robot] + own_turn(t, robot, step)
     note(log, s, robot, CHARGED_EVENT, np.int64(NONE), np.int64(s.robots[robot, CELL]))
     return True
 
@@ -97,7 +99,7 @@ def charge(t, s, log, robot, step):
 @kernel
 def may_be_charged(t, s, robot):
     """Whether a robot for which nothing is left has made moves, and is charged at its base."""
-    return t.limits[RECHARGE] > 0 and s.marks[OPEN] > 0 and own_moves(s, robot) < t.range[robot]
+    return t.limits[RECHARGE] > 0 and s.marks[OPEN] > 0 and own_moves(t, s, robot) < t.range[robot]
 
 
 @rare_kernel
@@ -110,7 +112,7 @@ def turn_home(t, s, w, log, robot, charges):
         base = np.int64(onward[base])
     note(log, s, robot, TURNED_HOME_EVENT, area if owns else np.int64(NONE), base)
     if holds(s.waiting, robot):
-        s.team[robot, UNTIL] += s.marks[STEP]  # as of one that moves from the next step on
+        s.team[robot, UNTIL] += own_turn(t, robot, s.marks[STEP])  # as of one that moves from the next step on
     drop(s.movers, robot)
     drop(s.waiting, robot)
     me[DOING], me[HELD] = DONE, 0
@@ -131,7 +133,7 @@ def go_home(t, s, log, robot):
     me = s.robots[robot]
     cell = np.int64(me[CELL])
     arrives = moves_home(t, robot, cell) == 0
-    if not arrives and s.marks[STEP] != s.team[robot, UNTIL]:
+    if not arrives and own_turn(t, robot, s.marks[STEP]) != s.team[robot, UNTIL]:
         me[NEXT] = t.onward[t.home_of[robot], cell]
         return
     if arrives:
@@ -154,7 +156,8 @@ def call_home(t, s, w, log, over):
     marks[OVER] = over + 1
     for robot in range(len(s.robots)):
         waits, way = holds(s.waiting, robot), moves_home(t, robot, np.int64(s.robots[robot, CELL]))
-        late = waits and way > 0 and t.limits[LAST_STEP] - marks[STEP] <= way
+        left = own_turn(t, robot, t.limits[LAST_STEP]) - own_turn(t, robot, marks[STEP])
+        late = waits and way > 0 and left <= way
         doing = s.robots[robot, DOING]
         if doing == CHARGING and over != NONE:
             drop(s.movers, robot)

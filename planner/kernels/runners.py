@@ -282,7 +282,7 @@ class Runner:
         keys = [np.uint32(half) for key in (key_of_luck(seed, loop.luck), own, *moving) for half in key]
         options = loop.max_steps, loop.first_only, loop.stay_inside, 0
         self._how = How._make((*keys[:4], *options, *keys[4:], 0, 0))
-        remembers = loop.policy is None and not (loop.stay_inside or loop.learns or loop.comes_home)
+        remembers = loop.policy is None and not (loop.stay_inside or loop.learns or loop.comes_home or loop.is_mixed)
         self.work = make_work(loop.tables, most, remembers, known.pop() if known else None)
         self._done: list[tuple[int, int]] = []
         self._make_room(first_room(loop.tables))

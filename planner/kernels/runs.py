@@ -19,6 +19,7 @@ from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
 from planner.kernels.experience import learns_of, take_note
 from planner.kernels.luck import fresh, stopped_from
 from planner.kernels.meet import has_entered, is_meeting, meet
+from planner.kernels.own import on_turn, own, own_turn
 from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
 from planner.kernels.phases import visit_of
 from planner.kernels.remember import can_be_remembered, remember
@@ -46,6 +47,7 @@ from planner.kernels.state import (
     BEGIN,
     BORNE,
     CELL,
+    CHANGES,
     CHARGING,
     COMPLETE,
     COVERED,
@@ -74,6 +76,7 @@ from planner.kernels.state import (
     PATH,
     PROGRESS,
     QUIET,
+    QUIET_STEPS,
     RETURNING,
     ROBOT,
     STARTING,
@@ -202,7 +205,7 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     # The set is one run for all its rollouts: what one of them does is done `size` times.
     c.visits[cell] += size
     fresh = s.home[cell] & VISITED == 0
-    place = visit_of(t, s, cell)
+    place = visit_of(t, s, robot, cell)
     safe = t.bound[place] == 0
     # Where threats change, a robot may have been stopped in what is safe by now.
     verdict = ACTS if safe and len(t.phases) == 0 else PASSED
@@ -218,6 +221,8 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
             c.late[step] -= size
             c.unsurvived[cell] += size
             marks[UNSURVIVED] += 1
+    elif survives and s.home[cell] & SURVIVED == 0:  # a robot of another type was stopped there
+        mark_survived(s, c, step, cell, size)
     if not safe and (fresh or not how.first_only) and not (len(s.spent) > 0 and holds(s.spent, cell)):
         hit_from = stopped_from(t, s, c, w, how, ids, step, robot, cell, place)
         # All of them are hit alike: still one run, so nothing has to be copied.
@@ -231,22 +236,22 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
 
 
 @kernel
-def waits(s, robot):
+def waits(t, s, robot):
     """The robot, which moved, has no area from here on."""
     if holds(s.movers, robot):
         drop(s.movers, robot)
         put(s.waiting, robot)
-        # Moves that are left do not run out with the steps: a number of them, not the step of the last one.
-        s.team[robot, UNTIL] -= s.marks[STEP]
+        # Moves that are left do not run out with the turns: a number of them, not the turn of the last one.
+        s.team[robot, UNTIL] -= own_turn(t, robot, s.marks[STEP])
 
 
 @kernel
-def moves_on(s, robot):
+def moves_on(t, s, robot):
     """The robot, which waited, has an area and moves from the next step on."""
     if holds(s.waiting, robot):
         drop(s.waiting, robot)
         put(s.movers, robot)
-        s.team[robot, UNTIL] += s.marks[STEP]
+        s.team[robot, UNTIL] += own_turn(t, robot, s.marks[STEP])
 
 
 @spliced
@@ -267,6 +272,7 @@ def lose(t, s, c, w, log, robot, size):
     if len(s.entered) > 0:
         drop(s.waiting, robot)
     s.robots[robot, DOING] = DEAD
+    s.marks[CHANGES] += len(t.type_of) > 0  # prices go by who is alive
     note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
     # Nobody is left to take what it leaves.
     if s.marks[ALIVE] == 0 and len(log.events) == 0:
@@ -281,14 +287,20 @@ def lose(t, s, c, w, log, robot, size):
 
 
 @kernel
+def mark_survived(s, c, step, cell, size):
+    """The cell, which was visited, is survived for the first time."""
+    s.home[cell] |= SURVIVED
+    c.late[step] += size
+    c.unsurvived[cell] -= size
+    s.marks[UNSURVIVED] -= 1
+
+
+@kernel
 def survive(s, c, step, cell, size):
     """A dangerous cell has been entered by a robot that was not stopped."""
     count_pass(s, cell)
     if s.home[cell] & SURVIVED == 0:
-        s.home[cell] |= SURVIVED
-        c.late[step] += size
-        c.unsurvived[cell] -= size
-        s.marks[UNSURVIVED] -= 1
+        mark_survived(s, c, step, cell, size)
 
 
 @rare_kernel
@@ -340,7 +352,7 @@ def settle(t, s, w, log, how, robot):
         doing = robots[robot, DOING]
         if doing == LANDING:
             robots[robot, DOING] = IDLE
-            waits(s, robot)
+            waits(t, s, robot)
             return got
         if doing == STARTING:
             robots[robot, DOING] = TRAVELING
@@ -372,11 +384,11 @@ def settle(t, s, w, log, how, robot):
                 if comes_home(t) and would_be_charged(t, s, w, robot):
                     turn_home(t, s, w, log, robot, True)
                 else:
-                    waits(s, robot)
+                    waits(t, s, robot)
                 return got
             got = 1
         if doing in (IDLE, DONE):
-            moves_on(s, robot)
+            moves_on(t, s, robot)
 
 
 @rare_kernel
@@ -417,11 +429,12 @@ def learn(t, s, w, log, how, ids):
 
 
 @kernel
-def actors(s, word, after):
+def actors(t, s, word, after):
     """Bits of the robots of a word that still act in this step, those after this one."""
     bits = s.movers[word]
     if s.marks[OPEN] > 0:
         bits |= s.waiting[word]
+    bits = on_turn(t, s.marks[STEP], word, bits)
     # Read anew after every robot that changed something: later ones see at once what earlier ones did.
     return bits & (~np.uint64(1) << np.uint64(after)) if after >= 0 else bits
 
@@ -433,7 +446,7 @@ def is_over(t, s):
         return COMPLETE
     if s.marks[ALIVE] == 0:
         return STOPPED
-    return STUCK if s.marks[QUIET] >= 2 else NONE
+    return STUCK if s.marks[QUIET] >= t.limits[QUIET_STEPS] else NONE
 
 
 @kernel
@@ -461,15 +474,16 @@ def end_at_home(t, s, how, step):
 def only_mover(t, s, log):
     """The robot that alone can do something until the next hit, NONE if there are several, or none.
 
-    Also NONE where what it does is written down, its visits are counted, threats move or change, or it looks about, or
-    for its way home, every step.
+    Also NONE where robots are of several speeds or types, what it does is written down, its visits are counted, threats
+    move or change, or it looks about, or for its way home, every step.
     """
     bits = s.movers[0]
     # bits & (bits - 1) takes the lowest bit away: 0 if it was the only one. One word of robots is enough for most
     # teams.
     alone = bits != 0 and bits & (bits - ONE) == 0 and (s.marks[OPEN] == 0 or s.waiting[0] == 0)
     noted = len(log.frames) > 0 or len(s.passes) > 0 or len(s.entered) > 0 or len(s.mind) > 0
-    if not alone or len(s.movers) != 1 or noted or comes_home(t) or len(t.phases) > 0:
+    differ = len(t.pace) + len(t.type_of) + len(t.phases) > 0
+    if not alone or len(s.movers) != 1 or noted or comes_home(t) or differ:
         return NONE
     robot = lowest_bit(bits)
     return robot if s.robots[robot, DOING] != FOLLOWING else NONE
@@ -481,7 +495,7 @@ def bears(t, s, how, robot, cell):
     if len(t.exposure) == 0 or len(t.own_counter) > 0 or how.first_only or s.home[cell] & UNSAFE == VISITED:
         return False
     # The robot's own sum decides, not this visit: below the least tolerance of the set nobody is looked at.
-    borne = s.team[robot, BORNE] + t.exposure[cell]
+    borne = s.team[robot, BORNE] + t.exposure[own(t, robot, cell)]
     if fresh(t, robot, borne) >= s.team[robot, BEARS]:
         return False
     s.team[robot, BORNE] = borne
@@ -507,7 +521,7 @@ def walk_alone(t, s, c, w, how, robot, step, size):
         # The end of a path, of an area or of a range is a decision: the full loop takes it.
         if (arrives and (not covering or left == 1)) or (fresh and s.areas[home >> AREA_BITS, LEFT_IN] == 1):
             break
-        if t.bound[cell] > 0 and not bears(t, s, how, robot, cell):
+        if t.bound[own(t, robot, cell)] > 0 and not bears(t, s, how, robot, cell):
             break
         if fresh:
             s.areas[home >> AREA_BITS, LEFT_IN] -= 1
@@ -547,7 +561,7 @@ def advance(t, s, c, w, log, how, ids):
     size, step, robot, verdict = marks[LAST] - marks[FIRST], marks[STEP], marks[ROBOT], marks[VERDICT]
     # A set goes on in the middle of a step: after the check of the robot at which it parted.
     word, cell, progress, moves = robot // WORD, robots[robot, CELL], marks[PROGRESS], True
-    bits = actors(s, word, robot % WORD if verdict != ACTS else NONE)
+    bits = actors(t, s, word, robot % WORD if verdict != ACTS else NONE)
     returns = comes_home(t)
     if is_meeting(s):
         word, bits, verdict = len(s.movers) - 1, np.uint64(0), ACTS if verdict == PASSED else verdict
@@ -580,7 +594,7 @@ def advance(t, s, c, w, log, how, ids):
                         step = walk_alone(t, s, c, w, how, robot, step, size)
                     step, word, progress = step + 1, 0, 0
                     marks[STEP] = step
-                bits = actors(s, word, NONE)
+                bits = actors(t, s, word, NONE)
             if verdict == PARTED:
                 return verdict
             if verdict == HIT:
@@ -599,7 +613,7 @@ def advance(t, s, c, w, log, how, ids):
                 if how_turns > 0:
                     if not turn_home(t, s, w, log, robot, how_turns > 1):
                         return AREAS_FULL
-                    bits = actors(s, word, robot % WORD)
+                    bits = actors(t, s, word, robot % WORD)
                     if robots[robot, DOING] != RETURNING:
                         continue
             moves = not charged and robots[robot, DOING] != IDLE and robots[robot, DOING] != DONE
@@ -615,7 +629,7 @@ def advance(t, s, c, w, log, how, ids):
             verdict = ACTS
             if not lose(t, s, c, w, log, robot, size):
                 return AREAS_FULL
-            bits = np.uint64(0) if is_meeting(s) else actors(s, word, robot % WORD)
+            bits = np.uint64(0) if is_meeting(s) else actors(t, s, word, robot % WORD)
             continue
         if verdict == PASSED:
             verdict = ACTS
@@ -626,10 +640,10 @@ def advance(t, s, c, w, log, how, ids):
         if returns and moves and robots[robot, DOING] == RETURNING:
             go_home(t, s, log, robot)
             continue
-        if step == s.team[robot, UNTIL] and moves:
+        if moves and own_turn(t, robot, step) == s.team[robot, UNTIL]:
             if not stay(t, s, w, log, robot):
                 return AREAS_FULL
-            bits = actors(s, word, robot % WORD)
+            bits = actors(t, s, word, robot % WORD)
             continue
         if moves:
             if robots[robot, DOING] == FOLLOWING:
@@ -650,4 +664,4 @@ def advance(t, s, c, w, log, how, ids):
         if got == NONE:
             return AREAS_FULL
         progress |= got
-        bits = actors(s, word, robot % WORD)
+        bits = actors(t, s, word, robot % WORD)

@@ -45,9 +45,9 @@ MOST_PASSES = 8
 """Survived visits of a cell that are told apart; what further ones add to a chance to detect is bounded
 (`analysis.evaluation.outputs.value`)."""
 
-NEAR, WIDE, PATIENCE, GOAL, LAST_STEP, RECHARGE, LIMITS = range(7)
-"""`Tables.limits` of searches, the cells that can truly be visited, when robots know that the mission ends, and
-steps that they are charged."""
+NEAR, WIDE, PATIENCE, GOAL, LAST_STEP, RECHARGE, QUIET_STEPS, LIMITS = range(8)
+"""`Tables.limits` of searches, the cells that can truly be visited, when robots know that the mission ends, steps
+that they are charged, and steps without progress that end a run."""
 
 
 class Tables(NamedTuple):
@@ -71,7 +71,7 @@ class Tables(NamedTuple):
         limits: int64 `[LIMITS]`. NEAR: cells that a search passes before it is one for what is far; WIDE: as of
             `SafeParts`; PATIENCE: searches from a cell before its costs to all are kept. GOAL: cells that count.
             LAST_STEP: by which robots that come home are to be there; RECHARGE: steps until they have their range
-            again, 0: they do not.
+            again, 0: they do not. QUIET_STEPS: steps in a row without progress after which a run is stuck.
         truths: int16 `[M, A]`, level of each cell in each map that may be true, NONE of an obstacle, of robots that
             learn it; belief: int16 `[A]`, what they believe before the first step; price: int64 `[L]`, cost of entering
             a cell of each level; in_view: like near, what is seen from each cell, from `view_begin` int64 `[A + 1]` on
@@ -92,6 +92,12 @@ class Tables(NamedTuple):
             int64 `[K]`, susceptibilities; int64 `[K]`, what each has borne before, to a fresh robot.
         movers: int64 `[M, MOVER_WORDS]`, threats that move, none in most worlds (`planner.kernels.meet`); routes:
             int64, the cells of their routes, one route after the other.
+        type_of: int64 `[K]`, own_level: int64 `[Y, L]`, as of `planner.mrac.own_maps.OwnMaps`; empty where robots are
+            alike. Else the tables by cell `[A]` above, of costs, hops, ranks and luck, are `[Y A]`: type after type.
+        pace: int64 `[K]`, steps that a move takes, empty where all have one speed; ticks: int64 `[C]`, the different
+            ones; clock: uint64 `[C, K / 64]`, bits of the robots of each.
+        place: int64 `[A, 2]`, (row, col) of cells; bases: int64 `[B, 2]`; reach: int64 `[1]`, squared distance over
+            which robots hear each other, and bases: empty where all do (`planner.kernels.radio`).
         starts: int32 `[K]`. range: int64 `[K]`, moves that each robot can make.
         order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
         level, owner: int32 `[M]`, the allocation at t = 0.
@@ -143,6 +149,14 @@ class Tables(NamedTuple):
     begun: NDArray
     movers: NDArray
     routes: NDArray
+    type_of: NDArray
+    own_level: NDArray
+    pace: NDArray
+    ticks: NDArray
+    clock: NDArray
+    place: NDArray
+    bases: NDArray
+    reach: NDArray
     starts: NDArray
     range: NDArray
     order: NDArray
@@ -194,9 +208,9 @@ to do on the coverage path, how many cells of `legs` or of the remembered path P
 move, or in `hop_to`), whether it is held (`reserve`), whether it need not look again
 (`planner.kernels.attentive.decide`), and the number of that path."""
 UNTIL, BORNE, BEARS, READY, TEAM_WORDS = range(5)
-"""`team`: the step of the last move of a robot that moves from now on, of who waits the moves left; the exposure that
-it has borne; no rollout of the set has less tolerance; the step in which it has its range again, at a base, before that
-FAR if it is to be charged there, else 0."""
+"""`team`: the turn (`own_turn`) of the last move of a robot that moves from now on, of who waits the moves left; the
+exposure that it has borne; no rollout of the set has less tolerance; the step in which it has its range again, at a
+base, before that FAR if it is to be charged there, else 0."""
 STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
 AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, CHANGES, COVERED, UNSURVIVED, ROAMED = range(7, 18)
 OVER, AT_HOME, NOW, UNLIMITED, MARKS = range(18, 23)
@@ -237,6 +251,7 @@ class State(NamedTuple):
         passes: uint8 `[A]`, survived visits of each cell, MOST_PASSES for more; empty where nobody asks.
         entered: uint64 `[K / 64]`, bits of the robots that have entered a cell in this step; empty where nothing moves
             but robots: only then it is not said by the end of their turns whether they survive there.
+        heard: uint64 `[K / 64]`, scratch; empty where robots hear each other everywhere.
         near, entry, level: like `Tables.near`, `entry` and `truths[m]`, as robots that learn believe it; known: uint8
             `[A]`, SEEN, LOOKED from, OUT of every area and not visited; fate: like home `[room]`, scratch; mind: int64
             `[MIND]`. All empty where they are told. odds: like `Tables.odds`, by now.
@@ -256,6 +271,7 @@ class State(NamedTuple):
     spent: NDArray
     passes: NDArray
     entered: NDArray
+    heard: NDArray
     near: NDArray
     entry: NDArray
     level: NDArray
@@ -437,7 +453,8 @@ def first_state(tables: Tables, room: int, passes: bool = False) -> State:
     bits = [np.zeros(count, dtype=np.uint64) for count in words]
     passed = np.zeros(size if passes else 0, dtype=np.uint8)
     entered = np.zeros(words[0] if len(tables.movers) else 0, dtype=np.uint64)
-    state = State._make((*rows, *numbers, *bits, passed, entered, *_first_mind(tables, room, kind)))
+    heard = np.zeros(words[0] if len(tables.reach) else 0, dtype=np.uint64)
+    state = State._make((*rows, *numbers, *bits, passed, entered, heard, *_first_mind(tables, room, kind)))
     _begin(state, tables)
     return state
 

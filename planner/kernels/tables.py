@@ -10,12 +10,25 @@ from numpy.typing import NDArray
 
 from planner.bearing import PLAIN, Bearing
 from planner.kernels.all_pairs import all_pairs, to_areas
-from planner.kernels.state import GOAL, LAST_STEP, MOST_CELLS, MOVER_WORDS, NEAR, RANKED, RECHARGE, WORD, Tables
+from planner.kernels.state import (
+    GOAL,
+    LAST_STEP,
+    MOST_CELLS,
+    MOVER_WORDS,
+    NEAR,
+    QUIET_STEPS,
+    RANKED,
+    RECHARGE,
+    WORD,
+    Tables,
+)
 from planner.luck_names import LuckName
 from planner.mrac.costs import neighbour_table
+from planner.mrac.executive import STUCK_AFTER
 from planner.mrac.far_search import find_safe_parts
 from planner.mrac.paths import SafestPaths
 from planner.mrac.problem import Problem
+from planner.mrac.radio import reach_of
 from planner.mrac.search import UNREACHED
 from planner.mrac.sides import BY_INDEX
 from planner.mrac.unknown import Unknown
@@ -88,9 +101,15 @@ def make_tables(
     cost = area_cost = np.zeros((0, 0), dtype=np.int32 if small else np.int64)  # each a program
     hop = ranked = area_entry = foremost = np.zeros((0, 0), dtype=narrow)
     if tabled:
-        cost, hop, ranked = (kept or AllPairs()).tables(near, entry, cost.dtype, hop.dtype)
-        area_cost, area_entry = to_areas(cost, hop.dtype, order, begin)
-        if problem.rule.by_price and problem.value is None:
+        entries = [entry] if problem.own is None else problem.own.costs[:, cells]
+        of_types = [
+            (kept if problem.own is None and kept else AllPairs()).tables(near, one, cost.dtype, hop.dtype)
+            for one in entries
+        ]
+        areas_of = [to_areas(of_type[0], hop.dtype, order, begin) for of_type in of_types]
+        cost, hop, ranked = of_types[0] if problem.own is None else map(np.concatenate, zip(*of_types, strict=True))
+        area_cost, area_entry = map(np.concatenate, zip(*areas_of, strict=True))
+        if problem.rule.by_price and problem.value is None and problem.own is None:
             foremost = _foremost(area_cost, np.diff(begin), problem.entry[level]).astype(narrow)
     searches = not tabled or problem.settings.transit == "area"
     beside = np.where(near == NO_CELL, len(cells), near).astype(narrow)
@@ -107,9 +126,13 @@ def make_tables(
         entry=entry if searches else entry[:0],
         **_for_searches(near, entry[: 0 if tabled or unknown else len(cells)], narrow),
         **_learning(unknown, problem.entry, cells, compact, narrow),
-        **luck_tables(problem.world, cells, luck),
+        **luck_tables(_kinds(problem), cells, luck),
         **bearing_tables(bearing, len(problem.starts)),
         **mover_tables(problem.world, compact, len(cells)),
+        type_of=np.zeros(0, dtype=np.int64) if problem.own is None else problem.own.of,
+        own_level=np.zeros((0, 0), dtype=np.int64) if problem.own is None else problem.own.level,
+        **_clocks(problem.settings.paces),
+        **_radio(problem, cells),
         starts=compact[problem.starts],
         range=problem.range,
         order=order,
@@ -120,6 +143,7 @@ def make_tables(
         length=np.array([len(path) - 1 for path in problem.given], dtype=np.int32),
         **_ways_home(problem, cells, compact, narrow),
     )
+    tables.limits[QUIET_STEPS] = STUCK_AFTER * max(problem.settings.paces, default=1)
     if problem.home is not None:
         tables.limits[[LAST_STEP, RECHARGE]] = problem.home.last, problem.settings.recharge or 0
     if unknown is not None:  # a search passes all that is near enough to matter: nothing is far
@@ -203,8 +227,44 @@ def mover_tables(world: World, compact: NDArray[np.int32], beyond: int) -> dict[
     }
 
 
-def luck_tables(world: World, cells: NDArray[np.int64], luck: LuckName) -> dict[str, NDArray]:
-    """The fields of `Tables` that say how a visit of each of `cells` `[A]` is drawn."""
+def kinds_of(world: World, types: str | tuple[str, ...] | None, robots: int) -> tuple[World, ...]:
+    """The world as it is to each type of a team's robots, in the order in which these come."""
+    return tuple(dict.fromkeys(world.of_robots(types, robots)))
+
+
+def _clocks(paces: tuple[int, ...]) -> dict[str, NDArray]:
+    """The fields of `Tables` that say which robots have a turn in a step."""
+    pace = np.array(paces, dtype=np.int64)
+    ticks = np.unique(pace)
+    clock = np.zeros((len(ticks), -(-len(pace) // WORD)), dtype=np.uint64)
+    for robot, number in enumerate(np.searchsorted(ticks, pace)):
+        clock[number, robot // WORD] |= np.uint64(1) << np.uint64(robot % WORD)
+    return {"pace": pace, "ticks": ticks, "clock": clock}
+
+
+def _radio(problem: Problem, cells: NDArray[np.int64]) -> dict[str, NDArray]:
+    """The fields of `Tables` that say who hears whom."""
+    if problem.settings.radio is None:
+        pairs = np.zeros((0, 2), dtype=np.int64)
+        return {"place": pairs, "bases": pairs, "reach": pairs[:, 0].copy()}
+    place = np.stack(np.divmod(cells, problem.world.shape[1]), axis=1)
+    return {"place": place, "bases": problem.bases, "reach": np.array([reach_of(problem.settings)])}
+
+
+def _kinds(problem: Problem) -> tuple[World, ...]:
+    if problem.own is None:
+        return (problem.world,)
+    return kinds_of(problem.world, problem.settings.types, len(problem.starts))
+
+
+def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64], luck: LuckName) -> dict[str, NDArray]:
+    """The fields of `Tables` that say how a visit of each of `cells` `[A]` is drawn, type after type."""
+    if len(kinds) > 1:
+        tables = [luck_tables((kind,), cells, luck) for kind in kinds]
+        return tables[0] | {
+            name: np.concatenate([of[name] for of in tables]) for name in ("exposure", "chance", "bound")
+        }
+    (world,) = kinds
     draws, exposure, doses = world.draws, np.zeros(0, dtype=np.int64), np.zeros((0, 0), dtype=np.int64)
     if luck == "tolerance":
         exposure, doses = world.exposures[0].reshape(-1, world.threat.size)[:, cells].ravel(), world.exposures[1]
@@ -224,7 +284,7 @@ def luck_tables(world: World, cells: NDArray[np.int64], luck: LuckName) -> dict[
 
 def bearing_tables(bearing: Bearing, robots: int) -> dict[str, NDArray]:
     """The fields of `Tables` that say what robots bear."""
-    if bearing.is_plain:
+    if bearing.is_even:
         return dict.fromkeys(("nodes", "times", "begun"), np.zeros(0, dtype=np.int64))
     return {"nodes": bearing.nodes, "times": bearing.times(robots).copy(), "begun": bearing.fresh_begun(robots)}
 
@@ -241,7 +301,9 @@ def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: typ
         "kind": kind.astype(narrow),
         "kind_cost": kind_cost,
         "kind_begin": np.cumsum(counts) - counts,
-        "limits": np.array([NEAR_CELLS, parts.wide, ASKED_BEFORE if len(near) >= MOST_CELLS else 0, len(near), 0, 0]),
+        "limits": np.array(
+            [NEAR_CELLS, parts.wide, ASKED_BEFORE if len(near) >= MOST_CELLS else 0, len(near), 0, 0, 0]
+        ),
     }
 
 

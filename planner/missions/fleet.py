@@ -36,7 +36,7 @@ class Fleet(Executive):
         first, left = self.choose(robot), self._cost(robot.ahead)
         if first is None or not self._saves(first.offer.cost, left) or has_to_wait(self, robot, first):
             return
-        if self.rule.key(first.offer) < self.rule.key(offer_of(self, robot.area, left)):
+        if self.rule.key(first.offer) < self.rule.key(offer_of(self, robot, robot.area, left)):
             self._note(EventKind.LOOKED_AGAIN, robot, robot.area, robot.ahead[-1])
             self.release(robot)
             self._take(robot, first)

@@ -82,6 +82,7 @@ class Mission:
         """`recorder`: writes down what has been, too."""
         problem, areas = ready_loop(plan, world)
         problem.settings.check_not_charged("a mission that is driven")
+        problem.settings.check_alike("a mission that is driven")
         self.world, self._plan = world, plan
         self._fleet = Fleet(problem, areas, recorder=recorder, state=plan.state)
         self._fleet.gain = self.gain

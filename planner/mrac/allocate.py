@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +27,7 @@ def allocate_areas_to_robots(
     areas: list[tuple[int, NDArray[np.int64]]],
     starts: NDArray[np.int64],
     shape: tuple[int, int],
-    paths: SafestPaths,
+    paths: Sequence[SafestPaths],
     density: float,
     partition: Partition,
 ) -> tuple[Area, ...]:
@@ -34,15 +35,15 @@ def allocate_areas_to_robots(
 
     Args:
         areas: (level, cells) in id order. starts: cell index of each robot, int64 `[K]`.
-        density: d; a safe area takes another robot while `robots in it * d <= cells`.
+        paths: of each robot. density: d; a safe area takes another robot while `robots in it * d <= cells`.
         partition: how an area of several robots is split.
     """
     safe = [_SafeArea(number, cells, []) for number, (level, cells) in enumerate(areas) if level == 0]
-    with_room = np.full(len(paths.neighbours), NOT_WANTED, dtype=np.int32)
+    with_room = np.full(len(paths[0].neighbours), NOT_WANTED, dtype=np.int32)
     for place, area in enumerate(safe):
         with_room[area.cells] = place
     for robot, start in enumerate(starts.tolist()):
-        target = paths.nearest(start, with_room)
+        target = paths[robot].nearest(start, with_room)
         if target is not None:
             area = safe[with_room[target.cell]]
             area.robots.append(robot)
@@ -62,11 +63,15 @@ def allocate_areas_to_robots(
 
 
 def _split_between(
-    area: _SafeArea, starts: NDArray[np.int64], shape: tuple[int, int], paths: SafestPaths, partition: Partition
+    area: _SafeArea,
+    starts: NDArray[np.int64],
+    shape: tuple[int, int],
+    paths: Sequence[SafestPaths],
+    partition: Partition,
 ) -> list[Area]:
     """One part of the area for each of its robots, by the Hungarian method on safest-path costs."""
     parts = partition(shape, area.cells, len(area.robots))
-    from_each = (paths.to_all(int(starts[robot])) for robot in area.robots)
+    from_each = (paths[robot].to_all(int(starts[robot])) for robot in area.robots)
     costs = np.array([[cost[part].min() for part in parts] for cost in from_each])
     of_row, of_column = linear_sum_assignment(costs)
     robot_of_part = {int(part): area.robots[int(row)] for row, part in zip(of_row, of_column, strict=True)}

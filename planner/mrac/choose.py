@@ -7,10 +7,21 @@ from numpy.typing import NDArray
 
 from planner.mrac.board import Board, Choice, Robot
 from planner.mrac.homecoming import can_afford
+from planner.mrac.radio import in_contact, reach_of
 from planner.mrac.search import NOT_WANTED, UNREACHED
 from planner.policies.limits import NO_REFUSAL, is_dangerous, is_refused, most_at_risk
 from planner.policies.offer import Offer
 from planner.trace import Doing
+
+
+def hears(board: Board, robot: Robot) -> bool:
+    """Whether the robot is in touch with a base, by way of others that are alive: only then it takes over."""
+    problem = board.problem
+    if problem.settings.radio is None:
+        return True
+    alive = [other for other in board.robots if other.alive]
+    places = np.stack(np.divmod([other.cell for other in alive], problem.world.shape[1]), axis=1)
+    return bool(in_contact(places, problem.bases, reach_of(problem.settings))[alive.index(robot)])
 
 
 def first_area(board: Board, robot: Robot, *, own: bool = False, refusing: bool = True) -> Choice | None:
@@ -18,7 +29,9 @@ def first_area(board: Board, robot: Robot, *, own: bool = False, refusing: bool 
 
     `own`: its own area is among them. `refusing`: areas that cost more than a robot is worth are not.
     """
-    if board.rule.nearest and board.problem.home is None:
+    if not hears(board, robot):
+        return None
+    if board.rule.nearest and board.problem.home is None and board.problem.own is None:
         return _nearest(board, robot)
     seen = [choice for choice in offered(board, robot, own=own) if can_afford(board, robot, choice.target)]
     if refusing and board.rule.limited:
@@ -30,13 +43,17 @@ def offered(board: Board, robot: Robot, *, own: bool = False) -> list[Choice]:
     """The unassigned areas that the robot can reach, with its own one if that is asked for, by id."""
     reachable = board.unassigned if board.open_levels(robot) else set()
     numbers = sorted(reachable | ({robot.area} if own else set()))
-    cost = board.problem.paths.to_all(robot.cell) if numbers else np.zeros(0, dtype=np.int64)
-    return [choice for number in numbers if (choice := _see(board, number, cost)) is not None]
+    cost = board.problem.paths_of(robot.number).to_all(robot.cell) if numbers else np.zeros(0, dtype=np.int64)
+    return [choice for number in numbers if (choice := _see(board, robot, number, cost)) is not None]
 
 
 def first_of_idle(board: Board, robot: Robot) -> Choice | None:
     """The same of a robot that waits, kept until an unassigned area comes, goes, or loses a cell to do."""
+    if not hears(board, robot):
+        return None
     now = (board.changes, robot.cell, 0 if board.problem.home is None else board.next_move)
+    if board.problem.own is not None:  # the price goes by who is alive
+        now = (*now[:2], sum(other.alive for other in board.robots))
     if robot.asked != now:
         robot.asked, robot.first = now, first_area(board, robot)
     return robot.first
@@ -48,25 +65,29 @@ def _nearest(board: Board, robot: Robot) -> Choice | None:
         target = board.problem.paths.nearest(robot.cell, board.open_of(level))
         if target is not None:
             number = int(board.area_of[target.cell])
-            return Choice(number, target.cell, offer_of(board, number, target.cost))
+            return Choice(number, target.cell, offer_of(board, robot, number, target.cost))
     return None
 
 
-def _see(board: Board, number: int, cost: NDArray[np.int64]) -> Choice | None:
+def _see(board: Board, robot: Robot, number: int, cost: NDArray[np.int64]) -> Choice | None:
     """An area at these costs `[N]` from the robot; None if it cannot be reached, or has no cell to head for."""
     cells = board.goals(number)
     if len(cells) == 0 or cost[cells[0]] == UNREACHED:
         return None
     target = int(cells[cost[cells].argmin()])
-    return Choice(number, target, offer_of(board, number, int(cost[target])))
+    return Choice(number, target, offer_of(board, robot, number, int(cost[target])))
 
 
-def offer_of(board: Board, number: int, cost: int) -> Offer:
-    """An area whose target costs so much to reach, as a rule sees it."""
+def offer_of(board: Board, robot: Robot, number: int, cost: int) -> Offer:
+    """An area whose target costs the robot so much to reach, as a rule sees it."""
     area, problem = board.areas[number], board.problem
     value = area.unvisited if problem.value is None else int(problem.value[board.to_do(number)].sum())
-    entry, shown = int(problem.entry[area.level]), frontier(board, number)
-    return Offer(area.level, cost, area.unvisited, entry, value, problem.beyond, shown)
+    level, shown = problem.level_for(robot.number, area.level), frontier(board, number)
+    entry = int(problem.entry[level])
+    if board.rule.attentive and problem.own is not None:  # what a robot alive of another type would pay less
+        levels = (problem.level_for(other.number, area.level) for other in board.robots if other.alive)
+        cost += area.unvisited * (entry - min((int(problem.entry[level]) for level in levels), default=entry))
+    return Offer(level, cost, area.unvisited, entry, value, problem.beyond, shown)
 
 
 def frontier(board: Board, number: int) -> int:
@@ -89,12 +110,15 @@ def _is_refused(board: Board, robot: Robot, choice: Choice) -> bool:
 
 def first_to_share(board: Board, robot: Robot) -> Choice | None:
     """`Find Area To Share`: the best area of another live robot that is worth the way; None if there is none."""
+    if not hears(board, robot):
+        return None
     numbers = [number for number in _held_by_others(board, robot) if _may_be_worth_it(board, robot, number)]
-    for level in sorted({board.areas[number].level for number in numbers}):
-        left = {number for number in numbers if board.areas[number].level == level}
+    levels = {number: board.problem.level_for(robot.number, board.areas[number].level) for number in numbers}
+    for level in sorted(set(levels.values())):
+        left = {number for number in numbers if levels[number] == level}
         while left and (choice := _nearest_of(board, robot, left)) is not None:
-            steps = len(board.problem.paths.path(robot.cell, choice.target))
-            near = steps <= board.areas[choice.area].unvisited and can_afford(board, robot, choice.target)
+            steps = len(board.problem.paths_of(robot.number).path(robot.cell, choice.target))
+            near = _is_near(board, robot, choice.area, steps) and can_afford(board, robot, choice.target)
             if near and not _is_refused(board, robot, choice):
                 return choice
             left.remove(choice.area)
@@ -103,7 +127,7 @@ def first_to_share(board: Board, robot: Robot) -> Choice | None:
 
 def _held_by_others(board: Board, robot: Robot) -> list[int]:
     """Areas of other live robots with at least two cells to do."""
-    numbers = (other.area for other in board.robots if other is not robot and other.on_its_way)
+    numbers = (other.area for other in board.robots if other is not robot and other.on_its_way and hears(board, other))
     return [number for number in numbers if board.areas[number].unvisited >= 2]
 
 
@@ -112,7 +136,13 @@ def _may_be_worth_it(board: Board, robot: Robot, number: int) -> bool:
     width = board.problem.world.shape[1]
     row, col = divmod(robot.cell, width)
     rows, cols = np.divmod(board.goals(number), width)
-    return bool((np.abs(rows - row) + np.abs(cols - col)).min() <= board.areas[number].unvisited)
+    return _is_near(board, robot, number, int((np.abs(rows - row) + np.abs(cols - col)).min()))
+
+
+def _is_near(board: Board, helper: Robot, number: int, moves: int) -> bool:
+    """Whether the helper would be in another's area after so many moves before that one has covered it alone."""
+    area, pace = board.areas[number], board.problem.pace
+    return moves * pace(helper.number) <= area.unvisited * pace(area.robot)
 
 
 def _nearest_of(board: Board, robot: Robot, numbers: set[int]) -> Choice | None:
@@ -121,11 +151,12 @@ def _nearest_of(board: Board, robot: Robot, numbers: set[int]) -> Choice | None:
     rank = np.full(len(board.visited), NOT_WANTED, dtype=np.int32)
     for number, cells in goals.items():
         rank[cells] = number
-    target = board.problem.paths.nearest(robot.cell, rank, among=np.concatenate(list(goals.values())))
+    paths = board.problem.paths_of(robot.number)
+    target = paths.nearest(robot.cell, rank, among=np.concatenate(list(goals.values())))
     if target is None:
         return None
     number = int(rank[target.cell])
-    return Choice(number, target.cell, offer_of(board, number, target.cost))
+    return Choice(number, target.cell, offer_of(board, robot, number, target.cost))
 
 
 def is_at_risk(board: Board, choice: Choice) -> bool:
@@ -144,10 +175,11 @@ def is_full(board: Board, robot: Robot) -> bool:
 
 
 def _is_now_at_risk(board: Board, robot: Robot) -> bool:
-    dangerous = bool((board.levels()[robot.ahead] > 0).any())
+    dangerous = board.problem.is_dangerous(robot.number, board.levels()[robot.ahead])
     if robot.status is Doing.RETURNING:
         return dangerous
-    return robot.on_its_way and (board.areas[robot.area].level > 0 or dangerous)
+    level = board.areas[robot.area].level if robot.on_its_way else 0
+    return robot.on_its_way and (board.problem.level_for(robot.number, level) > 0 or dangerous)
 
 
 def has_to_wait(board: Board, robot: Robot, choice: Choice) -> bool:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planner.mrac.allocate import choose_parts
 from planner.mrac.board import Board, Choice, Robot, State
-from planner.mrac.choose import first_area, first_of_idle, first_to_share, has_to_wait, is_at_risk, is_full
+from planner.mrac.choose import first_area, first_of_idle, first_to_share, has_to_wait, hears, is_at_risk, is_full
 from planner.mrac.coverage import coverage_path
 from planner.mrac.homecoming import can_go_on, has_to_leave, is_home, moves_left
 from planner.mrac.partition import bisect
@@ -99,12 +99,22 @@ class Executive(Board):
             return Outcome.COMPLETE
         if not any(robot.alive for robot in self.robots):
             return Outcome.STOPPED
-        if self.quiet >= STUCK_AFTER:
+        if self.quiet >= STUCK_AFTER * max(self.problem.settings.paces, default=1):
             could = (robot.able and first_area(self, robot, refusing=False) for robot in self.robots)
             return Outcome.CALLED_OFF if any(could) else Outcome.STUCK
         return None
 
     # --- a robot's turn ---
+
+    def has_turn(self, number: int) -> bool:
+        """Whether this step is one in which the robot acts: one whose move takes m steps does in every m-th."""
+        return self.step % self.problem.pace(number) == 0
+
+    def wait(self, number: int) -> None:
+        """The robot's move takes longer than this step."""
+        robot = self.robots[number]
+        if robot.alive:
+            robot.path.append(robot.cell)
 
     def decide(self, number: int) -> int | None:
         """What the robot does in this step: the cell that it enters, or None, it stays where it is.
@@ -134,7 +144,7 @@ class Executive(Board):
             return None
         home = self.problem.home
         if home is not None and robot.on_its_way:
-            left = moves_left(home, robot, self.step)
+            left = moves_left(home, robot, self.step, self.problem.pace(number))
             if not can_go_on(self, home, robot, left):
                 self._turn_home(robot, charges=not can_go_on(self, home, robot, robot.moves))
         if robot.busy:
@@ -211,7 +221,8 @@ class Executive(Board):
         for robot in self.robots:
             if robot.status is Doing.CHARGING and self.over is not None:
                 robot.status = Doing.DONE
-            late = robot.able and not robot.busy and has_to_leave(home, robot, self.step)
+            pace = self.problem.pace(robot.number)
+            late = robot.able and not robot.busy and has_to_leave(home, robot, self.step, pace)
             can = robot.alive and robot.moves > 0 and not robot.turned
             if can and (late or self.over is not None):
                 self._turn_home(robot)
@@ -286,7 +297,11 @@ class Executive(Board):
             self._allocate_next(robot)
             return
         wary = self.rule.looks_again and (self.rule.breaks_off or robot.status is Doing.TRAVELING)
-        if wary and self.problem.levels.of_cell[robot.ahead[-1]] > 0:
+        if (
+            wary
+            and self.problem.is_dangerous(robot.number, self.problem.levels.of_cell[robot.ahead[-1:]])
+            and hears(self, robot)
+        ):
             self._look_again(robot)
         if robot.on_its_way and self.visited[robot.ahead[0]]:
             self._aim(robot)
@@ -307,8 +322,8 @@ class Executive(Board):
             self._share_or_rest(robot)
 
     def _log_leg(self, robot: Robot, kind: LegKind) -> None:
-        legs = robot.legs
-        if legs and legs[-1][0] == kind and legs[-1][1] == robot.area and legs[-1][3] == self.step:
+        legs, since = robot.legs, self.step - self.problem.pace(robot.number) + 1
+        if legs and legs[-1][0] == kind and legs[-1][1] == robot.area and since <= legs[-1][3] <= self.step:
             legs[-1] = (kind, robot.area, legs[-1][2], self.step + 1)
         else:
             legs.append((kind, robot.area, self.step, self.step + 1))
@@ -343,7 +358,9 @@ class Executive(Board):
         to_do, order = self.to_do(robot.area), self.problem.settings.in_area
         robot.to_do, robot.since = to_do, len(robot.path)
         most = 1 if self.rule.attentive else None
-        legs = coverage_path(self.problem.paths, robot.cell, to_do, inside, order, self.problem.sides, most)
+        legs = coverage_path(
+            self.problem.paths_of(robot.number), robot.cell, to_do, inside, order, self.problem.sides, most
+        )
         robot.ahead = legs[::-1].tolist()
         robot.status = Doing.COVERING
 
@@ -352,14 +369,14 @@ class Executive(Board):
         goals = self.goals(robot.area)
         rank = np.full(len(self.visited), NOT_WANTED, dtype=np.int32)
         rank[goals] = 0
-        target = self.problem.paths.nearest(robot.cell, rank)
+        target = self.problem.paths_of(robot.number).nearest(robot.cell, rank)
         if target is None and len(goals):
             raise ValueError(f"area {robot.area} cannot be reached from cell {robot.cell}")
         robot.ahead = [] if target is None else self._way(robot, target.cell)
         robot.status = Doing.TRAVELING
 
     def _way(self, robot: Robot, target: int) -> list[int]:
-        return self.problem.paths.path(robot.cell, target)[::-1].tolist()
+        return self.problem.paths_of(robot.number).path(robot.cell, target)[::-1].tolist()
 
     # --- who gets what ---
 
@@ -414,7 +431,8 @@ class Executive(Board):
         owner = self.robots[self.areas[number].robot]
         parts = self._replace(number, split=True)
         cells = [self.areas[part].cells for part in parts]
-        costs = ([self.problem.paths.cost_to(robot.cell, part) for part in cells] for robot in (owner, helper))
+        of = [(robot.cell, self.problem.paths_of(robot.number)) for robot in (owner, helper)]
+        costs = ([paths.cost_to(cell, part) for part in cells] for cell, paths in of)
         chosen = choose_parts(*costs)
         self.give(owner, parts[chosen.owner])
         self.give(helper, parts[chosen.helper])

@@ -12,9 +12,12 @@ def can_go_on(board: Board, home: Homeward, robot: Robot, left: int) -> bool:
     return all(home.moves(robot.number, cell) <= left - made for made, cell in enumerate(rest_of_leg(board, robot), 1))
 
 
-def moves_left(home: Homeward, robot: Robot, step: int) -> int:
-    """Moves that the robot can make from this step on: its range, and the mission's end if that is sooner."""
-    return min(robot.moves, home.last - step + 1)
+def moves_left(home: Homeward, robot: Robot, step: int, pace: int) -> int:
+    """Moves that the robot can make from this step on: its range, and the mission's end if that is sooner.
+
+    It makes one in every step that is a multiple of `pace`.
+    """
+    return min(robot.moves, home.last // pace - (step - 1) // pace)
 
 
 def can_afford(board: Board, robot: Robot, target: int) -> bool:
@@ -22,8 +25,9 @@ def can_afford(board: Board, robot: Robot, target: int) -> bool:
     home = board.problem.home
     if home is None or not board.limited or home.moves(robot.number, target) == CUT_OFF:
         return True
-    there = len(board.problem.paths.path(robot.cell, target)) if target != robot.cell else 0
-    return there + home.moves(robot.number, target) <= moves_left(home, robot, board.next_move)
+    pace = board.problem.pace(robot.number)
+    there = len(board.problem.paths_of(robot.number).path(robot.cell, target)) if target != robot.cell else 0
+    return there + home.moves(robot.number, target) <= moves_left(home, robot, board.next_move, pace)
 
 
 def rest_of_leg(board: Board, robot: Robot) -> list[int]:
@@ -37,9 +41,9 @@ def rest_of_leg(board: Board, robot: Robot) -> list[int]:
     return ahead
 
 
-def has_to_leave(home: Homeward, robot: Robot, step: int) -> bool:
+def has_to_leave(home: Homeward, robot: Robot, step: int, pace: int) -> bool:
     """Whether the robot, which waits at the end of this step, could come home too late if it waited for another."""
-    return home.moves(robot.number, robot.cell) > max(home.last - step - 1, 0)
+    return home.moves(robot.number, robot.cell) > max(home.last // pace - step // pace - 1, 0)
 
 
 def is_home(home: Homeward, robot: Robot) -> bool:

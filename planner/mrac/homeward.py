@@ -108,9 +108,12 @@ def _check(home: Homeward, settings: Settings, starts: NDArray[np.int64], shape:
         if way == CUT_OFF:
             problem = f"{argument('return_to')}: robot {robot}, which starts at {where}, cannot reach a base"
             raise PlanError(problem, expected="a base in the same part of the map, on a free cell")
-        if way > min(int(moves[robot]), home.last):
+        pace = settings.paces[robot] if settings.paces else 1
+        if way > min(int(moves[robot]), home.last // pace):
             problem = f"{argument('return_to')}: robot {robot} starts {way} moves from its base"
-            raise PlanError(problem, expected=f"at most {min(int(moves[robot]), home.last)}, its range or the deadline")
+            raise PlanError(
+                problem, expected=f"at most {min(int(moves[robot]), home.last // pace)}, its range or the deadline"
+            )
 
 
 def _ways(

@@ -28,7 +28,8 @@ def allocate(problem: Problem) -> tuple[Area, ...]:
     """Algorithm 1: the areas in id order with the robots that they are given to before the start."""
     shape = problem.world.shape
     areas = find_areas(shape, problem.levels)
-    return allocate_areas_to_robots(areas, problem.starts, shape, problem.paths, problem.settings.density, metis_parts)
+    paths = [problem.paths_of(robot) for robot in range(len(problem.starts))]
+    return allocate_areas_to_robots(areas, problem.starts, shape, paths, problem.settings.density, metis_parts)
 
 
 def allocated_plan(world: World, starts: ArrayLike, settings: Settings, state: MissionState | None = None) -> Plan:

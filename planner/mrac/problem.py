@@ -14,6 +14,7 @@ from planner.errors import PlanError, WorldError
 from planner.limits import MAX_STEP
 from planner.mrac.costs import BLOCKED, entry_costs, level_costs
 from planner.mrac.homeward import Homeward, ways_home
+from planner.mrac.own_maps import OwnMaps, own_maps
 from planner.mrac.paths import SafestPaths, safest_paths
 from planner.mrac.sides import sides_first
 from planner.mrac.unknown import Unknown, reached, unknown_of
@@ -47,6 +48,8 @@ class Problem:
         unknown: what robots are not told of the map, None: nothing. Levels, costs, paths and parts are of what they
             believe, and all that is accessible is what they believe that one of them can reach.
         home: the ways home of robots that come home (SPEC section 19); None: they do not.
+        own: the maps of robots that differ in type (SPEC section 22), None: they are alike. `entry` is then by level of
+            their common scale, `costs` and `paths` those of the type that pays most for each cell.
     """
 
     world: World
@@ -64,6 +67,32 @@ class Problem:
     value: NDArray[np.int64] | None = None
     unknown: Unknown | None = None
     home: Homeward | None = None
+    own: OwnMaps | None = None
+
+    @cached_property
+    def bases(self) -> NDArray[np.int64]:
+        """int64 `[B, 2]`, (row, col): starts, and where robots come home to: who takes over is in touch with one."""
+        home = self.settings.return_to
+        listed = () if home is None or isinstance(home, str) else home
+        cells = self.starts if self.home is None else np.concatenate([self.starts, self.home.starts])
+        own = np.stack(np.divmod(np.unique(cells), self.world.shape[1]), axis=1)
+        return np.concatenate([own, np.array(listed, dtype=np.int64).reshape(-1, 2)])
+
+    def pace(self, robot: int) -> int:
+        """Steps that a move of the robot takes."""
+        return self.settings.paces[robot] if self.settings.paces else 1
+
+    def paths_of(self, robot: int) -> SafestPaths:
+        """The robot's safest paths."""
+        return self.paths if self.own is None else self.own.paths[self.own.of[robot]]
+
+    def level_for(self, robot: int, level: int) -> int:
+        """What an area of this level is to the robot: a level of its own map, 0 = safe."""
+        return level if self.own is None else int(self.own.level[self.own.of[robot], level])
+
+    def is_dangerous(self, robot: int, levels: NDArray[np.int16]) -> bool:
+        """Whether a cell of one of these levels is dangerous to the robot."""
+        return bool(((levels if self.own is None else self.own.level[self.own.of[robot]][levels]) > 0).any())
 
     @property
     def max_steps(self) -> int:
@@ -105,7 +134,8 @@ class Problem:
     @cached_property
     def theta(self) -> int:
         """From which price per new cell on a dangerous area is refused (`worth`); NO_REFUSAL if none is."""
-        least = float(self.levels.values[1]) if len(self.levels.values) > 1 else 0.0
+        values = self.levels.values if self.own is None else self.own.values
+        least = float(values[1]) if len(values) > 1 else 0.0
         return refusal_threshold(self.settings.worth, self.costs.size, least, self.settings.risk)
 
 
@@ -113,7 +143,8 @@ def most_steps(settings: Settings, levels: ThreatLevels, given: int = 0) -> int:
     """T_max, or the step at which the settings end a run; `given`: steps of paths that are followed first."""
     if settings.last_step is not None:
         return settings.last_step
-    return min(8 * len(levels.values) * int(levels.accessible.sum()) + 64 + given, MAX_STEP)
+    slowest = max(settings.paces, default=1)
+    return min(slowest * (8 * len(levels.values) * int(levels.accessible.sum()) + 64) + given, MAX_STEP)
 
 
 def prepare(
@@ -130,23 +161,40 @@ def prepare(
     settings.check()
     if settings.return_to is not None:
         world.check_told("a team that comes home")
+    if settings.paces or settings.radio is not None:
+        world.check_told("a team of several speeds, or with radio,")
+        if world.phases is not None:
+            said = f"a team of several speeds, or with radio, presumes threats that stay: {world.phases.said}"
+            raise PlanError(said, source=world.source, fix="leave `phases` out")
     checked = check_starts(starts, world.met, world.source)
     settings.bearing().check(len(checked))
+    worlds = world.of_robots(settings.types, len(checked))
+    own, mixed = None, len(set(worlds)) > 1
+    world = world if mixed else worlds[0]
     unknown = unknown_of(world, checked, settings.levels)
     told = unknown is None
-    levels = find_levels(world, world.accessible(checked), settings.levels) if unknown is None else unknown.dearest
-    costs = entry_costs(levels, settings.risk, world.source)
-    cells = checked[:, 0] * world.shape[1] + checked[:, 1]
-    rule, entry = rule_of(settings.policy), level_costs(levels.values, costs.size, settings.risk).astype(np.int64)
+    rule, cells = rule_of(settings.policy), checked[:, 0] * world.shape[1] + checked[:, 1]
+    if mixed:
+        levels, entry, own = own_maps(worlds, world.accessible(checked), settings)
+        costs = own.costs.max(axis=0)
+    else:
+        levels = find_levels(world, world.accessible(checked), settings.levels) if unknown is None else unknown.dearest
+        costs = entry_costs(levels, settings.risk, world.source)
+        entry = level_costs(levels.values, costs.size, settings.risk).astype(np.int64)
     value = worth_of(world, levels.accessible) if rule.attentive else None
-    _check_comparisons(rule, levels, costs, entry, value, world.source, apart=told)
-    part, moves = _parts(levels, world.shape), _range(settings, len(cells))
+    if own is None:
+        _check_comparisons(rule, levels, costs, entry, value, world.source, apart=told)
+    else:  # what another type would pay less is added to what an area costs
+        most = entry[own.level.max(axis=0)]
+        _check_comparisons(rule, levels, 2 * costs, most, value, world.source, apart=True)
+    part, moves = _parts(levels, world.shape), _of_each("range", settings.range, NO_LIMIT, len(cells))
+    _of_each("steps_per_move", settings.steps_per_move, 1, len(cells))
     paths = safest_paths(world.shape, costs)
     home = ways_home(settings, cells, world.shape, paths, costs, homes)
     safe = (levels.of_cell if unknown is None else unknown.belief).reshape(world.shape) == 0
     sides = sides_first(settings.in_area, safe)
     problem = Problem(
-        world, settings, cells, levels, costs, paths, part, moves, rule, entry, sides, given, value, unknown, home
+        world, settings, cells, levels, costs, paths, part, moves, rule, entry, sides, given, value, unknown, home, own
     )
     return problem if unknown is None else problem.believing(unknown.belief, cells)
 
@@ -156,15 +204,14 @@ def _parts(levels: ThreatLevels, shape: tuple[int, int]) -> NDArray[np.int32]:
     return ndimage.label(levels.accessible.reshape(shape), FOUR_NEIGHBOURS)[0].ravel()
 
 
-def _range(settings: Settings, robots: int) -> NDArray[np.int64]:
-    """The moves of each robot. Raises PlanError where the settings give them for another team."""
-    given = settings.range
+def _of_each(name: str, given: int | tuple[int, ...] | None, unset: int, robots: int) -> NDArray[np.int64]:
+    """A setting of each robot, `unset` for None. Raises PlanError where the settings give it for another team."""
     if isinstance(given, tuple) and len(given) != robots:
         raise PlanError(
-            f"{argument('range')} of {len(given)} robots for a team of {robots}",
+            f"{argument(name)} of {len(given)} robots for a team of {robots}",
             expected="one number, or one for each robot",
         )
-    return np.broadcast_to(np.asarray(NO_LIMIT if given is None else given, dtype=np.int64), robots)
+    return np.broadcast_to(np.asarray(unset if given is None else given, dtype=np.int64), robots)
 
 
 def worth_of(world: World, accessible: NDArray[np.bool_]) -> NDArray[np.int64] | None:

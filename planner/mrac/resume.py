@@ -32,6 +32,7 @@ def state_of(run: Executive, borne: Sequence[int] | None = None) -> MissionState
     """
     world, settings = run.problem.world, run.problem.settings
     settings.check_not_charged("the state of a mission")
+    settings.check_alike("the state of a mission")
     known, home = None, run.problem.home
     if borne is not None and settings.wear != 1:
         known = np.minimum(borne, settings.bearing().most(len(run.robots))).tolist()
@@ -72,6 +73,7 @@ def _still_to_do(run: Executive, robot: Robot) -> NDArray[np.int64]:
 def made_ready(problem: Problem, state: MissionState) -> MissionState:
     """The state as runs begin with it: with areas, those of Algorithm 1 where it has none. Raises StateError."""
     problem.settings.check_not_charged("the state of a mission")
+    problem.settings.check_alike("the state of a mission")
     if state.step >= problem.max_steps:
         raise StateError(f"the state is of step {state.step}", expected=f"a step before the last, {problem.max_steps}")
     left = problem.range - [robot.moves for robot in state.robots]
@@ -143,7 +145,7 @@ def _allocated(problem: Problem, state: MissionState, able: list[int]) -> Missio
         return find_areas(shape, replace(levels, of_cell=np.where(of, levels.of_cell, NO_LEVEL)))
 
     starts, density = problem.starts[able], problem.settings.density
-    given = allocate_areas_to_robots(parts(~seen), starts, shape, problem.paths, density, metis_parts)
+    given = allocate_areas_to_robots(parts(~seen), starts, shape, [problem.paths] * len(starts), density, metis_parts)
     areas = [
         AreaState(a.level, able[a.robot], "assigned", a.cells)
         if a.robot != NO_ROBOT

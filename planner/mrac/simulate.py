@@ -127,6 +127,9 @@ def take_turns(team: Executive, hit: Hit, first: int = 0, movers: Roaming | None
     """Robots `first`, `first + 1`, ... act in this step, then movers, and it ends."""
     survived = None if movers is None else team.survived.copy()
     for number in range(first, len(team.robots)):
+        if not team.has_turn(number):
+            team.wait(number)
+            continue
         cell = team.decide(number)
         if cell is None:
             continue

@@ -26,6 +26,8 @@ def ready_loop(plan: Plan, world: World) -> tuple[Problem, tuple[Area, ...]]:
     Raises PlanError for another map, WorldError for what robots that are not told the map do not do.
     """
     settings = plan.require(world)
+    if plan.is_foreign:
+        settings.check_alike("a closed loop on another planner's paths")
     if plan.is_foreign or plan.state is not None:
         world.check_told("a closed loop on another planner's paths" if plan.is_foreign else "the rest of a mission")
     if settings.transit == "area":

@@ -36,6 +36,7 @@ def make_open_loop_plan(
     closed = replace(settings, plan_for="closed", effort=None)
     world.check_told("a plan for the open loop")
     settings.check_stays("a plan for the open loop")
+    settings.check_alike("a plan for the open loop")
     nominal = make_plan(world, starts, closed)
     problem = prepare(world, starts, closed)
     nodes = make_nodes(world, problem.levels.accessible.reshape(world.shape))

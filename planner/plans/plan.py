@@ -138,7 +138,7 @@ class Plan:
     @property
     def _own(self) -> Settings:
         """The default settings, but for what the robots of paths alone bear."""
-        return Settings(wear=self.bears.shape, susceptibility=self.bears.susceptibility)
+        return Settings(wear=self.bears.shape, susceptibility=self.bears.susceptibility, types=self.bears.types)
 
     @property
     def is_foreign(self) -> bool:
@@ -309,5 +309,7 @@ def is_certain(world: World, plan: Plan, loop: str = "closed") -> bool:
     unknown = plan.is_foreign or world.knowledge is not None
     if world.movers is not None or (loop == "closed" and unknown):
         return False
-    threat = world.by_phase.max(axis=0) if world.draws is None else world.draws.bound
-    return not any((threat[robot.path] > 0).any() for robot in plan.robots)
+    if world.draws is not None:
+        return not any(world.draws.bound[robot.path].any() for robot in plan.robots)
+    own = world.of_robots(plan.bearing.types, len(plan.robots))
+    return not any((of.by_phase.max(axis=0)[robot.path] > 0).any() for of, robot in zip(own, plan.robots, strict=True))

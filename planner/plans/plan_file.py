@@ -87,10 +87,11 @@ def _foreign_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:
     notes: tuple[str, ...] = ()
     if len(missed):
         notes = (f"accessible cells on no path: {len(missed)} (the first: {at(missed[0], world)})",)
-    told = {name: value for name, value in world.team.settings.items() if name in BEARING}
+    told = {name: value for name, value in world.team.settings.items() if name in (*BEARING, "types")}
     told |= {name: keys[name].setting(SETTINGS[name]) for name in BEARING if name in keys}
     bears = Settings(**told).bearing()
     bears.check(len(robots), source)
+    world.of_robots(bears.types, len(robots))
     return replace(plan, time=plan.makespan, notes=notes, bears=bears)
 
 

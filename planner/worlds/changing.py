@@ -61,7 +61,7 @@ def read_phases(keys: dict[str, Key], world: World, ground: Ground) -> World:
     pairs, combine = [], keys["combine"].choice(COMBINE)
     for item in keys["phases"].items("a list of phases, each {from: a step, threats: [...]}"):
         given = item.mapping(("from", "threats"))
-        threat, _, _ = all_threats(given["threats"].items("a list of sources", least=0), combine, ground)
+        threat = all_threats(given["threats"].items("a list of sources", least=0), combine, ground, {})[0]
         with item.naming():
             cells = World.create(np.where(ground.free, threat, np.nan), source=world.source)
         pairs.append((given["from"].value, cells))

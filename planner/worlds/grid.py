@@ -15,6 +15,7 @@ from planner.worlds.georeference import Georeference
 from planner.worlds.knowledge import Knowledge
 from planner.worlds.movers import Movers
 from planner.worlds.phases import Phases
+from planner.worlds.robot_types import RobotTypes
 
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 """States of a pixel."""
@@ -88,6 +89,7 @@ class Grid:
         doubt: what a world file says is in doubt about its threats, or moves, or None.
         knowledge: what it says is true beside them, or None.
         measured: the file says how large a pixel is; else it is presumed.
+        types: of robots, that a world file brings along, or None.
         swath: metres, the side of the cells that a visit covers, where that is more than a pixel; else None.
     """
 
@@ -106,6 +108,7 @@ class Grid:
     knowledge: Knowledge | None = None
     measured: bool = True
     swath: float | None = None
+    types: RobotTypes | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,7 +52,7 @@ def world_grid(world: World) -> Grid:
     return Grid(
         state, world.frame, world.source, threat=world.threat, starts=world.starts, notes=world.notes,
         georeference=world.georeference, value=world.value, detect=world.detect, doubt=world.doubt,
-        knowledge=world.knowledge, measured=world.measured,
+        knowledge=world.knowledge, measured=world.measured, types=world.types,
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.arguments import Numbers, argument, whole
 from planner.errors import MapError
@@ -14,6 +15,8 @@ from planner.files import Json
 from planner.worlds.grid import Grid
 from planner.worlds.keys import Key, read_yaml
 from planner.worlds.quantities import CHANCE
+from planner.worlds.robot_types import RobotTypes, checked_types
+from planner.worlds.typed import FACTOR
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World, check_starts
 
 MAPS_KEY = "world_shape"
@@ -27,35 +30,64 @@ MAPS_DEFAULTS: Json = {
 def read_maps(path: Path, top: Key) -> World:
     """A map of YairKorn/MAPS: `world_shape`, and obstacles, threats and robots in places [row, col]; cells of 1 m.
 
-    Robots are the first `n_agents` of `agents_placement`, unless their placement is random. A cell with p = 1, which no
-    world here can have, is an obstacle. Raises MapError, WorldError.
+    With a `types_matrix` threats are [row, col, p, type], and its rows are types of robots, "0", "1", ..., by their
+    number; `agents_type` says which each robot is of. Robots are the first `n_agents` of `agents_placement`, unless
+    their placement is random. A cell with p = 1, which no world here can have, is an obstacle. Raises MapError,
+    WorldError.
     """
     top = Key(top.value, "", path, MapError)
-    keys = top.mapping((MAPS_KEY,), ("n_agents",), MAPS_DEFAULTS, strict=False)
+    keys = top.mapping((MAPS_KEY,), ("n_agents", "types_matrix", "agents_type"), MAPS_DEFAULTS, strict=False)
     if keys["torodial"].value is not False:
         raise keys["torodial"].wrong("False: cells at opposite edges are no neighbours here")
     height, width = _cell(keys[MAPS_KEY], MAX_CELLS, MAX_CELLS)
     if not 0 < height * width <= MAX_CELLS:
         raise keys[MAPS_KEY].wrong(f"[rows, columns], 1 to {MAX_CELLS} cells")
-    threat = np.zeros((height, width))
-    for key in keys["threat_location"].items("a list of [row, col, p]", least=0):
-        cell = _cell(key, height, width, "p")
-        p = key.items("p")[2].number(CHANCE)
-        threat[cell] = np.nan if p == 1 else p
+    matrix = _types_matrix(keys["types_matrix"]) if "types_matrix" in keys else np.zeros((0, 0))
+    threat, factor = np.zeros((height, width)), np.ones((len(matrix), height, width))
+    more = ("p", "type")[: 1 + bool(len(matrix))]
+    for key in keys["threat_location"].items(f"a list of [row, col, {', '.join(more)}]", least=0):
+        cell = _cell(key, height, width, *more)
+        p, *of = key.items("p")[2:]
+        chance = p.number(CHANCE)
+        threat[cell] = np.nan if chance == 1 else chance
+        if of:
+            factor[:, cell[0], cell[1]] = matrix[:, of[0].number(whole(0, matrix.shape[1] - 1, "a type"))]
     lost = int(np.isnan(threat).sum())
     notes = (f"cells that stop every visit (p = 1) and so count as obstacles: {lost}",) if lost else ()
     for key in keys["obstacles_location"].items("a list of [row, col]", least=0):
         threat[_cell(key, height, width)] = np.nan
     world = replace(World.create(threat, source=str(path), notes=notes), measured=False)
+    if len(matrix):
+        world = replace(world, types=_types(keys.get("agents_type"), factor * threat, world))
     places = [_cell(key, height, width) for key in keys["agents_placement"].items("a list of [row, col]", least=0)]
     if "n_agents" in keys:
         count = keys["n_agents"].number(whole(1, MAX_ROBOTS))
         places = places[:count]
+    if world.types is not None:
+        world = replace(world, types=replace(world.types, team=world.types.team[: len(places) or None]))
     if keys["random_placement"].value is not False or not places:
         return replace(
             world, notes=(*notes, f"its robots are placed at random: give {argument('robots')} or {argument('starts')}")
         )
     return world.with_starts(places)
+
+
+def _types_matrix(key: Key) -> NDArray[np.float64]:
+    """Factors of p by type of robot and of threat, `[robots, threats]`."""
+    rows = [row.numbers(FACTOR, "factors of p") for row in key.items("a list of rows of factors")]
+    if len({len(row) for row in rows}) > 1:
+        raise key.wrong("rows of one length")
+    return np.array(rows, dtype=np.float64)
+
+
+def _types(agents: Key | None, threat: NDArray[np.float64], world: World) -> RobotTypes:
+    """The types of robots with these threats `[types, H, W]`, and of which each robot of the file is."""
+    names = tuple(map(str, range(len(threat))))
+    found = checked_types(names, threat, world.free, world.source)
+    if agents is None:
+        return found
+    of = agents.numbers(whole(0, len(names) - 1), f"a type of robot for each, 0 .. {len(names) - 1}")
+    return replace(found, team=tuple(map(str, of)))
 
 
 def _cell(key: Key, height: int, width: int, *more: str) -> tuple[int, int]:

@@ -30,12 +30,14 @@ from planner.worlds.peers import MAPS_KEY
 from planner.worlds.quantities import CELL_SIZE
 from planner.worlds.reported import KEYS as REPORTED
 from planner.worlds.reported import reported
+from planner.worlds.robot_types import checked_types
 from planner.worlds.ros_map import read_datum
 from planner.worlds.sources import COMBINE
 from planner.worlds.starts import RULES
 from planner.worlds.threats import all_threats, one_source
 from planner.worlds.timed import KEYS as TIMED
-from planner.worlds.timed import pace_in
+from planner.worlds.timed import pace_in, steps_per_move
+from planner.worlds.typed import Matrix, read_matrix
 from planner.worlds.values import layers
 from planner.worlds.world import MAX_ROBOTS, Team, World, check_starts
 from planner.worlds.wrong_maps import read_hazard, read_uncertain
@@ -45,7 +47,7 @@ DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 IN_DOUBT = ("hazard", "uncertain", "movers", "phases")
 """Keys that say by what else than the threats robots are stopped, one of them at most."""
 SETTINGS = ("levels", "policy", "reserve", "worth", "plan_for", "wear", "deadline", "in_area")
-OF_ROBOTS = ("range", "susceptibility", "return_to", "recharge")
+OF_ROBOTS = ("range", "susceptibility", "return_to", "recharge", "types", "steps_per_move", "radio")
 """Settings of the planner that a scenario file may name, and those that stand under its key `robots`."""
 OPTIONAL = (
     "cell_size", "datum", "keepout", "robots", *IN_DOUBT, "plan_on", "value", "detect", *KNOWLEDGE,
@@ -174,7 +176,8 @@ def _elevation(keys: dict[str, Key], cell_size: float | None) -> Grid:
 
 def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
     sources = keys["threats"].items("a list of sources", least=0)
-    threat, notes, apart = all_threats(sources, keys["combine"].choice(COMBINE), ground)
+    matrix = read_matrix(keys.get("robots"))
+    threat, notes, apart, by_type = all_threats(sources, keys["combine"].choice(COMBINE), ground, matrix)
     frame = ground.frame
     cells = np.where(ground.free, threat, np.nan)
     world = World.create(
@@ -187,7 +190,7 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
         keys["wear"] = keys["wear"].mapping(("shape",))["shape"]
     asked = _settings(SETTINGS, keys)
     world = replace(world, team=Team(settings=asked, **reported(keys, world)))
-    world = _in_the_dark(world, ground, keys)
+    world = _of_types(_in_the_dark(world, ground, keys), ground, matrix, by_type)
     own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio
     return _with_robots(world, keys["robots"], own) if "robots" in keys else world.with_starts(own)
 
@@ -224,6 +227,20 @@ def _in_the_dark(world: World, ground: Ground, keys: dict[str, Key]) -> World:
     return replace(world, knowledge=ground.grid.knowledge)
 
 
+def _of_types(world: World, ground: Ground, matrix: Matrix, by_type: NDArray[np.float64]) -> World:
+    """The world with the types of robots that the scenario's matrix names, or its map's world file."""
+    if not matrix and ground.grid.types is None:
+        return world
+    if ground.grid.types is not None:
+        if matrix or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
+            problem = "brings types of robots along, which nothing can be added to"
+            raise MapError(problem, source=ground.grid.source, fix="use the world file by itself, as it is")
+        given = ground.grid.types.team
+        team = replace(world.team, settings={"types": given, **world.team.settings}) if given else world.team
+        return replace(world, types=ground.grid.types, team=team)
+    return replace(world, types=checked_types(tuple(matrix), by_type, world.free, world.source))
+
+
 def _same(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
     return np.array_equal(one, other, equal_nan=True)
 
@@ -233,11 +250,15 @@ def _with_robots(world: World, key: Key, own: NDArray[np.int64] | None) -> World
 
     A `start` rule, or starts, replace those of the world file; a `count` alone must agree with them.
     """
-    keys = key.mapping(optional=("count", "start", "starts", "starts_xy", *OF_ROBOTS))
-    world = replace(world, team=replace(world.team, settings={**world.team.settings, **_settings(OF_ROBOTS, keys)}))
+    keys = key.mapping(optional=("count", "start", "starts", "starts_xy", "matrix", "speed", *OF_ROBOTS))
+    if "speed" in keys:
+        if "steps_per_move" in keys:
+            raise keys["speed"].wrong("none beside steps_per_move", "leave one of the two out")
+        keys["steps_per_move"] = steps_per_move(keys["speed"])
     named = [name for name in ("start", "starts", "starts_xy") if name in keys]
     if len(named) > 1:
         raise key.wrong(f"one of start, starts and starts_xy, not both {named[0]} and {named[1]}")
+    world = replace(world, team=replace(world.team, settings={**world.team.settings, **_settings(OF_ROBOTS, keys)}))
     count = None
     if "count" in keys:
         count = keys["count"].number(whole(1, MAX_ROBOTS))

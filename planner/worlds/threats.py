@@ -22,6 +22,7 @@ from planner.worlds.rules import by_rule, check_p, has_classes
 from planner.worlds.samples import KINDS, farthest, interpolated
 from planner.worlds.shapes import misplaced, point_spreads, values_over
 from planner.worlds.sources import COMBINE, Sources, Thing, Things, combined
+from planner.worlds.typed import TYPE, Matrix, check_types
 from planner.worlds.warp import How
 
 
@@ -34,26 +35,30 @@ class Threat(NamedTuple):
 
 
 def all_threats(
-    keys: list[Key], combine: str, ground: Ground
-) -> tuple[NDArray[np.float64], tuple[str, ...], Sources | None]:
-    """Threat of every cell, float64 `[H, W]` (0 on obstacles), from the map's own and every source; notes; both apart.
+    keys: list[Key], combine: str, ground: Ground, matrix: Matrix
+) -> tuple[NDArray[np.float64], tuple[str, ...], Sources | None, NDArray[np.float64]]:
+    """Threat of every cell, float64 `[H, W]` (0 on obstacles), from the map's own and every source; notes; both apart;
+    and that of each type of robot in the matrix, float64 `[Y, H, W]`, for which each source's p has its factor.
 
     Every source is first brought to the cells (the largest of a cell's free pixels), then they combine. Points,
     polygons and sites of one source combine in the same way. Raises ScenarioError or MapError.
     """
-    shape = ground.frame.shape
+    shape, types = ground.frame.shape, check_types(keys, matrix)
     threat = np.zeros(shape) if ground.grid.threat is None else ground.largest(ground.grid.threat)
+    by_type = np.repeat(np.where(ground.free, threat, 0.0)[None], len(matrix), axis=0)
     notes: list[str] = []
     layers: list[Things | NDArray[np.float64]] = [threat]
-    for key in keys:
+    for key, of in zip(keys, types, strict=True):
         source = _source(key, combine, ground)
         p = np.where(ground.free, source.p, 0.0)
         threat = COMBINE[combine](threat, p)
+        for mine, row in zip(by_type, matrix.values(), strict=True):
+            mine[:] = COMBINE[combine](mine, row.get(of, 1.0) * p)
         layers.append(p if source.things is None else source.things)
         notes.extend(f"{key.path}: {note}" for note in source.notes)
     apart = any(isinstance(layer, Things) for layer in layers)
     sources = Sources(combine, ground.free, tuple(layers)) if apart else None
-    return np.where(ground.free, threat, 0.0), tuple(notes), sources
+    return np.where(ground.free, threat, 0.0), tuple(notes), sources, by_type
 
 
 def _of_things(things: Sequence[Thing], combine: str, ground: Ground, notes: tuple[str, ...]) -> Threat:
@@ -73,7 +78,7 @@ def _of_things(things: Sequence[Thing], combine: str, ground: Ground, notes: tup
 def _source(key: Key, combine: str, ground: Ground) -> Threat:
     kind = one_source(key, SOURCES)
     options, read = SOURCES[kind]
-    return read(key.mapping((kind,), optional=options), combine, ground)
+    return read(key.mapping((kind,), optional=(*options, TYPE)), combine, ground)
 
 
 def one_source(key: Key, sources: Collection[str]) -> str:

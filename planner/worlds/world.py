@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from planner.arguments import Numbers, argument, exactly
-from planner.errors import MapError, WorldError
+from planner.errors import MapError, PlanError, WorldError
 from planner.files import atomic_write, check_file, npz_bytes, read_csv_grid, read_npy, read_npz
 from planner.pace import TURNS, UNPACED, Pace, pace_of
 from planner.shown import html_of, text_of
@@ -27,6 +27,7 @@ from planner.worlds.knowledge import Knowledge, knowledge_in
 from planner.worlds.movers import Movers, movers_in
 from planner.worlds.phases import Phases, phases_in
 from planner.worlds.quantities import CELL_SIZE, COORDINATE, DETECT, POSE, SCALE, VALUE, checked_layer, first_of
+from planner.worlds.robot_types import RobotTypes, types_in
 from planner.worlds.sources import Sources
 
 MAX_CELLS = 2**26
@@ -73,6 +74,7 @@ class World:
             what stops them is drawn from these. None: every visit is drawn for itself, from `threat`.
         sources: what `threat` was combined from, where a scenario names polygons, points or sites.
         knowledge: what is true, where robots are not told it: `threat` is then what they believe. None: they are.
+        types: what stops robots of each type, if there are types: `threat` is then the map's own p, all factors 1.
         measured: somebody said what `cell_size` is; else it is presumed. pace: how long a step takes, if that was said.
     """
 
@@ -91,6 +93,7 @@ class World:
     knowledge: Knowledge | None = None
     measured: bool = True
     pace: Pace = UNPACED
+    types: RobotTypes | None = None
 
     @staticmethod
     def create(
@@ -192,7 +195,34 @@ class World:
         of = self.draws or self.movers or self.phases
         drawn = "" if of is None else f"?{of.sha256}"
         drawn += self.doubt.taught if isinstance(self.doubt, Hazard) else ""
+        drawn += "" if self.types is None else f"&{self.types.sha256}"
         return self.sha256 + drawn + ("" if self.knowledge is None else f"!{self.knowledge.sha256}")
+
+    @cached_property
+    def _of_no_type(self) -> World:
+        return replace(self, types=None)
+
+    @cached_property
+    def _of_types(self) -> tuple[World, ...]:
+        """The world as it is to robots of each type."""
+        assert self.types is not None
+        return tuple(replace(self, threat=threat, types=None) for threat in self.types.threat)
+
+    def of_robots(self, types: str | tuple[str, ...] | None, robots: int) -> tuple[World, ...]:
+        """The world as it is to each robot of a team, by their types: one for all, or one each. Raises PlanError."""
+        if types is None:
+            return (self if self.types is None else self._of_no_type,) * robots
+        if self.types is None:
+            problem = f"{argument('types')} of a world that knows no types of robots"
+            raise PlanError(problem, source=self.source, fix="give the scenario `robots: {matrix: ...}`")
+        if self.doubt is not None or self.knowledge is not None:
+            problem = "robots of types presume one known map, every visit drawn for itself"
+            raise WorldError(problem, source=self.source, fix=f"leave {argument('types')} out")
+        names = (types,) * robots if isinstance(types, str) else types
+        if len(names) != robots:
+            problem = f"{argument('types')} of {len(names)} robots for a team of {robots}"
+            raise PlanError(problem, expected="one type, or one for each robot")
+        return tuple(self._of_types[self.types.number(name)] for name in names)
 
     def check_settled(self, what: str, or_else: str = "") -> None:
         """Raise WorldError if the map is in doubt: `what` presumes one known map, every visit drawn for itself.
@@ -204,6 +234,9 @@ class World:
             named = {Movers: "`movers`", Phases: "`phases`"}.get(type(self.doubt), "`hazard` and `uncertain`")
             raise WorldError(problem, source=self.source, fix=f"leave {named} out{or_else}")
         self.check_told(what, or_else)
+        if self.types is not None:
+            problem = f"{what} presumes that a visit stops every robot with the same p; here: {self.types.said}"
+            raise WorldError(problem, source=self.source, fix="leave `matrix` and `types` out" + or_else)
 
     def check_told(self, what: str, or_else: str = "") -> None:
         """Raise WorldError if robots are not told the map, or learn about it; arguments as of `check_settled`."""
@@ -305,6 +338,7 @@ class World:
                 "movers" if self.movers else "phases" if self.phases else "doubt",
                 "" if self.doubt is None else self.doubt.said,
             ),
+            ("types", "" if self.types is None else ", ".join(self.types.names)),
             ("told", "" if self.knowledge is None else self.knowledge.said),
             ("robots", team if self.starts is None else f"{len(self.starts)}, starts {self.starts[:8].tolist()}"),
             *(("note", note) for note in self.notes[:4]),
@@ -333,6 +367,7 @@ class World:
         place = {} if self.georeference is None else {f"crs{end}": np.array(v) for end, v in _place(self.georeference)}
         doubt = {} if self.doubt is None else self.doubt.arrays()
         doubt |= {} if self.knowledge is None else self.knowledge.arrays()
+        doubt |= {} if self.types is None else self.types.arrays()
         layers = {of.name: layer for of in (VALUE, DETECT) if (layer := getattr(self, of.name)) is not None}
         threat = {"threat": self.threat, "cell_size": np.float64(self.cell_size), "origin": origin}
         return threat | starts | place | doubt | layers
@@ -449,7 +484,8 @@ def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
         truth = _checked_threat(arrays["truth"], f"{source}: truth")[0]
         world = replace(world, knowledge=knowledge_in({**arrays, "truth": truth}, world.threat, source))
     changing = movers_in(arrays, world.met, source) or phases_in(arrays, world.met, source)
-    world = replace(world, doubt=changing or doubt_in(arrays, world.met, source), measured="cell_size" in arrays)
+    doubt, types = changing or doubt_in(arrays, world.met, source), types_in(arrays, world.free, source)
+    world = replace(world, doubt=doubt, measured="cell_size" in arrays, types=types)
     return world.with_values(arrays.get("value"), arrays.get("detect"))
 
 

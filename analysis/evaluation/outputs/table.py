@@ -9,6 +9,7 @@ from analysis.evaluation.outputs.experience import Experience
 from analysis.evaluation.outputs.knowledge import Knowledge
 from analysis.evaluation.outputs.map_doubt import MapDoubt
 from analysis.evaluation.outputs.output import Output
+from analysis.evaluation.outputs.team import Mates
 from analysis.evaluation.outputs.threat_scale import ThreatScale
 from analysis.evaluation.outputs.turning import Turning
 from analysis.evaluation.outputs.value import Value
@@ -21,6 +22,7 @@ OUTPUTS: dict[str, type[Output]] = {
     "band": Band,
     "knowledge": Knowledge,
     "experience": Experience,
+    "team": Mates,
     "map_doubt": MapDoubt,
     "advice": Advice,
 }

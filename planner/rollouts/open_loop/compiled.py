@@ -94,9 +94,9 @@ class CompiledPlan:
         """Per robot uint64 `[D]`: it gets past a dangerous entry iff its word is below; not of mode `step`."""
         if mode == "fast":
             return [survival_thresholds(threat) for threat in self.danger_threat]
-        exposure, bearing = self.world.exposures[0], self.plan.bearing
+        bearing, own = self.plan.bearing, self.world.of_robots(self.plan.bearing.types, self.robots)
         visits = map(self.world.visits, self.danger_cell, self.danger_step)
-        borne = [bearing.fresh(np.cumsum(exposure[each]), robot) for robot, each in enumerate(visits)]
+        borne = [bearing.fresh(np.cumsum(own[k].exposures[0][each]), k) for k, each in enumerate(visits)]
         return [least_word(one).astype(np.uint64) for one in borne]
 
     def until(self, step: int) -> CompiledPlan:
@@ -148,9 +148,10 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
     paths = [np.asarray(robot.path, dtype=np.int64) for robot in plan.robots]
     for robot, path in enumerate(paths):
         _check_path(robot, path, threat)
-    drawn = world.draws
-    most = world.by_phase.ravel() if drawn is None else drawn.bound.astype(np.float32) / np.float32(STEP_UNIT)
-    found = _find_entries(paths, world, most)
+    own = [of.by_phase.ravel() for of in world.of_robots(plan.bearing.types, len(paths))]
+    if world.draws is not None:
+        own = [world.draws.bound.astype(np.float32) / np.float32(STEP_UNIT)] * len(paths)
+    found = _find_entries(paths, world, own)
     per_robot = [found.dangerous & (found.robot == robot) for robot in range(len(paths))]
     moves = np.array([last_move(path) for path in paths], dtype=np.int64)
     return CompiledPlan(
@@ -163,7 +164,9 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
         entries=found,
         danger_step=tuple(found.step[mine] for mine in per_robot),
         danger_cell=tuple(found.cell[mine] for mine in per_robot),
-        danger_threat=tuple(most[world.visits(found.cell[mine], found.step[mine])] for mine in per_robot),
+        danger_threat=tuple(
+            of[world.visits(found.cell[mine], found.step[mine])] for of, mine in zip(own, per_robot, strict=True)
+        ),
         last_move=moves,
     )
 
@@ -200,9 +203,9 @@ def _check_path(robot: int, path: NDArray[np.int64], threat: NDArray[np.float32]
         raise PlanError(f"robot {robot} is in an obstacle at step {blocked[0]}", expected="free cells")
 
 
-def _find_entries(paths: list[NDArray[np.int64]], world: World, threat: NDArray[np.float32]) -> Entries:
+def _find_entries(paths: list[NDArray[np.int64]], world: World, threats: list[NDArray[np.float32]]) -> Entries:
     parts: list[tuple[NDArray, ...]] = []
-    for robot, path in enumerate(paths):
+    for robot, (path, threat) in enumerate(zip(paths, threats, strict=True)):
         step = entries(path)
         cell = path[step]
         danger = threat[world.visits(cell, step)] > 0
@@ -232,6 +235,9 @@ def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
         problem = "mode 'fast' draws every robot for itself, and here they share what is true"
         raise UsageError(problem, fix="use mode step")
     dangers = np.array([len(steps) for steps in compiled.danger_step], dtype=np.int64)
+    if compiled.plan.bearing.types is not None and mode == "step":
+        problem = f"luck by step in the open loop, with {argument('types')}"
+        raise UsageError(problem, fix=f"use {argument('luck', 'tolerance')}")
     if draws is None and mode == "step":
         draws = certain_draws(compiled.world.by_phase.ravel())
     drawn_once = draws is None

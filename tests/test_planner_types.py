@@ -1,0 +1,254 @@
+"""Robots of several types: engines against each other, one type against none, the tree of all that can happen."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from closed_loop_compare import assert_same_trace
+from numpy.typing import NDArray
+from oracle_rows import everything
+
+from analysis.theory.exact import open_loop_exact
+from planner.errors import InputError
+from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.kernels.tree import WHOLE, grow_tree
+from planner.mrac.make_plan import make_plan
+from planner.mrac.reference import ReferenceLoop
+from planner.plan_team import plan_team, read_plan
+from planner.plans.plan import Plan
+from planner.rollouts.engine import Rolling, make_engine
+from planner.settings import Settings
+from planner.tally import Outcome
+from planner.trace import Trace
+from planner.worlds.generate import PAPER_LEVELS, ThreatPattern, random_world
+from planner.worlds.robot_types import checked_types
+from planner.worlds.scenario import load_input
+from planner.worlds.starts import place_starts
+from planner.worlds.world import World
+from planner.worlds.wrong_maps import with_hazard
+
+KINDS: list[dict[str, Any]] = [
+    {},
+    {"policy": "per_cell"},
+    {"policy": "per_cell", "reserve": 0.4, "worth": 30.0},
+    {"policy": "watchful", "reserve": 0.4},
+    {"policy": "per_cell", "range": 60, "susceptibility": (1.0, 0.5, 2.0)},
+    {"risk": "log", "levels": 3, "in_area": "boustrophedon"},
+    {"policy": "watchful", "worth": 20.0, "levels": 3},
+]
+
+
+def drawn(seed: int, robots: int = 3) -> tuple[World, NDArray[np.int64], tuple[str, ...]]:
+    """A random map of two sources of threats, three types of robots, and starts anywhere in one part of it."""
+    rng = np.random.default_rng(seed)
+    kind = ("scattered", "contiguous")[seed % 2]
+    size = (9 + seed % 4, 8 + seed % 5)
+    one, other = (ThreatPattern(kind, 4, PAPER_LEVELS[:3], 2 * seed + more) for more in (0, 1))  # type: ignore[arg-type]
+    world = random_world(*size, one, obstacles=0.15, threats=0.2)
+    second = np.nan_to_num(random_world(*size, other, obstacles=0.0, threats=0.3).threat).astype(np.float64)
+    first, factors = np.nan_to_num(world.threat).astype(np.float64), rng.choice([0.0, 0.3, 1.0, 2.0], (3, 2))
+    by_type = [1 - (1 - a * first) * (1 - b * second) for a, b in factors]
+    world = World.create(np.where(world.free, 1 - (1 - first) * (1 - second), np.nan))
+    world = replace(world, types=checked_types(("a", "b", "c"), np.array(by_type), world.free, "drawn"))
+    free = np.argwhere(world.accessible(place_starts(world, 1)[0]))
+    types = tuple(rng.choice(["a", "b", "c"], robots).tolist())
+    return world, free[rng.integers(0, len(free), robots)], types
+
+
+def check_engines(seed: int, rollouts: int) -> None:
+    """The two engines agree on a drawn world, event for event."""
+    world, starts, types = drawn(seed)
+    plan = make_plan(world, starts, Settings(**KINDS[seed % len(KINDS)], types=types))
+    assert_engines_agree(plan, world, seed, rollouts)
+
+
+def assert_engines_agree(plan: Plan, world: World, seed: int, rollouts: int, tabled: bool = True) -> list[Trace]:
+    """Rollouts of both, event for event, and what they have covered."""
+    readable, loop = ReferenceLoop(plan, world), compile_closed_loop(plan, world, tabled=tabled)
+    traces = trace_rollouts(loop, seed, range(rollouts))
+    for mine in traces:
+        assert_same_trace(mine, readable.trace(seed, mine.rollout))
+    _, singles = run_range(loop, seed, 0, rollouts, threads=1, singles=True)
+    assert singles is not None
+    runs = [readable.run(seed, rollout) for rollout in range(rollouts)]
+    assert singles.visited.tolist() == [run.visited.sum() for run in runs]
+    assert singles.survived.tolist() == [run.survived.sum() for run in runs]
+    assert singles.alive.tolist() == [run.alive.sum() for run in runs]
+    return traces
+
+
+@pytest.mark.parametrize("part", range(len(KINDS)))
+def test_engines_agree(part: int) -> None:
+    for seed in range(part, 42, len(KINDS)):
+        check_engines(seed, 3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", range(20))
+def test_engines_agree_on_a_thousand_worlds(part: int) -> None:
+    for seed in range(1000 + part, 2000, 20):
+        check_engines(seed, 4)
+
+
+def test_everything_that_can_happen_on_rows() -> None:
+    """The tree of the closed loop, and readable runs, against an enumeration that shares no code with them."""
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        size, starts = int(rng.integers(4, 8)), None
+        p = np.float32(rng.choice([0, 0, 0.1, 0.2, 0.37], (2, size)))
+        starts = rng.integers(0, size, 2 + seed % 2).tolist()
+        types = ("a", "b", *"ba"[: seed % 2])
+        world = replace(
+            World.create([p.max(axis=0)]), types=checked_types(("a", "b"), p[:, None], np.full((1, size), True), "")
+        )
+        plan = make_plan(world, [[0, start] for start in starts], Settings(types=types, density=1e6))
+        assert_as_enumerated(plan, world, everything([p["ab".index(of)].tolist() for of in types], starts))
+
+
+def assert_as_enumerated(plan: Plan, world: World, wanted: dict[str, Counter[Any]]) -> None:
+    """The tree's chances are those that were enumerated."""
+    tree = grow_tree(compile_closed_loop(plan, world), 0.0, 10**7)
+    assert tree is not None
+    for name in ("visited", "survived", "time", "alive"):
+        counts = getattr(tree.counts, name)
+        found = {value: count / WHOLE for value, count in enumerate(counts.tolist()) if count}
+        assert found == pytest.approx(dict(wanted[name]), abs=1e-9), name
+    ends = {Outcome(n).name.lower(): count / WHOLE for n, count in enumerate(tree.counts.outcomes.tolist()) if count}
+    assert ends == pytest.approx(dict(wanted["outcome"]), abs=1e-9)
+
+
+def test_robots_of_one_type_are_robots_of_none_on_its_map() -> None:
+    """Bit for bit, in both loops and engines."""
+    for seed in (0, 1):
+        world, starts, _ = drawn(seed)
+        plain = replace(world, types=None, threat=world.types.threat[1])  # type: ignore[union-attr]
+        for kind in KINDS[:4]:
+            one, none = (
+                make_plan(world, starts, Settings(**kind, types="b")),
+                make_plan(plain, starts, Settings(**kind)),
+            )
+            assert [r.path.tolist() for r in one.robots] == [r.path.tolist() for r in none.robots]
+            for loop in ("closed", "open"):
+                tallies = [
+                    make_engine(plan, on, Rolling(loop, seed=3, luck="tolerance"), "numba").tally(0, 2000)
+                    for plan, on in ((one, world), (none, plain))
+                ]
+                assert replace(tallies[0], key="") == replace(tallies[1], key="")
+
+
+def test_the_open_loop_is_everything_that_can_happen_to_each_robot_alone() -> None:
+    world, starts, _ = drawn(3, 2)
+    plan = make_plan(world, starts, Settings(types=("a", "c")))
+    missed, alive = np.ones(world.threat.size), 1.0
+    for robot, of in zip(plan.robots, (0, 2), strict=True):
+        threat, reach, seen = world.types.threat[of].ravel(), 1.0, set()  # type: ignore[union-attr]
+        for before, cell in zip([-1, *robot.path], robot.path, strict=False):
+            if cell == before:
+                continue
+            if cell not in seen:
+                missed[cell] *= 1 - reach
+            seen.add(cell)
+            reach *= 1 - float(threat[cell])
+        alive *= reach
+    exact = open_loop_exact(plan, world)
+    assert exact.visited == pytest.approx((1 - missed).sum(), rel=1e-9)
+    assert exact.survival.prod() == pytest.approx(alive, rel=1e-9)
+    tally = make_engine(plan, world, Rolling("open", seed=5, luck="tolerance"), "numba").tally(0, 40_000)
+    shares = tally.visited / tally.visited.sum()
+    cells = np.arange(len(shares))
+    middle = float(shares @ cells)
+    se = float(np.sqrt(shares @ (cells - middle) ** 2 / 40_000))
+    assert abs(middle - exact.visited) <= 5 * se
+
+
+SITE = """
+map: site.csv
+threats:
+  - {generate: {kind: contiguous, ratio: 0.3, areas: 3, levels: [0.04, 0.08], seed: 1}, type: radiation}
+  - {generate: {kind: scattered, ratio: 0.1, levels: [0.1], seed: 2}, type: mine}
+  - {generate: {kind: scattered, ratio: 0.05, levels: [0.2], seed: 3}}
+robots: {count: 2, types: [drone, rover], matrix: {drone: {mine: 0}, rover: {radiation: 0.5}}}
+"""
+
+
+def site(folder: Path, text: str = SITE) -> World:
+    np.savetxt(folder / "site.csv", np.zeros((8, 9)), delimiter=",")
+    (folder / "site.yaml").write_text(text)
+    return load_input(folder / "site.yaml")
+
+
+def test_a_scenario_says_what_a_threat_is_to_a_type(tmp_path: Path) -> None:
+    world = site(tmp_path)
+    assert world.types is not None and world.types.names == ("drone", "rover")
+    assert world.team.settings == {"types": ("drone", "rover")}
+    radiation, mine, other = (
+        site(tmp_path, f"map: site.csv\nthreats:\n{line}\n").threat.astype(np.float64)
+        for line in SITE.splitlines()[3:6]
+        for line in [line.partition(", type")[0] + "}" * (", type" in line)]
+    )
+    drone = 1 - (1 - radiation) * (1 - other)
+    rover = 1 - (1 - 0.5 * radiation) * (1 - mine) * (1 - other)
+    np.testing.assert_allclose(world.types.threat, [drone, rover], atol=1e-7)
+    np.testing.assert_allclose(world.threat, 1 - (1 - radiation) * (1 - mine) * (1 - other), atol=1e-7)
+    world.save(tmp_path / "site.npz")
+    again = load_input(tmp_path / "site.npz")
+    assert again.luck_sha256 == world.luck_sha256 != replace(world, types=None).luck_sha256
+    plan = make_plan(world, place_starts(world, 2)[0], Settings(types=("drone", "rover")))
+    plan.save(tmp_path / "plan.json")
+    assert read_plan(tmp_path / "plan.json", again).settings == plan.settings
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "said"),
+    [
+        (
+            "type: mine",
+            "type: mines",
+            "`threats\\[1\\].type` is 'mines'; expected mine or radiation; did you",
+        ),
+        ("types: [drone, rover]", "types: [drone, 3]", "`robots.types` is"),
+        ("matrix: {drone: {mine: 0}", "matrix: {drone: {mine: -1}", "`robots.matrix.drone.mine` is -1"),
+        ("matrix: {drone: {mine: 0}", "matrix: {drone: 2", "`robots.matrix.drone`"),
+        ("radiation: 0.5", "radiation: 20", "a robot of type rover is stopped with p = 1.6"),
+    ],
+)
+def test_wrong_types_are_refused_by_their_key(was: str, now: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=said):
+        site(tmp_path, SITE.replace(was, now))
+
+
+def test_teams_of_unknown_types_and_what_does_not_know_types(tmp_path: Path) -> None:
+    world = site(tmp_path)
+    starts = place_starts(world, 2)[0]
+    for types, said in (("dron", "did you mean 'drone'"), (("drone",) * 3, "types of 3 robots for a team of 2")):
+        with pytest.raises(InputError, match=said):
+            make_plan(world, starts, Settings(types=types))
+    with pytest.raises(InputError, match="knows no types of robots"):
+        make_plan(replace(world, types=None), starts, Settings(types="drone"))
+    for more in ({"return_to": "home"}, {"transit": "area"}, {"plan_for": "open"}):
+        with pytest.raises(InputError, match="types"):
+            plan_team(world, starts, Settings(types=("drone", "rover"), **more))
+    hazard = with_hazard(world, "persistent", 0.1)
+    with pytest.raises(InputError, match="presume one known map"):
+        make_plan(hazard, starts, Settings(types="drone"))
+
+
+def test_robots_leave_to_a_type_what_it_covers_for_less() -> None:
+    """A tank would take the mines beside it first; but a drone, busy far away, will cover them for a tenth of that."""
+    mines, other = np.array([0.2] * 2 + [0.0] * 13), np.array([0.0] * 5 + [0.2] * 2 + [0.0] * 8)
+    world = World.create([mines + other])
+    of_types = np.array([[mines + other], [mines / 10 + other]])
+    world = replace(world, types=checked_types(("tank", "drone"), of_types, world.free, ""))
+
+    def first_danger(types: tuple[str, ...], policy: str) -> int:
+        path = make_plan(world, [[0, 4], [0, 14]], Settings(types=types, policy=policy)).robots[0].path
+        return int(path[np.flatnonzero(world.threat.ravel()[path] > 0)[0]])
+
+    for policy in ("per_cell", "watchful"):
+        assert first_danger(("tank", "tank"), policy) == 1
+        assert first_danger(("tank", "drone"), policy) == 5
