@@ -343,7 +343,7 @@ def driven(folder: Path, dies: float = 0.0) -> tuple[dict[str, str], Ended]:
     running, seen = Running("drive world.npz --state now.json", folder, before=before), dict[str, str]()
     os.close(ask)
     os.close(tell)
-    with os.fdopen(lines) as said, os.fdopen(reports, "w") as answers, contextlib.suppress(BrokenPipeError):
+    with contextlib.suppress(BrokenPipeError), os.fdopen(lines) as said, os.fdopen(reports, "w") as answers:
         for line in said:
             if not line.endswith("\n"):
                 break
@@ -355,6 +355,7 @@ def driven(folder: Path, dies: float = 0.0) -> tuple[dict[str, str], Ended]:
                 seen[f"{told['step']}: {order['robot']}"] = str(order["cell"])
                 stopped = random.Random(f"{told['step']} {order['robot']}").random() < 0.01
                 report = {"type": "report", "robot": order["robot"], "cell": order["cell"], "stopped": stopped}
+                report["step"] = told["step"]  # orders may be said twice
                 answers.write(json.dumps(report) + "\n")
                 answers.flush()
     return seen, running.wait()
