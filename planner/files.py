@@ -198,7 +198,7 @@ def _claimed(stream: IO[bytes], most: int, path: Path | str) -> tuple[tuple[int,
 def read_json(path: Path, most_bytes: int, error: type[InputError], expected: str) -> Any:
     """What a JSON file of at most `most_bytes` holds; an `error` names the line that is no JSON.
 
-    A file of `write_json` must hold what it did when it was written; whoever changes it leaves its checksum out.
+    A file of `write_json` must hold what it did when it was written; a changed plan is read with a warning.
     """
     check_size(path, most_bytes, error, expected)
     collecting = gc.isenabled()
@@ -208,7 +208,9 @@ def read_json(path: Path, most_bytes: int, error: type[InputError], expected: st
         ours = isinstance(data, dict) and str(data.get("format")).startswith("mrac-") and CHECKSUM in data
         if ours and data.pop(CHECKSUM) != _checksum(data):
             problem, fix = "is damaged, or was changed: its checksum is of other content", f"leave {CHECKSUM} out"
-            raise error(problem, source=path, expected=expected, fix=f"if you changed it, {fix}")
+            if data["format"] != "mrac-plan":
+                raise error(problem, source=path, expected=expected, fix=f"if you changed it, {fix}")
+            LOG.warning("%s %s", printable(path), problem)  # programs of others change plans
         return data
     except json.JSONDecodeError as wrong:
         problem = f"line {wrong.lineno}, column {wrong.colno}: no JSON ({wrong.msg})"

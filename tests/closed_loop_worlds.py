@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -401,3 +401,10 @@ def walled(walls: int) -> World:
     threat = np.zeros((8, 9))
     threat[0, 0], threat[:, [1, 3, 5, 7][:walls]] = 72 * 0.5 / 7.2e8, 0.5
     return World.create(threat)
+
+
+def limited(loop: ClosedLoop, *first: int) -> ClosedLoop:
+    """The loop with other ways to find distances: the first of its `Tables.limits`."""
+    limits = loop.tables.limits.copy()
+    limits[: len(first)] = first
+    return replace(loop, tables=loop.tables._replace(limits=limits))

@@ -455,7 +455,9 @@ def flips(home: Path, count: int, draw: random.Random) -> Iterator[str]:
                 status, out, err = -1, "", f"Traceback {error!r}"
             lines = err.splitlines()
             told = status == 2 and sum(line.startswith("error:") for line in lines) == 1 and name in err
-            noted = status in (0, 1) and any(word in out + err for word in ("lost", "cannot be read", "different"))
+            noted = status in (0, 1) and any(
+                word in out + err for word in ("lost", "cannot be read", "different", "was changed")
+            )
             if "Traceback" in err or not (told or noted or (status, out) == right[words][:2]):
                 yield f"{words}: bit {bit} of byte {at}: status {status}, {err[-300:]!r}"
             for path in (*Path().glob("*.store-*"), Path(name)):

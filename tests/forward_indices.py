@@ -12,7 +12,7 @@ from typing import Any
 
 import doubt
 import numpy as np
-from closed_loop_worlds import survey_worlds
+from closed_loop_worlds import limited, survey_worlds
 from numba import config
 
 from planner.kernels import closed_loop, runners
@@ -110,6 +110,6 @@ def run(world: World, starts: Any, settings: Settings, first_only: bool) -> None
         for (tabled, limits), luck in zip(DISTANCES, itertools.cycle(LUCKS), strict=False):
             loop = closed_loop.compile_closed_loop(plan, world, first_only=first_only, tabled=tabled, luck=luck)
             if limits is not None:
-                loop = replace(loop, tables=loop.tables._replace(limits=np.array([*limits, loop.accessible])))
+                loop = limited(loop, *limits)
             closed_loop.run_range(loop, SEED, 0, ROLLOUTS, threads=1, singles=True)
             closed_loop.trace_rollouts(loop, SEED, [ROLLOUTS])

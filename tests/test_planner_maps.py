@@ -333,9 +333,10 @@ def test_whole_ratios_pass_in_spite_of_rounding(cell_size: float) -> None:
     assert coarsen(random_grid(14, 23), cell_size).ratio == round(cell_size / 0.05)
 
 
-@pytest.mark.parametrize("cell_size", [0.12, 0.1501, 1e12])
+@pytest.mark.parametrize("cell_size", [0.12, 0.1501, 1e12, math.inf])
 def test_a_cell_must_be_a_whole_number_of_pixels(cell_size: float) -> None:
-    with pytest.raises(MapError, match=r"cell_size .* pixels of 0\.05 m; expected a whole number"):
+    wrong = "pixels of 0.05 m" if cell_size < 1 else "m is larger than every map"
+    with pytest.raises(MapError, match=rf"cell_size .* {wrong}; expected a whole number"):
         coarsen(random_grid(14, 23), cell_size)
 
 

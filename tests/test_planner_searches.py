@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from closed_loop_worlds import survey_world
+from closed_loop_worlds import limited, survey_world
 
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.kernels.loop import ClosedLoop
@@ -61,7 +61,7 @@ def test_every_way_to_find_distances_leads_to_the_same_rollouts(policy: str, mon
         for way, limits in WAYS.items():
             far = rows = paths = replaced = 0
             for world, tabled, searched in loops:
-                loop = replace(searched, tables=searched.tables._replace(limits=np.array([*limits, tabled.accessible])))
+                loop = limited(searched, *limits)
                 assert run_range(loop, SEED, 0, ROLLOUTS)[0] == run_range(tabled, SEED, 0, ROLLOUTS)[0], (way, world)
                 work = worked(loop)
                 far += int(work.touched.max())
