@@ -240,13 +240,13 @@ def half_written(whole: Whole, sent: int) -> Iterator[str]:
     for path in whole.folder.rglob("*"):
         name = str(path.relative_to(whole.folder))
         if HALF.fullmatch(path.name):
-            if sent == signal.SIGINT and not path.name.endswith(("-wal", "-shm")):
+            if sent != signal.SIGKILL and not path.name.endswith(("-wal", "-shm")):
                 yield f"left {name}"
         elif path.suffix == ".json":
             json.loads(path.read_text())
         elif path.suffix == ".html" and not path.read_text().rstrip().endswith("</html>"):
             yield f"half of {name}"
-    if sent != signal.SIGINT:
+    if sent == signal.SIGKILL:
         with contextlib.suppress(sqlite3.DatabaseError):
             found = {name: now for name, now in digest(whole.folder).items() if not name.endswith(".store")}
             if found.items() - whole.digest.items():
