@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from oracle_movers import Threat
 
+import mrac_jax as mrac
 from planner.worlds.generate import PAPER_LEVELS, ThreatPattern, random_world
 from planner.worlds.movers import ANYWHERE, Mover
 from planner.worlds.moving import with_movers
 from planner.worlds.world import World
+
+PRESUME_THREATS_THAT_STAY: list[Callable[[World], Any]] = [
+    lambda world: mrac.check(world, 2),
+    lambda world: mrac.size(world, target=0.9),
+    lambda world: mrac.starts(world, robots=2),
+    lambda world: mrac.clear(world, robots=2),
+    lambda world: mrac.evaluate(world, 2, threat_scale=(0.5,)),
+    lambda world: mrac.mission(world, 2),
+]
+"""What refuses threats over time."""
 
 
 def rounds(world: World) -> list[tuple[int, ...]]:

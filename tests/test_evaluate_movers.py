@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from movers import PRESUME_THREATS_THAT_STAY
 from page_reader import check_page_is_sound
 from test_page_runs import unpacked
 from test_recording_topics import decoded
@@ -86,17 +87,7 @@ def decoded_topics(world: World, path: Path) -> set[str]:
     return set(decoded(path))
 
 
-@pytest.mark.parametrize(
-    "ask",
-    [
-        lambda world: mrac.check(world, 2),
-        lambda world: mrac.size(world, target=0.9),
-        lambda world: mrac.starts(world, robots=2),
-        lambda world: mrac.clear(world, robots=2),
-        lambda world: mrac.evaluate(world, 2, threat_scale=(0.5,)),
-        lambda world: mrac.mission(world, 2),
-    ],
-)
+@pytest.mark.parametrize("ask", PRESUME_THREATS_THAT_STAY)
 def test_what_presumes_threats_that_stand_says_so(ask: Callable[[World], Any], world: World) -> None:
     with pytest.raises(InputError, match=r"here: threats that move: .*; leave `movers` out"):
         ask(world)

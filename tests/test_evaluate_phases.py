@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from movers import PRESUME_THREATS_THAT_STAY
 from test_recording_topics import decoded
 
 import mrac_jax as mrac
@@ -72,17 +73,7 @@ def test_so_does_a_picture(world: World) -> None:
     assert np.array_equal(shown[0], shown[1]) and not np.array_equal(shown[1], shown[2])
 
 
-@pytest.mark.parametrize(
-    "ask",
-    [
-        lambda world: mrac.check(world, 2),
-        lambda world: mrac.size(world, target=0.9),
-        lambda world: mrac.starts(world, robots=2),
-        lambda world: mrac.clear(world, robots=2),
-        lambda world: mrac.evaluate(world, 2, threat_scale=(0.5,)),
-        lambda world: mrac.mission(world, 2),
-    ],
-)
+@pytest.mark.parametrize("ask", PRESUME_THREATS_THAT_STAY)
 def test_what_presumes_threats_that_stay_says_so(ask: Callable[[World], Any], world: World) -> None:
     with pytest.raises(InputError, match=r"here: threats that change at step 3, 6; .*; leave `phases` out"):
         ask(world)

@@ -82,7 +82,7 @@ INTERPRETED = {
         "        ids[kept + index] = words[0]\n",
     ),
     "classical set counted once": Fault(
-        "planner/kernels/runs.py", "    c.new[step] += size\n", "    c.new[step] += 1\n"
+        "planner/kernels/visits.py", "    c.new[step] += size\n", "    c.new[step] += 1\n"
     ),
     "classical bits of another branch": Fault(
         "planner/kernels/rollouts.py",
@@ -114,7 +114,7 @@ STALE_FLAG = Fault(
 """Whether a robot is held is the last but two of its words."""
 COMPILED = {
     "classical hit before the cell is marked": Fault(
-        "planner/kernels/runs.py",
+        "planner/kernels/visits.py",
         "    s.marks[ALIVE] -= 1\n",
         "    s.marks[ALIVE] -= 1\n    s.marks[COVERED] -= s.home[cell] & VISITED\n"
         "    s.home[cell] = np.int64(s.home[cell]) >> 1 << 1\n",

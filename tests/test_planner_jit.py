@@ -28,7 +28,7 @@ IN_FLOATING_POINT = """
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
 import planner.kernels.areas, planner.kernels.luck, planner.kernels.paths, planner.kernels.rollouts
-import planner.kernels.runs, planner.kernels.trace
+import planner.kernels.runs, planner.kernels.trace, planner.kernels.visits
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.worlds.world import World
@@ -36,7 +36,7 @@ from planner.worlds.world import World
 world = World.create([[0.0, 0.1, 0.0]])
 run_range(compile_closed_loop(make_plan(world, [[0, 0]]), world), 1, 0, 2, threads=1)
 seen = 0
-for room in ("areas", "luck", "paths", "rollouts", "runs", "trace"):
+for room in ("areas", "luck", "paths", "rollouts", "runs", "trace", "visits"):
     for name, function in vars(getattr(planner.kernels, room)).items():
         if isinstance(function, Dispatcher):
             for compiled in function.overloads.values():

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mixed_teams import assert_as_enumerated, assert_engines_agree, drawn
 from oracle_rows import everything
-from test_planner_types import assert_as_enumerated, assert_engines_agree, drawn
 
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mixed_teams import assert_as_enumerated, assert_engines_agree, drawn
 from movers import moving_world
 from oracle_rows import everything
-from test_planner_types import assert_as_enumerated, assert_engines_agree, drawn
 
 from analysis.theory.exact import open_loop_exact
 from planner.errors import PlanError

@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_trace
-from numpy.typing import NDArray
+from mixed_teams import assert_as_enumerated, assert_engines_agree, drawn
 from oracle_rows import everything
 
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.kernels.tree import WHOLE, grow_tree
 from planner.mrac.make_plan import make_plan
-from planner.mrac.reference import ReferenceLoop
 from planner.plan_team import plan_team, read_plan
-from planner.plans.plan import Plan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
-from planner.tally import Outcome
-from planner.trace import Trace
-from planner.worlds.generate import PAPER_LEVELS, ThreatPattern, random_world
 from planner.worlds.robot_types import checked_types
 from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
@@ -43,43 +34,11 @@ KINDS: list[dict[str, Any]] = [
 ]
 
 
-def drawn(seed: int, robots: int = 3) -> tuple[World, NDArray[np.int64], tuple[str, ...]]:
-    """A random map of two sources of threats, three types of robots, and starts anywhere in one part of it."""
-    rng = np.random.default_rng(seed)
-    kind = ("scattered", "contiguous")[seed % 2]
-    size = (9 + seed % 4, 8 + seed % 5)
-    one, other = (ThreatPattern(kind, 4, PAPER_LEVELS[:3], 2 * seed + more) for more in (0, 1))  # type: ignore[arg-type]
-    world = random_world(*size, one, obstacles=0.15, threats=0.2)
-    second = np.nan_to_num(random_world(*size, other, obstacles=0.0, threats=0.3).threat).astype(np.float64)
-    first, factors = np.nan_to_num(world.threat).astype(np.float64), rng.choice([0.0, 0.3, 1.0, 2.0], (3, 2))
-    by_type = [1 - (1 - a * first) * (1 - b * second) for a, b in factors]
-    world = World.create(np.where(world.free, 1 - (1 - first) * (1 - second), np.nan))
-    world = replace(world, types=checked_types(("a", "b", "c"), np.array(by_type), world.free, "drawn"))
-    free = np.argwhere(world.accessible(place_starts(world, 1)[0]))
-    types = tuple(rng.choice(["a", "b", "c"], robots).tolist())
-    return world, free[rng.integers(0, len(free), robots)], types
-
-
 def check_engines(seed: int, rollouts: int) -> None:
     """The two engines agree on a drawn world, event for event."""
     world, starts, types = drawn(seed)
     plan = make_plan(world, starts, Settings(**KINDS[seed % len(KINDS)], types=types))
     assert_engines_agree(plan, world, seed, rollouts)
-
-
-def assert_engines_agree(plan: Plan, world: World, seed: int, rollouts: int, tabled: bool = True) -> list[Trace]:
-    """Rollouts of both, event for event, and what they have covered."""
-    readable, loop = ReferenceLoop(plan, world), compile_closed_loop(plan, world, tabled=tabled)
-    traces = trace_rollouts(loop, seed, range(rollouts))
-    for mine in traces:
-        assert_same_trace(mine, readable.trace(seed, mine.rollout))
-    _, singles = run_range(loop, seed, 0, rollouts, threads=1, singles=True)
-    assert singles is not None
-    runs = [readable.run(seed, rollout) for rollout in range(rollouts)]
-    assert singles.visited.tolist() == [run.visited.sum() for run in runs]
-    assert singles.survived.tolist() == [run.survived.sum() for run in runs]
-    assert singles.alive.tolist() == [run.alive.sum() for run in runs]
-    return traces
 
 
 @pytest.mark.parametrize("part", range(len(KINDS)))
@@ -108,18 +67,6 @@ def test_everything_that_can_happen_on_rows() -> None:
         )
         plan = make_plan(world, [[0, start] for start in starts], Settings(types=types, density=1e6))
         assert_as_enumerated(plan, world, everything([p["ab".index(of)].tolist() for of in types], starts))
-
-
-def assert_as_enumerated(plan: Plan, world: World, wanted: dict[str, Counter[Any]]) -> None:
-    """The tree's chances are those that were enumerated."""
-    tree = grow_tree(compile_closed_loop(plan, world), 0.0, 10**7)
-    assert tree is not None
-    for name in ("visited", "survived", "time", "alive"):
-        counts = getattr(tree.counts, name)
-        found = {value: count / WHOLE for value, count in enumerate(counts.tolist()) if count}
-        assert found == pytest.approx(dict(wanted[name]), abs=1e-9), name
-    ends = {Outcome(n).name.lower(): count / WHOLE for n, count in enumerate(tree.counts.outcomes.tolist()) if count}
-    assert ends == pytest.approx(dict(wanted["outcome"]), abs=1e-9)
 
 
 def test_robots_of_one_type_are_robots_of_none_on_its_map() -> None:

@@ -26,18 +26,7 @@ from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
 from planner.kernels.radio import hears
 from planner.kernels.retire import call_home, charge, go_home, may_be_charged, stay, turn_home, turns
 from planner.kernels.rollouts import begin_next, go_on_with, level_of
-from planner.kernels.runs import (
-    after_turns,
-    count_new,
-    end_of,
-    enter,
-    is_over,
-    lose,
-    moves_on,
-    only_mover,
-    survive,
-    waits,
-)
+from planner.kernels.runs import after_turns, end_of, is_over, moves_on, only_mover, waits
 from planner.kernels.state import (
     ACTS,
     AHEAD,
@@ -81,6 +70,7 @@ from planner.kernels.state import (
     WORD,
 )
 from planner.kernels.trace import ALLOCATED_EVENT, LOOKED_AGAIN_EVENT, REFUSED_EVENT, has_area, look, note
+from planner.kernels.visits import count_new, enter, lose, survive
 from planner.none import NONE
 from planner.policies.limits import is_dangerous
 

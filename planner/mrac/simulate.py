@@ -113,7 +113,7 @@ def make_team(
     if problem.unknown.evidence is not None:
         return Experienced(problem, allocation, split, recorder, problem.unknown.evidence, readings)
     if problem.unknown.phases is not None:
-        return Forewarned(problem, allocation, split, recorder, problem.unknown.phases)
+        return Forewarned(problem, allocation, split, recorder, None, problem.unknown.belief)
     return Learning(problem, allocation, split, recorder, state, problem.unknown.truths[truth])
 
 
