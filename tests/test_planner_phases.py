@@ -250,6 +250,8 @@ def test_maps_and_loops_that_do_not_fit_are_refused() -> None:
     plain = replace(world, threat=world.met, doubt=None)
     with pytest.raises(InputError, match=r"phases\[0\] has none at \[1, 0\]; expected the obstacles of the map"):
         with_phases(plain, [(3, np.zeros((3, 3)))])
+    with pytest.raises(InputError, match=r"phases\[0\] is dict; expected pairs \(step, threats\)"):
+        with_phases(World.create(np.zeros((2, 2))), [{"from": 4, "threats": []}])  # type: ignore[list-item]
     with pytest.raises(InputError, match=r"phases\[0\] has shape \[2, 3\]"):
         with_phases(plain, [(3, np.zeros((2, 3)))])
     with pytest.raises(InputError, match="beside another thing that is not known"):

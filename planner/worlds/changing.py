@@ -37,6 +37,10 @@ def with_phases(world: World, phases: Sequence[tuple[Any, World | ArrayLike]], p
             problem = f"`phases` beside another thing that is not known: {other.said}"
             raise WorldError(problem, source=world.source, expected="one known map", fix="leave one of the two out")
     check_word("plan_on", plan_on, PLAN_ON, WorldError, world.source)
+    for number, pair in enumerate(phases):
+        if not (isinstance(pair, tuple | list) and len(pair) == 2):
+            expected = "pairs (step, threats), e.g. (40, numpy.zeros((20, 20)))"
+            raise WorldError(f"phases[{number}] is {type(pair).__name__}", source=world.source, expected=expected)
     begins, maps = [begin for begin, _ in phases], []
     for number, (_, threats) in enumerate(phases):
         name = f"{world.source}: phases[{number}]"
