@@ -124,7 +124,7 @@ class _Loops:
             problem, begun = _allocated(_Same(alike.identity, alike))
             own = problem if team.settings == alike.settings else None
             begun = replace(begun, settings=team.settings)
-            self._closed = self._compiled(begun, "step" if begun.bearing.is_plain else "tolerance", own)
+            self._closed = self._compiled(begun, "tolerance", own)
             self._plan = with_nominal_run(begun, self._closed)
         else:
             self._plan = team.build()
@@ -147,7 +147,7 @@ class _Loops:
             self._closed = self._compiled(self._plan, model.luck)
         loop = self._closed
         if model.first_only:
-            loop = replace(loop, identity=f"{loop.identity}!first_visit", first_only=True)
+            loop = loop.again(identity=f"{loop.identity}!first_visit", first_only=True)
         return loop if model.luck == loop.luck else loop.by(model.luck, self._team.world)
 
     def _compiled(self, plan: Plan, luck: LuckName, problem: Problem | None = None) -> ClosedLoop:

@@ -73,9 +73,14 @@ def chances_along(
         reach = np.concatenate([[1.0], left[:-1]])
         threat = 1.0 - np.divide(left, reach, out=np.zeros_like(left), where=reach > 0)
     reach = np.concatenate([[1.0], np.cumprod(1.0 - threat)[:-1]])
-    first = np.zeros(len(cells), dtype=np.bool_)
-    first[np.unique(cells, return_index=True)[1]] = True
-    return RobotChances(steps, cells, threat, reach, first)
+    return RobotChances(steps, cells, threat, reach, _first_of_each(cells))
+
+
+def _first_of_each(cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """bool `[E]`: True at the first of equal cells."""
+    places, first = np.arange(len(cells)), np.zeros(int(cells.max()) + 1, dtype=np.int64)
+    first[cells[::-1]] = places[::-1]  # of equal cells the last that is written stays
+    return first[cells] == places
 
 
 def chances_among(robot: RobotPlan, world: World, bearing: Bearing = PLAIN) -> RobotChances:
@@ -241,12 +246,14 @@ def exact_of(plan: Plan, robots: list[RobotChances], cells: int) -> OpenLoopExac
     """The exact values of robots that are independent, from the chances along their paths."""
     horizon, state, none = plan.makespan + 1, plan.state, np.zeros(0, dtype=np.int64)
     before = (none, none) if state is None else (state.visited, state.survived)
-    visited, visited_gain = _coverage(robots, [r.reach for r in robots], cells, horizon, before[0])
-    survived, survived_gain = _coverage(robots, [r.passed for r in robots], cells, horizon, before[1])
-    stops = np.zeros(cells)
+    turns = _turns(robots, before[0])
+    visited, visited_gain = _coverage(turns, [r.reach[r.first] for r in robots], cells, horizon)
+    turns = turns if state is None else _turns(robots, before[1])
+    survived, survived_gain = _coverage(turns, [r.passed[r.first] for r in robots], cells, horizon)
     first = 0 if state is None else 1
-    for robot in robots:
-        np.add.at(stops, robot.cells[first:], (robot.reach * robot.threat)[first:])
+    stopped = [(robot.reach * robot.threat)[first:] for robot in robots]
+    at = [robot.cells[first:] for robot in robots]
+    stops = np.bincount(np.concatenate(at), np.concatenate(stopped), cells)
     survival = np.array([robot.survival for robot in robots])
     return OpenLoopExact(
         visited_by_cell=visited,
@@ -260,29 +267,31 @@ def exact_of(plan: Plan, robots: list[RobotChances], cells: int) -> OpenLoopExac
     )
 
 
-def _coverage(
-    robots: list[RobotChances],
-    chances: list[NDArray[np.float64]],
-    cells: int,
-    horizon: int,
-    before: NDArray[np.int64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(chance of each cell `[N]`, expected new cells of each step `[T + 1]`) from the robots' first entries.
+Turn = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+"""Cells that are covered by somebody more, at which steps, and the places of these first entries among all."""
 
-    `before`: cells that are covered for certain, from step 0 on.
-    """
+
+def _turns(robots: list[RobotChances], before: NDArray[np.int64]) -> tuple[int, list[Turn]]:
+    """How many cells are covered `before`, for certain and from step 0 on, and who covers each first, second, ..."""
     cell = np.concatenate([before, *(r.cells[r.first] for r in robots)])
     step = np.concatenate([np.full(len(before), -1), *(r.steps[r.first] for r in robots)])
-    chance = np.concatenate([np.ones(len(before)), *(c[r.first] for r, c in zip(robots, chances, strict=True))])
     order = np.lexsort((step, cell))
-    cell, step, chance = cell[order], step[order], chance[order]
-    begins = np.concatenate([[True], cell[1:] != cell[:-1]])
-    turn = np.arange(len(cell)) - np.maximum.accumulate(np.where(begins, np.arange(len(cell)), 0))
+    begins = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    turn = np.arange(len(cell)) - np.repeat(begins, np.diff(begins, append=len(cell)))
+    each = (order[turn == visitor] for visitor in range(int(turn.max()) + 1))
+    return len(before), [(cell[now], np.maximum(step[now], 0), now) for now in each]
+
+
+def _coverage(
+    turns: tuple[int, list[Turn]], chances: list[NDArray[np.float64]], cells: int, horizon: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(chance of each cell `[N]`, expected new cells of each step `[T + 1]`) from the robots' first entries."""
+    before, of_each = turns
+    chance = np.concatenate([np.ones(before), *chances])
     missed, gain = np.ones(cells), np.zeros(horizon)
-    for visitor in range(int(turn.max()) + 1):
-        now = turn == visitor
-        np.add.at(gain, np.maximum(step[now], 0), missed[cell[now]] * chance[now])
-        missed[cell[now]] *= 1.0 - chance[now]
+    for cell, step, now in of_each:
+        np.add.at(gain, step, missed[cell] * chance[now])
+        missed[cell] *= 1.0 - chance[now]
     return 1.0 - missed, gain
 
 
@@ -290,8 +299,7 @@ def _time_chance(robots: list[RobotChances], horizon: int) -> NDArray[np.float64
     """Distribution of the last step at which a live robot moves: the latest of independent robots."""
     at_most = np.ones(horizon)
     for robot in robots:
-        ends = np.zeros(horizon)
-        np.add.at(ends, robot.steps, robot.reach * robot.threat)
+        ends = np.bincount(robot.steps, robot.reach * robot.threat, horizon)
         ends[robot.steps[-1]] += robot.survival
         at_most *= np.cumsum(ends)
     return np.diff(at_most, prepend=0.0)

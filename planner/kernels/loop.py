@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,10 +134,18 @@ class ClosedLoop:
             if self.state is not None:
                 set_back_to(self.state, first, self.tables, self.cells)
             levels = 1 if self.doubt is None else len(self.tables.truths)
-            self._first[room] = State._make(np.repeat(row[None], levels, axis=0) for row in first)
+            self._first[room] = State._make(
+                row[None] if levels == 1 else np.repeat(row[None], levels, axis=0) for row in first
+            )
             if self.learns:
                 self._first[room].mind[:, TRUTH] = np.arange(levels)
         return self._first[room]
+
+    def again(self, **changes: Any) -> ClosedLoop:
+        """The same but for these changes, on which no state at t = 0 depends: they share theirs."""
+        other = replace(self, **changes)
+        other.__dict__["_first"] = self._first
+        return other
 
     def first_places(self, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
         """`planner.kernels.state.Work.at` of these rollouts before movers have moved."""
@@ -171,9 +180,8 @@ class ClosedLoop:
     def by(self, luck: LuckName, world: World) -> ClosedLoop:
         """The same on its own map, `world`, by this luck."""
         self.bearing.check_luck(luck)
-        return replace(
-            self, luck=luck, tables=self.tables._replace(**luck_tables(self._kinds(world), self.cells, luck))
-        )
+        tables = self.tables._replace(**luck_tables(self._kinds(world), self.cells, luck))
+        return self.again(luck=luck, tables=tables)
 
     def _kinds(self, world: World) -> tuple[World, ...]:
         return kinds_of(world, self.bearing.types, self.robots)

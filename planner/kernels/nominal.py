@@ -22,7 +22,8 @@ def nominal_trace(loop: ClosedLoop) -> Trace:
         limits[GOAL] = len(tables.order)
         safe = safe._replace(truths=tables.belief[None], limits=limits)
     policy = None if loop.policy is None else loop.policy._replace(view_begin=loop.policy.view_begin[:0])
-    return trace_rollouts(replace(loop, tables=safe, movers=None, doubt=None, policy=policy), 0, (0,))[0]
+    begin = replace if loop.learns or loop.movers is not None else ClosedLoop.again
+    return trace_rollouts(begin(loop, tables=safe, movers=None, doubt=None, policy=policy), 0, (0,))[0]
 
 
 def with_nominal_run(plan: Plan, loop: ClosedLoop) -> Plan:

@@ -72,7 +72,8 @@ def _split_between(
     """One part of the area for each of its robots, by the Hungarian method on safest-path costs."""
     parts = partition(shape, area.cells, len(area.robots))
     from_each = (paths[robot].to_all(int(starts[robot])) for robot in area.robots)
-    costs = np.array([[cost[part].min() for part in parts] for cost in from_each])
+    cells, begins = np.concatenate(parts), np.cumsum([0, *map(len, parts[:-1])])
+    costs = np.array([np.minimum.reduceat(cost[cells], begins) for cost in from_each])
     of_row, of_column = linear_sum_assignment(costs)
     robot_of_part = {int(part): area.robots[int(row)] for row, part in zip(of_row, of_column, strict=True)}
     return [Area(0, robot_of_part[number], part) for number, part in enumerate(parts)]

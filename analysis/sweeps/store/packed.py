@@ -67,7 +67,9 @@ def sums_of(tally: Tally) -> Json:
     for figure in FIGURES:
         counts = getattr(tally, figure)
         held = np.flatnonzero(counts)
-        often = counts[held].astype(object)  # whole numbers that do not overflow
+        often = counts[held]
+        if tally.rollouts * (len(counts) ** 2) >= 2**63:
+            often = often.astype(object)  # whole numbers that do not overflow
         said[figure] = [int(often @ held), int(often @ held**2)]
     return said
 
