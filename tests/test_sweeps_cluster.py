@@ -16,7 +16,7 @@ from test_sweeps_engine import contents, jobs_of, swept
 
 from analysis.sweeps import cluster
 from analysis.sweeps.engine import Done, run_cases
-from analysis.sweeps.store.store import Store
+from analysis.sweeps.store.memory import Memory
 from planner.errors import UsageError
 
 dask = pytest.importorskip("dask")
@@ -75,10 +75,10 @@ def test_a_scheduler_that_asks_for_a_key(tmp_path: Path) -> None:
     subprocess.run([*make, *names], check=True, capture_output=True)
     address, running = begin_cluster("tls", "--tls-ca-file", cert, "--tls-cert", cert, "--tls-key", key)
     try:
-        with dask.config.set(key_files(cert, cert, key)), Store.memory() as store:
+        with dask.config.set(key_files(cert, cert, key)), Memory() as store:
             run_cases(jobs_of(maps=2), store, scheduler=address)
             assert contents(store) == swept(jobs_of(maps=2), processes=1)
-        with Store.memory() as store, pytest.raises(UsageError, match="no scheduler answers"):
+        with Memory() as store, pytest.raises(UsageError, match="no scheduler answers"):
             run_cases(jobs_of(), store, scheduler=address.replace("tls", "tcp"))
     finally:
         end_cluster(running)
@@ -88,7 +88,7 @@ def test_tls_without_keys_says_what_is_missing(tmp_path: Path) -> None:
     none = str(tmp_path / "none.pem")
     for files in (key_files(None, None, None), key_files(none, none, none)):
         said = pytest.raises(UsageError, match=r"tls://127.0.0.1:9: (no key|.*No such file).*client.key")
-        with dask.config.set(files), Store.memory() as store, said:
+        with dask.config.set(files), Memory() as store, said:
             run_cases(jobs_of(), store, scheduler="tls://127.0.0.1:9")
 
 
@@ -96,7 +96,7 @@ def test_a_scheduler_and_its_worker_in_this_process() -> None:
     local = distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=None
     )
-    with local, Store.memory() as store:
+    with local, Memory() as store:
         run_cases(jobs_of(maps=2), store, scheduler=local.scheduler_address)
         assert contents(store) == swept(jobs_of(maps=2), processes=1)
 
@@ -111,7 +111,7 @@ def test_a_scheduler_elsewhere(scheduler: tuple[str, list[subprocess.Popen[bytes
         if step.jobs == 3:
             running[1].kill()
 
-    with Store.memory() as store:
+    with Memory() as store:
         run_cases(jobs_of(maps=12), store, scheduler=address, progress=kill_worker)
         assert contents(store) == right
 
@@ -119,7 +119,7 @@ def test_a_scheduler_elsewhere(scheduler: tuple[str, list[subprocess.Popen[bytes
         if step.jobs == 3:
             running[0].kill()
 
-    with Store.memory() as store:
+    with Memory() as store:
         with pytest.raises(UsageError, match=r"was lost.*run the same command again"):
             run_cases(jobs_of(maps=40), store, scheduler=address, progress=kill_scheduler)
         assert len(store) >= 9
@@ -135,6 +135,6 @@ def test_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
         addresses = [f"tcp://127.0.0.1:{silent.getsockname()[1]}", "tcp://127.0.0.1:9", "no address at all"]
         for address in addresses:
             clock = time.monotonic()
-            with Store.memory() as store, pytest.raises(UsageError, match=r"^scheduler .*(no scheduler|an address)"):
+            with Memory() as store, pytest.raises(UsageError, match=r"^scheduler .*(no scheduler|an address)"):
                 run_cases(jobs_of(), store, scheduler=address)
             assert time.monotonic() - clock < 4

@@ -13,6 +13,7 @@ from test_sweeps_store import key_of, results_of
 from analysis.cli.app import run
 from analysis.sweeps.cases import generated_case
 from analysis.sweeps.results import collect
+from analysis.sweeps.store.memory import Memory
 from analysis.sweeps.store.store import Store, StoreError
 from planner.tally import Tally
 
@@ -61,7 +62,7 @@ def read(path: Path, right: dict[str, Tally | None]) -> bool:
 
 def merged(path: Path, right: dict[str, Tally | None]) -> bool:
     """True if all is there, or what is not was said."""
-    with Store.rescue(path) as store, Store.memory() as rescued:
+    with Store.rescue(path) as store, Memory() as rescued:
         _, notes = rescued.merge(store)
         return bool(notes) or tallies(rescued) == right
 
@@ -130,7 +131,7 @@ def test_what_cannot_be_saved_is_counted(whole: Path, tmp_path: Path) -> None:
     page = found[len(found) // 2][0] - 1
     data[page * PAGE : (page + 1) * PAGE] = bytes(PAGE)
     bad.write_bytes(data)
-    with Store.rescue(bad) as store, Store.memory() as rescued:
+    with Store.rescue(bad) as store, Memory() as rescued:
         count, (note,) = rescued.merge(store)
         held = sum(rescued.held(key_of(case)) == IDS for case in CASES)
         blocks = sum(len(rescued.held(key_of(case))) for case in CASES)

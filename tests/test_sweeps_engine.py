@@ -21,6 +21,7 @@ from analysis.sampling import RolloutChoices
 from analysis.sweeps import engine, tasks
 from analysis.sweeps.cases import Case, Places, generated_case, run_key
 from analysis.sweeps.engine import Done, Job, run_cases, share_of
+from analysis.sweeps.store.memory import Memory
 from analysis.sweeps.store.ranges import cut
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.tasks import run_task
@@ -64,7 +65,7 @@ def contents(store: Store) -> dict[str, tuple[Any, Tally | None]]:
 
 
 def swept(jobs: Iterator[Job], **where: Any) -> dict[str, tuple[Any, Tally | None]]:
-    with Store.memory() as store:
+    with Memory() as store:
         run_cases(jobs, store, **where)
         return contents(store)
 
@@ -72,7 +73,7 @@ def swept(jobs: Iterator[Job], **where: Any) -> dict[str, tuple[Any, Tally | Non
 def test_counts_are_those_of_the_engines() -> None:
     case = generated_case("scattered", 0.3, 3, 2, (8, 11))
     world, plan = build(case)
-    with Store.memory() as store:
+    with Memory() as store:
         run_cases([Job(case, MODELS, 50)], store, processes=1)
         keys = [run_key(Places().team(case), model) for model in MODELS]
         closed, first = (counted(compile_closed_loop(plan, world, first_only=only), 50) for only in (False, True))
@@ -101,7 +102,7 @@ def test_settings_of_a_team_share_its_areas_and_no_result_depends_on_that() -> N
     ]  # fmt: skip
     cases = [generated_case("scattered", 0.3, 4, seed, (8, 11), choices=one) for seed in range(2) for one in asked]
     before = tasks._allocated.cache_info().misses
-    with Store.memory() as store:
+    with Memory() as store:
         run_cases([Job(case, MODELS[:1], 40) for case in cases], store, processes=1)
         assert tasks._allocated.cache_info().misses - before == 2 * 4
         for case in cases:
@@ -125,7 +126,7 @@ def test_ids_are_split_into_blocks() -> None:
     small, large = (Places().team(Case(Generated(size=(side, side)))) for side in (20, 300))
     assert share_of(small) == 4 * BLOCK and 64 <= share_of(large) < BLOCK
     case = generated_case(robots=1, seed=1, size=(4, 5))
-    with Store.memory() as store:
+    with Memory() as store:
         run_cases([Job(case, MODELS[:1], 2 * BLOCK + 5)], store, processes=1)
         assert blocks_of(store) == [BLOCK, BLOCK, 5]
 
@@ -145,13 +146,13 @@ def test_resuming_and_a_bigger_run_that_reuses_the_smaller(tmp_path: Path) -> No
 
 def test_bad_input_names_the_case() -> None:
     for robots in (0, 5000):
-        with Store.memory() as store, pytest.raises(InputError, match=rf"ratio=0.3 robots={robots} map=7.*expected"):
+        with Memory() as store, pytest.raises(InputError, match=rf"ratio=0.3 robots={robots} map=7.*expected"):
             run_cases([Job(generated_case(ratio=0.3, robots=robots, seed=7), MODELS, 5)], store, processes=1)
     bad = generated_case(robots=2, choices=Choices(density=0.5))
-    with Store.memory() as store, pytest.raises(InputError, match=r"robots=2 map=0.*density"):
+    with Memory() as store, pytest.raises(InputError, match=r"robots=2 map=0.*density"):
         run_cases([Job(bad, MODELS, 5)], store, processes=2)
     for wrong in ({"processes": 0}, {"processes": 2, "scheduler": "tcp://host:1"}):
-        with Store.memory() as store, pytest.raises(UsageError):
+        with Memory() as store, pytest.raises(UsageError):
             run_cases(jobs_of(), store, **wrong)
     with pytest.raises(UsageError):
         Job(generated_case(), MODELS, 0)
@@ -162,7 +163,7 @@ def test_interrupted_and_gone_on_with() -> None:
         if step.jobs == 3:
             raise KeyboardInterrupt
 
-    with Store.memory() as store:
+    with Memory() as store:
         first = run_cases(jobs_of(), store, processes=1, progress=stop)
         assert first.partial and len(store) == 9
         assert run_cases(jobs_of(), store, processes=1).reused == 9 * 30
@@ -172,7 +173,7 @@ def test_interrupted_and_gone_on_with() -> None:
 def test_parts_that_another_process_ran_meanwhile_are_run_again() -> None:
     case = generated_case(robots=1, seed=1, size=(4, 5))
     key = run_key(Places().team(case), MODELS[0])
-    with Store.memory() as store:
+    with Memory() as store:
         stolen: list[bool] = []
 
         def jobs() -> Iterator[Job]:
@@ -207,7 +208,7 @@ def test_one_process_two_processes_and_a_killed_one_which_costs_only_what_was_in
             os.kill(victim, signal.SIGKILL)
             killed.append(victim)
 
-    with Store.memory() as store:
+    with Memory() as store:
         run_cases(jobs_of(maps=6), store, processes=2, progress=kill_one)
         assert len(killed) == 1 and contents(store) == right
 

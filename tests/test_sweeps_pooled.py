@@ -17,6 +17,7 @@ from analysis.sweeps.pooled import Part, Setting, complete, map_of, moments_over
 from analysis.sweeps.results import collect, select
 from analysis.sweeps.rows import DIFFERENCES, KEPT, Row, figures_of, single_map
 from analysis.sweeps.spec import read_spec
+from analysis.sweeps.store.memory import Memory
 from analysis.sweeps.store.store import Run, Store
 from analysis.sweeps.sweep import run_sweep
 from planner.errors import UsageError
@@ -40,7 +41,7 @@ def swept(folder: Path, text: str, store: Store) -> None:
 
 def test_a_row_counts_a_map_once(tmp_path: Path) -> None:
     """Against a plain calculation: settings averaged on each map, then Student's interval over the maps."""
-    with Store.memory() as store:
+    with Memory() as store:
         swept(tmp_path, SPEC, store)
         found = collect(store, {}, ["robots"])
         assert [row.maps for row in found.rows] == [4, 4] and [row.rollouts for row in found.rows] == [240, 240]
@@ -94,7 +95,7 @@ base: {input: danger.yaml}
 rollouts: 20
 sweep: {ratio: [0.1, 0.3], "threats[0].generate.levels": [[0.1], [0.3]], seed: [1, 2, 3]}
 """
-    with Store.memory() as store:
+    with Memory() as store:
         swept(tmp_path, text, store)
         assert len({each.facts["world"] for each in store.runs()}) == 4 and len(store) == 12
         assert {map_of(each) for each in store.runs()} == {("input", "danger.yaml")}
@@ -107,7 +108,7 @@ def test_inputs_are_maps(tmp_path: Path) -> None:
     for number in range(3):
         random_world(6, 8, ThreatPattern(seed=number)).save(tmp_path / f"{number}.npz")
     text = "base: {robots: 1}\nrollouts: 20\nsweep: {input: [0.npz, 1.npz, 2.npz], risk: [paper, log]}"
-    with Store.memory() as store:
+    with Memory() as store:
         swept(tmp_path, text, store)
         (row,) = collect(store, {}, ["robots"]).rows
         assert (row.maps, row.rollouts) == (3, 120)
@@ -118,7 +119,7 @@ def test_inputs_are_maps(tmp_path: Path) -> None:
 
 def test_maps_that_lack_a_setting_are_left_out(tmp_path: Path) -> None:
     less = SPEC.replace("maps: 4", "maps: 7").replace("[paper, log]", "[log]")
-    with Store.memory() as store:
+    with Memory() as store:
         swept(tmp_path, SPEC, store)
         swept(tmp_path, less, store)
         found = collect(store, {}, ["robots"])
@@ -132,11 +133,11 @@ def test_maps_that_lack_a_setting_are_left_out(tmp_path: Path) -> None:
 def apart(store: Store) -> Store:
     """The same, but the maps of odd seeds have one risk and those of even seeds the other."""
 
-    class Half(Store):
+    class Half(Memory):
         def runs(self):  # type: ignore[no-untyped-def]
             return (each for each in store.runs() if (each.what["risk"] == "log") == (each.what["map"] in (1, 3)))
 
-    return Half(store._connection, None)
+    return Half()
 
 
 def part(setting: int, seed: int, mean: float, error: float) -> Part:
@@ -239,7 +240,7 @@ def test_intervals_over_maps_hold_with_the_control(tmp_path: Path, kind: str, ro
     """300 samples of 60 maps of 6,000: each figure of a row, and its difference from another policy, holds the mean of
     all maps as often as it says (3 standard errors below .95); the control halves what noise the rollouts leave."""
     text = f"base: {{kind: {kind}, robots: {robots}, size: 12x14}}\nmaps: 6000\nrollouts: {rollouts}\n"
-    with Store.memory() as store:
+    with Memory() as store:
         swept(tmp_path, text + "sweep: {policy: [mrac, per_cell]}", store)
         found: dict[tuple[str, int], tuple[np.ndarray, np.ndarray]] = {
             (str(each.what["policy"]), int(each.what["map"] or 0)): figures_of(each) for each in store.runs()

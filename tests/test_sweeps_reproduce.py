@@ -16,6 +16,7 @@ from analysis.reproduction.reproduce import SETTINGS, Reproduction, Setting, rep
 from analysis.statistics.control import expected_pieces, pieces
 from analysis.statistics.estimate import over_maps
 from analysis.sweeps.engine import run_cases
+from analysis.sweeps.store.memory import Memory
 from analysis.sweeps.store.store import Store
 from analysis.theory.exact import open_loop_exact
 from planner.errors import UsageError
@@ -95,7 +96,7 @@ def test_intervals_over_maps_hold_and_the_control_does_not_bend_them() -> None:
 
 
 def test_a_store_of_an_earlier_release_is_gone_on_with_by_step() -> None:
-    with Store.memory() as store:
+    with Memory() as store:
         jobs = reproduction._jobs(SETTINGS["fig7"], 1, 4, 0, "step")
         begun = run_cases(jobs, store, processes=1)
         again = reproduce("fig7", maps=2, rollouts=4, store=store, processes=1)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sqlite3
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import pytest
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import Case, Places, Team, generated_case, run_key
 from analysis.sweeps.store import file as store_file
+from analysis.sweeps.store.memory import Memory
 from analysis.sweeps.store.packed import add_sums, pack, sums_of, unpack
 from analysis.sweeps.store.ranges import joined, without
 from analysis.sweeps.store.store import Store, StoreError
@@ -82,46 +83,48 @@ def test_key_knows_the_shape() -> None:
 
 def blocks_of(store: Store) -> list[int]:
     """Rollouts of each of its blocks."""
-    rows = store._connection.execute("SELECT sums FROM blocks ORDER BY key, block")
-    return [json.loads(sums)["rollouts"] for (sums,) in rows]
+    return [tally.rollouts for result in store._results([]) for tally in result.tallies]
 
 
-def test_blocks_grow_and_nothing_counts_twice() -> None:
-    with Store.memory() as store:
-        assert store.tally(key_of()) is None and store.run(key_of()) is None
-        for ids in ((0, 50), (0, 50), (50, 120), (10, 90), (0, 300), (4000, 4200)):
-            assert store.add(results_of(ids)) == {}
-        whole = store.tally(key_of())
-        assert whole is not None and whole.ids == ((0, 300), (4000, 4200))
-        straight = results_of((0, 300))[0].tallies[0]
-        assert whole == straight + results_of((4000, 4096))[0].tallies[0] + results_of((4096, 4200))[0].tallies[0]
-        assert store.missing(key_of(), 0, 4100) == ((300, 4000),)
-        (run,) = store.runs()
-        assert run.sums == sums_of(whole) and run.rollouts == 500
-        assert len(store) == 1 and blocks_of(store) == [500 - 104, 104]
+@pytest.fixture(params=["file", "memory"])
+def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
+    with Store.open(tmp_path / "a.store") if request.param == "file" else Memory() as opened:
+        yield opened
 
 
-def test_overlap_keeps_the_larger_and_says_what_is_to_be_run_again() -> None:
-    with Store.memory() as store:
-        store.add(results_of((0, 200)))
-        assert store.add(results_of((100, 250))) == {key_of(): ((200, 250),)}
-        assert store.held(key_of()) == ((0, 200),)
-        assert store.add(results_of((150, 600))) == {key_of(): ((0, 150),)}
-        assert store.held(key_of()) == ((150, 600),)
+def test_blocks_grow_and_nothing_counts_twice(store: Store) -> None:
+    assert store.tally(key_of()) is None and store.run(key_of()) is None
+    for ids in ((0, 50), (0, 50), (50, 120), (10, 90), (0, 300), (4000, 4200)):
+        assert store.add(results_of(ids)) == {}
+    whole = store.tally(key_of())
+    assert whole is not None and whole.ids == ((0, 300), (4000, 4200))
+    straight = results_of((0, 300))[0].tallies[0]
+    assert whole == straight + results_of((4000, 4096))[0].tallies[0] + results_of((4096, 4200))[0].tallies[0]
+    assert store.missing(key_of(), 0, 4100) == ((300, 4000),)
+    (run,) = store.runs()
+    assert run.sums == sums_of(whole) and run.rollouts == 500
+    assert len(store) == 1 and blocks_of(store) == [500 - 104, 104]
 
 
-def test_other_counts_of_the_same_rollouts_are_an_error() -> None:
+def test_overlap_keeps_the_larger_and_says_what_is_to_be_run_again(store: Store) -> None:
+    store.add(results_of((0, 200)))
+    assert store.add(results_of((100, 250))) == {key_of(): ((200, 250),)}
+    assert store.held(key_of()) == ((0, 200),)
+    assert store.add(results_of((150, 600))) == {key_of(): ((0, 150),)}
+    assert store.held(key_of()) == ((150, 600),)
+
+
+def test_other_counts_of_the_same_rollouts_are_an_error(store: Store) -> None:
     (result,) = results_of((0, 50))
     (tally,) = result.tallies
     wrong = replace(result, tallies=(replace(tally, visits=tally.visits + 1),))
     other_plan = replace(result, tallies=(replace(tally, key="other", ids=((50, 100),)),))
-    with Store.memory() as store:
-        store.add([result])
-        with pytest.raises(StoreError, match="other counts"):
-            store.add([wrong])
-        with pytest.raises(StoreError, match="planned otherwise"):
-            store.add([other_plan])
-        assert store.tally(key_of()) == tally
+    store.add([result])
+    with pytest.raises(StoreError, match="other counts"):
+        store.add([wrong])
+    with pytest.raises(StoreError, match="planned otherwise"):
+        store.add([other_plan])
+    assert store.tally(key_of()) == tally
 
 
 def test_labels_of_two_sweeps_find_the_same_run(tmp_path: Path) -> None:
@@ -193,7 +196,7 @@ def test_truncated_and_flipped(tmp_path: Path) -> None:
         else:
             del data[int(random.integers(1, len(data))) :]
         bad.write_bytes(data)
-        with Store.memory() as rescued:
+        with Memory() as rescued:
             try:
                 with Store.open(bad, write=False) as store:
                     _, notes = rescued.merge(store)

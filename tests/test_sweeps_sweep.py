@@ -24,6 +24,7 @@ from analysis.sweeps.engine import Done, Job, run_cases
 from analysis.sweeps.results import collect
 from analysis.sweeps.rows import KEPT, figures_of, single_map
 from analysis.sweeps.spec import read_spec
+from analysis.sweeps.store.memory import Memory
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.summary import Moments
 from analysis.sweeps.sweep import run_sweep
@@ -89,7 +90,7 @@ def test_the_policies_of_a_sweep(tmp_path: Path, base: str, swept: str, policies
 def test_a_sweep_is_the_mean_of_map_means(tmp_path: Path, processes: int) -> None:
     """Against a plain calculation from the tallies; again, and in 2 processes, to the last bit."""
     spec, standing = read_spec(spec_file(tmp_path)), list[tuple[int, int, float, str]]()
-    with Store.memory() as store:
+    with Memory() as store:
         answer = run_sweep(spec, store, processes=1, watch=lambda *now: standing.append(now))
         places, columns = Places(), []
         for job in spec.jobs():
@@ -113,7 +114,7 @@ def test_a_sweep_is_the_mean_of_map_means(tmp_path: Path, processes: int) -> Non
         widest = answer.widest_row
         assert widest is not None and widest.estimate("visited").half_width == answer.widest
         assert answer.within_share == widest.within_share and 0 < (widest.within_share or 0) < 1
-    with Store.memory() as store:
+    with Memory() as store:
         again = run_sweep(spec, store, processes=processes)
         for mine, other in zip(again.rows, answer.rows, strict=True):
             for one, two in ((mine.moments, other.moments), (mine.apart, other.apart)):
@@ -130,7 +131,7 @@ sweep: {robots: [2, 3], policy: [mrac, per_cell]}
 
 def test_rows_are_put_right_by_what_all_maps_tell_of_luck(tmp_path: Path) -> None:
     """Against least squares over all single rollouts, with a level for each map; differences too, also of two teams."""
-    with Store.memory() as store:
+    with Memory() as store:
         answer = run_sweep(read_spec(spec_file(tmp_path, CONTROLLED)), store, processes=1)
         again = collect(store, {}).rows
     levels, means = np.repeat(np.eye(6), 200, axis=0), []
@@ -195,7 +196,7 @@ def test_moments_against_numpy() -> None:
 def test_alike_on_every_map_is_no_proof(tmp_path: Path) -> None:
     """Maps without threats or obstacles: times and losses are the same on all three; others may have other ones."""
     text = "base: {kind: contiguous, size: 4x5, ratio: 0, obstacles: 0}\nmaps: 3\nrollouts: 4\nsweep: {robots: [1, 2]}"
-    with Store.memory() as store:
+    with Memory() as store:
         one, two = run_sweep(read_spec(spec_file(tmp_path, text)), store, processes=1).rows
     for figure, most in (("alive", 2), ("time", 8 * 1 * 20 + 64)):
         found, reach = two.estimate(figure), two.reach(figure)
@@ -222,7 +223,7 @@ def test_intervals_over_maps_hold_as_often_as_they_say() -> None:
 
 def test_precision_takes_more_maps(tmp_path: Path) -> None:
     text = SPEC.replace("maps: 5", "maps: 4").replace("rollouts: 40", "rollouts: 20")
-    with Store.memory() as store:
+    with Memory() as store:
         spec = read_spec(spec_file(tmp_path, text))
         precision = 0.6 * run_sweep(spec, store, processes=1).widest
         answer = run_sweep(spec, store, processes=1, precision=precision)
@@ -238,7 +239,7 @@ def test_precision_on_one_map_takes_more_rollouts(tmp_path: Path) -> None:
     random_world(7, 9, ThreatPattern(seed=4)).save(tmp_path / "world.npz")
     spec = read_spec(spec_file(tmp_path, "base: {input: world.npz}\nrollouts: 50\nsweep: {robots: [1, 2]}"))
     assert spec.maps is None
-    with Store.memory() as store:
+    with Memory() as store:
         answer = run_sweep(spec, store, processes=1, precision=0.01)
         assert answer.reached and answer.rows[0].rollouts == 4096
         (found, _) = store.runs()
@@ -249,7 +250,7 @@ def test_precision_on_one_map_takes_more_rollouts(tmp_path: Path) -> None:
 def test_no_collapse_on_one_map_where_every_rollout_is_the_same(tmp_path: Path) -> None:
     random_world(5, 5, ThreatPattern(seed=4), threats=0.0).save(tmp_path / "world.npz")
     spec = read_spec(spec_file(tmp_path, "base: {input: world.npz, robots: 1}\nrollouts: 100"))
-    with Store.memory() as store:
+    with Memory() as store:
         found = run_sweep(spec, store, processes=1).rows[0].estimate("visited")
         assert found.mean == 1 and found.ci95[0] == pytest.approx(1 + math.log(0.025) / 100)
 
@@ -260,7 +261,7 @@ def test_a_store_begun_by_step_is_gone_on_with_by_step(tmp_path: Path) -> None:
     spec, old = (
         read_spec(spec_file(tmp_path, words)) for words in (text, text.replace("base: {", "base: {luck: step, "))
     )
-    with Store.memory() as store:
+    with Memory() as store:
         begun = run_sweep(replace(old, maps=2), store, processes=1)
         on = run_sweep(spec, store, processes=1)
         assert on.finished.reused == begun.finished.rollouts
@@ -269,7 +270,7 @@ def test_a_store_begun_by_step_is_gone_on_with_by_step(tmp_path: Path) -> None:
         assert means[0] == means[1]
         said = run_sweep(replace(spec, base=spec.base | {"luck": "tolerance"}), store, processes=1)
         assert said.finished.reused == 0 and {run.what["mode"] for run in store.runs()} == {"step", "fast", "tolerance"}
-    with Store.memory() as store:
+    with Memory() as store:
         run_sweep(replace(spec, maps=2), store, processes=1)
         assert {run.what["mode"] for run in store.runs()} == {"tolerance"}
 
@@ -291,7 +292,7 @@ sweep:
     (tmp_path / "danger.yaml").write_text(json.dumps(danger))
     spec = read_spec(spec_file(tmp_path, text))
     assert all(isinstance(job.case.world, Written) for job in spec.jobs())
-    with Store.memory() as store:
+    with Memory() as store:
         rows = run_sweep(spec, store, processes=1).rows
         assert [row.labels["threats[0].generate.levels"] for row in rows] == ["[0.1]", "[0.3]"] * 2
         assert len({run_.facts["world"] for run_ in store.runs()}) == 12
@@ -302,12 +303,12 @@ sweep:
     make_plan(dangerous, starts).save(tmp_path / "ours.json")
     (tmp_path / "theirs.json").write_text(json.dumps({"paths": [[starts[0].tolist()]]}))
     text = "base: {input: world.npz, loop: open}\nrollouts: 20\nsweep: {plan: [ours.json, theirs.json]}"
-    with Store.memory() as store:
+    with Memory() as store:
         rows = run_sweep(read_spec(spec_file(tmp_path, text)), store, processes=1).rows
         assert [row.labels["plan"] for row in rows] == ["ours.json", "theirs.json"]
         assert rows[0].estimate("visited").mean > rows[1].estimate("visited").mean
     closed = text.replace("loop: open", "loop: closed")
-    with Store.memory() as store:
+    with Memory() as store:
         taken_over = run_sweep(read_spec(spec_file(tmp_path, closed)), store, processes=1).rows
         assert taken_over[1].estimate("visited").mean > rows[1].estimate("visited").mean
 
@@ -321,7 +322,7 @@ base: {input: world.npz, robots: 2, plan_for: open, effort: 200, luck: tolerance
 rollouts: 200
 sweep: {loop: [open, closed]}
 """
-    with Store.memory() as store:
+    with Memory() as store:
         rows = run_sweep(read_spec(spec_file(tmp_path, text)), store, processes=1).rows
     means = [row.estimate("visited").mean for row in rows]
     plan = mrac.plan(world, robots=2, plan_for="open", effort=200)
@@ -476,7 +477,7 @@ def test_interrupted_sweep_says_what_was_done(
 
 
 def test_figures_of_a_run_are_those_of_its_tally(tmp_path: Path) -> None:
-    with Store.memory() as store:
+    with Memory() as store:
         run_cases([next(read_spec(spec_file(tmp_path)).jobs())], store, processes=1)
         found = next(store.runs())
         tally = store.tally(found.key)

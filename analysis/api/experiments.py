@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -50,7 +51,7 @@ def reproduce(
     figure: Literal["fig4", "fig5", "fig6", "fig7", "all"] = "all",
     *,
     maps: int = 500,
-    rollouts: int = 50,
+    rollouts: int = 20,
     seed: int = 0,
     store: str | Path | None = None,
     processes: int | None = None,
@@ -66,7 +67,7 @@ def reproduce(
     from analysis.sweeps.store.store import Store
 
     def work(tell: Progress, doing: Doing) -> Reproduction:
-        with Store.memory() if store is None else Store.open(Path(store)) as kept:
+        with nullcontext() if store is None else Store.open(Path(store)) as kept:
             how: Any = {"maps": maps, "rollouts": rollouts, "seed": seed, "store": kept, "processes": processes}
             return run_experiments(figure, **how, progress=tell)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -61,14 +62,14 @@ def reproduce(
     count = USUAL.get(figure, ROLLOUTS) if rollouts is None else rollouts
     if not 1 <= count <= 2**32:
         raise UsageError(f"--rollouts {count}", expected="1 to 4294967296")
-    kept = Store.memory() if store is None else Store.open(store)
+    kept = nullcontext() if store is None else Store.open(store)
     how: Any = {
         "maps": MAPS if maps is None else maps, "rollouts": count, "seed": seed or 0, "processes": processes,
         "scheduler": scheduler,
     }  # fmt: skip
     answer: Any
-    with kept, show_pool_progress("jobs", list(RULES) if figure in USUAL else [DEFAULT]) as progress:
-        how |= {"store": kept, "progress": progress}
+    with kept as held, show_pool_progress("jobs", list(RULES) if figure in USUAL else [DEFAULT]) as progress:
+        how |= {"store": held, "progress": progress}
         if figure == "policies":
             answer = study_policies(**how)
         elif figure == "online" or figure == "moving":

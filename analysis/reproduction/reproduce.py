@@ -20,6 +20,7 @@ from analysis.reproduction.statements import Finding, findings
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import generated_case
 from analysis.sweeps.engine import Done, Finished, Job, Swept, run_cases, stored_luck
+from analysis.sweeps.store.memory import Memory
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.worlds import check_maps
 from planner.arguments import check_word
@@ -136,11 +137,13 @@ def reproduce(
     names = tuple(SETTINGS) if figure == "all" else (figure,)
     needed = [*names, *(("fig5",) if "fig6" in names else ())]
     settings = tuple(dict.fromkeys(setting for name in needed for setting in SETTINGS[name]))
-    held = Store.memory() if store is None else store
+    held = Memory() if store is None else store
     collected = _Collected(settings, seed, held)
 
     def take(done: Done) -> None:
         collected.take(done)
+        if store is None and isinstance(held, Memory):
+            held.forget(done.keys)
         if progress is not None:
             progress(done.jobs, done.total, done.seconds)
 

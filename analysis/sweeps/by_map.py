@@ -17,6 +17,7 @@ from analysis.statistics.pooled_control import put_right
 from analysis.sweeps.cases import Case
 from analysis.sweeps.engine import Done, Finished, Job, run_cases
 from analysis.sweeps.rows import KEPT, figures_of, is_exact
+from analysis.sweeps.store.memory import Memory
 from analysis.sweeps.store.store import Store
 
 Setting = TypeVar("Setting")
@@ -51,13 +52,15 @@ class ByMap(Generic[Setting]):
 
         `where`: `processes` and `scheduler` of `run_cases`.
         """
-        held = Store.memory() if store is None else store
+        held = Memory() if store is None else store
 
         def take(done: Done) -> None:
             setting, number = self._under_way.pop(done.job.case)
             run = held.run(done.keys[0])
             assert run is not None
             self._found.setdefault(setting, {})[number] = (*figures_of(run), is_exact(run))
+            if store is None and isinstance(held, Memory):
+                held.forget(done.keys)
             if progress is not None:
                 progress(done.jobs, done.total, done.seconds)
 

@@ -19,7 +19,7 @@ from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import Case, Places, Team, labels_of, run_key
 from analysis.sweeps.store.ranges import cut
 from analysis.sweeps.store.store import Store
-from analysis.sweeps.tasks import RunResult, Stream, Task, Wanted, run_task
+from analysis.sweeps.tasks import RunResult, Stream, Task, Wanted, run_task, run_tasks
 from planner.errors import UsageError
 from planner.limits import BLOCK, MOST_ROLLOUTS
 from planner.luck_names import LuckName
@@ -27,6 +27,9 @@ from planner.luck_names import LuckName
 SHARE = 16_384
 """Rollouts of a model in one task on a map of at most 400 cells; fewer on larger ones, where each takes longer."""
 LEAST_SHARE = 64
+BATCH, FEW = 12, 4_096
+"""Tasks that a process is handed at a time, at most, and rollouts on 400 cells in all of them: a task of few takes
+less time than a process's answer to it, and teams in one world hand that over once."""
 
 
 @dataclass(frozen=True)
@@ -149,8 +152,25 @@ def _stream(processes: int | None, scheduler: str | None, total: int) -> Iterato
     if count == 1:
         yield lambda tasks: ((task, run_task(task)) for task in tasks)
         return
-    with Pool(run_task, count, name=lambda task: task.case.name) as pool:
-        yield pool.run
+    with Pool(run_tasks, count, name=lambda batch: batch[0].case.name) as pool:
+        yield lambda tasks: (
+            pair for few, answers in pool.run(_batches(tasks)) for pair in zip(few, answers, strict=True)
+        )
+
+
+def _batches(tasks: Iterable[Task]) -> Iterator[list[Task]]:
+    """The tasks in their order, BATCH at a time or FEW rollouts."""
+    batch, load = list[Task](), 0
+    for task in tasks:
+        rollouts = sum(stop - start for wanted in task.wanted for start, stop in wanted.ids)
+        more = rollouts * max(400, task.team.world.threat.size) // 400
+        if batch and (len(batch) == BATCH or load + more > FEW):
+            yield batch
+            batch, load = [], 0
+        batch.append(task)
+        load += more
+    if batch:
+        yield batch
 
 
 @dataclass

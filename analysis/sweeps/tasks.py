@@ -91,6 +91,11 @@ def run_task(task: Task) -> list[RunResult]:
         raise naming(error, task.case.name) from error
 
 
+def run_tasks(tasks: list[Task]) -> list[list[RunResult]]:
+    """`run_task` of one after the other."""
+    return [run_task(task) for task in tasks]
+
+
 def _run(wanted: Wanted, task: Task, loops: _Loops) -> RunResult:
     from planner.rollouts.engine import run_by_luck
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.theory.exact import RobotChances, chances_of
+from planner.jit import compiled
 from planner.plans.plan import Leg, Plan, RobotPlan
 from planner.worlds.levels import find_levels
 from planner.worlds.world import World
@@ -245,16 +246,19 @@ def ideal_team(threat: NDArray[np.float64], robots: int) -> float:
 
     Where next to no chance is left it is not followed further, and what it can add at most is added.
     """
-    dangerous = np.sort(threat[threat > 0])
-    total = float(np.count_nonzero(threat == 0))
-    hits = np.zeros(robots)
-    hits[0] = 1.0
-    for left, p in zip(range(len(dangerous), 0, -1), dangerous, strict=True):
-        reached = float(hits.sum())
-        if reached * left < NEXT_TO_NOTHING:  # the chances only fall: all that is left is less than that
-            return total + reached * left
+    return float(np.count_nonzero(threat == 0) + _reached(np.sort(threat[threat > 0]), np.zeros(robots)))
+
+
+@compiled
+def _reached(dangerous, hits):  # type: ignore[no-untyped-def]
+    """Of cells in order of p, `[n]`, those that the ideal reaches; `hits` `[k]` of zeros: chances of 0 .. k - 1."""
+    total, cells, hits[0] = 0.0, len(dangerous), 1.0
+    for place in range(cells):
+        reached, p = hits.sum(), dangerous[place]
+        if reached * (cells - place) < NEXT_TO_NOTHING:  # the chances only fall: all that is left is less than that
+            return total + reached * (cells - place)
         total += reached
-        shifted = hits[:-1] * p
-        hits *= 1.0 - p
-        hits[1:] += shifted
+        for lost in range(len(hits) - 1, 0, -1):
+            hits[lost] = hits[lost] * (1.0 - p) + hits[lost - 1] * p
+        hits[0] *= 1.0 - p
     return total

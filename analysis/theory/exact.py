@@ -253,7 +253,7 @@ def exact_of(plan: Plan, robots: list[RobotChances], cells: int) -> OpenLoopExac
     first = 0 if state is None else 1
     stopped = [(robot.reach * robot.threat)[first:] for robot in robots]
     at = [robot.cells[first:] for robot in robots]
-    stops = np.bincount(np.concatenate(at), np.concatenate(stopped), cells)
+    stops = np.bincount(np.concatenate(at), np.concatenate(stopped), cells).astype(np.float64)
     survival = np.array([robot.survival for robot in robots])
     return OpenLoopExact(
         visited_by_cell=visited,

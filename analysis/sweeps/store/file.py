@@ -70,14 +70,6 @@ def open_file(path: Path, *, write: bool, whole: bool = True) -> sqlite3.Connect
     return connection
 
 
-def open_memory() -> sqlite3.Connection:
-    """A store that ends with the process."""
-    connection = sqlite3.connect(":memory:", isolation_level=None)
-    connection.text_factory = _text
-    connection.executescript(TABLES)
-    return connection
-
-
 def _connect(path: Path, parameters: str) -> sqlite3.Connection:
     address = f"file:{quote(str(path.absolute()))}?{parameters}"
     connection = sqlite3.connect(address, uri=True, isolation_level=None, timeout=BUSY_SECONDS)

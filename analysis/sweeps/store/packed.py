@@ -21,8 +21,8 @@ FIGURES = ("visited", "survived", "time", "alive")
 MOST_BYTES = 2**34
 
 
-def pack(tally: Tally, level: int = 1) -> bytes:
-    """The tally as a blob, zlib's `level`; its ids are kept beside it."""
+def pack(tally: Tally) -> bytes:
+    """The tally as a blob; its ids are kept beside it."""
     arrays = [(name, _narrow(values)) for name, values in tally.counts().items()]
     head = {
         "key": tally.key,
@@ -30,7 +30,7 @@ def pack(tally: Tally, level: int = 1) -> bytes:
         "arrays": [(name, values.dtype.str, len(values)) for name, values in arrays],
     }
     parts = [json.dumps(head, separators=(",", ":")).encode(), b"\n", *(values.tobytes() for _, values in arrays)]
-    return zlib.compress(b"".join(parts), level)
+    return zlib.compress(b"".join(parts), 1)
 
 
 def unpack(blob: bytes, ids: tuple[tuple[int, int], ...]) -> Tally:

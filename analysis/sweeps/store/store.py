@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from analysis.sweeps.cases import Label, canonical
-from analysis.sweeps.store.file import StoreError, checksum, damaged, open_file, open_memory, told, transaction
+from analysis.sweeps.store.file import StoreError, checksum, damaged, open_file, told, transaction
 from analysis.sweeps.store.packed import add_sums, pack, sums_of, unpack
 from analysis.sweeps.store.ranges import Ranges, joined, without
 from analysis.sweeps.store.salvage import rows_of
@@ -57,7 +57,7 @@ class Store:
     """Runs and their tallies. Only one thread of a process uses a store; several processes may use one file."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path | None, problem: str = "") -> None:
-        """Use `Store.open`, `Store.rescue` or `Store.memory`. `problem`: what is wrong with the file's structure."""
+        """Use `Store.open` or `Store.rescue`. `problem`: what is wrong with the file's structure."""
         self._connection, self.path, self.problem = connection, path, problem
 
     @classmethod
@@ -77,11 +77,6 @@ class Store:
             except StoreError as again:
                 fix = "take an older copy, or run the sweep again into another store"
                 raise StoreError(again.problem, source=again.source, expected=again.expected, fix=fix) from error
-
-    @classmethod
-    def memory(cls) -> Store:
-        """A store that ends with the process."""
-        return cls(open_memory(), None)
 
     def close(self) -> None:
         """Let go of the file."""
@@ -192,9 +187,7 @@ class Store:
 
     def _add_run(self, key: str, identity: str, what: dict[str, Label], facts: Json) -> None:
         for row in self._rows(f"{_RUNS} WHERE key = ?", key):
-            if row[1] != identity:
-                problem = f"run {key[:12]} ({canonical(what)}) was planned otherwise, by another METIS or mrac-jax"
-                raise StoreError(problem, source=self.path or "store", fix="use another store")
+            check_identity(key, row[1], identity, what, self.path)
             held = self._run(row)
             if all(name in held.what for name in what):
                 return
@@ -212,22 +205,10 @@ class Store:
         left_out: Ranges = ()
         for row in self._rows(f"{_BLOCKS} WHERE key = ? AND block = ?", key, block):
             held = self._tally(row)
-            new, old = without(tally.ids, held.ids), without(held.ids, tally.ids)
-            if not new:
-                if not old and held != tally:
-                    problem = f"run {key[:12]}: the same rollouts {list(tally.ids)} have other counts here"
-                    raise StoreError(problem, source=self.path or "store", expected="rollouts that repeat")
-                return ()
-            if new == tally.ids:
-                tally = tally + held
-            elif old:
-                keep = tally if tally.rollouts > held.rollouts else held
-                left_out = old if keep is tally else new
-                tally = keep
-        texts, blob = (
-            (key, block, canonical(tally.ids), canonical(sums_of(tally))),
-            pack(tally, 0 if self.path is None else 1),
-        )
+            tally, left_out = united(key, held, tally, self.path)
+            if tally is held:
+                return left_out
+        texts, blob = (key, block, canonical(tally.ids), canonical(sums_of(tally))), pack(tally)
         values = (*texts, blob, checksum(*texts, len(blob)))
         self._connection.execute("INSERT OR REPLACE INTO blocks VALUES (?, ?, ?, ?, ?, ?)", values)
         return left_out
@@ -257,6 +238,29 @@ class Store:
             return unpack(blob, tuple((start, stop) for start, stop in json.loads(ids)))
         except (ValueError, TypeError) as error:
             raise damaged(self.path, f"run {str(key)[:12]}, block {block}: {error}") from error
+
+
+def check_identity(key: str, held: str, identity: str, what: Mapping[str, Label], path: Path | None) -> None:
+    """Raise StoreError where a run's rollouts would be of another identity than those that are `held`."""
+    if held != identity:
+        problem = f"run {key[:12]} ({canonical(what)}) was planned otherwise, by another METIS or mrac-jax"
+        raise StoreError(problem, source=path or "store", fix="use another store")
+
+
+def united(key: str, held: Tally, tally: Tally, path: Path | None) -> tuple[Tally, Ranges]:
+    """What is kept of two parts of a block, and the ids that cannot be; `held` itself, if nothing is new in `tally`.
+
+    Raises StoreError if the same ids have other counts.
+    """
+    new, old = without(tally.ids, held.ids), without(held.ids, tally.ids)
+    if not new and not old and held != tally:
+        problem = f"run {key[:12]}: the same rollouts {list(tally.ids)} have other counts here"
+        raise StoreError(problem, source=path or "store", expected="rollouts that repeat")
+    if not new or not old:
+        return (tally if new else held), ()
+    if new == tally.ids:
+        return tally + held, ()
+    return (tally, old) if tally.rollouts > held.rollouts else (held, new)
 
 
 def _is_run(row: tuple[Any, ...]) -> bool:
