@@ -13,10 +13,12 @@ import jax
 import jax.numpy as jnp
 
 from mrac_jax.closed_loop import boards
+from mrac_jax.closed_loop.homeward import affords, further, moves_left
 from mrac_jax.closed_loop.limits import bits_at, hold, is_full
 from mrac_jax.closed_loop.offers import first_area, open_cells
 from mrac_jax.closed_loop.search import FAR, Chosen, choose, entry, first_cell
 from mrac_jax.closed_loop.state import (
+    ACT,
     LOST,
     NEXT,
     SHARE,
@@ -200,10 +202,16 @@ def _area_to_share(tables: LaneTables, lanes: Lanes, chosen: Chosen) -> tuple[ja
     # `steps <= unvisited cells`: the way is walked hop by hop, in all lanes at once, until each is there or cannot be.
     cost = jnp.where(_within(tables, jnp.broadcast_to(chosen.here, cell.shape), cell, left), cost, UNREACHABLE)
     possible, policy, level = cost < UNREACHABLE, tables.policy, read(tables.level, area)
+    asked = None
+    if tables.homes is not None:
+        left_to_go = moves_left(tables, lanes, chosen.lane, chosen.robot)
+        possible = possible & affords(tables, chosen.here, chosen.robot, cell, left_to_go)
+        asked = cost + further(tables, chosen.here, chosen.robot, cell)
     if policy is not None:
         left = jnp.maximum(left, 1)
         offer = Offer(level, cost, left, policy.entry[area], left if value is None else value, policy.beyond)
-        possible = possible & ~(policy.refuses & is_refused(offer, policy.cells, policy.theta, policy.scale))
+        dear = offer if asked is None else offer._replace(cost=asked)
+        possible = possible & ~(policy.refuses & is_refused(dear, policy.cells, policy.theta, policy.scale))
     number = jax.vmap(partial(get, lanes, lanes.ids, chosen.lane))(area)
     # Least by (level, cost, id): one key after the other thins out what is left.
     for key in (level, cost, number):
@@ -303,6 +311,8 @@ def _put_back(tables: LaneTables, lanes: Lanes, chosen: Chosen, deal: _Deal) -> 
         done = done & ~sharers
     at_rest = lanes.alive[:, at] & ~(traveling | covering)
     mode = jnp.where(shared, lanes.found_next(at), NEXT if deal.more is None else jnp.where(deal.more, LOST, NEXT))
+    if lanes.returning is not None:  # who has turned makes its first move home
+        mode = jnp.where(~shared & bits_at(lanes.returning[:, at], chosen.robot), ACT, mode)
     return replace(
         lanes,
         cells=put_rows(lanes, lanes.cells, lane, jnp.where(given, deal.words & ~jnp.uint32(OPEN), deal.words)),

@@ -31,7 +31,7 @@ from planner.kernels.state import State, first_room
 from planner.limits import MAX_STEP
 from planner.plans.state import ON_ITS_WAY, RobotState
 
-BOARDS = ("traveling", "covering", "alive", "hopeful", "done", "held")
+BOARDS = ("traveling", "covering", "alive", "hopeful", "done", "held", "returning")
 OWN = ("mode", "number", "rollout", "left")
 COPIED = tuple(one.name for one in fields(Lanes) if one.name not in (*OWN, "log"))
 """What a lane takes over from the snapshot that it begins as."""
@@ -78,13 +78,15 @@ def begun_values(tables: LaneTables, loop: ClosedLoop) -> HostArrays:
         "unvisited": np.int32(len(area) - marks[classical.COVERED]),
         "survived": np.int32(marks[classical.COVERED] - marks[classical.UNSURVIVED]),
         "made": np.int32(marks[classical.AREAS]),
-        **dict.fromkeys(("bisected", "divided", "outcome"), np.int32(0)),
+        **dict.fromkeys(("bisected", "divided"), np.int32(0)),
+        "outcome": np.int32(0 if tables.homes is None else marks[classical.OVER] - 1),
     }
-    acting = values["traveling"] | values["covering"] | values["held"] | (values["hopeful"] if is_open.any() else 0)
+    acting = values["traveling"] | values["covering"] | values["held"] | values["returning"]
+    acting |= values["hopeful"] if is_open.any() else 0
     first = np.flatnonzero(np.unpackbits(acting.view(np.uint8), bitorder="little"))
     # At t = 0 everybody acts; later the first who can.
     values["robot"] = np.int32(0 if loop.state is None else first[0] if len(first) else len(tables.starts))
-    without = {"moves_left": tables.range is None, "passes": tables.weights is None}
+    without = {"moves_left": tables.range is None, "passes": tables.weights is None, "returning": tables.homes is None}
     without |= dict.fromkeys(("looked", "held", "safe_left"), tables.policy is None)
     return {name: None if without.get(name) else value for name, value in values.items()}
 
@@ -98,15 +100,18 @@ def _of_robots(tables: LaneTables, loop: ClosedLoop, state: State, lowest: NDArr
         members = np.flatnonzero(areas_at(loop) == area[robot])
         target[robot] = members[tables.cost[cell[robot], members].argmin()]
     duty = np.where(has_area, lowest[np.where(has_area, area, 0)] | to_do << OWNER_SHIFT, tables.none)
-    on_its_way = has_area & (loop.state is not None)
+    returns = doing == classical.RETURNING
+    on_its_way = (has_area | returns) & (loop.state is not None)
     left = np.minimum(
         state.team[:, classical.UNTIL] - np.where(on_its_way, state.marks[classical.STEP] - 1, 0), MAX_STEP + 1
     )
-    lives = (doing != classical.DEAD) & (left > 0)
+    acts = np.unpackbits((state.movers | state.waiting).view(np.uint8), bitorder="little")[: len(doing)] > 0
+    lives = acts & ~returns & (left > 0)
     of = {
         "traveling": np.isin(doing, (classical.STARTING, classical.TRAVELING, classical.FOLLOWING)),
         "covering": doing == classical.COVERING,
-        "done": doing == classical.DONE,
+        "done": (doing == classical.DONE) | returns,
+        "returning": returns,
         "alive": lives,
         "hopeful": np.isin(doing, (classical.LANDING, classical.IDLE, classical.DONE)) & lives,
         "held": held != 0,

@@ -20,7 +20,7 @@ from mrac_jax.arrays import HostArrays, on_host
 from mrac_jax.caches import keep_jax_programs
 from mrac_jax.closed_loop.beginning import first_lanes, halted, lanes_of, lanes_off
 from mrac_jax.closed_loop.nominal import NO_HIT, nominal_of
-from mrac_jax.closed_loop.program import Pace, empty_log, no_sums, run
+from mrac_jax.closed_loop.program import Pace, columns_of, empty_log, no_sums, run
 from mrac_jax.closed_loop.state import (
     ALIVE_COLUMN,
     CELL_KINDS,
@@ -139,7 +139,8 @@ class JaxClosedLoop:
             done = list(pool.map(lambda stream: self._stream(stream, *parts[stream]), range(len(parts))))
         rows = np.concatenate([rows for _, rows in done])
         tally = tally_from(self.loop, self.seed, start, count, [counts for counts, _ in done])
-        return tally, results_from(start, rows[:, :COLUMNS], _whole(rows[:, COLUMNS:]))
+        own = columns_of(self._tables)
+        return tally, results_from(start, rows[:, :own], _whole(rows[:, own:]))
 
     @cached_property
     def _start(self) -> tuple[Lanes, NDArray[np.int32]]:
@@ -230,6 +231,8 @@ class JaxClosedLoop:
             kept = passes.reshape(-1, MOST_PASSES)[:accessible]
             kept[:, 0] += len(rows) * np.isin(loop.cells, known_cells(loop)[1])
             counts = counts._replace(passes=kept)
+        if loop.comes_home:
+            counts = counts._replace(home=histogram(COLUMNS, loop.robots + 1))
         return counts._replace(
             visits=cells.sum(axis=1),
             stops=of_kind(cells, STOPPED),

@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 
 from mrac_jax.closed_loop.boards import word_and_bit
+from mrac_jax.closed_loop.homeward import in_reach, moves_left
 from mrac_jax.closed_loop.offers import First, first_area, is_before, open_cells
 from mrac_jax.closed_loop.search import Chosen, choose
-from mrac_jax.closed_loop.state import END, JUDGE, Lanes, bits_of, high_half, low_half, spread, switch
+from mrac_jax.closed_loop.state import END, JUDGE, NEXT, Lanes, bits_of, high_half, low_half, read, spread, switch
 from mrac_jax.closed_loop.tables import UNREACHABLE, LaneTables
 from planner.none import NO_ROBOT
 from planner.tally import Outcome
@@ -53,7 +54,11 @@ def at_risk(tables: LaneTables, lanes: Lanes, at: jax.Array) -> jax.Array:
     word, bit = word_and_bit(robots)
     moves = (((lanes.traveling | lanes.covering)[:, at][word] & bit[:, None]) != 0).T  # [S, K]
     dangerous = (tables.cost[low_half(place), high_half(place)] >= policy.cells) | (tables.level[area] > 0)
-    return moves & dangerous
+    risky, homes = moves & dangerous, tables.homes
+    if homes is None or lanes.returning is None:
+        return risky
+    returns = ((lanes.returning[:, at][word] & bit[:, None]) != 0).T
+    return risky | (returns & (read(homes.cost, homes.of * homes.size + low_half(place)) >= policy.cells))
 
 
 def asking(tables: LaneTables, lanes: Lanes) -> jax.Array:
@@ -99,7 +104,9 @@ def _is_another_s(tables: LaneTables, lanes: Lanes, chosen: Chosen, mine: First,
         could = could if risky is None else could & ~risky[:, robot]
 
         def compare() -> jax.Array:
-            theirs = first_area(tables, lanes, chosen, place[:, robot], offered)
+            theirs = first_area(
+                tables, lanes, chosen, place[:, robot], offered, robot=jnp.full_like(chosen.robot, robot)
+            )
             return could & theirs.found & is_before(tables, theirs.candidate, mine.candidate)
 
         return before | jax.lax.cond(could.any(), compare, lambda: jnp.zeros_like(could))
@@ -120,13 +127,18 @@ def _judge(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     place, offered = low_half(lanes.place.reshape(batch, -1)[at]), open_cells(chosen.words)
 
     def also(robot: jax.Array, could: jax.Array) -> jax.Array:
-        reached = (offered & (tables.cost[place[:, robot]] < UNREACHABLE)).any(axis=1)
-        return could | (reached & bits_at(lanes.alive[:, at], jnp.full_like(chosen.robot, robot)))
+        who = jnp.full_like(chosen.robot, robot)
+        if tables.homes is None:
+            reached = (offered & (tables.cost[place[:, robot]] < UNREACHABLE)).any(axis=1)
+        else:
+            left = moves_left(tables, lanes, chosen.lane, who)
+            reached = in_reach(tables, place[:, robot], who, chosen.words, offered, left).any(axis=1)
+        return could | (reached & bits_at(lanes.alive[:, at], who))
 
     could = jax.lax.fori_loop(0, place.shape[1], also, jnp.zeros(len(at), dtype=jnp.bool_))
     outcome = jnp.where(could, jnp.int32(Outcome.CALLED_OFF), lanes.outcome[at])
     return replace(
         lanes,
         outcome=spread(lanes.outcome, chosen.slot, outcome),
-        mode=jnp.where(chosen.slot < width, END, lanes.mode),
+        mode=jnp.where(chosen.slot < width, END if tables.homes is None else NEXT, lanes.mode),
     )

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from mrac_jax.arrays import Array
+from mrac_jax.closed_loop.homeward import affords, further, moves_left, targets
 from mrac_jax.closed_loop.search import FAR, Chosen, entry, first_cell
 from mrac_jax.closed_loop.state import Lanes, low_half
 from mrac_jax.closed_loop.tables import OPEN, PENDING, UNREACHABLE, LaneTables
@@ -59,10 +60,12 @@ def first_area(
     here: jax.Array,
     offered: jax.Array,
     refusing: jax.Array | bool = True,
+    robot: jax.Array | None = None,
 ) -> First:
     """Of the areas of the unvisited cells offered, bool `[S, A]`, the first that a robot in `here` `[S]` can reach.
 
-    refusing: bool `[S]`, areas that cost more than a robot is worth are not among them.
+    refusing: bool `[S]`, areas that cost more than a robot is worth are not among them. robot: int32 `[S]`; None: those
+    whose turn it is.
     """
     policy, batch = tables.policy, lanes.mode.shape[0]
     assert policy is not None
@@ -84,14 +87,18 @@ def first_area(
         value=value,
         beyond=policy.beyond,
     )
+    asked, can = offer, least < UNREACHABLE
+    if tables.homes is not None:
+        who, target = (chosen.robot if robot is None else robot)[:, None], targets(cost, label)
+        left = moves_left(tables, lanes, chosen.lane, who[:, 0])[:, None]
+        can = can & affords(tables, here[:, None], who, target, left)
+        asked = offer._replace(cost=least + further(tables, here[:, None], who, target))
     refused = jax.lax.cond(
         policy.refuses,
-        lambda: is_refused(offer, policy.cells, policy.theta, policy.scale),
+        lambda: is_refused(asked, policy.cells, policy.theta, policy.scale),
         lambda: jnp.zeros_like(offered),
     )
-    number = jnp.where(
-        (least < UNREACHABLE) & ~(refused & jnp.asarray(refusing)[..., None]), lanes.ids.reshape(batch, -1)[at], FAR
-    )
+    number = jnp.where(can & ~(refused & jnp.asarray(refusing)[..., None]), lanes.ids.reshape(batch, -1)[at], FAR)
     best = _first_of(tables, offer, number)
     cell = first_cell((label == best.label[:, None]) & (cost == entry(least, best.label)[:, None]))
     return First(best, best.number != FAR, cell, entry(is_dangerous(offer, policy.cells), best.label))

@@ -93,7 +93,7 @@ def check_policy(loop: ClosedLoop) -> None:
         raise WorldError(
             f"the order of rule {policy.rule.name} cannot be traced by JAX", expected="arithmetic alone", fix=fix
         ) from error
-    longest = int(loop.tables.cost_to.max())
+    longest = int(loop.tables.cost_to.max()) * (1 + loop.comes_home)  # a way home may get dearer by as much
     sizes = np.bincount(loop.tables.level, weights=np.diff(loop.tables.begin), minlength=len(policy.entry))
     try:
         for level, (cells, entry) in enumerate(zip(sizes, policy.entry, strict=True)):

@@ -15,6 +15,7 @@ from mrac_jax.arrays import Array, HostArrays, on_host
 from mrac_jax.closed_loop import attentive, search
 from mrac_jax.closed_loop.areas import settle
 from mrac_jax.closed_loop.beginning import COPIED
+from mrac_jax.closed_loop.homeward import robots_home
 from mrac_jax.closed_loop.limits import judge
 from mrac_jax.closed_loop.state import (
     ACT,
@@ -125,6 +126,8 @@ def _results(tables: LaneTables, lanes: Lanes, results: jax.Array, lane: jax.Arr
         lanes.bisected[at],
         lanes.divided[at],
     )
+    if tables.homes is not None:
+        columns += (robots_home(tables, lanes, at),)
     if tables.weights is not None and lanes.passes is not None:
         columns += (*_worth(tables.weights, lanes, at),)
     # Lanes that were OFF are among the chosen too: they have no results yet.
@@ -158,6 +161,11 @@ def _begin(snapshots: Lanes, lanes: Lanes, lane: jax.Array, slot: jax.Array, whi
     return replace(lanes, **new)
 
 
+def columns_of(tables: LaneTables) -> int:
+    """Columns of the results that are not weights: where robots come home, those that are there are one."""
+    return COLUMNS + (tables.homes is not None)
+
+
 def no_sums(tables: LaneTables, steps: int, room: int) -> Sums:
     """Counts (NumPy) of no rollouts, with room for so many steps and results."""
     return on_host(
@@ -165,7 +173,7 @@ def no_sums(tables: LaneTables, steps: int, room: int) -> Sums:
         by_cell=np.zeros(tables.size * CELL_KINDS, dtype=np.int32),
         by_step=np.zeros(steps * STEP_KINDS, dtype=np.int32),
         passes=None if tables.weights is None else np.zeros(tables.size * MOST_PASSES, dtype=np.int32),
-        results=np.zeros((room, COLUMNS + (0 if tables.weights is None else 2 * PIECES)), dtype=np.int32),
+        results=np.zeros((room, columns_of(tables) + (0 if tables.weights is None else 2 * PIECES)), dtype=np.int32),
         next=np.int32(0),
         moves=np.int32(0),
     )

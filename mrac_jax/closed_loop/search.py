@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
+from mrac_jax.closed_loop.homeward import in_reach, moves_left
 from mrac_jax.closed_loop.state import (
     FIND_AREA,
     FIND_CELL,
@@ -99,6 +100,9 @@ def _find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     wanted = jnp.uint32(PENDING) | (entry(chosen.duty, robot) & LABEL)
     pending = (words & (PENDING | LABEL)) == wanted[:, None]
     fits = jnp.where(wants_cell[:, None], pending, (words & OPEN) != 0)
+    if tables.homes is not None:
+        left = moves_left(tables, lanes, lane, robot)
+        fits = jnp.where(wants_cell[:, None], fits, in_reach(tables, chosen.here, robot, words, fits, left))
     fits, found = _best(tables, chosen.here, fits)
     cell = _of_least_area(lanes, chosen, fits, ~wants_cell)
     label = low_half(entry(words, cell))

@@ -57,7 +57,7 @@ class Lanes:
         place: uint32 `[B * K]`, each robot's cell, and from bit 16 the cell that its current leg leads to.
         duty: uint32 `[B * K]`, each robot's area, and from bit 16 the pending cells of its coverage path.
         traveling, covering, alive: uint32 `[W, B]`, bits of the robots; at the end of its range one is not among those
-            alive, but done. done: those that found nothing more to do;
+            alive, but done; nor is one that has turned for home. done: those that found nothing more to do;
             hopeful: those without an area that have not yet looked for one since the last areas were made.
         waiting: int32 `[B]`, unassigned areas.
         rollout: uint32 `[B]`, its id; number: int32 `[B]`, its place among the results.
@@ -72,6 +72,8 @@ class Lanes:
         left: uint32 `[B * K * 2]`, what each robot still bears (`mrac_jax.two_words`).
         moves_left: int32 `[B * K]`, of robots with a range; None where nobody has one.
         passes: uint8 `[B * A]`, survived visits of each cell, MOST_PASSES for more; None where nobody asks.
+        returning: uint32 `[W, B]`, robots on their way home; None where they do not come home. Else `outcome` is NONE
+            until nothing more is to be done.
         log: what traces are made of, or None.
     """
 
@@ -106,6 +108,7 @@ class Lanes:
     left: Array
     moves_left: Array | None
     passes: Array | None
+    returning: Array | None
     log: Log | None
 
     @property

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 
 from mrac_jax.closed_loop.attentive import notice
 from mrac_jax.closed_loop.boards import word_and_bit
+from mrac_jax.closed_loop.homeward import end_at_home, has_to_turn
 from mrac_jax.closed_loop.limits import asking
 from mrac_jax.closed_loop.state import (
     ACT,
@@ -76,6 +77,8 @@ class _Move:
             come to the end of its range there, False where nobody has one. arrives: at its target, and may go on.
         follows: it is on a path of another planner, whether it moves or waits; ends: at its end, and not stopped.
             False where there are none.
+        turns: it turns for home, before it moves or at the end of its range; returns: and is not cut off; comes: it is
+            home. None where robots do not come home.
         noticed: a mode, int32, what it does before it moves (`attentive.notice`); None by
             the paper's rule.
     """
@@ -100,6 +103,9 @@ class _Move:
     arrives: jax.Array
     follows: jax.Array
     ends: jax.Array
+    turns: jax.Array | None
+    returns: jax.Array | None
+    comes: jax.Array | None
     noticed: jax.Array | None
 
 
@@ -109,7 +115,7 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums) -> tuple[Lanes, Sums]:
     new_survived = move.passed & ((move.word & SURVIVED) == 0)
     sums = _count(lanes, sums, move, new_survived)
     acting, never = lanes.mode == ACT, jnp.zeros_like(move.hit)
-    ends = move.hit | move.stays
+    ends = move.hit | move.stays if move.turns is None else move.hit | move.stays | move.turns
     lanes = replace(
         lanes,
         progress=lanes.progress | move.moves | move.follows,
@@ -127,6 +133,9 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums) -> tuple[Lanes, Sums]:
         made = (move.moves & (lanes.step > 0)).astype(jnp.int32)
         lanes = replace(lanes, moves_left=write(lanes.moves_left, move.slot, read(lanes.moves_left, move.slot) - made))
     area = jnp.where(ends & (left == 0), tables.none, move.area)
+    done = move.stays
+    if move.turns is not None:
+        done, lanes = done | move.turns, _set_out(lanes, move)
     return replace(
         lanes,
         place=write(lanes.place, move.slot, place),
@@ -136,9 +145,16 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums) -> tuple[Lanes, Sums]:
         covering=switch(lanes.covering, move.bit, move.arrives, ends),
         alive=switch(lanes.alive, move.bit, never, ends),
         hopeful=switch(lanes.hopeful, move.bit, never, ends),
-        done=switch(lanes.done, move.bit, move.stays, move.hit),
+        done=switch(lanes.done, move.bit, done, move.hit),
         mode=jnp.where(acting, mode, lanes.mode),
     ), sums
+
+
+def _set_out(lanes: Lanes, move: _Move) -> Lanes:
+    """Who turns is on its way home from here on, unless it is cut off; who is there, or can no more, is not."""
+    assert lanes.returning is not None and move.returns is not None and move.comes is not None
+    off = move.hit | move.comes | move.stays
+    return replace(lanes, returning=switch(lanes.returning, move.bit, move.returns, off))
 
 
 def _move(tables: LaneTables, lanes: Lanes) -> _Move:
@@ -165,6 +181,13 @@ def _move(tables: LaneTables, lanes: Lanes) -> _Move:
         going = acts & (traveling | covering)
         noticed = notice(tables, lanes, going, traveling, low_half(duty), target, ahead)
         moves = moves & (noticed == ACT)
+    homes, robot = tables.homes, jnp.minimum(lanes.robot, team - 1)
+    homing, turns, returns, comes = jnp.zeros_like(acts), None, None, None
+    if homes is not None and lanes.returning is not None:
+        homing, home = acts & any_bit(lanes.returning & bit), homes.of[robot] * homes.size
+        turns = moves & ~first & has_to_turn(tables, lanes, slot, robot, place)
+        ahead = jnp.where(homing, read(homes.onward, home + here).astype(jnp.int32), ahead)
+        moves = (moves & ~turns) | (homing & (ahead != here))
     # Lanes without a move enter the wall, which is visited and adds nothing: no branch, and nothing to mask afterwards.
     cell = jnp.where(moves, jnp.where(first, here, ahead), tables.none)
     word = read(lanes.cells, lane_rows(lanes.cells, batch) + cell)
@@ -181,13 +204,18 @@ def _move(tables: LaneTables, lanes: Lanes) -> _Move:
     stays = jnp.zeros_like(hit)
     if lanes.moves_left is not None:
         stays = moves & ~first & ~hit & (read(lanes.moves_left, slot) == 1)
+    if homes is not None and turns is not None:
+        there = read(homes.steps, home + jnp.where(moves, cell, here)) == 0
+        comes, turns = homing & ~hit & there, turns | (stays & ~homing & there)
+        returns, stays = turns & (read(homes.steps, home + here) >= 0), stays & ~there
     # Who is on a given path has no target: its end is a step, not a cell.
     arrives = moves & ~hit & ~stays & ~follows & (cell == target) & (traveling | covering)
     return _Move(
         acts=acts, moves=moves, slot=slot, bit=bit, traveling=traveling, covering=covering, place=place, duty=duty,
         area=low_half(duty), cell=cell, word=word, fresh=fresh, bears=bears,
         left=less(left, exposure), hit=hit, passed=moves & ~hit, stays=stays,
-        arrives=arrives, follows=follows, ends=ends & ~hit, noticed=noticed,
+        arrives=arrives, follows=follows, ends=ends & ~hit, turns=turns, returns=returns, comes=comes,
+        noticed=noticed,
     )  # fmt: skip
 
 
@@ -218,6 +246,12 @@ def _mark(tables: LaneTables, lanes: Lanes, move: _Move) -> Lanes:
         lanes = write_down(lanes, move.hit, lanes.robot, EventKind.HIT, mine, move.cell)
         if lanes.moves_left is not None:
             lanes = write_down(lanes, move.stays, lanes.robot, EventKind.RANGE_ENDED, mine, move.cell)
+        if tables.homes is not None and move.turns is not None and move.comes is not None:
+            home = tables.homes.of[jnp.minimum(lanes.robot, len(tables.starts) - 1)] * tables.homes.size
+            base = read(tables.homes.base, home + jnp.where(move.moves, move.cell, low_half(move.place)))
+            lanes = write_down(lanes, move.turns, lanes.robot, EventKind.TURNED_HOME, mine, base.astype(jnp.int32))
+            nothing = jnp.full_like(mine, NO_AREA)
+            lanes = write_down(lanes, move.comes, lanes.robot, EventKind.HOME, nothing, base.astype(jnp.int32))
     return replace(
         lanes,
         cells=write(lanes.cells, row + move.cell, jnp.where(move.moves, after, move.word)),
@@ -240,7 +274,12 @@ def _what_next(tables: LaneTables, lanes: Lanes, move: _Move) -> tuple[jax.Array
     # An adjacent cell costs one entry of the level, and nothing costs less: no search.
     leg = goes_on & (adjacent != tables.none)
     mode = jnp.where(move.acts & ~move.moves & ~move.follows, FIND_AREA, NEXT)
-    mode = jnp.where((move.hit & move.follows) | ((move.hit | move.stays) & (left > 0)), LOST, mode)
+    leaves = move.hit | move.stays
+    if move.turns is not None and move.returns is not None and move.comes is not None:
+        # Who turns makes its first move home, or says that it is there, when what it leaves is somebody else's.
+        mode = jnp.where(move.returns, ACT, jnp.where(move.turns | move.comes, NEXT, mode))
+        leaves = leaves | move.turns
+    mode = jnp.where((move.hit & move.follows) | (leaves & (left > 0)), LOST, mode)
     mode = jnp.where(ends, jnp.where(lanes.waiting > 0, FIND_OR_SHARE, SHARE), mode)
     mode = jnp.where(goes_on & ~leg, FIND_CELL, mode)
     if move.noticed is not None:
@@ -334,9 +373,7 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
         lanes = give_up(lanes, (lanes.mode == SHARE) & nobody_else, tables.none)
     turns = lanes.mode == NEXT
     movers = lanes.traveling | lanes.covering
-    actors = movers | jnp.where(lanes.waiting > 0, lanes.hopeful, jnp.uint32(0))
-    if lanes.held is not None:
-        actors = actors | asking(tables, lanes)
+    actors = _actors(tables, lanes)
     now = jnp.where(lanes.step == 0, tables.robots[:, None], actors) & bits_above(lanes.robot, words)
     later = first_bit(now, team)
     # The step ends when no robot after this one acts in it.
@@ -346,11 +383,14 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
     outcome = jnp.where(quiet >= 2, jnp.int32(Outcome.STUCK), outcome)
     outcome = jnp.where(any_bit(lanes.unharmed), outcome, jnp.int32(Outcome.STOPPED))
     outcome = jnp.where(lanes.unvisited == 0, jnp.int32(Outcome.COMPLETE), outcome)
+    if tables.homes is not None:
+        lanes, ends, outcome = end_at_home(tables, lanes, ends, outcome)
+        turns, actors = turns & (lanes.mode == NEXT), _actors(tables, lanes)
     over = ends & (outcome >= 0)
     lanes = keep_step(tables, lanes, ends)
     halts = ends & (lanes.step + 1 == lanes.halt)
     # Only by `worth` can a stuck run be one that was called off; that takes a look at all cells.
-    done = END if tables.policy is None else jnp.where(outcome == Outcome.STUCK, JUDGE, END)
+    done = END if tables.policy is None or tables.homes is not None else jnp.where(outcome == Outcome.STUCK, JUDGE, END)
     return replace(
         lanes,
         mode=jnp.where(over, done, jnp.where(halts, OFF, jnp.where(turns, ACT, lanes.mode))),
@@ -361,6 +401,17 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
         outcome=jnp.where(over, outcome, lanes.outcome),
         looked=None if lanes.looked is None else lanes.looked & ~turns,
     )
+
+
+def _actors(tables: LaneTables, lanes: Lanes) -> jax.Array:
+    """The robots that act, uint32 `[W, B]`."""
+    movers, hopeful = lanes.traveling | lanes.covering, lanes.hopeful
+    if lanes.returning is not None and lanes.held is not None:  # what can be afforded changes with an area's target
+        hopeful = lanes.alive & ~movers
+    actors = movers | jnp.where(lanes.waiting > 0, hopeful, jnp.uint32(0))
+    if lanes.held is not None:
+        actors = actors | asking(tables, lanes)
+    return actors if lanes.returning is None else actors | lanes.returning
 
 
 def keep_step(tables: LaneTables, lanes: Lanes, ends: jax.Array) -> Lanes:
@@ -383,6 +434,8 @@ def keep_step(tables: LaneTables, lanes: Lanes, ends: jax.Array) -> Lanes:
             has(lanes.traveling) & (lanes.step[:, None] < tables.paths[2]), jnp.int32(Doing.FOLLOWING), doing
         )
     doing = jnp.where(has(lanes.covering), jnp.int32(Doing.COVERING), doing)
+    if lanes.returning is not None:
+        doing = jnp.where(has(lanes.returning), jnp.int32(Doing.RETURNING), doing)
     doing = jnp.where(has(lanes.unharmed), doing, jnp.int32(Doing.DEAD))
     label = low_half(lanes.duty.reshape(batch, team))
     area = jnp.take_along_axis(lanes.ids.reshape(batch, -1), label, axis=1)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrac_jax.arrays import Array, on_host, padded
+from mrac_jax.closed_loop.homes import Homes, lane_homes
 from mrac_jax.closed_loop.policies import LanePolicy, check_policy, lane_policy
 from mrac_jax.doubt import Doubt, make_doubt
 from mrac_jax.two_words import two_words
@@ -74,7 +75,8 @@ class LaneTables:
             in a rollout where the map is in doubt, else None.
         level: int32 `[A]`, level of each cell's area.
         starts: int32 `[K]`.
-        range: int32 `[K]`, moves that each can make; None: any number.
+        range: int32 `[K]`, moves that each can make; None: any number. homes: of robots that come home; None: they do
+            not, else there is a range.
         paths: of another planner, followed first: their cells, uint16, robot after robot; where each robot's begins,
             and its last step, int32 `[K]` each; None: there are none.
         robots: uint32 `[W]`, bits of the robots.
@@ -96,6 +98,7 @@ class LaneTables:
     level: Array
     starts: Array
     range: Array | None
+    homes: Homes | None
     paths: tuple[Array, Array, Array] | None
     robots: Array
     spot: Array
@@ -146,8 +149,6 @@ def check_supported(loop: ClosedLoop) -> None:
     if loop.stay_inside:
         what = f"{argument('engine', 'jax')} with {argument('transit', 'area')}"
         raise UsageError(what, expected=argument("transit", "grid"), fix=fix)
-    if loop.comes_home:
-        raise UsageError(f"{argument('engine', 'jax')} with {argument('return_to')}, in the closed loop", fix=fix)
     if len(loop.tables.phases):
         raise WorldError("threats that change with time, in the closed loop in JAX", fix=fix)
     if loop.is_mixed:
@@ -193,6 +194,7 @@ def lane_tables(loop: ClosedLoop, seed: int, least: tuple[int, int] = (1, 1)) ->
     sweep[:count] = np.where(tables.sweep == count, none, tables.sweep)
     level = tables.level[areas_at(loop)]
     cost, hop = _squares(loop, size)
+    limited = loop.comes_home or bool((tables.range < NO_LIMIT).any())
     return on_host(
         LaneTables,
         hop=hop.reshape(-1),
@@ -203,7 +205,8 @@ def lane_tables(loop: ClosedLoop, seed: int, least: tuple[int, int] = (1, 1)) ->
         doubt=make_doubt(tables, own_key(seed, loop.purpose), len(tables.spent) > 0, size) if loop.in_doubt else None,
         level=padded(level, size, 0),
         starts=padded(tables.starts, robots, none),
-        range=padded(np.minimum(tables.range, MAX_STEP + 1), robots, 0) if (tables.range < NO_LIMIT).any() else None,
+        range=padded(np.minimum(tables.range, MAX_STEP + 1), robots, 0) if limited else None,
+        homes=lane_homes(loop, size, robots, (1, *ROBOT_BUCKETS)),
         paths=_paths(loop, robots) if len(tables.given) else None,
         robots=bits_of_robots(np.arange(team), robots),
         spot=padded(places, size, board - 1),
