@@ -22,7 +22,6 @@ from mrac_jax.closed_loop.state import (
     FIND_FAR,
     FIND_OR_SHARE,
     LOOK_AGAIN,
-    NEXT,
     RETARGET,
     SHARE,
     Lanes,
@@ -93,7 +92,7 @@ def _find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     mine = low_half(words) == own[:, None]
     unvisited = mine & ((words & PENDING) != 0)
     offered = (unvisited & (looks | stays)[:, None]) | (open_cells(words) & ~stays[:, None])
-    first = first_area(tables, lanes, chosen, chosen.here, offered, ~stays)
+    first = first_area(tables, lanes, chosen, chosen.here, offered, ~stays, limited=~stays)
     label, held = first.candidate.label, bits_at(lanes.held[:, at], robot)
     breaks_off = tables.policy is not None and tables.policy.breaks_off
     waits = has_to_wait(tables, lanes, chosen, first, ~stays if breaks_off else ~(stays | looks))
@@ -114,7 +113,7 @@ def _find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
         cells=put_rows(lanes, lanes.cells, lane, jnp.where(shut, words & ~jnp.uint32(OPEN), words)),
         place=put(lanes, lanes.place, lane, robot, pack(chosen.here, first.cell), found & ~keeps_goal),
         held=hold(lanes, chosen, waits, takes),
-        mode=spread(lanes.mode, chosen.slot, jnp.where(found, after, jnp.where(rests, NEXT, SHARE))),
+        mode=spread(lanes.mode, chosen.slot, jnp.where(found, after, jnp.where(rests, lanes.rests, SHARE))),
     )
     return take_area(lanes, chosen, first.cell, label, takes, ~first.found)
 

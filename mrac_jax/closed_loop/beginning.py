@@ -87,6 +87,7 @@ def begun_values(tables: LaneTables, loop: ClosedLoop) -> HostArrays:
     # At t = 0 everybody acts; later the first who can.
     values["robot"] = np.int32(0 if loop.state is None else first[0] if len(first) else len(tables.starts))
     without = {"moves_left": tables.range is None, "passes": tables.weights is None, "returning": tables.homes is None}
+    without |= {"ready": tables.homes is None or tables.homes.recharge is None}
     without |= dict.fromkeys(("looked", "held", "safe_left"), tables.policy is None)
     return {name: None if without.get(name) else value for name, value in values.items()}
 
@@ -121,6 +122,7 @@ def _of_robots(tables: LaneTables, loop: ClosedLoop, state: State, lowest: NDArr
         "place": padded(cell | target << OWNER_SHIFT, team, tables.none, np.uint32),
         "duty": padded(duty, team, tables.none, np.uint32),
         "moves_left": padded(left, team),
+        "ready": np.zeros(team, dtype=np.int32),
         **{name: bits_of_robots(np.flatnonzero(which), team) for name, which in of.items()},
     }
 

@@ -65,6 +65,8 @@ def asking(tables: LaneTables, lanes: Lanes) -> jax.Array:
     """Those held who ask again, uint32 `[W, B]`: nobody where the team is full and nothing safe is left to do."""
     assert tables.policy is not None and lanes.held is not None and lanes.safe_left is not None
     held, nothing = lanes.held, lanes.safe_left == 0
+    if lanes.ready is not None:  # who is held may be charged
+        return held
 
     def some() -> jax.Array:
         every = jnp.arange(len(nothing), dtype=jnp.int32)

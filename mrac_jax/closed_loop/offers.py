@@ -61,11 +61,12 @@ def first_area(
     offered: jax.Array,
     refusing: jax.Array | bool = True,
     robot: jax.Array | None = None,
+    limited: jax.Array | bool = True,
 ) -> First:
     """Of the areas of the unvisited cells offered, bool `[S, A]`, the first that a robot in `here` `[S]` can reach.
 
     refusing: bool `[S]`, areas that cost more than a robot is worth are not among them. robot: int32 `[S]`; None: those
-    whose turn it is.
+    whose turn it is. limited: bool `[S]`, nor are areas that they cannot afford.
     """
     policy, batch = tables.policy, lanes.mode.shape[0]
     assert policy is not None
@@ -91,7 +92,7 @@ def first_area(
     if tables.homes is not None:
         who, target = (chosen.robot if robot is None else robot)[:, None], targets(cost, label)
         left = moves_left(tables, lanes, chosen.lane, who[:, 0])[:, None]
-        can = can & affords(tables, here[:, None], who, target, left)
+        can = can & (affords(tables, here[:, None], who, target, left) | ~jnp.asarray(limited)[..., None])
         asked = offer._replace(cost=least + further(tables, here[:, None], who, target))
     refused = jax.lax.cond(
         policy.refuses,

@@ -17,6 +17,7 @@ from mrac_jax.closed_loop.areas import settle
 from mrac_jax.closed_loop.beginning import COPIED
 from mrac_jax.closed_loop.homeward import robots_home
 from mrac_jax.closed_loop.limits import judge
+from mrac_jax.closed_loop.returning import charge
 from mrac_jax.closed_loop.state import (
     ACT,
     CELL_KINDS,
@@ -80,6 +81,7 @@ def run(tables: LaneTables, snapshots: Lanes, lanes: Lanes, sums: Sums, queue: Q
             0, pace.micro_steps, lambda _, now: micro_step(tables, now[0], now[1], pace.look), (lanes, sums)
         )
         lanes = settle(tables, find(tables, lanes, pace.find), pace.settle)
+        lanes = charge(tables, lanes, pace.settle)
         return lanes if tables.policy is None else judge(tables, lanes, pace.settle), sums
 
     return jax.lax.while_loop(goes_on, round_, (lanes, sums))

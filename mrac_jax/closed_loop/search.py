@@ -111,7 +111,7 @@ def _find(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     takes, again = found & ~wants_cell & ~stale, found & ~wants_cell & stale
     # From here on no other lane state tells that the area is taken: its cells must say so.
     shut = (found & ~wants_cell)[:, None] & (low_half(words) == label[:, None])
-    after = jnp.where(found, NEXT, jnp.where(mode == FIND_OR_SHARE, SHARE, NEXT))
+    after = jnp.where(found, NEXT, jnp.where(mode == FIND_OR_SHARE, SHARE, lanes.rests))
     lanes = replace(
         lanes,
         cells=put_rows(lanes, lanes.cells, lane, jnp.where(shut, words & ~jnp.uint32(OPEN), words)),

@@ -20,8 +20,9 @@ OFF, ACT, NEXT, FIND_CELL, FIND_FAR, FIND_AREA, FIND_OR_SHARE, LOST, SHARE, END 
 """What a lane does next: nothing (no rollout left); its robot acts; the next robot's turn; search the next cell of a
 coverage path (among the nearest; among all; inside its area); search an area (else stay; else share); split the area of
 a lost robot; share; hand over its results."""
-RETARGET, LOOK_AGAIN, JUDGE = range(END + 1, END + 4)
-"""By other rules than the paper's: search the next target in the area; a better area; was the run called off?"""
+RETARGET, LOOK_AGAIN, JUDGE, CHARGE = range(END + 1, END + 5)
+"""By other rules than the paper's: search the next target in the area; a better area; was the run called off?
+Where robots are charged: is there something for a robot without an area, once it is?"""
 NEW_VISITED, NEW_SURVIVED, STOPPED, CELL_KINDS, STEP_KINDS = 1, 2, 4, 8, 4
 """Bits of a visit's kind: visits are counted by (cell, kind) and (step, kind)."""
 VISITED_COLUMN, SURVIVED_COLUMN, TIME_COLUMN, ALIVE_COLUMN, OUTCOME_COLUMN, BISECTED_COLUMN, DIVIDED_COLUMN, COLUMNS = (
@@ -73,7 +74,8 @@ class Lanes:
         moves_left: int32 `[B * K]`, of robots with a range; None where nobody has one.
         passes: uint8 `[B * A]`, survived visits of each cell, MOST_PASSES for more; None where nobody asks.
         returning: uint32 `[W, B]`, robots on their way home; None where they do not come home. Else `outcome` is NONE
-            until nothing more is to be done.
+            until nothing more is to be done. ready: int32 `[B * K]`, of robots that are charged the step in which they
+            have their range again, before they are at their base 2**31 - 1, else 0; None where nobody is.
         log: what traces are made of, or None.
     """
 
@@ -109,12 +111,18 @@ class Lanes:
     moves_left: Array | None
     passes: Array | None
     returning: Array | None
+    ready: Array | None
     log: Log | None
 
     @property
     def unharmed(self) -> Array:
         """uint32 `[W, B]`: the robots that were not stopped, whether they can still move or not."""
         return self.alive if self.moves_left is None else self.alive | self.done
+
+    @property
+    def rests(self) -> int:
+        """What lanes do whose robots have found nothing to do."""
+        return NEXT if self.ready is None else CHARGE
 
     def found_next(self, lanes: Array | slice = slice(None)) -> Array | int:
         """What these lanes do when their robots have found where to go."""

@@ -13,8 +13,9 @@ import jax.numpy as jnp
 
 from mrac_jax.closed_loop.attentive import notice
 from mrac_jax.closed_loop.boards import word_and_bit
-from mrac_jax.closed_loop.homeward import end_at_home, has_to_turn
 from mrac_jax.closed_loop.limits import asking
+from mrac_jax.closed_loop.returning import Homing, after_move, before_move, end_at_home, follow_up, tell
+from mrac_jax.closed_loop.search import FAR
 from mrac_jax.closed_loop.state import (
     ACT,
     CELL_KINDS,
@@ -77,8 +78,7 @@ class _Move:
             come to the end of its range there, False where nobody has one. arrives: at its target, and may go on.
         follows: it is on a path of another planner, whether it moves or waits; ends: at its end, and not stopped.
             False where there are none.
-        turns: it turns for home, before it moves or at the end of its range; returns: and is not cut off; comes: it is
-            home. None where robots do not come home.
+        home: what it does about its way home; None where robots do not come home.
         noticed: a mode, int32, what it does before it moves (`attentive.notice`); None by
             the paper's rule.
     """
@@ -103,9 +103,7 @@ class _Move:
     arrives: jax.Array
     follows: jax.Array
     ends: jax.Array
-    turns: jax.Array | None
-    returns: jax.Array | None
-    comes: jax.Array | None
+    home: Homing | None
     noticed: jax.Array | None
 
 
@@ -115,7 +113,7 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums) -> tuple[Lanes, Sums]:
     new_survived = move.passed & ((move.word & SURVIVED) == 0)
     sums = _count(lanes, sums, move, new_survived)
     acting, never = lanes.mode == ACT, jnp.zeros_like(move.hit)
-    ends = move.hit | move.stays if move.turns is None else move.hit | move.stays | move.turns
+    ends = move.hit | move.stays if move.home is None else move.hit | move.stays | move.home.turns
     lanes = replace(
         lanes,
         progress=lanes.progress | move.moves | move.follows,
@@ -133,10 +131,7 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums) -> tuple[Lanes, Sums]:
         made = (move.moves & (lanes.step > 0)).astype(jnp.int32)
         lanes = replace(lanes, moves_left=write(lanes.moves_left, move.slot, read(lanes.moves_left, move.slot) - made))
     area = jnp.where(ends & (left == 0), tables.none, move.area)
-    done = move.stays
-    if move.turns is not None:
-        done, lanes = done | move.turns, _set_out(lanes, move)
-    return replace(
+    lanes = replace(
         lanes,
         place=write(lanes.place, move.slot, place),
         left=write(lanes.left, move.bears, move.left),
@@ -145,16 +140,13 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums) -> tuple[Lanes, Sums]:
         covering=switch(lanes.covering, move.bit, move.arrives, ends),
         alive=switch(lanes.alive, move.bit, never, ends),
         hopeful=switch(lanes.hopeful, move.bit, never, ends),
-        done=switch(lanes.done, move.bit, done, move.hit),
+        done=switch(lanes.done, move.bit, ends & ~move.hit, move.hit),
         mode=jnp.where(acting, mode, lanes.mode),
-    ), sums
-
-
-def _set_out(lanes: Lanes, move: _Move) -> Lanes:
-    """Who turns is on its way home from here on, unless it is cut off; who is there, or can no more, is not."""
-    assert lanes.returning is not None and move.returns is not None and move.comes is not None
-    off = move.hit | move.comes | move.stays
-    return replace(lanes, returning=switch(lanes.returning, move.bit, move.returns, off))
+    )
+    if move.home is not None:
+        robot = jnp.minimum(lanes.robot, len(tables.starts) - 1)
+        lanes = follow_up(tables, lanes, move.home, move.slot, robot, move.bit, move.hit | move.stays)
+    return lanes, sums
 
 
 def _move(tables: LaneTables, lanes: Lanes) -> _Move:
@@ -181,13 +173,11 @@ def _move(tables: LaneTables, lanes: Lanes) -> _Move:
         going = acts & (traveling | covering)
         noticed = notice(tables, lanes, going, traveling, low_half(duty), target, ahead)
         moves = moves & (noticed == ACT)
-    homes, robot = tables.homes, jnp.minimum(lanes.robot, team - 1)
-    homing, turns, returns, comes = jnp.zeros_like(acts), None, None, None
-    if homes is not None and lanes.returning is not None:
-        homing, home = acts & any_bit(lanes.returning & bit), homes.of[robot] * homes.size
-        turns = moves & ~first & has_to_turn(tables, lanes, slot, robot, place)
-        ahead = jnp.where(homing, read(homes.onward, home + here).astype(jnp.int32), ahead)
-        moves = (moves & ~turns) | (homing & (ahead != here))
+    home, robot = None, jnp.minimum(lanes.robot, team - 1)
+    if lanes.returning is not None:
+        returns = acts & any_bit(lanes.returning & bit)
+        home, onward, goes = before_move(tables, lanes, slot, robot, returns, moves)
+        ahead, moves = jnp.where(returns, onward, ahead), (moves & ~home.turns) | goes
     # Lanes without a move enter the wall, which is visited and adds nothing: no branch, and nothing to mask afterwards.
     cell = jnp.where(moves, jnp.where(first, here, ahead), tables.none)
     word = read(lanes.cells, lane_rows(lanes.cells, batch) + cell)
@@ -204,18 +194,15 @@ def _move(tables: LaneTables, lanes: Lanes) -> _Move:
     stays = jnp.zeros_like(hit)
     if lanes.moves_left is not None:
         stays = moves & ~first & ~hit & (read(lanes.moves_left, slot) == 1)
-    if homes is not None and turns is not None:
-        there = read(homes.steps, home + jnp.where(moves, cell, here)) == 0
-        comes, turns = homing & ~hit & there, turns | (stays & ~homing & there)
-        returns, stays = turns & (read(homes.steps, home + here) >= 0), stays & ~there
+    if home is not None:
+        home, stays = after_move(tables, home, robot, jnp.where(moves, cell, here), hit, stays)
     # Who is on a given path has no target: its end is a step, not a cell.
     arrives = moves & ~hit & ~stays & ~follows & (cell == target) & (traveling | covering)
     return _Move(
         acts=acts, moves=moves, slot=slot, bit=bit, traveling=traveling, covering=covering, place=place, duty=duty,
         area=low_half(duty), cell=cell, word=word, fresh=fresh, bears=bears,
         left=less(left, exposure), hit=hit, passed=moves & ~hit, stays=stays,
-        arrives=arrives, follows=follows, ends=ends & ~hit, turns=turns, returns=returns, comes=comes,
-        noticed=noticed,
+        arrives=arrives, follows=follows, ends=ends & ~hit, home=home, noticed=noticed,
     )  # fmt: skip
 
 
@@ -246,12 +233,8 @@ def _mark(tables: LaneTables, lanes: Lanes, move: _Move) -> Lanes:
         lanes = write_down(lanes, move.hit, lanes.robot, EventKind.HIT, mine, move.cell)
         if lanes.moves_left is not None:
             lanes = write_down(lanes, move.stays, lanes.robot, EventKind.RANGE_ENDED, mine, move.cell)
-        if tables.homes is not None and move.turns is not None and move.comes is not None:
-            home = tables.homes.of[jnp.minimum(lanes.robot, len(tables.starts) - 1)] * tables.homes.size
-            base = read(tables.homes.base, home + jnp.where(move.moves, move.cell, low_half(move.place)))
-            lanes = write_down(lanes, move.turns, lanes.robot, EventKind.TURNED_HOME, mine, base.astype(jnp.int32))
-            nothing = jnp.full_like(mine, NO_AREA)
-            lanes = write_down(lanes, move.comes, lanes.robot, EventKind.HOME, nothing, base.astype(jnp.int32))
+        if move.home is not None:
+            lanes = tell(tables, lanes, move.home, mine)
     return replace(
         lanes,
         cells=write(lanes.cells, row + move.cell, jnp.where(move.moves, after, move.word)),
@@ -275,18 +258,18 @@ def _what_next(tables: LaneTables, lanes: Lanes, move: _Move) -> tuple[jax.Array
     leg = goes_on & (adjacent != tables.none)
     mode = jnp.where(move.acts & ~move.moves & ~move.follows, FIND_AREA, NEXT)
     leaves = move.hit | move.stays
-    if move.turns is not None and move.returns is not None and move.comes is not None:
+    on = jnp.where(lanes.waiting > 0, FIND_OR_SHARE, SHARE)
+    if (home := move.home) is not None:
         # Who turns makes its first move home, or says that it is there, when what it leaves is somebody else's.
-        mode = jnp.where(move.returns, ACT, jnp.where(move.turns | move.comes, NEXT, mode))
-        leaves = leaves | move.turns
+        mode = jnp.where(home.bound, ACT, jnp.where(home.turns | home.returns, NEXT, mode))
+        mode, leaves = jnp.where(home.full, on, mode), leaves | home.turns
     mode = jnp.where((move.hit & move.follows) | (leaves & (left > 0)), LOST, mode)
-    mode = jnp.where(ends, jnp.where(lanes.waiting > 0, FIND_OR_SHARE, SHARE), mode)
+    mode = jnp.where(ends, on, mode)
     mode = jnp.where(goes_on & ~leg, FIND_CELL, mode)
     if move.noticed is not None:
         mode = jnp.where(move.noticed != ACT, move.noticed, mode)
         starts = move.passed & move.traveling & ~move.arrives & (lanes.step == 0)
         gone = (read(lanes.cells, row + high_half(move.place)) & VISITED) != 0
-        on = jnp.where(lanes.waiting > 0, FIND_OR_SHARE, SHARE)
         mode = jnp.where(starts & gone, jnp.where(left > 0, RETARGET, on), mode)
     return mode, jnp.where(leg, adjacent, high_half(move.place)), pending, left
 
@@ -369,7 +352,7 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
     movers = lanes.traveling | lanes.covering
     # With nobody else on the move there is nothing to share: most runs end so, and need no search for it.
     nobody_else = ~any_bit(movers & ~bits_of(lanes.robot, words))
-    if tables.policy is None or lanes.log is None:  # else it is said what is refused
+    if lanes.ready is None and (tables.policy is None or lanes.log is None):  # else more is to be said or done
         lanes = give_up(lanes, (lanes.mode == SHARE) & nobody_else, tables.none)
     turns = lanes.mode == NEXT
     movers = lanes.traveling | lanes.covering
@@ -436,6 +419,9 @@ def keep_step(tables: LaneTables, lanes: Lanes, ends: jax.Array) -> Lanes:
     doing = jnp.where(has(lanes.covering), jnp.int32(Doing.COVERING), doing)
     if lanes.returning is not None:
         doing = jnp.where(has(lanes.returning), jnp.int32(Doing.RETURNING), doing)
+    if lanes.ready is not None and lanes.returning is not None:
+        ready = lanes.ready.reshape(batch, team)
+        doing = jnp.where(has(lanes.returning) & (ready > 0) & (ready < FAR), jnp.int32(Doing.CHARGING), doing)
     doing = jnp.where(has(lanes.unharmed), doing, jnp.int32(Doing.DEAD))
     label = low_half(lanes.duty.reshape(batch, team))
     area = jnp.take_along_axis(lanes.ids.reshape(batch, -1), label, axis=1)
