@@ -194,10 +194,10 @@ def _move(tables: LaneTables, lanes: Lanes) -> _Move:
     stays = jnp.zeros_like(hit)
     if lanes.moves_left is not None:
         stays = moves & ~first & ~hit & (read(lanes.moves_left, slot) == 1)
-    if home is not None:
-        home, stays = after_move(tables, home, robot, jnp.where(moves, cell, here), hit, stays)
     # Who is on a given path has no target: its end is a step, not a cell.
     arrives = moves & ~hit & ~stays & ~follows & (cell == target) & (traveling | covering)
+    if home is not None:
+        home, stays = after_move(tables, home, robot, jnp.where(moves, cell, here), hit, stays)
     return _Move(
         acts=acts, moves=moves, slot=slot, bit=bit, traveling=traveling, covering=covering, place=place, duty=duty,
         area=low_half(duty), cell=cell, word=word, fresh=fresh, bears=bears,
