@@ -29,7 +29,6 @@ from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
 from planner.plans.state_file import parse_state
-from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
 from planner.tally import Outcome
 from planner.trace import Doing, EventKind, Trace
@@ -263,13 +262,8 @@ def test_what_cannot_come_home_is_refused(more: dict[str, Any], said: str | None
 
 def test_what_does_not_know_the_way_home_says_so() -> None:
     world, starts = drawn(1)
-    plan = make_plan(world, starts, Settings(return_to="home"))
-    for call in (
-        lambda: make_engine(plan, world, Rolling(), "jax"),
-        lambda: plan_team(world, starts, Settings(return_to="home", plan_for="open")),
-    ):
-        with pytest.raises(InputError, match="return_to"):
-            call()
+    with pytest.raises(InputError, match="return_to"):
+        plan_team(world, starts, Settings(return_to="home", plan_for="open"))
 
 
 def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped() -> None:

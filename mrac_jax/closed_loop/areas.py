@@ -311,7 +311,8 @@ def _put_back(tables: LaneTables, lanes: Lanes, chosen: Chosen, deal: _Deal) -> 
         done = done & ~sharers
     at_rest = lanes.alive[:, at] & ~(traveling | covering)
     mode = jnp.where(shared, lanes.found_next(at), NEXT if deal.more is None else jnp.where(deal.more, LOST, NEXT))
-    mode = jnp.where(chosen.shares & ~shared, lanes.rests, mode)
+    if lanes.ready is not None:
+        mode = jnp.where(chosen.shares & ~shared, lanes.rests, mode)
     if lanes.returning is not None:  # who has turned makes its first move home
         mode = jnp.where(~shared & bits_at(lanes.returning[:, at], chosen.robot), ACT, mode)
     return replace(

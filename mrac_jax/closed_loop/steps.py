@@ -113,7 +113,8 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums) -> tuple[Lanes, Sums]:
     new_survived = move.passed & ((move.word & SURVIVED) == 0)
     sums = _count(lanes, sums, move, new_survived)
     acting, never = lanes.mode == ACT, jnp.zeros_like(move.hit)
-    ends = move.hit | move.stays if move.home is None else move.hit | move.stays | move.home.turns
+    stays = move.stays if move.home is None else move.stays | move.home.turns
+    ends = move.hit | stays
     lanes = replace(
         lanes,
         progress=lanes.progress | move.moves | move.follows,
@@ -140,7 +141,7 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums) -> tuple[Lanes, Sums]:
         covering=switch(lanes.covering, move.bit, move.arrives, ends),
         alive=switch(lanes.alive, move.bit, never, ends),
         hopeful=switch(lanes.hopeful, move.bit, never, ends),
-        done=switch(lanes.done, move.bit, ends & ~move.hit, move.hit),
+        done=switch(lanes.done, move.bit, stays, move.hit),
         mode=jnp.where(acting, mode, lanes.mode),
     )
     if move.home is not None:
