@@ -1,7 +1,8 @@
-"""Other planners' instances: MAPS and LS-MCPP, as their own readers understand them."""
+"""Other planners' instances: MAPS, LS-MCPP and DORA-Explorer, as their own readers understand them."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -106,3 +107,29 @@ def test_an_instance_of_ls_mcpp(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=words) as caught:
             load_input(tmp_path / "a.mcpp")
         assert "a.mcpp" in str(caught.value)
+
+
+def test_sources_of_dora_explorer(tmp_path: Path) -> None:
+    """Cell by cell: a robot that drives 1 m at 0.8 m/s has 6.25 steps of 0.2 s, nine of ten of them with a check."""
+    sources = [(-3.1, 0.5, 0.38), (6.0, -8.0, 0.9), (6.0, -7.5, 0.7)]
+    text = {"sources": [{"x": x, "y": y, "intensity": strength} for x, y, strength in sources]}
+    (tmp_path / "radiation_sources0.json").write_text(json.dumps(text))
+    world = load_input(tmp_path / "radiation_sources0.json")
+    assert world.shape == (17, 17) and world.cell_size == 1 and world.free.all()
+    for row in range(17):
+        for col in range(17):
+            x, y = col - 8, 8 - row  # north is up
+            i = sum(strength / (1 + 0.2 * ((x - a) ** 2 + (y - b) ** 2)) for a, b, strength in sources)
+            p = min(max(0.0, (i - 0.2) / 0.8), 1.0)
+            assert world.threat[row, col] == pytest.approx(1 - (1 - p) ** (6.25 * 0.9), abs=1e-6)
+    assert 0 < world.threat[8, 5] < 1 and world.threat[0, 0] == 0 and 0.999 < world.threat[16, 14] < 1
+    for wrong, words in (
+        ({}, "holds no map"),
+        ({"sources": []}, r"`sources` is \[\]"),
+        ({"sources": [{"x": 0, "y": 0}]}, r"`sources\[0\].intensity` is missing"),
+        ({"sources": [{"x": 0, "y": "a", "intensity": 1}]}, r"`sources\[0\].y` is 'a'; expected metres"),
+        ({"sources": [{"x": 0, "y": 0, "intensity": -1}]}, "intensity` is -1"),
+    ):
+        (tmp_path / "s.json").write_text(json.dumps(wrong))
+        with pytest.raises(InputError, match=words):
+            load_input(tmp_path / "s.json")

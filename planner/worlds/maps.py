@@ -18,7 +18,7 @@ from planner.worlds.grid import FREE, OCCUPIED, Frame, Grid
 from planner.worlds.images import SUFFIXES as IMAGES
 from planner.worlds.keys import Key, read_yaml
 from planner.worlds.logged_map import read_logged_map
-from planner.worlds.peers import MAPS_KEY, read_maps, read_mcpp
+from planner.worlds.peers import MAPS_KEY, read_maps, read_mcpp, read_sources
 from planner.worlds.rasters import GEO_SUFFIXES, read_raster
 from planner.worlds.ros_map import image_grid, read_ros_map
 from planner.worlds.world import MAX_CELLS, WORLD_FILES, World, load_world_file
@@ -40,8 +40,7 @@ def load_map(path: Path, cell_size: float | None = None, top: Key | None = None)
     """
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
-        fix = "a plan or a state holds no map: name the map, and this beside it" if suffix == ".json" else ""
-        raise MapError(f"unknown map format {path.suffix!r}", source=path, expected=" ".join(FORMATS), fix=fix)
+        raise MapError(f"unknown map format {path.suffix!r}", source=path, expected=" ".join(FORMATS))
     check_file(path, "a map")
     return FORMATS[suffix](path, cell_size, top)
 
@@ -146,6 +145,7 @@ FORMATS: dict[str, Reader] = {
     ".map": lambda path, cell_size, top: read_movingai(path),
     ".mcap": lambda path, cell_size, top: read_logged_map(path).grid(),
     ".mcpp": lambda path, cell_size, top: read_mcpp(path, read_movingai),
+    ".json": lambda path, cell_size, top: world_grid(read_sources(path)),
     **dict.fromkeys(IMAGES, lambda path, cell_size, top: image_grid(path)),
     **dict.fromkeys(FIELDS, lambda path, cell_size, top: _field(path, cell_size)),
 }

@@ -1,4 +1,4 @@
-"""Instances of other planners as worlds: MAPS (adversarial coverage, YAML) and LS-MCPP (`.mcpp`)."""
+"""Instances of other planners as worlds: MAPS (YAML), LS-MCPP (`.mcpp`) and DORA-Explorer (`.json`)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from planner.arguments import Numbers, argument, whole
 from planner.errors import MapError
-from planner.files import Json
-from planner.worlds.grid import Grid
+from planner.files import Json, read_json
+from planner.worlds.doubt import LARGEST
+from planner.worlds.grid import Frame, Grid
 from planner.worlds.keys import Key, read_yaml
 from planner.worlds.quantities import CHANCE
 from planner.worlds.robot_types import RobotTypes, checked_types
@@ -25,6 +26,13 @@ MAPS_DEFAULTS: Json = {
     "obstacles_location": [], "threat_location": [], "agents_placement": [], "torodial": False,
     "random_placement": False,
 }  # fmt: skip
+MAX_SOURCES_BYTES = 2**20
+"""Largest file of radiation sources."""
+ARENA = Frame((17, 17), 1.0, (-8.5, -8.5, 0.0))
+"""Where DORA-Explorer's robots look: cells centred on whole metres, -8 to 8."""
+CHECKS_A_METRE = 0.9 / (0.8 * 0.2)
+"""They drive 0.8 m/s, a step has 0.2 s, and in nine of ten steps a robot may fail."""
+METRES, INTENSITY = Numbers(-1e6, 1e6, "metres"), Numbers(0, 1e6, "an intensity")
 
 
 def read_maps(path: Path, top: Key) -> World:
@@ -132,3 +140,23 @@ def read_mcpp(path: Path, read_map: Any) -> Grid:
         starts.append([row, col])
     threat = np.where(grid.state == 0, 0.0, np.nan).astype(np.float32)
     return replace(grid, source=str(path), starts=check_starts(starts, threat, str(path)))
+
+
+def read_sources(path: Path) -> World:
+    """A map of MISTLab/DORA-Explorer: `sources: [{x, y, intensity}, ...]`, x and y in metres.
+
+    As in the logs of its ten maps, I = sum of intensity / (1 + d**2 / 5), at most 1, at a cell's centre, and a robot
+    fails in a check with (I - 0.2) / 0.8; p is of as many checks as a robot has that drives 1 m. Raises MapError.
+    """
+    top = Key(read_json(path, MAX_SOURCES_BYTES, MapError, "radiation sources"), "", path, MapError)
+    if not isinstance(top.value, dict) or "sources" not in top.value:
+        fix = "a plan or a state holds no map: name the map, and this beside it"
+        raise MapError("holds no map", source=path, expected="DORA-Explorer's `sources: [{x, y, intensity}]`", fix=fix)
+    intensity = np.zeros(ARENA.shape)
+    for key in top.mapping(("sources",), strict=False)["sources"].items("a list of {x, y, intensity}"):
+        keys = key.mapping(("x", "y", "intensity"))
+        at = [keys[name].number(METRES) for name in ("x", "y")]
+        squared = ((ARENA.centres() - at) ** 2).sum(axis=-1)
+        intensity += keys["intensity"].number(INTENSITY) / (1 + squared / 5)
+    survived = np.clip((1 - intensity) / 0.8, 0, 1) ** CHECKS_A_METRE
+    return World.create(np.minimum(1 - survived, LARGEST), None, ARENA.size, ARENA.origin, str(path))
