@@ -40,6 +40,12 @@ def dark(sense: float, obstacles: str = "unknown") -> World:
     return mrac.with_prior(TRUE, 0.04, obstacles, sense=sense)  # type: ignore[arg-type]
 
 
+def mined(world: World, kind: str = "persistent", learn: bool = True) -> World:
+    return mrac.with_hazard(world, kind, np.nan_to_num(world.threat), 0.5, learn)
+
+
+FINDS = {"range": 1, "detect": 0.8, "false_alarm": 0.1}
+LEARN = "{kind: %s, h: 0.5, learn: true}"
 WALKS = [{"walk": 0.5, "h": "threats"}]
 SWEEPS = {
     "base: {input: dark.yaml}\nsweep: {sense: [1, 2, .inf]}": [dark(1), dark(2), dark(inf)],
@@ -57,7 +63,17 @@ SWEEPS = {
     f"base: {{input: true.npz, robots: 1, movers: [{GUARD}]}}\nsweep: {{'movers[0].h': [0.1, 0.3]}}": [
         mrac.with_movers(TRUE, [{"patrol": [[1, 2], [1, 3], [2, 3], [2, 2]], "h": h}]) for h in (0.1, 0.3)
     ],
-}
+    f"base: {{input: true.npz, robots: 2, hazard: {LEARN % 'persistent'}}}\nsweep: {{hazard.learn: [true, false]}}": [
+        mined(TRUE), mined(TRUE, learn=False)
+    ],
+    "base: {input: true.npz, robots: 2, sense: {range: 1, detect: 0.8, false_alarm: 0.1}}\n"
+    f"sweep: {{hazard: [{LEARN % 'persistent'}, {LEARN % 'consumed'}]}}": [
+        mrac.with_sense(mined(TRUE, kind), FINDS) for kind in ("persistent", "consumed")
+    ],
+    "base: {input: true.npz, robots: 2}\nsweep: {uncertain: [{spread: {kind: lognormal, sigma: 0.5}}]}": [
+        mrac.with_spread(TRUE, "lognormal", 0.5)
+    ],
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("text", SWEEPS)
@@ -83,6 +99,29 @@ def test_random_maps_are_gone_on_with(tmp_path: Path) -> None:
     for row, sense in zip(answer.rows, (1, 2), strict=True):
         found = [covered(mrac.with_prior(small(n), 0.04, sense=sense), 2, "mrac", 3 + n, 30) for n in range(3)]
         assert row.estimate("visited").mean == pytest.approx(np.mean(found))
+
+
+SHIFT = random_world(6, 8, ThreatPattern("scattered", seed=9), obstacles=0.0, threats=0.3)
+
+
+def shifted(world: World) -> World:
+    both = 1 - (1.0 - world.threat) * (1.0 - SHIFT.threat)
+    return mrac.with_phases(world, [(9, np.where(world.free, both, np.nan))])
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "made"),
+    [
+        ("hazard", "{kind: persistent, h: 0.5, learn: true}", mined),
+        ("phases", "[{from: 9, threats: [{raster: %s}]}]", shifted),
+    ],
+)
+def test_random_maps_have_hazards_and_phases(key: str, value: str, made: Any, tmp_path: Path) -> None:
+    np.save(tmp_path / "shift.npy", SHIFT.threat)
+    text = f"base: {{size: 6x8, robots: 2}}\nmaps: 3\nseed: 3\nsweep: {{{key}: [{value}]}}"
+    (row,) = swept(tmp_path, text.replace("%s", str(tmp_path / "shift.npy")), 30).rows
+    found = [covered(made(small(n)), 2, "mrac", 3 + n, 30) for n in range(3)]
+    assert row.estimate("visited").mean == pytest.approx(np.mean(found))
 
 
 def small(seed: int) -> World:
@@ -114,13 +153,12 @@ def test_null_leaves_a_key_out_and_names_are_shown(tmp_path: Path) -> None:
         ("sweep: {prior.p: [0.1]}", "there is no prior.p to sweep"),
         ("sweep: {movers: [[{walk: 0.5, h: often}]]}", "threats"),
         ("sweep: {movers: [[{walk: 0.5, h: threats, count: 2}]]}", "count"),
-        ("base: {input: mines.yaml}\nsweep: {robots: [1]}", "leave `hazard` and `uncertain` out"),
+        ("sweep: {hazard: [{kind: consumed, learn: often}]}", "learn` is 'often'"),
+        ("base: {phases: [{from: 0, threats: []}]}\nsweep: {hazard: [{kind: consumed}]}", "none beside hazard"),
         ("base: {input: true.npz}\nsweep: {truth: [none.npz]}", "none.npz"),
     ],
 )
 def test_what_is_wrong_is_said_before_the_first_rollout(text: str, words: str, tmp_path: Path) -> None:
-    TRUE.save(tmp_path / "mines.npz")
-    (tmp_path / "mines.yaml").write_text("map: mines.npz\nhazard: {kind: consumed, h: 0.5}\n")
     with pytest.raises(InputError, match=words):
         swept(tmp_path, text, 10)
 

@@ -86,7 +86,7 @@ MODEL: dict[str, Reader] = {
     "seed": _one_of(SEED),
 }
 SETTINGS = {**INPUT, **WORLD, **PAPER, **UNSAID, **TEAM, **PLANNER, **MODEL}
-PLACES = ("map", "cell_size", "unknown", "threats", "combine", "truth", "phases", *BESIDE)
+PLACES = ("map", "cell_size", "unknown", "threats", "combine", "truth", *BESIDE)
 """Keys of a scenario in which a place may be swept: `threats[0].scale`."""
 PART = re.compile(r"([A-Za-z_][A-Za-z_0-9]*)|\[([0-9]+)\]")
 
@@ -169,9 +169,9 @@ def generators(scenario: Mapping[str, Any]) -> list[Json]:
 
 
 def _put_all(scenario: Json, values: Json, source: str) -> None:
-    """Set what is swept; where movers are left out, what robots would plan on is too."""
+    """Set what is swept; where movers or phases are left out, what robots would plan on is too."""
     for name, value in values.items():
-        if name != "plan_on" or values.get("movers", name) is not None:
+        if name != "plan_on" or None not in (values.get("movers", name), values.get("phases", name)):
             _put(scenario, name, value, source)
 
 

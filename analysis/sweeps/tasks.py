@@ -122,7 +122,8 @@ class _Loops:
     def __init__(self, team: Team, closed: bool) -> None:
         self._team = team
         self._closed: ClosedLoop | None = None
-        if closed and team.plan is None and team.settings.plan_for == "closed":
+        known = team.world.draws is None  # the compiled nominal run is of one truth
+        if closed and known and team.plan is None and team.settings.plan_for == "closed":
             from planner.kernels.nominal import with_nominal_run
 
             alike = replace(team, settings=replace(team.settings, **ONCE_UNDER_WAY))

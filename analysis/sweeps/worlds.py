@@ -10,15 +10,13 @@ from planner.arguments import argument, is_whole
 from planner.errors import UsageError
 from planner.worlds.generate import PAPER_LEVELS, Kind, ThreatPattern, random_world
 from planner.worlds.keys import Key
-from planner.worlds.learning import read_knowledge
-from planner.worlds.moving import read_movers
-from planner.worlds.scenario import load_input, read_scenario
+from planner.worlds.scenario import read_on, read_scenario
 from planner.worlds.world import World
 
 MOST_MAPS = 1_000_000
 """Random maps of one run."""
-BESIDE = ("prior", "sense", "movers", "plan_on")
-"""Keys of a scenario that a random map may have: what robots know of it, and threats that move on it."""
+BESIDE = ("prior", "sense", "movers", "phases", "plan_on", "hazard", "uncertain")
+"""Keys of a scenario that a random map may have: what robots know of it, and how its threats change."""
 
 
 def check_maps(maps: int, seed: int) -> None:
@@ -52,12 +50,8 @@ class Generated:
         """The world. Raises InputError."""
         pattern = ThreatPattern(self.kind, self.areas, self.threat_levels, self.seed)
         world = random_world(*self.size, pattern, obstacles=self.obstacles, threats=self.ratio)
-        keys = Key(json.loads(self.unsaid), "", "random map").mapping(optional=BESIDE)
-        if "plan_on" in keys and "movers" not in keys:
-            raise keys["plan_on"].wrong("none without movers")
-        if "movers" in keys:
-            world = read_movers(keys["movers"], keys.get("plan_on"), world)
-        return read_knowledge(keys, world, load_input)
+        unsaid = json.loads(self.unsaid)
+        return read_on(world, Key(unsaid, "", "random map")) if unsaid else world
 
 
 @dataclass(frozen=True)

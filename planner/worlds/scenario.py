@@ -24,7 +24,7 @@ from planner.worlds.keepout import keep_out
 from planner.worlds.keys import PLACE, Key, read_yaml
 from planner.worlds.learning import KEYS as KNOWLEDGE
 from planner.worlds.learning import read_knowledge
-from planner.worlds.maps import YAML, load_map
+from planner.worlds.maps import YAML, load_map, world_grid
 from planner.worlds.moving import read_movers
 from planner.worlds.peers import MAPS_KEY
 from planner.worlds.quantities import CELL_SIZE
@@ -108,6 +108,12 @@ def read_scenario(top: Key, path: Path) -> World:
     if "keepout" in keys:
         grid = keep_out(keys["keepout"], grid)
     return _scenario(coarsen(grid, cell_size, unknown_free), keys, path)
+
+
+def read_on(world: World, top: Key) -> World:
+    """The world with what these keys of a scenario say of its threats and its robots. Raises InputError."""
+    keys = top.mapping(optional=OPTIONAL, defaults=DEFAULTS)
+    return _scenario(coarsen(world_grid(world), None), keys, Path(top.source))
 
 
 def _no_map(top: Key) -> InputError:
