@@ -135,7 +135,7 @@ class DrivenMission(Mission):
         ends = time.monotonic() + (SECONDS if seconds is None else seconds)
         if self.outcome is not None:
             raise UsageError("the mission is over", expected="one that goes on")
-        self.world.check_settled("the rest of a mission")
+        self.given.check_settled("the rest of a mission")
         whole(1, MOST_ROLLOUTS).check("rollouts", rollouts, optional=True)
         choices = RolloutChoices(seed=seed, exact="never")
         rolls = [make_singles(self.world, self.rest(**way, nominal=False), choices, self._tables) for way in ways]

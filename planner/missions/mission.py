@@ -19,6 +19,7 @@ from planner.files import Json
 from planner.limits import MAX_STEP
 from planner.missions.closing import closed_by, closed_state
 from planner.missions.fleet import Fleet
+from planner.missions.lessons import Lessons
 from planner.missions.orders import Order, Report, Why
 from planner.missions.reports import Reports
 from planner.missions.saved import hand_on, read_rest, read_seen, write_mission
@@ -55,7 +56,8 @@ class Mission:
         recorder: writes down events and places, as of the readable simulator.
 
     Attributes:
-        world: the map, with what was seen and closed. closed: those cells, indices. seen: p by cell, None: an obstacle.
+        world: the map, with what was seen, learned and closed. given: as it was. closed: those cells, indices.
+        seen: p by cell, None: an obstacle; what was learned, too.
 
     Raises PlanError for a plan of another map, WorldError for one that robots are not told.
     """
@@ -70,9 +72,12 @@ class Mission:
         recorder: Recorder | None = None,
     ) -> None:
         FRACTION.check("gain", gain)
-        if world.movers is not None or world.phases is not None:
+        if world.movers is not None:
             world.check_settled("a mission that is driven")
-        world.check_told("a mission that is driven")
+        self.given, self._lessons = world, Lessons(world, plan)
+        if self._lessons:
+            settings, world = plan.require(world), replace(world, doubt=None)
+            plan = plan if plan.state is not None else make_plan(world, plan.starts, settings)
         self.world, self.patience, self.gain, self._recorder = world, patience, gain, recorder
         self.closed: list[int] = []
         self.seen: Seen = {}
@@ -251,7 +256,9 @@ class Mission:
     def advance(self) -> None:
         """End the step: every robot is where it reported; who did not is where it was, or at t = 0 where it starts."""
         self._play(self._fleet, False)
-        seen = {cell: p for cell, p in self._reports.seen.items() if cell not in self.closed}
+        held = [robot.cell for robot in self._fleet.robots if robot.alive]
+        told = self._lessons.at_end(self._fleet.step, self.world, held) | self._reports.seen
+        seen = {cell: p for cell, p in told.items() if cell not in self.closed}
         self._reports.clear()
         self._orders = None
         changed = surprises(self.world, seen)
@@ -281,6 +288,8 @@ class Mission:
         fleet.begin_step()
         for number, cell in self._reports.passed:
             fleet.visit(number, cell)
+            if not ahead:
+                self._lessons.learn(cell, stopped=False)
         for robot in fleet.robots:
             number, report = robot.number, self._reports.now.get(robot.number)
             if report is not None and report.found and not robot.alive:
@@ -328,10 +337,13 @@ class Mission:
         return came
 
     def _keep_count(self, robot: Robot, came: bool, due: int | None) -> None:
-        """What the robot bore on the cell it came to, and for how many steps it has not moved though it was to."""
+        """What the robot bore on the cell it came to, what it says of it, and for how many steps it has not moved."""
         number = robot.number
         if came:
-            self._borne[number] += int(exposure_of(self.world.threat.flat[robot.cell]))
+            p = self._lessons.met(self._fleet.step, self.world).flat[robot.cell]
+            self._borne[number] += int(exposure_of(p))
+        if came or not robot.alive:
+            self._lessons.learn(robot.cell, stopped=not robot.alive)
         self._waits[number] = 0 if came or due is None else self._waits[number] + 1
         if self.patience is not None and self._waits[number] >= self.patience and robot.busy:
             self._fleet.set_aside(number)
@@ -382,6 +394,7 @@ class Mission:
         mission._set_aside([one.number(robot) for one in keys["aside"].items("a list of robots", least=0)])
         mission.closed = [one.value for one in keys["closed"].items("a list of cells", least=0)]
         mission.seen, mission._reports.seen = read_seen(keys["seen"]), read_seen(keys["sees"])
+        mission._lessons.read(keys["odds"])
         for report in keys["reports"].items("a list of reports", least=0):
             hand_on(mission.report, report)
         step = whole(NOT_BEGUN, mission.step, what="a step that is not to come")
@@ -398,7 +411,7 @@ class Mission:
         state = self.state.to_json() if self.step > 0 else None
         more: Json = {"seen": _pairs(self.seen), "sees": _pairs(self.sees)}
         more |= {"closed": self.closed, "range": self.settings.range, "aside": self._aside}
-        more |= {"reports": self.said(), "heard": self._reports.heard}
+        more |= {"reports": self.said(), "heard": self._reports.heard, "odds": self._lessons.to_json()}
         more |= {} if self.outcome is None else {"ended": self.known()}
         write_mission(path, self.world, state, more)
 

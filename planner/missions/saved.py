@@ -37,6 +37,7 @@ DEFAULTS: dict[str, Any] = {
     "closed": [],
     "seen": [],
     "sees": [],
+    "odds": [],
     "range": None,
     "aside": [],
     "reports": [],
