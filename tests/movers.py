@@ -20,7 +20,7 @@ PRESUME_THREATS_THAT_STAY: list[Callable[[World], Any]] = [
     lambda world: mrac.starts(world, robots=2),
     lambda world: mrac.clear(world, robots=2),
     lambda world: mrac.evaluate(world, 2, threat_scale=(0.5,)),
-    lambda world: mrac.mission(world, 2),
+    lambda world: mrac.mission(world, 2).outlook(),
 ]
 """What refuses threats over time."""
 

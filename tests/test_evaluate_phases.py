@@ -12,7 +12,7 @@ from movers import PRESUME_THREATS_THAT_STAY
 from test_recording_topics import decoded
 
 import mrac_jax as mrac
-from analysis.evaluation.maps import later_threats
+from analysis.evaluation.maps import threats
 from analysis.evaluation.report import report
 from analysis.pictures.style import house_style
 from analysis.recording.pictures.picture import RolloutPicture
@@ -46,7 +46,8 @@ def test_teams_are_known_exactly_and_rollouts_agree(world: World) -> None:
         assert "threats that change at step 3, 6; all robots know of a change as it comes" in " ".join(
             report(answer).last
         )
-    assert [layer.name for layer in later_threats(answer)] == ["Threat from step 3", "Threat from step 6"]
+    shown = [(layer.name, layer.since) for layer in threats(answer)]
+    assert shown == [("Threat", 0), ("Threat from step 3", 3), ("Threat from step 6", 6)]
     assert "phases" not in mrac.evaluate(World.create(DAY), 1, rollouts=10).to_json()
 
 

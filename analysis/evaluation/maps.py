@@ -21,7 +21,7 @@ CELLS = "cells"
 OUTLINED = 5
 """Cells that cost most robots, on their picture."""
 NO_KIND = -1
-MOST_LATER = 8
+MOST_PHASES = 8
 """Phases whose threats have a map of their own."""
 
 
@@ -29,18 +29,21 @@ def maps(evaluation: Evaluation) -> CellMaps:
     """Threat, chance covered, robots lost, what is left of the risk, what outputs add, and the areas."""
     own = evaluation.layers
     more = [make() for found in evaluation.blocks for make in found.layers.values()]
-    layers = [own.threat, *later_threats(evaluation), own.chance, own.losses, own.left, *more, *own.areas]
+    layers = [*threats(evaluation), own.chance, own.losses, own.left, *more, *own.areas]
     return CellMaps(evaluation.ground, evaluation.plan.starts, layers, anchor=CELLS)
 
 
-def later_threats(evaluation: Evaluation) -> list[CellLayer]:
-    """The threats of the phases after the first, of many the first few; none where threats do not change."""
+def threats(evaluation: Evaluation) -> list[CellLayer]:
+    """What robots plan on at first; where threats change, those of each phase too, of many the first few."""
     from analysis.page.plan_layers import threat_layer
 
-    world, phases = evaluation.ground, evaluation.ground.phases
-    later = [] if phases is None else zip(phases.begins[1:].tolist(), phases.threats[1:MOST_LATER], strict=False)
-    layers = ((begin, threat_layer(replace(world, threat=p, doubt=None), evaluation.plan)) for begin, p in later)
-    return [replace(layer, name=f"Threat from step {begin}") for begin, layer in layers]
+    own, world, phases = evaluation.layers.threat, evaluation.ground, evaluation.ground.phases
+    if phases is None:
+        return [own]
+    begins = phases.begins[:MOST_PHASES].tolist()
+    layers = [threat_layer(replace(world, threat=p, doubt=None), evaluation.plan) for p in phases.threats[:MOST_PHASES]]
+    named = [replace(of, name=f"Threat from step {at}", since=at) for at, of in zip(begins, layers, strict=True)]
+    return [own, *named] if phases.plan_on == "worst" else [replace(own, since=0), *named[1:]]
 
 
 def rest_map(evaluation: Evaluation, rest: Rest) -> CellMaps:

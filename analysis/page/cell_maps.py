@@ -48,6 +48,7 @@ class CellLayer:
         short: its name where layers are switched; "": `name`.
         names: what the whole numbers 0, 1, ... stand for; () for values that are numbers.
         discs: few cells have a value above 0: a picture draws each as a disc.
+        since: of threats that change, the step from which it holds; None: it holds throughout.
     """
 
     name: str
@@ -64,6 +65,7 @@ class CellLayer:
     short: str = ""
     names: tuple[str, ...] = ()
     discs: bool = False
+    since: int | None = None
 
 
 def cell_maps_html(

@@ -1,10 +1,14 @@
 // The head's map: its layers switch, and runs are played over it.
-// The pictures are those of the section cell by cell: they are in the page once.
+// The pictures are those of the section cell by cell: they are in the page once. Gives what shows, at a step, the
+// threats that hold then, if threats are shown.
 function layers(group) {
   const head = group.querySelector(".map"), source = document.getElementById(dataOf(group).from);
-  if (!source) return;
+  if (!source) return () => {};
   const maps = [...source.querySelectorAll(".map")], titles = maps.map((map) => map.dataset.short);
+  const since = maps.map((map) => ("since" in map.dataset ? +map.dataset.since : Infinity));
+  let shown = 0;
   const field = choices("Layer", titles, 0, (number) => {
+    shown = number;
     const picture = head.querySelector(".cells"), other = maps[number].querySelector(".cells");
     picture.src = other.src;
     picture.alt = other.alt;
@@ -14,6 +18,10 @@ function layers(group) {
   const box = head.querySelector(".grid-box");
   if (box.querySelector(".paths")) field.append(pathsOption(box, ...dataOf(group).shape));
   head.querySelector(".about").after(field);
+  return (step) => {
+    const now = since.findLastIndex((begin) => begin <= step);
+    if (since[shown] < Infinity && now !== shown) field.querySelectorAll("input[type=radio]")[now].click();
+  };
 }
 
 // What hides the cells of a map until a step of each.
@@ -42,7 +50,7 @@ function curtain(box, look, colour, rows, cols) {
   };
 }
 
-function player(group) {
+function player(group, showThreats) {
   const box = group.querySelector(".grid-box"), script = group.querySelector(".runs");
   if (!script || !window.DecompressionStream) return;
   const about = JSON.parse(script.textContent), [rows, cols] = about.shape, known = new Map();
@@ -136,6 +144,7 @@ function player(group) {
     const names = gone.slice(-6).map(([at, robot]) => "robot " + robot + " at step " + told(at));
     const lost = names.length ? " Lost: " + (gone.length > 6 ? "... " : "") + names.join(", ") + "." : "";
     slider.value = step;
+    showThreats(step);
     slider.setAttribute("aria-valuetext", "step " + told(step) + ", " + part + " % covered, " + left + " robots left");
     said.textContent = "Step " + told(step) + " of " + told(run.time) + ": " + written(covered, 0) + " of "
       + written(about.accessible, 0) + " cells (" + part + " %) covered, " + left + " of " + marks.length + " robots left." + seen + lost;

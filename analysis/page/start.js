@@ -2,8 +2,7 @@
 for (const figure of document.querySelectorAll(".chart")) chart(figure);
 for (const group of document.querySelectorAll(".cell-maps")) maps(group);
 for (const group of document.querySelectorAll(".plan-map")) {
-  layers(group);
-  player(group);
+  player(group, layers(group));
 }
 for (const button of document.querySelectorAll(".copy")) {
   if (!navigator.clipboard) continue;

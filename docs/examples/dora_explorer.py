@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 
 import mrac_jax as mrac
 from planner.mrac.make_plan import make_plan
@@ -67,8 +68,8 @@ def say(what: str, values: NDArray[np.float64], beside: NDArray[np.float64]) -> 
     """Means over maps, and what they are more than those `beside`, with 95 % intervals."""
     parts = []
     for of in (values, values - beside):
-        half = 1.96 * of.std(axis=0, ddof=1) / MAPS**0.5
-        parts += [f"{mean:+8.1f} ± {wide:4.1f}" for mean, wide in zip(of.mean(axis=0), half, strict=True)]
+        half = student(MAPS - 1).ppf(0.975) * of.std(axis=0, ddof=1) / MAPS**0.5
+        parts += [f"{mean:+9.2f} ± {wide:5.2f}" for mean, wide in zip(of.mean(axis=0), half, strict=True)]
     sys.stdout.write(f"{what:44}{''.join(parts)}\n")
 
 
