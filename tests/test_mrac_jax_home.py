@@ -42,8 +42,10 @@ def one_shape(small_traces: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine_module, "lane_tables", roomy)
 
 
-def loop_of(asked: dict[str, Any], seed: int) -> ClosedLoop:
-    world, starts = drawn(seed)
+def loop_of(asked: dict[str, Any], seed: int, robots: int = 3) -> ClosedLoop:
+    world, starts = drawn(seed, robots)
+    if isinstance(asked.get("range"), tuple):
+        asked = asked | {"range": (asked["range"] * 2)[:robots]}
     return compile_closed_loop(make_plan(world, starts, Settings(**asked)), world)
 
 
@@ -56,11 +58,17 @@ def test_counts_are_the_compiled_simulator_s(asked: dict[str, Any]) -> None:
     assert home == alive > 100
 
 
+@pytest.mark.parametrize("number", [5, pytest.param(8, marks=pytest.mark.slow)])
+def test_who_looks_up_may_not_afford_its_own_area_and_turns_in_the_same_step(number: int) -> None:
+    same(loop_of(KINDS[number], 11, 5), 11, 60, number)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(EVERY)))
 def test_drawn_worlds_event_for_event(number: int) -> None:
     for seed in range(12):
-        same(loop_of(EVERY[number], seed), seed, 300, (EVERY[number], seed), traced=tuple(range(16)))
+        robots = 3 + seed % 3
+        same(loop_of(EVERY[number], seed, robots), seed, 300, (EVERY[number], seed), traced=tuple(range(16)))
 
 
 @pytest.mark.slow

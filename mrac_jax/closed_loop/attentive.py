@@ -62,6 +62,8 @@ def notice(
         others = (lanes.waiting > 0) | tables.policy.refuses
         if tables.policy.breaks_off:
             traveling, others = jnp.ones_like(traveling), others | tables.policy.holds
+        if lanes.returning is not None:  # its own may be more than it can afford by now
+            others = jnp.ones_like(others)
         wary = traveling & others & (read(tables.level, ahead) > 0)
         mode = jnp.where(wary, LOOK_AGAIN, mode)
     done = low_half(read(lanes.areas, row + area)) == 0

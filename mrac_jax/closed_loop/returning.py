@@ -149,6 +149,9 @@ def _charge(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
         turns = first_area(tables, lanes, chosen, chosen.here, offered, limited=False).found
     turns = turns & (get(lanes, lanes.moves_left, chosen.lane, chosen.robot) < read(tables.range, chosen.robot))
     place = homes.of[chosen.robot] * homes.size + chosen.here
+    acts = read(homes.steps, place) == 0
+    if lanes.looked is not None:  # who looked up has yet to move
+        acts = acts | lanes.looked[jnp.minimum(chosen.lane, batch - 1)]
 
     def wide(values: jax.Array) -> jax.Array:
         return spread(jnp.zeros(batch, dtype=values.dtype), chosen.slot, values)
@@ -163,7 +166,7 @@ def _charge(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     return replace(
         lanes,
         ready=write(ready, slot, jnp.where(who, FAR, read(ready, slot))),
-        mode=spread(lanes.mode, chosen.slot, jnp.where(turns & (read(homes.steps, place) == 0), ACT, NEXT)),
+        mode=spread(lanes.mode, chosen.slot, jnp.where(turns & acts, ACT, NEXT)),
     )
 
 
