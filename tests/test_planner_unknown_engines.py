@@ -66,7 +66,7 @@ def other_map(one, sense):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+@pytest.mark.parametrize("policy", ["mrac", "per_cell", "frontier", "watchful"])
 def test_so_they_are_on_the_survey_and_who_sees_everything_runs_as_told(policy):
     for one in survey_worlds():
         if one.settings.transit == "area":
