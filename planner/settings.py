@@ -22,7 +22,7 @@ Policy = str | Rule | Callable[[Offer], Any]
 """A rule by its name, or a user's own: a `Rule`, or a function to order areas by (`planner.policies.own_rule`)."""
 BEST = "best"
 """In the place of a policy: whichever covers most, which a search finds; no plan holds it."""
-POLICY = ("policy", "reserve", "worth")
+POLICY = ("policy", "reserve", "worth", "priority")
 """A policy and the limits that go with it."""
 BEARING = ("wear", "susceptibility")
 """What robots bear: no decision knows it."""
@@ -34,6 +34,7 @@ MOST_DENSITY = 1e6
 MOST_PACE = 64
 """Steps that a move may take."""
 COUNT = whole(0, 2**31)
+MOST_PRIORITY = 1000
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class Setting:
         title: on pages. help: of its option.
         numbers: that it may be. each: one for all, or a tuple of one a robot. words: that it may be instead.
         names: it is a name, or a tuple of one a robot.
+        found: by a search, a number for each cell of the map: it has no option.
         places: it is one of the words, or cells, a tuple of (row, col).
         unset: what None means, on pages; "": it is never None.
         time: it is a step, and may be given as a time (`planner.pace`).
@@ -60,6 +62,7 @@ class Setting:
     later: bool = False
     places: bool = False
     names: bool = False
+    found: bool = False
 
     @property
     def kind(self) -> str:
@@ -108,7 +111,7 @@ class Setting:
         if self.names and value is not None:
             return value if isinstance(value, str) else " ".join(value)
         if isinstance(value, tuple):
-            return " ".join(f"{one:,g}" for one in value)
+            return "found by a search" if self.found else " ".join(f"{one:,g}" for one in value)
         return self.unset if value is None else value if self.words else f"{value:,g}"
 
 
@@ -145,6 +148,8 @@ class Settings:
             one of these takes no area and shares none. None: any distance.
         in_area: which cell of an area is next: one of `planner.policies.in_area.ORDERS`; or a user's own, a function of
             a `CellOffer`, which is not saved.
+        priority: by how much each cell counts when areas are compared, one number a cell of the map, row by row; as
+            `--policy best` finds it. None: alike. With `per_cell`, without `worth`.
     """
 
     levels: int = _setting(
@@ -229,6 +234,9 @@ class Settings:
         NEAREST, "order within areas", "In safe areas straight on: boustrophedon, or rows, columns (default: nearest).",
         words=ORDERS, later=True,
     )  # fmt: skip
+    priority: int | tuple[int, ...] | None = _setting(
+        None, "priority", "", whole(1, MOST_PRIORITY), each=True, unset="none", later=True, found=True,
+    )  # fmt: skip
 
     @property
     def last_step(self) -> int | None:
@@ -304,15 +312,18 @@ class Settings:
                 shown = ",".join(map(str, value)) if typed and isinstance(value, tuple) else shown
                 expected = setting.expected("null" if source else "" if typed else "None")
                 raise PlanError(said(name, shown), source=source, expected=expected)
-        for name in ("reserve", "worth"):
+        for name in POLICY[1:]:
             if getattr(self, name) is not None and not self.rule.limited:
                 limited = " or ".join(rule.name for rule in RULES.values() if rule.limited)
                 raise PlanError(
-                    f"{said(name, f'{getattr(self, name):g}')} with {called('policy')} {self.rule.name}",
+                    f"{said(name, SETTINGS[name].shown(getattr(self, name)))} with {called('policy')} {self.rule.name}",
                     source=source,
                     expected=f"{called('policy')} {limited}",
                     fix=f"leave {called(name)} out, or choose that policy",
                 )
+        if self.priority is not None and self.worth is not None:
+            fix = f"leave one of {called('priority')} and {called('worth')} out"
+            raise PlanError(f"{called('priority')} with {called('worth')}", source=source, fix=fix)
         if self.effort is not None and self.plan_for != "open":
             problem = f"{said('effort', str(self.effort))} with {called('plan_for')} {self.plan_for}"
             expected, fix = f"{called('plan_for')} open", f"leave {called('effort')} out"

@@ -141,7 +141,7 @@ def _planner_options(name: str, group: Group, without: tuple[str, ...] = (), bes
     kinds: dict[str, Any] = {"time": Deadline, "whole": Whole, "wholes": Wholes, "number": Number, "numbers": Numbers}
     kinds |= {"places": Places, "names": Names}
     options = []
-    for key in [key for key in SETTINGS if key not in without]:
+    for key in [key for key in SETTINGS if key not in without and not SETTINGS[key].found]:
         setting = SETTINGS[key]
         words = setting.words + (BEST,) * (best and key == "policy")
         kind = kinds.get(setting.kind) or Annotated[Literal[words] | None, Parameter(converter=one_of(*words))]
@@ -443,7 +443,7 @@ class Second(_SecondPlanning):
 
         def changed(group: Any, drop: tuple[str, ...] = ()) -> Any:
             own = {name: given[name] for name in vars(group) if name in given}
-            return replace(group, **dict.fromkeys(drop) | own)
+            return replace(group, **dict.fromkeys(vars(group).keys() & drop) | own)
 
         others = ("robots", "starts") if {"robots", "starts"} & given.keys() else ()
         return (

@@ -181,7 +181,7 @@ def prepare(
         levels = find_levels(world, world.accessible(checked), settings.levels) if unknown is None else unknown.dearest
         costs = entry_costs(levels, settings.risk, world.source)
         entry = level_costs(levels.values, costs.size, settings.risk).astype(np.int64)
-    value = worth_of(world, levels.accessible) if rule.attentive else None
+    value = worth_of(world, levels.accessible, settings.priority) if rule.attentive else None
     if own is None:
         _check_comparisons(rule, levels, costs, entry, value, world.source, apart=told)
     else:  # what another type would pay less is added to what an area costs
@@ -214,14 +214,20 @@ def _of_each(name: str, given: int | tuple[int, ...] | None, unset: int, robots:
     return np.broadcast_to(np.asarray(unset if given is None else given, dtype=np.int64), robots)
 
 
-def worth_of(world: World, accessible: NDArray[np.bool_]) -> NDArray[np.int64] | None:
+def worth_of(
+    world: World, accessible: NDArray[np.bool_], priority: int | tuple[int, ...] | None = None
+) -> NDArray[np.int64] | None:
     """What decisions count cells by, int64 `[N]`: round(1000 w / max w), at least 1 where w > 0 (SPEC section 13).
 
-    The largest is that of the accessible cells, bool `[N]`; the others count nothing. None where no cell has a value.
+    w is a cell's value times its priority. The largest is that of the accessible cells, bool `[N]`; the others count
+    nothing. None where no cell has either. Raises PlanError.
     """
-    if world.value is None:
+    if world.value is None and priority is None:
         return None
-    value = np.where(accessible, world.value.ravel(), 0.0)
+    if isinstance(priority, tuple) and len(priority) != accessible.size:
+        expected = f"one number, or one for each of {accessible.size} cells"
+        raise PlanError(f"{argument('priority')} of {len(priority)} cells", source=world.source, expected=expected)
+    value = np.where(accessible, 1.0 if world.value is None else world.value.ravel(), 0.0) * np.asarray(priority or 1)
     share = np.rint(MOST_WORTH * (value / (value.max() or 1.0))).astype(np.int64)
     return np.where(value > 0, np.maximum(share, 1), 0)
 
