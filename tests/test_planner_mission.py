@@ -115,13 +115,15 @@ def test_so_it_is_under_hazards_and_on_the_paths_of_another_planner() -> None:
     assert len(ends) > 1
 
 
-def test_so_it_is_on_maps_in_doubt_and_where_cells_have_a_value() -> None:
+def test_so_it_is_on_maps_in_doubt_and_where_cells_have_a_value_or_priority() -> None:
     for seed in range(3):
         world, plan = case(seed)
         doubtful = with_maps(world, [world.threat, world.threat / 2, np.where(world.threat > 0, 0.5, world.threat)])
         valued = world.with_values(np.arange(world.threat.size).reshape(world.shape) % 5)
-        for there, policy in ((doubtful, "mrac"), (valued, "per_cell")):
-            planned = make_plan(there, plan.starts, Settings(policy=policy))
+        first = tuple((1 + np.arange(world.threat.size) * 7 % 10).tolist())
+        ordered = Settings(policy="watchful", reserve=0.3, priority=first)
+        for there, by in ((doubtful, Settings()), (valued, Settings(policy="per_cell")), (world, ordered)):
+            planned = make_plan(there, plan.starts, by)
             for rollout in range(3):
                 assert_driven_is_the_closed_loop(there, planned, seed, rollout)
 

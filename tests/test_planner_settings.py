@@ -22,6 +22,7 @@ OTHER = {
     "plan_for": "open", "effort": 7, "range": 9, "deadline": 30,
     "wear": 2.5, "susceptibility": 0.5, "return_to": "nearest", "recharge": 4,
     "in_area": "boustrophedon", "types": "rover", "steps_per_move": 2, "radio": 4.5,
+    "priority": 5,
 }  # fmt: skip
 WRONG = {
     "levels": 1, "density": 1.0, "risk": "brave", "transit": "air", "max_steps": 0,
@@ -29,20 +30,22 @@ WRONG = {
     "plan_for": "both", "effort": -1, "range": -1, "deadline": -1,
     "wear": 0.1, "susceptibility": 65.0, "return_to": "base", "recharge": 0,
     "in_area": "spiral", "types": "", "steps_per_move": 0, "radio": 0.0,
+    "priority": 0,
 }  # fmt: skip
-NEEDS = {"reserve": {"policy": "per_cell"}, "worth": {"policy": "per_cell"}, "effort": {"plan_for": "open"}}
+NEEDS = {name: {"policy": "per_cell"} for name in ("reserve", "worth", "priority")} | {"effort": {"plan_for": "open"}}
 NEEDS |= {"recharge": {"range": 9, "return_to": "home"}}
 """What else has to be chosen."""
 
 
 def test_everything_that_speaks_of_settings_follows_from_the_table() -> None:
     assert set(SETTINGS) == {field.name for field in fields(Settings)} == set(OTHER) == set(WRONG)
-    for group in (PlanningToTheEnd, Choices):
-        assert set(SETTINGS) <= {field.name for field in fields(group)}
-    for group in (Planning, Second):
-        assert set(SETTINGS) - {field.name for field in fields(group)} == {"deadline"}
+    found = {name for name, setting in SETTINGS.items() if setting.found}
+    assert set(SETTINGS) <= {field.name for field in fields(Choices)}
+    for group, without in ((PlanningToTheEnd, found), (Planning, found | {"deadline"}), (Second, found | {"deadline"})):
+        assert set(SETTINGS) - {field.name for field in fields(group)} == without
     assert set(PLANNER) == set(SETTINGS)
-    assert PlanningToTheEnd(**OTHER).choices().given() == OTHER
+    typed = {name: value for name, value in OTHER.items() if name not in found}
+    assert PlanningToTheEnd(**typed).choices().given() == typed
     assert Settings(**Choices().given()) == Settings()
     assert len(Settings().shown()) == len(SETTINGS)
 
