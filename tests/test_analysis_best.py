@@ -34,22 +34,29 @@ def test_what_is_given_stays_and_no_setting_comes_twice() -> None:
     assert limited == [given, replace(given, policy="watchful")]
 
 
-def test_on_small_maps_it_is_the_best_by_the_readable_tree() -> None:
+def test_on_small_maps_it_is_no_less_than_the_best_by_the_readable_tree(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(best, "TRIES", 5)
+    more = 0
     for seed in range(3):
         world = random_world(4, 5, ThreatPattern("scattered", levels=(0.2, 0.4), seed=seed), threats=0.4)
         starts = place_starts(world, 2)[0]
         plans = [make_plan(world, starts, one) for one in contenders(Settings(), 2)]
         covered = [closed_loop_exact(plan, world).visited for plan in plans]
         found = best.plan_best(world, starts, Settings())
-        assert closed_loop_exact(found, world).visited == pytest.approx(max(covered), abs=1e-6)
-        gain = (max(covered) - covered[0]) / world.accessible(starts).sum() * 100
+        visited = closed_loop_exact(found, world).visited
+        assert visited >= max(covered) - 1e-6
+        more += visited > max(covered) + 1e-6
+        assert found.settings is not None and (found.settings.priority is not None) == (visited > max(covered) + 1e-6)
+        gain = (visited - covered[0]) / world.accessible(starts).sum() * 100
         said = re.search(r"(\d+\.\d+) points", found.notes[-1])
         assert gain < 0.005 if said is None else float(said[1]) == pytest.approx(gain, abs=0.006)
+    assert more
 
 
 def test_the_gain_is_told_on_other_luck(monkeypatch: pytest.MonkeyPatch) -> None:
     """The race rolls out ids 0 .. USUAL - 1, and what is told the ids after them: their difference, worked out here."""
     monkeypatch.setattr(best, "USUAL", 1024)
+    monkeypatch.setattr(best, "TRIES", 0.5)
     world = random_world(pattern=ThreatPattern("contiguous", seed=5))
     plan = mrac.plan(world, 6, policy="best", seconds=60)
     paper = make_plan(world, plan.starts, Settings())

@@ -1,7 +1,7 @@
 """The policy that covers most on a map: a few settings raced on common luck, the best told on luck of its own.
 
 Which settings are worth a try was found on random maps: `watchful` with so many robots at risk at once, and with the
-safe areas at t = 0 left to one robot each; `per_cell`, and the paper's rule. For the winner an order of areas is sought.
+safe areas at t = 0 left to one robot each; `per_cell`, and the paper's rule. Then a better order of areas is sought.
 """
 
 from __future__ import annotations
