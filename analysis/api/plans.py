@@ -102,8 +102,8 @@ def plan(
         max_steps: at which the run is cut off.
         policy: which area is next: "mrac" (the paper's) or "per_cell" (least cost per new cell); or a rule of your own,
             a `planner.policies.rule.Rule`, or a function of an `Offer` to order areas by, least first. "best": the one
-            that covers most here, of a dozen settings that are raced on luck of their own, its areas then put in a better
-            order, for `seconds` (10) at most.
+            that covers most here, of a dozen settings that are raced on luck of their own, its areas then put in
+            a better order, for `seconds` (10) at most.
         reserve: with "per_cell", at most this share of the robots alive are at risk at once.
         worth: with "per_cell", a robot is worth so many new cells: areas that cost more are refused.
         plan_for: "open": paths for robots that do not take over from each other, found by a search; they have no areas.
