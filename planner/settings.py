@@ -145,7 +145,7 @@ class Settings:
         steps_per_move: of robots that differ in speed (SPEC section 22), one for all or one a robot; only their ratios
             count: reduced to whole numbers without a common factor. None: 1 each.
         radio: cells over which robots hear each other, and a start or base (SPEC section 22): who is in no chain from
-            one of these takes no area and shares none. None: any distance.
+            one of these takes no area and shares none, but drives back. None: any distance.
         in_area: which cell of an area is next: one of `planner.policies.in_area.ORDERS`; or a user's own, a function of
             a `CellOffer`, which is not saved.
         priority: by how much each cell counts when areas are compared, one number a cell of the map, row by row; as

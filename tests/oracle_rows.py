@@ -100,6 +100,13 @@ class Row:
                 return i in known
             known |= more
 
+    def way_back(self, i: int) -> list[int]:
+        """The way to the nearest base of a robot that is out of touch while there are areas that nobody has."""
+        if self.heard(i) or all(area.owner != NOBODY or area.done for area in self.areas):
+            return []
+        ways = [self.to(i, base) for base in self.bases]
+        return min(ways, key=lambda way: (sum(self.cost[i][c] for c in way), len(way), way[0]))
+
     def split(self, n: int) -> list[int]:
         """The parts of what is left of an area, as new areas; it is done."""
         parts: list[list[int]] = []
@@ -197,6 +204,9 @@ class Row:
                     continue
                 if step == 0:
                     self.enter(i, me.cell)
+                    moved = True
+                elif me.doing in ("idle", "done") and self.way_back(i):
+                    self.enter(i, self.way_back(i)[0])
                     moved = True
                 elif me.doing in ("idle", "done"):
                     if self.next_area(i, idle=True):

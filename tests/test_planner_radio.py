@@ -13,6 +13,7 @@ from oracle_rows import everything
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.mrac.radio import in_contact
+from planner.plans.plan import Plan
 from planner.settings import Settings
 from planner.tally import Outcome
 from planner.worlds.world import World
@@ -76,13 +77,24 @@ def test_who_hears_everybody_is_who_has_no_limit() -> None:
 
 
 @pytest.mark.parametrize("policy", ["mrac", "per_cell"])
-def test_who_is_out_of_touch_takes_nothing_over(policy: str) -> None:
-    """Two robots cover their sides of a dangerous cell. The first is done when it is four cells from its start, and the
-    other one, three from its own, three from it: over three cells it hears of what is left.
+def test_who_is_out_of_touch_drives_back_to_hear_of_what_is_left(policy: str) -> None:
+    """Two robots cover their sides of a dangerous cell. The first is done four cells from its start, and the other one,
+    three from its own, three from it: over three cells it hears of what is left; else it drives back as far as it must,
+    or as its range of six moves lets it.
     """
     world = World.create([[0.0] * 5 + [0.5] + [0.0] * 5])
-    for radio, outcome, visited in ((2.0, Outcome.STUCK, 10), (2.9, Outcome.STUCK, 10), (3.0, Outcome.COMPLETE, 11)):
+    back = {1.0: [3, 2, 1, 1, 2, 3, 4, 5], 2.0: [3, 2, 2, 3, 4, 5], 2.9: [3, 2, 2, 3, 4, 5], 3.0: [5]}
+    for radio, then in back.items():
         plan = make_plan(world, [[0, 0], [0, 10]], Settings(radio=radio, policy=policy))
-        _, singles = run_range(compile_closed_loop(plan, world), 0, 0, 50, singles=True)
-        assert singles is not None
-        assert set(singles.outcome.tolist()) == {outcome} and set(singles.visited.tolist()) == {visited}
+        assert plan.robots[0].path.tolist() == [0, 1, 2, 3, 4, *then]
+        assert _ends(plan, world) == {(Outcome.COMPLETE, 11)}
+    short = make_plan(world, [[0, 0], [0, 10]], Settings(radio=1.0, policy=policy, range=6))
+    assert short.robots[0].path.tolist() == [0, 1, 2, 3, 4, 3, 2]
+    assert _ends(short, world) == {(Outcome.STUCK, 10)}
+
+
+def _ends(plan: Plan, world: World) -> set[tuple[int, int]]:
+    """(outcome, cells visited) of rollouts."""
+    _, singles = run_range(compile_closed_loop(plan, world), 0, 0, 50, singles=True)
+    assert singles is not None
+    return set(zip(singles.outcome.tolist(), singles.visited.tolist(), strict=True))

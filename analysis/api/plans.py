@@ -123,7 +123,8 @@ def plan(
         types: of robots, of the world's matrix, one for all or one a robot: each plans with its own p, and is stopped
             by it.
         steps_per_move: of robots that differ in speed, one a robot: `(1, 2)`, the second is half as fast.
-        radio: cells over which robots hear each other, and a start or base: who is out of touch takes over nothing.
+        radio: cells over which robots hear each other, and a start or base: who is out of touch takes over nothing,
+            and drives back.
         in_area: "boustrophedon", "rows" or "columns": in safe areas straight on, so with fewer turns; an order of your
             own is a function of a `CellOffer`, the least first.
 

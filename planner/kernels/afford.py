@@ -1,7 +1,7 @@
 """What a robot that comes home can afford (SPEC section 19): how far it can still go, and how far home is.
 
 Part of `planner.kernels.rollouts`, which see; `planner.mrac.homecoming` is the readable one. Ways home are tables:
-`Tables.home_of`, `home_steps`, `home_cost`, `onward`, empty where robots stay where they end.
+`Tables.home_of`, `home_steps`, `home_cost`, `onward`; the costs are empty where robots stay where they end.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from planner.kernels.state import AHEAD, CELL, LAST_STEP, NEXT, NOW, STEP, TARGE
 @kernel
 def comes_home(t):
     """Whether robots come home."""
-    return len(t.home_of) > 0
+    return len(t.home_cost) > 0
 
 
 @kernel

@@ -23,8 +23,8 @@ from planner.kernels.handed import hand
 from planner.kernels.meet import is_meeting
 from planner.kernels.own import on_turn, own, own_turn
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
-from planner.kernels.radio import hears
-from planner.kernels.retire import call_home, charge, go_home, may_be_charged, stay, turn_home, turns
+from planner.kernels.radio import came_back, drives_back, hears
+from planner.kernels.retire import call_home, charge, end_range, go_home, may_be_charged, stay, turn_home, turns
 from planner.kernels.rollouts import begin_next, go_on_with, level_of
 from planner.kernels.runs import after_turns, end_of, is_over, moves_on, only_mover, waits
 from planner.kernels.state import (
@@ -411,8 +411,9 @@ def advance(t, p, s, c, w, log, how, ids):
             bits &= bits - ONE
             got = 0
             if not holds(s.movers, robot):
-                got = allocate_next(t, p, s, w, log, robot, np.bool_(True))
-                stays = True
+                stays = not drives_back(t, s, robot)
+                if stays:
+                    got = allocate_next(t, p, s, w, log, robot, np.bool_(True))
             else:
                 charging = comes_home(t) and robots[robot, DOING] == CHARGING
                 if charging:
@@ -464,6 +465,9 @@ def advance(t, p, s, c, w, log, how, ids):
                         take_note(t, s, cell)
             if robots[robot, DOING] == RETURNING:
                 go_home(t, s, log, robot)
+            elif came_back(t, s, robot):
+                if not end_range(t, s, w, log, robot):
+                    return AREAS_FULL
             elif own_turn(t, robot, step) == s.team[robot, UNTIL]:
                 if not stay(t, s, w, log, robot):
                     return AREAS_FULL

@@ -86,7 +86,7 @@ class ClosedLoop:
     @property
     def comes_home(self) -> bool:
         """True if robots come home."""
-        return len(self.tables.home_of) > 0
+        return len(self.tables.home_cost) > 0
 
     @property
     def is_mixed(self) -> bool:

@@ -9,13 +9,35 @@ import numpy as np
 
 from planner.jit import kernel, rare_kernel
 from planner.kernels.bits import holds, put
-from planner.kernels.state import CELL, DEAD, DOING
+from planner.kernels.state import CELL, CHANGES, DEAD, DOING, NEXT, OPEN, UNTIL
 
 
 @kernel
 def hears(t, s, robot):
     """Whether the robot is in touch with a base, by way of others that are alive: only then it takes over."""
     return len(t.reach) == 0 or _is_in_chain(t, s, robot)
+
+
+@kernel
+def drives_back(t, s, robot):
+    """Whether a robot that waits makes a move back, to hear of areas that nobody has: into its next cell, then."""
+    return len(t.reach) > 0 and _has_way_back(t, s, robot)
+
+
+@rare_kernel
+def _has_way_back(t, s, robot):
+    me = s.robots[robot]
+    if s.marks[OPEN] == 0 or s.team[robot, UNTIL] == 0 or not holds(s.waiting, robot) or _is_in_chain(t, s, robot):
+        return False
+    me[NEXT] = t.onward[t.home_of[robot], me[CELL]]
+    s.marks[CHANGES] += 1  # what it visits on its way makes offers worse
+    return me[NEXT] != me[CELL]
+
+
+@kernel
+def came_back(t, s, robot):
+    """Whether the robot has just made such a move."""
+    return len(t.reach) > 0 and holds(s.waiting, robot)
 
 
 @rare_kernel

@@ -58,11 +58,19 @@ def stay(t, s, w, log, robot):
     """The robot is at the end of its range: it neither moves nor waits for an area. False: no room for areas."""
     if comes_home(t) and moves_home(t, robot, np.int64(s.robots[robot, CELL])) == 0:
         return turn_home(t, s, w, log, robot, t.limits[RECHARGE] > 0)
-    area = np.int64(s.robots[robot, AREA])
+    area = np.int64(s.robots[robot, AREA]) if has_area(s.robots, robot) else np.int64(NONE)
     drop(s.movers, robot)
+    drop(s.waiting, robot)
     s.robots[robot, DOING] = DONE
     note(log, s, robot, RANGE_ENDED_EVENT, area, s.robots[robot, CELL])
-    return leave(t, s, w, log, robot, area)
+    return area == NONE or leave(t, s, w, log, robot, area)
+
+
+@rare_kernel
+def end_range(t, s, w, log, robot):
+    """The same of a robot that waits and has made a move, if that was its last. False: no room for areas."""
+    s.team[robot, UNTIL] -= 1
+    return s.team[robot, UNTIL] > 0 or stay(t, s, w, log, robot)
 
 
 @rare_kernel

@@ -21,11 +21,13 @@ from planner.kernels.luck import fresh
 from planner.kernels.meet import has_entered, is_meeting, meet
 from planner.kernels.own import on_turn, own, own_turn
 from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
+from planner.kernels.radio import came_back, drives_back
 from planner.kernels.remember import can_be_remembered, remember
 from planner.kernels.retire import (
     call_home,
     charge,
     count_home,
+    end_range,
     go_home,
     is_away,
     may_be_charged,
@@ -425,6 +427,7 @@ def advance(t, s, c, w, log, how, ids):
                     if robots[robot, DOING] != RETURNING:
                         continue
             moves = not charged and robots[robot, DOING] != IDLE and robots[robot, DOING] != DONE
+            moves = moves or drives_back(t, s, robot)
             if moves:
                 cell, progress = robots[robot, NEXT], 1
                 # t = 0 enters the start; later the same cell again is a wait, which is no visit.
@@ -447,6 +450,10 @@ def advance(t, s, c, w, log, how, ids):
                     take_note(t, s, cell)
         if returns and moves and robots[robot, DOING] == RETURNING:
             go_home(t, s, log, robot)
+            continue
+        if moves and came_back(t, s, robot):
+            if not end_range(t, s, w, log, robot):
+                return AREAS_FULL
             continue
         if moves and own_turn(t, robot, step) == s.team[robot, UNTIL]:
             if not stay(t, s, w, log, robot):

@@ -106,7 +106,7 @@ class Tables(NamedTuple):
         home_of: int64 `[K]`, the bases of each robot, of B sets; home_steps: int32 `[B, A]`, moves of the way home from
             each cell, NONE where it is cut off; home_cost: int64 `[B, A]`, its cost; onward: like near `[B, A]`, what
             is entered next on it, at a base that itself. All empty where robots stay where they end
-            (`planner.kernels.retire`).
+            (`planner.kernels.retire`), but for home_of and onward where they drive back (`planner.kernels.radio`).
     """
 
     near: NDArray

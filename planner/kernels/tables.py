@@ -310,19 +310,17 @@ def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: typ
 def _ways_home(
     problem: Problem, cells: NDArray[np.int64], compact: NDArray[np.int32], narrow: type
 ) -> dict[str, NDArray]:
-    """The fields of `Tables` that robots that come home read."""
-    home = problem.home
-    if home is None:
-        nothing = np.zeros((0, 0), dtype=np.int32)
-        none: dict[str, NDArray] = {"home_of": np.zeros(0, dtype=np.int64), "home_steps": nothing}
-        return none | {"home_cost": nothing.astype(np.int64), "onward": nothing.astype(narrow)}
-    onward = home.onward[:, cells]
-    itself = np.arange(len(cells))
+    """The fields of `Tables` that robots read that come home, or drive back to where they hear each other."""
+    home, nothing = problem.home, np.zeros((0, 0), dtype=np.int32)
+    of, onward = np.zeros(0, dtype=np.int64), nothing
+    if home is not None or problem.settings.radio is not None:
+        of, onward = problem.back
+    itself, onward = np.arange(len(cells)), onward[:, cells[: onward.shape[1]]]
     return {
-        "home_of": home.of,
-        "home_steps": np.ascontiguousarray(home.steps[:, cells]),
-        "home_cost": np.ascontiguousarray(home.cost[:, cells]),
-        "onward": np.where(onward == NO_CELL, itself, compact[onward]).astype(narrow),
+        "home_of": of,
+        "home_steps": nothing if home is None else np.ascontiguousarray(home.steps[:, cells]),
+        "home_cost": nothing.astype(np.int64) if home is None else np.ascontiguousarray(home.cost[:, cells]),
+        "onward": np.where(onward == NO_CELL, itself[: onward.shape[1]], compact[onward]).astype(narrow),
     }
 
 

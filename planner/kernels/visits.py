@@ -189,8 +189,7 @@ def lose(t, s, c, w, log, robot, size):
         s.odds[cell] = t.lessons[AT_STOP]
     s.marks[ALIVE] -= 1
     drop(s.movers, robot)
-    if len(s.entered) > 0:
-        drop(s.waiting, robot)
+    drop(s.waiting, robot)
     s.robots[robot, DOING] = DEAD
     s.marks[CHANGES] += len(t.type_of) > 0  # prices go by who is alive
     note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)

@@ -9,6 +9,7 @@ from planner.mrac.board import Board, Choice, Robot
 from planner.mrac.homecoming import can_afford
 from planner.mrac.radio import in_contact, reach_of
 from planner.mrac.search import NOT_WANTED, UNREACHED
+from planner.none import NO_CELL
 from planner.policies.limits import NO_REFUSAL, is_dangerous, is_refused, most_at_risk
 from planner.policies.offer import Offer
 from planner.trace import Doing
@@ -22,6 +23,16 @@ def hears(board: Board, robot: Robot) -> bool:
     alive = [other for other in board.robots if other.alive]
     places = np.stack(np.divmod([other.cell for other in alive], problem.world.shape[1]), axis=1)
     return bool(in_contact(places, problem.bases, reach_of(problem.settings))[alive.index(robot)])
+
+
+def drives_back(board: Board, robot: Robot) -> bool:
+    """Whether a robot without an area makes a move back, to hear of those that nobody has; that is then ahead of it."""
+    if not board.unassigned or hears(board, robot):
+        return False
+    of, onward = board.problem.back
+    cell = int(onward[of[robot.number], robot.cell])
+    robot.ahead = [] if cell == NO_CELL else [cell]
+    return bool(robot.ahead)
 
 
 def first_area(board: Board, robot: Robot, *, own: bool = False, refusing: bool = True) -> Choice | None:

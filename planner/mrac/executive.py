@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 
 from planner.mrac.allocate import choose_parts
 from planner.mrac.board import Board, Choice, Robot, State
-from planner.mrac.choose import first_area, first_of_idle, first_to_share, has_to_wait, hears, is_at_risk, is_full
+from planner.mrac.choose import (
+    drives_back,
+    first_area,
+    first_of_idle,
+    first_to_share,
+    has_to_wait,
+    hears,
+    is_at_risk,
+    is_full,
+)
 from planner.mrac.coverage import coverage_path
 from planner.mrac.homecoming import can_go_on, has_to_leave, is_home, moves_left
 from planner.mrac.partition import bisect
@@ -138,6 +147,8 @@ class Executive(Board):
             self.next_move = self.step
             self._look_up(robot)
             self.next_move = self.step + 1
+        elif robot.able and not robot.busy and drives_back(self, robot):
+            return robot.ahead[-1]
         elif robot.able and not robot.busy and (self._allocate_next(robot, idle=True) or robot.turned):
             robot.path.append(robot.cell)
             self._finish_paths(robot)
@@ -161,7 +172,7 @@ class Executive(Board):
             in_area = self._begins_in_its_area(robot)
         else:
             robot.cell = robot.ahead.pop()
-            robot.moves -= robot.on_its_way or robot.status is Doing.RETURNING
+            robot.moves -= robot.status is not Doing.FOLLOWING
         robot.path.append(robot.cell)
         self.progress = True
         if robot.on_its_way and (in_area or self.step > 0):

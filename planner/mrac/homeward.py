@@ -79,7 +79,7 @@ def ways_home(
     else:
         shared = np.unique(begun) if settings.return_to == "nearest" else _cells(settings.return_to, shape)
         sets, of = [shared], np.zeros(len(starts), dtype=np.int64)
-    found = [_ways(cells, paths, costs) for cells in sets]
+    found = [ways_to(cells, paths, costs) for cells in sets]
     cost, steps, onward = (np.stack(rows) for rows in zip(*found, strict=True))
     last = MAX_STEP if settings.last_step is None else settings.last_step
     home = Homeward(begun, of.astype(np.int64), cost, steps, onward, last)
@@ -116,7 +116,7 @@ def _check(home: Homeward, settings: Settings, starts: NDArray[np.int64], shape:
             )
 
 
-def _ways(
+def ways_to(
     bases: NDArray[np.int64], paths: SafestPaths, costs: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]:
     """(cost, steps, onward) `[N]` of the ways to the nearest of the bases."""

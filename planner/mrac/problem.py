@@ -13,7 +13,7 @@ from planner.arguments import argument
 from planner.errors import PlanError, WorldError
 from planner.limits import MAX_STEP
 from planner.mrac.costs import BLOCKED, entry_costs, level_costs
-from planner.mrac.homeward import Homeward, ways_home
+from planner.mrac.homeward import Homeward, ways_home, ways_to
 from planner.mrac.own_maps import OwnMaps, own_maps
 from planner.mrac.paths import SafestPaths, safest_paths
 from planner.mrac.sides import sides_first
@@ -77,6 +77,18 @@ class Problem:
         cells = self.starts if self.home is None else np.concatenate([self.starts, self.home.starts])
         own = np.stack(np.divmod(np.unique(cells), self.world.shape[1]), axis=1)
         return np.concatenate([own, np.array(listed, dtype=np.int64).reshape(-1, 2)])
+
+    @cached_property
+    def back(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+        """Ways to where a robot is in touch, home or to the nearest start: of each robot `[K]` which of them it takes,
+        and what is entered next from each cell `[S, N]`, NO_CELL at the end.
+        """
+        if self.home is not None:
+            return self.home.of, self.home.onward
+        of = np.zeros(len(self.starts), dtype=np.int64) if self.own is None else self.own.of
+        kinds = [(self.paths, self.costs)] if self.own is None else zip(self.own.paths, self.own.costs, strict=True)
+        bases = np.unique(self.starts)
+        return of, np.stack([ways_to(bases, *kind)[2] for kind in kinds])
 
     def pace(self, robot: int) -> int:
         """Steps that a move of the robot takes."""
