@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import warnings
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -26,7 +27,7 @@ from planner.policies.offer import Offer
 from planner.settings import Policy, Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.worlds.world import Team, World
 from planner.worlds.wrong_maps import with_hazard
 
 BY_SIZE = Rule("by_size", lambda offer: ((offer.level, 1), (-offer.unvisited, 1)))
@@ -219,5 +220,9 @@ def test_what_cannot_be_is_refused() -> None:
             mrac.env(world(), 2, **also)
     with pytest.raises(mrac.InputError, match="rule='best'; expected 'mrac'"):
         mrac.env(world(), 2, actions="areas", rule="best")
+    apart = replace(world(), team=Team(settings={"radio": 3.0}))
+    for asked in ({}, {"actions": "areas"}):
+        with pytest.raises(mrac.InputError, match="the environment with radio"):
+            mrac.env(apart, 2, **asked)
     with pytest.raises(mrac.InputError, match="policy returned"):
         mrac.judge(world(), lambda seen: [9] * 2, 2, actions="areas", rollouts=2)

@@ -263,11 +263,16 @@ def test_an_obstacle_a_wrong_level_and_no_file(tmp_path: Path) -> None:
     assert state is not None
     data = state.to_json()
     data["areas"][0]["level"] += 1
-    with pytest.raises(StateError, match="level"):
+    with pytest.raises(StateError, match=r"level.* give the settings of the plan that was driven, levels among"):
         make_plan(world, state.starts, state=parse_state(data, world, "state.json"))
     with pytest.raises(StateError, match=r"robot 0 is .* after 7 moves"):
         data = state.to_json()
         data["robots"][0]["moves"] = 7
         make_plan(world, state.starts, Settings(range=6), state=parse_state(data, world, "state.json"))
+    world, plan = mission(3, policy="per_cell")
+    state = ReferenceLoop(plan, world).state_at(8, 0, 0)
+    assert state is not None
+    with pytest.raises(StateError, match=r"not by policy mrac.* plan that was driven, policy among them"):
+        make_plan(world, state.starts, state=state)
     with pytest.raises(InputError, match=r"missing\.json"):
         load_state(tmp_path / "missing.json", world)

@@ -21,7 +21,7 @@ from planner.missions.chosen import ChosenRun
 from planner.mrac.make_plan import allocate
 from planner.mrac.problem import prepare
 from planner.policies import DEFAULT, RULES
-from planner.settings import Policy, Settings
+from planner.settings import Choices, Policy, Settings
 from planner.tally import Outcome
 from planner.worlds.doubt import Hazard
 from planner.worlds.starts import starts_of
@@ -58,6 +58,7 @@ class AreaEnv:
         placed = starts_of(world, robots, starts)
         (world.check_told if isinstance(world.doubt, Hazard) else world.check_settled)("the environment")
         world.check_alike("the environment")
+        Choices().settings(world.team.settings, world.pace, by=world.source).check_alike("the environment")
         Numbers(0).check("worth", worth)
         whole(1, 1024).check("offers", offers)
         if isinstance(rule, str):

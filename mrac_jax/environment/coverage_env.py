@@ -25,6 +25,7 @@ from mrac_jax.two_words import is_reached, less, tolerance_words, two_words
 from planner.arguments import Numbers, whole
 from planner.mrac.costs import neighbour_table
 from planner.none import NO_CELL
+from planner.settings import Choices
 from planner.threefry import OWN_KEYS
 from planner.tolerance import LUCK_DRAW
 from planner.worlds.doubt import Draws, Hazard
@@ -90,6 +91,7 @@ class CoverageEnv:
         self._hazards = world.draws if isinstance(world.doubt, Hazard) else None
         (world.check_settled if self._hazards is None else world.check_told)("the environment")
         world.check_alike("the environment")
+        Choices().settings(world.team.settings, world.pace, by=world.source).check_alike("the environment")
         Numbers(0).check("worth", worth)
         whole(0).check("view", view, optional=True)
         whole(1).check("max_steps", max_steps, optional=True)

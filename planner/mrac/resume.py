@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import argument
 from planner.errors import StateError
 from planner.mrac.allocate import allocate_areas_to_robots
 from planner.mrac.areas import find_areas
@@ -93,9 +94,8 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
         return _allocated(problem, state, able)
     for number, area in enumerate(state.areas):
         if (problem.levels.of_cell[area.cells] != area.level).any():
-            raise StateError(
-                f"area {number} has level {area.level}", expected="the level of all its cells in this plan"
-            )
+            expected = "the level of all its cells in this plan"
+            raise StateError(f"area {number} has level {area.level}", expected=expected, fix=_settings_asked("levels"))
     robots = (
         _sent(problem, robot, robot.area, state.areas[robot.area], state.visited)
         if robot.status in ON_ITS_WAY and not len(robot.ahead)
@@ -106,8 +106,14 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
     for number, robot in enumerate(state.robots):
         if robot.status in ON_ITS_WAY and not _leads_on(robot, state.areas[robot.area], problem.rule.attentive):
             expected = "a path that ends in its area, and what it has still to cover on it"
-            raise StateError(f"robot {number} is {robot.status}, but not by this policy", expected=expected)
+            problem_is = f"robot {number} is {robot.status}, but not by policy {problem.rule.name}"
+            raise StateError(problem_is, expected=expected, fix=_settings_asked("policy"))
     return state
+
+
+def _settings_asked(name: str) -> str:
+    """What to do about a state that another plan's settings have made."""
+    return f"give the settings of the plan that was driven, {argument(name)} among them, or go on with that plan"
 
 
 def _check_exposures(problem: Problem, state: MissionState) -> None:
