@@ -326,10 +326,10 @@ SHARE = {"killed": 1.0, "full": 0.1, "read-only": 0.01, "two": 0.04}
 """Of each kind, to one kill."""
 
 
-def driven(folder: Path, dies: float = 0.0) -> tuple[dict[str, str], Ended]:
+def driven(folder: Path, dies: float = 0.0, *, steps: bool = True) -> tuple[dict[str, str], Ended]:
     """What `drive` says to a team whose luck is that of its step and robot: orders by both, and its end.
 
-    `dies`: seconds after which it is ended where it stands (SIGALRM, which nobody catches).
+    `dies`: seconds after which it is ended where it stands (SIGALRM, which nobody catches). `steps`: reports say theirs.
     """
     (ask, reports), (lines, tell) = os.pipe(), os.pipe()
 
@@ -355,7 +355,7 @@ def driven(folder: Path, dies: float = 0.0) -> tuple[dict[str, str], Ended]:
                 seen[f"{told['step']}: {order['robot']}"] = str(order["cell"])
                 stopped = random.Random(f"{told['step']} {order['robot']}").random() < 0.01
                 report = {"type": "report", "robot": order["robot"], "cell": order["cell"], "stopped": stopped}
-                report["step"] = told["step"]  # orders may be said twice
+                report |= {"step": told["step"]} if steps else {}
                 answers.write(json.dumps(report) + "\n")
                 answers.flush()
     return seen, running.wait()
@@ -368,9 +368,9 @@ def drives(home: Path, count: int, draw: random.Random) -> Iterator[str]:
     right, _ = driven(prepare(home / "now"))
     took, kills = time.monotonic() - clock, 0
     while kills < count:
-        folder, seen = prepare(home / "now"), dict[str, str]()
+        folder, seen, steps = prepare(home / "now"), dict[str, str](), draw.random() < 0.5
         while "end" not in seen:
-            more, done = driven(folder, draw.uniform(0, took) if kills < count else 0.0)
+            more, done = driven(folder, draw.uniform(0, took) if kills < count else 0.0, steps=steps)
             kills += done.status < 0
             if done.status not in (0, -signal.SIGALRM) or "Traceback" in done.said:
                 yield f"drive: {done}"

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import collections
 import importlib.util
 import io
 import json
 import os
+import random
 import subprocess
 import sys
 import time
@@ -175,6 +177,39 @@ def test_the_fleet_drives_the_command_through_a_pipe(tmp_path: Path) -> None:
     world.save(tmp_path / "map.npz")
     end = example("fleet").drive(str(tmp_path / "map.npz"), 2, 0.1, 5, "--state", str(tmp_path / "now.json"))
     assert end["outcome"] in ("complete", "stopped") and (tmp_path / "now.json").exists()
+
+
+def said_to(file: Path | None, *, steps: bool, killed: int = 0) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Orders by step and robot, and the end, as said to robots that answer each line, late and unasked.
+
+    Their luck is of the step and the robot. `steps`: they say which they answer. `killed`: after every so many lines
+    the process is another, and what was said to it and not heard is lost.
+    """
+    seen: dict[str, Any] = {}
+    _, talking = talk(state=file)
+    said, lines = collections.deque(talking.begin()), 0
+    while (told := said.popleft())["type"] != "end":
+        for order in told["orders"]:
+            seen[f"{told['step']} {order['robot']}"] = order["cell"]
+            stopped = random.Random(f"{told['step']} {order['robot']}").random() < 0.05
+            report = {"type": "report", "robot": order["robot"], "cell": order["cell"], "stopped": stopped}
+            said += say(talking, **report, **({"step": told["step"]} if steps else {}))
+            lines += 1
+            if killed and lines % killed == 0 and file is not None:
+                world, _ = talk()
+                plan = mrac.plan(world, starts=place_starts(world, 3)[0])
+                talking = Dialogue(DrivenMission.resume(file, world, plan), file, dict)
+                said = collections.deque(talking.begin())
+                break
+    return seen, told
+
+
+@pytest.mark.parametrize("killed", [0, 2, 5])
+def test_who_answers_each_line_is_never_a_line_behind(killed: int, tmp_path: Path) -> None:
+    """Nobody need say of which step a report is; after a crash the orders of a step are those before it."""
+    right = said_to(None, steps=True)
+    assert right[1]["lost"]
+    assert said_to(tmp_path / "now.json", steps=False, killed=killed) == right
 
 
 class Stub:

@@ -309,7 +309,8 @@ def plan_command(
     check_files(source, out, waypoints)
     form = None if waypoints is None else choose_format(waypoints, None, "waypoints")
     asked = team.asked(source, planning.choices())
-    world, made, notes = load_or_make_plan(asked, state=state, seconds=seconds)
+    check = None if form is None else form.check
+    world, made, notes = load_or_make_plan(asked, state=state, seconds=seconds, first=check)
     say(notes)
     written = [] if out is None else [out]
     if waypoints is not None and form is not None:

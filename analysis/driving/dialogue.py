@@ -12,6 +12,7 @@ from planner.arguments import whole
 from planner.errors import InputError, UsageError
 from planner.files import Json
 from planner.missions.mission import Mission
+from planner.missions.orders import Order
 from planner.missions.saved import hand_on
 from planner.worlds.keys import Key
 
@@ -24,6 +25,9 @@ KINDS = ("report", "step", "close", "call_off", "orders", "outlook")
 class Dialogue:
     """What is answered to each line.
 
+    Orders of a step are said at its start, and stay whatever is reported of it: who answers each line that is said is
+    never a line behind, and after a crash they are the same.
+
     Args:
         mission: that is driven. state: the file that it is kept in, written before orders are given; None: in none.
         outlook: says what will come, when it is asked for. unasked: also at the start, and after what changes it.
@@ -33,11 +37,11 @@ class Dialogue:
         self, mission: Mission, state: Path | None, outlook: Callable[[], Json], *, unasked: bool = False
     ) -> None:
         self.mission, self._state, self._outlook, self._unasked = mission, state, outlook, unasked
-        self._line = 0
+        self._line, self._told = 0, dict[int, Order]()
 
     def begin(self) -> Iterator[Json]:
         """The first lines: orders, or that the mission is over."""
-        return self._go_on(changed=True)
+        return self._go_on(asked=True)
 
     def hear(self, line: str) -> Iterator[Json]:
         """What is said to a line."""
@@ -63,11 +67,11 @@ class Dialogue:
             yield from self._go_on(changed=told, step=over)
         elif kind == "close":
             self.mission.close(given.mapping(("cells",))["cells"].value)
-            yield from self._go_on(changed=True)
+            yield from self._go_on(asked=True)
         elif kind == "call_off":
             given.mapping()
             self.mission.call_off()
-            yield from self._go_on(changed=True)
+            yield from self._go_on(asked=True)
         elif kind == "step":
             of = given.mapping(defaults={"step": self.mission.step})["step"].number(whole(0))
             if of == self.mission.step:
@@ -79,18 +83,22 @@ class Dialogue:
             else:
                 yield self._said()
 
-    def _go_on(self, *, changed: bool = False, step: bool = False) -> Iterator[Json]:
-        """End steps in which nobody is waited for, keep the mission, and say what is to be done if that is new."""
+    def _go_on(self, *, asked: bool = False, changed: bool = False, step: bool = False) -> Iterator[Json]:
+        """End steps in which nobody is waited for, keep the mission, and say what is to be done if that is new.
+
+        `asked`: orders are said in any case, by what is known now. `changed`: what will come is another.
+        """
         mission, before = self.mission, self.mission.step
-        if step:
+        if asked:
+            self._told = mission.first_orders()
+        while step or (mission.outcome is None and not mission.awaited_of(self._told)):
             mission.advance()
-        while mission.outcome is None and not mission.awaited:
-            mission.advance()
+            self._told, step = mission.orders(), False
         if self._state is not None:
             mission.save(self._state)
-        if mission.step > before or changed:
+        if asked or mission.step > before:
             yield self._said()
-        if changed and self._unasked and mission.outcome is None:
+        if (asked or changed) and self._unasked and mission.outcome is None:
             yield self._outlook() | {"type": "outlook", "step": mission.step}
 
     def _said(self) -> Json:
@@ -98,7 +106,7 @@ class Dialogue:
         mission = self.mission
         if mission.outcome is not None:
             return {"type": "end", **mission.known()}
-        orders = [order.to_json() for order in mission.orders().values()]
+        orders = [order.to_json() for order in self._told.values()]
         return {"type": "orders", "format": FORMAT, "version": VERSION, **mission.known(), "orders": orders}
 
 

@@ -16,6 +16,7 @@ from planner.arguments import argument, did_you_mean
 from planner.errors import UsageError
 from planner.files import atomic_write, printable
 from planner.plans.waypoints import waypoints_csv
+from planner.worlds.world import World
 
 Content = str | bytes
 
@@ -27,11 +28,18 @@ class Format:
     Attributes:
         suffixes: of its files, the usual one first.
         whole: what a file of the team holds; or `each`: what the file of a robot holds.
+        on_earth: it holds longitudes and latitudes.
     """
 
     suffixes: tuple[str, ...]
     whole: Callable[[Mission], Content] | None = None
     each: Callable[[Mission, int], Content] | None = None
+    on_earth: bool = True
+
+    def check(self, world: World) -> None:
+        """Raise MapError for a world of which it cannot be written, before there is a plan."""
+        if self.on_earth:
+            world.to_lonlat((0, 0))
 
     def names(self, out: Path, robots: int) -> list[Path]:
         """The files that it writes for `out`: a folder, or a file (numbered where each of several robots has one)."""
@@ -52,12 +60,12 @@ class Format:
 
 FORMATS = {
     "qgc": Format((".plan",), each=qgc_plan),
-    "nav2": Format((".yaml", ".yml"), each=nav2_poses),
+    "nav2": Format((".yaml", ".yml"), each=nav2_poses, on_earth=False),
     "geojson": Format((".geojson", ".json"), geojson),
     "kml": Format((".kml",), kml),
     "gpx": Format((".gpx",), gpx),
-    "csv": Format((".csv",), lambda mission: waypoints_csv(mission.plan, mission.world)),
-    "geotiff": Format((".tif", ".tiff"), geotiff),
+    "csv": Format((".csv",), lambda mission: waypoints_csv(mission.plan, mission.world), on_earth=False),
+    "geotiff": Format((".tif", ".tiff"), geotiff, on_earth=False),
 }
 """Every way out, by its name."""
 

@@ -207,6 +207,14 @@ class Mission:
             self._orders = {} if self.outcome is not None else self._play(self._fleet.fork(), True)
         return self._orders
 
+    def first_orders(self) -> dict[int, Order]:
+        """The orders of this step as they were before anybody reported of it, what was closed since left out."""
+        kept, self._reports = self._reports, Reports(self._fleet)
+        try:
+            return {} if self.outcome is not None else self._play(self._fleet.fork(), True)
+        finally:
+            self._reports = kept
+
     def report(
         self,
         robot: int,
@@ -271,12 +279,15 @@ class Mission:
     @property
     def awaited(self) -> tuple[int, ...]:
         """Robots that are to move in this step and have not reported."""
-        orders = self.orders().values()
+        return self.awaited_of(self.orders())
+
+    def awaited_of(self, orders: dict[int, Order]) -> tuple[int, ...]:
+        """Robots that are to move by these orders of this step and have not reported."""
         cells = [robot.cell for robot in self._fleet.robots]
         begins = self.step == 0
         return tuple(
             order.robot
-            for order in orders
+            for order in orders.values()
             if order.robot not in self._reports.now and (begins or self._index(order.cell) != cells[order.robot])
         )
 
