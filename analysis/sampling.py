@@ -31,7 +31,7 @@ PRECISION = 0.001
 EXACT_SECONDS = 2.0
 """Of looking for an exact value of the closed loop, about, before it is sampled alone."""
 PRECISIONS = Numbers(0, 1, above=True, below=True, said="a fraction of the accessible cells in (0, 1)")
-EXACT_EFFORT = Numbers(0, above=True, said="auto, never, or a number of seconds above 0")
+EXACT_EFFORT = Numbers(0, 1e6, above=True, said="auto, never, or a number of seconds above 0, at most 1e6")
 SECONDS = 10.0
 """Of rolling out, after which an answer that nobody gave a size stops, whatever its interval."""
 

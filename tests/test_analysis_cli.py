@@ -266,6 +266,7 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("evaluate WORLD --precision 0.1 --rollouts 5", "one of them"),
         ("evaluate WORLD --seed -1", "--seed -1"),
         ("evaluate WORLD --seed 18446744073709551616", "2**64"),
+        ("evaluate WORLD --exact 1e308", "at most 1e6"),
         ("evaluate WORLD --deadline -1", "--deadline -1"),
         ("evaluate WORLD --cell-size 0", "cell_size"),
         ("evaluate WORLD --cell-size 1.5", "1.5"),
