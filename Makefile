@@ -7,7 +7,7 @@ DOCS := .venv/.docs
 # Some machines' setting: hundreds of processes of the tests would each compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo test test-slow fuzz faults determinism style types suite lint format bench bench-gpu docs release-check
+.PHONY: install demo test test-slow fuzz faults determinism calibration style types suite lint format bench bench-gpu docs release-check
 
 install: $(READY)
 
@@ -45,6 +45,11 @@ faults: $(READY)
 
 determinism: $(READY)
 	$(BIN)/python tests/determinism.py
+
+# How often printed intervals hold the truth, on ten small worlds: some ten minutes.
+SEEDS ?= 500
+calibration: $(READY)
+	$(BIN)/python tests/calibration.py --seeds $(SEEDS)
 
 lint: style types
 
