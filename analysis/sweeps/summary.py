@@ -66,7 +66,7 @@ class Moments:
         """Mean over maps of the figure at `place`, its standard error and 95 % interval, clipped to `low .. high`.
 
         Student's t over two maps or more, widened for maps of a rare kind as
-        `analysis.statistics.estimate.mean_estimate` is for rare events; where every map gave the same, the rule of
+        `analysis.statistics.estimate.mean_estimate` is for rare events, with the control and without; where every map gave the same, the rule of
         three. For a single map: the noise of its rollouts, and it speaks of that map alone. `weights`: in the place of
         the figure's own.
         """
@@ -83,7 +83,9 @@ class Moments:
             squared, half = scatter / (maps - 1) / maps, 3.0 * (high - low) / maps
             if scatter > 0:
                 rare = float(np.einsum("abc,a,b,c", self.lean[place], by, by, by)) / scatter / maps
-                half = float(stdtrit(maps - 1, 0.975)) * math.sqrt(squared + MISSED * rare**2)
+                alone = self.lean[place, 0, 0, 0] / max(self.scatter[place, 0, 0], NEGLIGIBLE * scatter) / maps
+                missed = MISSED * max(rare**2, alone**2)  # what luck explains does not make a rare map likelier seen
+                half = float(stdtrit(maps - 1, 0.975)) * math.sqrt(squared + missed)
             se = math.hypot(math.sqrt(squared), math.sqrt(shared))
             half = math.hypot(half, Z95 * math.sqrt(shared))
         mean = min(max(mean, low), high)
