@@ -65,8 +65,8 @@ class Moments:
     def estimate(self, place: int, low: float, high: float, weights: NDArray[np.float64] | None = None) -> Estimate:
         """Mean over maps of the figure at `place`, its standard error and 95 % interval, clipped to `low .. high`.
 
-        Student's t over two maps or more, widened for maps of a rare kind as
-        `analysis.statistics.estimate.mean_estimate` is for rare events, with the control and without; where every map gave the same, the rule of
+        Student's t over two maps or more, widened for maps of a rare kind, by the figure with the control or without,
+        as `analysis.statistics.estimate.mean_estimate` is for rare events; where every map gave the same, the rule of
         three. For a single map: the noise of its rollouts, and it speaks of that map alone. `weights`: in the place of
         the figure's own.
         """
