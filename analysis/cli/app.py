@@ -22,6 +22,7 @@ from analysis.cli.decisions import attack, clear, starts
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
 from analysis.cli.drive import drive
 from analysis.cli.exporting import Altitude, export
+from analysis.cli.graph import graph
 from analysis.cli.groups import (
     Checking,
     OfAnyPolicy,
@@ -422,7 +423,10 @@ def generate(
     return DONE
 
 
-PLANS, MISSIONS = (attack, clear, starts, studio, suite, sweep), (drive, export, inspect, record, recover, replay)
+PLANS, MISSIONS = (
+    (attack, clear, graph, starts, studio, suite, sweep),
+    (drive, export, inspect, record, recover, replay),
+)
 for command in (*PLANS, *MISSIONS, reproduce, results):
     app.command(command)
 
