@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from mixed_teams import assert_as_enumerated, assert_engines_agree, drawn
 from oracle_rows import everything
+from test_planner_home import check_rules, ways
 
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
 from planner.mrac.make_plan import make_plan
+from planner.mrac.problem import prepare
 from planner.plan_team import plan_team, read_plan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
@@ -32,6 +34,12 @@ KINDS: list[dict[str, Any]] = [
     {"risk": "log", "levels": 3, "in_area": "boustrophedon"},
     {"policy": "watchful", "worth": 20.0, "levels": 3},
 ]
+HOMES: list[dict[str, Any]] = [
+    {"return_to": "home", "deadline": 40},
+    {"return_to": "nearest", "range": 30, "recharge": 3},
+    {"return_to": "home", "range": 40, "policy": "per_cell", "reserve": 0.4, "worth": 30.0},
+    {"return_to": "nearest", "range": 45, "policy": "watchful", "reserve": 0.4, "deadline": 70},
+]
 
 
 def check_engines(seed: int, rollouts: int) -> None:
@@ -45,6 +53,34 @@ def check_engines(seed: int, rollouts: int) -> None:
 def test_engines_agree(part: int) -> None:
     for seed in range(part, 42, len(KINDS)):
         check_engines(seed, 3)
+
+
+def check_homes(part: int, seed: int, rollouts: int) -> None:
+    """Engines agree, and each robot goes home by the safest way of its own type, found by the plainest search."""
+    world, starts, types = drawn(seed)
+    plan = make_plan(world, starts, Settings(**HOMES[part], types=types))
+    problem = prepare(world, starts, Settings(**HOMES[part], types=types))
+    within = np.flatnonzero(problem.levels.accessible).tolist()
+    costs = [problem.costs if problem.own is None else problem.own.costs[problem.own.of[k]] for k in range(len(types))]
+    entry = [{cell: int(own[cell]) for cell in within} for own in costs]
+    mine = [[int(row * world.shape[1] + col)] for row, col in starts]
+    bases = mine if HOMES[part]["return_to"] == "home" else [[base for (base,) in mine]] * len(types)
+    found = [ways(world, *known) for known in zip(bases, entry, strict=True)]
+    for trace in assert_engines_agree(plan, world, seed, rollouts):
+        check_rules(trace, world, plan, found)
+
+
+@pytest.mark.parametrize("part", range(len(HOMES)))
+def test_robots_of_several_types_come_home_each_by_its_own_way(part: int) -> None:
+    for seed in range(part, 16, len(HOMES)):
+        check_homes(part, seed, 3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", range(len(HOMES)))
+def test_they_do_on_hundreds_of_worlds(part: int) -> None:
+    for seed in range(1000 + part, 1600, len(HOMES)):
+        check_homes(part, seed, 4)
 
 
 @pytest.mark.slow
@@ -177,7 +213,7 @@ def test_teams_of_unknown_types_and_what_does_not_know_types(tmp_path: Path) -> 
             make_plan(world, starts, Settings(types=types))
     with pytest.raises(InputError, match="knows no types of robots"):
         make_plan(replace(world, types=None), starts, Settings(types="drone"))
-    for more in ({"return_to": "home"}, {"transit": "area"}, {"plan_for": "open"}):
+    for more in ({"transit": "area"}, {"plan_for": "open"}):
         with pytest.raises(InputError, match="types"):
             plan_team(world, starts, Settings(types=("drone", "rover"), **more))
     hazard = with_hazard(world, "persistent", 0.1)

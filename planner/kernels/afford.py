@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.jit import kernel, rare_kernel
 from planner.kernels.bits import holds
-from planner.kernels.own import own_turn
+from planner.kernels.own import own, own_turn
 from planner.kernels.rows import walk_back
 from planner.kernels.state import AHEAD, CELL, LAST_STEP, NEXT, NOW, STEP, TARGET, UNLIMITED, UNTIL
 
@@ -50,7 +50,7 @@ def affords(t, s, w, robot, target):
     for _ in range(left):
         if here == target:
             break
-        here = np.int64(t.hop_to[target, here])
+        here = np.int64(t.hop_to[own(t, robot, target), here])
     return left >= 0 and here == target
 
 
@@ -66,6 +66,6 @@ def can_go_on(t, s, robot, left):
             ahead -= 1
             cell = np.int64(s.legs[robot, ahead])
         else:
-            cell = np.int64(t.hop_to[target, cell])
+            cell = np.int64(t.hop_to[own(t, robot, target), cell])
         left -= 1
     return False

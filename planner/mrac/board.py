@@ -71,7 +71,7 @@ class Robot:
     ready: int = 0
     path: list[int] = field(default_factory=list)
     legs: list[Stretch] = field(default_factory=list)
-    asked: tuple[int, int, int] | None = None
+    asked: tuple[int, ...] | None = None
     first: Choice | None = None
 
     @property

@@ -62,9 +62,9 @@ def first_of_idle(board: Board, robot: Robot) -> Choice | None:
     """The same of a robot that waits, kept until an unassigned area comes, goes, or loses a cell to do."""
     if not hears(board, robot):
         return None
-    now = (board.changes, robot.cell, 0 if board.problem.home is None else board.next_move)
+    now: tuple[int, ...] = (board.changes, robot.cell, 0 if board.problem.home is None else board.next_move)
     if board.problem.own is not None:  # the price goes by who is alive
-        now = (*now[:2], sum(other.alive for other in board.robots))
+        now = (*now, sum(other.alive for other in board.robots))
     if robot.asked != now:
         robot.asked, robot.first = now, first_area(board, robot)
     return robot.first

@@ -11,6 +11,7 @@ from planner.arguments import argument
 from planner.errors import PlanError
 from planner.jit import compiled
 from planner.limits import MAX_STEP
+from planner.mrac.own_maps import OwnMaps
 from planner.mrac.paths import SafestPaths
 from planner.mrac.search import UNREACHED
 from planner.none import NO_CELL
@@ -22,7 +23,7 @@ CUT_OFF = -1
 
 @dataclass(frozen=True, eq=False)
 class Homeward:
-    """The ways home. Axes: `B` sets of bases, `N` cells, `K` robots.
+    """The ways home. Axes: `B` sets of bases, and types, `N` cells, `K` robots.
 
     Attributes:
         starts: int64 `[K]`, the cells where the robots started. of: int64 `[K]`, the set of bases of each.
@@ -63,12 +64,13 @@ def ways_home(
     paths: SafestPaths,
     costs: NDArray[np.int64],
     homes: NDArray[np.int64] | None = None,
+    own: OwnMaps | None = None,
 ) -> Homeward | None:
     """The ways home of robots from `starts` `[K]`, cells; None where they need not come home.
 
-    `costs`: int64 `[N]`, of entering each cell. `homes`: cells `[K]` where robots of a mission under way started. Cost:
-    a search from every base. Raises PlanError for a base that is off the map, and of a mission that begins for a robot
-    that cannot reach one.
+    `costs`: int64 `[N]`, of entering each cell. `homes`: cells `[K]` where robots of a mission under way started.
+    `own`: of robots of several types, whose ways home are their own. Cost: a search from every base. Raises PlanError
+    for a base that is off the map, and of a mission that begins for a robot that cannot reach one.
     """
     if settings.return_to is None:
         return None
@@ -79,10 +81,13 @@ def ways_home(
     else:
         shared = np.unique(begun) if settings.return_to == "nearest" else _cells(settings.return_to, shape)
         sets, of = [shared], np.zeros(len(starts), dtype=np.int64)
-    found = [ways_to(cells, paths, costs) for cells in sets]
+    maps = ((paths, costs),) if own is None else tuple(zip(own.paths, own.costs, strict=True))
+    kinds = np.zeros(len(starts), dtype=np.int64) if own is None else own.of
+    pairs, of = np.unique(np.stack([kinds, of]), axis=1, return_inverse=True)
+    found = [ways_to(sets[bases], *maps[kind]) for kind, bases in pairs.T.tolist()]
     cost, steps, onward = (np.stack(rows) for rows in zip(*found, strict=True))
     last = MAX_STEP if settings.last_step is None else settings.last_step
-    home = Homeward(begun, of.astype(np.int64), cost, steps, onward, last)
+    home = Homeward(begun, of.ravel().astype(np.int64), cost, steps, onward, last)
     if homes is None:
         _check(home, settings, starts, shape)
     return home

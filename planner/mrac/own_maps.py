@@ -45,10 +45,9 @@ def own_maps(
     `worlds`: of each robot `[K]`, two of them or more different. Levels of areas rise by their mean p over the team.
     Raises PlanError for what such teams do not do, WorldError.
     """
-    for name in ("return_to", "transit"):
-        if getattr(settings, name) != getattr(Settings(), name):
-            problem = f"{argument(name)} for robots of several types"
-            raise PlanError(problem, fix=f"leave {argument(name)} out, or give all robots one type")
+    if settings.transit != Settings().transit:
+        problem = f"{argument('transit')} for robots of several types"
+        raise PlanError(problem, fix=f"leave {argument('transit')} out, or give all robots one type")
     kinds = list(dict.fromkeys(worlds))
     of = np.array([kinds.index(world) for world in worlds])
     within = accessible.ravel()

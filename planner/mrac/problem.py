@@ -202,7 +202,7 @@ def prepare(
     part, moves = _parts(levels, world.shape), _of_each("range", settings.range, NO_LIMIT, len(cells))
     _of_each("steps_per_move", settings.steps_per_move, 1, len(cells))
     paths = safest_paths(world.shape, costs)
-    home = ways_home(settings, cells, world.shape, paths, costs, homes)
+    home = ways_home(settings, cells, world.shape, paths, costs, homes, own)
     safe = (levels.of_cell if unknown is None else unknown.belief).reshape(world.shape) == 0
     sides = sides_first(settings.in_area, safe)
     problem = Problem(
