@@ -13,6 +13,8 @@ from planner.kernels.bits import holds
 from planner.kernels.own import own, own_turn
 from planner.kernels.rows import walk_back
 from planner.kernels.state import AHEAD, CELL, LAST_STEP, NEXT, NOW, STEP, TARGET, UNLIMITED, UNTIL
+from planner.mrac.heap import pop, push
+from planner.none import NONE
 
 
 @kernel
@@ -25,6 +27,36 @@ def comes_home(t):
 def moves_home(t, robot, cell):
     """h: moves of the robot's way home from the cell, NONE where it is cut off."""
     return np.int64(t.home_steps[t.home_of[robot], cell])
+
+
+@rare_kernel
+def find_ways_home(t, s, w):
+    """Ways home as the set believes the map: from the bases outwards, by what is paid up to a cell and for entering it.
+
+    A thread of robots that learn has these tables for itself.
+    """
+    size = len(t.near)
+    for number in range(len(t.home_steps)):
+        cost, steps, onward, due = t.home_cost[number], t.home_steps[number], t.onward[number], 0
+        for cell in range(size):
+            base = t.home_bases[number, cell] and s.entry[cell] > 0
+            cost[cell], steps[cell], onward[cell] = (0, 0, cell) if base else (NONE, NONE, cell)
+            if base:
+                due = push(w.heap_cost, w.heap_cell, due, s.entry[cell], cell)
+        while due > 0:
+            here = np.int64(w.heap_cell[0])
+            due = pop(w.heap_cost, w.heap_cell, due)
+            for side in range(4):
+                cell = np.int64(s.near[here, side])
+                if cell == size:
+                    continue
+                if cost[cell] == NONE:
+                    cost[cell] = cost[here] + s.entry[here]
+                    due = push(w.heap_cost, w.heap_cell, due, cost[cell] + s.entry[cell], cell)
+                # Sides rise in index: of equal ways the neighbour of lowest index is entered.
+                nearer = steps[cell] >= 0 and cost[cell] + s.entry[cell] == cost[here]
+                if nearer and (steps[here] == NONE or steps[cell] + 1 < steps[here]):
+                    steps[here], onward[here] = steps[cell] + 1, cell
 
 
 @kernel

@@ -118,7 +118,11 @@ def affordable(t, s, w, robot, costs, area_costs, area_entries):
         if not holds(s.open, area):
             continue
         level, root = own_level(t, robot, s.areas[area, LEVEL]), np.int64(s.areas[area, ROOT])
-        cost, cell = np.int64(area_costs[root]), np.int64(area_entries[root])
+        if len(s.mind) > 0:  # areas gain cells: none is a part of one of t = 0
+            cell = cheapest_cell(costs, s, area)
+            cost = np.int64(costs[cell]) if cell != NONE else np.int64(NONE)
+        else:
+            cost, cell = np.int64(area_costs[root]), np.int64(area_entries[root])
         if level > best_level or (level == best_level and cost >= best_cost):
             continue
         if cost >= 0 and np.int64(s.home[cell]) >> AREA_BITS != area:

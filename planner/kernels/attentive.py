@@ -370,7 +370,7 @@ def advance(t, p, s, c, w, log, how, ids):
     for other in range(len(robots)):
         w.kept[other, 0] = NONE
     if len(s.mind) > 0:
-        recall(s, w)
+        recall(t, s, w)
     while True:
         if verdict == ACTS:
             while bits == 0:
@@ -482,7 +482,7 @@ def run_attentive(t, p, c, waiting, tasks, taken, stack, w, log, how, ids, singl
     """As `planner.kernels.rollouts.run_set`, by the policy `p`."""
     tables, policy, counts, work, logged, options = hand(t), hand(p), hand(c), hand(w), hand(log), hand(how)
     top = 0
-    while begin_next(stack, waiting, tasks, taken, work):
+    while begin_next(tables, stack, waiting, tasks, taken, work):
         begin(tables, hand(level_of(stack, 0)), work)
         level = top = 0
         while level >= 0:

@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, rare_kernel
+from planner.kernels.afford import comes_home, find_ways_home, moves_home
 from planner.kernels.areas import close, reopen, room_of
-from planner.kernels.bits import holds
+from planner.kernels.bits import drop, holds
 from planner.kernels.state import (
     AHEAD,
     AREA,
@@ -24,6 +25,7 @@ from planner.kernels.state import (
     COVERING,
     DEAD,
     DOING,
+    DONE,
     END,
     LEFT,
     LEFT_IN,
@@ -31,6 +33,7 @@ from planner.kernels.state import (
     LOOKED,
     NEXT,
     OUT,
+    RETURNING,
     ROOT,
     SEEN,
     SURVIVED,
@@ -96,7 +99,10 @@ def revise(t, s, w, log, count):
         w.gone[w.news[place]] = 1
     w.minds[0] += 1
     s.mind[BELIEF] = w.minds[0]
-    recall(s, w)
+    recall(t, s, w)
+    for robot in range(len(s.robots)):
+        if s.robots[robot, DOING] == RETURNING:
+            head_home(t, s, robot)
     label_parts(t, s, w)
     tell_fates(s)
     if not take_out(t, s, w) or not take_in(t, s, w):
@@ -113,24 +119,37 @@ def forget_news(w, count):
         w.gone[w.news[place]] = 0
 
 
+@kernel
+def head_home(t, s, robot):
+    """On its way home the robot goes on as it leads now; who is cut off stays."""
+    here = np.int64(s.robots[robot, CELL])
+    if moves_home(t, robot, here) > 0:
+        s.robots[robot, NEXT] = t.onward[t.home_of[robot], here]
+    else:
+        drop(s.movers, robot)
+        s.robots[robot, DOING] = DONE
+
+
 @rare_kernel
-def recall(s, w):
-    """Rows of costs are those of what this set believes, or there are none."""
+def recall(t, s, w):
+    """Rows of costs, and ways home, are those of what this set believes, or there are none."""
     if w.minds[1] != s.mind[BELIEF]:
         w.minds[1] = s.mind[BELIEF]
         for row in range(len(w.source_of)):
             if w.source_of[row] != NONE:
                 w.row_of[w.source_of[row]] = w.source_of[row] = NONE
         w.last[0] = NONE
+        if comes_home(t):
+            find_ways_home(t, s, w)
 
 
 @rare_kernel
-def take_over(s, w):
+def take_over(t, s, w):
     """A thread begins with a set whose belief another one may have numbered; 0: the first one, which all have."""
     if s.mind[BELIEF] > 0:
         w.minds[0] += 1
         s.mind[BELIEF] = w.minds[0]
-    recall(s, w)
+    recall(t, s, w)
 
 
 @kernel

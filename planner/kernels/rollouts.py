@@ -167,7 +167,7 @@ def count_set(s, c, ids, singles, outcome):
 
 
 @kernel
-def begin_next(stack, waiting, tasks, taken, w):
+def begin_next(t, stack, waiting, tasks, taken, w):
     """Level 0 of the stack becomes the next of the tasks, and its rollouts; False if all of them are taken."""
     task = take(taken)
     if task >= len(tasks):
@@ -176,7 +176,7 @@ def begin_next(stack, waiting, tasks, taken, w):
     copy_state(hand(level_of(waiting, tasks[task, 0])), first)
     first.marks[FIRST], first.marks[LAST] = tasks[task, 1], tasks[task, 2]
     if len(first.mind) > 0:
-        take_over(first, w)
+        take_over(t, first, w)
     return True
 
 
@@ -216,7 +216,7 @@ def run_set(t, c, waiting, tasks, taken, stack, w, log, how, ids, singles):
     tables, counts, work, logged, options = hand(t), hand(c), hand(w), hand(log), hand(how)
     top = 0
     # Threads share `taken`, which they raise atomically: no task is run twice.
-    while begin_next(stack, waiting, tasks, taken, work):
+    while begin_next(tables, stack, waiting, tasks, taken, work):
         level = top = 0
         while level >= 0:
             # By address: fifty arrays by value would cost more than most kernels do.

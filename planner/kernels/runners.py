@@ -35,6 +35,7 @@ from planner.kernels.state import (
     How,
     Singles,
     State,
+    Tables,
     Work,
     first_room,
     largest_set,
@@ -262,6 +263,14 @@ def remember_alike(works: list[Work]) -> None:
             work.remembered[0] = known
 
 
+def _own_tables(loop: ClosedLoop) -> Tables:
+    """A thread's tables: where robots learn, their ways home are as one of its sets believes the map."""
+    if not (loop.learns and loop.comes_home):
+        return loop.tables
+    ways = {name: getattr(loop.tables, name).copy() for name in ("home_steps", "home_cost", "onward")}
+    return loop.tables._replace(**ways)
+
+
 class Runner:
     """One thread's rollouts, with room for more areas each time that it proves too small.
 
@@ -275,7 +284,7 @@ class Runner:
     def __init__(self, loop: ClosedLoop, seed: int, most: int, known: list[Work] | None = None) -> None:
         """`most`: rollouts of a set. `known`: scratch of earlier calls, one of which is taken."""
         self._loop, self._seed, self._most = loop, seed, most
-        self._tables, policy = plain(loop.tables), loop.policy
+        self._tables, policy = plain(_own_tables(loop)), loop.policy
         self._policy = None if policy is None else plain(policy._replace(stamp=policy.stamp.copy()))
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         moving = [own_key(seed, draw) for draw in (MOVE_DRAW, MEETING_DRAW, READING_DRAW)]

@@ -376,7 +376,7 @@ def advance(t, s, c, w, log, how, ids):
     if is_meeting(s):
         word, bits, verdict = len(s.movers) - 1, np.uint64(0), ACTS if verdict == PASSED else verdict
     if len(s.mind) > 0:
-        recall(s, w)
+        recall(t, s, w)
     while True:
         if verdict == ACTS:
             while bits == 0:

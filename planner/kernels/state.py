@@ -103,9 +103,10 @@ class Tables(NamedTuple):
         level, owner: int32 `[M]`, the allocation at t = 0.
         given: like near `[K, steps + 1]`, the paths that robots follow first, the last cell of each repeated to the
             end; length: int32 `[K]`, steps of each; both empty where there are none.
-        home_of: int64 `[K]`, the bases of each robot, of B sets; home_steps: int32 `[B, A]`, moves of the way home from
-            each cell, NONE where it is cut off; home_cost: int64 `[B, A]`, its cost; onward: like near `[B, A]`, what
-            is entered next on it, at a base that itself. All empty where robots stay where they end
+        home_of: int64 `[K]`, the bases of each robot, of B sets, home_bases bool `[B, A]`; home_steps: int32 `[B, A]`,
+            moves of the way home from each cell, NONE where it is cut off; home_cost: int64 `[B, A]`, its cost; onward:
+            like near `[B, A]`, what is entered next on it, at a base that itself. As robots believe the map before the
+            first step (`planner.kernels.afford.find_ways_home`). All empty where robots stay where they end
             (`planner.kernels.retire`), but for home_of and onward where they drive back (`planner.kernels.radio`).
     """
 
@@ -166,6 +167,7 @@ class Tables(NamedTuple):
     given: NDArray
     length: NDArray
     home_of: NDArray
+    home_bases: NDArray
     home_steps: NDArray
     home_cost: NDArray
     onward: NDArray

@@ -318,6 +318,7 @@ def _ways_home(
     itself, onward = np.arange(len(cells)), onward[:, cells[: onward.shape[1]]]
     return {
         "home_of": of,
+        "home_bases": nothing.astype(np.bool_) if home is None else np.ascontiguousarray(home.bases[:, cells]),
         "home_steps": nothing if home is None else np.ascontiguousarray(home.steps[:, cells]),
         "home_cost": nothing.astype(np.int64) if home is None else np.ascontiguousarray(home.cost[:, cells]),
         "onward": np.where(onward == NO_CELL, itself[: onward.shape[1]], compact[onward]).astype(narrow),

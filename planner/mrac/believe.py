@@ -101,6 +101,9 @@ class Learning(Executive):
                 # who shares what it has with another has set out anew by then
                 leg = legs[robot.number] if robot.ahead is ways[robot.number] else self._leg(robot)
                 self._set_right(robot, leg, gone)
+            elif robot.status is Doing.RETURNING and self.problem.home is not None:
+                robot.ahead = self.problem.home.way(robot.number, robot.cell)[::-1]
+                robot.status = Doing.RETURNING if robot.ahead else Doing.DONE  # cut off
 
     # --- (2): what leaves its area ---
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ class Homeward:
 
     Attributes:
         starts: int64 `[K]`, the cells where the robots started. of: int64 `[K]`, the set of bases of each.
+        bases: bool `[B, N]`, those of each set.
         cost: int64 `[B, N]`, cost of the way home, UNREACHED where there is none.
         steps: int32 `[B, N]`, its moves, 0 at a base, CUT_OFF where there is none.
         onward: int32 `[B, N]`, the cell that is entered next, NO_CELL at a base and where there is none.
@@ -35,6 +36,7 @@ class Homeward:
 
     starts: NDArray[np.int64]
     of: NDArray[np.int64]
+    bases: NDArray[np.bool_]
     cost: NDArray[np.int64]
     steps: NDArray[np.int32]
     onward: NDArray[np.int32]
@@ -43,6 +45,12 @@ class Homeward:
     def moves(self, robot: int, cell: int) -> int:
         """h: moves of the robot's way home from the cell."""
         return int(self.steps[self.of[robot], cell])
+
+    def believing(self, paths: SafestPaths, costs: NDArray[np.int64]) -> Homeward:
+        """The same where robots believe another map, with these paths and costs `[N]`."""
+        found = [ways_to(np.flatnonzero(cells), paths, costs) for cells in self.bases]
+        cost, steps, onward = (np.stack(rows) for rows in zip(*found, strict=True))
+        return replace(self, cost=cost, steps=steps, onward=onward)
 
     def further(self, robot: int, here: int, there: int) -> int:
         """How much dearer the robot's way home is from `there` than from `here`, 0 if it is not."""
@@ -85,9 +93,11 @@ def ways_home(
     kinds = np.zeros(len(starts), dtype=np.int64) if own is None else own.of
     pairs, of = np.unique(np.stack([kinds, of]), axis=1, return_inverse=True)
     found = [ways_to(sets[bases], *maps[kind]) for kind, bases in pairs.T.tolist()]
+    cells = np.arange(len(costs))
+    among = np.stack([np.isin(cells, sets[bases]) for _, bases in pairs.T.tolist()])
     cost, steps, onward = (np.stack(rows) for rows in zip(*found, strict=True))
     last = MAX_STEP if settings.last_step is None else settings.last_step
-    home = Homeward(begun, of.ravel().astype(np.int64), cost, steps, onward, last)
+    home = Homeward(begun, of.ravel().astype(np.int64), among, cost, steps, onward, last)
     if homes is None:
         _check(home, settings, starts, shape)
     return home

@@ -123,7 +123,9 @@ class Problem:
         levels = replace(self.levels, of_cell=np.where(near, belief, NO_LEVEL).astype(np.int16))
         costs = np.where(near, self.entry[belief], BLOCKED)
         part = _parts(levels, self.world.shape)
-        return replace(self, levels=levels, costs=costs, paths=safest_paths(self.world.shape, costs), part=part)
+        paths = safest_paths(self.world.shape, costs)
+        home = None if self.home is None else self.home.believing(paths, costs)
+        return replace(self, levels=levels, costs=costs, paths=paths, part=part, home=home)
 
     @property
     def stay_inside(self) -> bool:
@@ -171,7 +173,7 @@ def prepare(
     `homes`: cells `[K]` where robots that come home started, of a mission under way.
     """
     settings.check()
-    if settings.return_to is not None:
+    if settings.return_to is not None and world.knowledge is None:
         world.check_told("a team that comes home")
     if settings.paces or settings.radio is not None:
         world.check_told("a team of several speeds, or with radio,")
@@ -202,13 +204,14 @@ def prepare(
     part, moves = _parts(levels, world.shape), _of_each("range", settings.range, NO_LIMIT, len(cells))
     _of_each("steps_per_move", settings.steps_per_move, 1, len(cells))
     paths = safest_paths(world.shape, costs)
-    home = ways_home(settings, cells, world.shape, paths, costs, homes, own)
     safe = (levels.of_cell if unknown is None else unknown.belief).reshape(world.shape) == 0
     sides = sides_first(settings.in_area, safe)
     problem = Problem(
-        world, settings, cells, levels, costs, paths, part, moves, rule, entry, sides, given, value, unknown, home, own
+        world, settings, cells, levels, costs, paths, part, moves, rule, entry, sides, given, value, unknown, None, own
     )
-    return problem if unknown is None else problem.believing(unknown.belief, cells)
+    problem = problem if unknown is None else problem.believing(unknown.belief, cells)
+    home = ways_home(settings, cells, world.shape, problem.paths, problem.costs, homes, own)
+    return problem if home is None else replace(problem, home=home)
 
 
 def _parts(levels: ThreatLevels, shape: tuple[int, int]) -> NDArray[np.int32]:
