@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from test_mrac_jax_missions import same
-from test_planner_home import KINDS, corridor, drawn
+from test_planner_home import KINDS, WATCHFUL, corridor, drawn
 
 from mrac_jax.closed_loop import jax_engine as engine_module
 from mrac_jax.closed_loop.tables import LaneTables, lane_tables
@@ -24,12 +24,8 @@ from planner.trace import EventKind
 from planner.worlds.world import World
 
 PAPERS, LOOKING = KINDS[7] | {"deadline": 90}, KINDS[3] | {"reserve": 0.5, "worth": 60.0}
-WATCHFUL: list[dict[str, Any]] = [
-    {"return_to": "nearest", "policy": "watchful", "reserve": 0.4, "range": 45, "worth": 20.0},
-    {"return_to": "home", "policy": "watchful", "reserve": 0.4, "deadline": 50},
-    {"return_to": "home", "policy": "watchful", "worth": 20.0, "range": 35, "recharge": 3},
-]
-EVERY = [asked for asked in (*KINDS, PAPERS, LOOKING, *WATCHFUL) if "transit" not in asked]
+BREAKS_OFF = [*WATCHFUL[:2], {"return_to": "home", "policy": "watchful", "worth": 20.0, "range": 35, "recharge": 3}]
+EVERY = [asked for asked in (*KINDS, PAPERS, LOOKING, *BREAKS_OFF) if "transit" not in asked]
 
 
 @pytest.fixture(autouse=True)

@@ -125,6 +125,31 @@ def check_way_home(trace: Trace, robot: int, turned: int, way: dict[int, tuple[i
         assert way[after][0] <= way[before][0]
 
 
+WATCHFUL: list[dict[str, Any]] = [
+    {"return_to": "nearest", "policy": "watchful", "reserve": 0.4, "range": 45, "worth": 20.0},
+    {"return_to": "home", "policy": "watchful", "reserve": 0.4, "range": 40, "recharge": 3},
+    {"return_to": "nearest", "policy": "watchful", "reserve": 0.4, "range": 50, "steps_per_move": (1, 2, 1)},
+]
+
+
+def test_who_goes_first_knows_what_those_have_left_that_have_yet_to_move() -> None:
+    world, starts = drawn(7, 4)
+    for asked, rollout in zip(WATCHFUL[:2], (104, 3), strict=True):
+        plan = make_plan(world, starts, Settings(**asked))
+        trace = trace_rollouts(compile_closed_loop(plan, world), 7, [rollout])[0]
+        assert_same_trace(trace, ReferenceLoop(plan, world).trace(7, rollout))
+
+
+@pytest.mark.slow
+def test_so_they_do_on_drawn_worlds() -> None:
+    for seed in range(60):
+        world, starts = drawn(seed)
+        plan = make_plan(world, starts, Settings(**WATCHFUL[seed % 3]))
+        readable = ReferenceLoop(plan, world)
+        for trace in trace_rollouts(compile_closed_loop(plan, world), seed, range(8)):
+            assert_same_trace(trace, readable.trace(seed, trace.rollout))
+
+
 @pytest.mark.parametrize("number", range(len(KINDS)))
 def test_engines_agree_and_who_is_alive_is_home(number: int) -> None:
     asked = KINDS[number]

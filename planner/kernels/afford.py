@@ -12,7 +12,7 @@ from planner.jit import kernel, rare_kernel
 from planner.kernels.bits import holds
 from planner.kernels.own import own, own_turn
 from planner.kernels.rows import walk_back
-from planner.kernels.state import AHEAD, CELL, LAST_STEP, NEXT, NOW, STEP, TARGET, UNLIMITED, UNTIL
+from planner.kernels.state import AHEAD, CELL, LAST_STEP, NEXT, NOW, ROBOT, STEP, TARGET, UNLIMITED, UNTIL
 from planner.mrac.heap import pop, push
 from planner.none import NONE
 
@@ -61,9 +61,13 @@ def find_ways_home(t, s, w):
 
 @kernel
 def own_moves(t, s, robot):
-    """The moves that are left of its range to a robot that decides."""
-    until = s.team[robot, UNTIL]
-    return until if holds(s.waiting, robot) else until - own_turn(t, robot, s.marks[STEP]) + s.marks[NOW]
+    """The moves that are left of its range to a robot that decides, or that another one asks about."""
+    until, step, acts = s.team[robot, UNTIL], s.marks[STEP], s.marks[ROBOT]
+    if holds(s.waiting, robot):
+        return until
+    now = own_turn(t, robot, step)
+    to_move = robot > acts or (robot == acts and s.marks[NOW] > 0)
+    return until - now + (to_move and step > 0 and now > own_turn(t, robot, step - 1))
 
 
 @rare_kernel

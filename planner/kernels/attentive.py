@@ -409,6 +409,7 @@ def advance(t, p, s, c, w, log, how, ids):
                 continue
             robot = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
+            marks[ROBOT] = robot if comes_home(t) else marks[ROBOT]
             got = 0
             if not holds(s.movers, robot):
                 stays = not drives_back(t, s, robot)

@@ -34,6 +34,7 @@ from planner.kernels.state import (
     NEXT,
     OUT,
     RETURNING,
+    ROBOT,
     ROOT,
     SEEN,
     SURVIVED,
@@ -100,6 +101,7 @@ def revise(t, s, w, log, count):
     w.minds[0] += 1
     s.mind[BELIEF] = w.minds[0]
     recall(t, s, w)
+    s.marks[ROBOT] = len(s.robots)  # all have had their turns
     for robot in range(len(s.robots)):
         if s.robots[robot, DOING] == RETURNING:
             head_home(t, s, robot)

@@ -412,6 +412,7 @@ def advance(t, s, c, w, log, how, ids):
                 continue
             robot = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
+            marks[ROBOT] = robot if returns else marks[ROBOT]
             charged = False
             if returns and robots[robot, DOING] == CHARGING:
                 progress, charged = 1, charge(t, s, log, robot, step)
