@@ -38,7 +38,7 @@ HOMES: list[dict[str, Any]] = [
     {"return_to": "home", "deadline": 40},
     {"return_to": "nearest", "range": 30, "recharge": 3},
     {"return_to": "home", "range": 40, "policy": "per_cell", "reserve": 0.4, "worth": 30.0},
-    {"return_to": "nearest", "range": 45, "policy": "watchful", "reserve": 0.4, "deadline": 70},
+    {"return_to": "nearest", "range": 45, "policy": "watchful", "reserve": 0.4},
 ]
 
 
