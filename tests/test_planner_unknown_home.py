@@ -77,7 +77,9 @@ def check_ways(trace: Trace, world: World, plan: Plan, sense: dict[str, Any]) ->
     price = dict(zip(problem.levels.values.tolist(), problem.entry.tolist(), strict=True))
     for step in range(trace.time):
         look([cell for cell, doing in zip(trace.cells[step], trace.doing[step], strict=True) if doing != Doing.DEAD])
-        entry = {cell: price[float(np.float32(p))] for cell, p in enumerate(belief.tolist()) if not np.isnan(p)}
+        free = {cell: float(np.float32(p)) for cell, p in enumerate(belief.tolist()) if not np.isnan(p)}
+        assert all(p in price for cell, p in free.items() if problem.levels.accessible.flat[cell])
+        entry = {cell: price[p] for cell, p in free.items() if p in price}  # a p that nobody can meet has no price
         for robot in np.flatnonzero(trace.doing[step] == Doing.RETURNING):
             own = starts[robot : robot + 1] if plan.settings.return_to == "home" else starts  # type: ignore[union-attr]
             bases = [int(row * world.shape[1] + col) for row, col in own]

@@ -62,7 +62,7 @@ class Nominal:
         passes: NDArray[np.int64] | None = None,
     ) -> None:
         """Add what rollouts did on the nominal run: `begun` `[M]` of them left it for a lane, `whole` never did."""
-        on_it = np.full(int(self.step[-1]) + 1, whole, dtype=np.int64)  # [T], rollouts that are on it in each step
+        on_it = np.full(int(self.step.max(initial=-1)) + 1, whole, dtype=np.int64)  # [T], rollouts that are on it then
         # A lane counts from its snapshot's step on; all before that is the nominal run's.
         for step, leaving in zip(self.begins.tolist(), begun.tolist(), strict=True):
             on_it[:step] += leaving
