@@ -11,6 +11,8 @@ from test_mrac_jax_missions import same
 from test_planner_home import KINDS, WATCHFUL, corridor, drawn
 
 from mrac_jax.closed_loop import jax_engine as engine_module
+from mrac_jax.closed_loop.nominal import nominal_of
+from mrac_jax.closed_loop.state import CELL_KINDS, STEP_KINDS
 from mrac_jax.closed_loop.tables import LaneTables, lane_tables
 from planner.errors import WorldError
 from planner.kernels.closed_loop import compile_closed_loop
@@ -103,6 +105,18 @@ def test_missions_under_way_go_on_and_who_is_cut_off_stays() -> None:
     trace = ReferenceLoop(plan, world).trace(0, 0)
     assert (trace.events[:, 2] == EventKind.TURNED_HOME).any() and not (trace.events[:, 2] == EventKind.HOME).any()
     same(compile_closed_loop(plan, world), 0, 60, "cut off", traced=(0, 1))
+
+
+def test_a_rest_in_which_nothing_is_entered_counts_nothing() -> None:
+    world, starts = drawn(4)
+    settings = Settings(**KINDS[2])
+    state = ReferenceLoop(make_plan(world, starts, settings), world, luck="step").state_at(34, 0, 0)
+    assert state is not None
+    read = parse_state(state.to_json(), world, "state")
+    nominal = nominal_of(compile_closed_loop(allocated_plan(world, read.starts, settings, read), world), 8)
+    cells, steps = np.zeros(world.threat.size * CELL_KINDS, np.int64), np.zeros(8 * STEP_KINDS, np.int64)
+    nominal.count(np.zeros(0, np.int64), 60, cells, steps)
+    assert len(nominal.step) == 0 and not cells.any() and not steps.any()
 
 
 def test_too_many_bases_for_themselves_are_a_clear_error() -> None:
