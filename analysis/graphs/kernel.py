@@ -135,6 +135,20 @@ def _offer(archive: Any, place: int, robot: int, trail: Any, length: int, gained
 
 
 @compiled
+def _try(same: int, alive: float, before: float, trail: Any, length: int, team: Any, marks: Any) -> int:
+    """Offer a trail that is the old one up to the place `same`, if it fits and breaks no rule; 1: it is kept.
+
+    `alive`: at that place; `before`: what the other robots and this one up to there bring. `team`: (the archive, the
+    plan's place in it, the robot, expected others home, and chances, weight and rule of `_worth`).
+    """
+    archive, place, robot, others_home, chances, weight, rule = team
+    if length >= len(trail):
+        return 0
+    gain, chance = _worth(trail, length, same, alive, chances, weight, rule, marks)
+    return 0 if chance < 0.0 else _offer(archive, place, robot, trail, length, before + gain, others_home + chance)
+
+
+@compiled
 def explore(place: int, turn: int, graph: Any, rule: Any, archive: Any) -> int:
     """Offer all changes of one trail of the plan at `place`; returns how many were kept.
 
@@ -151,7 +165,7 @@ def explore(place: int, turn: int, graph: Any, rule: Any, archive: Any) -> int:
         for one in range(robots):
             home[one] = visit_chances(trails[place, one], lengths[place, one], chances, visit[one])
         others = _weigh(robot, visit, reward, shares, weight)
-        others_home = home.sum() - home[robot]
+        team = (archive, place, robot, home.sum() - home[robot], chances, weight, rule)
         old, length = trails[place, robot].copy(), lengths[place, robot]
         first[:], used[:] = most, most
         first[old[0]], alive[0], gained[0] = 0, 1.0, weight[old[0]]
@@ -171,31 +185,19 @@ def explore(place: int, turn: int, graph: Any, rule: Any, archive: Any) -> int:
                     if direct or (near and weight[node] > 0.0 and first[node] > begin):
                         size = _way(ahead, old[begin], node, new, begin + 1)
                         size = _part(old, end + 1, length, 1, new, _way(ahead, node, old[end], new, size))
-                        if size < most:
-                            gain, chance = _worth(new, size, begin, alive[begin], chances, weight, rule, marks)
-                            if chance >= 0.0:
-                                total = others + gained[begin] + gain
-                                kept += _offer(archive, place, robot, new, size, total, others_home + chance)
+                        kept += _try(begin, alive[begin], others + gained[begin], new, size, team, marks)
                 if end + 1 == length or end == begin:
                     continue
                 size = _part(old, end - 1, begin, -1, new, _way(ahead, old[begin], old[end], new, begin + 1))
                 size = _part(old, end + 2, length, 1, new, _way(ahead, old[begin + 1], old[end + 1], new, size))
-                if size < most:
-                    gain, chance = _worth(new, size, begin, alive[begin], chances, weight, rule, marks)
-                    if chance >= 0.0:
-                        total = others + gained[begin] + gain
-                        kept += _offer(archive, place, robot, new, size, total, others_home + chance)
+                kept += _try(begin, alive[begin], others + gained[begin], new, size, team, marks)
                 for last in range(end + 1, length - 1):
                     if (near and last - end <= SPAN) or (old[begin] == old[end] and old[end] == old[last]):
                         size = _way(ahead, old[begin], old[end + 1], new, begin + 1)
                         size = _way(ahead, old[last], old[begin + 1], new, _part(old, end + 2, last + 1, 1, new, size))
                         size = _way(ahead, old[end], old[last + 1], new, _part(old, begin + 2, end + 1, 1, new, size))
                         size = _part(old, last + 2, length, 1, new, size)
-                        if size < most:
-                            gain, chance = _worth(new, size, begin, alive[begin], chances, weight, rule, marks)
-                            if chance >= 0.0:
-                                total = others + gained[begin] + gain
-                                kept += _offer(archive, place, robot, new, size, total, others_home + chance)
+                        kept += _try(begin, alive[begin], others + gained[begin], new, size, team, marks)
         first[:], used[:] = most, most
         first[old[0]] = 0
         for other in range((place + turn) % STRIDE, len(lengths), STRIDE):
@@ -203,8 +205,5 @@ def explore(place: int, turn: int, graph: Any, rule: Any, archive: Any) -> int:
                 if other != place and lengths[other, one] > 0:
                     size = lengths[other, one]
                     new[:size] = trails[other, one, :size]
-                    gain, chance = _worth(new, size, 0, 1.0, chances, weight, rule, marks)
-                    if chance >= 0.0:
-                        total = others + weight[old[0]] + gain
-                        kept += _offer(archive, place, robot, new, size, total, others_home + chance)
+                    kept += _try(0, 1.0, others + weight[old[0]], new, size, team, marks)
     return kept

@@ -142,7 +142,7 @@ def reproduce(
 
     def take(done: Done) -> None:
         collected.take(done)
-        if store is None and isinstance(held, Memory):
+        if store is None:
             held.forget(done.keys)
         if progress is not None:
             progress(done.jobs, done.total, done.seconds)

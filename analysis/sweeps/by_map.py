@@ -59,7 +59,7 @@ class ByMap(Generic[Setting]):
             run = held.run(done.keys[0])
             assert run is not None
             self._found.setdefault(setting, {})[number] = (*figures_of(run), is_exact(run))
-            if store is None and isinstance(held, Memory):
+            if store is None:
                 held.forget(done.keys)
             if progress is not None:
                 progress(done.jobs, done.total, done.seconds)
