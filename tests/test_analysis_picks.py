@@ -6,7 +6,9 @@ Picks are chosen because they did well, so what is said of them is where luck wo
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from functools import cache
+from importlib import import_module
 from typing import Any, Literal
 
 import numpy as np
@@ -25,6 +27,7 @@ from analysis.tradeoff.rules import Goal
 from analysis.tradeoff.search import find_front
 from analysis.trials.measured import Known
 from analysis.trials.trial import Trial
+from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
 from planner.settings import Settings
 from planner.worlds.generate import Kind, ThreatPattern, random_world
@@ -32,9 +35,44 @@ from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
 SEARCHES = 300
+BEFORE_LUCK = (
+    "depots.search._places", "depots.search.allocated_plan", "removal.turns.any_strategy",
+    "removal.turns.allocated_plan", "tradeoff.search.allocated_plan", "tradeoff.search.longest_mission",
+    "design.size.plan_team", "design.size.team_ideals", "trials.trial.compile_closed_loop",
+)  # fmt: skip
+"""What searches make of a map before any luck comes in."""
 SLACK = 3 * np.sqrt(0.05 * 0.95 / SEARCHES)
 """Three standard errors of a share of 95 %."""
 Held = Counter[str]
+
+
+@pytest.fixture
+def made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """BEFORE_LUCK is made once of the same things, not for every seed; and a thread rolls out, which few keep busy."""
+    for name in BEFORE_LUCK:
+        room, function = name.rsplit(".", 1)
+        monkeypatch.setattr(f"analysis.{name}", kept(getattr(import_module(f"analysis.{room}"), function)))
+    monkeypatch.setattr("planner.kernels.runners._workers", lambda threads, count: 1)
+
+
+def kept(make: Callable[..., Any]) -> Callable[..., Any]:
+    """The function with a memory: maps and arrays by what is in them, plans by which they are."""
+    known: dict[tuple[object, ...], Any] = {}
+
+    def one(given: object) -> object:
+        if isinstance(given, World):
+            return given.sha256
+        if isinstance(given, np.ndarray):
+            return given.tobytes()
+        return None if isinstance(given, AllPairs) else given
+
+    def made(*given: Any, **named: Any) -> Any:
+        key = (*map(one, given), *((name, one(each)) for name, each in named.items()))
+        if key not in known:
+            known[key] = make(*given, **named)
+        return known[key]
+
+    return made
 
 
 def world_of(kind: Kind, seed: int) -> World:
@@ -144,6 +182,7 @@ def shares(world: World, what: str, searches: int) -> dict[str, float]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("made_once")
 @pytest.mark.parametrize("kind", ["contiguous", "scattered"])
 @pytest.mark.parametrize("what", CHECKS)
 def test_what_is_said_of_picks_holds(what: str, kind: Kind) -> None:

@@ -19,6 +19,7 @@ from analysis.trials.halving import check_search, screened
 from analysis.trials.trial import Trial
 from planner.arguments import Numbers, whole
 from planner.errors import UsageError
+from planner.mrac.make_plan import make_plan
 from planner.settings import Settings
 from planner.worlds.world import World
 
@@ -99,7 +100,7 @@ def find_attack(
     CHANCE.check("p", p)
     search = Search(world, starts, settings, choices, progress, doing or quiet, most=MOST_PLACES, placing=True)
     as_is = search.anew(world)
-    places, notes = places_of(as_is, starts, float(p))
+    places, notes = places_of(world, starts, settings, float(p))
     whole(1, len(places), "a whole number of threats").check("count", count)
     turn = search.turn(world, places, screening=False)
     known = _Adversary(search, world, places, search.anew, True, [turn.picked.threat])
@@ -122,12 +123,13 @@ def find_attack(
     )
 
 
-def places_of(as_is: Trial, starts: NDArray[np.int64], p: float) -> tuple[list[Threat], tuple[str, ...]]:
+def places_of(
+    world: World, starts: NDArray[np.int64], settings: Settings, p: float
+) -> tuple[list[Threat], tuple[str, ...]]:
     """A threat for every cell that robots at `starts` `[K, 2]` can reach and none starts in; notes.
 
     Raises UsageError where there is none.
     """
-    world = as_is.world
     free = world.accessible(starts)
     free[tuple(starts.T)] = False
     cells = np.flatnonzero(free)
@@ -135,7 +137,7 @@ def places_of(as_is: Trial, starts: NDArray[np.int64], p: float) -> tuple[list[T
         raise UsageError(f"{world.source}: no cell that a robot can reach is left to threaten", expected="a larger map")
     notes: tuple[str, ...] = ()
     if len(cells) > MOST_PLACES:
-        costs = -coverage_gradient(as_is.plan, world).reshape(-1)[cells]
+        costs = -coverage_gradient(make_plan(world, starts, settings), world).reshape(-1)[cells]
         notes = (f"of {len(cells):,} cells, those {MOST_PLACES} where more danger costs the plan's paths most",)
         cells = np.sort(cells[np.argsort(-costs, kind="stable")[:MOST_PLACES]])
     places = zip(*np.divmod(cells, world.shape[1]), cells, strict=True)

@@ -26,7 +26,7 @@ from analysis.trials.halving import Halving, check_search, screened
 from analysis.trials.measured import Measured
 from analysis.trials.trial import Trial
 from planner.kernels.tables import AllPairs
-from planner.mrac.make_plan import make_plan
+from planner.mrac.make_plan import allocated_plan
 from planner.rollouts.engine import choose_engine
 from planner.settings import Settings
 from planner.worlds.starts import check_robots, place_starts
@@ -150,7 +150,7 @@ class _Field:
         pairs = AllPairs()
 
         def enter(number: int) -> Trial:
-            return Trial(world, make_plan(world, places[number].starts, settings), choices, pairs)
+            return Trial(world, allocated_plan(world, places[number].starts, settings), choices, pairs)
 
         self.race = Halving(
             [partial(enter, number) for number in self.entered],

@@ -25,7 +25,7 @@ from analysis.theory.value import Worth
 from analysis.trials.halving import Halving
 from analysis.trials.measured import Measured
 from analysis.trials.trial import Trial, alike
-from planner.mrac.make_plan import make_plan
+from planner.mrac.make_plan import allocated_plan
 from planner.rollouts.engine import choose_engine
 from planner.settings import Settings
 from planner.worlds.world import World
@@ -73,8 +73,8 @@ class Search:
                 "cells": self.cells, "engine": engine}  # fmt: skip
 
     def anew(self, world: World) -> Trial:
-        """The team's plan on a map."""
-        return Trial(world, make_plan(world, self.starts, self.settings), self.choices)
+        """The team's plan on a map, before its nominal run."""
+        return Trial(world, allocated_plan(world, self.starts, self.settings), self.choices)
 
     def other(self, world: World, threat: Threat) -> World:
         """The map without a threat that is there, or with one that is not."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import betaincinv, logsumexp
+from scipy.special import betaincinv
 
 ALPHA = 0.05
 """Chance that any of the verdicts of one search is wrong, at most."""
@@ -72,13 +72,14 @@ def bet_interval(values: NDArray[np.float64], alpha: float) -> tuple[float, floa
     many times as wide.
     """
     enough = np.log(2.0 / alpha) + np.log(len(BETS))
+    different, times = np.unique(values, return_counts=True)  # shares of cells: few of many
 
     def least(values: NDArray[np.float64]) -> float:
         def rich(mean: float) -> float:
-            fortune = np.log1p(BETS[:, None] * ((1.0 + values) / (1.0 + mean) - 1.0)).sum(axis=1)
-            return float(logsumexp(fortune) - enough)
+            fortune = np.log1p(BETS[:, None] * ((1.0 + values) / (1.0 + mean) - 1.0)) @ times
+            return float(np.logaddexp.reduce(fortune) - enough)
 
-        mean, lowest = float(values.mean()), -1.0 + 1e-9
+        mean, lowest = float(values @ times / times.sum()), -1.0 + 1e-9
         return -1.0 if mean <= lowest or rich(lowest) <= 0 else float(brentq(rich, lowest, mean))
 
-    return least(values), -least(-values)
+    return least(different), -least(-different)
