@@ -48,11 +48,10 @@ Held = Counter[str]
 
 @pytest.fixture
 def made_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """BEFORE_LUCK is made once of the same things, not for every seed; and a thread rolls out, which few keep busy."""
+    """BEFORE_LUCK is made once of the same things, not for every seed."""
     for name in BEFORE_LUCK:
         room, function = name.rsplit(".", 1)
         monkeypatch.setattr(f"analysis.{name}", kept(getattr(import_module(f"analysis.{room}"), function)))
-    monkeypatch.setattr("planner.kernels.runners._workers", lambda threads, count: 1)
 
 
 def kept(make: Callable[..., Any]) -> Callable[..., Any]:

@@ -59,6 +59,8 @@ MOST_KEPT = 2**16
 """The same where tolerances are kept, of 8 bytes more for each robot, or the places of movers, as many for each."""
 LEAST_SHARED, MOST_ASIDE = 2**13, 2**8
 """Rollouts a thread from which on histories are shared out, and sets that each thread then puts aside, at most."""
+LEAST_WORK = 2**17
+"""Rollouts times cells below which a second thread, which takes .4 ms to start and to end, does not pay."""
 TRIALS = 4
 """Rounds in which threads share out histories and ids by turns, before they do what took less time."""
 NO_LOG = make_log(0, 0, 0)
@@ -104,7 +106,7 @@ def on_threads(
 
     `known`: scratch of earlier calls, which is taken.
     """
-    workers = _workers(threads, count)
+    workers = _workers(loop, threads, count)
     most = max(1, min(most, -(-count // workers)))
     waiting = iter(range(start, start + count, most))
 
@@ -120,9 +122,10 @@ def on_threads(
         return list(pool.map(take, range(workers)))
 
 
-def _workers(threads: int | None, count: int) -> int:
-    """How many threads so many rollouts keep busy."""
-    return min(threads or os.cpu_count() or 1, max(count, 1))
+def _workers(loop: ClosedLoop, threads: int | None, count: int) -> int:
+    """How many threads so many rollouts keep busy; `threads`: so many if they can be, None: all cores if it pays."""
+    usual = (os.cpu_count() or 1) if count * len(loop.cells) >= LEAST_WORK else 1
+    return min(threads or usual, max(count, 1))
 
 
 def _in_rounds(
@@ -132,7 +135,7 @@ def _in_rounds(
 
     Or ids, once that has proved faster. None where rollouts are few, or there was no room for histories or areas.
     """
-    workers = _workers(threads, count)
+    workers = _workers(loop, threads, count)
     rounds = max(1, -(-count // (workers * LARGEST_SET)))
     most = -(-count // (workers * rounds))
     if workers == 1 or most < LEAST_SHARED or loop.keeps_apart or loop.doubt is not None:
