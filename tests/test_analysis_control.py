@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import reduce
+from operator import add
 
 import numpy as np
 import pytest
 from conftest import FOLDER
 from numpy.typing import NDArray
+from samples import samples
 from scipy import stats
 
 from analysis.cli.app import run
@@ -146,20 +149,22 @@ def estimates(tally: Tally) -> list[Estimate]:
 def held(world: World, robots: int, policy: str, seeds: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """How often the interval of each figure holds the mean of all, from samples of 1,024; and the control's gains.
 
-    The mean of all is that of twice as many rollouts more, 2**18 at least.
+    The mean of all is that of 2**18 rollouts or more, the samples' among them.
     """
-    engine = engine_of(world, robots, policy)
-    first = seeds * LEAST
-    truth = [found.mean for found in estimates(run_by_luck(engine, 0, first, max(2 * first, 2**18))[0])]
-    hits, gains = np.zeros(len(FIGURES)), []
-    for start in range(0, first, LEAST):
-        tally, _ = run_by_luck(engine, 0, start, LEAST)
-        intervals = [found.ci95 for found in estimates(tally)]
-        hits += [low - 1e-12 <= true <= high + 1e-12 for (low, high), true in zip(intervals, truth, strict=True)]
-        one = of_tally(tally, "visited")
-        assert one is not None
-        gains.append(one.gain)
-    return hits / seeds, np.array(gains)
+    found = list(samples(engine_of(world, robots, policy), max(seeds, 2**18 // LEAST), 0))
+    truth = [one.mean for one in estimates(reduce(add, found))]
+    intervals = np.array([[one.ci95 for one in estimates(tally)] for tally in found[:seeds]])
+    hits = (intervals[..., 0] - 1e-12 <= truth) & (truth <= intervals[..., 1] + 1e-12)
+    gains = [of_tally(tally, "visited") for tally in found[:seeds]]
+    return hits.mean(axis=0), np.array([one.gain for one in gains if one is not None])
+
+
+def test_samples_of_a_long_run_are_the_runs_by_themselves() -> None:
+    engine = engine_of(load_world_file(CONTIGUOUS), 4, seed=3)
+    for number, mine in enumerate(samples(engine, 3, 3, first=500)):
+        whole, _ = run_by_luck(engine, 3, 500 + number * LEAST, LEAST)
+        assert mine.ids == whole.ids and np.array_equal(mine.by_luck, whole.by_luck)
+        assert estimates(mine) == estimates(whole)
 
 
 def test_intervals_hold_and_are_sharper_on_one_world() -> None:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from typing import Literal
 
 import numpy as np
 import pytest
 from oracle_tree import closed_loop_exact
+from samples import samples
 from scipy import stats
 
 import mrac_jax as mrac
 from analysis.evaluation.evaluate import half_width, until_enough
 from analysis.evaluation.figures import Coverage, Covered
-from analysis.sampling import RolloutChoices, Stage, make_roll_out
+from analysis.sampling import RolloutChoices, Stage, make_engine_for, make_roll_out
 from analysis.statistics.control import tally_mean
 from analysis.statistics.estimate import (
     FEW,
@@ -155,18 +156,16 @@ def stops(loop: Literal["open", "closed"], luck: LuckName, repeats: int) -> tupl
     plan = make_plan(world, [[0, 0], [0, 4]])
     exact = open_loop_exact(plan, world)
     truth = exact.visited / 20 if loop == "open" else closed_loop_exact(plan, world).visited / 20
-    choices = RolloutChoices(loop=loop, luck=luck, rollouts=FIRST_LOOK)
-
-    def stages(choices: RolloutChoices, seed: int) -> Iterator[Stage]:
-        choices = replace(choices, seed=seed)
-        return make_roll_out(world, plan, choices)(choices, None)
-
-    precision = float(np.median([half_width(s.tally) for seed in range(41) for s in stages(choices, seed)]))
-    choices, held, lengths = replace(choices, precision=precision), 0, set()
-    for seed in range(1000, 1000 + repeats):
-        for stage in until_enough(stages(choices, seed), choices, lambda *told: None):
+    engine = make_engine_for(world, plan, RolloutChoices(loop=loop, luck=luck))
+    drawn = samples(engine, 41 + 2 * repeats, 0 if luck == "tolerance" else None)
+    precision = float(np.median([half_width(tally) for tally in islice(drawn, 41)]))
+    choices, held, lengths = RolloutChoices(precision=precision), 0, set()
+    for first, more in zip(drawn, drawn, strict=True):
+        stages = (Stage(tally, "numba", 0.0, 0.0) for tally in (first, first + more))
+        for stage in until_enough(stages, choices, lambda *told: None):
             last = stage
         estimate = tally_mean(last.tally, "visited", 1.0 / last.tally.accessible)
+        assert estimate.half_width < precision
         held += estimate.ci95[0] <= truth <= estimate.ci95[1]
         lengths.add(last.tally.rollouts)
     return held / repeats, lengths, np.sqrt(0.95 * 0.05 / repeats)

@@ -24,6 +24,7 @@ from analysis.evaluation.outputs.value_words import ROWS
 from analysis.kit.words import percent
 from analysis.sampling import RolloutChoices
 from analysis.statistics.control import LEAST
+from analysis.statistics.differences import CommonLuck
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.mission import tail_mean, times_to
 from analysis.theory.value import Worth, open_loop_found
@@ -277,22 +278,32 @@ def test_counts_leave_nothing_over_and_totals_are_in_their_intervals() -> None:
     assert short.ci95[1] == total and over.mean <= total  # each cell's units are rounded
 
 
-def valued(kind: Kind, seed: int, robots: int, policy: str = "mrac") -> tuple[World, Plan]:
+def valued(kind: Kind, seed: int, robots: int, policy: str = "mrac", side: int = 20) -> tuple[World, Plan]:
     """A random world whose cells are worth and show all sorts of things, and its plan."""
-    plain = random_world(20, 20, ThreatPattern(kind, seed=seed))
+    plain = random_world(side, side, ThreatPattern(kind, seed=seed))
     draws = np.random.default_rng(1)
     value, detect = draws.exponential(size=plain.shape), draws.uniform(0.2, 0.9, size=plain.shape)
     world = plain.with_values(value, detect)
     return world, make_plan(world, place_starts(world, robots)[0], Settings(policy=policy))
 
 
-def means(world: World, plan: Plan, seed: int) -> list[Estimate]:
-    """Value covered and found (up to MOST_PASSES visits), of 1,024 rollouts as `evaluate` states them."""
-    units = Units.of(Worth.of(world))
+def means(world: World, plan: Plan, seed: int, samples: int = 1) -> list[list[Estimate]]:
+    """Value covered and found (up to MOST_PASSES visits), as `evaluate` states them: of so many times 1,024 rollouts,
+    one after the other, and of them all."""
+    units, robots = Units.of(Worth.of(world)), len(plan.robots)
     engine = make_engine(plan, world, Rolling(seed=seed), "numba").weighing(units.covered, units.found)
-    results = engine.results(0, LEAST)
-    columns = results.worth_covered, results.worth_found
-    return [units.estimate(column, False, len(plan.robots), seed) for column in columns]
+    results, classes = engine.results(0, samples * LEAST), luck_classes(seed, 0, samples * LEAST, robots)
+    told = []
+    for own in [*(slice(start, start + LEAST) for start in range(0, samples * LEAST, LEAST)), slice(None)]:
+        pairs = [(column[own], classes[own]) for column in (results.worth_covered, results.worth_found)]
+        lucks = [CommonLuck.of(robots, luck, column, column) for column, luck in pairs]
+        told.append(
+            [
+                mean_value(x, units.worth.total, world.threat.size, False, y)
+                for (x, _), y in zip(pairs, lucks, strict=True)
+            ]
+        )
+    return told
 
 
 def test_value_is_put_right_by_luck() -> None:
@@ -301,13 +312,13 @@ def test_value_is_put_right_by_luck() -> None:
     units = Units.of(Worth.of(world))
     results = make_engine(plan, world, Rolling(seed=3), "numba").weighing(units.covered, units.found).results(0, LEAST)
     total = (luck_classes(3, 0, LEAST, 8) + 0.5) / CLASSES_A_NAT
-    for found, column in zip(means(world, plan, 3), (results.worth_covered, results.worth_found), strict=True):
+    for found, column in zip(means(world, plan, 3)[0], (results.worth_covered, results.worth_found), strict=True):
         value = column / 2**40 * Worth.of(world).total
         mean, error, _ = fitted(value, total, 8)
         assert (found.mean, found.se) == (pytest.approx(mean, rel=1e-7), pytest.approx(error, rel=1e-5))
         assert found.se < 0.8 * value.std() / np.sqrt(LEAST)
     answer = evaluate(world, plan, RolloutChoices(seed=3, rollouts=LEAST), bound=False).outputs["value"]
-    assert answer.covered == means(world, plan, 3)[0]
+    assert answer.covered == means(world, plan, 3)[0][0]
 
 
 VALUED = [*enumerate(product((2, 4, 8, 12, 20), ("contiguous", "scattered")))]
@@ -316,15 +327,14 @@ CELLS = [(*world, figure) for world in VALUED for figure in ("covered", "found")
 
 @cache
 def sampled(seed: int, robots: int, kind: Kind) -> list[list[Estimate]]:
-    """Covered and found, of 1,000 samples of 1,024 rollouts; worlds 4 and 5 by `per_cell`."""
-    world, plan = valued(kind, seed, robots, "per_cell" if seed in (4, 5) else "mrac")
-    return [means(world, plan, sample) for sample in range(1000)]
+    """Covered and found, of 1,000 samples of 1,024 rollouts and of them all; worlds 4 and 5 by `per_cell`."""
+    world, plan = valued(kind, seed, robots, "per_cell" if seed in (4, 5) else "mrac", side=14)
+    return means(world, plan, seed, 1000)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "team", "figure"), CELLS)
 def test_intervals_of_value_hold(seed: int, team: tuple[int, Kind], figure: str) -> None:
     """.925 of the samples or more hold the mean of them all."""
-    found = [one[figure == "found"] for one in sampled(seed, *team)]
-    truth = np.mean([one.mean for one in found])
-    assert np.mean([one.ci95[0] <= truth <= one.ci95[1] for one in found]) >= 0.925
+    *found, whole = [one[figure == "found"] for one in sampled(seed, *team)]
+    assert np.mean([one.ci95[0] <= whole.mean <= one.ci95[1] for one in found]) >= 0.925
