@@ -6,8 +6,18 @@ from dataclasses import fields
 
 import numpy as np
 
+from planner.mrac.recorder import Recorder
+from planner.mrac.reference import ReferenceLoop
+from planner.mrac.simulate import Run
 from planner.tally import RolloutResults, Tally
 from planner.trace import Trace
+
+
+def followed(readable: ReferenceLoop, seed: int, rollout: int) -> tuple[Run, Trace]:
+    """A rollout of the readable simulator and its trace, of one run."""
+    recorder = Recorder()
+    run = readable.run(seed, rollout, recorder)
+    return run, recorder.trace(rollout, run.area_of, run.outcome)
 
 
 def assert_same_tally(mine: Tally, other: Tally, what: str = "") -> None:

@@ -7,9 +7,10 @@ import pytest
 from closed_loop_compare import assert_same_trace
 
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.mrac.make_plan import make_plan
+from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan
+from planner.settings import Settings
 from planner.trace import EventKind, Trace
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
@@ -45,7 +46,7 @@ def test_areas_of_more_than_16_bits() -> None:
     """A chessboard: every cell is an area, and robots in the last corner begin beyond the 65,536th."""
     threat = np.indices((362, 364)).sum(axis=0) % 2 * 0.2
     world = World.create(threat)
-    plan = make_plan(world, [[361, 363], [361, 362], [360, 363]])
+    plan = allocated_plan(world, [[361, 363], [361, 362], [360, 363]], Settings())
     assert len(plan.areas) == threat.size
     happened = np.concatenate([trace.events for trace in assert_same_rollouts(world, plan, 4)])
     for kind in (EventKind.HIT, EventKind.ALLOCATED):

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_trace
+from closed_loop_compare import assert_same_trace, followed
 from movers import in_rows, moving_world
 from oracle_movers import outcomes
 
@@ -50,10 +50,10 @@ def assert_equal_runs(
     """Eight rollouts of the compiled simulator are the readable ones: events, figures, counts by cell."""
     readable = ReferenceLoop(plan, world, first_only=first_only, luck=luck)
     loop = compile_closed_loop(plan, world, first_only=first_only, luck=luck, tabled=tabled)
-    for mine in trace_rollouts(loop, seed, range(8)):
-        assert_same_trace(mine, readable.trace(seed, mine.rollout))
+    runs, known = zip(*(followed(readable, seed, rollout) for rollout in range(8)), strict=True)
+    for mine, trace in zip(trace_rollouts(loop, seed, range(8)), known, strict=True):
+        assert_same_trace(mine, trace)
     tally, singles = run_range(loop, seed, 0, 8, threads=1, singles=True)
-    runs = [readable.run(seed, rollout) for rollout in range(8)]
     assert singles is not None
     for name in ("visited", "survived", "alive"):
         assert getattr(singles, name).tolist() == [int(getattr(run, name).sum()) for run in runs], name

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_trace
+from closed_loop_compare import assert_same_trace, followed
 from oracle_phases import closed_loop, mean_of, open_loop
 
 from analysis.theory.exact import open_loop_exact
@@ -67,11 +67,12 @@ def agree(number: int) -> int:
         ReferenceLoop(plan, world, first_only=first_only, luck=luck),
         trace_rollouts(loop, number, (0, 1)),
     )
+    runs, known = zip(*(followed(readable, number, rollout) for rollout in range(4)), strict=True)
     for trace in traces:
-        assert_same_trace(trace, readable.trace(number, trace.rollout))
+        assert_same_trace(trace, known[trace.rollout])
     quick = with_nominal_run(allocated_plan(world, starts, settings), loop)
     assert [robot.path.tolist() for robot in quick.robots] == [robot.path.tolist() for robot in plan.robots], number
-    runs, tally = [readable.run(number, rollout) for rollout in range(4)], run_range(loop, number, 0, 4, threads=1)[0]
+    tally = run_range(loop, number, 0, 4, threads=1)[0]
     assert tally.covered_survived.tolist() == sum(run.survived.astype(int) for run in runs).tolist(), number
     return sum(int((trace.events[:, 2] == EventKind.SURPRISED).sum()) for trace in traces)
 

@@ -42,9 +42,8 @@ def check_engines(seed: int, rollouts: int) -> None:
     asked = {**KINDS[seed % len(KINDS)], "steps_per_move": PACES[seed // len(KINDS) % len(PACES)]}
     plan = make_plan(world, starts, Settings(**asked))
     assert plan.settings is not None
-    for tabled in (True,) if plan.settings.types else (True, False):
-        for mine in assert_engines_agree(plan, world, seed, rollouts, tabled):
-            check_turns(mine, plan.settings.paces)
+    for trace in assert_engines_agree(plan, world, seed, rollouts):
+        check_turns(trace, plan.settings.paces)
 
 
 def check_turns(trace: Trace, paces: tuple[int, ...]) -> None:
