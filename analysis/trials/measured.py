@@ -135,7 +135,7 @@ class Sampled:
         """As of `Known`."""
         return "value" if self.valued else "visited"
 
-    @property
+    @cached_property
     def share(self) -> float:
         """As of `Known`, as the rollouts say it."""
         return float(self.column(self.counted).mean()) / self.largest(self.counted)
