@@ -41,9 +41,9 @@ def met(maps: list[tuple[int, np.ndarray]], step: int, cell: Cell) -> float:
     return float([p for begin, p in maps if begin <= step][-1][cell])
 
 
-def mean_of(play: Callable[[Judge], tuple[int, int]], maps: list[tuple[int, np.ndarray]]) -> np.ndarray:
-    """Expected (visited, alive, survived) of what `play` gives, visited and alive, over all that can happen."""
-    total, left = np.zeros(3), [([], 1.0)]
+def mean_of(play: Callable[[Judge], tuple[float, ...]], maps: list[tuple[int, np.ndarray]]) -> np.ndarray:
+    """Expected values of what `play` gives, and of cells survived after it, over all that can happen."""
+    total, left = np.zeros(1), [([], 1.0)]
     while left:
         decided, weight = left.pop()
         made: list[bool] = []
@@ -68,8 +68,8 @@ def mean_of(play: Callable[[Judge], tuple[int, int]], maps: list[tuple[int, np.n
             safely.add(cell)
             return False
 
-        visited, alive = play(judge)
-        total += chance[0] * np.array([visited, alive, len(safely)])
+        told = play(judge)
+        total = total + chance[0] * np.array([*told, len(safely)])
     return total
 
 

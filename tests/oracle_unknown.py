@@ -150,13 +150,21 @@ class Twin:
                 self.turn(number, walker)
             self.look_about()
             self.quiet = 0 if self.moved else self.quiet + 1
-            if self.goal <= self.visited:
-                return "complete"
-            if all(walker.doing == "dead" for walker in self.team):
-                return "stopped"
-            if self.quiet == 2:
-                return "stuck"
+            if ended := self.ended():
+                return ended
             self.step += 1
+
+    def ended(self) -> str:
+        """How the run ends after this step; "": it goes on."""
+        if self.goal <= self.visited:
+            return "complete"
+        if all(walker.doing == "dead" for walker in self.team):
+            return "stopped"
+        return "stuck" if self.quiet >= 2 else ""
+
+    def affords(self, walker: Walker, target: Cell) -> bool:
+        """Whether the area of this target is there for the walker."""
+        return True
 
     def turn(self, number: int, walker: Walker) -> None:
         if self.step == 0:
@@ -223,7 +231,8 @@ class Twin:
         walker.way, walker.doing = self.way(walker.at, target), "traveling"
 
     def allocate(self, number: int, walker: Walker, *, share: bool) -> bool:
-        found = [(self.patches[n].level, at[0], n) for n in self.open() if (at := self.nearest(walker.at, n))]
+        seen = [(n, at) for n in self.open() if (at := self.nearest(walker.at, n))]
+        found = [(self.patches[n].level, at[0], n) for n, at in seen if self.affords(walker, at[1])]
         if found:
             walker.patch = min(found)[2]
             self.patches[walker.patch].owner = number
@@ -241,7 +250,8 @@ class Twin:
         for other, owner in enumerate(self.team):
             if other != number and owner.doing in ("traveling", "covering") and len(self.left(owner.patch)) >= 2:
                 at = self.nearest(walker.at, owner.patch)
-                if at and len(self.way(walker.at, at[1])) <= len(self.left(owner.patch)):
+                near = at and len(self.way(walker.at, at[1])) <= len(self.left(owner.patch))
+                if near and self.affords(walker, at[1]):
                     found.append((self.patches[owner.patch].level, at[0], owner.patch, other))
         if not found:
             return False

@@ -203,8 +203,8 @@ def test_what_is_known_for_certain_runs_as_before():
 # --- engines ---
 
 
-def agree(number, rollouts=2):
-    """Both engines, in a drawn world; how often robots were surprised."""
+def drawn(number):
+    """A world of robots that learn, drawn, their starts and settings."""
     stream = Stream(number, 3301)
     height, width = 2 + stream.below(7), 2 + stream.below(7)
     chances, stops = np.array([0, 0, 0.05, 0.3, 0.6, 1, N, N]), (0.2, 0.5, 0.9, 1.0)
@@ -225,6 +225,12 @@ def agree(number, rollouts=2):
     if settings.reserve is not None:  # on a dangerous start Numba asks robots that wait another price than ours
         safe = [start for start in starts.tolist() if q[tuple(start)] == 0]
         starts = np.array(safe or starts[:1])
+    return world, starts, settings
+
+
+def agree(number, rollouts=2):
+    """Both engines, in a drawn world; how often robots were surprised."""
+    world, starts, settings = drawn(number)
     plan, luck = make_plan(world, starts, settings), "step" if number % 7 == 0 else "tolerance"
     loop, readable = compile_closed_loop(plan, world, luck=luck), ReferenceLoop(plan, world, luck=luck)
     traces = trace_rollouts(loop, number, range(rollouts))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from closed_loop_compare import followed
+from numpy.typing import NDArray
 from test_planner_home import ways
 from test_planner_unknown import POLICIES, drawn
 
@@ -23,6 +25,8 @@ from planner.worlds.generate import Stream
 from planner.worlds.learning import with_prior, with_truth
 from planner.worlds.world import World
 
+Believed = Callable[[int], NDArray[Any]]
+"""p `[N]`, NaN = obstacle, as robots believe the map at the end of a step; asked of steps in order."""
 HOMES: list[dict[str, Any]] = [
     {"return_to": "home"},
     {"return_to": "nearest", "range": 12},
@@ -55,18 +59,14 @@ def agree(number: int, rollouts: int = 2) -> tuple[int, int]:
     assert singles.home[:rollouts].tolist() == [int(run.home.sum()) for run in runs]
     if HOMES[number % 5] == {"return_to": "home"}:  # where it came from it can always go back
         np.testing.assert_array_equal(singles.home, singles.alive)
-    for trace in traces:
-        check_ways(trace, world, plan, sense)
+    for trace in traces if not sense["sight"] else ():
+        check_ways(trace, world, plan, as_seen(trace, world, plan, sense))
     events = np.concatenate([trace.events[:, 2] for trace in traces])
     return int((events == EventKind.SURPRISED).sum()), int((events == EventKind.HOME).sum())
 
 
-def check_ways(trace: Trace, world: World, plan: Plan, sense: dict[str, Any]) -> None:
-    """Who is on its way home goes by the safest way, as the map is believed: what was seen from where they were."""
-    if sense["sight"]:
-        return
-    problem, starts = prepare(world, plan.starts, plan.settings or Settings()), plan.starts
-    assert problem.unknown is not None and problem.home is not None
+def as_seen(trace: Trace, world: World, plan: Plan, sense: dict[str, Any]) -> Believed:
+    """What was seen from where robots were is as it is, all else as they were told."""
     cells = np.stack(np.indices(world.shape)).reshape(2, -1)
     true, belief = world.met.ravel(), world.threat.ravel().astype(np.float64).copy()
 
@@ -75,13 +75,24 @@ def check_ways(trace: Trace, world: World, plan: Plan, sense: dict[str, Any]) ->
             seen = ((cells - place[:, None]) ** 2).sum(axis=0) <= sense["range"] ** 2
             belief[seen] = true[seen]
 
-    look((starts @ [world.shape[1], 1]).tolist())
-    price = dict(zip(problem.levels.values.tolist(), problem.entry.tolist(), strict=True))
-    for step in range(trace.time):
+    def believed(step: int) -> NDArray[np.float64]:
         look([cell for cell, doing in zip(trace.cells[step], trace.doing[step], strict=True) if doing != Doing.DEAD])
-        free = {cell: float(np.float32(p)) for cell, p in enumerate(belief.tolist()) if not np.isnan(p)}
-        assert all(p in price for cell, p in free.items() if problem.levels.accessible.flat[cell])
-        entry = {cell: price[p] for cell, p in free.items() if p in price}  # a p that nobody can meet has no price
+        return belief
+
+    look((plan.starts @ [world.shape[1], 1]).tolist())
+    return believed
+
+
+def check_ways(trace: Trace, world: World, plan: Plan, believed: Believed) -> None:
+    """Who is on its way home goes by the safest way, as the map is believed at the end of the step before."""
+    problem, starts = prepare(world, plan.starts, plan.settings or Settings()), plan.starts
+    assert problem.unknown is not None and problem.home is not None
+    values = problem.levels.values
+    for step in range(trace.time):
+        free = {cell: float(p) for cell, p in enumerate(believed(step)) if not np.isnan(p)}
+        level = {cell: int(np.abs(values - p).argmin()) for cell, p in free.items()}
+        entry = {cell: int(problem.entry[of]) for cell, of in level.items() if abs(values[of] - free[cell]) < 1e-6}
+        assert all(cell in entry for cell in free if problem.unknown.within[cell])  # others' p may have no price
         for robot in np.flatnonzero(trace.doing[step] == Doing.RETURNING):
             own = starts[robot : robot + 1] if plan.settings.return_to == "home" else starts  # type: ignore[union-attr]
             bases = [int(row * world.shape[1] + col) for row, col in own]

@@ -146,8 +146,8 @@ def has_to_wait(t, p, s, w, robot, area, cost):
 
 @rare_kernel
 def could_go_on(t, p, s, w):
-    """Whether a robot that can move can reach an unassigned area, refused or not."""
-    for robot in range(len(s.robots)):
+    """Whether a robot that can move can reach an unassigned area, where some are refused."""
+    for robot in range(len(s.robots) if p.limited else 0):
         able = (holds(s.movers, robot) and s.robots[robot, DOING] != RETURNING) or holds(s.waiting, robot)
         if able and first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(False))[0] != NONE:
             return True

@@ -263,18 +263,22 @@ class Mission:
 
     def advance(self) -> None:
         """End the step: every robot is where it reported; who did not is where it was, or at t = 0 where it starts."""
-        self._play(self._fleet, False)
-        held = [robot.cell for robot in self._fleet.robots if robot.alive]
-        told = self._lessons.at_end(self._fleet.step, self.world, held) | self._reports.seen
+        fleet = self._fleet
+        self._play(fleet, False)
+        held, reported = [robot.cell for robot in fleet.robots if robot.alive], self._reports.seen
+        told = self._lessons.at_end(fleet.step, self.world, held) | reported
         seen = {cell: p for cell, p in told.items() if cell not in self.closed}
         self._reports.clear()
         self._orders = None
         changed = surprises(self.world, seen)
-        if len(changed) and len(self.lost) < self.robots:
+        if len(changed) and held and fleet.step < self.last_step:
             world = seen_world(self.world, seen)
-            state = learned_state(self.state, world, changed, self.settings)
+            state, got = learned_state(self.state, world, changed, self.settings)
             self._go_on(world, allocated_plan(replace(world, doubt=None), state.starts, self.settings, state=state))
+            # what a person reports may be what all were waiting for
+            self._fleet.progress = fleet.progress or got or not reported.keys().isdisjoint(changed.tolist())
             self.seen |= {cell: seen[cell] for cell in changed.tolist()}
+        self._fleet.end_step()
 
     @property
     def awaited(self) -> tuple[int, ...]:
@@ -292,7 +296,7 @@ class Mission:
         )
 
     def _play(self, fleet: Fleet, ahead: bool) -> dict[int, Order]:
-        """The step in `fleet`, and its orders; `ahead`: it is not over, and who has not reported gets there."""
+        """The step in `fleet` up to its end, and its orders; `ahead`: who has not reported gets there."""
         orders: dict[int, Order] = {}
         if ahead:
             fleet.recorder = None
@@ -316,7 +320,6 @@ class Mission:
             came = self._turn(fleet, number, due, report)
             if not ahead:
                 self._keep_count(robot, came, due)
-        fleet.end_step()
         return orders
 
     def _order(self, robot: Robot, due: int | None) -> Order:

@@ -83,8 +83,12 @@ def surprises(world: World, seen: Seen) -> NDArray[np.int64]:
     return np.flatnonzero((was != now) & ~(np.isnan(was) & np.isnan(now)))
 
 
-def learned_state(state: MissionState, world: World, changed: NDArray[np.int64], settings: Settings) -> MissionState:
+def learned_state(
+    state: MissionState, world: World, changed: NDArray[np.int64], settings: Settings
+) -> tuple[MissionState, bool]:
     """The state as one of `world`, in which the `changed` cells, rising, are not as they were: rules (2) to (5).
+
+    And whether somebody got an area.
 
     Levels are those of the new map. Where there are so many that they are quantised, a cell whose level is another
     than most of its area has now surprises too.
@@ -114,7 +118,7 @@ def learned_state(state: MissionState, world: World, changed: NDArray[np.int64],
         left[area.cells] = False
     visited, survived = (cells[levels[cells] != NO_LEVEL] for cells in (state.visited, state.survived))
     areas = [*state.areas, *_unheld(world, left, levels, team.visited)]
-    return replace(state, visited=visited, survived=survived, areas=tuple(areas), quiet=0)
+    return replace(state, visited=visited, survived=survived, areas=tuple(areas)), team.progress
 
 
 def _without_completed(state: MissionState) -> MissionState:

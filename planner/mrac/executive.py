@@ -32,6 +32,7 @@ from planner.mrac.search import NOT_WANTED
 from planner.none import NO_AREA
 from planner.plans.plan import Area, LegKind
 from planner.plans.state import MissionState
+from planner.policies.limits import NO_REFUSAL
 from planner.tally import Outcome
 from planner.trace import Doing, EventKind
 
@@ -110,7 +111,8 @@ class Executive(Board):
             return Outcome.STOPPED
         if self.quiet >= STUCK_AFTER * max(self.problem.settings.paces, default=1):
             could = (robot.able and first_area(self, robot, refusing=False) for robot in self.robots)
-            return Outcome.CALLED_OFF if any(could) else Outcome.STUCK
+            refuses = self.problem.theta < NO_REFUSAL
+            return Outcome.CALLED_OFF if refuses and any(could) else Outcome.STUCK
         return None
 
     # --- a robot's turn ---

@@ -173,8 +173,6 @@ def prepare(
     `homes`: cells `[K]` where robots that come home started, of a mission under way.
     """
     settings.check()
-    if settings.return_to is not None and world.knowledge is None:
-        world.check_told("a team that comes home")
     if settings.paces or settings.radio is not None:
         world.check_told("a team of several speeds, or with radio,")
         if world.phases is not None:
