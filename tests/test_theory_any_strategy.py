@@ -23,8 +23,9 @@ from analysis.theory.flow import ROUNDS, Dual, Programme, Row, Spend, certified,
 from analysis.theory.nodes import contract
 from analysis.theory.optimum import optimum
 from analysis.theory.ways import missing_ways, way_within
-from planner.mrac.make_plan import make_plan
+from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.rollouts.engine import Rolling, make_engine
+from planner.settings import Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -83,9 +84,9 @@ def test_the_bound_is_never_below_what_is_sampled_on_1000_worlds() -> None:
     draw = np.random.default_rng(2)
     for seed in range(1000):
         kind = ("contiguous", "scattered")[seed % 2]
-        world = random_world(12, 15, ThreatPattern(kind=kind, areas=5, seed=seed), threats=draw.uniform(0.05, 0.4))  # type: ignore[arg-type]
+        world = random_world(9, 10, ThreatPattern(kind=kind, areas=5, seed=seed), threats=draw.uniform(0.05, 0.4))  # type: ignore[arg-type]
         starts = place_starts(world, int(draw.integers(1, 13)))[0]
-        tally = make_engine(make_plan(world, starts), world, Rolling()).tally(0, 2000)
+        tally = make_engine(allocated_plan(world, starts, Settings()), world, Rolling()).tally(0, 2000)
         values = np.arange(len(tally.visited))
         mean = tally.visited @ values / 2000
         spread = tally.visited @ values**2 / 2000 - mean**2
@@ -187,15 +188,6 @@ def test_a_walk_is_held_to_one_order_of_two_rooms() -> None:
     assert optimum(world, [[0, 7]]) == 6.0
     flow = any_strategy(world, [[0, 7]]).flow
     assert flow is not None and 6.0 <= flow < 6.2 < flow_bound(contract(world, np.array([[0, 7]])), rounds=ROUNDS - 1)
-
-
-@pytest.mark.slow
-def test_the_programme_is_never_below_the_optimum_on_10000_worlds() -> None:
-    for seed in range(10_000):
-        world = tiny_world(seed, 2, 5) if seed % 2 else tiny_world(seed, 3, 3)
-        starts = [[0, 0]] * (1 + seed % 3 // 2)
-        best, bound = optimum(world, starts), flow_bound(contract(world, np.array(starts)))
-        assert best is None or best <= bound, seed
 
 
 def test_ways_are_what_makes_it_sharp() -> None:
