@@ -11,6 +11,7 @@ from closed_loop_compare import assert_same_results
 from closed_loop_worlds import walled
 from conftest import Fixture, load_fixture, worlds_with_starts
 from hypothesis import given
+from numba import typeof
 from rolling import run_closed_chunks
 
 from planner.errors import PlanError
@@ -18,7 +19,7 @@ from planner.kernels import remember
 from planner.kernels.closed_loop import compile_closed_loop, new_cells, run_range
 from planner.kernels.loop import ClosedLoop
 from planner.kernels.runners import KNOWN, LEAST_SHARED, _in_rounds, remember_alike
-from planner.kernels.state import first_room, largest_set, make_state, make_work
+from planner.kernels.state import first_room, is_plain, largest_set, make_state, make_work, plain
 from planner.kernels.tables import most_cost
 from planner.mrac.costs import BLOCKED, neighbour_table
 from planner.mrac.make_plan import make_plan
@@ -373,3 +374,25 @@ def test_a_plan_for_another_map_is_refused() -> None:
     plan = make_plan(World.create(np.zeros((2, 3))), [[0, 0]])
     with pytest.raises(PlanError, match="another map"):
         compile_closed_loop(plan, World.create(np.zeros((3, 2))))
+
+
+@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+def test_the_program_of_plain_missions_is_the_whole_one(policy: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = random_world(pattern=ThreatPattern(seed=3))
+    plan = make_plan(world, place_starts(world, 4)[0], Settings(policy=policy))
+    assert is_plain(compile_closed_loop(plan, world).tables)
+    found = run_range(compile_closed_loop(plan, world), 7, 0, 3000, singles=True)
+    for module in ("loop", "runners"):
+        monkeypatch.setattr(f"planner.kernels.{module}.is_plain", lambda tables: False)
+    again = run_range(compile_closed_loop(plan, world), 7, 0, 3000, singles=True)
+    assert found[0] == again[0]
+    assert all(map(np.array_equal, vars(found[1]).values(), vars(again[1]).values()))
+
+
+@pytest.mark.parametrize("settings", [Settings(return_to="home"), Settings(radio=5.0)])
+def test_other_missions_share_the_whole_program(settings: Settings) -> None:
+    world = random_world()
+    tables = compile_closed_loop(make_plan(world, place_starts(world, 4)[0], settings), world).tables
+    assert not is_plain(tables)
+    kinds = {typeof(plain(tables, without)) for without in (False, True)}
+    assert typeof(plain(tables, is_plain(tables))) == typeof(plain(tables)) and len(kinds) == 2

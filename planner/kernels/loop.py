@@ -14,7 +14,7 @@ from planner.bearing import PLAIN, Bearing
 from planner.errors import UsageError
 from planner.kernels.follow import Policy
 from planner.kernels.resume import set_back_to
-from planner.kernels.state import DETECTS, GOAL, TRUTH, State, Tables, first_state
+from planner.kernels.state import DETECTS, GOAL, TRUTH, State, Tables, first_state, is_plain, plain
 from planner.kernels.tables import kinds_of, luck_tables
 from planner.luck_names import LuckName
 from planner.plans.state import MissionState
@@ -134,9 +134,8 @@ class ClosedLoop:
             if self.state is not None:
                 set_back_to(self.state, first, self.tables, self.cells)
             levels = 1 if self.doubt is None else len(self.tables.truths)
-            self._first[room] = State._make(
-                row[None] if levels == 1 else np.repeat(row[None], levels, axis=0) for row in first
-            )
+            rows = (row[None] if levels == 1 else np.repeat(row[None], levels, axis=0) for row in first)
+            self._first[room] = plain(State._make(rows), is_plain(self.tables))
             if self.learns:
                 self._first[room].mind[:, TRUTH] = np.arange(levels)
         return self._first[room]

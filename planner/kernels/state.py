@@ -2,7 +2,7 @@
 
 Part of `planner.kernels.rollouts`, which see. Axis letters: `A` accessible cells, `K` robots, `M` areas, `T` steps, `L`
 levels of the state: sets of rollouts that wait for others which were hit. Arrays that a way of running does without
-are empty, so that one program is compiled for all of them.
+are empty: one program is compiled for plain missions (WITHOUT), and one for all others.
 """
 
 from __future__ import annotations
@@ -126,6 +126,23 @@ class Tables(NamedTuple):
     kind_cost: NDArray
     kind_begin: NDArray
     limits: NDArray
+    bound: NDArray
+    own_counter: NDArray
+    there: NDArray
+    table: NDArray
+    column: NDArray
+    spent: NDArray
+    exposure: NDArray
+    doses: NDArray
+    chance: NDArray
+    starts: NDArray
+    range: NDArray
+    order: NDArray
+    begin: NDArray
+    level: NDArray
+    owner: NDArray
+    given: NDArray
+    length: NDArray
     truths: NDArray
     belief: NDArray
     price: NDArray
@@ -136,15 +153,6 @@ class Tables(NamedTuple):
     step: NDArray
     lessons: NDArray
     phases: NDArray
-    bound: NDArray
-    own_counter: NDArray
-    there: NDArray
-    table: NDArray
-    column: NDArray
-    spent: NDArray
-    exposure: NDArray
-    doses: NDArray
-    chance: NDArray
     nodes: NDArray
     times: NDArray
     begun: NDArray
@@ -158,14 +166,6 @@ class Tables(NamedTuple):
     place: NDArray
     bases: NDArray
     reach: NDArray
-    starts: NDArray
-    range: NDArray
-    order: NDArray
-    begin: NDArray
-    level: NDArray
-    owner: NDArray
-    given: NDArray
-    length: NDArray
     home_of: NDArray
     home_bases: NDArray
     home_steps: NDArray
@@ -283,6 +283,11 @@ class State(NamedTuple):
     odds: NDArray
 
 
+WITHOUT = {Tables: "truths", State: "entered"}
+"""The field from which on all are empty in a plain mission: one on a map that robots are told, without threats that
+move or change, whose robots are alike, do not wear, hear each other everywhere and stay where they end."""
+
+
 class Work(NamedTuple):
     """Scratch of one thread.
 
@@ -398,15 +403,28 @@ class Singles(NamedTuple):
     start: int
 
 
-def plain(tables: Given) -> Given:
-    """The same with contiguous, writable arrays: others have other types, for which Numba compiles all anew."""
-    fields = (
+def plain(given: Given, without: bool = False) -> Given:
+    """The same with contiguous, writable arrays: others have other types, for which Numba compiles all anew.
+
+    `without`: of a plain mission, those from WITHOUT on read-only. That they are empty is then known when a program is
+    compiled (`planner.kernels.handed`): what asks for them is left out.
+    """
+    last = given._fields.index(WITHOUT[type(given)]) if without else len(given)  # type: ignore[attr-defined]
+    fields = [
         np.require(field, requirements=("C", "W"))
         if isinstance(field, np.ndarray) and not field.flags.carray
         else field
-        for field in tables
-    )
-    return type(tables)(*fields)
+        for field in given
+    ]
+    for place in range(last, len(fields)):
+        fields[place] = np.empty_like(fields[place])
+        fields[place].flags.writeable = False
+    return type(given)(*fields)
+
+
+def is_plain(tables: Tables) -> bool:
+    """Whether a mission is: see WITHOUT."""
+    return not any(field.size for field in tables[Tables._fields.index(WITHOUT[Tables]) :])
 
 
 REMEMBERED, MOST_PATHS = 2**24, 2**16
@@ -479,7 +497,8 @@ def make_state(first: State, levels: int) -> State:
     """A stack of so many levels, fewer where they would not fit in STATE_BYTES; `first`: what sets begin with."""
     a_level = sum(row[:1].nbytes for row in first)
     levels = min(levels, max(1, STATE_BYTES // a_level))
-    return State._make(np.empty((levels, *row.shape[1:]), dtype=row.dtype) for row in first)
+    stack = State._make(np.empty((levels, *row.shape[1:]), dtype=row.dtype) for row in first)
+    return plain(stack, not first.mind.flags.writeable)
 
 
 def largest_set(state: State, most: int) -> int:
