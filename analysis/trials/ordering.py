@@ -1,8 +1,8 @@
 """A better order of areas on a map: what a cell of each counts for, found by trying (SPEC section 11, `priority`).
 
 A rule prices areas one by one; which of them had better come first, because of what lies behind it or of who else is
-near, a number for each says. Moves of a few numbers at a time are kept where the team covers no less: exactly where a
-tree tells it at once, else on common luck.
+near, a number for each says. Moves of a few numbers at a time, of larger areas more often, are kept where the team
+covers no less: exactly where a tree tells it at once, else on common luck.
 """
 
 from __future__ import annotations
@@ -54,12 +54,13 @@ def order_areas(
     loop, draw, areas = base.loop, np.random.default_rng(choices.seed), len(plan.areas)
     assert loop is not None
     exact = base.known(AT_ONCE) is not None
+    size = np.sqrt([len(area.cells) for area in plan.areas])
     best, most = np.zeros(areas, dtype=np.int64), _covered(base, exact)
     for _ in range(tries):
         if not in_time():
             break
         tried = best.copy()
-        for area in draw.integers(areas, size=int(draw.integers(1, 4))):
+        for area in draw.choice(areas, size=int(draw.integers(1, 4)), p=size / size.sum()):
             tried[area] += int(draw.choice((-1, 1))) << int(draw.integers(FURTHEST))
         counted = Trial(world, plan, choices, loop=_counting(loop, problem, _priority(plan, tried)))
         covered = _covered(counted, exact)
