@@ -70,7 +70,7 @@ class Executive(Board):
         self.over: Outcome | None = None
         if state is not None:
             self.set_back_to(state)
-            self.step, self.quiet = state.step, state.quiet
+            self.step, self.quiet, self.next_move = state.step, state.quiet, state.step + 1
             self.over = None if state.over is None else Outcome[state.over.upper()]
             for _ in range(state.step + 1):
                 self._look()
