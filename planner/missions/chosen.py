@@ -61,6 +61,9 @@ class Chosen(Executive):
         area = self.answers.pop(0)
         return next((one for one in offers if one.area == area), None)
 
+    def _refuses(self) -> bool:
+        return True
+
     def _mark(self, robot: Robot, cell: int) -> None:
         self.new[robot.number] += not self.visited[cell]
         super()._mark(robot, cell)

@@ -111,9 +111,12 @@ class Executive(Board):
             return Outcome.STOPPED
         if self.quiet >= STUCK_AFTER * max(self.problem.settings.paces, default=1):
             could = (robot.able and first_area(self, robot, refusing=False) for robot in self.robots)
-            refuses = self.problem.theta < NO_REFUSAL
-            return Outcome.CALLED_OFF if refuses and any(could) else Outcome.STUCK
+            return Outcome.CALLED_OFF if self._refuses() and any(could) else Outcome.STUCK
         return None
+
+    def _refuses(self) -> bool:
+        """Whether areas may be left that somebody could go to."""
+        return self.problem.theta < NO_REFUSAL
 
     # --- a robot's turn ---
 
