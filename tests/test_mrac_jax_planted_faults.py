@@ -126,8 +126,8 @@ COMPILED = {
     ),
     "classical path remembered goes on in an area that was shared": Fault(
         "planner/kernels/paths.py",
-        "    robots[robot, AHEAD] = ahead\n",
-        "    if searched:\n        robots[robot, AHEAD] = ahead\n",
+        "    robots[robot, AHEAD], robots[robot, PATH] = ahead, 0\n",
+        "    if searched:\n        robots[robot, AHEAD], robots[robot, PATH] = ahead, 0\n",
     ),
     "jax prefix a step short": Fault(
         "mrac_jax/closed_loop/nominal.py",
@@ -142,8 +142,8 @@ COMPILED = {
     ),
     "jax tie order": Fault(
         "mrac_jax/closed_loop/steps.py",
-        "    for side in reversed(range(SIDES)):\n        near = read(tables.near, cell * SIDES + side)",
-        "    for side in range(SIDES):\n        near = read(tables.near, cell * SIDES + side)",
+        "    for side in reversed(range(SIDES)):\n        near = read(tables.sweep, cell * SIDES + side)",
+        "    for side in range(SIDES):\n        near = read(tables.sweep, cell * SIDES + side)",
     ),
     "jax tie order of areas": Fault(
         "mrac_jax/closed_loop/search.py",
@@ -289,6 +289,11 @@ def test_no_fault_no_difference_in_traces_nor_compiled(package: str, tmp_path: P
 )
 def test_a_fault_is_found(name: str, tmp_path: Path) -> None:
     assert_found(INTERPRETED[name], tmp_path, interpreted=True)
+
+
+def test_what_faults_are_planted_in_stands_there_once() -> None:
+    for name, fault in (INTERPRETED | COMPILED).items():
+        assert (ROOT / fault.file).read_text().count(fault.old) == 1, f"{name}: {fault.file} has changed: plant it anew"
 
 
 @pytest.mark.slow
