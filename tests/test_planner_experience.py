@@ -222,9 +222,6 @@ def drawn(number):
     settings = Settings(**given) if isinstance(given, dict) else Settings(policy=given)
     if number % 5 == 0:
         settings = replace(settings, range=4 + stream.below(12))
-    if settings.reserve is not None:  # on a dangerous start Numba asks robots that wait another price than ours
-        safe = [start for start in starts.tolist() if q[tuple(start)] == 0]
-        starts = np.array(safe or starts[:1])
     return world, starts, settings
 
 
