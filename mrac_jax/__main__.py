@@ -31,6 +31,9 @@ def main() -> None:
         status = INTERRUPTED
     for number in (signal.SIGINT, signal.SIGTERM):  # the answer is out: its status stands
         signal.signal(number, signal.SIG_IGN)
+    # Where code that is text (a dataclass is) was interrupted, `python -m` ends by the signal, whatever the status; the
+    # next such code makes it forget.
+    exec("")
     sys.exit(status)
 
 

@@ -293,7 +293,7 @@ def test_the_worst_world_is_saved_and_fails_again(tmp_path: Path, capsys: pytest
     rows = {(row["key"], row["robots"]): row for row in found["rows"]}
     answers: dict[tuple[bytes, int], dict] = {}  # a world may be the worst for several formulas
     for key, where in found["worst"].items():
-        file = tmp_path / "worst" / f"{key.replace('/', '-')}-k{where['robots']}.npz"
+        file = tmp_path / "worst" / f"{key.replace('/', '-')}.npz"
         same = file.read_bytes(), where["seed"]
         if same not in answers:
             answers[same] = answer(capsys, str(file), "--seed", str(where["seed"]), "--rollouts", "512")

@@ -56,6 +56,27 @@ def test_a_swallowed_interrupt_is_sent_again(where: str, times: int) -> None:
     assert (done.returncode, done.stderr) == (130, "interrupted\n") and done.stdout.startswith("lost ")
 
 
+IN_TEXT = """
+import sys
+
+class Finder:
+    def find_spec(self, name, path, target=None):
+        if name == "analysis.cli.app":
+            exec("raise KeyboardInterrupt")
+
+sys.meta_path.insert(0, Finder())
+"""
+
+
+def test_interrupted_in_code_that_is_text(tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text(IN_TEXT)
+    environment = ENVIRONMENT | {"PYTHONPATH": f"{tmp_path}:{ENVIRONMENT['PYTHONPATH']}"}
+    done = subprocess.run(
+        [sys.executable, "-m", "mrac_jax"], capture_output=True, text=True, env=environment, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (130, "interrupted\n")
+
+
 SPEC = "base: {kind: contiguous, size: 8x11, ratio: 0.2}\nmaps: 100000\nrollouts: 30\n"
 SWEEP = ENDS_WITH_US + "import sys; sys.argv[0] = 'mrac-jax'; from mrac_jax.__main__ import main; main()"
 WORDS = [sys.executable, "-c", SWEEP, "sweep", "a.yaml", "--processes", "2"]

@@ -159,7 +159,7 @@ def _findings(survey: Survey) -> list[str]:
         digits, unit = (4, "") if check.about.unit == "chance" else (1, f" {check.about.unit}")
         out.append(
             f"{check.named}: worst on the world of seed {row.seed} with {counted(row.robots, 'robot')}, where it "
-            f"says {check.value:.{digits}f} and the truth is {check.truth.value:.{digits}f}{unit} ({_file(key, row)})."
+            f"says {check.value:.{digits}f} and the truth is {check.truth.value:.{digits}f}{unit} ({_file(key)})."
         )
     return out or ["Nothing fails on any of these worlds."]
 
@@ -226,11 +226,11 @@ def _scatter(survey: Survey) -> Figure:
 def _worst(survey: Survey) -> dict[str, Callable[[], bytes]]:
     """The worst world of every formula that fails, as world files with the starts."""
     failures = survey.worst_failures().items()
-    return {_file(key, row): partial(_world_file, survey, row) for key, row in failures}
+    return {_file(key): partial(_world_file, survey, row) for key, row in failures}
 
 
-def _file(key: str, row: Row) -> str:
-    return f"worst/{key.replace('/', '-')}-k{row.robots}.npz"
+def _file(key: str) -> str:
+    return f"worst/{key.replace('/', '-')}.npz"
 
 
 def _world_file(survey: Survey, row: Row) -> bytes:
