@@ -71,13 +71,13 @@ def evaluate(
     last, partial, closed, rolled, kept = None, False, None, choices, AllPairs()
     try:
         with first_answers(world, plan, choices, None if certain else early) as end_first:
+            roll_out = make_roll_out(world, plan, choices, kept=kept)  # an engine that cannot do it says so at once
             if choices.loop == "closed":
                 closed = closed_truth(plan, world, exact, choices, kept, FINE_SECONDS)
             is_all = isinstance(closed, TreeTruth) and closed.is_all and wanted.keys() <= CONTENT
             if is_all and choices.precision is not None:
                 rolled = replace(choices, rollouts=TO_LOOK_AT, precision=None)
             begin("rollouts")
-            roll_out = make_roll_out(world, plan, choices, kept=kept)
             for stage in until_enough(roll_out(rolled, None), rolled, tell):
                 end_first()
                 last = stage
