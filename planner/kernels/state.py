@@ -417,6 +417,7 @@ def plain(given: Given, without: bool = False) -> Given:
         for field in given
     ]
     for place in range(last, len(fields)):
+        assert not fields[place].size, given._fields[place]  # type: ignore[attr-defined]
         fields[place] = np.empty_like(fields[place])
         fields[place].flags.writeable = False
     return type(given)(*fields)
@@ -498,7 +499,7 @@ def make_state(first: State, levels: int) -> State:
     a_level = sum(row[:1].nbytes for row in first)
     levels = min(levels, max(1, STATE_BYTES // a_level))
     stack = State._make(np.empty((levels, *row.shape[1:]), dtype=row.dtype) for row in first)
-    return plain(stack, not first.mind.flags.writeable)
+    return plain(stack, not getattr(first, WITHOUT[State]).flags.writeable)
 
 
 def largest_set(state: State, most: int) -> int:
