@@ -392,7 +392,9 @@ def test_the_program_of_plain_missions_is_the_whole_one(policy: str, monkeypatch
 @pytest.mark.parametrize("settings", [Settings(return_to="home"), Settings(radio=5.0)])
 def test_other_missions_share_the_whole_program(settings: Settings) -> None:
     world = random_world()
-    tables = compile_closed_loop(make_plan(world, place_starts(world, 4)[0], settings), world).tables
-    assert not is_plain(tables)
-    kinds = {typeof(plain(tables, without)) for without in (False, True)}
-    assert typeof(plain(tables, is_plain(tables))) == typeof(plain(tables)) and len(kinds) == 2
+    starts = place_starts(world, 4)[0]
+    tables, bare = (compile_closed_loop(make_plan(world, starts, of), world).tables for of in (settings, Settings()))
+    assert not is_plain(tables) and is_plain(bare)
+    assert typeof(plain(tables, is_plain(tables))) == typeof(plain(bare)) != typeof(plain(bare, is_plain(bare)))
+    with pytest.raises(AssertionError):  # what is there cannot be left out
+        plain(tables, without=True)
