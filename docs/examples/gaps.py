@@ -27,7 +27,7 @@ from planner.worlds.generate import Kind, ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 
 TEAMS = (1, 2, 4, 8, 20)
-TRIES = {8: 150, 20: 50}
+TRIES = {4: 200, 8: 100, 20: 25}
 """Orders of areas that are tried, if not FEW."""
 FEW = 300
 ROLLOUTS = 4096
