@@ -167,10 +167,10 @@ class Advice(Output):
         _, coverage, losses = self.now
         how, cost = _as_asked(self.advised.setting), self._cost(self.advised.losses)
         if self.saves(self.advised):
-            rest, more = f"{percent(coverage.mean)} costs {self._cost(losses)}", self.more()
+            rest, more = f"{_covered(coverage)} costs {self._cost(losses)}", self.more()
             if more is not None:
-                rest += f", and {percent(more.coverage.mean)} costs no more: {_as_asked(more.setting)}"
-            yield f"{percent(self.advised.coverage.mean)} costs {cost}: {how}; {rest}."
+                rest += f", and {_covered(more.coverage)} costs no more: {_as_asked(more.setting)}"
+            yield f"{_covered(self.advised.coverage)} costs {cost}: {how}; {rest}."
         else:
             yield f"{self.difference.said(100, ' points')} more are covered, for no more robots lost, with {how}."
 
@@ -178,6 +178,11 @@ class Advice(Output):
         if losses.mean == 0:
             return "no robot" if losses.ci95[1] == 0 else f"no robot in {self.rollouts:,} runs"
         return losses_said(losses, self.robots, mean_only=True)
+
+
+def _covered(coverage: Estimate) -> str:
+    """With the decimal that its interval allows, or none."""
+    return percent(coverage.mean, min(coverage.digits(100), 1))
 
 
 def _as_asked(setting: Setting) -> str:
