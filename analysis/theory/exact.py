@@ -307,7 +307,9 @@ def _time_chance(robots: list[RobotChances], horizon: int) -> NDArray[np.float64
 
 def poisson_binomial(chances: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distribution of the number of successes, float64 `[K + 1]`, of independent trials with `chances` `[K]`."""
-    pmf = np.array([1.0])
+    pmf = np.zeros(len(chances) + 1)
+    pmf[0] = 1.0
     for chance in chances:
-        pmf = np.append(pmf * (1.0 - chance), 0.0) + np.append(0.0, pmf * chance)
+        pmf[1:] = pmf[1:] * (1.0 - chance) + pmf[:-1] * chance
+        pmf[0] *= 1.0 - chance
     return pmf

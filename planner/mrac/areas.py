@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -29,8 +31,8 @@ def connected_parts(shape: tuple[int, int], cells: NDArray[np.int64]) -> list[ND
 def split_by_label(ordered: NDArray[np.int64], label: NDArray) -> list[NDArray[np.int64]]:
     """`ordered` (rising indices) cut by `label`, the parts ordered by lowest cell."""
     grouped = ordered[np.argsort(label, kind="stable")]
-    counts = np.unique(label, return_counts=True)[1]
-    parts = np.split(grouped, np.cumsum(counts)[:-1])
+    ends = np.cumsum(np.bincount(label)).tolist()
+    parts = (grouped[begin:end] for begin, end in itertools.pairwise([0, *ends]) if end > begin)
     return sorted(parts, key=lambda part: int(part[0]))
 
 

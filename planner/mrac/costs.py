@@ -50,7 +50,7 @@ def level_costs(values: NDArray[np.float64], n: int, risk: Literal["paper", "log
 def neighbour_table(shape: tuple[int, int], passable: NDArray[np.bool_]) -> NDArray[np.int32]:
     """The passable neighbours of each cell, int32 `[N, 4]` in the order N, W, E, S (rising index), NO_CELL if none."""
     height, width = shape
-    index = np.where(passable.reshape(shape), np.arange(height * width, dtype=np.int32).reshape(shape), NO_CELL)
-    padded = np.pad(index, 1, constant_values=NO_CELL)
+    padded = np.full((height + 2, width + 2), NO_CELL, dtype=np.int32)
+    padded[1:-1, 1:-1] = np.where(passable, np.arange(height * width), NO_CELL).reshape(shape)
     sides = [padded[:-2, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:], padded[2:, 1:-1]]
-    return np.ascontiguousarray(np.stack([side.ravel() for side in sides], axis=1).astype(np.int32))
+    return np.stack(sides, axis=2).reshape(-1, 4)

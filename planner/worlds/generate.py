@@ -151,9 +151,11 @@ def random_threats(free: NDArray[np.bool_], count: int, pattern: ThreatPattern) 
 
 def _grow(size: int, level: int, taken: NDArray[np.int64], free: NDArray[np.bool_], stream: Stream) -> list[int]:
     """`size` cells for one area; `taken` `[H, W]` holds the level index of areas before it, -1 elsewhere."""
-    same = np.pad(taken == level, 1)
-    touching = same[:-2, 1:-1] | same[2:, 1:-1] | same[1:-1, :-2] | same[1:-1, 2:]
-    untaken = free & (taken < 0)
+    same, untaken = taken == level, free & (taken < 0)
+    touching = np.zeros_like(same)
+    for one, other in ((touching, same), (touching.T, same.T)):
+        one[1:] |= other[:-1]
+        one[:-1] |= other[1:]
     grown: list[int] = []
     for open_cells in (untaken & ~touching, untaken):
         if len(grown) < size:
@@ -164,7 +166,9 @@ def _grow(size: int, level: int, taken: NDArray[np.int64], free: NDArray[np.bool
 def _spread(grown: list[int], size: int, open_cells: NDArray[np.bool_], stream: Stream) -> None:
     """Grow `grown` over the open cells `[H, W]` until it has `size` cells or none is left; seed anew when enclosed."""
     width = open_cells.shape[1] + 1
-    available = bytearray(np.pad(open_cells, ((1, 1), (0, 1))).tobytes())  # a closed border: no edge tests below
+    closed = np.zeros((len(open_cells) + 2, width), dtype=np.bool_)  # a closed border: no edge tests below
+    closed[1:-1, :-1] = open_cells
+    available = bytearray(closed.tobytes())
     seeds = [cell + width + cell // (width - 1) for cell in _roomy(open_cells, size - len(grown)).tolist()]
     frontier: list[int] = []
 

@@ -75,8 +75,9 @@ def _largest_component(world: World) -> NDArray[np.bool_]:
 def _breadth_first(free: NDArray[np.bool_], source: int, wanted: NDArray[np.bool_], enough: int) -> NDArray[np.int64]:
     """The wanted cells in order of (distance from `source`, index), int64; at least `enough` unless there are fewer."""
     width = free.shape[1] + 2  # a closed border on every side
-    unseen = np.pad(free, 1).reshape(-1)
-    padded_wanted = np.pad(wanted, 1).reshape(-1)
+    framed = np.zeros((2, len(free) + 2, width), dtype=np.bool_)
+    framed[:, 1:-1, 1:-1] = free, wanted
+    unseen, padded_wanted = framed.reshape(2, -1)
     layer = np.array([(source // free.shape[1] + 1) * width + source % free.shape[1] + 1])
     unseen[layer] = False
     found: list[NDArray[np.int64]] = []
