@@ -159,7 +159,7 @@ class _Loops:
     def _compiled(self, plan: Plan, luck: LuckName, problem: Problem | None = None) -> ClosedLoop:
         from planner.kernels.closed_loop import compile_closed_loop
 
-        kept = _all_pairs(self._team.world.sha256)
+        kept = _of_world(self._team.world.sha256).pairs
         return compile_closed_loop(plan, self._team.world, kept=kept, luck=luck, problem=problem)
 
 
@@ -182,15 +182,25 @@ def _allocated(what: _Same) -> tuple[Problem, Plan]:
     """The plan before its nominal run; the last one is kept, for other settings of a team on the same map."""
     from planner.mrac.make_plan import allocated
 
-    return allocated(what.team.world, what.team.starts, what.team.settings)
+    kept, team = _of_world(what.team.world.sha256), what.team
+    kept.problem, plan = allocated(team.world, team.starts, team.settings, before=kept.problem)
+    return kept.problem, plan
+
+
+@dataclass
+class _Kept:
+    """What teams in one world hand on to the next: its all-pairs tables, and the problem of the last team."""
+
+    pairs: AllPairs
+    problem: Problem | None = None
 
 
 @lru_cache(maxsize=1)
-def _all_pairs(world: str) -> AllPairs:
-    """Where the all-pairs tables of a world, known by its hash, are kept, for other teams in it; the last world's."""
+def _of_world(world: str) -> _Kept:
+    """Of a world, known by its hash; the last world's."""
     from planner.kernels.tables import AllPairs
 
-    return AllPairs()
+    return _Kept(AllPairs())
 
 
 def exact_means(loop: ClosedLoop, seconds: float) -> Json | None:

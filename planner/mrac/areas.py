@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +37,12 @@ def split_by_label(ordered: NDArray[np.int64], label: NDArray) -> list[NDArray[n
     return sorted(parts, key=lambda part: int(part[0]))
 
 
+@lru_cache(maxsize=1)
 def find_areas(shape: tuple[int, int], levels: ThreatLevels) -> list[tuple[int, NDArray[np.int64]]]:
-    """Every area as (level, cells), level by level and by lowest cell within a level: the order of area ids."""
+    """Every area as (level, cells), level by level and by lowest cell within a level: the order of area ids.
+
+    The last ones are kept, for other teams with the same levels.
+    """
     cells = np.flatnonzero(levels.of_cell != NO_LEVEL)
     parts = split_by_label(cells, connected_alike(shape, levels.of_cell)[0][cells])
     return sorted(((int(levels.of_cell[part[0]]), part) for part in parts), key=lambda area: area[0])

@@ -41,10 +41,15 @@ def allocated_plan(world: World, starts: ArrayLike, settings: Settings, state: M
 
 
 def allocated(
-    world: World, starts: ArrayLike, settings: Settings, state: MissionState | None = None
+    world: World,
+    starts: ArrayLike,
+    settings: Settings,
+    state: MissionState | None = None,
+    before: Problem | None = None,
 ) -> tuple[Problem, Plan]:
-    """`allocated_plan`, and the problem that it is of."""
-    problem = prepare(world, starts, settings, homes=None if state is None else state.homes(settings.return_to))
+    """`allocated_plan`, and the problem that it is of; `before`: as of `prepare`."""
+    homes = None if state is None else state.homes(settings.return_to)
+    problem = prepare(world, starts, settings, homes=homes, before=before)
     robots = tuple(RobotPlan(cell) for cell in problem.starts[:, None])
     if state is None:
         areas = allocate(problem)

@@ -127,6 +127,16 @@ class Problem:
         home = None if self.home is None else self.home.believing(paths, costs)
         return replace(self, levels=levels, costs=costs, paths=paths, part=part, home=home)
 
+    def is_for(self, world: World, settings: Settings, accessible: NDArray[np.bool_]) -> bool:
+        """Whether all but starts and ranges is that of robots in this world that can reach these cells `[H, W]`.
+
+        Only of worlds that robots are told, and meet alike; `world` is then of no value to them.
+        """
+        alone = self.unknown is None and self.own is None and self.home is None and self.value is None
+        same = self.world is world or (self.world.luck_sha256 == world.luck_sha256 and world.value is None)
+        reached = np.array_equal(self.levels.accessible, accessible.ravel())
+        return alone and not self.given and same and self.settings == settings and reached
+
     @property
     def stay_inside(self) -> bool:
         """`transit="area"`: legs of a coverage path stay inside the area."""
@@ -167,10 +177,12 @@ def prepare(
     settings: Settings,
     given: tuple[NDArray[np.int64], ...] = (),
     homes: NDArray[np.int64] | None = None,
+    before: Problem | None = None,
 ) -> Problem:
     """Levels, costs and safest paths of a world for robots at `starts` `[K, 2]`. Raises WorldError.
 
-    `homes`: cells `[K]` where robots that come home started, of a mission under way.
+    `homes`: cells `[K]` where robots that come home started, of a mission under way. `before`: another team's problem,
+    of which all is taken over that does not depend on the team, if it is of the same world and settings.
     """
     settings.check()
     if settings.paces or settings.radio is not None:
@@ -186,6 +198,10 @@ def prepare(
     unknown = unknown_of(world, checked, settings.levels)
     told = unknown is None
     rule, cells = rule_of(settings.policy), checked[:, 0] * world.shape[1] + checked[:, 1]
+    moves = _of_each("range", settings.range, NO_LIMIT, len(cells))
+    _of_each("steps_per_move", settings.steps_per_move, 1, len(cells))
+    if before is not None and before.is_for(world, settings, world.accessible(checked)):
+        return replace(before, world=world, starts=cells, range=moves)
     if mixed:
         levels, entry, own = own_maps(worlds, world.accessible(checked), settings)
         costs = own.costs.max(axis=0)
@@ -199,8 +215,7 @@ def prepare(
     else:  # what another type would pay less is added to what an area costs
         most = entry[own.level.max(axis=0)]
         _check_comparisons(rule, levels, 2 * costs, most, value, world.source, apart=True)
-    part, moves = _parts(levels, world.shape), _of_each("range", settings.range, NO_LIMIT, len(cells))
-    _of_each("steps_per_move", settings.steps_per_move, 1, len(cells))
+    part = _parts(levels, world.shape)
     paths = safest_paths(world.shape, costs)
     safe = (levels.of_cell if unknown is None else unknown.belief).reshape(world.shape) == 0
     sides = sides_first(settings.in_area, safe)
