@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, make_dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
 from planner.arguments import ANY, COMMAND_LINE, Numbers, argument, check_word, is_real, whole
@@ -352,9 +353,14 @@ class Settings:
 
     def to_json(self) -> dict[str, Any]:
         """The settings as plan files hold them and identities go by them: later ones where they are not the default."""
-        plain = Settings().said()
+        plain = _defaults()
         later = {name for name in plain if name not in SETTINGS or SETTINGS[name].later}
         return {name: value for name, value in self.said().items() if name not in later or value != plain[name]}
+
+
+@cache
+def _defaults() -> dict[str, Any]:
+    return Settings().said()
 
 
 SETTINGS: dict[str, Setting] = {item.name: item.metadata["setting"] for item in fields(Settings) if item.metadata}

@@ -11,7 +11,6 @@ import numpy as np
 from analysis.exporting.mission import DEGREES, Mission
 from analysis.exporting.outlines import outline
 from planner.files import Json
-from planner.plans.plan import entries
 
 Position = list[float]
 
@@ -51,7 +50,7 @@ def features(mission: Mission) -> Iterator[Feature]:
         facts = {
             "robot": number,
             "steps": mission.stops(number)[-1].step,
-            "cells": len(np.unique(robot.path[entries(robot.path)])),
+            "cells": len(np.unique(robot.path[robot.entered])),
             "chance_of_loss": _rounded(1 - mission.exact.survival[number]),
         }
         cells = [stop.cell for stop in mission.stops(number)]

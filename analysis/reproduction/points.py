@@ -76,9 +76,9 @@ def columns_of(run: Run, tally: Tally, loop: str, free: int) -> dict[Key, Any]:
     for figure in (*COVERAGE, "time"):
         counts = tally.time if figure == "time" else getattr(tally, figure.removesuffix("_free"))
         unit = 1.0 if figure == "time" else 1.0 / (free if figure.endswith("_free") else tally.accessible)
-        values = np.arange(len(counts)) * unit
-        for what, power in (("run", 1), ("square", 2)):
-            found[what, loop, figure] = float(counts @ values**power) / tally.rollouts
+        often, values = counts.astype(np.float64), np.arange(len(counts)) * unit
+        found["run", loop, figure] = float(often @ values) / tally.rollouts
+        found["square", loop, figure] = float(often @ values**2) / tally.rollouts
         place = KEPT[figure.replace("_free", "_of_free")]
         found["beside", loop, figure], found["errors", loop, figure] = means[place], errors[place]
     if tally.robots in FIGURE4:

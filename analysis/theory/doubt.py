@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.plans.plan import Plan, RobotPlan, entries
+from planner.plans.plan import Plan, RobotPlan
 from planner.worlds.doubt import Hazard, Uncertain
 from planner.worlds.movers import Movers
 from planner.worlds.phases import Phases
@@ -68,12 +68,12 @@ def alone(plan: Plan, world: World) -> list[NDArray[np.float64]]:
 
 def _entered(values: NDArray[np.float32], robot: RobotPlan) -> NDArray[np.float64]:
     """float64 `[E]`: the value of each cell entered."""
-    return values.ravel()[robot.path[entries(robot.path)]].astype(np.float64)
+    return values.ravel()[robot.path[robot.entered]].astype(np.float64)
 
 
 def _by_hazard(robot: RobotPlan, q: NDArray[np.float32], h: NDArray[np.float32]) -> NDArray[np.float64]:
     """See the module's docstring."""
-    cells, there, hit = robot.path[entries(robot.path)], _entered(q, robot), _entered(h, robot)
+    cells, there, hit = robot.path[robot.entered], _entered(q, robot), _entered(h, robot)
     order = np.argsort(cells, kind="stable")
     begins = np.concatenate([[True], cells[order][1:] != cells[order][:-1]])
     place = np.arange(len(cells))
@@ -86,7 +86,7 @@ def _by_hazard(robot: RobotPlan, q: NDArray[np.float32], h: NDArray[np.float32])
 
 def _by_level(robot: RobotPlan, doubt: Uncertain) -> NDArray[np.float64]:
     """The levels' maps are drawn apart, so a robot's chance to get so far is a product of means over each level's."""
-    cells = robot.path[entries(robot.path)]
+    cells = robot.path[robot.entered]
     number, column = doubt.number.ravel()[cells], doubt.column.ravel()[cells]
     reach = np.ones(len(cells) + 1)
     for one in np.unique(number):
@@ -97,7 +97,7 @@ def _by_level(robot: RobotPlan, doubt: Uncertain) -> NDArray[np.float64]:
 
 def _shared(plan: Plan, hazard: Hazard) -> NDArray[np.int64]:
     """Cells in which several robots may meet a hazard that may or may not be there, int64."""
-    mine = [np.unique(robot.path[entries(robot.path)]) for robot in plan.robots]
+    mine = [np.unique(robot.path[robot.entered]) for robot in plan.robots]
     cells, robots = np.unique(np.concatenate(mine), return_counts=True)
     doubtful = hazard.q.ravel()[cells] < 1  # else every visit of a persistent one is drawn for itself
     return cells[(robots > 1) & (hazard.threat.ravel()[cells] > 0) & (doubtful | (hazard.kind == "consumed"))]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from analysis.theory.doubt import alone, ways
 from analysis.theory.moving import is_worth_it, passed_movers
 from planner.bearing import PLAIN, Bearing
-from planner.plans.plan import Plan, RobotPlan, entries
+from planner.plans.plan import Plan, RobotPlan
 from planner.worlds.doubt import Hazard, Uncertain
 from planner.worlds.world import World
 
@@ -54,7 +54,7 @@ def robot_chances(robot: RobotPlan, world: World, bearing: Bearing = PLAIN, numb
     Raises WorldError.
     """
     world.check_settled("what a robot survives by eq. (1)")
-    threat = world.threat.ravel()[robot.path[entries(robot.path)]].astype(np.float64)
+    threat = world.threat.ravel()[robot.path[robot.entered]].astype(np.float64)
     return chances_along(robot, threat, bearing, number)
 
 
@@ -65,7 +65,7 @@ def chances_along(
 
     What it has borne by an entry: `-sum ln(1 - threat)`, of which it survives `Bearing.survival` (SPEC section 14).
     """
-    steps = entries(robot.path)
+    steps = robot.entered
     cells = robot.path[steps]
     if not bearing.is_even:
         with np.errstate(divide="ignore"):
@@ -85,7 +85,7 @@ def _first_of_each(cells: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 def chances_among(robot: RobotPlan, world: World, bearing: Bearing = PLAIN) -> RobotChances:
     """The chances of one robot alone, where threats move: of every step, waits too (`theory.moving`)."""
-    moves = entries(robot.path)
+    moves = robot.entered
     path = robot.path[: moves[-1] + 1]
     own = chances_along(robot, _met(robot, world), bearing)
     passed = np.ones(len(path))
@@ -99,7 +99,7 @@ def chances_among(robot: RobotPlan, world: World, bearing: Bearing = PLAIN) -> R
 
 def _met(robot: RobotPlan, world: World) -> NDArray[np.float64]:
     """float64 `[E]`: p of each entry of its path, when it is made."""
-    steps = entries(robot.path)
+    steps = robot.entered
     return world.by_phase.ravel()[world.visits(robot.path[steps], steps)].astype(np.float64)
 
 
@@ -111,7 +111,7 @@ def chances_of(plan: Plan, world: World) -> list[RobotChances]:
     world.check_settled("what a robot survives by eq. (1)")
     begun = []
     for number, (robot, its) in enumerate(zip(plan.robots, plan.state.robots, strict=True)):
-        threat = world.threat.ravel()[robot.path[entries(robot.path)]].astype(np.float64)
+        threat = world.threat.ravel()[robot.path[robot.entered]].astype(np.float64)
         threat[0] = 0.0 if its.alive else 1.0
         begun.append(chances_along(robot, threat, plan.bearing, number))
     return begun
@@ -215,7 +215,7 @@ def coverage_gradient(plan: Plan, world: World) -> NDArray[np.float64]:
     susceptible, as if they did not, and were not.
     """
     threat = world.threat.ravel().astype(np.float64)
-    robots = [chances_along(robot, threat[robot.path[entries(robot.path)]]) for robot in plan.robots]
+    robots = [chances_along(robot, threat[robot.path[robot.entered]]) for robot in plan.robots]
     missed = np.ones((len(robots), threat.size))
     for mine, robot in zip(missed, robots, strict=True):
         mine[robot.cells[robot.first]] -= robot.reach[robot.first]

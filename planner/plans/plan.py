@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -83,6 +84,11 @@ class RobotPlan:
 
     path: NDArray[np.int64]
     legs: tuple[Leg, ...] = ()
+
+    @cached_property
+    def entered(self) -> NDArray[np.int64]:
+        """The steps at which it enters a cell: `entries` of its path."""
+        return entries(self.path)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +191,7 @@ class Plan:
     @property
     def makespan(self) -> int:
         """The step of the last move of any robot on its nominal path."""
-        return max((last_move(robot.path) for robot in self.robots), default=0)
+        return max((int(robot.entered[-1]) for robot in self.robots), default=0)
 
     def require(self, world: World) -> Settings:
         """What it was made with; of paths alone the default. Raises PlanError if it is for another map than `world`.
@@ -224,7 +230,7 @@ class Plan:
             rows += [("areas", f"{len(self.areas)}, {self.shares} of them shared in the run without losses")]
         for number, robot in enumerate(self.robots[:MOST_SHOWN]):
             covered = sum(leg.kind == "cover" for leg in robot.legs)
-            start, moves = [int(n) for n in divmod(robot.path[0], self.shape[1])], len(entries(robot.path)) - 1
+            start, moves = [int(n) for n in divmod(robot.path[0], self.shape[1])], len(robot.entered) - 1
             rows.append((f"robot {number}", f"from {start}, {moves} moves" + f", {covered} areas" * bool(robot.legs)))
         more = len(self.robots) - MOST_SHOWN
         return rows + [("", f"and {more} more")] * (more > 0) + [("note", note) for note in self.notes[:4]]
@@ -297,7 +303,9 @@ def last_move(path: NDArray[np.int64]) -> int:
 
 def entries(path: NDArray[np.int64]) -> NDArray[np.int64]:
     """The steps at which a cell is entered: 0, and every step that changes cell. Waiting is not a visit."""
-    return np.concatenate([[0], np.flatnonzero(path[1:] != path[:-1]) + 1]).astype(np.int64)
+    entered = np.ones(len(path), dtype=np.bool_)
+    np.not_equal(path[1:], path[:-1], out=entered[1:])
+    return np.flatnonzero(entered)
 
 
 def is_certain(world: World, plan: Plan, loop: str = "closed") -> bool:

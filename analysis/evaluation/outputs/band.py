@@ -20,7 +20,7 @@ from analysis.page.series import Series
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import QUANTILES
 from planner.kernels.tables import AllPairs
-from planner.plans.plan import Plan, RobotPlan, entries
+from planner.plans.plan import Plan, RobotPlan
 from planner.rollouts.blocks import run_ranges
 from planner.shown import counted
 from planner.threefry import FAST_COUNTER, key_of, threefry2x32, uniform
@@ -134,7 +134,7 @@ def open_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: N
 
 def _dangerous(robot: RobotPlan, world: World) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Steps at which the robot enters a dangerous cell, and the threats there."""
-    steps = entries(robot.path)
+    steps = robot.entered
     threat = world.threat.reshape(-1)[robot.path[steps]]
     return steps[threat > 0], threat[threat > 0]
 
@@ -152,7 +152,7 @@ def _fast_stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np
 
 def _tolerance_stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
     """The same by the robot's tolerance."""
-    steps = entries(plan.robots[robot].path)
+    steps = plan.robots[robot].entered
     borne = np.cumsum(world.exposures[0][plan.robots[robot].path[steps]])
     tolerances = plan.bearing.tolerances(seed, ids, robot + 1)[:, robot]
     return np.append(steps, NEVER)[np.searchsorted(borne, tolerances, side="left")]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planner.luck import Luck
 from planner.luck_names import LuckName
 from planner.none import NO_AREA, NO_ROBOT
-from planner.plans.plan import Plan, RobotPlan, entries, last_move
+from planner.plans.plan import Plan, RobotPlan, last_move
 from planner.tally import Outcome
 from planner.trace import Doing, EventKind, Trace
 from planner.worlds.world import World
@@ -47,7 +47,7 @@ def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int, luck: Luc
 def _stops(plan: Plan, luck: Luck) -> list[int | None]:
     """The step at which each robot is stopped, or None; asked in the order in which they move."""
     stops: list[int | None] = [None] * len(plan.robots)
-    moves = [(step, number) for number, robot in enumerate(plan.robots) for step in entries(robot.path).tolist()]
+    moves = [(step, number) for number, robot in enumerate(plan.robots) for step in robot.entered.tolist()]
     for step, number in sorted(moves):
         if stops[number] is None and luck.hits(number, step, int(plan.robots[number].path[step])):
             stops[number] = step
