@@ -167,12 +167,12 @@ def transaction(connection: sqlite3.Connection) -> Iterator[None]:
 @contextmanager
 def told(path: Path | None, *, write: bool = True) -> Iterator[None]:
     """SQLite's errors as StoreErrors that name the file, what is wrong and what to do."""
-    source = printable(path) if path else "store"
     try:
         yield
     except UnicodeDecodeError as error:  # of SQLite's own message, which cites what it cannot read
         raise damaged(path, "text that is no UTF-8") from error
     except sqlite3.DatabaseError as error:
+        source = printable(path) if path else "store"
         code = getattr(error, "sqlite_errorname", "") or ""
         text = str(error)
         if code.startswith("SQLITE_NOTADB"):
