@@ -150,7 +150,7 @@ class Learning(Executive):
         left = np.flatnonzero((self.problem.part > 0) & ~self.visited & (self.area_of == NO_AREA))
         shape, levels = self.problem.world.shape, self.belief[left]
         parts = [part for level in np.unique(levels) for part in connected_parts(shape, left[levels == level])]
-        beside = neighbour_table(shape, np.ones(shape, dtype=np.bool_))
+        beside = neighbour_table(shape, np.ones(shape[0] * shape[1], dtype=np.bool_))
         for part in sorted(parts, key=lambda part: int(part[0])):
             level, sides = int(self.belief[part[0]]), beside[part]
             touched = np.unique(self.area_of[sides[sides != NO_CELL]])

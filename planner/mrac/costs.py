@@ -48,7 +48,7 @@ def level_costs(values: NDArray[np.float64], n: int, risk: Literal["paper", "log
 
 
 def neighbour_table(shape: tuple[int, int], passable: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """The passable neighbours of each cell, int32 `[N, 4]` in the order N, W, E, S (rising index), NO_CELL if none."""
+    """The neighbours of each cell that are `passable` `[N]`, int32 `[N, 4]` in the order N, W, E, S; NO_CELL: none."""
     height, width = shape
     padded = np.full((height + 2, width + 2), NO_CELL, dtype=np.int32)
     padded[1:-1, 1:-1] = np.where(passable, np.arange(height * width), NO_CELL).reshape(shape)
