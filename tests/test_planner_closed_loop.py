@@ -19,7 +19,7 @@ from planner.kernels import remember
 from planner.kernels.closed_loop import compile_closed_loop, new_cells, run_range
 from planner.kernels.loop import ClosedLoop
 from planner.kernels.runners import KNOWN, LEAST_SHARED, _in_rounds, remember_alike
-from planner.kernels.state import first_room, is_plain, largest_set, make_state, make_work, plain
+from planner.kernels.state import COMMON, OTHER, PLAIN, first_room, kind_of, largest_set, make_state, make_work, plain
 from planner.kernels.tables import most_cost
 from planner.mrac.costs import BLOCKED, neighbour_table
 from planner.mrac.make_plan import make_plan
@@ -377,16 +377,33 @@ def test_a_plan_for_another_map_is_refused() -> None:
 
 
 @pytest.mark.parametrize("policy", ["mrac", "per_cell"])
-def test_the_program_of_plain_missions_is_the_whole_one(policy: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_programs_of_common_and_of_plain_missions_are_the_whole_one(
+    policy: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     world = random_world(pattern=ThreatPattern(seed=3))
     plan = make_plan(world, place_starts(world, 4)[0], Settings(policy=policy))
-    assert is_plain(compile_closed_loop(plan, world).tables)
+    assert kind_of(compile_closed_loop(plan, world).tables) == COMMON
     found = run_range(compile_closed_loop(plan, world), 7, 0, 3000, singles=True)
-    for module in ("loop", "runners"):
-        monkeypatch.setattr(f"planner.kernels.{module}.is_plain", lambda tables: False)
-    again = run_range(compile_closed_loop(plan, world), 7, 0, 3000, singles=True)
-    assert found[0] == again[0]
-    assert all(map(np.array_equal, vars(found[1]).values(), vars(again[1]).values()))
+    for kind in (PLAIN, OTHER):
+        for module in ("loop", "runners"):
+            monkeypatch.setattr(f"planner.kernels.{module}.kind_of", lambda tables, kind=kind: kind)
+        again = run_range(compile_closed_loop(plan, world), 7, 0, 3000, singles=True)
+        assert found[0] == again[0]
+        assert all(map(np.array_equal, vars(found[1]).values(), vars(again[1]).values()))
+
+
+@pytest.mark.parametrize(
+    ("settings", "tabled", "kind"),
+    [
+        (Settings(), None, COMMON),
+        (Settings(), False, PLAIN),
+        (Settings(transit="area"), None, PLAIN),
+    ],
+)
+def test_common_missions_search_for_nothing(settings: Settings, tabled: bool | None, kind: int) -> None:
+    world = random_world()
+    plan = make_plan(world, place_starts(world, 4)[0], settings)
+    assert kind_of(compile_closed_loop(plan, world, tabled=tabled).tables) == kind
 
 
 @pytest.mark.parametrize("settings", [Settings(return_to="home"), Settings(radio=5.0)])
@@ -394,7 +411,8 @@ def test_other_missions_share_the_whole_program(settings: Settings) -> None:
     world = random_world()
     starts = place_starts(world, 4)[0]
     tables, bare = (compile_closed_loop(make_plan(world, starts, of), world).tables for of in (settings, Settings()))
-    assert not is_plain(tables) and is_plain(bare)
-    assert typeof(plain(tables, is_plain(tables))) == typeof(plain(bare)) != typeof(plain(bare, is_plain(bare)))
+    assert (kind_of(tables), kind_of(bare)) == (OTHER, COMMON)
+    assert typeof(plain(tables, kind_of(tables))) == typeof(plain(bare))
+    assert len({typeof(plain(bare, kind)) for kind in (COMMON, PLAIN, OTHER)}) == 3
     with pytest.raises(AssertionError):  # what is there cannot be left out
-        plain(tables, without=True)
+        plain(tables, PLAIN)

@@ -10,6 +10,7 @@ import numpy as np
 
 from planner.jit import kernel, rare_kernel
 from planner.kernels.bits import holds
+from planner.kernels.nearest import searches
 from planner.kernels.own import own, own_turn
 from planner.kernels.rows import walk_back
 from planner.kernels.state import AHEAD, CELL, LAST_STEP, NEXT, NOW, ROBOT, STEP, TARGET, UNLIMITED, UNTIL
@@ -81,7 +82,7 @@ def affords(t, s, w, robot, target):
     here = np.int64(s.robots[robot, CELL])
     last = own_turn(t, robot, t.limits[LAST_STEP]) - own_turn(t, robot, s.marks[STEP] - s.marks[NOW])
     left = min(own_moves(t, s, robot), last) - way
-    if len(t.cost_to) == 0:
+    if searches(t):
         return walk_back(t, s, w, here, target, w.stack) <= left
     for _ in range(left):
         if here == target:

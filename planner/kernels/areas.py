@@ -10,7 +10,7 @@ import numpy as np
 from planner.jit import kernel, rare_kernel, spliced
 from planner.kernels.afford import affords, comes_home
 from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
-from planner.kernels.nearest import open_at, seek
+from planner.kernels.nearest import open_at, searches, seek
 from planner.kernels.own import moves_until, own, own_level
 from planner.kernels.paths import cheapest_cell, entry_of, set_out
 from planner.kernels.radio import hears
@@ -103,7 +103,7 @@ def give(s, robot, area):
 def find_affordable(t, s, w, robot):
     """The same by `costs_from` the robot, of what one that comes home can afford, and by its own levels."""
     here = np.int64(s.robots[robot, CELL])
-    if len(t.cost_to) > 0:
+    if not searches(t):
         row = own(t, robot, here)
         return affordable(t, s, w, robot, t.cost_to[row], t.area_cost[row], t.area_entry[row])
     row = row_from(t, s, w, here)
@@ -142,7 +142,7 @@ def find_next_area(t, s, w, robot):
     if comes_home(t) or len(t.type_of) > 0:
         return find_affordable(t, s, w, robot)
     here = np.int64(s.robots[robot, CELL])
-    if len(t.cost_to) > 0:
+    if not searches(t):
         return look_up_next_area(s, t.cost_to[here], t.area_cost[here], t.area_entry[here])
     if len(s.mind) > 0:  # areas gain cells: none is a part of one of t = 0
         return search_next_area(t, s, w, here)
@@ -377,14 +377,14 @@ def replace(t, s, w, area, split):
 def costs_from(t, s, w, robot):
     """The cost from the robot's cell to every cell, NONE if unreachable; without tables a row for two robots' time."""
     here = np.int64(s.robots[robot, CELL])
-    return t.cost_to[own(t, robot, here)] if len(t.cost_to) > 0 else w.rows[row_from(t, s, w, here)]
+    return t.cost_to[own(t, robot, here)] if not searches(t) else w.rows[row_from(t, s, w, here)]
 
 
 @kernel
 def is_within(t, s, w, helper, target, most):
     """Whether `target` is at most `most` moves from the helper; without tables the last answer was `costs_from` it."""
     here = s.robots[helper, CELL]
-    if len(t.cost_to) == 0:
+    if searches(t):
         return walk_back(t, s, w, here, target, s.legs[helper]) <= most
     for _ in range(most):
         if here == target:
@@ -452,7 +452,7 @@ def choose_parts(s, owner_costs, helper_costs, first, parts):
 @rare_kernel
 def share(t, s, w, log, helper):
     """`Find Area To Share`: 1 if the helper got a part, 0 if there is nothing to share, NONE if there is no room."""
-    if not hears(t, s, helper) or (len(t.cost_to) == 0 and not any_to_share(t, s, helper)):  # nothing to search for
+    if not hears(t, s, helper) or (searches(t) and not any_to_share(t, s, helper)):  # nothing to search for
         return 0
     # Two rows at once: there is always room for two, and the last answer's is not thrown out (`rows.row_from`).
     helper_costs = costs_from(t, s, w, helper)
@@ -475,5 +475,5 @@ def share_between(t, s, w, log, helper, owner, helper_costs):
         target = entry_of(t, s, w, robot, part)
         note(log, s, robot, ALLOCATED_EVENT, part, target)
         if s.robots[robot, DOING] != STARTING:
-            set_out(t, s, w, robot, target, len(t.cost_to) == 0)
+            set_out(t, s, w, robot, target, searches(t))
     return 1

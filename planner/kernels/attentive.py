@@ -21,6 +21,7 @@ from planner.kernels.first import first_area, first_of_idle, see
 from planner.kernels.follow import is_danger, offer_of
 from planner.kernels.handed import hand
 from planner.kernels.meet import is_meeting
+from planner.kernels.nearest import searches
 from planner.kernels.own import on_turn, own, own_turn
 from planner.kernels.paths import entry_of, go_on, list_to_do, next_leg, set_out
 from planner.kernels.radio import came_back, drives_back, hears
@@ -84,7 +85,7 @@ def begin(t, s, w):
         if s.robots[robot, DOING] == STARTING:
             s.robots[robot, DOING] = TRAVELING
             target = entry_of(t, s, w, robot, np.int64(s.robots[robot, AREA]))
-            set_out(t, s, w, robot, target, len(t.cost_to) == 0)
+            set_out(t, s, w, robot, target, searches(t))
         else:
             s.robots[robot, DOING] = IDLE
 
@@ -211,7 +212,7 @@ def aim(t, s, w, how, robot):
     if s.robots[robot, DOING] == TRAVELING:
         costs = costs_from(t, s, w, robot)
         target, _ = see(t, s, costs, robot, np.int64(s.robots[robot, CELL]), np.int64(s.robots[robot, AREA]))
-        set_out(t, s, w, robot, target, len(t.cost_to) == 0)
+        set_out(t, s, w, robot, target, searches(t))
     else:
         s.robots[robot, AHEAD] = 0
         next_leg(t, s, w, how, robot)
@@ -446,9 +447,10 @@ def advance(t, p, s, c, w, log, how, ids):
             marks[CHANGES] += is_news(s, robot, cell)
             s.home[cell] = np.int64(s.home[cell]) & ~TO_DO
             verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
-            if verdict < ACTS:
-                return verdict
-            size = marks[LAST] - marks[FIRST]
+            if verdict != ACTS:
+                if verdict < ACTS:
+                    return verdict
+                size = marks[LAST] - marks[FIRST]
         if verdict == HIT:
             verdict = np.int64(ACTS)
             if not lose(t, s, c, w, log, robot, size):

@@ -19,7 +19,7 @@ from planner.kernels.first import (
     is_too_far_from_home,
 )
 from planner.kernels.follow import is_before, is_danger, offer_of, refuses
-from planner.kernels.nearest import one_cell, seek
+from planner.kernels.nearest import one_cell, searches, seek
 from planner.kernels.own import moves_until, own, own_level
 from planner.kernels.paths import set_out
 from planner.kernels.radio import hears
@@ -77,7 +77,7 @@ def first_to_share(t, p, s, w, helper):
 @kernel
 def head_for(t, s, w, robot, target):
     """Begin the way to a cell."""
-    searched = len(t.cost_to) == 0
+    searched = searches(t)
     if searched:
         here = np.int64(s.robots[robot, CELL])
         if w.row_of[here] != NONE:

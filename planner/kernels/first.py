@@ -12,6 +12,7 @@ from planner.kernels.afford import affords, comes_home
 from planner.kernels.areas import costs_from, make_lowest
 from planner.kernels.bits import ONE, holds, lowest_bit
 from planner.kernels.follow import dearer, is_before, offer_of, refuses
+from planner.kernels.nearest import searches
 from planner.kernels.own import own
 from planner.kernels.radio import hears
 from planner.kernels.state import (
@@ -53,7 +54,7 @@ def bound_of(t, s, robot, here, area):
 
     The cell is the area's target if it is an unvisited one of the area. Without tables nothing is known.
     """
-    if len(t.cost_to) == 0:
+    if searches(t):
         return np.int64(len(s.order)), np.int64(0)
     root, row = np.int64(s.areas[area, ROOT]), own(t, robot, here)
     return np.int64(t.area_entry[row, root]), np.int64(t.area_cost[row, root])
@@ -178,6 +179,20 @@ def is_last(t, p, here, area, best, first):
 
 
 @kernel
+def next_ranked(t, s, here, place):
+    """The first place of `Tables.foremost`, from this one on, of an unassigned area or of none; its length: no place.
+
+    A loop of its own, which most places do not leave: what `first_ranked` carries along is not in its way.
+    """
+    while place < t.foremost.shape[1]:
+        area = np.int64(t.foremost[here, place])
+        if area == len(t.level) or holds(s.open, area):
+            break
+        place += 1
+    return place
+
+
+@kernel
 def first_ranked(t, p, s, w, costs, robot, here, best, target, first, refusing):
     """(area, target, offer) of the first among the `best` so far and the unassigned areas, and whether that is all.
 
@@ -185,14 +200,14 @@ def first_ranked(t, p, s, w, costs, robot, here, best, target, first, refusing):
     looked at in that order, from a table, until all others come later. It may end before.
     """
     given, ranked = len(t.level), t.foremost.shape[1]
-    all_seen = ranked == given
-    for place in range(ranked):
+    all_seen, place = ranked == given, next_ranked(t, s, here, 0)
+    while place < ranked:
         area = np.int64(t.foremost[here, place])
-        if area == given or (holds(s.open, area) and is_last(t, p, here, area, best, first)):
+        if area == given or is_last(t, p, here, area, best, first):
             all_seen = True
             break
-        if holds(s.open, area):
-            best, target, first, _ = look_at(t, p, s, w, costs, robot, here, area, True, best, target, first, refusing)
+        best, target, first, _ = look_at(t, p, s, w, costs, robot, here, area, True, best, target, first, refusing)
+        place = next_ranked(t, s, here, place + 1)
     for word in range(given // WORD, (s.marks[AREAS] + WORD - 1) // WORD):
         bits = s.open[word]
         if word == given // WORD:

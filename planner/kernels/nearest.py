@@ -22,6 +22,12 @@ ONE_CELL = -2
 
 
 @kernel
+def searches(t):
+    """Whether there are no tables of distances: then there is `entry`, and where that is known not to be, no search."""
+    return len(t.entry) > 0 and len(t.cost_to) == 0
+
+
+@kernel
 def any_of(area):
     """All cells of the area."""
     return np.int64(area) << AREA_BITS | VISITED | SURVIVED | TO_DO, np.int64(VISITED | SURVIVED | TO_DO)

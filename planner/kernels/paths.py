@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, rare_kernel
-from planner.kernels.nearest import any_of, seek, to_do_of
+from planner.kernels.nearest import any_of, searches, seek, to_do_of
 from planner.kernels.own import own
 from planner.kernels.rows import row_from, walk_back
 from planner.kernels.state import (
@@ -55,7 +55,7 @@ def cheapest_cell(costs, s, area):
 def entry_of(t, s, w, robot, area):
     """The cheapest cell of an area that the robot can reach."""
     here = s.robots[robot, CELL]
-    if len(t.cost_to) > 0:
+    if not searches(t):
         row = own(t, robot, here)
         cell = np.int64(t.area_entry[row, s.areas[area, ROOT]])
         return cell if np.int64(s.home[cell]) >> AREA_BITS == area else cheapest_cell(t.cost_to[row], s, area)

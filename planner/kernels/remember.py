@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.jit import kernel, rare_kernel
 from planner.kernels.areas import list_unvisited
-from planner.kernels.nearest import seek, to_do_of
+from planner.kernels.nearest import searches, seek, to_do_of
 from planner.kernels.paths import adjacent, look_up_nearest, to_do_in
 from planner.kernels.rows import walk_back
 from planner.kernels.state import AHEAD, AREA, CELL, LEFT, LEFT_IN, NEXT, PATH, TARGET, TO_DO
@@ -122,7 +122,7 @@ def new_path(t, s, w, here, area, count):
 @rare_kernel
 def append_far_leg(t, s, w, here, area, end, room):
     """The cheapest cell to do, where none is adjacent, and where the leg there ends behind `end`; not beyond `room`."""
-    if len(t.cost_to) > 0:
+    if not searches(t):
         target, cell = look_up_nearest(t, s, here, area), np.int64(here)
         while cell != target and end <= room:
             cell = np.int64(t.hop_to[target, cell])

@@ -75,12 +75,11 @@ def _compiled_take(taken):
 def level_of(stack, level):
     """One level of the stack."""
     return State(
-        stack.home[level], stack.order[level], stack.areas[level], stack.robots[level], stack.legs[level],
-        stack.marks[level], stack.team[level], stack.movers[level], stack.waiting[level], stack.open[level],
-        stack.lowest[level], stack.spent[level], stack.passes[level], stack.entered[level], stack.heard[level],
-        stack.near[level],
-        stack.entry[level], stack.level[level], stack.known[level], stack.fate[level], stack.mind[level],
-        stack.odds[level],
+        stack.home[level], stack.order[level], stack.areas[level], stack.robots[level], stack.marks[level],
+        stack.team[level], stack.movers[level], stack.waiting[level], stack.open[level], stack.lowest[level],
+        stack.passes[level], stack.legs[level], stack.spent[level], stack.entered[level], stack.heard[level],
+        stack.near[level], stack.entry[level], stack.level[level], stack.known[level], stack.fate[level],
+        stack.mind[level], stack.odds[level],
     )  # fmt: skip
 
 

@@ -38,7 +38,7 @@ from planner.kernels.state import (
     Tables,
     Work,
     first_room,
-    is_plain,
+    kind_of,
     largest_set,
     make_counts,
     make_state,
@@ -288,7 +288,7 @@ class Runner:
     def __init__(self, loop: ClosedLoop, seed: int, most: int, known: list[Work] | None = None) -> None:
         """`most`: rollouts of a set. `known`: scratch of earlier calls, one of which is taken."""
         self._loop, self._seed, self._most = loop, seed, most
-        self._tables, policy = plain(_own_tables(loop), is_plain(loop.tables)), loop.policy
+        self._tables, policy = plain(_own_tables(loop), kind_of(loop.tables)), loop.policy
         self._policy = None if policy is None else plain(policy._replace(stamp=policy.stamp.copy()))
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         moving = [own_key(seed, draw) for draw in (MOVE_DRAW, MEETING_DRAW, READING_DRAW)]

@@ -19,6 +19,7 @@ from planner.kernels.bits import ONE, drop, holds, lowest_bit, put
 from planner.kernels.experience import learns_of, take_note
 from planner.kernels.luck import fresh
 from planner.kernels.meet import has_entered, is_meeting, meet
+from planner.kernels.nearest import searches
 from planner.kernels.own import on_turn, own, own_turn
 from planner.kernels.paths import adjacent, entry_of, go_on, list_to_do, next_leg, set_out, set_out_far, to_do_in
 from planner.kernels.radio import came_back, drives_back
@@ -134,7 +135,7 @@ def take_next_area(t, s, w, log, robot):
     if area == NONE:
         return False
     give(s, robot, area)
-    set_out(t, s, w, robot, cell, len(t.cost_to) == 0)
+    set_out(t, s, w, robot, cell, searches(t))
     note(log, s, robot, ALLOCATED_EVENT, area, cell)
     return True
 
@@ -167,7 +168,7 @@ def settle(t, s, w, log, how, robot):
         if doing == STARTING:
             robots[robot, DOING] = TRAVELING
             target = entry_of(t, s, w, robot, robots[robot, AREA])
-            set_out(t, s, w, robot, target, len(t.cost_to) == 0)
+            set_out(t, s, w, robot, target, searches(t))
         if doing in (STARTING, TRAVELING):
             if robots[robot, CELL] != robots[robot, TARGET]:
                 return got
@@ -434,9 +435,10 @@ def advance(t, s, c, w, log, how, ids):
                 # t = 0 enters the start; later the same cell again is a wait, which is no visit.
                 if step == 0 or cell != robots[robot, CELL]:  # else it waits, as its given path says
                     verdict = enter(t, s, c, w, log, how, ids, step, robot, cell, size)
-                if verdict < ACTS:
-                    return verdict
-                size = marks[LAST] - marks[FIRST]  # of a tree's branch less than before
+                if verdict != ACTS:
+                    if verdict < ACTS:
+                        return verdict
+                    size = marks[LAST] - marks[FIRST]  # of a tree's branch less than before
         if verdict == HIT:
             verdict = ACTS
             if not lose(t, s, c, w, log, robot, size):

@@ -2,7 +2,7 @@
 
 Part of `planner.kernels.rollouts`, which see. Axis letters: `A` accessible cells, `K` robots, `M` areas, `T` steps, `L`
 levels of the state: sets of rollouts that wait for others which were hit. Arrays that a way of running does without
-are empty: one program is compiled for plain missions (WITHOUT), and one for all others.
+are empty: one program is compiled for common missions, one for other plain ones, one for the rest (WITHOUT).
 """
 
 from __future__ import annotations
@@ -118,22 +118,9 @@ class Tables(NamedTuple):
     area_cost: NDArray
     area_entry: NDArray
     foremost: NDArray
-    entry: NDArray
-    node: NDArray
-    beside: NDArray
-    border: NDArray
-    kind: NDArray
-    kind_cost: NDArray
-    kind_begin: NDArray
     limits: NDArray
     bound: NDArray
-    own_counter: NDArray
-    there: NDArray
-    table: NDArray
-    column: NDArray
-    spent: NDArray
     exposure: NDArray
-    doses: NDArray
     chance: NDArray
     starts: NDArray
     range: NDArray
@@ -141,6 +128,19 @@ class Tables(NamedTuple):
     begin: NDArray
     level: NDArray
     owner: NDArray
+    entry: NDArray
+    node: NDArray
+    beside: NDArray
+    border: NDArray
+    kind: NDArray
+    kind_cost: NDArray
+    kind_begin: NDArray
+    own_counter: NDArray
+    there: NDArray
+    table: NDArray
+    column: NDArray
+    spent: NDArray
+    doses: NDArray
     given: NDArray
     length: NDArray
     truths: NDArray
@@ -263,15 +263,15 @@ class State(NamedTuple):
     order: NDArray
     areas: NDArray
     robots: NDArray
-    legs: NDArray
     marks: NDArray
     team: NDArray
     movers: NDArray
     waiting: NDArray
     open: NDArray
     lowest: NDArray
-    spent: NDArray
     passes: NDArray
+    legs: NDArray
+    spent: NDArray
     entered: NDArray
     heard: NDArray
     near: NDArray
@@ -283,9 +283,12 @@ class State(NamedTuple):
     odds: NDArray
 
 
-WITHOUT = {Tables: "truths", State: "entered"}
-"""The field from which on all are empty in a plain mission: one on a map that robots are told, without threats that
-move or change, whose robots are alike, do not wear, hear each other everywhere and stay where they end."""
+COMMON, PLAIN, OTHER = range(3)
+"""Kinds of missions."""
+WITHOUT = {Tables: ("entry", "truths"), State: ("legs", "entered")}
+"""The fields from which on all are empty in a COMMON and in a PLAIN one. PLAIN: on a map that robots are told, without
+threats that move or change, whose robots are alike, do not wear, hear each other everywhere and stay where they end.
+COMMON: besides, all distances are in tables, the map is certain, no hit makes a cell harmless, no path is given."""
 
 
 class Work(NamedTuple):
@@ -403,13 +406,14 @@ class Singles(NamedTuple):
     start: int
 
 
-def plain(given: Given, without: bool = False) -> Given:
+def plain(given: Given, kind: int = OTHER) -> Given:
     """The same with contiguous, writable arrays: others have other types, for which Numba compiles all anew.
 
-    `without`: of a plain mission, those from WITHOUT on read-only. That they are empty is then known when a program is
-    compiled (`planner.kernels.handed`): what asks for them is left out.
+    `kind`: of the mission (`kind_of`), those that it does without read-only. That they are empty is then known when a
+    program is compiled (`planner.kernels.handed`): what asks for them is left out.
     """
-    last = given._fields.index(WITHOUT[type(given)]) if without else len(given)  # type: ignore[attr-defined]
+    without = WITHOUT.get(type(given), ())[kind:]
+    last = given._fields.index(without[0]) if without else len(given)  # type: ignore[attr-defined]
     fields = [
         np.require(field, requirements=("C", "W"))
         if isinstance(field, np.ndarray) and not field.flags.carray
@@ -423,9 +427,10 @@ def plain(given: Given, without: bool = False) -> Given:
     return type(given)(*fields)
 
 
-def is_plain(tables: Tables) -> bool:
-    """Whether a mission is: see WITHOUT."""
-    return not any(field.size for field in tables[Tables._fields.index(WITHOUT[Tables]) :])
+def kind_of(tables: Tables) -> int:
+    """The kind of a mission."""
+    last = max(place for place, field in enumerate(tables) if field.size)
+    return sum(Tables._fields.index(name) <= last for name in WITHOUT[Tables])
 
 
 REMEMBERED, MOST_PATHS = 2**24, 2**16
@@ -467,15 +472,16 @@ def first_state(tables: Tables, room: int, passes: bool = False) -> State:
     # Half the bytes: copying states is a good part of what parting costs.
     kind: DTypeLike = np.uint16 if fits_narrow(tables, room) else np.uint32
     searching = team if len(tables.entry) else 0
-    shapes = ((size + 1,), (size,), (room, AREA_WORDS), (team, ROBOT_WORDS), (searching, size))
-    words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD), len(tables.spent))
+    shapes = ((size + 1,), (size,), (room, AREA_WORDS), (team, ROBOT_WORDS))
+    words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD))
     rows = [np.zeros(shape, dtype=kind) for shape in shapes]
     numbers = [np.zeros(shape, dtype=np.int64) for shape in (MARKS, (team, TEAM_WORDS))]
     bits = [np.zeros(count, dtype=np.uint64) for count in words]
     passed = np.zeros(size if passes else 0, dtype=np.uint8)
+    legs, spent = np.zeros((searching, size), dtype=kind), np.zeros(len(tables.spent), dtype=np.uint64)
     entered = np.zeros(words[0] if len(tables.movers) else 0, dtype=np.uint64)
     heard = np.zeros(words[0] if len(tables.reach) else 0, dtype=np.uint64)
-    state = State._make((*rows, *numbers, *bits, passed, entered, heard, *_first_mind(tables, room, kind)))
+    state = State._make((*rows, *numbers, *bits, passed, legs, spent, entered, heard, *_first_mind(tables, room, kind)))
     _begin(state, tables)
     return state
 
@@ -499,7 +505,9 @@ def make_state(first: State, levels: int) -> State:
     a_level = sum(row[:1].nbytes for row in first)
     levels = min(levels, max(1, STATE_BYTES // a_level))
     stack = State._make(np.empty((levels, *row.shape[1:]), dtype=row.dtype) for row in first)
-    return plain(stack, not getattr(first, WITHOUT[State]).flags.writeable)
+    for row, of in zip(stack, first, strict=True):
+        row.flags.writeable = of.flags.writeable
+    return stack
 
 
 def largest_set(state: State, most: int) -> int:

@@ -296,7 +296,7 @@ def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: typ
     kind_cost, kind, counts = np.unique(entry, return_inverse=True, return_counts=True)
     return {
         "node": node,
-        "beside": parts.begin,
+        "beside": parts.begin[: len(node)],
         "border": parts.border,
         "kind": kind.astype(narrow),
         "kind_cost": kind_cost,
