@@ -37,7 +37,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """As many chunks, and of the other records, of fewer messages: tests at every byte take the square of its length."""
+    """As many chunks and other records, fewer messages: a test at every byte takes the square of the length."""
     path = tmp_path_factory.mktemp("log") / "a.mcap"
     sample(path, messages=24, chunk_size=320)
     return path.read_bytes()
