@@ -234,7 +234,7 @@ def compare_in_a_process(
 ) -> subprocess.CompletedProcess[str]:
     """The comparison with this copy in the place of the repository's package.
 
-    JAX's programs may come from the cache folder: they are kept by their content, so that a fault makes its own.
+    Programs may come from the cache folder: they are kept by their sources' content, so that a fault makes its own.
     `interpreted`: the compiled simulator runs uncompiled, which costs less than to compile it for a few rollouts.
     `expected`: the answers, None: the other engine's.
     """
@@ -246,8 +246,8 @@ def compare_in_a_process(
         "PYTHONDONTWRITEBYTECODE": "1",
         "PYTHONPATH": os.pathsep.join(str(path) for path in (folder, ROOT, Path(__file__).parent)),
     }
-    if package.name == "planner":
-        environment |= {"NUMBA_DISABLE_JIT": "1"} if interpreted else {"NUMBA_CACHE_DIR": str(folder / "numba")}
+    if package.name == "planner" and interpreted:
+        environment["NUMBA_DISABLE_JIT"] = "1"
     command = [sys.executable, "-c", COMPARISON.format(by), str(package), str(traced), str(folder / "answers")]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600)
 
