@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planner.mrac.areas import connected_parts, find_areas
-from planner.mrac.make_plan import allocate, make_plan
+from planner.mrac.make_plan import allocate, allocated, make_plan
 from planner.mrac.partition import bisect, metis_parts, wavefront_parts
 from planner.mrac.problem import prepare
 from planner.settings import Settings
@@ -123,3 +123,15 @@ def test_equal_counts() -> None:
     world = World.create(np.linspace(0.01, 0.9, 30)[None])
     levels = find_levels(world, world.free, 6)
     assert np.bincount(levels.of_cell).tolist() == [0, 6, 6, 6, 6, 6]
+
+
+def test_a_team_takes_over_what_is_of_its_own_map_and_nothing_of_another_shape() -> None:
+    wide, high, starts = World.create(np.zeros((4, 6))), World.create(np.zeros((6, 4))), [[0, 2], [2, 3], [0, 3]]
+    assert wide.luck_sha256 == high.luck_sha256, "the same cells in a row: only the shape tells them apart"
+    before, first = allocated(wide, starts, Settings())
+    again, same = allocated(wide, starts[::-1], Settings(), before=before)
+    other, found = allocated(high, starts, Settings(), before=before)
+    assert again.paths is before.paths and other.paths is not before.paths
+    assert len(same.areas) == len(first.areas) == 3
+    alone = allocated(high, starts, Settings())[1]
+    assert [(area.robot, *area.cells) for area in found.areas] == [(area.robot, *area.cells) for area in alone.areas]

@@ -35,13 +35,13 @@ TARGETS = Numbers(0, 1, "a fraction of the accessible cells", above=True)
 def losses_said(losses: Estimate, robots: int, *, mean_only: bool = False) -> str:
     """The same in a sentence: "all 4 robots", "no robot", "0.67 ± 0.01 (95 %) robots".
 
-    `mean_only`: "0.67 robots", with the decimals that the interval allows.
+    `mean_only`: "0.67 robots", with the decimals that the interval allows, one at least.
     """
     if losses.mean == 0 == losses.half_width:
         return "no robot"
     words = lost_words(losses.mean, robots, digits := min(losses.digits(), 2))
     if words[0].isdigit():
-        return f"{losses.mean:.{digits}f} robots" if mean_only else f"{losses.said()} robots"
+        return f"{losses.mean:.{max(digits, 1)}f} robots" if mean_only else f"{losses.said()} robots"
     return words if words.endswith(("robot", "robots")) else f"{words} robots"
 
 

@@ -133,7 +133,8 @@ class Problem:
         Only of worlds that robots are told, and meet alike; `world` is then of no value to them.
         """
         alone = self.unknown is None and self.own is None and self.home is None and self.value is None
-        same = self.world is world or (self.world.luck_sha256 == world.luck_sha256 and world.value is None)
+        equal = self.world.shape == world.shape and self.world.luck_sha256 == world.luck_sha256 and world.value is None
+        same = self.world is world or equal
         reached = np.array_equal(self.levels.accessible, accessible.ravel())
         return alone and not self.given and same and self.settings == settings and reached
 
@@ -200,7 +201,7 @@ def prepare(
     rule, cells = rule_of(settings.policy), checked[:, 0] * world.shape[1] + checked[:, 1]
     moves = _of_each("range", settings.range, NO_LIMIT, len(cells))
     _of_each("steps_per_move", settings.steps_per_move, 1, len(cells))
-    if before is not None and before.is_for(world, settings, world.accessible(checked)):
+    if before is not None and not given and before.is_for(world, settings, world.accessible(checked)):
         return replace(before, world=world, starts=cells, range=moves)
     if mixed:
         levels, entry, own = own_maps(worlds, world.accessible(checked), settings)
