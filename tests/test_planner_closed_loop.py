@@ -18,8 +18,9 @@ from planner.errors import PlanError
 from planner.kernels import remember
 from planner.kernels.closed_loop import compile_closed_loop, new_cells, run_range
 from planner.kernels.loop import ClosedLoop
+from planner.kernels.programs import COMMON, FULL, PLAIN, program_of, typed
 from planner.kernels.runners import KNOWN, LEAST_SHARED, _in_rounds, remember_alike
-from planner.kernels.state import COMMON, OTHER, PLAIN, first_room, kind_of, largest_set, make_state, make_work, plain
+from planner.kernels.state import first_room, largest_set, make_state, make_work
 from planner.kernels.tables import most_cost
 from planner.mrac.costs import BLOCKED, neighbour_table
 from planner.mrac.make_plan import make_plan
@@ -382,28 +383,28 @@ def test_the_programs_of_common_and_of_plain_missions_are_the_whole_one(
 ) -> None:
     world = random_world(pattern=ThreatPattern(seed=3))
     plan = make_plan(world, place_starts(world, 4)[0], Settings(policy=policy))
-    assert kind_of(compile_closed_loop(plan, world).tables) == COMMON
+    assert program_of(compile_closed_loop(plan, world).tables) == COMMON
     found = run_range(compile_closed_loop(plan, world), 7, 0, 3000, singles=True)
-    for kind in (PLAIN, OTHER):
+    for program in (PLAIN, FULL):
         for module in ("loop", "runners"):
-            monkeypatch.setattr(f"planner.kernels.{module}.kind_of", lambda tables, kind=kind: kind)
+            monkeypatch.setattr(f"planner.kernels.{module}.program_of", lambda tables, program=program: program)
         again = run_range(compile_closed_loop(plan, world), 7, 0, 3000, singles=True)
         assert found[0] == again[0]
         assert all(map(np.array_equal, vars(found[1]).values(), vars(again[1]).values()))
 
 
 @pytest.mark.parametrize(
-    ("settings", "tabled", "kind"),
+    ("settings", "tabled", "program"),
     [
         (Settings(), None, COMMON),
         (Settings(), False, PLAIN),
         (Settings(transit="area"), None, PLAIN),
     ],
 )
-def test_common_missions_search_for_nothing(settings: Settings, tabled: bool | None, kind: int) -> None:
+def test_common_missions_search_for_nothing(settings: Settings, tabled: bool | None, program: int) -> None:
     world = random_world()
     plan = make_plan(world, place_starts(world, 4)[0], settings)
-    assert kind_of(compile_closed_loop(plan, world, tabled=tabled).tables) == kind
+    assert program_of(compile_closed_loop(plan, world, tabled=tabled).tables) == program
 
 
 @pytest.mark.parametrize("settings", [Settings(return_to="home"), Settings(radio=5.0)])
@@ -411,8 +412,8 @@ def test_other_missions_share_the_whole_program(settings: Settings) -> None:
     world = random_world()
     starts = place_starts(world, 4)[0]
     tables, bare = (compile_closed_loop(make_plan(world, starts, of), world).tables for of in (settings, Settings()))
-    assert (kind_of(tables), kind_of(bare)) == (OTHER, COMMON)
-    assert typeof(plain(tables, kind_of(tables))) == typeof(plain(bare))
-    assert len({typeof(plain(bare, kind)) for kind in (COMMON, PLAIN, OTHER)}) == 3
+    assert (program_of(tables), program_of(bare)) == (FULL, COMMON)
+    assert typeof(typed(tables, program_of(tables))) == typeof(typed(bare))
+    assert len({typeof(typed(bare, program)) for program in (COMMON, PLAIN, FULL)}) == 3
     with pytest.raises(AssertionError):  # what is there cannot be left out
-        plain(tables, PLAIN)
+        typed(tables, PLAIN)

@@ -13,7 +13,7 @@ from scipy import stats
 
 from planner.errors import InputError
 from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.kernels.state import plain
+from planner.kernels.programs import typed
 from planner.luck import Luck
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
@@ -69,7 +69,7 @@ def test_one_program_serves_every_team_and_map(policy: str) -> None:
     ]
     for field in ("tables", "policy"):
         given = [getattr(loop, field) for loop in loops]
-        assert len({typeof(None if one is None else plain(one)) for one in given}) == 1, field
+        assert len({typeof(None if one is None else typed(one)) for one in given}) == 1, field
 
 
 def tiny(threat: list[list[float]]) -> World:

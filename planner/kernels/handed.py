@@ -45,7 +45,7 @@ def _follows(kind: types.Type) -> bool:
 
 
 def _is_absent(kind: types.Type) -> bool:
-    """Whether it is of arrays that are empty wherever the program runs: read-only (`planner.kernels.state.plain`)."""
+    """Whether it is of arrays that are empty wherever the program runs: read-only (`planner.kernels.programs`)."""
     return _follows(kind) and not kind.mutable
 
 

@@ -13,8 +13,9 @@ from planner.arguments import argument
 from planner.bearing import PLAIN, Bearing
 from planner.errors import UsageError
 from planner.kernels.follow import Policy
+from planner.kernels.programs import program_of, typed
 from planner.kernels.resume import set_back_to
-from planner.kernels.state import DETECTS, GOAL, TRUTH, State, Tables, first_state, kind_of, plain
+from planner.kernels.state import DETECTS, GOAL, TRUTH, State, Tables, first_state
 from planner.kernels.tables import kinds_of, luck_tables
 from planner.luck_names import LuckName
 from planner.plans.state import MissionState
@@ -135,7 +136,7 @@ class ClosedLoop:
                 set_back_to(self.state, first, self.tables, self.cells)
             levels = 1 if self.doubt is None else len(self.tables.truths)
             rows = (row[None] if levels == 1 else np.repeat(row[None], levels, axis=0) for row in first)
-            self._first[room] = plain(State._make(rows), kind_of(self.tables))
+            self._first[room] = typed(State._make(rows), program_of(self.tables))
             if self.learns:
                 self._first[room].mind[:, TRUTH] = np.arange(levels)
         return self._first[room]

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from planner.kernels.attentive import run_attentive
 from planner.kernels.loop import NO_COUNTS, ClosedLoop
+from planner.kernels.programs import program_of, typed
 from planner.kernels.rollouts import run_set
 from planner.kernels.state import (
     AREA_BITS,
@@ -38,12 +39,10 @@ from planner.kernels.state import (
     Tables,
     Work,
     first_room,
-    kind_of,
     largest_set,
     make_counts,
     make_state,
     make_work,
-    plain,
 )
 from planner.kernels.trace import Log, make_log
 from planner.luck import rows_met
@@ -288,8 +287,8 @@ class Runner:
     def __init__(self, loop: ClosedLoop, seed: int, most: int, known: list[Work] | None = None) -> None:
         """`most`: rollouts of a set. `known`: scratch of earlier calls, one of which is taken."""
         self._loop, self._seed, self._most = loop, seed, most
-        self._tables, policy = plain(_own_tables(loop), kind_of(loop.tables)), loop.policy
-        self._policy = None if policy is None else plain(policy._replace(stamp=policy.stamp.copy()))
+        self._tables, policy = typed(_own_tables(loop), program_of(loop.tables)), loop.policy
+        self._policy = None if policy is None else typed(policy._replace(stamp=policy.stamp.copy()))
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         moving = [own_key(seed, draw) for draw in (MOVE_DRAW, MEETING_DRAW, READING_DRAW)]
         keys = [np.uint32(half) for key in (key_of_luck(seed, loop.luck), own, *moving) for half in key]

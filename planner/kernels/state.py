@@ -2,13 +2,13 @@
 
 Part of `planner.kernels.rollouts`, which see. Axis letters: `A` accessible cells, `K` robots, `M` areas, `T` steps, `L`
 levels of the state: sets of rollouts that wait for others which were hit. Arrays that a way of running does without
-are empty: one program is compiled for common missions, one for other plain ones, one for the rest (WITHOUT).
+are empty; from where on they may be is told by `planner.kernels.programs`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -18,8 +18,6 @@ from planner.none import NONE
 from planner.tally import Outcome
 from planner.tolerance import LEAST
 from planner.trace import Doing
-
-Given = TypeVar("Given", bound=tuple)
 
 IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING, RETURNING, CHARGING = map(int, Doing)
 LANDING, STARTING = range(len(Doing), len(Doing) + 2)
@@ -283,14 +281,6 @@ class State(NamedTuple):
     odds: NDArray
 
 
-COMMON, PLAIN, OTHER = range(3)
-"""Kinds of missions."""
-WITHOUT = {Tables: ("entry", "truths"), State: ("legs", "entered")}
-"""The fields from which on all are empty in a COMMON and in a PLAIN one. PLAIN: on a map that robots are told, without
-threats that move or change, whose robots are alike, do not wear, hear each other everywhere and stay where they end.
-COMMON: besides, all distances are in tables, the map is certain, no hit makes a cell harmless, no path is given."""
-
-
 class Work(NamedTuple):
     """Scratch of one thread.
 
@@ -404,33 +394,6 @@ class Singles(NamedTuple):
     covered: NDArray
     found: NDArray
     start: int
-
-
-def plain(given: Given, kind: int = OTHER) -> Given:
-    """The same with contiguous, writable arrays: others have other types, for which Numba compiles all anew.
-
-    `kind`: of the mission (`kind_of`), those that it does without read-only. That they are empty is then known when a
-    program is compiled (`planner.kernels.handed`): what asks for them is left out.
-    """
-    without = WITHOUT.get(type(given), ())[kind:]
-    last = given._fields.index(without[0]) if without else len(given)  # type: ignore[attr-defined]
-    fields = [
-        np.require(field, requirements=("C", "W"))
-        if isinstance(field, np.ndarray) and not field.flags.carray
-        else field
-        for field in given
-    ]
-    for place in range(last, len(fields)):
-        assert not fields[place].size, given._fields[place]  # type: ignore[attr-defined]
-        fields[place] = np.empty_like(fields[place])
-        fields[place].flags.writeable = False
-    return type(given)(*fields)
-
-
-def kind_of(tables: Tables) -> int:
-    """The kind of a mission."""
-    last = max(place for place, field in enumerate(tables) if field.size)
-    return sum(Tables._fields.index(name) <= last for name in WITHOUT[Tables])
 
 
 REMEMBERED, MOST_PATHS = 2**24, 2**16

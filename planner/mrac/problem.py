@@ -128,15 +128,14 @@ class Problem:
         return replace(self, levels=levels, costs=costs, paths=paths, part=part, home=home)
 
     def is_for(self, world: World, settings: Settings, accessible: NDArray[np.bool_]) -> bool:
-        """Whether all but starts and ranges is that of robots in this world that can reach these cells `[H, W]`.
+        """Whether all but starts and ranges is that of robots in `world` that reach the `accessible` cells `[H, W]`.
 
-        Only of worlds that robots are told, and meet alike; `world` is then of no value to them.
+        Never where they learn, differ, come home, count values or follow given paths.
         """
-        alone = self.unknown is None and self.own is None and self.home is None and self.value is None
-        equal = self.world.shape == world.shape and self.world.luck_sha256 == world.luck_sha256 and world.value is None
-        same = self.world is world or equal
-        reached = np.array_equal(self.levels.accessible, accessible.ravel())
-        return alone and not self.given and same and self.settings == settings and reached
+        if self.given or any(own is not None for own in (self.unknown, self.own, self.home, self.value, world.value)):
+            return False
+        mine = self.world.shape == world.shape and self.world.luck_sha256 == world.luck_sha256
+        return mine and self.settings == settings and np.array_equal(self.levels.accessible, accessible.ravel())
 
     @property
     def stay_inside(self) -> bool:
