@@ -1,7 +1,7 @@
 """What `docs/policies.md` says of looking ahead: is a better order of areas found once a first robot is lost?
 
-python docs/examples/after_loss.py ROBOTS MAPS RUNS TRIES; 2 12 6 100 and 4 6 4 60 are behind the figures. Runs by the
-order that was found beforehand are driven to their first loss; from there orders are tried, each known exactly.
+python docs/examples/after_loss.py ROBOTS MAPS RUNS TRIES; 2 12 6 100 are behind the figures. Runs by the order
+that was found beforehand are driven to their first loss; from there orders are tried, each known exactly.
 """
 
 from __future__ import annotations
