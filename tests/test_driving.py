@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from killed_mission import small_case
+from test_planner_mission import obey
 
 import mrac_jax as mrac
 from analysis.cli.app import run
@@ -345,9 +346,7 @@ def outlooked(seed: int = 3, steps: int = 12) -> tuple[World, Plan, DrivenMissio
     world, plan = small_case(seed)
     mission = mrac.mission(world, plan)
     for _ in range(steps):
-        for order in mission.orders().values():
-            mission.report(order.robot, cell=order.cell)
-        mission.advance()
+        obey(mission)
     return world, plan, mission
 
 

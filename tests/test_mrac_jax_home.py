@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from test_mrac_jax_missions import same
 from test_planner_home import KINDS, WATCHFUL, corridor, drawn
+from test_planner_mission import obey
 
 from mrac_jax.closed_loop import jax_engine as engine_module
 from mrac_jax.closed_loop.nominal import nominal_of
@@ -97,9 +98,7 @@ def test_missions_under_way_go_on_and_who_is_cut_off_stays() -> None:
     assert returning > 1
     mission = Mission(corridor(8, 0.01), make_plan(corridor(8, 0.01), [[0, 0]], Settings(return_to="home")))
     for _ in range(4):
-        for order in mission.orders().values():
-            mission.report(order.robot, cell=order.cell)
-        mission.advance()
+        obey(mission)
     mission.close([[0, 1]])
     world, plan = mission.world, mission.rest()
     trace = ReferenceLoop(plan, world).trace(0, 0)

@@ -10,14 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
+from closed_loop_compare import assert_same_trace
 from conftest import LANES
-from test_planner_bearing import NAMES as WORN
+from test_mrac_jax_closed_loop import assert_same_runs
 from test_planner_bearing import worn_plan
 from test_planner_doubt import DOUBTS
+from test_planner_luck import NAMES as WORN
+from test_planner_mission import case
 from test_planner_range import LIMITS
 from test_planner_range import small as ranged
-from test_planner_state import SETTINGS, STEPS, mission, rest_of
+from test_planner_state import SETTINGS, STEPS, rest_of
 from test_planner_takeover import map_of, wanderings
 
 from mrac_jax.closed_loop import jax_engine as engine_module
@@ -25,7 +27,7 @@ from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
 from mrac_jax.closed_loop.tables import LEAST_PATHS, LaneTables, lane_tables
 from mrac_jax.doubt import MOST_MAPS, make_doubt
 from planner.errors import WorldError
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
 from planner.kernels.loop import ClosedLoop
 from planner.kernels.tables import luck_tables
 from planner.limits import MAX_STEP
@@ -45,11 +47,7 @@ from planner.worlds.wrong_maps import with_hazard
 def same(loop: ClosedLoop, seed: int, rollouts: int, what: object, traced: tuple[int, ...] = ()) -> RolloutResults:
     """Tally, results and traces in JAX are the compiled simulator's; returns the results."""
     engine = JaxClosedLoop(loop, seed, streams=1, lanes=LANES)
-    tally, results = engine.run(0, rollouts)
-    expected, singles = run_range(loop, seed, 0, rollouts, singles=True)
-    assert singles is not None
-    assert_same_results(results, singles, str(what))
-    assert_same_tally(tally, expected, str(what))
+    results = assert_same_runs(engine, loop, rollouts, str(what))
     for mine, theirs in zip(engine.traces(traced), trace_rollouts(loop, seed, traced), strict=True):
         assert_same_trace(mine, theirs, str(what))
     return results
@@ -113,7 +111,7 @@ def test_robots_that_wear_and_differ() -> None:
 
 @pytest.mark.usefixtures("one_program")
 def test_robots_that_wear_go_on_with_what_they_have_borne() -> None:
-    world, plan = mission(1)
+    world, plan = case(1)
     state = ReferenceLoop(plan, world).state_at(11, 4, 2)
     assert state is not None
     said = state.to_json()
@@ -130,7 +128,7 @@ def states(name: str) -> list[tuple[World, Plan]]:
     """Missions cut at some steps, and their rests."""
     found = []
     for seed in range(3):
-        world, plan = mission(seed, **SETTINGS[name])
+        world, plan = case(seed, **SETTINGS[name])
         whole = ReferenceLoop(plan, world)
         for rollout, step in product(range(2), STEPS):
             state = whole.state_at(step, seed, rollout)

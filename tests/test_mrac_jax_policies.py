@@ -11,9 +11,9 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
 from closed_loop_worlds import CELL_BUCKETS, SurveyWorld, first_worlds, survey_worlds
 from conftest import LANES, load_fixture
+from test_mrac_jax_missions import same
 
 from mrac_jax.closed_loop import jax_engine as engine_module
 from mrac_jax.closed_loop.jax_engine import TRACED, JaxClosedLoop
@@ -21,7 +21,7 @@ from mrac_jax.closed_loop.offers import Candidate, is_before
 from mrac_jax.closed_loop.policies import LARGEST_DENOMINATOR
 from mrac_jax.closed_loop.tables import LaneTables, lane_tables
 from planner.errors import WorldError
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
 from planner.kernels.follow import Followed
 from planner.kernels.loop import ClosedLoop
 from planner.mrac.make_plan import make_plan
@@ -29,7 +29,7 @@ from planner.policies.offer import Offer
 from planner.policies.rule import Rule
 from planner.rollouts.engine import closed_loop_engine
 from planner.settings import Settings
-from planner.tally import Outcome, RolloutResults
+from planner.tally import Outcome
 from planner.trace import EventKind
 
 SHAPE = (150, 8)
@@ -45,19 +45,6 @@ def loop_of(one: SurveyWorld, **asked: Any) -> ClosedLoop:
     return compile_closed_loop(plan, one.world, first_only=one.first_only, luck="tolerance")
 
 
-def same_runs(loop: ClosedLoop, seed: int, rollouts: int, what: str, traced: tuple[int, ...] = ()) -> RolloutResults:
-    """Tally, results and traces in JAX are the compiled simulator's; returns the results."""
-    engine = JaxClosedLoop(loop, seed, streams=1, lanes=LANES)
-    tally, results = engine.run(0, rollouts)
-    expected, singles = run_range(loop, seed, 0, rollouts, singles=True)
-    assert singles is not None
-    assert_same_results(results, singles, what)
-    assert_same_tally(tally, expected, what)
-    for mine, theirs in zip(engine.traces(traced), trace_rollouts(loop, seed, traced), strict=True):
-        assert_same_trace(mine, theirs, what)
-    return results
-
-
 def test_counts_are_the_compiled_simulator_s(monkeypatch: pytest.MonkeyPatch) -> None:
     def roomy(loop: ClosedLoop, seed: int, least: tuple[int, int] = SHAPE) -> LaneTables:
         return lane_tables(loop, seed, least)
@@ -69,7 +56,7 @@ def test_counts_are_the_compiled_simulator_s(monkeypatch: pytest.MonkeyPatch) ->
     for number, one in enumerate(first_worlds(18, cells=80)):
         if one.kind == "extreme":
             continue
-        results = same_runs(loop_of(one, **LIMITED[number % 6]), one.seed, 40, f"{one.name}, {LIMITED[number % 6]}")
+        results = same(loop_of(one, **LIMITED[number % 6]), one.seed, 40, f"{one.name}, {LIMITED[number % 6]}")
         shares += int(results.bisected.sum() + results.divided.sum())
         called_off += int((results.outcome == Outcome.CALLED_OFF).sum())
         kinds.add(one.kind)
@@ -82,7 +69,7 @@ def test_counts_are_the_compiled_simulator_s(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.slow
 def test_who_breaks_off_is_followed_event_for_event() -> None:
     for one in first_worlds(5, cells=80):
-        same_runs(loop_of(one, policy="watchful", reserve=0.1), one.seed, 100, one.name, traced=(0, 99))
+        same(loop_of(one, policy="watchful", reserve=0.1), one.seed, 100, one.name, traced=(0, 99))
 
 
 @pytest.mark.slow
@@ -100,7 +87,7 @@ def test_the_whole_survey_event_for_event(number: int, monkeypatch: pytest.Monke
             continue
         try:
             loop = loop_of(one, **limits)
-            same_runs(loop, one.seed, LANES, f"{one.name}, {limits}", traced=traced)
+            same(loop, one.seed, LANES, f"{one.name}, {limits}", traced=traced)
         except WorldError as error:
             assert one.kind == "extreme", error
             refused += 1
@@ -120,7 +107,7 @@ def test_a_rule_of_the_user_s_own() -> None:
         lambda offer: ((offer.cost * 3 - offer.unvisited, offer.unvisited), (-offer.unvisited, 7)),
     ):
         plan = make_plan(fixture.world, fixture.starts, Settings(policy=Rule("own", order)), fixture.allocation)
-        same_runs(compile_closed_loop(plan, fixture.world, luck="tolerance"), 5, 200, "own rule", traced=(0, 199))
+        same(compile_closed_loop(plan, fixture.world, luck="tolerance"), 5, 200, "own rule", traced=(0, 199))
 
 
 def test_fractions_are_compared_exactly() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from doubt import WORLDS
-from test_planner_luck import mean
+from test_planner_luck import NAMES, known, mean, world_of
 
 from analysis.theory.exact import open_loop_exact
 from planner.bearing import PLAIN, Bearing
@@ -34,21 +34,13 @@ from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
-FOLDER = Path(__file__).parent / "fixtures_luck"
-NAMES = sorted(path.stem for path in FOLDER.glob("tiny-*.json"))
 FIGURES = ("visited", "survived", "time", "alive")
 ROW = World.create(np.array([[0.2, 0.3, 0.0, 0.4, 0.1, 0.3]], dtype=np.float32), [[0, 2], [0, 2]])
 
 
 @cache
-def known(name: str) -> dict[str, Any]:
-    return json.loads((FOLDER / f"{name}.json").read_text())
-
-
-@cache
 def worn_plan(name: str) -> tuple[World, Plan]:
-    rows = [[np.nan if p is None else p for p in row] for row in known(name)["threat"]]
-    world, wear = World.create(np.array(rows, dtype=np.float32), known(name)["starts"]), known(name)["wear"]
+    world, wear = world_of(name), known(name)["wear"]
     settings = Settings(wear=wear["shape"], susceptibility=tuple(wear["susceptibility"]))
     return world, make_plan(world, world.starts, settings)
 

@@ -67,6 +67,13 @@ def told(mission: Mission) -> list[Any]:
     return [(order.robot, order.cell, order.path, order.why) for order in mission.orders().values()]
 
 
+def obey(mission: Mission) -> None:
+    """One step in which every robot does what it is told."""
+    for order in mission.orders().values():
+        mission.report(order.robot, cell=order.cell)
+    mission.advance()
+
+
 def step_by_luck(mission: Mission, luck: Luck, doubled: bool = False) -> None:
     """One step in which every robot does what it is told, one after the other, and luck says who is stopped."""
     width = mission.world.shape[1]
@@ -257,9 +264,7 @@ def test_two_places_at_once_and_lost_robots_that_move() -> None:
     mission.advance()
     assert mission.lost == () and places(mission)[0] == (0, 2)
     while mission.outcome is None:
-        for order in mission.orders().values():
-            mission.report(order.robot, cell=order.cell)
-        mission.advance()
+        obey(mission)
     assert mission.outcome is Outcome.COMPLETE and mission.covered == 1
 
 
@@ -365,9 +370,7 @@ def test_moves_left_end_a_robot_and_a_new_battery_brings_it_back() -> None:
     mission.report(0, moves_left=40)
     mission.advance()
     while mission.outcome is None:
-        for order in mission.orders().values():
-            mission.report(order.robot, cell=order.cell)
-        mission.advance()
+        obey(mission)
     assert mission.outcome is Outcome.COMPLETE
 
 
@@ -378,9 +381,7 @@ def test_a_zone_is_closed_and_robots_go_round_or_leave_what_lies_behind() -> Non
     while mission.outcome is None:
         cells = [order.cell for order in mission.orders().values()]
         assert (0, 5) not in cells and (0, 6) not in cells
-        for order in mission.orders().values():
-            mission.report(order.robot, cell=order.cell)
-        mission.advance()
+        obey(mission)
     assert mission.outcome is Outcome.COMPLETE and mission.covered == 1
     blocked = of_two()
     with pytest.raises(StateError, match=r"robot 0 is at \[0, 0\]"):
@@ -395,9 +396,7 @@ def test_a_zone_is_closed_and_robots_go_round_or_leave_what_lies_behind() -> Non
         gone.close([[0, 7]])
     blocked.close([[0, 2]])
     while blocked.outcome is None:
-        for order in blocked.orders().values():
-            blocked.report(order.robot, cell=order.cell)
-        blocked.advance()
+        obey(blocked)
     assert blocked.outcome is Outcome.COMPLETE and places(blocked)[0][1] < 2
 
 
@@ -433,9 +432,7 @@ def test_zones_are_closed_where_levels_are_quantised_by_what_is_left(tmp_path: P
         if cell not in places(mission):
             mission.close([cell])
             closed += 1
-        for order in mission.orders().values():
-            mission.report(order.robot, cell=order.cell)
-        mission.advance()
+        obey(mission)
         mission = check_sound(mission, world, plan, tmp_path / "now.json", 1.0)
 
 
@@ -535,9 +532,7 @@ def test_a_robot_that_bore_more_than_any_luck_goes_on(tmp_path: Path) -> None:
     plan = make_plan(world, [[0, 0]], Settings(wear=4.0, susceptibility=2.0))
     mission, file = Mission(world, plan), tmp_path / "now.json"
     for _ in range(20):  # more than 60 nat: nobody bears 23 of them, worn or not
-        for order in mission.orders().values():
-            mission.report(order.robot, cell=order.cell)
-        mission.advance()
+        obey(mission)
     mission.save(file)
     again = Mission.resume(file, world, plan)
     assert again.step == mission.step and again.lost == () and again.orders() == mission.orders()

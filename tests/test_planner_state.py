@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from oracle_tree import closed_loop_exact
+from test_planner_mission import SETTINGS as DRIVEN
+from test_planner_mission import case
 
 import mrac_jax as mrac
 from analysis.recording.frames import make_frames
@@ -25,28 +27,12 @@ from planner.plans.state import MissionState
 from planner.plans.state_file import load_state, parse_state
 from planner.rollouts.open_loop.compiled import compile_plan
 from planner.settings import Settings
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
-SETTINGS: dict[str, dict[str, Any]] = {
-    "mrac": {},
-    "mrac, range": {"range": 30},
-    "mrac, legs inside": {"transit": "area"},
-    "per_cell": {"policy": "per_cell"},
-    "reserve": {"policy": "per_cell", "reserve": 0.3},
-    "worth": {"policy": "per_cell", "worth": 12.0, "reserve": 0.5},
-    "per_cell, range": {"policy": "per_cell", "range": (20, 30, 40, 50)},
-    "straight on": {"in_area": "boustrophedon"},
-}
+LEFT_OUT = {"mrac, deadline", "per_cell, log", "wear", "home", "nearest, deadline", "own rule"}
+SETTINGS = {name: more for name, more in DRIVEN.items() if name not in LEFT_OUT}
 STEPS = (0, 3, 11, 25)
 """Where rollouts are cut, every other one of them each."""
-
-
-def mission(seed: int, **more: Any) -> tuple[World, Plan]:
-    pattern = ThreatPattern("contiguous" if seed % 2 else "scattered", areas=3, seed=seed)
-    world = random_world(8 + seed % 5, 9, pattern, obstacles=0.2, threats=0.35)
-    return world, make_plan(world, place_starts(world, 4)[0], Settings(**more))
 
 
 def rest_of(world: World, state: MissionState, **more: Any) -> Plan:
@@ -60,7 +46,7 @@ def rest_of(world: World, state: MissionState, **more: Any) -> Plan:
 def test_a_rollout_goes_on_as_if_it_had_not_been_cut(more: dict[str, Any]) -> None:
     cuts = 0
     for seed in range(3):
-        world, plan = mission(seed, **more)
+        world, plan = case(seed, **more)
         whole = ReferenceLoop(plan, world, luck="step")  # by tolerance robots forget what they bore
         for rollout in range(2 if seed == 2 else 1):
             uncut = whole.run(seed, rollout)
@@ -136,7 +122,7 @@ def test_where_areas_are_given_anew_nobody_has_waited_or_is_held() -> None:
     said = by_hand(world, make_plan(world, [[0, 3], [0, 0]]), [0, 1, 3])
     states = [parse_state(said | {"quiet": quiet}, world, "hand.json") for quiet in (0, 1)]
     assert [make_plan(world, state.starts, state=state).time for state in states] == [22, 22]
-    world, plan = mission(10)
+    world, plan = case(10)
     said = by_hand(world, plan, sorted({int(row * 9 + col) for row, col in plan.starts})) | {"held": [1, 2]}
     rest = rest_of(world, parse_state(said, world, "hand.json"), **SETTINGS["worth"])
     assert rest.state is not None and [robot.status for robot in rest.state.robots] == ["dead", *["traveling"] * 3]
@@ -165,7 +151,7 @@ def test_expected_values_of_the_rest_are_the_enumerated_ones() -> None:
 
 
 def test_the_door(tmp_path: Path) -> None:
-    world, plan = mission(1)
+    world, plan = case(1)
     state = ReferenceLoop(plan, world).state_at(11, 4, 2)
     assert state is not None
     state.save(tmp_path / "state.json")
@@ -184,7 +170,7 @@ def test_the_door(tmp_path: Path) -> None:
 
 
 def test_the_open_loop_does_not_go_on_and_says_so() -> None:
-    world, plan = mission(1)
+    world, plan = case(1)
     state = ReferenceLoop(plan, world).state_at(3, 0, 0)
     assert state is not None
     rest = make_plan(world, state.starts, state=state)
@@ -242,7 +228,7 @@ def _swap(data: dict[str, Any], old: str, new: str) -> None:
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_states(name: str) -> None:
-    world, plan = mission(3)
+    world, plan = case(3)
     state = ReferenceLoop(plan, world).state_at(25, 1, 1)
     assert state is not None
     data = json.loads(json.dumps(state.to_json()))
@@ -255,7 +241,7 @@ def test_bad_states(name: str) -> None:
 
 
 def test_an_obstacle_a_wrong_level_and_no_file(tmp_path: Path) -> None:
-    world, plan = mission(3)
+    world, plan = case(3)
     blocked = int(np.flatnonzero(np.isnan(world.threat.ravel()))[0])
     with pytest.raises(StateError, match="an obstacle"):
         parse_state(by_hand(world, plan, [blocked]), world, "state.json")
@@ -269,7 +255,7 @@ def test_an_obstacle_a_wrong_level_and_no_file(tmp_path: Path) -> None:
         data = state.to_json()
         data["robots"][0]["moves"] = 7
         make_plan(world, state.starts, Settings(range=6), state=parse_state(data, world, "state.json"))
-    world, plan = mission(3, policy="per_cell")
+    world, plan = case(3, policy="per_cell")
     state = ReferenceLoop(plan, world).state_at(8, 0, 0)
     assert state is not None
     with pytest.raises(StateError, match=r"not by policy mrac.* plan that was driven, policy among them"):

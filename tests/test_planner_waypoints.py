@@ -9,17 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_planner_takeover import paths_plan
 
-from planner.plans.plan import Plan, RobotPlan
+from planner.plans.plan import Plan
 from planner.plans.waypoints import headings, waypoints_csv
 from planner.worlds.world import World
 
 TURNED = World.create(np.zeros((2, 3)), cell_size=0.5, origin=(10.0, 20.0, math.pi / 6))
-
-
-def plan_of(world: World, *paths: list[int]) -> Plan:
-    robots = tuple(RobotPlan(np.array(path, dtype=np.int64)) for path in paths)
-    return Plan(world.shape, world.sha256, None, robots, outcome="paths")
 
 
 def write_waypoints(plan: Plan, world: World, path: Path) -> None:
@@ -35,7 +31,7 @@ def rows_of(path: Path) -> list[list[float]]:
 
 def test_poses_by_hand(tmp_path: Path) -> None:
     """Grid frame: [0, 0] is at (0.25, 0.75) m of the lower-left corner, turned by 30 degrees and moved by (10, 20)."""
-    write_waypoints(plan_of(TURNED, [0, 0, 1, 4, 4, 3], [5]), TURNED, tmp_path / "w.csv")
+    write_waypoints(paths_plan(TURNED, [0, 0, 1, 4, 4, 3], [5]), TURNED, tmp_path / "w.csv")
     expected = [
         [0, 0, 9.841506, 20.774519, math.pi / 6],  # waits at its start, facing its first move
         [0, 1, 9.841506, 20.774519, math.pi / 6],
@@ -52,7 +48,7 @@ def test_poses_by_hand(tmp_path: Path) -> None:
 
 def test_without_an_origin_the_lower_left_corner_is_zero(tmp_path: Path) -> None:
     world = World.create(np.zeros((2, 3)))
-    write_waypoints(plan_of(world, [3, 0, 1]), world, tmp_path / "w.csv")
+    write_waypoints(paths_plan(world, [3, 0, 1]), world, tmp_path / "w.csv")
     text = (tmp_path / "w.csv").read_text(encoding="utf-8")
     assert text.splitlines() == [
         "robot,step,x,y,yaw",
@@ -64,7 +60,7 @@ def test_without_an_origin_the_lower_left_corner_is_zero(tmp_path: Path) -> None
 
 def test_far_coordinates_keep_their_digits_and_zero_has_no_sign(tmp_path: Path) -> None:
     far = World.create(np.zeros((1, 2)), cell_size=0.25, origin=(-0.125000001, 5_400_000.1, 0.0))
-    write_waypoints(plan_of(far, [0, 1]), far, tmp_path / "w.csv")
+    write_waypoints(paths_plan(far, [0, 1]), far, tmp_path / "w.csv")
     lines = (tmp_path / "w.csv").read_text(encoding="utf-8").splitlines()
     assert lines[1:] == ["0,0,0.000000,5400000.225000,0.0", "0,1,0.250000,5400000.225000,0.0"]
 
@@ -91,7 +87,7 @@ def test_the_yaw_points_from_cell_to_cell(tmp_path: Path) -> None:
         options = [(row, col), (row - 1, col), (row + 1, col), (row, col - 1), (row, col + 1)]
         inside = [r * 7 + c for r, c in options if 0 <= r < 4 and 0 <= c < 7]
         path.append(int(rng.choice(inside)))
-    write_waypoints(plan_of(world, path), world, tmp_path / "w.csv")
+    write_waypoints(paths_plan(world, path), world, tmp_path / "w.csv")
     rows = np.array(rows_of(tmp_path / "w.csv"))
     for before, after in pairwise(rows):
         moved = after[2:4] - before[2:4]

@@ -11,9 +11,8 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
-from matplotlib.text import Text
 from PIL import Image
+from test_analysis_plots import words
 
 import mrac_jax as mrac
 
@@ -39,10 +38,6 @@ def answers(world: mrac.World) -> dict[str, Any]:
         "size_figure": mrac.size(world, target=0.5, most=2, rollouts=256),
         "starts_figure": mrac.starts(world, 1, rollouts=256),
     }
-
-
-def words(figure: Figure) -> str:
-    return " ".join(text.get_text() for text in figure.findobj(Text) if isinstance(text, Text))
 
 
 def test_the_module_holds_figures_alone() -> None:
