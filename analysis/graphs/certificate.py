@@ -32,13 +32,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 
-import highspy
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, dijkstra, maximum_flow
 
 from analysis.graphs.graph import Graph, Rules
+from analysis.theory.solver import INF, make_solver
 
 ULP = 2.0**-52
 ROUNDS, NEW_SETS, SLACK = 60, 12, 1e-5
@@ -115,13 +115,8 @@ class Programme:
         self.gain = np.zeros(self.home + 1)
         self.gain[self.parts] = graph.reward[:, None] * self.limits.share * (1 + 2 * ULP)
         self.gain[self.parts[graph.base]] = 0.0  # where they all are
-        model = highspy.HighsLp()
-        model.num_col_, model.num_row_ = self.home + 1, 0
-        model.col_cost_, model.col_lower_, model.col_upper_ = -self.gain, np.zeros(self.home + 1), self.upper
-        self._solver = highspy.Highs()
-        self._solver.silent()
-        self._solver.setOptionValue("threads", 1)  # none of its own, which a fork of this process would lack
-        self._solver.passModel(model)
+        none = np.zeros(0)
+        self._solver = make_solver(-self.gain, self.upper, csc_array((0, self.home + 1)), none, none)
         for node in range(count):
             out, into = np.flatnonzero(graph.tail == node), np.flatnonzero(graph.head == node)
             arrived = graph.survival[into]
@@ -145,7 +140,7 @@ class Programme:
         """A row: the sum of so many of these columns is at most `most`."""
         row = np.array(columns, dtype=np.int64), np.array(shares, dtype=np.float64), float(most)
         self.rows.append(row)
-        self._solver.addRow(-highspy.kHighsInf, row[2], len(row[0]), row[0].astype(np.int32), row[1])
+        self._solver.addRow(-INF, row[2], len(row[0]), row[0].astype(np.int32), row[1])
 
     def bound(self, price: float) -> float:
         """`E[R] + price E[S]` that no such team exceeds, without what the base is worth; rows are added on the way."""

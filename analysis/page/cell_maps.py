@@ -117,11 +117,9 @@ def cell_maps_html(
     return block("cell_maps", blocked, world.shape, ringed, sides, entries, packed, above, heading, anchor, note)
 
 
-def packed_layer(
-    layer: CellLayer, free: NDArray[np.bool_], accessible: NDArray[np.bool_], side: int = 1
-) -> dict[str, object]:
-    """A layer's values by blocks of `side` x `side` cells, as the page's script unpacks them."""
-    return _Blocks(layer, free, accessible, side).packed()
+def packed_layer(layer: CellLayer, free: NDArray[np.bool_], accessible: NDArray[np.bool_]) -> dict[str, object]:
+    """A layer's values, as the page's script unpacks them."""
+    return _Blocks(layer, free, accessible, 1).packed()
 
 
 class _Blocks:

@@ -263,9 +263,9 @@ def cell_ticks(cells: int) -> Locator:
     return FixedLocator(range(cells)) if cells <= 8 else whole_ticks(8)
 
 
-def whole_ticks(most: int, integer: bool = True) -> Locator:
-    """Ticks at whole numbers (or any, if not `integer`) in steps of 1, 2 or 5 times a power of ten."""
-    return MaxNLocator(nbins=max(1, most), steps=[1, 2, 5, 10], integer=integer)
+def whole_ticks(most: int) -> Locator:
+    """Ticks at whole numbers in steps of 1, 2 or 5 times a power of ten."""
+    return MaxNLocator(nbins=most, steps=[1, 2, 5, 10], integer=True)
 
 
 @contextmanager

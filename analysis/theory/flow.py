@@ -26,13 +26,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
-import highspy
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, csr_array, hstack, vstack
 
 from analysis.theory.nodes import ULP, Nodes
 from analysis.theory.single import MOST_NODES, single_bound
+from analysis.theory.solver import INF, make_solver
 from analysis.theory.ways import Spend, Way, missing_ways
 
 ROUNDS = 200
@@ -106,10 +106,7 @@ def most_stopped(threat: NDArray[np.float64], robots: int) -> NDArray[np.float64
 
 
 class Programme:
-    """The programme with the `rows` so far. It stays in the solver: they are added to a basis that is kept.
-
-    Nothing that it says is trusted.
-    """
+    """The programme with the `rows` so far. It stays in the solver: they are added to a basis that is kept."""
 
     def __init__(self, nodes: Nodes) -> None:
         """Without more rows; columns are x `[E]` and y `[V]`, rows `flow` `[V]` and `arrive` `[V]`."""
@@ -121,19 +118,9 @@ class Programme:
         visits = csr_array((np.ones(count), (each, each)))
         flow = hstack([out - into.multiply(passed[:, None]), csr_array((count, count))])
         rows = csc_array(vstack([flow, hstack([-into, visits])]))
-        programme = highspy.HighsLp()
-        programme.num_col_, programme.num_row_ = moves + count, 2 * count
-        programme.col_cost_ = np.concatenate([np.zeros(moves), -nodes.weight])
-        programme.col_lower_ = np.zeros(moves + count)
-        programme.col_upper_ = np.concatenate([np.full(moves, highspy.kHighsInf), nodes.reach])
-        programme.row_lower_ = np.full(2 * count, -highspy.kHighsInf)
-        programme.row_upper_ = np.concatenate([passed * nodes.starts, nodes.starts])
-        programme.a_matrix_.start_, programme.a_matrix_.index_ = rows.indptr, rows.indices
-        programme.a_matrix_.value_ = rows.data
-        self._solver = highspy.Highs()
-        self._solver.silent()
-        self._solver.setOptionValue("threads", 1)  # none of its own, which a fork of this process would lack
-        self._solver.passModel(programme)
+        cost, upper = np.append(np.zeros(moves), -nodes.weight), np.append(np.full(moves, INF), nodes.reach)
+        most = np.concatenate([passed * nodes.starts, nodes.starts])
+        self._solver = make_solver(cost, upper, rows, np.full(2 * count, -INF), most)
 
     def add(self, found: Sequence[Row]) -> None:
         """More rows."""
@@ -143,7 +130,7 @@ class Programme:
                 columns, shares, most = np.append(row.moves, first + row.node), np.append(-row.share, 1.0), row.free
             else:
                 columns, shares, most = first + row.members, self.nodes.threat[row.members], row.most
-            self._solver.addRow(-highspy.kHighsInf, most, len(columns), columns.astype(np.int32), shares)
+            self._solver.addRow(-INF, most, len(columns), columns.astype(np.int32), shares)
         self.rows += found
 
     def solve(self) -> tuple[NDArray[np.float64], NDArray[np.float64], Dual]:

@@ -25,12 +25,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import highspy
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
 from analysis.theory.nodes import ULP, Nodes
+from analysis.theory.solver import INF, make_solver
 from analysis.theory.ways import Spend, Way
 from planner.jit import compiled
 
@@ -232,7 +232,7 @@ def _follow(
 
 
 class _Master:
-    """Prices, and the most that the walks so far bring at them, in the solver; nothing that it says is trusted."""
+    """Prices, and the most that the walks so far bring at them, in the solver."""
 
     def __init__(self, nodes: Nodes, rows: Rows) -> None:
         """Columns are n `[V]`, z `[R]`, m `[V]`, what is left of a node `[V]`, and the walks' most."""
@@ -243,17 +243,8 @@ class _Master:
         taken = np.concatenate([np.ones(2 * count), rows.paid.tocoo().data])
         to_rows = np.concatenate([every, every, rows.paid.tocoo().col])
         left = coo_array((taken, (to_rows, columns)), shape=(count, self._boxed + count + 1)).tocsc()
-        programme, self._solver = highspy.HighsLp(), highspy.Highs()
-        programme.num_col_, programme.num_row_ = left.shape[1], count
-        programme.col_cost_ = np.concatenate([np.zeros(count), rows.most, np.ones(count), _reach(nodes), [1.0]])
-        programme.col_lower_ = np.zeros(left.shape[1])
-        programme.col_upper_ = np.full(left.shape[1], highspy.kHighsInf)
-        programme.row_lower_, programme.row_upper_ = nodes.weight, np.full(count, highspy.kHighsInf)
-        programme.a_matrix_.start_, programme.a_matrix_.index_ = left.indptr, left.indices
-        programme.a_matrix_.value_ = left.data
-        self._solver.silent()
-        self._solver.setOptionValue("threads", 1)
-        self._solver.passModel(programme)
+        cost = np.concatenate([np.zeros(count), rows.most, np.ones(count), _reach(nodes), [1.0]])
+        self._solver = make_solver(cost, np.full(len(cost), INF), left, nodes.weight, np.full(count, INF))
 
     def add(
         self, counts: NDArray[np.float64], moves: NDArray[np.float64], pays: NDArray[np.float64], given: float
@@ -262,7 +253,7 @@ class _Master:
         brings = np.concatenate([counts, self._rows.share @ moves, -pays])
         used = np.flatnonzero(brings)
         columns = np.append(used, self._boxed + len(counts)).astype(np.int32)
-        self._solver.addRow(given, highspy.kHighsInf, len(columns), columns, np.append(-brings[used], 1.0))
+        self._solver.addRow(given, INF, len(columns), columns, np.append(-brings[used], 1.0))
 
     def least(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
         """(prices between these `[V + R + V]` that promise the least, what they promise)."""

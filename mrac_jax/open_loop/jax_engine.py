@@ -213,7 +213,7 @@ class JaxOpenLoop:
     with sums of its own; nothing is exchanged, so neither their number nor that of devices can change a count.
     """
 
-    def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode, streams: int | None = None) -> None:
+    def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode) -> None:
         """Raises UsageError for a mode that is not `tolerance`."""
         if mode != "tolerance":
             what, fix = f"{argument('engine', 'jax')} with luck by {mode}", f"use {argument('engine', 'numba')}"
@@ -223,8 +223,7 @@ class JaxOpenLoop:
         self.padded = pad_tables(compiled, seed)
         self.batch = batch_size(self.padded)
         devices = jax.local_devices()
-        if streams is None:
-            streams = max(len(devices), available_cores()) if devices[0].platform == "cpu" else len(devices)
+        streams = max(len(devices), available_cores()) if devices[0].platform == "cpu" else len(devices)
         self._devices = [devices[stream % len(devices)] for stream in range(streams)]
         self._a_call = MOST_PER_CALL if self.padded.joint is None else self.batch
         self._tables = {device: jax.device_put(self.padded, device) for device in set(self._devices)}

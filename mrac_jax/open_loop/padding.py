@@ -84,11 +84,11 @@ class PaddedTables:
     robot_bins: int = field(metadata=STATIC)
 
 
-def size_bucket(size: int, steps: int = 4) -> int:
-    """The least of 1 .. 2 * steps and their doublings that is at least `size`: at most 1 / steps too large."""
-    if size <= 2 * steps:
+def size_bucket(size: int) -> int:
+    """The least of 1 .. 8 and their doublings that is at least `size`: at most a quarter too large."""
+    if size <= 8:
         return max(size, 1)
-    unit = 1 << ((size - 1).bit_length() - (2 * steps).bit_length() + 1)
+    unit = 1 << ((size - 1).bit_length() - 3)
     return -(-size // unit) * unit
 
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from planner.luck import Luck, rows_met
 from planner.luck_names import LuckName
-from planner.mrac.executive import Executive, Split
-from planner.mrac.partition import bisect
+from planner.mrac.executive import Executive
 from planner.mrac.recorder import Recorder
 from planner.mrac.resume import state_of
 from planner.mrac.simulate import Hit, Run, make_team, play_step, simulate
@@ -32,35 +31,26 @@ class ReferenceLoop:
     Args:
         plan: this project's, made for `world`, or the paths of another planner (`planner.mrac.takeover`).
         first_only: `threat_checks="first_visit"`. luck: by which robots are stopped.
-        split: halves the one component of a shared area; another than the default makes other rollouts.
 
     Raises:
         PlanError: a plan for another map.
     """
 
-    def __init__(
-        self,
-        plan: Plan,
-        world: World,
-        *,
-        first_only: bool = False,
-        split: Split = bisect,
-        luck: LuckName = "tolerance",
-    ) -> None:
+    def __init__(self, plan: Plan, world: World, *, first_only: bool = False, luck: LuckName = "tolerance") -> None:
         self._problem, self._areas = ready_loop(plan, world)
         check_counters(world, len(plan.robots), self._problem.max_steps)
         check_every_visit(world, first_only)
         plan.bearing.check_luck(luck)
         self._luck: LuckName = luck
         self._bearing = plan.bearing
-        self._world, self._first_only, self._split, self._state = world, first_only, split, plan.state
+        self._world, self._first_only, self._state = world, first_only, plan.state
 
     def run(self, seed: int, rollout: int, recorder: Recorder | None = None) -> Run:
         """Rollout `rollout` (below 2**32) of `seed`, `0 <= seed < 2**64`."""
         problem, areas = self._problem, self._areas
         luck = self._luck_of(seed, rollout)
         return simulate(
-            problem, areas, hit=self._hit(luck), split=self._split, recorder=recorder, state=self._state,
+            problem, areas, hit=self._hit(luck), recorder=recorder, state=self._state,
             truth=self._truth(seed, rollout), movers=self._movers_of(seed, rollout), readings=luck.readings,
         )  # fmt: skip
 
@@ -78,9 +68,7 @@ class ReferenceLoop:
 
     def _steps(self, seed: int, rollout: int, luck: Luck) -> Iterator[Executive]:
         truth, movers, hit = self._truth(seed, rollout), self._movers_of(seed, rollout), self._hit(luck)
-        team = make_team(
-            self._problem, self._areas, self._split, state=self._state, truth=truth, readings=luck.readings
-        )
+        team = make_team(self._problem, self._areas, state=self._state, truth=truth, readings=luck.readings)
         while team.outcome(self._problem.max_steps) is None:
             play_step(team, hit, movers)
             yield team

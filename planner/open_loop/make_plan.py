@@ -22,9 +22,7 @@ EFFORT = 200_000
 SEED = 0x4F50454E
 
 
-def make_open_loop_plan(
-    world: World, starts: ArrayLike, settings: Settings, seconds: float | None = None, seed: int = SEED
-) -> Plan:
+def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, seconds: float | None = None) -> Plan:
     """Paths alone for robots at `starts` `[K, 2]` that are not reallocated: the plan of `planner.open_loop`.
 
     The search sets out from the better of two: `per_cell` by each robot alone, and the nominal run of the settings'
@@ -55,7 +53,7 @@ def make_open_loop_plan(
         for of in orders
     ]
     effort = EFFORT if settings.effort is None else settings.effort
-    found = search(nodes, orders[int(np.argmax(worth))], begin, effort, seed, seconds)
+    found = search(nodes, orders[int(np.argmax(worth))], begin, effort, SEED, seconds)
     last = MAX_STEP if settings.last_step is None else settings.last_step
     paths = tuple(
         nodes.drive(order, start, problem)[: min(last, moves) + 1]

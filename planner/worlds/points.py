@@ -57,9 +57,9 @@ class Table(NamedTuple):
             raise MapError(problem, source=self.path, expected=f"metres, none beyond {far:g}")
         return value
 
-    def places(self, columns: Sequence[int], names: Sequence[str] = ("x", "y")) -> NDArray[np.float64]:
+    def places(self, columns: Sequence[int]) -> NDArray[np.float64]:
         """Two coordinates a line, float64 `[lines, 2]`."""
-        both = list(zip(columns, names, strict=True))
+        both = list(zip(columns, ("x", "y"), strict=True))
         return np.array([[self.number(row, at, name, FARTHEST) for at, name in both] for row in self.rows])
 
     def lonlat(self, columns: Sequence[int]) -> NDArray[np.float64]:
