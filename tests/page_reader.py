@@ -18,7 +18,6 @@ PNG = _FILE.getvalue()
 """A picture of 3 x 2 pixels, as a file."""
 VOID = {"br", "col", "hr", "img", "input", "link", "meta"}
 """Elements without an end tag."""
-SVG_NAMESPACE = "http://www.w3.org/2000/svg"
 ASKING = ("fetch(", "XMLHttpRequest", "WebSocket", "EventSource", "sendBeacon", "import(", "importScripts", "Worker(",
           "eval(", "innerHTML", "outerHTML", "document.write", "insertAdjacentHTML")  # fmt: skip
 """What a script could ask others with, or turn data into markup with."""

@@ -56,12 +56,6 @@ def compiled_fixture(name: str, robots: int) -> CompiledPlan:
     return compile_plan(plan, world)
 
 
-def mean_and_error(histogram: np.ndarray) -> tuple[float, float]:
-    values, count = np.arange(len(histogram)), histogram.sum()
-    mean = float((histogram * values).sum() / count)
-    return mean, float(np.sqrt((histogram * (values - mean) ** 2).sum()) / count)
-
-
 SEED = 7 * 2**32 + 5
 
 

@@ -218,8 +218,7 @@ def drawn(number):
         world = with_sense(world, sense | {"detect": rates[0], "false_alarm": rates[1]})
     free = np.argwhere(~np.isnan(q))
     starts = free[[stream.below(len(free)) for _ in range(1 + stream.below(5))]]
-    given = POLICIES[number % len(POLICIES)]
-    settings = Settings(**given) if isinstance(given, dict) else Settings(policy=given)
+    settings = Settings(**POLICIES[number % len(POLICIES)])
     if number % 5 == 0:
         settings = replace(settings, range=4 + stream.below(12))
     return world, starts, settings

@@ -4,6 +4,7 @@ import itertools
 from collections import Counter
 from dataclasses import replace
 from math import hypot, inf
+from typing import Any
 
 import numpy as np
 import pytest
@@ -109,9 +110,10 @@ def drawn(number, stream):
     return believed, truth, starts, sense
 
 
-POLICIES = (
-    "mrac", "per_cell", {"policy": "per_cell", "reserve": 0.5}, {"policy": "per_cell", "worth": 3.0}, "frontier",
-    {"policy": "frontier", "reserve": 0.5}, "watchful",
+POLICIES: tuple[dict[str, Any], ...] = (
+    {"policy": "mrac"}, {"policy": "per_cell"}, {"policy": "per_cell", "reserve": 0.5},
+    {"policy": "per_cell", "worth": 3.0}, {"policy": "frontier"}, {"policy": "frontier", "reserve": 0.5},
+    {"policy": "watchful"},
 )  # fmt: skip
 
 
@@ -120,8 +122,7 @@ def fuzz(number):
     stream = Stream(number, 1515)
     believed, truth, starts, sense = drawn(number, stream)
     world = with_truth(World.create(believed), truth, sense)
-    given = POLICIES[number % len(POLICIES)]
-    settings = Settings(**given) if isinstance(given, dict) else Settings(policy=given)
+    settings = Settings(**POLICIES[number % len(POLICIES)])
     if number % 5 == 0:
         settings = replace(settings, range=4 + stream.below(12))
     recorder, loop = Recorder(), ReferenceLoop(make_plan(world, starts, settings), world)

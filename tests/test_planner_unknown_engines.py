@@ -34,8 +34,7 @@ def agree(number, rollouts=2):
     """Both engines, in a drawn world; how often robots were surprised."""
     stream = Stream(number, 1515)
     believed, truth, starts, sense = drawn(number, stream)
-    world, given = with_truth(World.create(believed), truth, sense), POLICIES[number % len(POLICIES)]
-    settings = Settings(**given) if isinstance(given, dict) else Settings(policy=given)
+    world, settings = with_truth(World.create(believed), truth, sense), Settings(**POLICIES[number % len(POLICIES)])
     if number % 5 == 0:
         settings = replace(settings, range=4 + stream.below(12))
     settings = replace(settings, in_area="boustrophedon" if number % 4 == 1 else "nearest")

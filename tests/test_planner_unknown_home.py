@@ -40,8 +40,7 @@ def planned(number: int) -> tuple[World, World, Plan, dict[str, Any]]:
     """A drawn world, what is believed of it, a plan, and what robots see."""
     stream = Stream(number, 1515)
     believed, truth, starts, sense = drawn(number, stream)
-    world, given = with_truth(World.create(believed), truth, sense), POLICIES[number % len(POLICIES)]
-    settings = Settings(**given) if isinstance(given, dict) else Settings(policy=given)
+    world, settings = with_truth(World.create(believed), truth, sense), Settings(**POLICIES[number % len(POLICIES)])
     settings = replace(settings, in_area="boustrophedon" if number % 4 == 1 else "nearest")
     return world, World.create(believed), make_plan(world, starts, replace(settings, **HOMES[number % 5])), sense
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from refusals import refused
 
-from analysis.cli.app import run
 from planner.errors import WorldError
 from planner.worlds.reported import route_over
 from planner.worlds.scenario import load_input
@@ -107,10 +107,7 @@ def test_bad_values_are_one_line_and_nothing_is_written(tmp_path: Path, capsys, 
     np.save(tmp_path / "small.npy", np.ones((2, 4)))
     for name, value in (("holes", np.nan), ("negative", -1.0)):
         np.save(tmp_path / f"{name}.npy", np.where(np.arange(12).reshape(3, 4) == 0, value, 1.0))
-    assert run(["evaluate", str(path), "--out", str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ") and error.count("\n") == 1
-    assert said in error
+    assert said in refused(capsys, "evaluate", str(path), "--out", str(tmp_path / "out"))
     assert not (tmp_path / "out").exists()
 
 

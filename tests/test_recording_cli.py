@@ -15,6 +15,7 @@ import pytest
 from closed_loop_compare import assert_same_trace
 from conftest import FOLDER
 from recordings import nth, rewrite, small_task
+from refusals import refused
 
 import analysis.recording.record
 from analysis.cli.app import run
@@ -32,17 +33,6 @@ def recorded(folder: Path, *words: str, source: str = WORLD) -> Path:
     out = folder / "run.mcap"
     assert run(["record", source, "--out", str(out), *words]) == 0
     return out
-
-
-def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    """The one line on standard error of a command that exits with 2."""
-    assert run(list(words)) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    lines = said.err.strip().splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith("error: ")
-    return lines[0]
 
 
 def test_record_replay_inspect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 from test_sweeps_store import key_of, results_of
 
 from analysis.cli.app import run
@@ -111,9 +112,7 @@ def test_a_hidden_block_is_said_and_saved(whole: Path, tmp_path: Path, capsys: p
     for write in (True, False):
         with pytest.raises(StoreError, match=r"bad.store: is damaged.*--merge"):
             Store.open(bad, write=write)
-    assert run(["results", str(bad)]) == 2
-    said = capsys.readouterr()
-    assert said.out == "" and said.err.startswith("error: ") and said.err.count("\n") == 1
+    refused(capsys, "results", str(bad))
     assert run(["results", str(new), "--merge", str(bad)]) == 0
     said = capsys.readouterr()
     assert "6 runs taken over" in said.err and "0 runs and 0 blocks that it names cannot be read" in said.err
