@@ -22,7 +22,7 @@ from analysis.removal.search import find_clearing
 from analysis.sampling import RolloutChoices
 from analysis.statistics.control import LEAST
 from analysis.statistics.estimate import Estimate
-from analysis.tradeoff.front import Point, settings_of
+from analysis.tradeoff.front import settings_of
 from analysis.tradeoff.rules import Goal
 from analysis.tradeoff.search import find_front
 from analysis.trials.measured import Known
@@ -118,14 +118,10 @@ def front_holds(world: World, seed: int, truth: Any, held: Held) -> None:
     if found.confirmed is None:
         held["none"] += 1
         return
-    known = exact_point(world, found.confirmed)
+    known = exact_setting(world.sha256, found.confirmed.setting, world)
     held["coverage"] += holds(found.confirmed.coverage, known.mean("visited").mean / known.largest("visited"))
     held["losses"] += holds(found.confirmed.losses, known.mean("lost").mean)
     held["keeps"] += known.mean("lost").mean <= truth
-
-
-def exact_point(world: World, point: Point) -> Known:
-    return exact_setting(world.sha256, point.setting, world)
 
 
 @cache

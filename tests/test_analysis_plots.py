@@ -278,7 +278,8 @@ def test_histogram_holds_every_rollout_once(evaluation: Evaluation) -> None:
     assert np.isclose(sum(bar.get_height() for bar in bars if isinstance(bar, Rectangle)), 100.0)
 
 
-def extremes() -> dict[str, Evaluation]:
+@pytest.fixture(scope="module")
+def extreme() -> dict[str, Evaluation]:
     """Worlds that have broken pictures: one cell, no threat, a single row, many robots, other planners."""
     one = World.create([[0.0]])
     row = World.create([[0.0] * 40 + [0.5]], cell_size=2.5)
@@ -393,11 +394,6 @@ def test_no_line_runs_through_a_label(picture: str, evaluation: Evaluation, clos
     for name, answer in shown.items():
         with house_style():
             assert crossed(drawn(picture, answer)) == [], name
-
-
-@pytest.fixture(scope="module")
-def extreme() -> dict[str, Evaluation]:
-    return extremes()
 
 
 DEAR = [pytest.param(name, marks=pytest.mark.slow) for name in ("row", "split", "foreign")]
