@@ -195,7 +195,8 @@ def _on_its_map(asked: Asked) -> tuple[Asked, Path | None]:
     raise PlanError(f"its map is not at {source!r}: {problem}", source=path, expected="the map beside it", fix=fix)
 
 
-def _check_team(asked: Asked, robots: int, file: Path) -> None:
+def check_team(asked: Asked, robots: int, file: Path) -> None:
+    """Raise UsageError for an option that asks for another number of robots than those of `file`."""
     if asked.robots is not None and asked.robots != robots:
         problem = f"{argument('robots', asked.robots)} contradicts the {robots} robots of {file}"
         raise UsageError(problem, fix="leave it out")
@@ -210,7 +211,7 @@ def _plan_the_rest(asked: Asked, file: Path, plan_file: Path | None) -> Found:
         raise UsageError(f"both {argument('state')} and {other}", expected="one of them", fix=f"leave {other} out")
     world = asked.load()
     state, notes = read_state(file, world, None if asked.starts is None else parse_starts(asked.starts))
-    _check_team(asked, len(state.robots), file)
+    check_team(asked, len(state.robots), file)
     made = plan_from_state(
         world, state, asked.choices.settings(world.team.settings, world.pace, by=world.source), str(file)
     )
@@ -235,7 +236,7 @@ def _load_plan(asked: Asked, plan_file: Path) -> Found:
 
     world = asked.load()
     plan = read_plan(plan_file, world)
-    _check_team(asked, len(plan.robots), plan_file)
+    check_team(asked, len(plan.robots), plan_file)
     if asked.starts is not None and not np.array_equal(parse_starts(asked.starts), plan.starts):
         raise UsageError(f"{argument('starts')} contradicts the starts of {plan_file}", fix="leave it out")
     given = asked.choices.given()

@@ -148,6 +148,7 @@ def test_sources_are_cleared_one_by_one_and_what_overlaps_stays(tmp_path: Path) 
     names = ["wide", "inner", "line 2 of points.csv"]
     assert [one.threat.name for one in answer.options] == names and "beyond" in world.sources.names  # type: ignore[union-attr]
     assert [one.threat.p for one in answer.options] == pytest.approx([0.2, 0.5, 0.3])
+    assert " the other one (" in answer.turns[1].certainty("worth more")
     wide = answer.options[0].threat
     assert len(wide.cells) == 12 and wide.cleared(world).threat[3, 3] == np.float32(0.5)
     assert answer.options[1].threat.cleared(world).threat[3, 3] == np.float32(0.2)

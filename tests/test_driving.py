@@ -306,6 +306,24 @@ def test_a_mission_that_has_ended_says_so_again(tmp_path: Path, capfd: pytest.Ca
     assert run(command) == 2 and "another map" in capfd.readouterr().err
 
 
+def test_a_mission_of_another_team_is_not_gone_on_with(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    world, plan = mrac.load("example:paper"), mrac.plan(mrac.load("example:paper"), 3)
+    file, mission = tmp_path / "now.json", DrivenMission(world, plan)
+    drive = ["drive", "example:paper", "--state", str(file), "--robots"]
+    mission.save(file)
+    assert run([*drive, "2"]) == 2
+    assert capfd.readouterr().err == (
+        f"error: {file}: holds a mission of 3 robots; expected one of 2, as planned; give the robots of the mission\n"
+    )
+    assert run(["evaluate", "example:paper", "--state", str(file)]) == 2
+    assert "whose first step is not over; expected a mission under way; leave it out" in capfd.readouterr().err
+    mission.advance()
+    mission.save(file)
+    kept = file.read_bytes()
+    assert run([*drive, "2"]) == 2 and file.read_bytes() == kept
+    assert capfd.readouterr().err == f"error: --robots 2 contradicts the 3 robots of {file}; leave it out\n"
+
+
 def test_a_plan_file_is_driven_by_itself_where_its_map_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -190,3 +190,13 @@ def test_how_long_an_exact_value_is_looked_for() -> None:
     a, b = ((world, make_plan(world, place_starts(world, robots)[0])) for robots in (1, 3))
     assert mrac.compare(a, b, rollouts=64).exact_difference("visited") is not None
     assert mrac.compare(a, b, rollouts=64, exact="never").exact_difference("visited") is None
+
+
+def test_large_teams_that_come_home_have_fewer_histories(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr("analysis.trials.exact_loop.grow_tree", lambda loop, slack, most, cheap: asked.append(most))
+    world = mrac.load("example:paper")
+    for robots, home in ((8, None), (8, "home"), (32, None), (32, "home")):
+        closed_tree(mrac.plan(world, robots, range=60, return_to=home), world)
+    assert asked[0] == asked[1]
+    assert asked[2] == pytest.approx(asked[0] / 4, abs=1) and asked[3] == pytest.approx(asked[0] / 64, abs=1)

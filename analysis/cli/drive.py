@@ -62,6 +62,7 @@ def drive(
     from analysis.cli.progress import load_or_make_plan
     from analysis.driving.dialogue import LONGEST, Dialogue
     from analysis.driving.outlook import DrivenMission
+    from analysis.inputs import check_team
     from planner.missions.mission import PATIENCE
     from planner.missions.saved import ended
 
@@ -69,7 +70,8 @@ def drive(
     whole(1).check("patience", patience, optional=True)
     FRACTION.check("gain", gain, optional=True)
     check_files(source, state, suffix=".json")
-    world, made, notes = load_or_make_plan(team.asked(source, planning.choices()), plan)
+    asked = team.asked(source, planning.choices())
+    world, made, notes = load_or_make_plan(asked, plan)
     say(notes)
     how: dict[str, Any] = {"patience": patience or PATIENCE, "gain": 1.0 if gain is None else gain}
     if state is not None and state.exists():
@@ -78,6 +80,7 @@ def drive(
             _tell([{"type": "end", **over}], world.pace)
             return DONE
         mission = DrivenMission.resume(state, world, made, **how)
+        check_team(asked, mission.robots, state)
         say([f"going on from {state}, {world.pace.step(mission.step)}"])
     else:
         mission = DrivenMission(world, made, **how)

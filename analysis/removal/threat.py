@@ -137,9 +137,10 @@ class Turn:
         how = "95 %, all together" if self.rolled else "exact"
         close = [name for name, beaten in others if not beaten]
         alike = f"{', '.join(close[:4])}{' and more' if len(close) > 4 else ''}"
+        rest = f"the other {len(others)}" if len(others) > 1 else "the other one"
         if len(close) == len(others):
-            return f"No significant difference from the other {len(others)} ({how}): {alike}."
-        said = f"It is surely {more} than {len(others) - len(close)} of the other {len(others)} ({how})"
+            return f"No significant difference from {rest} ({how}): {alike}."
+        said = f"It is surely {more} than {f'{len(others) - len(close)} of ' if close else ''}{rest} ({how})"
         return f"{said}; no significant difference from {alike}." if close else f"{said}."
 
 

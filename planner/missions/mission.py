@@ -404,6 +404,10 @@ class Mission:
         """
         world, rest, keys = read_rest(path, world, plan)
         mission = cls(world, rest, **how)
+        heard = keys["heard"].items("a list of steps", least=0)
+        if heard and len(heard) != mission.robots:
+            problem, expected = f"holds a mission of {len(heard)} robots", f"one of {mission.robots}, as planned"
+            raise StateError(problem, source=path, expected=expected, fix="give the robots of the mission")
         robot = whole(0, mission.robots - 1, what="the number of a robot")
         mission._set_aside([one.number(robot) for one in keys["aside"].items("a list of robots", least=0)])
         mission.closed = [one.value for one in keys["closed"].items("a list of cells", least=0)]
@@ -412,8 +416,7 @@ class Mission:
         for report in keys["reports"].items("a list of reports", least=0):
             hand_on(mission.report, report)
         step = whole(NOT_BEGUN, mission.step, what="a step that is not to come")
-        heard = [one.number(step) for one in keys["heard"].items("a list of steps", least=0)]
-        mission._reports.heard[: len(heard)] = heard[: mission.robots]
+        mission._reports.heard[: len(heard)] = [one.number(step) for one in heard]
         return mission
 
     def save(self, path: str | Path) -> None:

@@ -56,6 +56,9 @@ def parse_state(data: object, world: World, source: str) -> MissionState:
     if data.get("version") != VERSION:
         problem = f"state version {reprlib.repr(data.get('version'))}"
         raise StateError(problem, source=source, expected=f"version {VERSION}")
+    if data.get("begun") is False:
+        problem, fix = "holds a mission whose first step is not over", "leave it out: nothing is done yet"
+        raise StateError(problem, source=source, expected="a mission under way", fix=fix)
     keys = top.mapping(("robots", "visited"), defaults=DEFAULTS, strict=False)
     check_map(keys["world"], world, "state of", "give the map that the mission is on")
     given = keys["robots"].items("a list of robots")
