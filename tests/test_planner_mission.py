@@ -400,6 +400,40 @@ def test_a_zone_is_closed_and_robots_go_round_or_leave_what_lies_behind() -> Non
     assert blocked.outcome is Outcome.COMPLETE and places(blocked)[0][1] < 2
 
 
+@pytest.mark.parametrize("return_to", ["home", "nearest", ((0, 3), (0, 0))])
+@pytest.mark.parametrize("sees", [False, True])
+def test_a_home_that_is_closed_since_is_read_again(tmp_path: Path, return_to: Any, sees: bool) -> None:
+    """Once the rest is cut off too, who still can turns at once, so that what is kept goes on."""
+    world, starts = World.create([[0, 0.2, 0, 0, 0.3, 0]]), [[0, 3], [0, 0]]
+    plan = make_plan(world, starts, Settings(return_to=return_to))
+    mission = Mission(world, plan)
+    for cells in [[0, 3], [0, 0]], [[0, 2], [0, 1]]:
+        for robot, cell in enumerate(cells):
+            mission.report(robot, cell=cell)
+        mission.advance()
+    if sees:
+        mission.report(0, seen=[[0, 3, None]])
+        mission.advance()
+    else:
+        mission.close([[0, 3]])
+    assert "return" in {order.why for order in mission.orders().values()}
+    check_sound(mission, world, plan, tmp_path / "now.json", 1.0)
+
+
+def test_nobody_is_found_on_an_obstacle() -> None:
+    world = World.create(np.zeros((3, 5)))
+    mission = Mission(world, make_plan(world, [[0, 0], [1, 0]]))
+    mission.report(0, stopped=True)
+    mission.advance()
+    mission.report(1, cell=[1, 1], seen=[[0, 0, None]])
+    with pytest.raises(StateError, match=r"robot 0 is found at \[0, 0\], seen to be an obstacle"):
+        mission.report(0, found=True)
+    mission.report(0, stopped=True)
+    mission.report(0, cell=[0, 1], found=True)
+    mission.advance()
+    assert not mission.world.free[0, 0] and mission.lost == ()
+
+
 def test_each_step_is_written_down_once_whatever_is_closed_or_seen() -> None:
     world, recorder = World.create(np.zeros((2, 8)), [[0, 0], [1, 0]]), Recorder()
     mission, steps = Mission(world, make_plan(world, [[0, 0], [1, 0]]), recorder=recorder), []

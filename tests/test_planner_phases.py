@@ -259,5 +259,7 @@ def test_maps_and_loops_that_do_not_fit_are_refused() -> None:
         with_phases(world, [(3, plain)])
     with pytest.raises(InputError, match=r"threats that robots know beforehand.*give `plan_on: first` or `worst`"):
         make_plan(world, [[0, 0]], Settings(radio=4.0))
+    with pytest.raises(InputError, match=r"`transit=\"area\"`, legs that stay.*give `plan_on: first` or `worst`"):
+        make_plan(world, [[0, 0]], Settings(transit="area"))
     with pytest.raises(InputError, match="threats that change with time, in the closed loop in JAX"):
         make_engine(make_plan(world, [[0, 0]]), world, Rolling(), "jax")

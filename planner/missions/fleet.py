@@ -112,6 +112,11 @@ class Fleet(Executive):
         self.over = Outcome.CALLED_OFF
         self._call_home()
 
+    def come_home(self) -> None:
+        """Nothing may be left to do between two steps: then who is to come home turns."""
+        if self.problem.home is not None and self.unvisited == 0:
+            self._call_home()
+
     def retire(self, number: int) -> None:
         """The robot does no more."""
         self.limit(number, 0)

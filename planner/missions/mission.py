@@ -383,6 +383,7 @@ class Mission:
             state = closed_state(self.state, world, self.settings.levels)
             plan = make_plan(replace(world, doubt=None), state.starts, self.settings, state=state)
         self._go_on(world, plan)
+        self._fleet.come_home()
         self.closed = sorted({*self.closed, *closed.tolist()})
 
     def _go_on(self, world: World, plan: Plan) -> None:

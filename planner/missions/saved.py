@@ -72,13 +72,13 @@ def read_rest(path: str | Path, world: World, plan: Plan) -> tuple[World, Plan, 
     Raises StateError.
     """
     source, (data, keys) = str(path), _read(path)
-    world, changed = _as_known(world, keys)
+    given, (world, changed) = world, _as_known(world, keys)
     settings = replace(plan.settings or Settings(), range=keys["range"].setting(SETTINGS["range"]))
     if keys["begun"].value is False:
         check_map(keys["world"], world, "state of", ON_ITS_MAP)
         same = not changed and settings == plan.settings
         return world, plan if same else make_plan(world, plan.starts, settings), keys
-    state = parse_state(data, world, source)
+    state = parse_state(data, world, source, given)
     return world, make_plan(replace(world, doubt=None), state.starts, settings, state=state), keys
 
 

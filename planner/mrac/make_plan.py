@@ -61,8 +61,13 @@ def allocated(
 
 
 def nominal_run(problem: Problem, allocation: tuple[Area, ...], state: MissionState | None = None) -> Run:
-    """Algorithm 2 from this allocation, or from a state with it, with no hits; threats change as they do."""
+    """Algorithm 2 from this allocation, or from a state with it, with no hits; threats change as they do.
+
+    Raises WorldError for legs that stay in areas which change on the way.
+    """
     changing = problem.unknown is not None and problem.unknown.phases is not None
+    if changing and problem.stay_inside:
+        problem.world.check_told('`transit="area"`, legs that stay in their area,')
     return simulate(problem, allocation, state=state, truth=0 if changing else None)
 
 

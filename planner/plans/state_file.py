@@ -48,8 +48,11 @@ def load_state(path: str | Path, world: World) -> MissionState:
     return parse_state(read_json(Path(path), MAX_PLAN_BYTES, StateError, "a state file (JSON)"), world, str(path))
 
 
-def parse_state(data: object, world: World, source: str) -> MissionState:
-    """`load_state` of a file's JSON; `source` names it in errors. Raises StateError."""
+def parse_state(data: object, world: World, source: str, before: World | None = None) -> MissionState:
+    """`load_state` of a file's JSON; `source` names it in errors. Raises StateError.
+
+    `before`: the world as it was when the robots set out, if cells were closed since; one may be a robot's home.
+    """
     top = Key(data, "", source, StateError)
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise StateError("is no state of a mission", source=source, expected=f'an object with "format": "{FORMAT}"')
@@ -68,7 +71,8 @@ def parse_state(data: object, world: World, source: str) -> MissionState:
     to_do = [Key([], "", source)] * len(given)
     if keys["to_do"].value is not None:
         to_do = keys["to_do"].items(f"{len(given)} lists of cells, one a robot", exactly=len(given))
-    robots = tuple(_robot(one, to_do[number], number in held, world) for number, one in enumerate(given))
+    before = before or world
+    robots = tuple(_robot(one, to_do[number], number in held, world, before) for number, one in enumerate(given))
     areas = tuple(_area(one, world) for one in keys["areas"].items("a list of areas", least=0))
     visited = np.union1d(read_cells(keys["visited"], world), [robot.cell for robot in robots])
     survived = visited
@@ -82,7 +86,7 @@ def parse_state(data: object, world: World, source: str) -> MissionState:
     return found
 
 
-def _robot(key: Key, to_do: Key, held: bool, world: World) -> RobotState:
+def _robot(key: Key, to_do: Key, held: bool, world: World, before: World) -> RobotState:
     keys = key.mapping(("cell",), defaults=OF_ROBOTS, strict=False)
     status, cell = keys["status"].choice(STATUSES), read_cell(keys["cell"], world)
     area = keys["area"].number(whole(NO_AREA, said=f"the id of an area, or {NO_AREA}"))
@@ -94,7 +98,7 @@ def _robot(key: Key, to_do: Key, held: bool, world: World) -> RobotState:
     if (np.abs(np.diff(rows)) + np.abs(np.diff(cols)) != 1).any():
         raise keys["ahead"].fault("jumps", "one cell north, south, east or west at a time")
     exposure = None if keys["exposure"].value is None else round(keys["exposure"].number(NATS) * NAT)
-    home = None if keys["home"].value is None else read_cell(keys["home"], world)
+    home = None if keys["home"].value is None else read_cell(keys["home"], before)
     if not isinstance(keys["turned"].value, bool):
         raise keys["turned"].wrong("true or false")
     turned = keys["turned"].value or status == RETURNING
