@@ -96,8 +96,8 @@ class Reports:
             what = "moves" if new.cell != where else "reports"
             raise StateError(f"robot {number} is lost, and {what}", expected="found, if it was found again")
         if lost and self.seen.get(new.cell, 0.0) is None:
-            where = f"robot {number} is found at {at(new.cell, self.fleet.problem.world)}"
-            raise StateError(f"{where}, seen to be an obstacle", expected="the cell where it is")
+            found = f"robot {number} is found at {at(new.cell, self.fleet.problem.world)}, seen to be an obstacle"
+            raise StateError(found, expected="the cell where it is")
         if before is None or lost:
             return replace(new, found=lost and new.found)
         if new.cell != before.cell:
