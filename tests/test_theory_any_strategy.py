@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from fractions import Fraction
 from itertools import product
 from pathlib import Path
@@ -52,6 +53,22 @@ def test_optimum_of_a_corridor() -> None:
     assert optimum(world, [[0, 0], [0, 0]]) == pytest.approx(2 + 3 * (1 - p * p))
     assert optimum(world, [[0, 0]] * 3) is None
     assert optimum(World.create(np.full((5, 5), 0.1)), [[0, 0]]) is None
+
+
+def test_optimum_ends_where_next_to_nothing_is_dangerous() -> None:
+    """Who goes round among such cells gained by rounding, over and over."""
+
+    def too_long(*_: object) -> None:
+        raise TimeoutError
+
+    usual = signal.signal(signal.SIGPROF, too_long)
+    signal.setitimer(signal.ITIMER_PROF, 20)
+    try:
+        best = optimum(World.create(np.full((3, 3), 1e-12)), [[0, 0], [0, 0]])
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, usual)
+    assert best is not None and 9 - 1e-9 < best <= 9
 
 
 @pytest.mark.parametrize("seed", range(10))

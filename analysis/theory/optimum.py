@@ -43,7 +43,7 @@ def optimum(world: World, starts: ArrayLike) -> float | None:
 def _enter(value: NDArray[np.float64], nodes: Nodes, at: list[int]) -> float:
     """The mean of `value` `[V + 1, ...]` over who survives the start nodes `at`; place V of an axis: stopped."""
     for node in at:
-        value = (1.0 - nodes.threat[node]) * value[node] + nodes.threat[node] * value[-1]
+        value = value[node] - nodes.threat[node] * (value[node] - value[-1])
     return float(value)
 
 
@@ -63,7 +63,7 @@ def _with_visited(
             moved, here = np.moveaxis(best, robot, 0), np.moveaxis(best.copy(), robot, 0)
             for v in (*visited, *new):
                 there = here if v in visited else np.moveaxis(more[visited | {v}], robot, 0)
-                gain = (1.0 - nodes.threat[v]) * there[v] + nodes.threat[v] * there[count]
+                gain = there[v] - nodes.threat[v] * (there[v] - there[count])  # rounding raises none
                 beside = nodes.source[nodes.target == v]
                 moved[beside] = np.maximum(moved[beside], gain)
         if (best == before).all():
