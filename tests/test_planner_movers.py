@@ -293,7 +293,10 @@ def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
         ("movers: [{walk: 0.5, h: 0.1, start: [9, 0]}]\n", r"`movers\[0\]\.start` is \[9, 0\]; expected a cell"),
         ("movers: [{walk: 0.5, h: 0.1, start: [0, 2]}]\n", r"starts at \[0, 2\], which is no free cell"),
         ("movers: [{patrol: [[0, 0], [1, 1]], h: 0.1}]\n", r"its route goes from \[0, 0\] to \[1, 1\]"),
-        ("movers: [{patrol: [[0, 0], [0, 1], [1, 1]], h: 0.1}]\n", r"its route goes from \[1, 1\] to \[0, 0\]"),
+        (
+            "movers: [{walk: 0, h: 0}, {patrol: [[0, 0], [0, 1], [1, 1]], h: 0.1}]\n",
+            r"`movers\[1\]`: its route goes from \[1, 1\] to \[0, 0\]",
+        ),
         ("movers: [{patrol: [[0, 0]], h: 0.1}]\n", r"two cells \[row, col\] or more"),
         ("movers: [{patrol: [[0, 0], [0, 1]], start: [1, 1], h: 0.1}]\n", r"starts at \[1, 1\], off its route"),
         ("movers: [{walk: 0.5, h: 0.5}]\nhazard: {kind: consumed, q: 0.1}\n", r"`movers` is .*none beside hazard"),

@@ -438,6 +438,29 @@ def test_without_the_extra_the_fix_is_named(monkeypatch: pytest.MonkeyPatch, cap
 # --- the board's script, and the whole in a browser ---
 
 
+@pytest.mark.parametrize("p", [0.05, 0.1, 0.25, 0.5])
+def test_the_worst_threat_has_the_last_colour_of_the_scale(p: float) -> None:
+    play = quickjs.Function(
+        "play",
+        asset("picture.js", "analysis.studio")
+        + """
+      function make() { return { style: {} }; }
+      function play(p) {
+        let drawn = null;
+        const createImageData = (cols, rows) => ({ data: new Array(4 * cols * rows) });
+        const context = { createImageData, putImageData: (image) => { drawn = image.data; } };
+        const canvas = { getContext: () => context }, style = { setProperty: () => {} };
+        const box = { querySelector: () => canvas, style: {}, parentElement: { style } };
+        const layer = { name: "Threat", root: true, colours: ["#ffffff", "#ff8000", "#ff0000"] };
+        const palettes = { obstacle: "#000000", unreachable: "#0000ff", unknown: "#00ff00", layers: [layer] };
+        const picture = makePicture(box, { style: {}, replaceChildren: () => {} }, palettes);
+        picture.draw({ rows: 1, cols: 3, cells: new Float32Array([0, p, NaN]), unknown: [0, 0, 0] }, layer, null, 0);
+        return drawn;
+      }""",
+    )
+    assert play(p) == [255, 255, 255, 255, 255, 0, 0, 255, 0, 0, 0, 255]
+
+
 def test_the_board_paints_and_takes_back() -> None:
     play = quickjs.Function(
         "play",

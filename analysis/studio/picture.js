@@ -10,10 +10,10 @@ function makePicture(box, bar, palettes) {
   const place = (layer, part) => (layer.root ? Math.sqrt(part) : part);
   const value = (layer, at) => (layer.root ? at * at : at);
 
-  // The end of the threats' scale: one of a few, so that a stroke seldom changes the colours of all.
+  // The end of the threats' scale, float32 as cells are: one of a few, so that a stroke seldom changes all colours.
   function topOf(cells) {
     const largest = cells.reduce((most, p) => (p > most ? p : most), 0);
-    return [0.05, 0.1, 0.25, 0.5, 1].find((top) => largest <= Math.fround(top));
+    return [0.05, 0.1, 0.25, 0.5, 1].map(Math.fround).find((top) => largest <= top);
   }
   function scale(layer, largest) {
     bar.style.background = "linear-gradient(90deg," + layer.colours.filter((_, i) => i % 8 === 0).join(",") + ")";

@@ -164,8 +164,8 @@ def movers_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source
     return checked(Movers(own, members), source)
 
 
-def checked(movers: Movers, source: str) -> Movers:
-    """The same movers, if each of them can be. Raises WorldError."""
+def checked(movers: Movers, source: str, *, named: bool = True) -> Movers:
+    """The same movers, if each of them can be. `named`: errors say which one. Raises WorldError."""
     if not 0 < len(movers.members) <= MOST_MOVERS:
         expected = f"1 to {MOST_MOVERS}"
         raise WorldError(counted(len(movers.members), "mover"), source=source, expected=expected)
@@ -175,7 +175,7 @@ def checked(movers: Movers, source: str) -> Movers:
             CHANCE.check(f"{name}.{chance}", value, WorldError, source)
         problem = _misplaced(movers, mover)
         if problem:
-            raise WorldError(f"{name}: {problem[0]}", source=source, expected=problem[1])
+            raise WorldError(f"{name}: {problem[0]}" if named else problem[0], source=source, expected=problem[1])
     return movers
 
 

@@ -90,7 +90,7 @@ def _read_each(key: Key, world: World) -> list[Mover]:
         start = _cell(keys["start"], world)
     one = Mover(keys["h"].number(CHANCE), stay, start, route)
     with key.naming():
-        checked(Movers(world.threat, (one,)), world.source)
+        checked(Movers(world.threat, (one,)), world.source, named=False)
     return [one] * (keys["count"].number(whole(1, MOST_MOVERS)) if "count" in keys else 1)
 
 
