@@ -126,7 +126,7 @@ class Store:
     def label(self, key: str, what: Mapping[str, Label]) -> None:
         """Let a run be found by these labels too; those that it has stay as they are."""
         for row in self._rows(f"{_RUNS} WHERE key = ?", key):
-            if not what.keys() <= self._run(row).what.keys():
+            if not what.keys() <= self._said(row)[0].keys():
                 with told(self.path), transaction(self._connection):
                     self._add_run(key, row[1], dict(what), {})
 
@@ -191,10 +191,10 @@ class Store:
     def _add_run(self, key: str, identity: str, what: dict[str, Label], facts: Json) -> None:
         for row in self._rows(f"{_RUNS} WHERE key = ?", key):
             check_identity(key, row[1], identity, what, self.path)
-            held = self._run(row)
-            if all(name in held.what for name in what):
+            held, known = self._said(row)
+            if all(name in held for name in what):
                 return
-            what, facts = what | held.what, held.facts
+            what, facts = what | held, known
         texts = (key, identity, canonical(what), canonical(facts))
         self._connection.execute(
             "INSERT INTO runs VALUES (?, ?, ?, ?, ?) ON CONFLICT (key) DO UPDATE "
@@ -217,14 +217,18 @@ class Store:
         return left_out
 
     def _run(self, row: tuple[Any, ...]) -> Run:
-        key, _, what, facts, _ = row
-        if not _is_run(row):
-            raise damaged(self.path, f"run {str(key)[:12]}")
+        what, facts = self._said(row)
         sums, ids = None, []
-        for part, found in self._parts(key):
+        for part, found in self._parts(row[0]):
             ids += part
             sums = found if sums is None else add_sums(sums, found)
-        return Run(key, json.loads(what), json.loads(facts), joined(ids), sums)
+        return Run(row[0], what, facts, joined(ids), sums)
+
+    def _said(self, row: tuple[Any, ...]) -> tuple[dict[str, Label], Json]:
+        """A run's labels and facts, without reading its blocks. Raises StoreError for a damaged one."""
+        if not _is_run(row):
+            raise damaged(self.path, f"run {str(row[0])[:12]}")
+        return json.loads(row[2]), json.loads(row[3])
 
     def _parts(self, key: str) -> Iterator[tuple[Any, Any]]:
         """(ids, sums) of the blocks of a run. Raises StoreError for a damaged one."""
