@@ -19,6 +19,7 @@ from planner.plans.plan import FORMAT, Plan
 from planner.plans.state import MissionState
 from planner.policies.per_cell import PER_CELL
 from planner.settings import BEARING, BEST, Choices, Settings
+from planner.shown import counted
 from planner.worlds.learning import seeing
 from planner.worlds.world import EXAMPLE, World, check_starts
 
@@ -198,7 +199,7 @@ def _on_its_map(asked: Asked) -> tuple[Asked, Path | None]:
 def check_team(asked: Asked, robots: int, file: Path) -> None:
     """Raise UsageError for an option that asks for another number of robots than those of `file`."""
     if asked.robots is not None and asked.robots != robots:
-        problem = f"{argument('robots', asked.robots)} contradicts the {robots} robots of {file}"
+        problem = f"{argument('robots', asked.robots)} contradicts the {counted(robots, 'robot')} of {file}"
         raise UsageError(problem, fix="leave it out")
 
 

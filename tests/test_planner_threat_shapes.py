@@ -215,7 +215,7 @@ def test_a_polygon_between_the_centres_is_noted(tmp_path: Path) -> None:
     ("wrong", "names"),
     [
         (feature([SQUARE], 1), "features[0]: property p is 1"),
-        (feature([SQUARE], None), "property p is None"),
+        (feature([SQUARE], None), "property p is missing"),
         (feature([SQUARE], "high"), "'high'"),
         (feature([SQUARE], math.nan), "nan"),
         (feature(SQUARE, 0.1), "wrong coordinates"),

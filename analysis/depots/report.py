@@ -94,7 +94,8 @@ def findings(starts: Starts) -> Iterator[str]:
         number = counted(len(others), "other place")
         said = f"No significant difference from the {number} simulated"
         if starts.beaten:
-            said = f"It surely beats {starts.beaten} of the {number} simulated"
+            of_all = "the" if starts.beaten == len(others) else f"{starts.beaten} of the"
+            said = f"It surely beats {of_all} {number} simulated"
         of_value = "" if starts.world.value is None else " of the value"
         how = "exact" if starts.exact else "95 %, all together"
         yield f"{said} ({how}); the worst covers {percent(worst)}{of_value}."

@@ -59,7 +59,7 @@ def parse_plan(data: object, world: World, source: str) -> Plan:
     if data.get("format") == FORMAT:
         return _own_plan(top, world)
     if "paths" not in data:
-        problem = f"has the format {reprlib.repr(data.get('format'))}, and no paths"
+        problem = f"has the format {reprlib.repr(data['format'])}, and no paths" if "format" in data else "has no paths"
         raise top.fault(problem, f'"format": "{FORMAT}", or "paths": [[[row, col], ...], ...] of another planner')
     keys = top.mapping(("paths",), (*POLICY, *BEARING), strict=False)
     for name in POLICY:

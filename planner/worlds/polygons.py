@@ -103,7 +103,8 @@ def read_shapes(path: Path, of: Quantity = THREAT) -> Shapes:
 def _number(value: object, default: float | None, index: int, path: Path, of: Quantity) -> float:
     value = default if value is None else value
     if not of.numbers.accepts(value):
-        problem = f"features[{index}]: property {of.name} is {reprlib.repr(value)}"
+        said = "missing" if value is None else reprlib.repr(value)
+        problem = f"features[{index}]: property {of.name} is {said}"
         raise MapError(problem, source=path, expected=of.numbers.expected, fix=f"or give {of.name} in the scenario")
     return float(value)  # type: ignore[arg-type]
 

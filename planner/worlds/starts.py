@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.arguments import argument, whole
 from planner.errors import UsageError
+from planner.shown import counted
 from planner.worlds.world import MAX_ROBOTS, World, check_starts
 
 RULES = ("upper-left",)
@@ -23,7 +24,7 @@ def check_same_team(robots: int | None, starts: NDArray[np.int64], where: str) -
     check_robots(robots)
     if robots is not None and robots != len(starts):
         raise UsageError(
-            f"{argument('robots', robots)} contradicts the {len(starts)} starts of {where}",
+            f"{argument('robots', robots)} contradicts the {counted(len(starts), 'start')} of {where}",
             fix=f"leave {argument('robots')} out, or give as many {argument('starts')}",
         )
 
