@@ -60,6 +60,15 @@ def test_sentences_say_the_exact_value_where_it_is_known() -> None:
     assert row.removeprefix("  robots lost ").strip().startswith(f"{lost} of 3") and "exact" in row
 
 
+def test_advice_says_of_the_plan_what_the_headline_says() -> None:
+    """Not what 64 rollouts came to, where all is known."""
+    answer = mrac.evaluate(WORLD, mrac.plan(WORLD, starts=STARTS), rollouts=64, **QUIET | {"advice": True})
+    _, coverage, losses = answer.outputs["advice"].now
+    told = [(coverage, answer.visited), (losses, answer.losses)]
+    assert all((now.mean, now.ci95) == (shown.mean, shown.ci95) and now.half_width == 0 for now, shown in told)
+    assert losses.mean != pytest.approx(answer.tally.alive @ np.arange(3, -1, -1) / 64)
+
+
 @pytest.mark.parametrize("seed", [3, 8])
 def test_chances_and_quantiles_are_those_of_a_brute_force_enumeration(seed: int) -> None:
     """Whatever the few rollouts are like: every figure, the curve, the histogram, the words and the JSON."""

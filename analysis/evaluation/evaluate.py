@@ -85,7 +85,7 @@ def evaluate(
         partial = True
     if last is None:
         raise KeyboardInterrupt
-    run = Run(world, plan, choices, last, roll_out, exact, closed is not None, certain, kept, tell, begin)
+    run = Run(world, plan, choices, last, roll_out, exact, closed, certain, kept, tell, begin)
     outputs: dict[str, Output] = {}
     for key, value in wanted.items():
         if OUTPUTS[key].own_rollouts and partial:

@@ -20,7 +20,7 @@ from analysis.kit.words import percent
 from analysis.page.series import Chart, Series
 from analysis.statistics.control import tally_mean
 from analysis.statistics.coverage import losses_said
-from analysis.statistics.estimate import Estimate
+from analysis.statistics.estimate import Estimate, exactly
 from analysis.tradeoff.front import Point, settings_of
 from analysis.tradeoff.rules import Figures, Goal, Setting, efficient, knee
 from analysis.tradeoff.search import quick_points
@@ -71,8 +71,9 @@ class Advice(Output):
         settings, robots, tally = run.plan.require(run.world), len(run.plan.robots), run.last.tally
         rollouts = int(np.clip(min(done // SHARE, CELLS // tally.accessible), LEAST, MOST))
         choices = replace(run.choices, rollouts=rollouts, precision=None, deadline=None, engine="numba")
-        losses = tally_mean(tally, "lost")
-        coverage = tally_mean(tally, "visited", 1.0 / tally.accessible)
+        coverage, losses = tally_mean(tally, "visited", 1.0 / tally.accessible), tally_mean(tally, "lost")
+        if run.closed is not None and run.closed.alive is not None:  # as the headline says them
+            coverage, losses = exactly(run.closed.visited.value / tally.accessible), exactly(robots - run.closed.alive)
         now = Setting(settings.rule.name, settings.reserve, settings.worth, settings.deadline)
         try:
             points = quick_points(

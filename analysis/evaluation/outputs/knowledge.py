@@ -114,7 +114,7 @@ class Knowledge(Output):
         done = run.last.tally.rollouts
         count = max(min(done, LEAST), done // len(ranges))
         choices = replace(run.choices, rollouts=count, precision=None, seconds=None, deadline=None)
-        if not run.known:  # a tree that is too dear for the team itself is for the others too
+        if run.closed is None:  # a tree that is too dear for the team itself is for the others too
             choices = replace(choices, exact="never")
         trials = []
         for far in ranges:

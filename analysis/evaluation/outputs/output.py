@@ -16,6 +16,7 @@ from analysis.page.series import Chart, Series
 from analysis.report.blocks import Pictured
 from analysis.sampling import RollOut, RolloutChoices, Stage
 from analysis.theory.exact import OpenLoopExact
+from analysis.theory.truth import ClosedTruth
 from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan
 from planner.worlds.world import World
@@ -30,7 +31,7 @@ class Run:
 
     Attributes:
         world, plan, choices: what was rolled out. last: where it stands. roll_out: rolls it out again.
-        exact: the open loop's expected values. known: the closed loop's are known exactly too.
+        exact: the open loop's expected values. closed: the closed loop's where they are known exactly, else None.
         certain: every run is the same. kept: tables for other plans of this map.
         progress, doing: told how far it has come, and in words what begins.
     """
@@ -41,7 +42,7 @@ class Run:
     last: Stage
     roll_out: RollOut
     exact: OpenLoopExact
-    known: bool
+    closed: ClosedTruth | None
     certain: bool
     kept: AllPairs
     progress: Progress
