@@ -207,7 +207,7 @@ def test_text_in_a_column_of_numbers_is_no_zero(folder: Path, key: str) -> None:
             database.commit()
         (folder / "b.dbf").write_bytes(table.replace(b"0.500000000000000", f"{word:>17}".encode()))
         for name in ("b.gpkg", "b.shp"):
-            said = f"'{word}', which is no number" if word or name == "b.gpkg" else "None"
+            said = f"'{word}', which is no number" if word or name == "b.gpkg" else "missing"
             with pytest.raises(InputError, match=rf"{name}: features\[1\]: property {key} is {said}"):
                 threat(folder, **{"threats" if key == "p" else key: [{"polygons": name}]})
 
