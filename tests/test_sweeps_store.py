@@ -106,6 +106,17 @@ def test_blocks_grow_and_nothing_counts_twice(store: Store) -> None:
     assert len(store) == 1 and blocks_of(store) == [500 - 104, 104]
 
 
+def test_a_block_is_added_without_reading_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else a sweep of many blocks would take the square of their number."""
+    with Store.open(tmp_path / "a.store") as store:
+        store.add(results_of((0, 40)))
+        with monkeypatch.context() as patched:
+            patched.delattr(Store, "_parts")
+            store.add(results_of((40, 100)))
+            store.label(key_of(), {"of": "another sweep"})
+        assert blocks_of(store) == [100]
+
+
 def test_overlap_keeps_the_larger_and_says_what_is_to_be_run_again(store: Store) -> None:
     store.add(results_of((0, 200)))
     assert store.add(results_of((100, 250))) == {key_of(): ((200, 250),)}
