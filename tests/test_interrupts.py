@@ -77,6 +77,46 @@ def test_interrupted_in_code_that_is_text(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (130, "interrupted\n")
 
 
+MADE_ANOTHER_ERROR = """
+import os, signal, sys
+import analysis.cli.app
+from mrac_jax.__main__ import main
+
+def run():
+    try:
+        if sys.argv[1] == "interrupted":
+            os.kill(os.getpid(), signal.SIGINT)
+        raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        raise TypeError("no fitting overload") from None
+
+analysis.cli.app.run = run
+main()
+"""
+
+
+@pytest.mark.parametrize(("how", "status", "said"), [("interrupted", 130, "interrupted\n"), ("not", 1, "overload\n")])
+def test_an_interrupt_of_which_native_code_makes_another_error(how: str, status: int, said: str) -> None:
+    command = [sys.executable, "-c", MADE_ANOTHER_ERROR, how]
+    done = subprocess.run(command, capture_output=True, text=True, env=ENVIRONMENT, timeout=60)
+    assert done.returncode == status and done.stderr.endswith(said) and (status == 1) == ("Traceback" in done.stderr)
+
+
+SPLITTING = """
+import analysis.cli.app
+from mrac_jax.__main__ import main
+
+def run():
+    import numpy as np  # of which some builds begin threads: so after `main` blocked SIGTERM
+    from planner.mrac.partition import metis_parts
+
+    print("splits", flush=True)
+    while True:
+        metis_parts((300, 300), np.arange(300 * 300), 7)
+
+analysis.cli.app.run = run
+main()
+"""
 SPEC = "base: {kind: contiguous, size: 8x11, ratio: 0.2}\nmaps: 100000\nrollouts: 30\n"
 SWEEP = ENDS_WITH_US + "import sys; sys.argv[0] = 'mrac-jax'; from mrac_jax.__main__ import main; main()"
 WORDS = [sys.executable, "-c", SWEEP, "sweep", "a.yaml", "--processes", "2"]
@@ -138,6 +178,20 @@ def interrupt_sweeps(folder: Path, times: int, span: float) -> None:
         assert none_left(children, 5)
     with Store.open(folder / "a.store") as store:
         assert all(store.tally(run.key) is not None for run in store.runs())
+
+
+@pytest.mark.parametrize("after", [0.1, 0.2])
+def test_sigterm_is_an_interrupt_while_metis_splits(after: float) -> None:
+    splitting = subprocess.Popen(
+        [sys.executable, "-c", SPLITTING], env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert splitting.stdout is not None and splitting.stdout.readline() == "splits\n"
+        time.sleep(after)
+        splitting.terminate()
+        assert splitting.communicate(timeout=60)[1] == "interrupted\n" and splitting.returncode == 130
+    finally:
+        splitting.kill()
 
 
 def test_ctrl_c_ends_a_sweep_which_opens_no_socket(tmp_path: Path) -> None:

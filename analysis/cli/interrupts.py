@@ -3,7 +3,8 @@
 Python raises KeyboardInterrupt between any two steps of the main thread. Where that is within a callback of the garbage
 collector (JAX registers one that runs at every collection), within a `__del__`, or in one that compiled code calls,
 nobody can catch it: it goes to `sys.unraisablehook`, which prints it, and the program runs on. Here it is sent again, a
-moment later and as often as it takes, until it is raised where it ends what runs.
+moment later and as often as it takes, until it is raised where it ends what runs. Native code that looks for a fitting
+overload makes a TypeError of it: so whoever gets an error can ask whether an interrupt came before.
 """
 
 from __future__ import annotations
@@ -12,13 +13,21 @@ import os
 import signal
 import sys
 import threading
+from types import FrameType
 
 AGAIN_SECONDS = 0.02
 
 
-def keep_interrupts() -> None:
-    """From now on, send interrupts again that were raised where nothing can catch them, in place of printing them."""
-    others = sys.unraisablehook
+def keep_interrupts() -> threading.Event:
+    """From now on, send interrupts again that were raised where nothing can catch them, in place of printing them.
+
+    What is returned is set once one came.
+    """
+    others, came = sys.unraisablehook, threading.Event()
+
+    def handler(number: int, frame: FrameType | None) -> None:
+        came.set()
+        signal.default_int_handler(number, frame)
 
     def hook(lost: sys.UnraisableHookArgs) -> None:
         if not issubclass(lost.exc_type, KeyboardInterrupt):
@@ -29,3 +38,5 @@ def keep_interrupts() -> None:
         timer.start()
 
     sys.unraisablehook = hook
+    signal.signal(signal.SIGINT, handler)
+    return came
