@@ -9,9 +9,10 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
+from types import FrameType
 
 import pytest
 from mcap.reader import make_reader
@@ -161,6 +162,42 @@ def test_an_interrupt_at_any_moment_leaves_a_valid_log(tmp_path: Path) -> None:
         assert found.partial == "interrupted" and len(list(found.messages())) == len(said)
         lengths.add(len(said))
     assert len(lengths) > 5
+
+
+def interrupted_at(line: int) -> Callable[[FrameType, str, object], object]:
+    """A tracer that raises KeyboardInterrupt before the given line, counted from 0, that `_finish` and below run."""
+    left = [line]
+
+    def trace(frame: FrameType, event: str, _: object) -> object:
+        if frame.f_code.co_name not in ("_finish", "flush", "_put"):
+            return None
+        if event == "line":
+            left[0] -= 1
+            if left[0] < 0:
+                raise KeyboardInterrupt
+        return trace
+
+    return trace
+
+
+def test_an_interrupt_while_a_log_is_finished_leaves_a_whole_one(tmp_path: Path) -> None:
+    for line in range(100):
+        path, found = tmp_path / f"{line}.mcap", None
+        try:
+            with LogWriter(path, discard=True) as log:
+                log.write(log.channel("/x", POSE), 7, b"1")
+                before = sys.gettrace()
+                sys.settrace(interrupted_at(line))
+        except KeyboardInterrupt as error:
+            found = error
+        finally:
+            sys.settrace(before)
+        assert [one.name for one in tmp_path.iterdir()] == [path.name] and log.placed == path
+        assert len(heard(path)) == 1 and open_log(path).partial == ""
+        path.unlink()
+        if found is None:
+            break
+    assert 30 < line < 99
 
 
 WRITES_UNTIL_KILLED = """

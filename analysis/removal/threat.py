@@ -140,8 +140,10 @@ class Turn:
         rest = f"the other {len(others)}" if len(others) > 1 else "the other one"
         if len(close) == len(others):
             return f"No significant difference from {rest} ({how}): {alike}."
-        said = f"It is surely {more} than {f'{len(others) - len(close)} of ' if close else ''}{rest} ({how})"
-        return f"{said}; no significant difference from {alike}." if close else f"{said}."
+        if not close:
+            return f"It is surely {more} than {rest} ({how})."
+        beaten = len(others) - len(close)
+        return f"It is surely {more} than {beaten} of {rest} ({how}); no significant difference from {alike}."
 
 
 def by_cell(

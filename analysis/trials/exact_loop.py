@@ -28,7 +28,8 @@ SLACK = 1e-4
 EFFORT = 3e8
 """Histories of a tree times cells that take about a second: so much is done on every machine, busy or not."""
 LARGE = 8
-"""Robots above which a history takes longer, by their number, and by its cube where they come home (64: 366 times)."""
+"""Robots above which a history takes longer, by their number, and by its cube where they come home (64: 366 times) or
+do not hear each other everywhere (35: 40 times)."""
 MOST_CELLS = 5_000
 """Of maps whose tables are worth it."""
 
@@ -117,7 +118,7 @@ def tree_of(loop: ClosedLoop, seconds: float, slack: float = SLACK, fine_seconds
     `fine_seconds`: a tree that takes no longer is grown until next to nothing is left.
     """
     cells = loop.accessible
-    slower = max(loop.robots / LARGE, 1.0) ** (3 if loop.comes_home else 1)
+    slower = max(loop.robots / LARGE, 1.0) ** (3 if loop.comes_home or len(loop.tables.reach) else 1)
     most, cheap = (
         max(int(time * EFFORT / cells / slower), 2) if cells <= MOST_CELLS else 2 for time in (seconds, fine_seconds)
     )

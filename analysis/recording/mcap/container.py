@@ -129,6 +129,11 @@ class LogWriter:
                     self._finish(self.path)
                 except InputError as unfinished:
                     error = unfinished
+                except KeyboardInterrupt:  # all is there: it ends the run once the file is whole
+                    if not self._stream.closed:
+                        self._take_back()
+                    self._finish(self.path)
+                    raise
             elif self.discard:
                 self.partial.unlink(missing_ok=True)
             else:
@@ -227,15 +232,18 @@ class LogWriter:
         self._waiting = 0
 
     def _finish(self, target: Path) -> None:
-        """The last chunk, the summary and the footer; then the file takes its place."""
-        self.flush()
-        self._put(bytes_of(records.DataEnd(self._written.crc)))
-        schemas, channels = [*self._schemas.values()], [*self._channels.values()]
-        self._put(closing(self._written.offset, schemas, channels, self._indexes))
+        """The last chunk, the summary and the footer; then the file takes its place. Goes on if interrupted."""
         with self._told():
-            os.fsync(self._stream.fileno())
-            self._stream.close()
-            self.partial.replace(target)
+            if not self._stream.closed:
+                self.flush()
+                end = bytes_of(records.DataEnd(self._written.crc))
+                schemas, channels = [*self._schemas.values()], [*self._channels.values()]
+                self._stream.write(end + closing(self._written.offset + len(end), schemas, channels, self._indexes))
+                self._stream.flush()
+                os.fsync(self._stream.fileno())
+                self._stream.close()
+            if self.partial.exists():
+                self.partial.replace(target)
             self.placed = target
 
     def _put(self, data: bytes, index: Index | None = None, chunk: OpenChunk | None = None) -> None:
