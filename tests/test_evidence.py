@@ -72,6 +72,8 @@ def test_what_is_older_than_its_code_is_named(tmp_path: Path) -> None:
     rows["test_d"] = replace(rows["test_d"], commit=rows["test_d"].commit + "+")
     said = ["test_b: 1 failed, 3 passed", "test_d: run with changes that were not committed", "test_e: never run"]
     assert list(stale(rows, tmp_path)) == said
+    (tmp_path / "planner/two.py").write_text('"""Two."""\n\nA = 1  # or more\n"""As it was."""\n')
+    assert list(stale(rows, tmp_path)) == said
     (tmp_path / "planner/two.py").write_text("A = 2\n")
     assert "test_c: older than the code that it covers (planner/two.py)" in list(stale(rows, tmp_path))
 
