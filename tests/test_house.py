@@ -249,3 +249,9 @@ def test_no_script_and_no_style_is_there_that_no_page_uses() -> None:
 
 def pages(*suffixes: str) -> Iterator[Path]:
     return (path for suffix in suffixes for path in (ROOT / "analysis").rglob(f"*.{suffix}"))
+
+
+def test_no_table_of_a_page_is_cut_by_an_empty_line() -> None:
+    for path in (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")):
+        for table in re.findall(r"(?<=\n\n)\|.*\n.*", path.read_text(encoding="utf-8")):
+            assert re.fullmatch(r"[|: -]+", table.splitlines()[1]), f"{path}: {table}"
