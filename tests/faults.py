@@ -93,7 +93,7 @@ class Running:
         out = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         if anew:
             line = [sys.executable, "-m", "mrac_jax", *words.split()]
-            env = os.environ | {"PYTHONPATH": str(ROOT)}
+            env = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONFAULTHANDLER": "1"}
             self.pid = subprocess.Popen(line, cwd=folder, stdin=-3, stdout=out, stderr=out, env=env,
                                         start_new_session=True).pid  # fmt: skip
         elif not (pid := os.fork()):
@@ -110,6 +110,7 @@ class Running:
             for number, to in enumerate((os.open(os.devnull, os.O_RDONLY), out, out)):
                 os.dup2(to, number)
             signal.signal(signal.SIGINT, signal.default_int_handler)
+            faulthandler.enable()
             faulthandler.register(signal.SIGUSR1)
             sys.argv = ["mrac-jax", *self.words.split()]
             before()

@@ -12,6 +12,7 @@ from analysis.trials.told import told_of_hazards
 from planner.errors import UsageError
 from planner.luck import hazards_met
 from planner.mrac.reference import ReferenceLoop
+from planner.plans.plan import is_certain
 from planner.worlds.generate import ThreatPattern, random_world
 
 SITE = random_world(7, 7, ThreatPattern("scattered", 3, (0.1, 0.3), 5), obstacles=0.1, threats=0.4)
@@ -62,6 +63,17 @@ def test_who_has_nothing_to_learn_is_told_and_blind_alike():
     for other in (found.told, found.blind):
         assert (other.column("visited") == found.learning.column("visited")).all()
     assert found.bits == (0.0, 0.0)
+
+
+def test_who_hears_nothing_may_take_what_the_plan_left_out():
+    q = np.array([[0, 0, 0], [0, 0, 0.5]])
+    world = mrac.with_hazard(mrac.load(np.zeros((2, 3))), "persistent", q, 0.5, learn=True)
+    world = mrac.with_sense(world, {"range": 2, "detect": 0.9, "false_alarm": 0.1})
+    plan = mrac.plan(world, starts=[[0, 0]], policy="per_cell", worth=20)
+    assert is_certain(world, plan, "open") and not is_certain(world, plan)
+    answer = mrac.evaluate(world, plan, rollouts=300, **QUIET)
+    assert answer.tally.rollouts == 300 and 50 < answer.tally.visited[6] < 250
+    assert answer.exact.visited is None and answer.visited.mean * 6 == 5 + answer.tally.visited[6] / 300
 
 
 def test_others_have_no_such_figure():

@@ -15,6 +15,7 @@ import mrac_jax as mrac
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.knowledge import Knowledge
 from analysis.evaluation.runs import run_of, runs
+from analysis.recording.replay import replay
 from analysis.sampling import RolloutChoices
 from analysis.theory.longest import longest_run
 from analysis.trials.told import MOST_MAPS
@@ -68,6 +69,34 @@ def test_one_robot_that_learns_may_take_longer_than_its_plan() -> None:
     plan = mrac.plan(world)
     longest = make_engine(plan, world, Rolling("closed")).results(0, COUNT).time.max()
     assert plan.time < longest <= longest_run(world, plan, "closed")
+
+
+def test_what_one_robot_that_learns_covers_is_not_its_plan_s() -> None:
+    world = mrac.with_prior(TOLD.with_starts([[0, 0]]), 0.04, sense=1)
+    plan, blind = mrac.plan(world), mrac.with_sense(DARK.with_starts([[0, 0]]), 0)
+    found = mrac.evaluate(world, plan, exact="never", rollouts=COUNT, advice=False, band=False)
+    assert found.exact.visited is None and found.exact.time is None
+    assert found.visited.mean * found.visited.covered.cells == pytest.approx(visited(world, plan, COUNT).mean())
+    tree = mrac.evaluate(world, plan, rollouts=COUNT, advice=False, band=False).exact.visited
+    by_plan = mrac.evaluate(blind, rollouts=COUNT, advice=False, band=False).exact.visited
+    assert tree is not None and by_plan is not None and tree.mean > by_plan.mean + 0.03
+    both = mrac.compare((world, plan), (blind, mrac.plan(blind)), rollouts=COUNT)
+    assert both.a.exact is not None and both.b.exact is not None
+    assert (both.a.exact[0], both.b.exact[0]) == pytest.approx((tree.cells, by_plan.cells))
+
+
+def test_a_start_that_is_falsely_believed_an_obstacle(tmp_path: Path) -> None:
+    world = mrac.with_truth(mrac.load(np.array([[np.nan, 0, 0], [0, 0.2, 0]])), np.array([[0, 0, 0], [0, 0.2, 0]]), 1)
+    world = world.with_starts([[0, 0]])
+    world.save(tmp_path / "a.npz")
+    again = mrac.load(tmp_path / "a.npz")
+    assert again.starts is not None and again.starts.tolist() == [[0, 0]]
+    plan = mrac.plan(again)
+    plan.save(tmp_path / "plan.json")
+    answer = mrac.evaluate(again, tmp_path / "plan.json", advice=False)
+    assert answer.visited.mean == 1 and "index.html" in {path.name for path in answer.save(tmp_path / "out")}
+    mrac.record(again, plan, path=tmp_path / "a.mcap", ids=[0])
+    assert replay(tmp_path / "a.mcap").identical
 
 
 def test_small_teams_are_known_exactly() -> None:

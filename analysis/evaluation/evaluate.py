@@ -24,7 +24,7 @@ from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan, is_certain
 from planner.tally import Outcome, Tally
-from planner.worlds.doubt import Hazard, Uncertain
+from planner.worlds.doubt import Uncertain
 from planner.worlds.world import World
 
 FINE_SECONDS = 0.2
@@ -134,7 +134,7 @@ def _wanted(choices: RolloutChoices, asked: dict[str, Any], world: World) -> dic
     given = {
         "deadline": choices.deadline,
         "knowledge": None if world.knowledge is None else (world.knowledge.sense.range,),
-        "experience": isinstance(world.doubt, Hazard) and world.doubt.learn,
+        "experience": world.learned_hazard is not None,
         "map_doubt": isinstance(world.doubt, Uncertain),
         "turn": world.pace.turn or None,
         "value": _metrics(world),

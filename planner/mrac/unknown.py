@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planner.worlds.doubt import Hazard, Uncertain
+from planner.worlds.doubt import Uncertain
 from planner.worlds.evidence import Evidence
 from planner.worlds.knowledge import Knowledge
 from planner.worlds.learning import as_planned
@@ -92,8 +92,8 @@ class Unknown:
 def unknown_of(world: World, starts: NDArray[np.int64], most: int) -> Unknown | None:
     """Of robots at `starts` `[K, 2]` and at most so many levels; None where they are told the map."""
     known = world.knowledge
-    if isinstance(world.doubt, Hazard) and world.doubt.learn:
-        return _of_hazards(world, world.doubt.evidence, starts, most)
+    if world.learned_hazard is not None:
+        return _of_hazards(world, world.learned_hazard.evidence, starts, most)
     if world.phases is not None and world.phases.told:
         return _of_phases(world, world.phases, starts, most)
     if known is None:

@@ -312,9 +312,9 @@ def is_certain(world: World, plan: Plan, loop: str = "closed") -> bool:
     """Whether nothing can happen: no robot's planned path enters a dangerous cell, so every run of both loops is it.
 
     Not where threats move. Of another planner's paths only the open loop's runs are: in the closed loop robots go on
-    from their ends. Nor is it known of robots that learn the map where they go.
+    from their ends. Nor is it known of robots that learn the map, or about a hazard, where they go.
     """
-    unknown = plan.is_foreign or world.knowledge is not None
+    unknown = plan.is_foreign or world.knowledge is not None or world.learned_hazard is not None
     if world.movers is not None or (loop == "closed" and unknown):
         return False
     if world.draws is not None:

@@ -193,8 +193,11 @@ def _refuse_entry(given: list[Any], robot: int, world: World, source: str) -> No
 
 
 def _check_drivable(cells: NDArray[np.int64], robot: int, world: World, source: str) -> None:
-    """PlanError at the first obstacle on a path of (row, col), int64 `[steps + 1, 2]`, or at its first jump."""
-    blocked = np.flatnonzero(np.isnan(world.threat[cells[:, 0], cells[:, 1]]))
+    """PlanError at the first obstacle on a path of (row, col), int64 `[steps + 1, 2]`, or at its first jump.
+
+    What is falsely believed to be one is none: robots have seen where they start.
+    """
+    blocked = np.flatnonzero(~world.enterable[cells[:, 0], cells[:, 1]])
     if len(blocked):
         step = int(blocked[0])
         raise PlanError(

@@ -78,7 +78,7 @@ def _cells_in(key: Key, given: list[Any], world: World) -> NDArray[np.int64]:
         expected = f"cells of the map: the index row * {width} + col, 0..{height * width - 1}, or [row, col]"
         raise key.fault(f"holds {reprlib.repr(wrong)}, no cell of the map", expected)
     cells = np.array(found, dtype=np.int64)
-    blocked = cells[~world.free.ravel()[cells]]
+    blocked = cells[~world.enterable.ravel()[cells]]
     if len(blocked):
         raise key.fault(f"holds cell {at(blocked[0], world)}, an obstacle", "free cells")
     return cells

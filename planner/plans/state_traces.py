@@ -177,7 +177,7 @@ def _cells(table: Table, world: World) -> tuple[NDArray[np.int64], NDArray[np.bo
             problem = f"line {line}: {', '.join(given)[:60]!r} is no cell of the map"
             raise MapError(problem, source=path, expected=f"row 0..{height - 1} and col 0..{width - 1}")
         cells = places.astype(np.int64) @ (width, 1)
-        blocked = ~world.free.ravel()[cells]
+        blocked = ~world.enterable.ravel()[cells]
         if blocked.any():
             line, given = table.rows[int(np.argmax(blocked))]
             raise MapError(f"line {line}: {', '.join(given)[:60]!r} is an obstacle", source=path, expected="free cells")
@@ -185,7 +185,7 @@ def _cells(table: Table, world: World) -> tuple[NDArray[np.int64], NDArray[np.bo
     pixels = world.to_cells(_metres(table, world))
     on = world.frame.holds(pixels)
     cells = np.where(on, pixels[:, 0] * width + pixels[:, 1], 0)
-    return cells, on & world.free.ravel()[cells]
+    return cells, on & world.enterable.ravel()[cells]
 
 
 def _metres(table: Table, world: World) -> NDArray[np.float64]:

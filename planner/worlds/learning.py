@@ -59,8 +59,8 @@ def with_sense(world: World, sense: Given) -> World:
 
     Of robots that learn about hazards: a detector, `{range, sight, detect, false_alarm}`.
     """
-    if isinstance(world.doubt, Hazard) and world.doubt.learn:
-        return replace(world, doubt=replace(world.doubt, detector=make_detector(sense, world.source)))
+    if world.learned_hazard is not None:
+        return replace(world, doubt=replace(world.learned_hazard, detector=make_detector(sense, world.source)))
     if world.knowledge is None and not isinstance(world.doubt, Uncertain):
         problem = "robots are told the map, and there is nothing to sense"
         hazard = "give the hazard `learn: true`" if isinstance(world.doubt, Hazard) else ""
@@ -84,7 +84,8 @@ def _check_plain(world: World) -> None:
 def _knowing(world: World, belief: NDArray[np.float32], truth: NDArray[np.float32], sense: Given) -> World:
     if world.doubt is not None and not isinstance(world.doubt, Uncertain):
         problem = f"robots would have to learn from what happens to them; here: {world.doubt.said}"
-        fix = f"leave `{'hazard' if world.movers is None else 'movers'}` out, or `truth`, `prior` and `sense`"
+        named = "phases" if world.phases is not None else "hazard" if world.movers is None else "movers"
+        fix = f"leave `{named}` out, or `truth`, `prior` and `sense`"
         raise WorldError(problem, source=world.source, fix=fix)
     looks = make_sense(sense, world.source)
     if isinstance(world.doubt, Uncertain) and not world.doubt.whole and looks.range > 0:
@@ -115,8 +116,8 @@ def read_knowledge(keys: dict[str, Key], world: World, load: Callable[[Path], Wo
             world = with_prior(world, prior["p"].number(PROBABILITY), obstacles, inf)
     key = keys.get("sense", keys[named[0]])
     with key.naming():
-        learns = isinstance(world.doubt, Hazard) and world.doubt.learn
-        return with_sense(world, _sense(keys["sense"], DETECTS if learns else ()) if "sense" in keys else 0)
+        further = () if world.learned_hazard is None else DETECTS
+        return with_sense(world, _sense(keys["sense"], further) if "sense" in keys else 0)
 
 
 def _plain_input(key: Key) -> Path:

@@ -70,7 +70,8 @@ def _is_of_the_map(key: Key) -> bool:
 def _threats_that_walk(key: Key, world: World) -> list[Mover]:
     """A walker for each dangerous cell of the map, with its p as h."""
     keys = key.mapping(("walk", "h"))
-    keys["h"].choice((THREATS,))
+    if keys["h"].value != THREATS:
+        raise keys["h"].wrong(f"{CHANCE.expected}, or {THREATS}")
     stay = keys["walk"].number(CHANCE, STAYS)
     return [Mover(float(p), stay) for p in world.threat[world.threat > 0]]
 

@@ -224,6 +224,22 @@ class World:
             raise PlanError(problem, expected="one type, or one for each robot")
         return tuple(self._of_types[self.types.number(name)] for name in names)
 
+    @property
+    def enterable(self) -> NDArray[np.bool_]:
+        """bool `[H, W]`: cells that are not obstacles both in truth and to robots that have seen nothing."""
+        return self.free | ~np.isnan(self.met)
+
+    @property
+    def learned_hazard(self) -> Hazard | None:
+        """The hazard that robots learn about, if they do."""
+        return self.doubt if isinstance(self.doubt, Hazard) and self.doubt.learn else None
+
+    @property
+    def is_learned(self) -> bool:
+        """Whether robots may come to believe another map on their way: they look about, or learn about a hazard."""
+        looks = self.knowledge is not None and self.knowledge.sense.range > 0
+        return looks or self.learned_hazard is not None
+
     def check_settled(self, what: str, or_else: str = "") -> None:
         """Raise WorldError if the map is in doubt: `what` presumes one known map, every visit drawn for itself.
 
@@ -240,8 +256,8 @@ class World:
 
     def check_told(self, what: str, or_else: str = "") -> None:
         """Raise WorldError if robots are not told the map, or learn about it; arguments as of `check_settled`."""
-        if isinstance(self.doubt, Hazard) and self.doubt.learn:
-            problem = f"{what} presumes robots that learn nothing; here: {self.doubt.said}"
+        if self.learned_hazard is not None:
+            problem = f"{what} presumes robots that learn nothing; here: {self.learned_hazard.said}"
             raise WorldError(problem, source=self.source, fix="leave `learn` out" + or_else)
         if self.phases is not None and self.phases.told:
             problem = f"{what} presumes threats that robots know beforehand; here: {self.phases.said}"
@@ -479,10 +495,12 @@ def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
         raise MapError(f"holds {sorted(arrays)}", source=source, expected="an array named 'threat'")
     size, origin = arrays.get("cell_size", 1.0), arrays.get("origin", np.zeros(3))
     place = _georeference(arrays, source) if "crs" in arrays else None
-    world = World.create(arrays["threat"], arrays.get("starts"), size, origin, source, georeference=place)
+    world = World.create(arrays["threat"], None, size, origin, source, georeference=place)
     if "truth" in arrays:
         truth = _checked_threat(arrays["truth"], f"{source}: truth")[0]
         world = replace(world, knowledge=knowledge_in({**arrays, "truth": truth}, world.threat, source))
+    if "starts" in arrays:
+        world = replace(world, starts=check_starts(arrays["starts"], world.met, source))
     changing = movers_in(arrays, world.met, source) or phases_in(arrays, world.met, source)
     doubt, types = changing or doubt_in(arrays, world.met, source), types_in(arrays, world.free, source)
     world = replace(world, doubt=doubt, measured="cell_size" in arrays, types=types)

@@ -65,7 +65,7 @@ class Experience(Output):
 
     @classmethod
     def check(cls, asked: Any, world: World) -> None:
-        if not isinstance(world.doubt, Hazard) or not world.doubt.learn:
+        if world.learned_hazard is None:
             fix = "give the scenario `hazard: {..., learn: true}`"
             raise UsageError(argument("experience", asked), expected="robots that learn about hazards", fix=fix)
 

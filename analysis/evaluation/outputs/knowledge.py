@@ -12,6 +12,8 @@ from itertools import pairwise
 from math import inf, isinf
 from typing import Self
 
+import numpy as np
+
 from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.kit.tables import make_table
 from analysis.kit.words import percent
@@ -38,7 +40,7 @@ LEAST = 1024
 
 def parse_ranges(text: str | None) -> tuple[float, ...]:
     """The ranges of "0,1,2,inf"; raises UsageError for what is no such list."""
-    found = numbers_of("sense", text, 'ranges in cells, such as "0,1,2,inf"') if text else ()
+    found = numbers_of("sense", text, 'ranges in cells, such as "0,1,2,inf"') if text is not None else ()
     if len(found) > MOST_RANGES:
         raise UsageError(f"{argument('sense')} has {len(found)} ranges", expected=f"{MOST_RANGES} at most")
     for one in found:
@@ -220,4 +222,7 @@ def _believed(world: World, plan: Plan) -> CellLayer:
     same = world.knowledge is not None and world.knowledge.may_be_blind(world.free)
     dark = "They know the obstacles." if same else "Dark: the true obstacles, of which they believe otherwise."
     about = f"The chance that one visit stops a robot, as robots think before they see anything. {dark}"
-    return replace(threat_layer(replace(world, knowledge=None, doubt=None), plan), name="As believed", about=about)
+    threat, (rows, cols) = world.threat.copy(), plan.starts.T
+    threat[rows, cols] = np.nan_to_num(threat[rows, cols])  # nobody stands on an obstacle, whatever else is believed
+    believed = replace(world, threat=threat, knowledge=None, doubt=None)
+    return replace(threat_layer(believed, plan), name="As believed", about=about)
