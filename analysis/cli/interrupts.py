@@ -18,10 +18,11 @@ from types import FrameType
 AGAIN_SECONDS = 0.02
 
 
-def keep_interrupts() -> threading.Event:
+def keep_interrupts(own: signal.Signals) -> threading.Event:
     """From now on, send interrupts again that were raised where nothing can catch them, in place of printing them.
 
-    What is returned is set once one came.
+    SIGTERM, which all threads block, is one too; SIGINT is none where the process was told to ignore it. Both are sent
+    by the signal `own`. What is returned is set once one came.
     """
     others, came = sys.unraisablehook, threading.Event()
 
@@ -33,10 +34,19 @@ def keep_interrupts() -> threading.Event:
         if not issubclass(lost.exc_type, KeyboardInterrupt):
             others(lost)
             return
-        timer = threading.Timer(AGAIN_SECONDS, os.kill, (os.getpid(), signal.SIGINT))
+        timer = threading.Timer(AGAIN_SECONDS, os.kill, (os.getpid(), own))
         timer.daemon = True
         timer.start()
 
-    sys.unraisablehook = hook
-    signal.signal(signal.SIGINT, handler)
+    def pass_on() -> None:
+        while True:
+            signal.sigwait({signal.SIGTERM})
+            os.kill(os.getpid(), own)
+
+    sys.unraisablehook, waits = hook, hasattr(signal, "sigwait")  # not on Windows
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, handler)
+    signal.signal(own if waits else signal.SIGTERM, handler)
+    if waits:
+        threading.Thread(target=pass_on, daemon=True).start()
     return came

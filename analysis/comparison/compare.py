@@ -200,7 +200,7 @@ def _traits(side: Side, with_settings: bool) -> dict[str, str]:
     if plan.is_foreign:
         found["bears"] = plan.bearing.said or "robots that do not wear, and are alike"
     settings = plan.settings.said() if with_settings and plan.settings is not None else {}
-    if settings and choices.deadline is not None:  # whoever knows of it
+    if settings and choices.deadline is not None:  # it ends both, whoever knows of it
         settings["deadline"] = choices.deadline
     return found | {
         name: f"no {name.replace('_', ' ')}" if value is None else f"{name.replace('_', ' ')} {_short(value)}"

@@ -226,7 +226,7 @@ class World:
 
     @property
     def enterable(self) -> NDArray[np.bool_]:
-        """bool `[H, W]`: cells that are not obstacles both in truth and to robots that have seen nothing."""
+        """bool `[H, W]`: cells that are free in truth, or to robots that have seen nothing yet."""
         return self.free | ~np.isnan(self.met)
 
     @property
