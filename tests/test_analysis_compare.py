@@ -99,6 +99,9 @@ def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_
     found = answer(capsys, WORLD, *limited, "--b.policy", "mrac", "--rollouts", "64")
     assert found["differing"] == {"a": ["policy per_cell", "worth 30.5"], "b": ["policy mrac", "no worth"]}
 
+    found = answer(capsys, WORLD, "--deadline", "90", "--b.return-to", "home", "--rollouts", "64")
+    assert found["differing"] == {"a": ["no return to"], "b": ["return to home"]}  # the deadline is both sides'
+
     paths = tmp_path / "paths.json"
     world, plan = team(3)
     width = world.shape[1]

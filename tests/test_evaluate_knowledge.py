@@ -13,7 +13,7 @@ from page_reader import check_page_is_sound
 
 import mrac_jax as mrac
 from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.outputs.knowledge import Knowledge
+from analysis.evaluation.outputs.knowledge import Knowledge, parse_ranges
 from analysis.evaluation.runs import run_of, runs
 from analysis.recording.replay import replay
 from analysis.sampling import RolloutChoices
@@ -181,6 +181,12 @@ def test_words_and_page(answer: Evaluation, tmp_path: Path) -> None:
         assert words in text and words in page
     assert (tmp_path / "believed.png").exists() and (tmp_path / "sense.png").exists()
     assert "Theorem 3" not in text and "Lines: the plan" not in page
+
+
+def test_no_range_is_no_list_of_ranges() -> None:
+    assert parse_ranges(None) == () and parse_ranges("0,2,inf") == (0, 2, inf)
+    with pytest.raises(InputError, match="ranges in cells"):
+        parse_ranges("")
 
 
 @pytest.mark.parametrize(

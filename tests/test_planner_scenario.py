@@ -141,6 +141,8 @@ def test_arrays_that_are_no_worlds(folder: Path, array: object, names: str) -> N
     ("keys", "names"),
     [
         ({"cellsize": 1}, "unknown key `cellsize`"),
+        ({"movers": [{"walk": 0.5, "h": "none"}]}, "`movers[0].h` is 'none'; expected a chance, 0 to 1, or threats"),
+        ({"prior": {"p": 0.1}, "sense": 1, "phases": [{"from": 2, "threats": []}]}, "leave `phases` out"),
         ({"cell_sise": 1}, "did you mean 'cell_size'"),
         ({"cell_size": 0}, "`cell_size` is 0"),
         ({"cell_size": -1}, "`cell_size` is -1"),
