@@ -207,6 +207,22 @@ def test_scenario_and_command_reproduce_the_best(
     assert all(set(one) == keys for one in found["candidates"]) and found["confirmed"]["first_rollout"] == 64
 
 
+@pytest.mark.parametrize("option", [[], ["--wear", "2", "--susceptibility", "3"], ["--policy", "mrac"]])
+def test_the_scenario_asks_for_what_was_searched(
+    capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, option: list[str]
+) -> None:
+    """Range, home and a shape of wear too, of the input or of an option; another policy leaves its limits behind."""
+    source, wanted = tmp_path / "s.yaml", tmp_path / "best.yaml"
+    team = "{count: 2, range: 20, return_to: home, susceptibility: 2}"
+    source.write_text(f"map: world.npz\nrobots: {team}\npolicy: per_cell\nworth: 9\nturn: 2\nwear: {{shape: 1.5}}\n")
+    found = asked(capsys, "starts", str(source), *option, "--rollouts", "32", "--scenario-out", str(wanted))
+    again = asked(capsys, "evaluate", str(wanted), "--rollouts", "32", "--seed", "1")
+    place = ",".join(map(str, found["starts"][0])) + ";" + ",".join(map(str, found["starts"][1]))
+    told = ["--starts", place, "--rollouts", "32", "--seed", "1"]
+    assert again["coverage"] == asked(capsys, "evaluate", str(source), *option, *told)["coverage"]
+    assert load_input(wanted).pace.turn == 2
+
+
 def test_a_bare_map_becomes_a_scenario(capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path) -> None:
     wanted = tmp_path / "best.yaml"
     found = asked(capsys, "starts", world_file, "--robots", "2", "--rollouts", "32", "--scenario-out", str(wanted))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from refusals import refused
+from test_planner_rasters import tif
 
 from planner.errors import WorldError
 from planner.worlds.reported import route_over
@@ -51,6 +52,26 @@ def test_the_last_source_that_covers_a_cell_counts(tmp_path: Path, value: Any, e
     world = load_input(scenario(tmp_path, {"value": value}))
     assert world.detect is None
     assert np.array_equal(world.value, np.where(np.isnan(THREAT), 0, expected))
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(12, 16), (6, 8), (3, 4), (12, 8)])
+def test_values_on_other_pixels_are_the_same_amounts(tmp_path: Path, rows: int, cols: int) -> None:
+    """On pixels of half, or twice, the side of the map's, and on oblong ones."""
+    tif(tmp_path / "map.tif", np.full((6, 8), 0.05), (10, 0, 500000, 0, -10, 5400000), "EPSG:32633")
+    amounts = np.kron(np.arange(12.0).reshape(3, 4), np.ones((4, 4)))
+    values = amounts.reshape(rows, 12 // rows, cols, 16 // cols).sum(axis=(1, 3))
+    tif(tmp_path / "value.tif", values, (80 / cols, 0, 500000, 0, -60 / rows, 5400000), "EPSG:32633")
+    (tmp_path / "s.yaml").write_text("map: map.tif\nvalue: [{raster: value.tif}]\nrobots: {count: 1}\n")
+    assert np.allclose(load_input(tmp_path / "s.yaml").value, 4 * amounts[::2, ::2], rtol=1e-9)
+
+
+def test_values_in_degrees_keep_their_sum(tmp_path: Path) -> None:
+    """But for pixels on the edge, whose middle is outside of the map."""
+    place = (0.0002, 0, 15.0, 0, -0.0001, 52.0)
+    tif(tmp_path / "map.tif", np.full((100, 120), 0.05), place, "EPSG:4326")
+    tif(tmp_path / "value.tif", np.full((100, 120), 1 / 12000), place, "EPSG:4326")
+    (tmp_path / "s.yaml").write_text("map: map.tif\nvalue: [{raster: value.tif}]\nrobots: {count: 1}\n")
+    assert 0.98 < load_input(tmp_path / "s.yaml").value.sum() <= 1 + 1e-9
 
 
 def test_values_of_pixels_add_up_and_chances_are_averaged(tmp_path: Path) -> None:

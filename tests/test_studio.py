@@ -36,6 +36,7 @@ from analysis.studio.sketch import Sketch, read_sketch
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
 from planner.mrac.make_plan import make_plan
+from planner.pace import Pace
 from planner.settings import Settings
 from planner.worlds.georeference import Georeference
 from planner.worlds.learning import with_truth
@@ -117,6 +118,13 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         yield found
 
 
+EVERY_KEY: dict[str, Any] = {
+    "levels": 4, "wear": 2.0, "deadline": 90, "in_area": "rows", "range": (20, 30), "susceptibility": (1.0, 3.0),
+    "return_to": ((0, 0), (2, 1)), "recharge": 3, "steps_per_move": (1, 2), "radio": 3.5,
+}  # fmt: skip
+"""Settings that a scenario can name, but for a policy's and types; not all of them together make a plan."""
+
+
 # --- answers ---
 
 
@@ -196,6 +204,7 @@ def test_a_saved_board_is_the_same_board_again(tmp_path: Path) -> None:
         Sketch(
             world.with_starts([[0, 1], [0, 1]]), 2, Settings(policy="per_cell", reserve=0.25, worth=1e-7, range=(5, 8))
         ),
+        Sketch(replace(world, pace=Pace(7.0, 2.0)), 2, Settings(**EVERY_KEY)),
     )
     for board in boards:
         found = load_input(board.save(tmp_path / "on: #.yaml")[0])
@@ -203,7 +212,7 @@ def test_a_saved_board_is_the_same_board_again(tmp_path: Path) -> None:
         assert (found.cell_size, found.origin) == (2.5, (3.0, -4.0, 0.5))
         assert found.georeference == world.georeference
         assert np.array_equal(found.value, world.value) and np.array_equal(found.detect, world.detect)
-        assert Settings(**found.team.settings) == board.settings
+        assert Settings(**found.team.settings) == board.settings and found.pace == board.world.pace
         assert np.array_equal(found.starts, board.world.starts)
 
 

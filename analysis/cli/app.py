@@ -315,7 +315,9 @@ def plan_command(
     say(notes)
     written = [] if out is None else [out]
     if waypoints is not None and form is not None:
-        written += export(make_mission(world, made, altitude, team.speed), waypoints, form)
+        mission = make_mission(world, made, altitude, team.speed)
+        written += export(mission, waypoints, form)
+        say(mission.unknown(form.figures))
     if out is not None:
         made.save(out)
     if as_json:

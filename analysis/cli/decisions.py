@@ -86,9 +86,7 @@ def starts(
             doing=progress.doing,
         )  # fmt: skip
     if scenario_out is not None:
-        write_scenario(
-            scenario_out, input_path(source), answer.starts, planning.choices().given(), world.pace, cell_size
-        )
+        write_scenario(scenario_out, input_path(source), answer.starts, settings, world.pace, cell_size)
         say([f"wrote {scenario_out}"])
     return deliver(answer, out=out, as_json=as_json)
 

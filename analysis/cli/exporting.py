@@ -51,6 +51,7 @@ def export(
     form, chosen = choose_format(out, to), planning.choices()
     world, made, notes = load_or_make_plan(team.asked(source, chosen), plan, state)
     say(notes)
-    written = export_mission(make_mission(world, made, altitude, team.speed), out, form, spare=input_path(source))
-    say([f"wrote {file}" for file in written])
+    mission = make_mission(world, made, altitude, team.speed)
+    written = export_mission(mission, out, form, spare=input_path(source))
+    say([*mission.unknown(form.figures), *(f"wrote {file}" for file in written)])
     return DONE

@@ -23,7 +23,7 @@ from planner.settings import Settings
 from planner.worlds.keys import PLACE, Key
 from planner.worlds.learning import with_truth
 from planner.worlds.quantities import PROBABILITY
-from planner.worlds.scenario import SETTINGS
+from planner.worlds.restart import said
 from planner.worlds.sight import RANGE, Sense
 from planner.worlds.starts import place_starts
 from planner.worlds.world import MAX_ROBOTS, World
@@ -97,12 +97,8 @@ class Sketch:
         raster = raster_of(out)
         starts = self.world.starts
         team: Json = {"count": self.robots} if starts is None else {"starts": starts.tolist()}
-        moves = self.settings.range
-        if moves is not None:
-            team["range"] = list(moves) if isinstance(moves, tuple) else moves
-        given = {name: value for name, value in self.settings.to_json().items() if name in SETTINGS}
-        given |= {"step": {"seconds": self.world.pace.seconds}} if self.world.pace else {}
-        text = yaml.safe_dump({"map": {"file": raster.name}, "robots": team} | given, sort_keys=False)
+        keys = {"map": {"file": raster.name}} | said(team, self.settings, self.world.pace)
+        text = yaml.safe_dump(keys, sort_keys=False)
         self.world.with_starts(None).save(raster)
         with atomic_write(out) as stream:
             stream.write(f"# Painted in mrac-jax studio.\n{text}")

@@ -246,6 +246,7 @@ def ground_raster(
     if abs(sides[1] / sides[0] - 1) > SQUARE:
         old, top = values.shape, corner[1] + values.shape[0] * sides[0]
         values, side = square_metres(values, sides, cell_size, how == "bilinear", source)
+        values = values * (side * side / (sides[0] * sides[1])) if how == "sum" else values
         corner = (corner[0], top - values.shape[0] * side)
         notes = (
             f"{old[0]} x {old[1]} pixels of {sides[0]:.4g} x {sides[1]:.4g} m resampled to "

@@ -1,9 +1,8 @@
-"""A scenario file anew, with other starts: what `mrac-jax starts --scenario-out` writes."""
+"""What is written as a scenario file: one anew with other starts (`starts --scenario-out`), and a team's settings."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,25 +12,39 @@ from numpy.typing import NDArray
 
 from planner.files import atomic_write
 from planner.pace import Pace
+from planner.settings import Settings
 from planner.worlds.keys import read_yaml
 from planner.worlds.maps import YAML
-from planner.worlds.scenario import SETTINGS
+from planner.worlds.scenario import OF_ROBOTS, SETTINGS
 from planner.worlds.timed import KEYS as TIMED
+
+PLACED = ("count", "start", "starts", "starts_xy")
+"""Keys of `robots` that say how many there are, and where."""
+
+
+def said(team: dict[str, Any], settings: Settings, pace: Pace) -> dict[str, Any]:
+    """The keys of a scenario that name these settings and this pace, and a `team`, keys of `robots`."""
+    usual = Settings()
+    given = {name: value for name, value in vars(settings).items() if value != getattr(usual, name)}
+    keys = {name: given[name] for name in SETTINGS if name in given}
+    keys |= {"wear": {"shape": settings.wear}} if "wear" in given else {}
+    keys |= {"step": {"seconds": pace.seconds}} if pace else {}
+    keys |= {"turn": pace.turn} if pace.turn else {}
+    return {"robots": team | {name: given[name] for name in OF_ROBOTS if name in given}} | keys
 
 
 def write_scenario(
     out: Path,
     source: Path,
     starts: NDArray[np.int64],
-    chosen: Mapping[str, Any],
+    settings: Settings,
     pace: Pace,
     cell_size: float | None = None,
 ) -> None:
     """Write the scenario `source`, or one of the bare map `source`, to `out` with `starts` `[K, 2]`, whole or not.
 
-    Files that it names are named from where `out` lies; comments are lost. chosen: settings by name,
-    of which those that a scenario can name replace its own. pace: where the source says none. cell_size: of a bare map.
-    Raises InputError.
+    Files that it names are named from where `out` lies; comments are lost. Of the `settings` those that a scenario can
+    name are in it, and the pace. cell_size: of a bare map. Raises InputError.
     """
     top = read_yaml(source).value if source.suffix.lower() in YAML else None
     if isinstance(top, dict) and "map" in top:
@@ -39,10 +52,9 @@ def write_scenario(
     else:
         keys = {"map": {"file": _moved(source.name, source.parent, out.parent)}}
         keys |= {} if cell_size is None else {"cell_size": cell_size}
-    keys |= {name: value for name, value in chosen.items() if name in SETTINGS}
-    if pace.seconds is not None and not keys.keys() & set(TIMED):
-        keys["step"] = {"seconds": pace.seconds}
-    keys["robots"] = {"starts": starts.tolist()}
+    team = {name: key for name, key in keys.pop("robots", {}).items() if name not in (*PLACED, *OF_ROBOTS, "speed")}
+    keys = {name: key for name, key in keys.items() if name not in (*SETTINGS, *TIMED)}
+    keys |= said({"starts": starts.tolist()} | team, settings, pace)
     with atomic_write(out) as stream:
         yaml.safe_dump(keys, stream, sort_keys=False, default_flow_style=None, width=120)
 

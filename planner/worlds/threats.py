@@ -94,7 +94,7 @@ def one_source(key: Key, sources: Collection[str]) -> str:
 
 def raster_threat(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     """A raster on the map's pixels, or on the cells, through a rule from values to p (none: they are p themselves)."""
-    raster, free, pixels = raster_on(keys["raster"], ground, has_classes(keys.get("rule")))
+    raster, free, pixels = raster_on(keys["raster"], ground, "nearest" if has_classes(keys.get("rule")) else "average")
     with np.errstate(over="ignore", invalid="ignore"):
         p, fix = by_rule(keys.get("rule"), np.where(free, raster.values, 0.0))
     check_p(np.where(free, p, 0.0), raster.values, keys.get("rule", keys["raster"]), fix)
@@ -103,14 +103,13 @@ def raster_threat(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
 
 def raster_values(key: Key, ground: Ground) -> Threat:
     """A raster's values on the cells, finite wherever they are free; they need not be probabilities."""
-    raster, free, pixels = raster_on(key, ground)
+    raster, free, pixels = raster_on(key, ground, "average")
     values = np.where(free, raster.values, 0.0)
     return Threat(ground.largest(values) if pixels else values, raster.notes)
 
 
-def raster_on(key: Key, ground: Ground, classes: bool = False) -> tuple[Raster, NDArray[np.bool_], bool]:
-    """(raster, which of its places are free, whether they are the map's pixels); `classes` are never averaged."""
-    how: How = "nearest" if classes else "average"
+def raster_on(key: Key, ground: Ground, how: How) -> tuple[Raster, NDArray[np.bool_], bool]:
+    """(raster, which of its places are free, whether they are the map's pixels)."""
     raster = read_raster(key.file("a raster file"), ground.frame.size, how, ground)
     _check_ground(key, ground.grid, raster)
     pixels = raster.values.shape == ground.grid.frame.shape

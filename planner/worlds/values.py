@@ -60,9 +60,9 @@ def _everywhere(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
 
 
 def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
-    """A raster on the map's pixels, or on the cells, of the numbers themselves."""
+    """A raster on the map's pixels, or on the cells, of the numbers themselves: values are amounts, and add up."""
     key = keys["raster"]
-    raster, free, pixels = raster_on(key, ground)
+    raster, free, pixels = raster_on(key, ground, "sum" if of is VALUE else "average")
     values = np.where(free, raster.values, 0.0)
     wrong = ~((values >= 0) & (values <= of.numbers.most))
     if wrong.any():

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from planner.worlds.georeference import Georeference, no_way, rasterio_for
 from planner.worlds.grid import Bounds, Frame
 
-How = Literal["average", "bilinear", "nearest"]
-"""What a new pixel takes: the mean of all that it covers (probabilities, amounts), the linear value at its centre
-(elevations), or the pixel under its centre (classes). What has no data is always the nearest's to say."""
-WORDS: dict[How, str] = {"average": "averaged", "bilinear": "linear", "nearest": "nearest"}
+How = Literal["average", "sum", "bilinear", "nearest"]
+"""What a new pixel takes: the mean of all that it covers (probabilities) or its share of their sum (amounts), the linear
+value at its centre (elevations), or the pixel under its centre (classes). What has no data is always the nearest's to
+say."""
+WORDS: dict[How, str] = {"average": "averaged", "sum": "summed up", "bilinear": "linear", "nearest": "nearest"}
 STRIP = 32
 """Columns that are warped at a time: GDAL takes a stretch of a row for straight, up to an eighth of a pixel off."""
 SQUARE = 1e-6
