@@ -59,11 +59,11 @@ SAID = {
     (3722, 6278): "The robot is lost in 37.2 % of runs.",
     (20000, 0, 0): "Both robots are lost in each of the 20,000 runs.",
     (60, 30, 10): "Both robots are lost in 60 % of runs, none in 10 %; on average 1.5 of 2.",
-    (19990, 10, *[0] * 7): "All 8 robots are lost in 99.95 % of runs; on average next to all 8.",
-    (99999, 1, 0, 0): "All 3 robots are lost in 99.999 % of runs; on average next to all 3.",
+    (19990, 10, *[0] * 7): "All 8 robots are lost in 99.95 % of runs; on average almost all 8.",
+    (99999, 1, 0, 0): "All 3 robots are lost in 99.999 % of runs; on average almost all 3.",
     (0, 0, 880, 120): "No robot is lost in 12 % of runs; on average 0.88 of 3.",
     (0, 0, 99999, 1): "No robot is lost in 0.001 % of runs; on average 1.00 of 3.",
-    (0, 0, 1, 99999): "No robot is lost in 99.999 % of runs; on average next to none of 3.",
+    (0, 0, 1, 99999): "No robot is lost in 99.999 % of runs; on average almost none of 3.",
     (0, 40, 60, 0): "1 to 2 robots of 3 are lost in each of the 100 runs, on average 1.4 of 3.",
     (0, 0, 100, 0): "1 robot of 3 is lost in each of the 100 runs, on average 1.0 of 3.",
     (0, 100, 0, 0): "2 robots of 3 are lost in each of the 100 runs, on average 2.0 of 3.",
@@ -122,7 +122,7 @@ def test_every_printed_share_of_losses_follows_from_the_tally() -> None:
         for mean in re.findall(r"on average ([\d.]+) of", said):
             assert abs(true - float(mean)) <= 0.5 * 10.0 ** -len(mean.partition(".")[2]) + 1e-9
         if "next to" in said:
-            assert 0 < (robots - true if "next to none" not in said else true) <= 0.5
+            assert 0 < (robots - true if "almost none" not in said else true) <= 0.5
 
 
 def check_share(printed: str, count: int, of: int) -> None:
@@ -160,10 +160,12 @@ def test_a_share_has_no_more_digits_than_its_interval_bears() -> None:
 
 def test_means_are_never_rounded_to_none_or_all() -> None:
     assert [lost_words(mean, 8) for mean in (0.0, 1e-9, 0.0049, 0.006, 4.0, 7.994, 7.9951, 8 - 1e-9, 8.0)] == [
-        "none of 8", "next to none of 8", "next to none of 8", "0.01 of 8", "4.00 of 8", "7.99 of 8", "next to all 8",
-        "next to all 8", "all 8",
+        "none of 8", "almost none of 8", "almost none of 8", "0.01 of 8", "4.00 of 8", "7.99 of 8", "almost all 8",
+        "almost all 8", "all 8",
     ]  # fmt: skip
-    assert [lost_words(1.0, 1), lost_words(1.999, 2)] == ["the robot", "next to both robots"]
+    assert [lost_words(1.0, 1), lost_words(0.999, 1), lost_words(1.999, 2)] == [
+        "the robot", "almost always the robot", "almost both robots",
+    ]  # fmt: skip
 
 
 def test_losses_are_shown_in_words_where_figures_would_say_less() -> None:
@@ -175,7 +177,7 @@ def test_losses_are_shown_in_words_where_figures_would_say_less() -> None:
         )
     ]  # fmt: skip
     assert shown == [
-        ("all 8", "7.98 or more"), ("next to all 8", "7.99 or more"), ("none of 8", "0.01 or fewer"),
+        ("all 8", "7.98 or more"), ("almost all 8", "7.99 or more"), ("none of 8", "0.01 or fewer"),
         ("1.87 of 8", "1.86 .. 1.88"), ("2.50 of 8", "exact"),
     ]  # fmt: skip
 

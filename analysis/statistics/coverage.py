@@ -46,7 +46,7 @@ def losses_said(losses: Estimate, robots: int, *, mean_only: bool = False) -> st
 
 
 def losses_shown(losses: Estimate, robots: int) -> tuple[str, str]:
-    """Robots lost of so many, and the interval: ("1.87 of 5", "1.85 .. 1.89"), ("next to all 5", "4.98 or more")."""
+    """Robots lost of so many, and the interval: ("1.87 of 5", "1.85 .. 1.89"), ("almost all 5", "4.98 or more")."""
     (low, high), digits = losses.ci95, min(losses.digits(), 2)
     ends = between(low, high, digits).split(" .. ")
     interval = "exact" if low == high else " .. ".join(ends)

@@ -1,4 +1,4 @@
-"""Figures as far as their intervals allow: how many digits, how an interval is rounded, what is next to none."""
+"""Figures as far as their intervals allow: how many digits, how an interval is rounded, what is almost none."""
 
 from __future__ import annotations
 
@@ -31,5 +31,5 @@ def lost_words(mean: float, robots: int, digits: int = 2) -> str:
         return all_of_them if mean else f"none of {robots}"
     near = round(mean, digits)
     if near >= robots or near <= 0:
-        return f"next to {all_of_them}" if near else f"next to none of {robots}"
+        return f"almost {'always ' * (robots == 1)}{all_of_them}" if near else f"almost none of {robots}"
     return f"{mean:.{digits}f} of {robots}"

@@ -12,9 +12,9 @@ from planner.worlds.georeference import Georeference, no_way, rasterio_for
 from planner.worlds.grid import Bounds, Frame
 
 How = Literal["average", "sum", "bilinear", "nearest"]
-"""What a new pixel takes: the mean of all that it covers (probabilities) or its share of their sum (amounts), the linear
-value at its centre (elevations), or the pixel under its centre (classes). What has no data is always the nearest's to
-say."""
+"""What a new pixel takes: the mean of all that it covers (probabilities), their sum, of each the part that it covers
+(amounts), the linear value at its centre (elevations), or the pixel under its centre (classes). What has no data is
+always the nearest's to say."""
 WORDS: dict[How, str] = {"average": "averaged", "sum": "summed up", "bilinear": "linear", "nearest": "nearest"}
 STRIP = 32
 """Columns that are warped at a time: GDAL takes a stretch of a row for straight, up to an eighth of a pixel off."""

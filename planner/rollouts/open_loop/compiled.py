@@ -143,7 +143,7 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
         )
     if world.movers is not None:
         problem = "the open loop asks who is stopped at dangerous entries alone, and movers stop robots anywhere"
-        raise PlanError(problem, fix=f"use {argument('loop', 'closed')}")
+        raise PlanError(problem, source=world.source, fix=f"use {argument('loop', 'closed')}")
     threat = world.met.reshape(-1)
     paths = [np.asarray(robot.path, dtype=np.int64) for robot in plan.robots]
     for robot, path in enumerate(paths):
