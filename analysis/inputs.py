@@ -300,15 +300,26 @@ def generate_world(
         world = random_world(height, width, pattern, obstacles=0.25 if obstacles is None else obstacles, threats=share)
     else:
         base = load_world(on, cell_size)
-        notes = base.notes
+        base.check_settled("putting random threats on a map")
+        notes = base.notes + _left_out(base, robots)
         threat = random_threats(base.free, round(share * int(base.free.sum())), pattern)
         combined = independent(base.threat.astype(np.float64), threat.astype(np.float64))
         cells = np.where(base.free, combined, np.nan)
-        world = World.create(cells, base.starts, base.cell_size, base.origin, base.source, (), base.georeference)
+        place = base.cell_size, base.origin, base.source, (), base.georeference
+        world = World.create(cells, base.starts, *place, base.value, base.detect)
     if robots is not None:
         placed, more = place_starts(world, robots)
         return world.with_starts(placed), notes + more
     return world, notes
+
+
+def _left_out(world: World, robots: int | None) -> tuple[str, ...]:
+    """A note that names the keys of an input that its map keeps, and a world file does not."""
+    team, pace = world.team, world.pace
+    keys = ["robots.count"] * (team.robots is not None and robots is None) + list(team.settings)
+    keys += [name for name, given in (("step", pace.seconds), ("turn", pace.turn)) if given]
+    keys += [name for name, given in (("metrics", team.metrics), ("route", team.route is not None)) if given]
+    return (f"left out, since a world file holds the map alone: {', '.join(keys)}",) if keys else ()
 
 
 def map_size(text: str) -> tuple[int, int]:

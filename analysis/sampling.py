@@ -118,7 +118,9 @@ class RolloutChoices:
             EXACT_EFFORT.check("exact", self.exact)
         SEED.check("seed", self.seed)
         if not isinstance(self.deadline, str) or seconds_of(self.deadline) is None:
-            whole(0, MAX_STEP + 1, said=f"{SPANS}, at most {MAX_STEP + 1} steps").check("deadline", self.deadline, optional=True)
+            whole(0, MAX_STEP + 1, said=f"{SPANS}, at most {MAX_STEP + 1} steps").check(
+                "deadline", self.deadline, optional=True
+            )
         if self.first_only and self.loop == "open":
             problem = f"{argument('first_only', True)} needs the closed loop"
             raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")

@@ -328,6 +328,34 @@ def test_a_generated_map_is_coarsened(tmp_path: Path) -> None:
     assert (made.shape, made.cell_size, int((made.threat > 0).sum())) == ((2, 3), 2.0, 3)
 
 
+def test_threats_on_a_map_keep_its_value_and_refuse_what_they_contradict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    threat, value = np.zeros((4, 6)), np.arange(24.0).reshape(4, 6)
+    World.create(threat, value=value, detect=0.7).save("v.npz")
+    assert run(["generate", "out.npz", "--map", "v.npz"]) == 0
+    made = load_world_file("out.npz")
+    assert made.threat.any() and made.value is not None and made.detect is not None
+    assert np.array_equal(made.value, value) and (made.detect == 0.7).all()
+    capsys.readouterr()
+    np.save("t.npy", threat + 0.1)
+    World.create(threat + 0.05).save("v.npz")
+    for keys, named in (
+        ("hazard: {kind: consumed, h: 0.5}", "leave `hazard` and `uncertain` out"),
+        ("movers: [{walk: 0.5, h: 0.2}]", "leave `movers` out"),
+        ("phases: [{from: 5, threats: [{raster: t.npy}]}]", "leave `phases` out"),
+        ("truth: t.npy\nsense: {range: 2}", "leave `truth`, `prior` and `sense` out"),
+    ):
+        Path("s.yaml").write_text(f"map: {{file: v.npz}}\n{keys}\n")
+        line = refused(capsys, "generate", "out.npz", "--map", "s.yaml")
+        assert "s.yaml: putting random threats on a map presumes" in line and named in line
+    Path("s.yaml").write_text("map: {file: v.npz}\nrobots: {count: 2, range: 9}\ndeadline: 5\n")
+    assert run(["generate", "out.npz", "--map", "s.yaml"]) == 0
+    left = "left out, since a world file holds the map alone: robots.count, deadline, range"
+    assert left in capsys.readouterr().err.splitlines()
+
+
 def test_contradictions_of_a_plan_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "plan.json"
     assert run(["plan", WORLD, "--robots", "2", "--out", str(file)]) == 0

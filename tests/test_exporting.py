@@ -199,6 +199,49 @@ def test_straight_runs_by_hand() -> None:
     assert [tuple(stop) for stop in straight_runs(np.array([5, 5]))] == [(0, 5, 0)]
 
 
+MOVERS = "map: {file: w.npz}\nmovers:\n- {walk: 0.5, h: 0.2, count: 3}\nrobots: {count: 2}\n"
+TOLD = "map: {file: w.npz}\ntruth: t.npy\nsense: {range: 2}\nrobots: {count: 2}\n"
+
+
+def test_what_is_not_known_exactly_is_left_out_with_a_note(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two robots among movers: no NaN in any text, and one line that says what is left out."""
+    monkeypatch.chdir(tmp_path)
+    a_world().save("w.npz")
+    Path("m.yaml").write_text(MOVERS)
+    for name, left in (
+        ("o.geojson", "covered, losses and chance_of_loss"),
+        ("o.kml", "covered, losses and chance_of_loss"),
+        ("o.gpx", "chance_of_loss"),
+        ("o.tif", "covered, losses and residual"),
+        ("o.csv", ""),
+    ):
+        assert run(["export", "m.yaml", "--out", name]) == 0
+        said = [line for line in capsys.readouterr().err.splitlines() if "left out where" in line]
+        assert [line.split(" left out")[0] for line in said] == [left] * bool(left)
+        assert name == "o.tif" or "nan" not in Path(name).read_text().lower()
+    facts = [feature["properties"] for feature in json.loads(Path("o.geojson").read_text())["features"]]
+    assert {of.get("covered", of.get("chance_of_loss")) for of in facts} == {None} and facts[0]["threat"] >= 0
+    with rasterio.open("o.tif") as data:
+        assert data.descriptions == ("threat",)
+
+
+def test_what_robots_believe_is_called_so(tmp_path: Path) -> None:
+    """A plan made on another map than the true one: chances are of the true one, threats of what is believed."""
+    a_world().save(tmp_path / "w.npz")
+    np.save(tmp_path / "t.npy", np.where(a_world().free, 0.1, np.nan))
+    (tmp_path / "u.yaml").write_text(TOLD)
+    world = mrac.load(tmp_path / "u.yaml")
+    (tif,) = mrac.export(world, 2, tmp_path / "o.tif")
+    with rasterio.open(tif) as data:
+        assert data.descriptions == ("believed_threat", "covered", "losses", "believed_residual")
+        np.testing.assert_array_equal(data.read(1), a_world().threat)
+    (file,) = mrac.export(world, 2, tmp_path / "o.geojson")
+    facts = json.loads(file.read_text())["features"][0]["properties"]
+    assert "believed_threat" in facts and "threat" not in facts
+
+
 NUMBER = (int, float)
 HEAD = {
     "fileType": str,

@@ -15,6 +15,7 @@ import pytest
 from analysis.cli.app import run
 from analysis.graphs.front import GraphFront, find_front
 from analysis.graphs.graph import Graph, read_graph
+from analysis.graphs.report import most_reward
 
 Trails = tuple[tuple[int, ...], ...]
 
@@ -214,6 +215,15 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert f"{answer.outer_area:.3f}" in capsys.readouterr().out
 
 
+def test_the_table_knows_the_team_that_stays_at_a_base_with_a_reward(tmp_path: Path) -> None:
+    path = tmp_path / "g.json"
+    path.write_text('{"base": "a", "nodes": {"a": 1, "b": 1.5}, "edges": [["a", "b", 0.5]]}')
+    answer = find_front(path, 2)
+    assert (answer.points[-1].reward, answer.points[-1].home) == (1, 2)
+    for point in answer.points:
+        assert most_reward(answer, point.home) == pytest.approx(point.reward) and most_reward(answer, point.home) >= 1
+
+
 @pytest.mark.parametrize(
     ("changed", "words", "said"),
     [
@@ -224,6 +234,12 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
         ({"edges": [["a", "b", 0.5], ["b", "a", 0.5]]}, [], "`edges[1]` is the second arc from b to a"),
         ({"visits": [0.2, 0.5]}, [], "`visits` is [0.2, 0.5]; expected shares, none larger than the one before"),
         ({"egdes": []}, [], "unknown key `egdes`"),
+        (
+            {"nodes": dict.fromkeys("abcde", 0)},
+            ["--robots", "2"],
+            "no visit of a node brings a reward; expected a node with",
+        ),
+        ({"visits": [0]}, [], "no visit of a node brings a reward; expected a node with"),
         ({}, ["--robots", "0"], "--robots 0; expected a whole number of robots, 1 to 64"),
         ({}, ["--least-home", "1"], "--least-home 1; expected a chance"),
     ],

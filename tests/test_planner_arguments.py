@@ -40,7 +40,10 @@ WORLD = World.create(np.zeros((2, 3)))
         ({"precision": "0.1"}, "precision='0.1'"),
         ({"seed": -1}, "seed=-1; expected a whole number"),
         ({"deadline": 2.5}, "deadline=2.5; expected steps, as 450, or a time"),
-        ({"deadline": 10**10}, "deadline=10000000000; expected steps, as 450, or a time, as 45min, 1h30min or 90s, at most"),
+        (
+            {"deadline": 10**10},
+            "deadline=10000000000; expected steps, as 450, or a time, as 45min, 1h30min or 90s, at most",
+        ),
         ({"first_only": True, "loop": "open"}, "first_only=True needs the closed loop; use loop='closed'"),
     ],
 )

@@ -14,11 +14,13 @@ import numpy as np
 import pytest
 from closed_loop_compare import assert_same_trace
 from conftest import FOLDER
+from foxglove_schemas_protobuf.Log_pb2 import Log
 from recordings import nth, rewrite, small_task
 from refusals import refused
 
 import analysis.recording.record
 from analysis.cli.app import run
+from analysis.recording.mcap.reading import open_log
 from analysis.recording.rollouts import read_outcomes, read_rollouts
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
 from planner.plans.plan_file import load_plan
@@ -33,6 +35,38 @@ def recorded(folder: Path, *words: str, source: str = WORLD) -> Path:
     out = folder / "run.mcap"
     assert run(["record", source, "--out", str(out), *words]) == 0
     return out
+
+
+TYPED = "threats: [{raster: p.npy, type: x}]\nrobots: {count: 2, matrix: {a: {x: 0.1}, b: {x: 2}}, types: [a, b]}"
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ("robots: {count: 2}", {"threat 10 %"}),
+        ("robots: {count: 2, susceptibility: [1, 2]}", {"threat 10 %", "threat 19 %"}),
+        (TYPED, {"threat 1 %", "threat 20 %"}),
+        ("movers: [{walk: 0.5, h: 0.3, count: 4}]\nrobots: {count: 2}", {"threat 10 %, or a mover", "by a mover"}),
+    ],
+)
+def test_what_is_said_to_stop_a_robot_is_what_does(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, keys: str, said: set[str]
+) -> None:
+    """Half the cells have p = 0.1; `/events` and `inspect` say the same."""
+    monkeypatch.chdir(tmp_path)
+    p = np.zeros((5, 8))
+    p[:, 4:] = 0.1
+    np.save("p.npy", p)
+    np.save("free.npy", np.zeros((5, 8)))
+    Path("s.yaml").write_text(f"map: {{file: {'free' if keys == TYPED else 'p'}.npy}}\n{keys}\n")
+    out = recorded(tmp_path, "--ids", "0-31", source="s.yaml")
+    capsys.readouterr()
+    assert run(["inspect", str(out), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["rollouts"]
+    lost = [event["text"] for one in found for event in one["events"] if event["kind"] == "hit"]
+    assert {text.split("], ")[1].split(";")[0] for text in lost} == said
+    logged = [Log.FromString(bytes(one.data)) for one in open_log(out).messages() if one.topic == "/events"]
+    assert [one.message for one in logged if "is lost at" in one.message] == lost
 
 
 def test_record_replay_inspect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -28,13 +28,14 @@ class Format:
     Attributes:
         suffixes: of its files, the usual one first.
         whole: what a file of the team holds; or `each`: what the file of a robot holds.
-        on_earth: it holds longitudes and latitudes.
+        on_earth: it holds longitudes and latitudes. figures: what of the open loop's exact values is in it.
     """
 
     suffixes: tuple[str, ...]
     whole: Callable[[Mission], Content] | None = None
     each: Callable[[Mission, int], Content] | None = None
     on_earth: bool = True
+    figures: tuple[str, ...] = ()
 
     def check(self, world: World) -> None:
         """Raise MapError for a world of which it cannot be written, before there is a plan."""
@@ -61,11 +62,11 @@ class Format:
 FORMATS = {
     "qgc": Format((".plan",), each=qgc_plan),
     "nav2": Format((".yaml", ".yml"), each=nav2_poses, on_earth=False),
-    "geojson": Format((".geojson", ".json"), geojson),
-    "kml": Format((".kml",), kml),
-    "gpx": Format((".gpx",), gpx),
+    "geojson": Format((".geojson", ".json"), geojson, figures=("covered", "losses", "chance_of_loss")),
+    "kml": Format((".kml",), kml, figures=("covered", "losses", "chance_of_loss")),
+    "gpx": Format((".gpx",), gpx, figures=("chance_of_loss",)),
     "csv": Format((".csv",), lambda mission: waypoints_csv(mission.plan, mission.world), on_earth=False),
-    "geotiff": Format((".tif", ".tiff"), geotiff, on_earth=False),
+    "geotiff": Format((".tif", ".tiff"), geotiff, on_earth=False, figures=("covered", "losses", "residual")),
 }
 """Every way out, by its name."""
 

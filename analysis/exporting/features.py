@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 
@@ -30,7 +31,7 @@ def features(mission: Mission) -> Iterator[Feature]:
 
     Of an area: `level`, `robot` (that has it at t = 0), `threat` (its largest), and, open loop, exact: `covered` (the
     mean chance of its cells to be visited), `losses` (robots expected to be lost in it). Of a path: `robot`, `steps`,
-    `chance_of_loss` before its end.
+    `chance_of_loss` before its end. None: not known exactly. `believed_threat`: of robots that are not told the map.
     """
     world, width = mission.world, mission.world.shape[1]
     threat = world.threat.ravel()
@@ -40,7 +41,7 @@ def features(mission: Mission) -> Iterator[Feature]:
             "level": area.level,
             "robot": None if area.robot < 0 else area.robot,
             "cells": len(area.cells),
-            "threat": _rounded(threat[area.cells].max()),
+            f"{mission.believed}threat": _rounded(threat[area.cells].max()),
             "covered": _rounded(mission.exact.visited_by_cell[area.cells].mean()),
             "losses": _rounded(mission.exact.stops_by_cell[area.cells].sum()),
         }
@@ -64,8 +65,8 @@ def _corners(mission: Mission, ring: list[tuple[int, int]]) -> list[Position]:
     return (np.round(places, DEGREES) + 0.0).tolist()
 
 
-def _rounded(value: float) -> float:
-    return round(float(value), 9)
+def _rounded(value: float) -> float | None:
+    return round(float(value), 9) if isfinite(value) else None
 
 
 def geojson(mission: Mission) -> str:

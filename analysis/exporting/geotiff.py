@@ -23,11 +23,19 @@ BANDS = {
 
 
 def geotiff(mission: Mission) -> bytes:
-    """The bands BANDS. Raises MapError without rasterio."""
+    """The bands BANDS, but for those that are known of no cell. Raises MapError without rasterio.
+
+    Of robots that are not told the map, `believed_threat` and `believed_residual`: with what they believe of it.
+    """
     world, shape = mission.world, mission.world.shape
     threat, covered = world.threat.astype(np.float64), mission.exact.visited_by_cell.reshape(shape)
     losses = mission.exact.stops_by_cell.reshape(shape)
-    return raster(world, BANDS, np.stack([threat, covered, losses, threat * (1 - covered)]))
+    bands = dict(zip(BANDS, (threat, covered, losses, threat * (1 - covered)), strict=True))
+    known = {name: band for name, band in bands.items() if np.isfinite(band).any()}
+    names = {name: BANDS[name] for name in known}
+    if mission.believed:
+        names = {f"believed_{n}" if n in ("threat", "residual") else n: words for n, words in names.items()}
+    return raster(world, names, np.stack(list(known.values())))
 
 
 def raster(world: World, names: Mapping[str, str], bands: NDArray[np.float64]) -> bytes:

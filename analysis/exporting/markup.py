@@ -64,7 +64,8 @@ def gpx(mission: Mission) -> str:
         if not feature.is_area:
             route = SubElement(top, "rte")
             _text(route, "name", feature.name)
-            _text(route, "desc", f"chance of loss {feature.facts['chance_of_loss']:.6f}")
+            if (chance := feature.facts["chance_of_loss"]) is not None:
+                _text(route, "desc", f"chance of loss {chance:.6f}")
             for east, north in feature.lines[0]:
                 SubElement(route, "rtept", lat=f"{north:.9f}", lon=f"{east:.9f}")
     return _document(top)

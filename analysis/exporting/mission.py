@@ -57,6 +57,24 @@ class Mission:
         return open_loop_exact(self.plan, self.world)
 
     @property
+    def believed(self) -> str:
+        """What precedes the name of a figure of the map that robots believe, where that is not the true one."""
+        return "" if self.world.knowledge is None else "believed_"
+
+    def unknown(self, figures: tuple[str, ...]) -> tuple[str, ...]:
+        """A note that names those of these figures that are not known of every cell or robot, and why."""
+        doubt = self.world.doubt or self.world.knowledge
+        if not figures or doubt is None:
+            return ()
+        covered, lost, survival = self.exact.visited_by_cell, self.exact.stops_by_cell, self.exact.survival
+        of = {"covered": covered, "losses": lost, "residual": covered, "chance_of_loss": survival}
+        left = [name for name in figures if np.isnan(of[name]).any()]
+        if not left:
+            return ()
+        names = " and ".join(filter(None, (", ".join(left[:-1]), left[-1])))
+        return (f"{names} left out where the open loop has no exact value, which `evaluate` samples: {doubt.said}",)
+
+    @property
     def step_seconds(self) -> float:
         """Seconds that a step takes."""
         return self.world.cell_size / self.speed

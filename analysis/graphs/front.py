@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.graphs.certificate import Programme
-from analysis.graphs.graph import ROBOTS, Graph, Rules, read_graph
+from analysis.graphs.graph import ROBOTS, Graph, GraphError, Rules, read_graph
 from analysis.graphs.teams import Point, area, search
 from analysis.kit.notes import Doing, quiet
 from analysis.report.answer import Answer
@@ -106,6 +106,8 @@ def find_front(
     PLACES.check("places", places)
     Numbers(0, 1, "a chance", below=True).check("least_home", least_home)
     graph, rules = read_graph(source, instance), Rules(nodes_once, least_home)
+    if not graph.total > 0:
+        raise GraphError("no visit of a node brings a reward", source=source, expected="a node with a reward above 0")
     doing("trails")
     points = search(graph, robots, rules, places, ROUNDS)
     each, outer = robots <= EACH_LEAVING, list[HalfPlane]()

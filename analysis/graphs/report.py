@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.graphs.front import GraphFront
+from analysis.graphs.front import GraphFront, base_reward
 from analysis.graphs.teams import Point
 from analysis.kit.tables import make_table
 from analysis.page.series import Chart, Series
@@ -61,11 +61,11 @@ def _most_home(front: GraphFront, point: Point) -> float:
 
 def most_reward(front: GraphFront, home: float) -> float:
     """What no team exceeds that brings so many robots home: the largest of what the half-planes leave."""
-    stays = {one.stay for one in front.outer}
-    return max(
-        min(one.most - one.price * (home - (one.stay or 0)) for one in front.outer if one.stay == stay)
-        for stay in stays
-    )
+    most = base_reward(front.graph, front.robots)  # of the team of which all stay, whose half-planes are not in `outer`
+    for stay in {one.stay for one in front.outer}:
+        rooms = (one.most - one.price * (home - (one.stay or 0)) for one in front.outer if one.stay == stay)
+        most = max(most, min(rooms))
+    return most
 
 
 def _chart(front: GraphFront) -> Chart:

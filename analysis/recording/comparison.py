@@ -92,7 +92,7 @@ def _words(topic: str, data: bytes, stage: Stage) -> str:
     try:
         event = schemas.Event.FromString(bytes(data))
         row = np.array([event.step, event.robot, event.kind, event.area, event.other])
-        return f'event "{event_line(row, stage.world).text}"'
+        return f'event "{event_line(row, stage.world, stage.plan).text}"'
     except (ValueError, IndexError, DecodeError):  # a cell off the map, a kind that is none
         return f"{topic} that means nothing"
 

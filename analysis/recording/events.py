@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from numpy.typing import NDArray
 
+from planner.bearing import PLAIN
 from planner.none import NO_AREA
+from planner.plans.plan import Plan
 from planner.shown import counted
 from planner.tally import Outcome
 from planner.trace import EventKind, Trace
@@ -15,7 +17,7 @@ from planner.worlds.world import World
 
 _EVENTS = {
     EventKind.COMPLETED: (Log.INFO, "robot {robot} completes area {area}", "{short} at {cell}"),
-    EventKind.HIT: (Log.ERROR, "robot {robot} is lost at {cell}", "{short}, threat {threat:.3g} %{its_area}"),
+    EventKind.HIT: (Log.ERROR, "robot {robot} is lost at {cell}", "{short}, {threat}{its_area}"),
     EventKind.REALLOCATED: (
         Log.WARNING, "area {area} is free again, in {parts}", "area {area} of robot {robot} is free again, in {parts}",
     ),
@@ -52,8 +54,11 @@ class Line:
     short: str
 
 
-def event_line(row: NDArray, world: World) -> Line:
-    """One row of `Trace.events` in words. Raises ValueError, IndexError for one that means nothing."""
+def event_line(row: NDArray, world: World, plan: Plan | None = None) -> Line:
+    """One row of `Trace.events` in words. Raises ValueError, IndexError for one that means nothing.
+
+    `plan`: says what threats are to a robot; None: what they are on the map.
+    """
     step, robot, number, area, other = (int(value) for value in row)
     kind = EventKind(number)
     level, short, full = _EVENTS[kind]
@@ -64,11 +69,23 @@ def event_line(row: NDArray, world: World) -> Line:
         "parts": counted(other, "part"),
         "cells": counted(other, "cell"),
         "cell": list(divmod(other, world.shape[1])),
-        "threat": 100 * float(world.by_phase.flat[world.visits(row[4], step)]) if kind == EventKind.HIT else 0.0,
+        "threat": _stopped_by(robot, step, row[4], world, plan) if kind == EventKind.HIT else "",
         "its_area": "" if area == NO_AREA else f"; its area was {area}",
     }
     short = short.format(**facts)
     return Line(step, robot, kind, level, full.format(short=short, **facts), short)
+
+
+def _stopped_by(robot: int, step: int, cell: NDArray, world: World, plan: Plan | None) -> str:
+    """What may have stopped a robot there: the p of its visit (of who wears, the map's), or a mover."""
+    bearing = PLAIN if plan is None else plan.bearing
+    own = world if plan is None else world.of_robots(bearing.types, len(plan.robots))[robot]
+    p = float(own.by_phase.flat[own.visits(cell, step)])
+    if bearing.shape == 1 and not bearing.is_even:
+        p = bearing.first_chance(p, robot)
+    if world.movers is None:
+        return f"threat {100 * p:.3g} %"
+    return f"threat {100 * p:.3g} %, or a mover" if p else "by a mover"
 
 
 def end_text(trace: Trace, visited: int, survived: int, accessible: int, alive: int) -> str:

@@ -11,6 +11,7 @@ from analysis.recording.mcap.reading import open_log
 from analysis.recording.rollouts import RecordedRollout, rollouts_of
 from planner.errors import InputError
 from planner.files import Json
+from planner.plans.plan import Plan
 from planner.worlds.world import World
 
 
@@ -43,10 +44,11 @@ def inspect(path: str | Path) -> Inspection:
     log = open_log(path)
     names = [attached.name for attached in log.attachments]
     ours = contents.SETTINGS in names and contents.WORLD in names
-    settings, world = None, None
+    settings, world, plan = None, None, None
     if ours:
         settings = contents.read_settings(log.attachment(contents.SETTINGS), str(path))
         world = contents.read_world(log.attachment(contents.WORLD), str(path))
+        plan = contents.read_plan(log.attachment(contents.PLAN), world, str(path)) if contents.PLAN in names else None
     topics: dict[str, Json] = {}
     last = 0
     for message in log.messages():
@@ -64,14 +66,14 @@ def inspect(path: str | Path) -> Inspection:
         topics=dict(sorted(topics.items())),
         attachments={attached.name: len(attached.data) for attached in log.attachments},
         metadata=dict(log.metadata),
-        rollouts=[] if world is None else [_rollout(one, world, log.path) for one in rollouts_of(log)],
+        rollouts=[] if world is None else [_rollout(one, world, plan, log.path) for one in rollouts_of(log)],
     )
 
 
-def _rollout(one: RecordedRollout, world: World, source: Path) -> Json:
+def _rollout(one: RecordedRollout, world: World, plan: Plan | None, source: Path) -> Json:
     trace = one.trace
     try:
-        lines = [event_line(row, world) for row in trace.events]
+        lines = [event_line(row, world, plan) for row in trace.events]
     except (ValueError, IndexError) as error:
         raise InputError(f"rollout {trace.rollout}: an event that means nothing ({error})", source=source) from error
     cells = max(one.accessible, 1)

@@ -80,8 +80,8 @@ class Row:
         return float(self.moments.mean[KEPT[REACH[name]], 0]) if name in REACH else 1.0
 
     def difference(self, name: str) -> Estimate | None:
-        """What it has more of than the first row, "visited" or "time", on the maps that both have."""
-        if self.apart.maps < 2 or self.first is None:
+        """What it has more of than the first row, "visited" or "time", on the maps that both have; None of that row."""
+        if self.apart.maps < 2 or self.first is None or self.first is self.moments:
             return None
         reach, (mine, theirs) = self.reach(name), (of.weights(KEPT[name]) for of in (self.moments, self.first))
         weights = np.concatenate([mine, -theirs[1:]])

@@ -141,7 +141,7 @@ class RolloutDrawer:
             _, robot, kind, area, other = row.tolist()
             event = schemas.Event(rollout=trace.rollout, step=step, robot=robot, kind=kind, area=area, other=other)
             yield "/rollout/event", event
-            line = event_line(row, self.stage.world)
+            line = event_line(row, self.stage.world, self.stage.plan)
             yield "/events", _log(time, line.level, f"robot {robot}", line.text)
 
     def _map(self, time: int, step: int) -> Said:
