@@ -105,6 +105,22 @@ def test_so_it_is_when_it_is_judged(rule: str) -> None:
     assert "random areas" in repr(judged)
 
 
+@pytest.mark.parametrize("asked", [{"levels": 2}, {"in_area": "rows"}, {"policy": "per_cell", "worth": 1.0}])
+@pytest.mark.parametrize("rule", ["mrac", "per_cell"])
+def test_what_a_world_asks_of_the_planner_counts(asked: dict[str, Any], rule: str) -> None:
+    """As in `evaluate` with that policy, which leaves the world's own policy and its limits behind."""
+    there = replace(world(), team=Team(settings=asked))
+    found = make_singles(there, mrac.plan(there, 3, policy=rule), RolloutChoices(rollouts=60, seed=4))(0, 60)
+    given: dict[str, Any] = {"actions": "areas", "rule": rule, "rollouts": 60, "seed": 4, "against": [rule]}
+    judged = mrac.judge(there, lambda seen: np.ones(len(seen), np.int64), 3, **given)
+    for figures in (judged, judged.plans[rule]):
+        assert figures.coverage.mean == pytest.approx(found.visited.mean() / judged.cells, rel=1e-12)
+        assert figures.losses.mean == pytest.approx(3 - found.alive.mean(), rel=1e-12)
+    assert judged.steps.mean == found.time.mean()
+    plain = mrac.judge(world(), lambda seen: np.ones(len(seen), np.int64), 3, **given)
+    assert ("worth" in asked) == (plain.to_json() == judged.to_json())
+
+
 def of_offer(order: Any) -> Any:
     """A policy of the observations: the first by the order of what a rule sees."""
 
@@ -224,5 +240,22 @@ def test_what_cannot_be_is_refused() -> None:
     for asked in ({}, {"actions": "areas"}):
         with pytest.raises(mrac.InputError, match="the environment with radio"):
             mrac.env(apart, 2, **asked)
+    odd = {
+        "wear": 2.0,
+        "susceptibility": (1.0, 3.0),
+        "range": 9,
+        "return_to": "home",
+        "deadline": 12,
+        "plan_for": "open",
+    }
+    for name, value in odd.items():
+        apart = replace(world(), team=Team(settings={name: value}))
+        for asked in ({}, {"actions": "areas"}):
+            with pytest.raises(mrac.InputError, match=f"seed1: the environment with {name}; leave {name} out"):
+                mrac.env(apart, 2, **asked)
+            with pytest.raises(mrac.InputError, match=f"the environment with {name}"):
+                mrac.judge(apart, lambda seen: [0] * 2, 2, rollouts=2, **asked)
+    plain = replace(world(), team=Team(settings={"wear": 1.0, "susceptibility": (1.0, 1.0), "plan_for": "closed"}))
+    assert mrac.env(plain, 2).possible_agents == mrac.env(world(), 2).possible_agents
     with pytest.raises(mrac.InputError, match="policy returned"):
         mrac.judge(world(), lambda seen: [9] * 2, 2, actions="areas", rollouts=2)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 import mrac_jax as mrac
 from analysis.knowing.questions import Team
@@ -88,6 +89,48 @@ def test_a_row_is_what_evaluate_says(text: str, tmp_path: Path) -> None:
         exact = alone.closed_form.visited / cells
         known = row.known("exact visited")
         assert np.isnan(exact) if known is None else known.mean == pytest.approx(exact)
+
+
+OF_TEAMS = {
+    "range: 20, return_to: home": "robots: [3, 4]",
+    "range: 14, return_to: home, recharge: 3": "policy: [mrac, per_cell]",
+    "susceptibility: 2, start: upper-left": "robots: [3, 1]",
+    "susceptibility: [1, 3]": "starts: [[[0, 3], [4, 0]]]",
+}
+
+
+@pytest.mark.parametrize("block", OF_TEAMS)
+def test_a_row_of_another_team_keeps_to_the_rest_of_the_robots_block(block: str, tmp_path: Path) -> None:
+    """That of `evaluate` with its options `robots`, `starts` and `policy`; so do robots that are charged."""
+    TRUE.save(tmp_path / "true.npz")
+    (tmp_path / "team.yaml").write_text(f"map: true.npz\nrobots: {{count: 2, {block}}}\n")
+    world = mrac.load(tmp_path / "team.yaml")
+    ((name, values),) = yaml.safe_load(f"{{{OF_TEAMS[block]}}}").items()
+    rows = swept(tmp_path, f"base: {{input: team.yaml}}\nsweep: {{{OF_TEAMS[block]}}}").rows
+    for row, value in zip(rows, values, strict=True):
+        plan = mrac.plan(world, **{name: value})
+        alone = mrac.evaluate(world, plan, rollouts=ROLLOUTS, exact="never", engine="numba", advice=False, band=False)
+        found, known = row.estimate("visited"), alone.figures.visited.mean.times(1 / alone.cells["accessible"])
+        assert (found.mean, *found.ci95) == pytest.approx((known.mean, *known.ci95), rel=1e-12)
+
+
+REFUSED = {
+    "count: 2, radio: 3": "team.yaml robots=3: a sweep with radio; leave radio out",
+    "count: 2, steps_per_move: [1, 2]": "a sweep with steps_per_move",
+    "count: 2, matrix: {a: {x: 2}}, types: a": "a sweep with types",
+    "count: 2, range: [9, 8]": "range of 2 robots for a team of 3; expected one number",
+    "count: 2, susceptibility: [1, 3]": "susceptibility of 2 robots for a team of 3; expected one number",
+    "starts: [[0, 3], [4, 0]]": "robots=3 contradicts the 2 starts of .*team.yaml; leave robots out",
+}
+
+
+@pytest.mark.parametrize("block", REFUSED)
+def test_what_another_team_cannot_have_is_found_before_the_first_rollout(block: str, tmp_path: Path) -> None:
+    TRUE.save(tmp_path / "true.npz")
+    (tmp_path / "team.yaml").write_text(f"map: true.npz\nrobots: {{{block}}}\n")
+    (tmp_path / "try.yaml").write_text("base: {input: team.yaml}\nsweep: {robots: [3]}\n")
+    with pytest.raises(InputError, match=rf"try.yaml: sweep.robots: .*{REFUSED[block]}"):
+        read_spec(tmp_path / "try.yaml")
 
 
 def test_random_maps_are_gone_on_with(tmp_path: Path) -> None:

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.worlds import Generated, Written
-from planner.errors import InputError, UsageError
+from planner.arguments import argument
+from planner.errors import InputError, PlanError, UsageError
 from planner.plan_team import plan_team, read_plan
 from planner.plans.plan import Plan
 from planner.settings import Choices, Settings
 from planner.worlds.generate import Kind
-from planner.worlds.starts import place_starts
+from planner.worlds.starts import check_same_team, place_starts
 from planner.worlds.world import World, check_starts
 
 SEMANTICS = 1
@@ -114,6 +115,7 @@ class Places:
             team = self._team(case)
             team.world.check_alike("a sweep")
             team.settings.check_alike("a sweep")
+            _check_each(team.settings, len(team.starts))
             return team
         except InputError as error:
             raise naming(error, case.name) from error
@@ -126,7 +128,8 @@ class Places:
             if case.robots not in (None, len(case.starts)):
                 raise UsageError(f"{case.robots} robots and {len(case.starts)} starts", fix="leave robots out")
             starts = check_starts(np.array(case.starts), world.threat, case.name)
-        elif case.robots is None and world.starts is not None:
+        elif world.starts is not None:
+            check_same_team(case.robots, world.starts, world.source)
             starts = world.starts
         else:
             count = case.robots if case.robots is not None else (world.team.robots or 1)
@@ -140,6 +143,15 @@ class Places:
             expected = f"its own {len(plan.robots)} robots, starts and settings"
             raise UsageError(f"{case.plan} with other robots, starts or settings", expected=expected)
         return Team(world, plan.starts, plan.settings or Settings(), plan)
+
+
+def _check_each(settings: Settings, robots: int) -> None:
+    """Raise PlanError for ranges or susceptibilities, one a robot, of another team, as planning would later."""
+    for name in ("range", "susceptibility"):
+        given = getattr(settings, name)
+        if isinstance(given, tuple) and len(given) != robots:
+            problem = f"{argument(name)} of {len(given)} robots for a team of {robots}"
+            raise PlanError(problem, expected="one number, or one for each robot")
 
 
 def run_key(team: Team, model: RolloutChoices) -> str:

@@ -142,10 +142,6 @@ def written_world(values: Mapping[str, Any], seed: int | None) -> Written:
     for entry in generators(scenario):
         entry |= {} if seed is None else {"seed": seed}
         entry |= {"levels" if name == "threat_levels" else name: values[name] for name in WORLD if name in values}
-    if not values.keys().isdisjoint(TEAM):
-        rule = scenario.pop("robots", None)
-        if isinstance(rule, dict) and "start" in rule and "robots" in values:
-            scenario["robots"] = {"start": rule["start"], "count": values["robots"]}
     return Written(canonical(scenario), values["input"])
 
 

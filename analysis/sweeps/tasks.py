@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from planner.rollouts.engine import Engine
 
 ONCE_UNDER_WAY: dict[str, Any] = {
-    "policy": DEFAULT, **dict.fromkeys(("reserve", "worth", "range", "max_steps", "deadline")),
+    "policy": DEFAULT, **dict.fromkeys(("reserve", "worth", "range", "recharge", "max_steps", "deadline")),
     **{name: getattr(Settings(), name) for name in BEARING},
 }  # fmt: skip
 """Settings, by their defaults, that the areas at t = 0 do not depend on."""

@@ -13,6 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mrac_jax.environment.asked import asked_of
 from mrac_jax.environment.running import Next, Told, picture_of
 from mrac_jax.environment.spaces import Box, Discrete
 from planner.arguments import Numbers, check_word, whole
@@ -21,7 +22,7 @@ from planner.missions.chosen import ChosenRun
 from planner.mrac.make_plan import allocate
 from planner.mrac.problem import prepare
 from planner.policies import DEFAULT, RULES
-from planner.settings import Choices, Policy, Settings
+from planner.settings import Policy
 from planner.tally import Outcome
 from planner.worlds.doubt import Hazard
 from planner.worlds.starts import starts_of
@@ -58,13 +59,12 @@ class AreaEnv:
         placed = starts_of(world, robots, starts)
         (world.check_told if isinstance(world.doubt, Hazard) else world.check_settled)("the environment")
         world.check_alike("the environment")
-        Choices().settings(world.team.settings, world.pace, by=world.source).check_alike("the environment")
         Numbers(0).check("worth", worth)
         whole(1, 1024).check("offers", offers)
         if isinstance(rule, str):
             check_word("rule", rule, tuple(RULES))
         whole(1).check("max_steps", max_steps, optional=True)
-        self._problem = prepare(world, placed, Settings(policy=rule))
+        self._problem = prepare(world, placed, asked_of(world, policy=rule))
         self._areas = allocate(self._problem)
         self.world, self.starts, self.worth, self.offers = world, placed, float(worth), int(offers)
         self.num_agents, self.accessible = len(placed), int(self._problem.levels.accessible.sum())

@@ -19,13 +19,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mrac_jax.environment.asked import asked_of
 from mrac_jax.environment.spaces import Box, Discrete
 from mrac_jax.threefry import threefry2x32
 from mrac_jax.two_words import is_reached, less, tolerance_words, two_words
 from planner.arguments import Numbers, whole
 from planner.mrac.costs import neighbour_table
 from planner.none import NO_CELL
-from planner.settings import Choices
 from planner.threefry import OWN_KEYS
 from planner.tolerance import LUCK_DRAW
 from planner.worlds.doubt import Draws, Hazard
@@ -86,12 +86,13 @@ class CoverageEnv:
         worth: float = 0.0,
         max_steps: int | None = None,
     ) -> None:
-        """Raises InputError for starts or numbers that are none, and for uncertain maps or values."""
+        """Raises InputError for starts or numbers that are none, and for uncertain maps, values, or a team (`asked_of`)
+        that it does not play."""
         placed = starts_of(world, robots, starts)
         self._hazards = world.draws if isinstance(world.doubt, Hazard) else None
         (world.check_settled if self._hazards is None else world.check_told)("the environment")
         world.check_alike("the environment")
-        Choices().settings(world.team.settings, world.pace, by=world.source).check_alike("the environment")
+        asked_of(world)
         Numbers(0).check("worth", worth)
         whole(0).check("view", view, optional=True)
         whole(1).check("max_steps", max_steps, optional=True)
