@@ -120,6 +120,14 @@ def test_two_robots_answer_each_other() -> None:
     assert best == pytest.approx(9 + first + second)
 
 
+def test_robots_that_bear_more_or_less_get_the_same_paths() -> None:
+    """No decision knows of it; one number a robot was refused, of a robot by itself."""
+    world, starts = tiny_world(3, 4, 4), [[0, 0], [0, 0]]
+    found = planned(world, starts, susceptibility=(1.0, 3.0))
+    for robot, plain in zip(found.robots, planned(world, starts).robots, strict=True):
+        assert np.array_equal(robot.path, plain.path)
+
+
 def test_a_saved_plan_is_one_of_paths_that_knows_what_it_is_for(tmp_path: Path) -> None:
     world = tiny_world(3, 3, 4)
     plan = planned(world, [[0, 0]])
