@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, make_dataclass
+from dataclasses import dataclass, field, fields, make_dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -249,6 +249,13 @@ class Settings:
         from planner.bearing import Bearing
 
         return Bearing(self.wear, self.susceptibility, begun, self.types)
+
+    @property
+    def alone(self) -> Settings:
+        """Of the first robot by itself: its own of what each robot has."""
+        each = (name for name, setting in SETTINGS.items() if (setting.each or setting.names) and not setting.found)
+        own = {name: getattr(self, name) for name in each}
+        return replace(self, **{name: given[0] for name, given in own.items() if isinstance(given, tuple)})
 
     @property
     def rule(self) -> Rule:

@@ -263,6 +263,12 @@ def small_survey(processes: int, worlds: int = 6) -> Survey:
     return run_survey(choices, RolloutChoices(rollouts=512, seed=40), processes=processes)
 
 
+def test_robots_of_one_range_each_are_held_against_the_first_by_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    """It was refused: two ranges for the one robot of T_1."""
+    assert run(["check", "example:paper", "--robots", "2", "--range", "40,30", "--rollouts", "64", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["checks"]
+
+
 def test_a_survey_is_the_same_however_many_processes() -> None:
     one, fewer, two = small_survey(1), small_survey(1, worlds=2), small_survey(2, worlds=2)
     assert fewer.entries == two.entries

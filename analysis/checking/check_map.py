@@ -109,7 +109,7 @@ def check_map(
     truths = {meaning: Truth.known(getattr(exact, meaning)) for meaning in MEANINGS}
     checks = [*paper_checks(plan, world, exact, bounds), *own_checks(own, truths, "open", cells)]
     if alone is None and not plan.is_foreign:
-        alone = make_plan(world, plan.starts[:1], plan.settings)
+        alone = make_plan(world, plan.starts[:1], plan.settings and plan.settings.alone)
     checks += nominal_checks(plan, world, alone)
     doubt, closed = doubt_of_each(figures), None
     if not plan.is_foreign:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
@@ -72,10 +71,8 @@ def depots_of(
     order = np.argsort(-bounds, kind="stable").tolist()
     ordered = [sites[site] for site in order]
     planned = {}
-    alike = {name: own[0] for name in ("range", "susceptibility") if isinstance(own := getattr(settings, name), tuple)}
-    one = replace(settings, **alike)
     for cell in islice(in_turn(ordered), PLANNED):
-        alone = make_plan(world, cell[None], one)
+        alone = make_plan(world, cell[None], settings.alone)
         known = open_loop_exact(alone, world)
         own = known.visited if world.value is None else float(Worth.of(world).value @ known.visited_by_cell)
         planned[tuple(cell.tolist())] = own

@@ -73,7 +73,7 @@ def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, sec
 def _alone(world: World, starts: NDArray[np.int64], settings: Settings) -> list[NDArray[np.int64]]:
     """The path over the whole map of each robot by itself, `per_cell`."""
     limits: dict[str, Any] = dict.fromkeys(("reserve", "worth", "max_steps", "deadline", "range"))
-    by_itself = replace(settings, policy="per_cell", susceptibility=1.0, **limits)  # which decides nothing
+    by_itself = replace(settings.alone, policy="per_cell", **limits)
     found = {
         start: make_plan(world, [divmod(start, world.shape[1])], by_itself).robots[0].path for start in starts.tolist()
     }
