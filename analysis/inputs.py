@@ -18,7 +18,7 @@ from planner.limits import MAX_PLAN_BYTES
 from planner.plans.plan import FORMAT, Plan
 from planner.plans.state import MissionState
 from planner.policies.per_cell import PER_CELL
-from planner.settings import BEARING, BEST, Choices, Settings
+from planner.settings import BEARING, BEST, KEPT, Choices, Settings
 from planner.shown import counted
 from planner.worlds.learning import seeing
 from planner.worlds.world import EXAMPLE, World, check_starts
@@ -253,7 +253,17 @@ def _load_plan(asked: Asked, plan_file: Path) -> Found:
                 was = f"made with {getattr(plan.settings, option)!r}"
             problem = f"{argument(option, value)} contradicts {plan_file}, {was}"
             raise UsageError(problem, fix="leave it out, or plan anew")
-    return world.with_starts(plan.starts), plan, world.notes + plan.notes
+    return world.with_starts(plan.starts), plan, world.notes + plan.notes + _other(world, plan, plan_file)
+
+
+def _other(world: World, plan: Plan, plan_file: Path) -> tuple[str, ...]:
+    """A note where the world's own team bears, or keeps to, something else than its plan was made for."""
+    if plan.settings is None:
+        return ()
+    said = Choices().settings(world.team.settings, world.pace, by=world.source)
+    named = (name for name in (*BEARING, "types", *KEPT) if name in world.team.settings)
+    other = " and ".join(name for name in named if getattr(said, name) != getattr(plan.settings, name))
+    return (f"{plan_file} was made for another {other} than {world.source} says: its own count",) if other else ()
 
 
 def generate_world(

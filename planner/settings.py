@@ -27,6 +27,8 @@ POLICY = ("policy", "reserve", "worth", "priority")
 """A policy and the limits that go with it."""
 BEARING = ("wear", "susceptibility")
 """What robots bear: no decision knows it."""
+KEPT = ("range", "deadline", "return_to", "recharge", "steps_per_move", "radio")
+"""What they keep to, whatever the policy."""
 GROUPS = {"policy": POLICY, "plan_for": ("plan_for", "effort")}
 """Settings that bring others along: who chooses them anew leaves those behind."""
 MOST_LEVELS = 1024

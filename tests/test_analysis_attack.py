@@ -165,6 +165,9 @@ def test_the_command_says_it_as_json_and_writes_both_maps(
     assert found["known"]["loss"]["known"]["mean"] == attacked.known.known.cells.mean  # type: ignore[union-attr]
     for name, world in (("known", attacked.known_world), ("hidden", attacked.hidden_world)):
         assert np.array_equal(mrac.load(tmp_path / "out" / f"{name}.npz").threat, world.threat)
+    team = mrac.load(tmp_path / "out" / "known.yaml")
+    assert team.starts is not None and team.starts.tolist() == attacked.starts.tolist()
+    assert team.sha256 == attacked.known_world.sha256
     page = (tmp_path / "out" / "index.html").read_text()
     assert headline(attacked) in page and all(said in page for said in findings(attacked))
     assert 2 <= len(repr(attacked).splitlines()) <= 24

@@ -375,6 +375,22 @@ def test_contradictions_of_a_plan_file(tmp_path: Path, capsys: pytest.CaptureFix
     assert "robot 0" in capsys.readouterr().err
 
 
+def test_a_plan_made_for_other_robots_than_the_scenario_s_is_noted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    World.create([[0.0, 0.1, 0.0], [0.0, 0.2, 0.1]]).save(tmp_path / "w.npz")
+    file, scenario = tmp_path / "plan.json", tmp_path / "s.yaml"
+    scenario.write_text("map: w.npz\nrobots: {count: 1, susceptibility: 3, return_to: home}\nwear: {shape: 2}\n")
+    other = "wear and susceptibility and return_to"
+    said = f"{file} was made for another {other} than {scenario} says: its own count"
+    for made_for, note in (("w.npz", said), ("s.yaml", "")):
+        assert run(["plan", str(tmp_path / made_for), "--robots", "1", "--out", str(file)]) == 0
+        capsys.readouterr()
+        assert run(["evaluate", str(scenario), "--plan", str(file), "--rollouts", "16"]) == 0
+        err = capsys.readouterr().err
+        assert (note in err.splitlines()) if note else "made for another" not in err
+
+
 def test_tampered_plan_files_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     threat = [[0.0, 0.0, 0.0, np.nan, 0.0, 0.0, 0.2], [0.0, 0.1, 0.0, np.nan, 0.0, 0.0, 0.2]]
     World.create(threat).save(tmp_path / "w.npz")

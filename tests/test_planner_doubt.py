@@ -19,7 +19,10 @@ from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
 from planner.settings import Settings
 from planner.threefry import own_key, threefry2x32
+from planner.worlds.changing import with_phases
 from planner.worlds.generate import ThreatPattern, random_world
+from planner.worlds.learning import with_prior, with_truth
+from planner.worlds.moving import with_movers
 from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file
@@ -225,3 +228,35 @@ def test_arrays_that_are_no_hazard_and_no_maps() -> None:
         with_maps(TINY, [TINY.threat, np.where(np.eye(2, 3) > 0, np.nan, 0.1)])
     with pytest.raises(InputError, match="amount=nan; expected a standard deviation"):
         with_spread(TINY, "lognormal", float("nan"))
+
+
+KINDS: dict[str, Callable[[World], World]] = {
+    "persistent": lambda world: with_hazard(world, "persistent", world.threat, 0.5),
+    "independent": lambda world: with_hazard(world, "independent", world.threat, 0.5),
+    "maps": lambda world: with_maps(world, [world.threat, world.threat / 2]),
+    "spread": lambda world: with_spread(world, "beta", 20),
+    "movers": lambda world: with_movers(world, [{"walk": 0.5, "h": 0.3}]),
+    "phases": lambda world: with_phases(world, [(10, world.threat / 2)]),
+    "truth": lambda world: with_truth(world, world.threat / 2),
+    "prior": lambda world: with_prior(world, 0.04, "known", 1),
+}
+TOGETHER = {
+    *(("independent", other) for other in KINDS),
+    *(("persistent", "persistent"), ("persistent", "independent"), ("maps", "maps"), ("spread", "maps")),
+    *(("maps", "prior"), ("spread", "prior"), ("truth", "prior"), ("prior", "prior")),
+}
+"""What may be said after what: all after a plain map, anew what is replaced whole, and a prior last."""
+
+
+@pytest.mark.parametrize("first", KINDS)
+def test_one_thing_that_is_not_known_beside_another_is_refused_in_either_order(first: str) -> None:
+    world = KINDS[first](TINY)
+    for second, add in KINDS.items():
+        if (first, second) in TOGETHER:
+            add(world)
+            continue
+        with pytest.raises(InputError, match=r"beside (a|another) |would have to learn"):
+            add(world)
+    if first == "prior":
+        with pytest.raises(InputError, match="leave one of the two out; a prior is given after the maps"):
+            with_spread(world, "beta", 20)

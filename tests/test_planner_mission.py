@@ -220,6 +220,19 @@ def of_two(**more: Any) -> Mission:
     return mission
 
 
+def test_a_state_that_says_nothing_of_range_leaves_it_as_it_is_planned(tmp_path: Path) -> None:
+    """One by hand, or of a recording: robots drove on as if they had any range."""
+    mission, file = of_two(range=(6, 9)), tmp_path / "now.json"
+    mission.save(file)
+    said = json.loads(file.read_text())
+    kept = Mission.resume(file, ROW, make_plan(ROW, ROW.starts, Settings(range=30)))
+    assert kept.settings.range == mission.settings.range == (6, 9)
+    del said["range"], said["checksum"]
+    file.write_text(json.dumps(said))
+    bare = Mission.resume(file, ROW, make_plan(ROW, ROW.starts, Settings(range=(6, 9))))
+    assert bare.settings.range == (6, 9)
+
+
 @pytest.mark.parametrize(
     ("said", "words"),
     [

@@ -16,9 +16,11 @@ import planner.plans.plan_file
 from planner.errors import MapError, PlanError
 from planner.files import LONG_BYTES, read_csv_grid
 from planner.mrac.make_plan import make_plan
+from planner.plan_team import plan_team
 from planner.plans.plan import Area, Leg, Plan, RobotPlan
 from planner.plans.plan_file import count_shares, load_plan
 from planner.settings import Settings
+from planner.worlds.scenario import load_input
 from planner.worlds.world import World
 
 # 2 x 4: column 2 is dangerous, [1, 0] an obstacle. Robot 0 covers the left part, then helps robot 1 with the middle.
@@ -133,6 +135,20 @@ def test_another_planners_complete_plan_has_no_note(tmp_path: Path) -> None:
     path = [[0, 0], [0, 1], [1, 1], [1, 2], [0, 2], [0, 3], [1, 3]]
     plan = load_plan(written(tmp_path, {"paths": [path]}), WORLD)
     assert (plan.notes, plan.time) == ((), 6)
+
+
+def test_given_paths_and_a_scenario_that_says_more_of_its_robots(tmp_path: Path) -> None:
+    WORLD.save(tmp_path / "w.npz")
+    (tmp_path / "s.yaml").write_text("map: w.npz\nrobots: {count: 1, range: 2, susceptibility: 3}\ndeadline: 4\n")
+    world = load_input(tmp_path / "s.yaml")
+    path = [[0, 0], [0, 1], [1, 1], [1, 2], [0, 2], [0, 3], [1, 3]]
+    plan = load_plan(written(tmp_path, {"paths": [path]}), world)
+    assert plan.bearing.susceptibility == 3 and len(plan.robots[0].path) == 7
+    unkept = f"whatever {world.source} says of range and deadline"
+    assert plan.notes == (f"robots follow given paths to their end, {unkept}",)
+    own = plan_team(world, [[0, 0]], Settings(plan_for="open", range=2, effort=0))
+    own.save(tmp_path / "own.json")
+    assert not any("whatever" in note for note in load_plan(tmp_path / "own.json", world).notes)
 
 
 def test_cells_out_of_reach_are_not_missed(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from planner.errors import UsageError
 from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
+from planner.worlds.starts import place_starts, starts_of
 from planner.worlds.world import World, load_world_file
 
 FIXTURES = Path(__file__).parent / "fixtures"
@@ -74,6 +74,13 @@ def test_a_safe_cell_in_a_smaller_component_does_not_count() -> None:
 def test_counts_that_are_none(robots: object) -> None:
     with pytest.raises(UsageError, match=r"robots=.*; expected a whole number"):
         place_starts(World.create(np.zeros((2, 3))), robots)  # type: ignore[arg-type]
+
+
+def test_as_many_robots_as_a_world_has_starts_stand_there() -> None:
+    """As `--robots` has it; of any other number the rule places them."""
+    world = World.create(np.zeros((3, 3)), [[2, 2], [2, 1]])
+    assert starts_of(world, 2, None).tolist() == starts_of(world, None, None).tolist() == [[2, 2], [2, 1]]
+    assert starts_of(world, 1, None).tolist() == [[0, 0]]
 
 
 def test_an_unknown_rule() -> None:

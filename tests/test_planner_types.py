@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,13 +18,16 @@ from planner.errors import InputError
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.plan_team import plan_team, read_plan
+from planner.plans.plan_file import load_plan, parse_plan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
+from planner.worlds.changing import with_phases
+from planner.worlds.moving import with_movers
 from planner.worlds.robot_types import checked_types
 from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
-from planner.worlds.world import World
-from planner.worlds.wrong_maps import with_hazard
+from planner.worlds.world import World, world_of
+from planner.worlds.wrong_maps import with_hazard, with_maps, with_spread
 
 KINDS: list[dict[str, Any]] = [
     {},
@@ -216,9 +220,48 @@ def test_teams_of_unknown_types_and_what_does_not_know_types(tmp_path: Path) -> 
     for more in ({"transit": "area"}, {"plan_for": "open"}):
         with pytest.raises(InputError, match="types"):
             plan_team(world, starts, Settings(types=("drone", "rover"), **more))
-    hazard = with_hazard(world, "persistent", 0.1)
+    hazard = with_hazard(replace(world, types=None), "persistent", 0.1)
     with pytest.raises(InputError, match="presume one known map"):
-        make_plan(hazard, starts, Settings(types="drone"))
+        make_plan(replace(hazard, types=world.types), starts, Settings(types="drone"))
+
+
+def test_threats_in_the_place_of_those_of_types_are_refused(tmp_path: Path) -> None:
+    world = site(tmp_path)
+    changes: tuple[Callable[[], World], ...] = (
+        lambda: with_hazard(world, "independent", 0.5, 0.5),
+        lambda: with_hazard(world, "persistent", 0.5, 0.5),
+        lambda: with_maps(world, [world.threat]),
+        lambda: with_spread(world, "beta", 20),
+        lambda: with_phases(world, [(0, np.full(world.shape, 0.5))]),
+        lambda: with_movers(world, [{"walk": 0.5, "h": 0.3}]),
+    )
+    for change in changes:
+        with pytest.raises(InputError, match="beside robots of the types drone, rover; expected one known map"):
+            change()
+
+
+def test_paths_alone_keep_their_types(tmp_path: Path) -> None:
+    world, file = site(tmp_path), tmp_path / "paths.json"
+    plan = make_plan(world, place_starts(world, 2)[0], Settings(types=("drone", "rover"))).until(500)
+    plan.save(file)
+    other = replace(world, team=replace(world.team, settings={"types": ("rover", "rover")}))
+    assert load_plan(file, other).bearing == plan.bearing
+    paths = {"paths": [[[0, 0]], [[0, 1]]], "types": "drone"}
+    assert parse_plan(paths, other, "paths").bearing.types == "drone"
+    with pytest.raises(InputError, match="knows no types of robots"):
+        load_plan(file, replace(world, types=None))
+
+
+@pytest.mark.parametrize("types", ["[drone, rover]", "rover"])
+def test_a_world_file_says_of_which_types_its_robots_are(types: str, tmp_path: Path) -> None:
+    world, file = site(tmp_path, SITE.replace("types: [drone, rover]", f"types: {types}")), tmp_path / "site.npz"
+    world.save(file)
+    again = load_input(file)
+    assert again.team.settings == world.team.settings
+    assert again.luck_sha256 == world.luck_sha256
+    assert again.to_bytes() == world.to_bytes()
+    with pytest.raises(InputError, match=r"types_team are not types of robots; expected .* of drone, rover"):
+        world_of(world.arrays() | {"types_team": np.array("tank")}, "site.npz")
 
 
 def test_robots_leave_to_a_type_what_it_covers_for_less() -> None:

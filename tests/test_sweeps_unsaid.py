@@ -114,6 +114,18 @@ def test_a_row_of_another_team_keeps_to_the_rest_of_the_robots_block(block: str,
         assert (found.mean, *found.ci95) == pytest.approx((known.mean, *known.ci95), rel=1e-12)
 
 
+def test_so_many_robots_are_the_first_of_those_that_the_input_places(tmp_path: Path) -> None:
+    TRUE.save(tmp_path / "true.npz")
+    (tmp_path / "team.yaml").write_text("map: true.npz\nrobots: {starts: [[4, 0], [0, 3]]}\n")
+    rows = swept(tmp_path, "base: {input: team.yaml}\nsweep: {robots: [1, 2]}").rows
+    world = mrac.load(tmp_path / "team.yaml")
+    for row, starts in zip(rows, ([[4, 0]], [[4, 0], [0, 3]]), strict=True):
+        plan = mrac.plan(world, starts=starts)
+        alone = mrac.evaluate(world, plan, rollouts=ROLLOUTS, exact="never", engine="numba", advice=False, band=False)
+        known = alone.figures.visited.mean.times(1 / alone.cells["accessible"])
+        assert row.estimate("visited").mean == pytest.approx(known.mean, rel=1e-12)
+
+
 REFUSED = {
     "count: 2, radio: 3": "team.yaml robots=3: a sweep with radio; leave radio out",
     "count: 2, steps_per_move: [1, 2]": "a sweep with steps_per_move",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+import yaml
 from rich.table import Table
 
 from analysis.adversary.answer import Attack, Placed
@@ -14,6 +15,7 @@ from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
 from analysis.report.words import asked, luck_words, map_words, search_end, source_words
 from planner.files import Json
 from planner.shown import counted
+from planner.worlds.restart import said
 
 SHOWN = 12
 """Cells in the table; the JSON object holds all."""
@@ -35,8 +37,17 @@ def report(attack: Attack) -> Report:
         picture=lambda: _maps(attack), parts=[Part("Cells", [_table(attack)], _footnotes(attack))],
         notes=attack.notes, settings=attack.settings.shown(attack.world.pace), pace=attack.world.pace,
         pictures={"attack.png": lambda: _maps(attack, 0), "hidden.png": lambda: _maps(attack, 1)},
-        files={"known.npz": attack.known_world.to_bytes, "hidden.npz": attack.hidden_world.to_bytes},
+        files={
+            "known.yaml": lambda: _scenario(attack), "known.npz": attack.known_world.to_bytes,
+            "hidden.npz": attack.hidden_world.to_bytes,
+        },
     )  # fmt: skip
+
+
+def _scenario(attack: Attack) -> bytes:
+    """The team on the map with the threats that it knows of."""
+    team = said({"starts": attack.starts.tolist()}, attack.settings, attack.world.pace)
+    return yaml.safe_dump({"map": {"file": "known.npz"}} | team, sort_keys=False).encode()
 
 
 def headline(attack: Attack) -> str:

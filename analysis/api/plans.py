@@ -95,7 +95,7 @@ def plan(
     """The plan of a team (Algorithms 1 to 3): its areas, and every robot's path if nobody is lost.
 
     Args:
-        robots: how many, placed by the world's start rule; default: the world's own team, else 1.
+        robots: how many, placed by the world's start rule unless it has as many starts; default: its team, else 1.
         starts: instead of that, `[[row, col], ...]`, one a robot.
         levels: most threat levels, p = 0 counted. density: least cells a robot of a safe area is to have.
         risk: cost of a dangerous cell, "paper" (eq. 3) or "log" (by survival). transit: "grid" or "area".

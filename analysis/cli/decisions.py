@@ -140,7 +140,7 @@ def attack(
     Args:
         count: How many threats are placed (default: 1).
         p: The chance that a visit of one stops a robot, beside what else is there (default: 0.2).
-        out: Write the page, the pictures, JSON and both maps (.npz) to this folder.
+        out: Write the page, the pictures, JSON and both maps (known.yaml, hidden.npz) to this folder.
     """
     from analysis.adversary.search import find_attack
 

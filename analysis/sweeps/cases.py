@@ -129,8 +129,9 @@ class Places:
                 raise UsageError(f"{case.robots} robots and {len(case.starts)} starts", fix="leave robots out")
             starts = check_starts(np.array(case.starts), world.threat, case.name)
         elif world.starts is not None:
-            check_same_team(case.robots, world.starts, world.source)
-            starts = world.starts
+            if case.robots is None or case.robots > len(world.starts):
+                check_same_team(case.robots, world.starts, world.source)
+            starts = world.starts[: case.robots]  # as `size` has it
         else:
             count = case.robots if case.robots is not None else (world.team.robots or 1)
             starts, _ = place_starts(world, count, world.team.start)

@@ -83,7 +83,7 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
     notes = _pooled_notes(seen, wanted, pooled)
     rows, runs = [], 0
     for place in sorted(groups, key=lambda values: [_order(value) for value in values]):
-        labels, group = dict(zip(wanted, place, strict=True)), groups[place]
+        labels, group = dict(zip(wanted, place, strict=True)), _in_order(groups[place])
         maps = complete(group.values())
         said = ", ".join(f"{name} {shown(value)}" for name, value in labels.items()) or "all runs"
         if not maps:
@@ -97,6 +97,13 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
         runs += sum(map(len, maps))
     common = {name: next(iter(values)) for name, values in seen.items() if len(values) == 1 and name not in wanted}
     return Results(str(store.path or "store"), tuple(rows), common, runs, tuple(notes), pooled)
+
+
+def _in_order(group: Group) -> Group:
+    """The maps by their labels, and the runs of each by theirs: sums do not depend on which was finished first."""
+    told = {name: sorted(parts, key=lambda part: [_order(one) for one in (*part.setting, part.seed)])
+            for name, parts in group.items()}  # fmt: skip
+    return dict(sorted(told.items(), key=lambda one: (one[0][0], _order(one[0][1]))))
 
 
 def _pooled_notes(seen: dict[str, set[Label]], wanted: Sequence[str], pooled: Sequence[str]) -> list[str]:

@@ -73,7 +73,9 @@ def read_rest(path: str | Path, world: World, plan: Plan) -> tuple[World, Plan, 
     """
     source, (data, keys) = str(path), _read(path)
     given, (world, changed) = world, _as_known(world, keys)
-    settings = replace(plan.settings or Settings(), range=keys["range"].setting(SETTINGS["range"]))
+    settings = plan.settings or Settings()
+    if "range" in data:  # what robots said of it; a state by hand says nothing
+        settings = replace(settings, range=keys["range"].setting(SETTINGS["range"]))
     if keys["begun"].value is False:
         check_map(keys["world"], world, "state of", ON_ITS_MAP)
         same = not changed and settings == plan.settings

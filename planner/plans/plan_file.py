@@ -23,7 +23,7 @@ from planner.none import NO_ROBOT
 from planner.plans.plan import FORMAT, VERSION, Area, Leg, Plan, RobotPlan
 from planner.plans.reading import at, check_map, check_partition, read_cells
 from planner.plans.state_file import parse_state
-from planner.settings import BEARING, POLICY, SETTINGS, Settings
+from planner.settings import BEARING, KEPT, POLICY, SETTINGS, Settings
 from planner.worlds.keys import Key
 from planner.worlds.learning import as_planned
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World
@@ -33,6 +33,8 @@ REMAKE = "make the plan anew with `mrac-jax plan`"
 PARTS = ("areas", "areas_added")
 LATER = ("nominal", "notes", "plan_for", "state")
 """Keys of areas, and those that a plan file need not have."""
+BORNE = (*BEARING, "types")
+"""Keys of paths alone: what their robots bear."""
 
 
 def load_plan(path: str | Path, world: World) -> Plan:
@@ -61,7 +63,7 @@ def parse_plan(data: object, world: World, source: str) -> Plan:
     if "paths" not in data:
         problem = f"has the format {reprlib.repr(data['format'])}, and no paths" if "format" in data else "has no paths"
         raise top.fault(problem, f'"format": "{FORMAT}", or "paths": [[[row, col], ...], ...] of another planner')
-    keys = top.mapping(("paths",), (*POLICY, *BEARING), strict=False)
+    keys = top.mapping(("paths",), (*POLICY, *BORNE), strict=False)
     for name in POLICY:
         if name in keys and keys[name].value is not None:
             raise keys[name].wrong("paths alone", "leave it out: paths are followed")
@@ -87,8 +89,11 @@ def _foreign_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:
     notes: tuple[str, ...] = ()
     if len(missed):
         notes = (f"accessible cells on no path: {len(missed)} (the first: {at(missed[0], world)})",)
-    told = {name: value for name, value in world.team.settings.items() if name in (*BEARING, "types")}
-    told |= {name: keys[name].setting(SETTINGS[name]) for name in BEARING if name in keys}
+    told = {name: value for name, value in world.team.settings.items() if name in BORNE}
+    kept = [name for name in KEPT if name in world.team.settings]
+    if kept and ("plan_for" not in keys or keys["plan_for"].value is None):
+        notes += (f"robots follow given paths to their end, whatever {world.source} says of {' and '.join(kept)}",)
+    told |= {name: keys[name].setting(SETTINGS[name]) for name in BORNE if name in keys}
     bears = Settings(**told).bearing()
     bears.check(len(robots), source)
     world.of_robots(bears.types, len(robots))
@@ -104,7 +109,7 @@ def _team(key: Key) -> list[Key]:
 
 def _own_plan(top: Key, world: World) -> Plan:
     """A plan in the project's own format: version, map, settings, paths with legs, areas, nominal outcome."""
-    keys = top.mapping(("version", "world", "robots"), ("settings", *PARTS, *LATER, *BEARING), strict=False)
+    keys = top.mapping(("version", "world", "robots"), ("settings", *PARTS, *LATER, *BORNE), strict=False)
     version = keys["version"].number(whole(1))
     if version != VERSION:
         raise keys["version"].wrong(f"version {VERSION}", "update mrac-jax" if version > VERSION else REMAKE)

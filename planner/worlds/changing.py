@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from planner.arguments import check_word
 from planner.errors import WorldError
+from planner.worlds.beside import check_alone
 from planner.worlds.grid import Ground
 from planner.worlds.keys import Key
 from planner.worlds.phases import PLAN_ON, Foresight, Phases, check_phases
@@ -30,12 +31,9 @@ def with_phases(world: World, phases: Sequence[tuple[Any, World | ArrayLike]], p
         plan_on: "now": robots are told of a change as it comes; "first": they go by the first map for good; "worst":
             by the cell-wise maximum.
 
-    Raises WorldError for phases that are none, and for a world that is not known.
+    Raises WorldError for phases that are none, for a world that is not known, or has types of robots.
     """
-    for other in (world.doubt, world.knowledge):
-        if other is not None:
-            problem = f"`phases` beside another thing that is not known: {other.said}"
-            raise WorldError(problem, source=world.source, expected="one known map", fix="leave one of the two out")
+    check_alone(world, "phases")
     check_word("plan_on", plan_on, PLAN_ON, WorldError, world.source)
     for number, pair in enumerate(phases):
         if not (isinstance(pair, tuple | list) and len(pair) == 2):

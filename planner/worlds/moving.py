@@ -10,6 +10,7 @@ import numpy as np
 
 from planner.arguments import check_word, whole
 from planner.errors import WorldError
+from planner.worlds.beside import check_alone
 from planner.worlds.keys import PLACE, Key
 from planner.worlds.movers import ANYWHERE, MOST_MOVERS, Mover, Movers, checked
 from planner.worlds.quantities import CHANCE
@@ -32,13 +33,10 @@ def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_
         plan_on: "joined": robots plan on p joined with where movers are in the long run; "patrols": with where those
             are that have a route; "own": on p alone.
 
-    Raises WorldError for movers that are none, and for a world that is not known.
+    Raises WorldError for movers that are none, for a world that is not known, or has types of robots.
     """
     check_word("plan_on", plan_on, PLAN_ON, WorldError, world.source)
-    for other in (world.doubt, world.knowledge):
-        if other is not None:
-            problem = f"`movers` beside another thing that is not known: {other.said}"
-            raise WorldError(problem, source=world.source, expected="one known map", fix="leave one of the two out")
+    check_alone(world, "movers")
     members: list[Mover] = []
     own = world.threat
     for number, one in enumerate(movers):

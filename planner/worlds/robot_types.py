@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,12 +19,12 @@ from planner.worlds.quantities import first_of
 class RobotTypes:
     """What stops robots of each type: float32 `[Y, H, W]`, NaN = obstacle, in the order of `names`.
 
-    `team`: of which types the robots are that the input places; none: it does not say.
+    `team`: of which type the robots are that the input places, all or each; none: it does not say.
     """
 
     names: tuple[str, ...]
     threat: NDArray[np.float32]
-    team: tuple[str, ...] = ()
+    team: str | tuple[str, ...] = ()
 
     @property
     def sha256(self) -> str:
@@ -47,7 +47,8 @@ class RobotTypes:
 
     def arrays(self) -> dict[str, Any]:
         """What a world file holds of them."""
-        return {"types": np.array(self.names), "types_threat": self.threat}
+        team = {"types_team": np.array(self.team)} if self.team else {}
+        return {"types": np.array(self.names), "types_threat": self.threat} | team
 
 
 def types_in(arrays: Mapping[str, NDArray], free: NDArray[np.bool_], source: str) -> RobotTypes | None:
@@ -60,7 +61,14 @@ def types_in(arrays: Mapping[str, NDArray], free: NDArray[np.bool_], source: str
         raise WorldError("types are not names", source=source, expected="the name of each type of robot, once")
     if threat is None or threat.shape != shape or threat.dtype.kind not in "fiu":
         raise WorldError("types without their threats", source=source, expected=f"types_threat {shape}")
-    return checked_types(tuple(names.tolist()), threat.astype(np.float64), free, source)
+    found = checked_types(tuple(names.tolist()), threat.astype(np.float64), free, source)
+    if "types_team" not in arrays:
+        return found
+    team = arrays["types_team"]
+    if team.ndim > 1 or team.size == 0 or not set(team.ravel().tolist()) <= set(found.names):
+        expected = f"a type, or one for each robot, of {', '.join(found.names)}"
+        raise WorldError("types_team are not types of robots", source=source, expected=expected)
+    return replace(found, team=tuple(team.tolist()) if team.ndim else str(team))
 
 
 def checked_types(

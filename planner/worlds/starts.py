@@ -30,13 +30,13 @@ def check_same_team(robots: int | None, starts: NDArray[np.int64], where: str) -
 
 
 def starts_of(world: World, robots: int | None, starts: ArrayLike | None) -> NDArray[np.int64]:
-    """Starts int64 `[K, 2]` of what a user asked for; nothing: the world's own team, else one robot."""
+    """Starts int64 `[K, 2]` of what a user asked for: if nothing, or as many as it has, the world's own, else one."""
     check_robots(robots)
     if starts is not None:
         placed = check_starts(starts, world.met, argument("starts"))
         check_same_team(robots, placed, argument("starts"))
         return placed
-    if robots is None and world.starts is not None:
+    if world.starts is not None and robots in (None, len(world.starts)):
         return world.starts
     return place_starts(world, world.team.robots or 1 if robots is None else robots, world.team.start)[0]
 

@@ -383,7 +383,8 @@ class World:
         place = {} if self.georeference is None else {f"crs{end}": np.array(v) for end, v in _place(self.georeference)}
         doubt = {} if self.doubt is None else self.doubt.arrays()
         doubt |= {} if self.knowledge is None else self.knowledge.arrays()
-        doubt |= {} if self.types is None else self.types.arrays()
+        if self.types is not None:
+            doubt |= replace(self.types, team=self.team.settings.get("types") or self.types.team).arrays()
         layers = {of.name: layer for of in (VALUE, DETECT) if (layer := getattr(self, of.name)) is not None}
         threat = {"threat": self.threat, "cell_size": np.float64(self.cell_size), "origin": origin}
         return threat | starts | place | doubt | layers

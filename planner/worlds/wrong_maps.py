@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.arguments import Numbers
 from planner.errors import WorldError
+from planner.worlds.beside import check_alone
 from planner.worlds.doubt import (
     AMOUNTS,
     HAZARDS,
@@ -20,6 +21,7 @@ from planner.worlds.doubt import (
     MOST_LEVELS,
     SHARED,
     SPREADS,
+    Hazard,
     Uncertain,
     make_hazard,
     maps_of,
@@ -38,6 +40,7 @@ FROM_SOURCES = "threats"
 AMOUNT = {"lognormal": "sigma", "beta": "sample_size"}
 """The key that says how wide each kind of spread is."""
 PLAN_ON = Numbers(0, 1, above=True, below=True, said="mean, or a number between 0 and 1")
+PRIOR_LAST = "; a prior is given after the maps"
 
 
 def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn: bool = False) -> World:
@@ -49,8 +52,10 @@ def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn
             arrays `[H, W]`.
         learn: robots learn from what happens to them; `with_sense` gives them detectors too.
 
-    Raises WorldError for chances that are none.
+    Other hazards are replaced. Raises WorldError for chances that are none, and beside all else that is not known, or
+    types of robots.
     """
+    check_alone(world, "hazard", over=Hazard)
     if learn and kind == "independent":
         problem = "robots learn nothing of hazards that are drawn anew for every visit"
         raise WorldError(problem, source=world.source, expected="persistent or consumed ones", fix="leave `learn` out")
@@ -63,8 +68,10 @@ def with_maps(world: World, maps: Sequence[ArrayLike] | NDArray, plan_on: float 
     """The world with equally likely maps `[M, H, W]` of p, one of which is true in each run, for its threats.
 
     `plan_on`: None: robots plan on the mean of the maps, cell by cell; 0.9: on the value that 90 % of them stay below.
-    Raises WorldError for a map of other obstacles or another shape, and for chances that are none.
+    Other maps are replaced. Raises WorldError for a map of other obstacles or another shape, for chances that are none,
+    and beside all else that is not known, or types of robots.
     """
+    check_alone(world, "maps", Uncertain, PRIOR_LAST)
     if len(maps) == 0:
         raise WorldError("uncertain maps is empty", source=world.source, expected="a map or more")
     checked = [World.create(one, source=f"{world.source}: maps[{place}]") for place, one in enumerate(maps)]
@@ -86,8 +93,9 @@ def with_spread(world: World, kind: str, amount: float, by: str = "common", plan
         by: "common": one number for the whole map; "level": one for each of its threat levels, at most 16.
         plan_on: as of `with_maps`; the mean is the world's own threat.
 
-    Raises WorldError for words and numbers that are none.
+    Raises WorldError for words and numbers that are none, and beside all else that is not known, or types of robots.
     """
+    check_alone(world, "spread", or_else=PRIOR_LAST)
     levels = find_levels(world, world.free, MOST_LEVELS).of_cell.reshape(world.shape)
     uncertain, cut = spread_of(world.threat, levels, kind, amount, by, world.source)
     notes = (f"the spread on p is cut off below 1 in {cut} cells: their mean is lower than the map's",) if cut else ()
