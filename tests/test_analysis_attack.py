@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from analysis.adversary.report import findings, headline
 from analysis.cli.app import run
 from analysis.sampling import make_singles
 from planner.errors import InputError
+from planner.policies import RULES
 from planner.worlds.world import World
 
 P, RUNS = 0.4, 64
@@ -151,6 +153,12 @@ def test_an_interruption_leaves_the_threats_so_far() -> None:
     answer = mrac.attack(world, count=2, p=P, progress=stop, on_interrupt="return")
     assert answer.partial and len(answer.known.threats) >= 1 and answer.known.known is None
     assert headline(answer).startswith("Interrupted.") and answer.to_json()["known"]["loss"]["known"] is None
+
+
+def test_an_answer_by_a_rule_of_one_s_own_has_no_scenario(tmp_path: Path) -> None:
+    answer = mrac.attack(small_world(0, 6, 6), p=P, rollouts=16, policy=replace(RULES["per_cell"], name="mine"))
+    names = {path.name for path in answer.save(tmp_path / "out")}
+    assert "known.npz" in names and "known.yaml" not in names
 
 
 def test_the_command_says_it_as_json_and_writes_both_maps(

@@ -37,10 +37,8 @@ def report(attack: Attack) -> Report:
         picture=lambda: _maps(attack), parts=[Part("Cells", [_table(attack)], _footnotes(attack))],
         notes=attack.notes, settings=attack.settings.shown(attack.world.pace), pace=attack.world.pace,
         pictures={"attack.png": lambda: _maps(attack, 0), "hidden.png": lambda: _maps(attack, 1)},
-        files={
-            "known.yaml": lambda: _scenario(attack), "known.npz": attack.known_world.to_bytes,
-            "hidden.npz": attack.hidden_world.to_bytes,
-        },
+        files={"known.npz": attack.known_world.to_bytes, "hidden.npz": attack.hidden_world.to_bytes}
+        | ({} if attack.settings.own_words else {"known.yaml": lambda: _scenario(attack)}),
     )  # fmt: skip
 
 
