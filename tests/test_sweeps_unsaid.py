@@ -11,8 +11,10 @@ import pytest
 import yaml
 
 import mrac_jax as mrac
+from analysis.evaluation.answer import Evaluation
 from analysis.knowing.questions import Team
 from analysis.knowing.study import study_knowing
+from analysis.sweeps.rows import Row
 from analysis.sweeps.spec import read_spec
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.sweep import Sweep, run_sweep
@@ -77,16 +79,22 @@ SWEEPS = {
 }  # fmt: skip
 
 
+def held_against(row: Row, world: World, plan: mrac.Plan | int, *names: str) -> Evaluation:
+    """What `evaluate` says on the row's rollouts, which is what the row says of "visited", and of `names`."""
+    alone = mrac.evaluate(world, plan, rollouts=ROLLOUTS, exact="never", engine="numba", advice=False, band=False)
+    known = {"visited": alone.figures.visited.mean.times(1 / alone.cells["accessible"]), "time": alone.figures.time}
+    for name in ("visited", *names):
+        found = row.estimate(name)
+        assert (found.mean, *found.ci95) == pytest.approx((known[name].mean, *known[name].ci95), rel=1e-12), name
+    return alone
+
+
 @pytest.mark.parametrize("text", SWEEPS)
 def test_a_row_is_what_evaluate_says(text: str, tmp_path: Path) -> None:
     robots = 1 if "robots: 1" in text else 2
     for row, world in zip(swept(tmp_path, text).rows, SWEEPS[text], strict=True):
-        alone = mrac.evaluate(world, robots, rollouts=ROLLOUTS, exact="never", engine="numba", advice=False, band=False)
-        cells = alone.cells["accessible"]
-        for name, value in (("visited", alone.figures.visited.mean.times(1 / cells)), ("time", alone.figures.time)):
-            found = row.estimate(name)
-            assert (found.mean, *found.ci95) == pytest.approx((value.mean, *value.ci95), rel=1e-12), name
-        exact = alone.closed_form.visited / cells
+        alone = held_against(row, world, robots, "time")
+        exact = alone.closed_form.visited / alone.cells["accessible"]
         known = row.known("exact visited")
         assert np.isnan(exact) if known is None else known.mean == pytest.approx(exact)
 
@@ -108,10 +116,7 @@ def test_a_row_of_another_team_keeps_to_the_rest_of_the_robots_block(block: str,
     ((name, values),) = yaml.safe_load(f"{{{OF_TEAMS[block]}}}").items()
     rows = swept(tmp_path, f"base: {{input: team.yaml}}\nsweep: {{{OF_TEAMS[block]}}}").rows
     for row, value in zip(rows, values, strict=True):
-        plan = mrac.plan(world, **{name: value})
-        alone = mrac.evaluate(world, plan, rollouts=ROLLOUTS, exact="never", engine="numba", advice=False, band=False)
-        found, known = row.estimate("visited"), alone.figures.visited.mean.times(1 / alone.cells["accessible"])
-        assert (found.mean, *found.ci95) == pytest.approx((known.mean, *known.ci95), rel=1e-12)
+        held_against(row, world, mrac.plan(world, **{name: value}))
 
 
 def test_so_many_robots_are_the_first_of_those_that_the_input_places(tmp_path: Path) -> None:
@@ -120,10 +125,7 @@ def test_so_many_robots_are_the_first_of_those_that_the_input_places(tmp_path: P
     rows = swept(tmp_path, "base: {input: team.yaml}\nsweep: {robots: [1, 2]}").rows
     world = mrac.load(tmp_path / "team.yaml")
     for row, starts in zip(rows, ([[4, 0]], [[4, 0], [0, 3]]), strict=True):
-        plan = mrac.plan(world, starts=starts)
-        alone = mrac.evaluate(world, plan, rollouts=ROLLOUTS, exact="never", engine="numba", advice=False, band=False)
-        known = alone.figures.visited.mean.times(1 / alone.cells["accessible"])
-        assert row.estimate("visited").mean == pytest.approx(known.mean, rel=1e-12)
+        held_against(row, world, mrac.plan(world, starts=starts))
 
 
 REFUSED = {
