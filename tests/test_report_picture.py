@@ -46,5 +46,20 @@ def test_names_do_not_run_into_the_next_chart() -> None:
     assert drawn.x1 < right.get_window_extent().x0
 
 
+def test_what_is_beyond_the_range_shown_at_least_and_long_words_stay_within_the_picture() -> None:
+    curve = Series("a bound", ROBOTS, (40, 90, 180), (38, 85, 170), (44, 93, 185))
+    words = "mean over the worlds, % of the accessible cells"
+    chart = Chart("Coverage, what bounds it, and what claims to bound it", (curve,), "robots", words, unit="%",
+                  y_range=(0, 100), interval="95 % interval of the mean over worlds")  # fmt: skip
+    figure = charts_figure([chart, chart])
+    page = figure.bbox
+    for axes in figure.axes:
+        assert axes.get_ylim() == (0.0, 185.0)
+        title = axes._left_title.get_window_extent()  # type: ignore[attr-defined]
+        below = axes.texts[0].get_window_extent()
+        assert title.y1 < page.y1 and below.y1 < title.y0
+        assert max(title.x1, below.x1) < (page.x1 if axes is figure.axes[1] else figure.axes[1].bbox.x0)
+
+
 def test_it_is_drawn_the_same_twice() -> None:
     assert png_of(charts_figure, CHARTS) == png_of(charts_figure, CHARTS)

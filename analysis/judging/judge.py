@@ -18,7 +18,7 @@ from analysis.statistics.differences import Paired, difference
 from analysis.statistics.estimate import Z95, Estimate, mean_estimate
 from analysis.theory.any_strategy import most_cells
 from planner.plan_team import plan_team
-from planner.settings import Choices, Settings
+from planner.settings import Choices
 from planner.worlds.world import World
 
 
@@ -77,12 +77,9 @@ def judge(
 ) -> Judged:
     """Roll out the policy in the environment `env` of the world, and what stands beside it. Raises InputError."""
     count, cells, robots = choices.rollouts, env.accessible, env.num_agents
-
-    def asked(name: str) -> Settings:
-        return Choices(policy=name).settings(world.team.settings, world.pace, by=world.source)
-
     plans, until = {}, replace(choices, deadline=env.max_steps)
-    rivals = {name: plan_team(world, env.starts, asked(name), None) for name in against}
+    asked = {name: Choices(policy=name).settings(world.team.settings, world.pace, by=world.source) for name in against}
+    rivals = {name: plan_team(world, env.starts, settings, None) for name, settings in asked.items()}
     visited, lost, steps = roll_policy(env, policy, choices.seed, count, processes, progress)
     walked = roll_policy(env, None, choices.seed, count)[0]
     bound = most_cells(world, env.starts) / cells

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter
 from numpy.typing import NDArray
 
-from analysis.page.series import BARS_UP_TO, Chart, Points, points_of
+from analysis.page.series import BARS_UP_TO, Chart, Points, points_of, y_range_of
 from analysis.pictures.maps import draw_borders, map_figure, paint, terrain_handles, with_key
 from analysis.pictures.plans import mark_starts, plan_figure, start_handle
 from analysis.pictures.robots import group_labels
@@ -37,8 +37,8 @@ from analysis.report.blocks import CellMaps, Planned, Report
 
 HIGH, ABOVE, ENTRY = 2.4, 0.85, 0.19
 """Inches: a chart's height, what is above it, a line of its legend."""
-LETTERS = 95
-"""Of a title in a figure's whole width."""
+LETTERS, SMALLER = 95, 125
+"""Of a title in a figure's whole width, and of what is said below it."""
 FEW = 12
 """Values of x that are each labelled."""
 PICK, BORDER = "#b3263a", "#6b5b52"
@@ -143,13 +143,16 @@ def _draw(axes: Axes, chart: Chart) -> None:
     axes.set_xlabel(chart.x_name, loc="right", labelpad=2)
     if chart.unit:
         axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g} {chart.unit}"))
-    axes.set_ylim(*(chart.y_range or (min(0.0, axes.get_ylim()[0]), None)))
+    if points:
+        axes.set_ylim(*y_range_of(chart, points))
     axes.grid(axis="y", color=GRID, linewidth=0.6)
     plain(axes)
     interval = f"; {chart.interval}" if any(one.low is not None for one in points) else ""
-    title = fill(chart.title, int(LETTERS * axes.get_position().width))
-    axes.set_title(title, loc="left", fontsize=10.5, fontweight="bold", color=INK, pad=20)
-    axes.annotate(chart.y_name + interval, (0, 1), (0, 7), "axes fraction", "offset points", fontsize=9, color=FAINT)
+    wide = axes.get_position().width
+    title, below = fill(chart.title, int(LETTERS * wide)), fill(chart.y_name + interval, int(SMALLER * wide))
+    pad = 20 + 12 * below.count("\n")
+    axes.set_title(title, loc="left", fontsize=10.5, fontweight="bold", color=INK, pad=pad)
+    axes.annotate(below, (0, 1), (0, 7), "axes fraction", "offset points", fontsize=9, color=FAINT)
     axes.legend(loc="upper left", bbox_to_anchor=(0, -0.16), borderaxespad=0, handlelength=2.2)
 
 
