@@ -53,6 +53,8 @@ HALF = re.compile(r"\.[0-9a-f]{16}\.partial|.*\.mcap\.partial|.*\.store-(wal|shm
 """Files that a killed process may leave behind."""
 KILLED = {signal.SIGKILL: {-9, 0}, signal.SIGTERM: {130, 0, -15}, signal.SIGINT: {130, 0}}
 """How a command may end."""
+ASKED = {signal.SIGTERM, signal.SIGINT}
+"""What asks a command to end."""
 SWEEP = """\
 base: {kind: contiguous, size: 6x7, ratio: 0.2}
 maps: 6
@@ -96,9 +98,11 @@ class Running:
             env = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONFAULTHANDLER": "1"}
             self.pid = subprocess.Popen(line, cwd=folder, stdin=-3, stdout=out, stderr=out, env=env,
                                         start_new_session=True).pid  # fmt: skip
-        elif not (pid := os.fork()):
-            self._begin(out, before)
         else:
+            signal.pthread_sigmask(signal.SIG_BLOCK, ASKED)  # until it is the command, not a copy of this program
+            if not (pid := os.fork()):
+                self._begin(out, before)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, ASKED)
             self.pid = pid
         os.close(out)
 
@@ -112,6 +116,7 @@ class Running:
             signal.signal(signal.SIGINT, signal.default_int_handler)
             faulthandler.enable()
             faulthandler.register(signal.SIGUSR1)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, ASKED)
             sys.argv = ["mrac-jax", *self.words.split()]
             before()
             sys.stdin, sys.stdout, sys.stderr = os.fdopen(0), os.fdopen(1, "w"), os.fdopen(2, "w", 1)
