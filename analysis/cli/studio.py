@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path, PurePath
 from typing import Annotated
 
@@ -42,6 +41,7 @@ def studio(
         raise UsageError("tornado is not installed", fix='pip install "mrac-jax[studio]"') from None
     from analysis.inputs import input_path, load_task
     from analysis.kit.compiling import say_when_compiling
+    from analysis.kit.loops import run_loop
     from analysis.sampling import RolloutChoices
     from analysis.studio.server import Studio, serve
     from analysis.studio.sketch import Sketch, raster_of
@@ -61,7 +61,7 @@ def studio(
     room = Studio(first, PurePath(source).name, target, seed or 0)
     say_when_compiling()
     try:
-        asyncio.run(serve(room, port or 0, lambda address: say([f"open {address}", "Ctrl-C ends it"])))
+        run_loop(serve(room, port or 0, lambda address: say([f"open {address}", "Ctrl-C ends it"])))
     except KeyboardInterrupt:
         say(["studio ended"])
     return DONE

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from analysis.kit.loops import run_loop
 from analysis.kit.pool import AHEAD
 from analysis.sweeps.tasks import RunResult, Stream, Task, run_task
 from planner.arguments import argument
@@ -59,7 +60,7 @@ def _check_scheduler(scheduler: str, named: str) -> None:
     if scheduler.startswith("tls://"):
         _check_keys(named)
     try:
-        answers = asyncio.run(asyncio.wait_for(_identity(scheduler), CONNECT_SECONDS))
+        answers = run_loop(asyncio.wait_for(_identity(scheduler), CONNECT_SECONDS))
     except Exception as error:  # whatever listens there may say anything
         fix = f"start one with `dask scheduler`, or use {argument('processes')}"
         expected = "an address, as tls://host:8786 or tcp://host:8786"
