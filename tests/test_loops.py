@@ -56,6 +56,15 @@ def test_an_interrupt_between_any_two_steps_of_a_loop_ends_it() -> None:
     assert (done.stdout, done.stderr) == ("".join(f"{line} True\n" for line in range(1, 61)), "")
 
 
+def test_an_interrupt_that_comes_too_late_to_cancel_anything_is_not_lost() -> None:
+    async def answer() -> int:
+        signal.raise_signal(signal.SIGINT)
+        return 42
+
+    with pytest.raises(KeyboardInterrupt):
+        run_loop(answer())
+
+
 def test_it_ends_with_what_its_task_returns_or_raises() -> None:
     async def answer() -> int:
         await asyncio.sleep(0)

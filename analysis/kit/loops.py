@@ -15,7 +15,7 @@ ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR2") if 
 
 
 def run_loop(main: Coroutine[Any, Any, Result]) -> Result:
-    """`asyncio.run`, where an interrupt cancels `main`, whoever handles interrupts. Raises KeyboardInterrupt then.
+    """`asyncio.run`, where an interrupt cancels `main`, whoever handles interrupts, and KeyboardInterrupt follows.
 
     Elsewhere it is raised between any two steps of Python. A loop that has just taken out what it runs next loses it
     so, and its task, that was to go on by it, is waited for for ever. asyncio sees to that for Python's own handler
@@ -35,10 +35,8 @@ def run_loop(main: Coroutine[Any, Any, Result]) -> Result:
         kept = {one: signal.signal(one, cancel) for one in ENDING if ours and callable(signal.getsignal(one))}
         try:
             return loop.run_until_complete(task)
-        except asyncio.CancelledError:
-            if came:
-                raise KeyboardInterrupt from None
-            raise
         finally:
             for one, handler in kept.items():
                 signal.signal(one, handler)
+            if came:  # whatever became of the task: it may have ended before it could be cancelled
+                raise KeyboardInterrupt
