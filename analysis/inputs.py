@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arguments import FRACTION, argument, numbers_of
-from planner.errors import PlanError, StateError, UsageError
+from planner.errors import InputError, PlanError, StateError, UsageError
 from planner.files import read_json, why_no_file
 from planner.limits import MAX_PLAN_BYTES
 from planner.plans.plan import FORMAT, Plan
@@ -20,7 +21,9 @@ from planner.plans.state import MissionState
 from planner.policies.per_cell import PER_CELL
 from planner.settings import BEARING, BEST, KEPT, Choices, Settings
 from planner.shown import counted
+from planner.worlds.keys import named_files, read_yaml
 from planner.worlds.learning import seeing
+from planner.worlds.maps import YAML
 from planner.worlds.world import EXAMPLE, World, check_starts
 
 REACHED = 0.5
@@ -49,6 +52,16 @@ def input_path(name: str) -> Path:
     if wanted not in known:
         raise UsageError(f"no example {wanted!r}", source=name, expected=" or ".join(EXAMPLE + k for k in known))
     return known[wanted]
+
+
+def read_files(name: str | None, *others: Path | None) -> list[Path]:
+    """Files that are read: that of an INPUT, `others`, and what scenarios and ROS maps among them name."""
+    found = [*([input_path(name)] if name else []), *(one for one in others if one is not None)]
+    for file in found:  # which grows
+        with suppress(InputError):  # what is wrong with it is said when it is read
+            if file.suffix.lower() in YAML:
+                found += [one for one in named_files(read_yaml(file).value, file.parent) if one not in found]
+    return found
 
 
 def load_world(name: str, cell_size: float | None = None) -> World:
@@ -164,10 +177,12 @@ def load_or_make_plan(
     if sought and (state is not None or plan_file is not None):
         other = argument("plan" if state is None else "state")
         raise UsageError(f"both {argument('policy', BEST)} and {other}", expected="one of them")
+    if state is None and plan_file is None and asked.source.endswith(".json"):
+        asked, plan_file = _on_its_map(asked)
+    if seconds is not None and (state is not None or plan_file is not None):
+        raise UsageError(f"{argument('seconds', seconds)} where nothing is searched for", fix="leave it out")
     if state is not None:
         return _plan_the_rest(asked, state, plan_file)
-    if plan_file is None and asked.source.endswith(".json"):
-        asked, plan_file = _on_its_map(asked)
     if plan_file is not None:
         return _load_plan(asked, plan_file)
     task = load_task(replace(asked, choices=replace(asked.choices, policy=PER_CELL.name)) if sought else asked)

@@ -443,9 +443,60 @@ def test_outputs_never_replace_the_input_or_each_other(tmp_path: Path, capsys: p
     before = world.read_bytes()
     for words in (["--out", str(world)], ["--out", str(tmp_path / "p"), "--waypoints", str(tmp_path / "p")]):
         assert run(["plan", str(world), *words]) == 2
-        assert "is the input, or is written twice" in capsys.readouterr().err
+        assert "is an input, or is written twice" in capsys.readouterr().err
     assert run(["plan", str(world), "--out", str(tmp_path)]) == 2
     assert world.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("words", "kept"),
+    [
+        ("plan w.npz --state s.json --out s.json", "s.json"),
+        ("plan team-0.yaml --robots 2 --waypoints team.yaml", "team-0.yaml"),
+        ("export w.npz --plan p.json --out p.json --to geojson", "p.json"),
+        ("export rows.yaml --out field.csv", "field.csv"),
+        ("export plan.json --out field.csv", "field.csv"),
+        ("studio team-0.yaml --out w.yaml", "w.npz"),
+        ("starts team-0.yaml --candidates near.csv --scenario-out team-0.yaml", "team-0.yaml"),
+        ("generate w.npz --map team-0.yaml", "w.npz"),
+    ],
+)
+def test_no_file_that_is_read_is_written(
+    words: str, kept: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    World.create([[0.0, 0.1, 0.1]], [[0, 0], [0, 1]]).save("w.npz")
+    Path("field.csv").write_text("0,0.1,0.1\n")
+    Path("team-0.yaml").write_text("map: w.npz\n")
+    Path("rows.yaml").write_text("map: field.csv\n")
+    assert run(["plan", "field.csv", "--out", "plan.json"]) == 0
+    assert run(["plan", "w.npz", "--out", "p.json"]) == 0
+    Path("s.json").write_text("{}")
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    capsys.readouterr()
+    assert run(words.split()) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.startswith(f"error: {kept} is an input")
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("plan example:paper --altitude 3", "--altitude without --waypoints"),
+        ("plan p.json --seconds 5", "--seconds 5"),
+        ("suite --plans A=x --plans A=y", "'A' is named twice"),
+        ("suite --actions areas", "--actions areas without --policy"),
+    ],
+)
+def test_an_option_that_would_do_nothing_is_refused(
+    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["plan", "example:paper", "--out", "p.json"]) == 0
+    capsys.readouterr()
+    assert run(words.split()) == 2
+    assert said in capsys.readouterr().err
 
 
 def test_a_plan_of_another_planner_takes_open_loop_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

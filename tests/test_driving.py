@@ -25,7 +25,7 @@ from analysis.cli.app import run
 from analysis.driving.dialogue import LONGEST, Dialogue
 from analysis.driving.outlook import DrivenMission
 from analysis.sampling import RolloutChoices, make_singles
-from planner.errors import StateError, UsageError, WorldError
+from planner.errors import InputError, StateError, UsageError, WorldError
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan
 from planner.worlds.generate import Stream, ThreatPattern, random_world
@@ -112,7 +112,7 @@ GARBAGE = [
     '{"type": "close", "cells": []}', '{"type": "close", "cells": "all"}', '{"type": "step", "step": -1}',
     '{"type": "report", "robot": 0, "moves_left": 1e3}', '{"type": "orders", "now": true}', "x" * (LONGEST + 9),
     '{"type": "report", "robot": 0, "step": [1]}', '{"type": "report", "robot": 0, "cell": [1e400, 0]}',
-    '{"type": "close", "cells": [[0, 0], 3]}',
+    '{"type": "close", "cells": [[0, 0], 3]}', '{"type": "step", "step": 1}', " " * (LONGEST + 1),
 ]  # fmt: skip
 
 
@@ -125,6 +125,41 @@ def test_a_line_that_is_wrong_changes_nothing(line: str, tmp_path: Path) -> None
     assert said["type"] == "error" and said["line"] == 1 and said["error"] and "\n" not in said["error"]
     assert say(dialogue, type="orders") == [before] and (tmp_path / "now.json").read_text() == kept
     assert list(dialogue.hear(" \n")) == []
+
+
+def test_orders_that_no_file_knows_are_not_given(tmp_path: Path) -> None:
+    """Who says a report once more, to the mission as it was kept, gets the orders of the next step."""
+    (folder := tmp_path / "share").mkdir()
+    world, dialogue = talk(robots=1, state=folder / "now.json")
+    (orders,) = dialogue.begin()
+    report = {"type": "report", "robot": 0, "cell": orders["orders"][0]["cell"]}
+    folder.rename(tmp_path / "gone")
+    with pytest.raises(InputError, match=r"now\.json"):
+        say(dialogue, **report)
+    (tmp_path / "gone").rename(folder)
+    kept = DrivenMission.resume(folder / "now.json", world, mrac.plan(world, starts=place_starts(world, 1)[0]))
+    again = Dialogue(kept, folder / "now.json", lambda: {"rollouts": 0})
+    assert list(again.begin()) == [orders]
+    (after,) = say(again, **report)
+    assert after["step"] == 1
+
+
+def test_the_rest_of_a_line_that_is_too_long_is_no_line(tmp_path: Path) -> None:
+    close = b'{"type": "close", "cells": [[0, 1]]}'
+    for pad in (LONGEST, LONGEST + 1, LONGEST + 2, 3 * LONGEST):
+        said = subprocess.run(
+            [sys.executable, "-m", "mrac_jax", "drive", "example:paper"], cwd=tmp_path, capture_output=True, check=True,
+            input=b" " * pad + close + b'\n{"type": "orders"}\n', env=os.environ | {"PYTHONPATH": str(ROOT)},
+        ).stdout.splitlines()  # fmt: skip
+        begun, error, orders = map(json.loads, said)
+        assert error["type"] == "error" and error["line"] == 1 and begun == orders
+
+
+def test_without_reports_to_read_nothing_is_driven(tmp_path: Path) -> None:
+    command = f'exec "{sys.executable}" -m mrac_jax drive example:paper <&-'
+    done = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True,
+                          env=os.environ | {"PYTHONPATH": str(ROOT)})  # fmt: skip
+    assert done.returncode == 2 and done.stderr.startswith("error: standard input is closed") and not done.stdout
 
 
 # --- fleets ---
@@ -392,8 +427,19 @@ def test_what_if_is_on_common_luck() -> None:
     assert fewer.covered.mean <= 0 and fewer.now.covered.mean == off.now.covered.mean
     other = mission.what_if(policy="per_cell", worth=8.0, rollouts=1024)
     assert other.lost.mean <= 0 and other.to_json()["difference"]["lost"]["mean"] == other.lost.mean
+    for more in ({"without": [0]}, {"policy": "per_cell"}):
+        with pytest.raises(UsageError, match="called off"):
+            mission.what_if(call_off=True, **more)
     same = mission.what_if(rollouts=256)
     assert same.covered.mean == same.lost.mean == 0
+
+
+def test_who_is_called_off_before_setting_out_is_home() -> None:
+    world = random_world(8, 9, ThreatPattern("contiguous", areas=3, seed=1), obstacles=0.2, threats=0.3)
+    mission = mrac.mission(world, mrac.plan(world, starts=place_starts(world, 3)[0], return_to="home"))
+    off = mission.what_if(call_off=True, rollouts=512)
+    assert off.then.home is not None and off.then.home.mean == 3 and off.then.lost.mean == 0
+    assert off.now.home is not None and off.now.home.mean < 3
 
 
 def test_what_has_no_outlook_says_so() -> None:

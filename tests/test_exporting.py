@@ -367,5 +367,5 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeyp
         assert lines[-1].startswith("error:") and said in lines[-1], lines
     Path("m.csv").write_text("0,0\n0,0\n")
     assert run(["export", "m.csv", "--out", "m.csv"]) == 2
-    assert "m.csv is the input" in capsys.readouterr().err and Path("m.csv").read_text() == "0,0\n0,0\n"
+    assert "m.csv is an input" in capsys.readouterr().err and Path("m.csv").read_text() == "0,0\n0,0\n"
     assert not list(tmp_path.glob("*.partial")) and not Path("a.plan").exists()

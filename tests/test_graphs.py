@@ -200,6 +200,35 @@ def test_julia_code_is_read(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -
         assert said in told and "house, plant" in told and told.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("written", "said"),
+    [
+        *((computed, "no graph 'house'") for computed in ("1 - 0.1", "1.2.3", "sqrt(2)")),
+        *((chance, "('1', '2') has ") for chance in ("7.5", "0", "1/0")),
+        ("9e-1", ""),
+    ],
+)
+def test_julia_numbers_are_read_whole_and_checked(
+    written: str, said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "examples.jl"
+    assert JULIA.count("0.9") == 2
+    path.write_text(JULIA.replace("0.9,", written + ",", 1))
+    if not said:
+        assert read_graph(path, "house").survival[0] == 0.9
+        return
+    assert run(["graph", str(path), "--instance", "house"]) == 2
+    told = capfd.readouterr().err
+    assert said in told and str(path) in told and told.count("\n") == 1
+
+
+def test_an_instance_is_of_julia_code(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "g.json"
+    path.write_text(json.dumps(drawn(1)))
+    assert run(["graph", str(path), "--instance", "house"]) == 2
+    assert "instance 'house'" in capfd.readouterr().err
+
+
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "g.json"
     path.write_text(json.dumps(drawn(1)))

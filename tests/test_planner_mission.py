@@ -258,6 +258,30 @@ def test_what_cannot_be_is_said_and_changes_nothing(said: dict[str, Any], words:
     assert places(mission) == [(0, 0), (1, 0)]
 
 
+@pytest.mark.parametrize("patience", [0, -3, "20", 2.5])
+def test_patience_is_a_number_of_steps(patience: Any) -> None:
+    with pytest.raises(InputError, match="patience"):
+        Mission(ROW, make_plan(ROW, ROW.starts), patience=patience)
+
+
+def test_a_cell_that_was_an_obstacle_for_a_moment_is_worth_what_it_was(tmp_path: Path) -> None:
+    value = np.ones((3, 6))
+    value[:, 5] = 500
+    world = World.create(np.full((3, 6), 0.1), [[0, 0]], value=value)
+    plan = make_plan(world, world.starts, Settings(policy="per_cell"))
+    mission = Mission(world, plan)
+    for p in (None, 0.2):
+        mission.report(0, cell=mission.orders()[0].cell, seen=[[row, 5, p] for row in range(3)])
+        mission.advance()
+        mission.save(tmp_path / "now.json")
+        again = Mission.resume(tmp_path / "now.json", world, plan)
+        for one in (mission, again):
+            assert one.world.value is not None
+            assert one.world.value.tolist() == np.where(np.isnan(one.world.threat), 0, value).tolist()
+            assert np.array_equal(one.given.threat, world.threat)
+        assert mission.orders() == again.orders()
+
+
 def test_two_places_at_once_and_lost_robots_that_move() -> None:
     mission = of_two()
     mission.report(0, cell=[0, 1])
@@ -324,12 +348,16 @@ def test_of_two_reports_in_a_step_the_fresher_one_is_where_it_is(tmp_path: Path)
         assert places(mission)[0] == (0, 3) and {2, 3} <= set(mission.state.visited.tolist())
 
 
-def test_a_robot_without_progress_loses_its_work_until_it_moves() -> None:
-    mission = Mission(ROW, make_plan(ROW, ROW.starts), patience=3)
+@pytest.mark.parametrize("kept", [False, True])
+def test_a_robot_without_progress_loses_its_work_until_it_moves(kept: bool, tmp_path: Path) -> None:
+    mission, file = Mission(ROW, make_plan(ROW, ROW.starts), patience=3), tmp_path / "now.json"
     for _ in range(4):
         order = mission.orders()[0]
         mission.report(0, cell=order.cell)
         mission.advance()
+        if kept:  # the steps without progress are in the file
+            mission.save(file)
+            mission = Mission.resume(file, ROW, make_plan(ROW, ROW.starts), patience=3)
     assert mission.orders()[1].why == "hold" and mission.state.robots[1].area == NO_AREA
     while mission.outcome is None:
         mission.report(0, cell=mission.orders()[0].cell)

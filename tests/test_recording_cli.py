@@ -234,12 +234,27 @@ def test_inputs_are_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixt
     out = recorded(tmp_path, "--ids", "0", source=TINY)
     before = out.read_bytes()
     capsys.readouterr()
-    assert "is the input" in refused(capsys, "recover", str(out), "--out", str(out))
+    assert "is an input" in refused(capsys, "recover", str(out), "--out", str(out))
     plan = tmp_path / "plan.mcap"
     plan.write_text("{}")
-    assert "is the input" in refused(capsys, "record", TINY, "--plan", str(plan), "--out", str(plan))
+    assert "is an input" in refused(capsys, "record", TINY, "--plan", str(plan), "--out", str(plan))
+    state = tmp_path / "run.state.json"
+    state.write_text("{}")
+    words = (
+        "record",
+        TINY,
+        "--state",
+        str(state),
+        "--ids",
+        "0",
+        "--state-at",
+        "1",
+        "--out",
+        str(tmp_path / "run.mcap"),
+    )
+    assert "is an input" in refused(capsys, *words, "--force")
     assert out.read_bytes() == before
-    assert plan.read_text() == "{}"
+    assert plan.read_text() == state.read_text() == "{}"
 
 
 @pytest.mark.parametrize("command", ["replay", "inspect", "recover"])

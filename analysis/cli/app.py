@@ -305,9 +305,12 @@ def plan_command(
     from analysis.cli.progress import load_or_make_plan
     from analysis.exporting.export import choose_format, export
     from analysis.exporting.mission import make_mission
+    from analysis.inputs import read_files
 
     team, planning = team or Team(), planning or PlanningToTheEnd()
-    check_files(source, out, waypoints)
+    if altitude is not None and waypoints is None:
+        raise UsageError("--altitude without --waypoints", fix="add --waypoints")
+    check_files(source, out, waypoints, beside=(state,))
     form = None if waypoints is None else choose_format(waypoints, None, "waypoints")
     asked = team.asked(source, planning.choices())
     check = None if form is None else form.check
@@ -316,7 +319,7 @@ def plan_command(
     written = [] if out is None else [out]
     if waypoints is not None and form is not None:
         mission = make_mission(world, made, altitude, team.speed)
-        written += export(mission, waypoints, form)
+        written += export(mission, waypoints, form, spare=read_files(source, state, out))
         say(mission.unknown(form.figures))
     if out is not None:
         made.save(out)
@@ -418,7 +421,7 @@ def generate(
     """
     from analysis.inputs import generate_world
 
-    check_files(on or "", out, suffix=".npz")
+    check_files(on, out, suffix=".npz")
     world, notes = generate_world(on, kind, size, obstacles, ratio, areas, levels, seed, robots, cell_size)
     world.save(out)
     say([*notes, f"wrote {out}"])

@@ -55,9 +55,16 @@ def check_folder(out: Path | None) -> None:
         raise UsageError(problem, expected="a folder to write to") from error
 
 
-def check_files(source: str, *outputs: Path | None, suffix: str = "") -> None:
-    """Refuse output files that cannot be written, or that are the input or each other, before any work is done."""
-    taken = [Path(source).resolve()] if source else []
+def check_files(
+    source: str | None, *outputs: Path | None, suffix: str = "", beside: tuple[Path | None, ...] = ()
+) -> None:
+    """Refuse output files that cannot be written, that are read, or that are each other, before any work is done.
+
+    Read are INPUT, files `beside` it, and what scenarios among them name.
+    """
+    from analysis.inputs import read_files
+
+    taken = [file.resolve() for file in read_files(source, *beside)]
     for out in outputs:
         if out is None:
             continue
@@ -70,5 +77,5 @@ def check_files(source: str, *outputs: Path | None, suffix: str = "") -> None:
         if suffix and out.suffix != suffix:
             raise UsageError(f"{out} does not end in {suffix}", expected=f"a {suffix} file")
         if out.resolve() in taken:
-            raise UsageError(f"{out} is the input, or is written twice", expected="a file of its own")
+            raise UsageError(f"{out} is an input, or is written twice", expected="a file of its own")
         taken.append(out.resolve())

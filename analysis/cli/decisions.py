@@ -70,9 +70,9 @@ def starts(
 
     what, planning = what or CommonLuck(), planning or Together()
     choices = what.choices()
-    check_files(source, scenario_out, suffix=".yaml")
-    check_folder(out)
     named = None if candidates in (None, BORDER) else Path(str(candidates))
+    check_files(source, scenario_out, suffix=".yaml", beside=(named,))
+    check_folder(out)
     given = BORDER if named is None else read_candidates(named)
     team = Team(cell_size=cell_size, step_seconds=step_seconds, speed=speed)
     asked = team.asked(source, planning.choices())

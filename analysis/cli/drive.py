@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
 from cyclopts import Parameter
 
@@ -16,9 +16,10 @@ from analysis.cli.options import PLANNING, ROLLOUTS, Input, Number, OutPath, Who
 from analysis.kit.notes import say
 from analysis.report.minutes import with_minutes
 from planner.arguments import FRACTION, whole
+from planner.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from planner.files import Json
     from planner.pace import Pace
@@ -57,10 +58,11 @@ def drive(
     Reports: {"type": "report", "robot": 0, "cell": [3, 4]}, with "stopped", "found", "moves_left", "seen" or "step"
     where they apply; {"type": "step"} ends a step before all have reported; {"type": "close", "cells": [[3, 5]]} makes
     a no-go zone; {"type": "outlook"} and {"type": "orders"} ask. A line that is wrong is answered by an error, and
-    changes nothing. docs/mission.md has all keys.
+    changes nothing. Where --state cannot be written it ends, and goes on from there when it is started again.
+    docs/mission.md has all keys.
     """
     from analysis.cli.progress import load_or_make_plan
-    from analysis.driving.dialogue import LONGEST, Dialogue
+    from analysis.driving.dialogue import Dialogue
     from analysis.driving.outlook import DrivenMission
     from analysis.inputs import check_team
     from planner.missions.mission import PATIENCE
@@ -69,7 +71,9 @@ def drive(
     team, planning = team or Team(), planning or PlanningToTheEnd()
     whole(1).check("patience", patience, optional=True)
     FRACTION.check("gain", gain, optional=True)
-    check_files(source, state, suffix=".json")
+    check_files(source, state, suffix=".json", beside=(plan,))
+    if sys.stdin is None:
+        raise UsageError("standard input is closed", expected="reports there, a JSON object a line")
     asked = team.asked(source, planning.choices())
     world, made, notes = load_or_make_plan(asked, plan)
     say(notes)
@@ -86,9 +90,20 @@ def drive(
         mission = DrivenMission(world, made, **how)
     talk = Dialogue(mission, state, lambda: mission.outlook().to_json(), unasked=outlook)
     _tell(talk.begin(), world.pace)
-    while line := sys.stdin.buffer.readline(LONGEST + 2):
-        _tell(talk.hear(line.decode("utf-8", "replace")), world.pace)
+    for line in _lines(sys.stdin.buffer):
+        _tell(talk.hear(line), world.pace)
     return DONE
+
+
+def _lines(stream: BinaryIO) -> Iterator[str]:
+    """Lines, each as far as it is read: of a longer one the rest is no line of its own."""
+    from analysis.driving.dialogue import LONGEST
+
+    while line := stream.readline(LONGEST + 2):
+        rest = line
+        while len(rest) > LONGEST and not rest.endswith(b"\n"):
+            rest = stream.readline(LONGEST + 2)
+        yield line.decode("utf-8", "replace")
 
 
 def _tell(lines: Iterable[Json], pace: Pace) -> None:

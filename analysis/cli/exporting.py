@@ -45,13 +45,13 @@ def export(
     from analysis.exporting.export import choose_format
     from analysis.exporting.export import export as export_mission
     from analysis.exporting.mission import make_mission
-    from analysis.inputs import input_path
+    from analysis.inputs import read_files
 
     team, planning = team or Team(), planning or PlanningToTheEnd()
     form, chosen = choose_format(out, to), planning.choices()
     world, made, notes = load_or_make_plan(team.asked(source, chosen), plan, state)
     say(notes)
     mission = make_mission(world, made, altitude, team.speed)
-    written = export_mission(mission, out, form, spare=input_path(source))
+    written = export_mission(mission, out, form, spare=read_files(source, plan, state))
     say([*mission.unknown(form.figures), *(f"wrote {file}" for file in written)])
     return DONE

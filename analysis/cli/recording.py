@@ -80,7 +80,8 @@ def record(
     from analysis.recording.viewers.topics import Stage
 
     what, team, planning = what or Recording(), team or Team(), planning or PlanningToTheEnd()
-    check_outputs(source, plan or state, out, picture, animation)
+    cut_to = None if state_at is None else state_name(out)
+    check_outputs(source, (plan, state), out, picture, animation, cut_to)
     if not force and not may_replace(out):
         say([f"{out} stays as it is; nothing was recorded"])
         return DONE
@@ -130,22 +131,25 @@ def may_replace(out: Path) -> bool:
     """Whether nothing is there, or a person at a terminal says that it may go. Raises UsageError where nobody is."""
     if not out.exists():
         return True
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+    if sys.stdin is None or not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise UsageError(f"{out} is there already", fix="give --force to replace it, or another name")
     say([f"{out} is there already. Replace it? [y/N]"])
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
-def check_outputs(source: str, plan: Path | None, out: Path, picture: Path | None, animation: Path | None) -> None:
+def check_outputs(
+    source: str,
+    beside: tuple[Path | None, ...],
+    out: Path,
+    picture: Path | None,
+    animation: Path | None,
+    cut_to: Path | None,
+) -> None:
     """Refuse files that cannot be written, have other names than they should, or are an input, before any work."""
-    from analysis.inputs import input_path
-
     for file, suffix in ((out, SUFFIX), (picture, ".png"), (animation, ".gif")):
         if file is not None:
             check_name(file, suffix)
-    layout = layout_name(out)
-    for read in (str(input_path(source)), "" if plan is None else str(plan)):
-        check_files(read, out, layout, picture, animation)
+    check_files(source, out, layout_name(out), picture, animation, cut_to, beside=beside)
     growing = growing_name(out)
     if growing.is_symlink() or growing.exists():
         raise left_over(growing)

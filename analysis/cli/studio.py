@@ -53,8 +53,8 @@ def studio(
     path = input_path(source)
     RolloutChoices(seed=seed or 0)  # refuses a seed that is none
     target = Path(f"{path.stem}-studio{SUFFIX}") if out is None else out
-    check_files(str(path), target, suffix=SUFFIX)
-    check_files(str(path), raster_of(target))
+    check_files(source, target, suffix=SUFFIX)
+    check_files(source, raster_of(target))
     task = load_task(team.asked(source, Choices()))
     say(task.notes)
     first = Sketch.of(task.world, len(task.starts), task.settings)

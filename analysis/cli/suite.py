@@ -18,7 +18,7 @@ ROLLOUTS = 1000
 def suite(
     *,
     policy: Annotated[Path | None, Parameter(converter=path)] = None,
-    actions: Annotated[Literal["moves", "areas"], Parameter(converter=one_of("moves", "areas"))] = "moves",
+    actions: Annotated[Literal["moves", "areas"] | None, Parameter(converter=one_of("moves", "areas"))] = None,
     plans: Annotated[list[str] | None, Parameter(converter=verbatims, negative="")] = None,
     only: Text = None,
     rollouts: Whole = None,
@@ -54,8 +54,12 @@ def suite(
         name, found, folder = given.partition("=")
         if not (name and found and folder):
             raise UsageError(f"--plans {given!r}", expected="NAME=FOLDER")
+        if name in folders:
+            raise UsageError(f"--plans {given!r}: {name!r} is named twice", expected="a name of its own for each")
         folders[name] = folder
-    own = None if policy is None else own_of(policy, actions)
+    if policy is None and actions is not None:
+        raise UsageError(f"--actions {actions} without --policy", fix="add --policy, or leave it out")
+    own = None if policy is None else own_of(policy, actions or "moves")
     count = ROLLOUTS if rollouts is None else rollouts
     with show_pool_progress("worlds", RULES) as progress:
         answer = run_suite(names, own, folders, count, seed or 0, processes, progress)

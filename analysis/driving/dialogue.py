@@ -46,15 +46,16 @@ class Dialogue:
     def hear(self, line: str) -> Iterator[Json]:
         """What is said to a line."""
         self._line += 1
-        if not line.strip():
+        if len(line) <= LONGEST and not line.strip():
             return
         try:
-            key = Key(_parsed(line, f"line {self._line}"), "", f"line {self._line}", UsageError)
-            yield from self._answer(key)
+            said = self._answer(Key(_parsed(line, f"line {self._line}"), "", f"line {self._line}", UsageError))
         except InputError as error:
-            yield {"type": "error", "line": self._line, "error": str(error)}
+            said = iter([{"type": "error", "line": self._line, "error": str(error)}])
+        yield from said
 
     def _answer(self, key: Key) -> Iterator[Json]:
+        """What is said to a line that is right. Raises InputError for another, before anything changes."""
         top = key.mapping(("type",), strict=False)
         kind, rest = top["type"].choice(KINDS), {name: value for name, value in key.value.items() if name != "type"}
         given = Key(rest, "", key.source, UsageError)
@@ -62,31 +63,27 @@ class Dialogue:
             before, over = (self.mission.said(), self.mission.sees), self.mission.outcome is not None
             hand_on(self.mission.report, given)
             if (self.mission.said(), self.mission.sees) == before:
-                return
+                return iter(())
             told = bool(rest.get("stopped") or rest.get("found") or "moves_left" in rest or rest.get("seen"))
-            yield from self._go_on(changed=told, step=over)
-        elif kind == "close":
+            return self._go_on(changed=told, step=over)
+        if kind == "close":
             self.mission.close(given.mapping(("cells",))["cells"].value)
-            yield from self._go_on(asked=True)
-        elif kind == "call_off":
-            given.mapping()
+            return self._go_on(asked=True)
+        if kind == "step":
+            now = whole(0, self.mission.step, what="a step that is not to come")
+            of = given.mapping(defaults={"step": self.mission.step})["step"].number(now)
+            return self._go_on(step=True) if of == self.mission.step else iter(())
+        given.mapping()
+        if kind == "call_off":
             self.mission.call_off()
-            yield from self._go_on(asked=True)
-        elif kind == "step":
-            of = given.mapping(defaults={"step": self.mission.step})["step"].number(whole(0))
-            if of == self.mission.step:
-                yield from self._go_on(step=True)
-        else:
-            given.mapping()
-            if kind == "outlook":
-                yield self._outlook() | {"type": "outlook", "step": self.mission.step}
-            else:
-                yield self._said()
+            return self._go_on(asked=True)
+        return iter([self._said() if kind == "orders" else self._foreseen()])
 
     def _go_on(self, *, asked: bool = False, changed: bool = False, step: bool = False) -> Iterator[Json]:
         """End steps in which nobody is waited for, keep the mission, and say what is to be done if that is new.
 
         `asked`: orders are said in any case, by what is known now. `changed`: what will come is another.
+        Raises StateError where the mission cannot be kept: no orders are given then that a file does not know.
         """
         mission, before = self.mission, self.mission.step
         if asked:
@@ -99,7 +96,11 @@ class Dialogue:
         if asked or mission.step > before:
             yield self._said()
         if (asked or changed) and self._unasked and mission.outcome is None:
-            yield self._outlook() | {"type": "outlook", "step": mission.step}
+            yield self._foreseen()
+
+    def _foreseen(self) -> Json:
+        """What will come."""
+        return self._outlook() | {"type": "outlook", "step": self.mission.step}
 
     def _said(self) -> Json:
         """Orders, or that the mission is over."""

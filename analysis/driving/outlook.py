@@ -20,6 +20,7 @@ from planner.files import Json
 from planner.kernels.tables import AllPairs
 from planner.limits import MOST_ROLLOUTS
 from planner.missions.mission import Mission
+from planner.mrac.homecoming import is_home
 from planner.tally import Outcome, RolloutResults
 
 SECONDS = 0.5
@@ -103,8 +104,13 @@ class DrivenMission(Mission):
             without: robots that do no more from here on. call_off: it ends here; robots that come home turn now.
             changes: settings, as `policy="per_cell"`, `worth=12`.
             rollouts, seconds, seed: as of `outlook`.
+
+        Raises UsageError where it is called off and goes on otherwise, and as `outlook` does.
         """
-        otherwise = [changes | {"without": tuple(without)}]
+        without = tuple(without)
+        if call_off and (without or changes):
+            raise UsageError("a mission that is called off, and goes on otherwise", expected="one of the two")
+        otherwise = [changes | {"without": without}]
         if call_off:
             otherwise = [{"call_off": True}] if self.settings.return_to is not None and self.step > 0 else []
         mine, *others = self._roll_out([{}, *otherwise], rollouts, seconds, seed)
@@ -172,7 +178,9 @@ class DrivenMission(Mission):
 
     def _ended(self, found: RolloutResults) -> RolloutResults:
         """The same rollouts of a mission that ends here."""
-        visited, survived = (int(np.count_nonzero(cells)) for cells in (self._fleet.visited, self._fleet.survived))
+        fleet, ways = self._fleet, self._fleet.problem.home
+        visited, survived = (int(np.count_nonzero(cells)) for cells in (fleet.visited, fleet.survived))
         same = {"visited": visited, "survived": survived, "time": self.step - 1, "alive": self._alive}
+        same["home"] = sum(ways is not None and robot.alive and is_home(ways, robot) for robot in fleet.robots)
         ended = {name: np.full_like(getattr(found, name), value) for name, value in same.items()}
         return replace(found, outcome=np.full_like(found.outcome, Outcome.CALLED_OFF), **ended)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -94,15 +94,17 @@ def choose_format(out: Path, to: str | None, name: str = "out") -> Format:
     return found[0]
 
 
-def export(mission: Mission, out: Path, form: Format, spare: Path | None = None) -> list[Path]:
+def export(mission: Mission, out: Path, form: Format, spare: Iterable[Path] = ()) -> list[Path]:
     """Write the mission; returns the files. Nothing is written unless all of it can be made.
 
     Raises InputError: a map that nobody has put on the Earth, an altitude that cannot be flown, a file that cannot be
-    written, or that is `spare`, the input.
+    written, or that is the map or `spare`, other files that were read.
     """
     names = form.names(out, len(mission.plan.robots))
-    if spare is not None and any(name.resolve() == spare.resolve() for name in names):
-        raise UsageError(f"{printable(spare)} is the input, and would be written", expected="a file of its own")
+    read = {file.resolve() for file in (Path(mission.world.source), *spare)}
+    for name in names:
+        if name.resolve() in read:
+            raise UsageError(f"{printable(name)} is an input, and would be written", expected="a file of its own")
     contents = form.contents(mission)
     if is_folder(out):
         try:

@@ -76,7 +76,15 @@ def read_graph(path: Path, instance: str | None = None) -> Graph:
     """The graph of a file: JSON, or the `instance` of Julia code as `read_julia` reads it. Raises InputError."""
     check_file(path, EXPECTED)
     if path.suffix == ".jl":
-        return make_graph(*read_julia(path, instance))
+        name, start, rewards, chances = read_julia(path, instance)
+        for said in (rewards, chances):
+            of = REWARD if said is rewards else SURVIVAL
+            for whose, value in said.items():
+                if not of.accepts(value):
+                    raise GraphError(f"{whose} has {value:g}", source=path, expected=of.expected)
+        return make_graph(name, start, rewards, chances)
+    if instance is not None:
+        raise GraphError(f"instance {instance!r}: only Julia code has several", source=path, fix="leave it out")
     key = Key(read_json(path, MOST_BYTES, GraphError, EXPECTED), "", path, GraphError)
     keys = key.mapping(("base", "nodes"), ("name", "arcs", "edges", "visits"))
     named = keys["nodes"].value if isinstance(keys["nodes"].value, dict) else ["name: reward"]

@@ -7,6 +7,7 @@ one of rewards by kind. Node 1 is the base, and worth nothing. Functions that dr
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from planner.arguments import did_you_mean
 from planner.errors import InputError
 
 EXPECTED = "a file of BOTOHE's, as src/examples.jl"
-KIND, NUMBER = r'(?::|")([A-Za-z_]\w*)"?', r"([\d.]+(?:/[\d.]+)?)"
+KIND, NUMBER = r'(?::|")([A-Za-z_]\w*)"?', r"(\d+\.?\d*(?:[eE][-+]?\d+)?(?:/\d+)?)(?=[ \t]*(?:[,)\n]|$))"
 
 
 def read_julia(path: Path, instance: str | None) -> tuple[str, str, dict[str, float], dict[tuple[str, str], float]]:
@@ -41,7 +42,7 @@ def read_julia(path: Path, instance: str | None) -> tuple[str, str, dict[str, fl
 
 def _read(body: str) -> tuple[dict[str, float], dict[tuple[str, str], float]] | None:
     """Rewards and chances of a function's body; None: it is not such a one."""
-    count = re.search(r"SimpleDiGraph\((\d+)\)", body)
+    count = re.search(r"SimpleDiGraph\((\d{1,5})\)", body)
     edges = re.findall(rf"\(\s*(\d+)\s*,\s*(\d+)\s*,\s*{KIND}\s*\)", body)
     by_kind = [_numbers(rf"{KIND}\s*=>\s*{NUMBER}", one) for one in re.findall(r"Dict\((.*?)\n\s*\)", body, re.DOTALL)]
     chances = next((one for one in by_kind if one and {kind for _, _, kind in edges} <= {*one}), None)
@@ -66,4 +67,4 @@ def _numbers(pattern: str, text: str) -> dict[str, float]:
 def _number(text: str) -> float:
     """A number, or one divided by another."""
     above, _, below = text.partition("/")
-    return float(above) / float(below or 1)
+    return float(above) / int(below or 1) if below != "0" else math.nan

@@ -11,7 +11,6 @@ from scipy.sparse.csgraph import dijkstra
 
 from analysis.graphs.graph import Graph, Rules
 from analysis.graphs.kernel import explore
-from analysis.kit.notes import Progress, quiet
 
 LONGEST = 512
 """Places of a trail."""
@@ -25,9 +24,7 @@ class Point(NamedTuple):
     trails: tuple[tuple[int, ...], ...]
 
 
-def search(
-    graph: Graph, robots: int, rules: Rules, places: int, rounds: int, progress: Progress = quiet
-) -> list[Point]:
+def search(graph: Graph, robots: int, rules: Rules, places: int, rounds: int) -> list[Point]:
     """The best plans found, none beaten by another in reward and robots home; by robots home, fewest first.
 
     `places`: of the archive. `rounds`: times at most that all changes of all new plans are looked at.
@@ -53,7 +50,6 @@ def search(
             fresh[place] = False
             for ahead in ways:
                 explore(place, turn, (chances, ahead, graph.reward, shares), rule, archive)
-        progress(turn + 1, 0, 0.0)
     found = (
         Point(float(reward[place]), float(home[place]), tuple(
             tuple(trails[place, robot, : lengths[place, robot]].tolist()) for robot in range(robots)

@@ -72,6 +72,7 @@ class Mission:
         recorder: Recorder | None = None,
     ) -> None:
         FRACTION.check("gain", gain)
+        whole(1).check("patience", patience, optional=True)
         if world.movers is not None:
             world.check_settled("a mission that is driven")
         self.given, self._lessons = world, Lessons(world, plan)
@@ -272,7 +273,7 @@ class Mission:
         self._orders = None
         changed = surprises(self.world, seen)
         if len(changed) and held and fleet.step < self.last_step:
-            world = seen_world(self.world, seen)
+            world = seen_world(self.world, seen, self.given)
             state, got = learned_state(self.state, world, changed, self.settings)
             self._go_on(world, allocated_plan(replace(world, doubt=None), state.starts, self.settings, state=state))
             # what a person reports may be what all were waiting for
@@ -403,12 +404,15 @@ class Mission:
 
         `how`: patience and gain, as of the mission. Raises StateError.
         """
-        world, rest, keys = read_rest(path, world, plan)
-        mission = cls(world, rest, **how)
-        heard = keys["heard"].items("a list of steps", least=0)
-        if heard and len(heard) != mission.robots:
-            problem, expected = f"holds a mission of {len(heard)} robots", f"one of {mission.robots}, as planned"
-            raise StateError(problem, source=path, expected=expected, fix="give the robots of the mission")
+        known, rest, keys = read_rest(path, world, plan)
+        mission = cls(known, rest, **how)
+        mission.given = world
+        heard, waits = (keys[name].items("a list of steps", least=0) for name in ("heard", "waits"))
+        for steps in (heard, waits):
+            if steps and len(steps) != mission.robots:
+                problem, expected = f"holds a mission of {len(steps)} robots", f"one of {mission.robots}, as planned"
+                raise StateError(problem, source=path, expected=expected, fix="give the robots of the mission")
+        mission._waits[: len(waits)] = [one.number(whole(0)) for one in waits]
         robot = whole(0, mission.robots - 1, what="the number of a robot")
         mission._set_aside([one.number(robot) for one in keys["aside"].items("a list of robots", least=0)])
         mission.closed = [one.value for one in keys["closed"].items("a list of cells", least=0)]
@@ -429,7 +433,8 @@ class Mission:
         state = self.state.to_json() if self.step > 0 else None
         more: Json = {"seen": _pairs(self.seen), "sees": _pairs(self.sees)}
         more |= {"closed": self.closed, "range": self.settings.range, "aside": self._aside}
-        more |= {"reports": self.said(), "heard": self._reports.heard, "odds": self._lessons.to_json()}
+        more |= {"reports": self.said(), "heard": self._reports.heard, "waits": self._waits}
+        more |= {"odds": self._lessons.to_json()}
         more |= {} if self.outcome is None else {"ended": self.known()}
         write_mission(path, self.world, state, more)
 

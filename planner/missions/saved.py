@@ -1,8 +1,8 @@
 """A mission as a file, written whole and on the disk before orders are given: whatever ends the process, it goes on.
 
 It is a state file (SPEC section 12) that also holds what was reported of the step under way, of which step each robot
-reported last, what was seen, what was closed, what robots said of their range, which make no progress, and how the
-mission ended.
+reported last, for how many steps it has not moved, what was seen, what was closed, what robots said of their range,
+which make no progress, and how the mission ended.
 Before step 0 has ended there is no state, and the rest alone is kept.
 """
 
@@ -42,6 +42,7 @@ DEFAULTS: dict[str, Any] = {
     "aside": [],
     "reports": [],
     "heard": [],
+    "waits": [],
     "ended": None,
 }
 """What a file holds beside a state, or in its place, and may leave out."""

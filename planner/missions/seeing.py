@@ -68,12 +68,13 @@ def seen_by(given: Any, fleet: Fleet, reported: Mapping[int, int]) -> Seen:
     return found
 
 
-def seen_world(world: World, seen: Seen) -> World:
-    """The world as it is known now."""
+def seen_world(world: World, seen: Seen, given: World | None = None) -> World:
+    """The world as it is known now. `given`: as it was before anything was seen, for what cells are worth."""
     threat = world.threat.copy()
     for cell, p in seen.items():
         threat.flat[cell] = np.nan if p is None else p
-    value = None if world.value is None else np.where(np.isnan(threat), 0.0, world.value)
+    worth = (given or world).value
+    value = None if worth is None else np.where(np.isnan(threat), 0.0, worth)
     return replace(world, threat=threat, starts=None, value=value)
 
 

@@ -245,3 +245,13 @@ def read_yaml(path: Path, error: type[InputError] = ScenarioError) -> Key:
     except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError, OSError) as wrong:
         raise error(f"cannot be read as YAML ({wrong})", source=path, expected="YAML in UTF-8") from wrong
     return Key(value, "", path, error)
+
+
+def named_files(value: Any, folder: Path) -> Iterator[Path]:
+    """Files in the `folder` that texts in a value, as YAML has it, name."""
+    if isinstance(value, str):
+        if value and why_no_file(folder / value) == "":
+            yield folder / value
+    elif isinstance(value, dict | list):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from named_files(item, folder)

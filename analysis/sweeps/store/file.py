@@ -9,6 +9,7 @@ is opened, at 1.6 s of CPU a gigabyte: little beside what reading its runs takes
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import time
 import zlib
@@ -71,7 +72,7 @@ def open_file(path: Path, *, write: bool, whole: bool = True) -> sqlite3.Connect
 
 
 def _connect(path: Path, parameters: str) -> sqlite3.Connection:
-    address = f"file:{quote(str(path.absolute()))}?{parameters}"
+    address = f"file:{quote(os.fsencode(path.absolute()))}?{parameters}"
     connection = sqlite3.connect(address, uri=True, isolation_level=None, timeout=BUSY_SECONDS)
     connection.text_factory = _text
     return connection
