@@ -192,13 +192,14 @@ def knowing_deadline(world: World, plan: Plan, choices: RolloutChoices, *, nomin
     return replace(make_plan(world, plan.starts, settings, plan.areas, plan.state), notes=plan.notes)
 
 
-def home_of(plan: Plan, found: Tally | RolloutResults, loop: str) -> NDArray | None:
+def home_of(plan: Plan, found: Tally | RolloutResults, loop: str, deadline: int | None = None) -> NDArray | None:
     """Robots that are home at the end, as `found` counts robots alive; None where that is not asked for.
 
-    In the open loop robots follow their paths: if these end at home, who is alive at the end is there.
+    In the open loop robots follow their paths: if these are all at home at the `deadline`, or their end, who is alive
+    then is there.
     """
     if loop == "open":
-        return found.alive if plan.ends_home else None
+        return found.alive if plan.ends_home(deadline) else None
     return found.home if plan.comes_home else None
 
 

@@ -399,7 +399,12 @@ class Choices(_Given):
         if "deadline" in said:
             said["deadline"] = pace.last_step("deadline", said["deadline"], by if self.deadline is None else source)
         made = Settings(**said)
-        made.check(source)
+        try:
+            made.check(source)
+        except PlanError:  # is it the input alone that is wrong?
+            alone = dict(asked) | ({"deadline": said.get("deadline")} if "deadline" in asked else {})
+            Settings(**alone).check(by)
+            raise
         return made
 
 

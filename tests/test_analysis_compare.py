@@ -15,6 +15,7 @@ from conftest import FOLDER, load_fixture
 from refusals import refused
 
 import analysis.comparison.compare
+import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.comparison.compare import FIGURES, Comparison, compare, make_side
 from analysis.comparison.report import headline
@@ -79,6 +80,20 @@ def test_the_same_on_both_sides_differs_in_nothing() -> None:
         assert (estimate.mean, estimate.se) == (0, 0)
         assert estimate.ci95 == (0, 0)
     assert headline(found) == "A and B are the same in everything: no difference (exact)."
+
+
+def test_rests_of_two_missions_differ_by_what_they_go_on_from(tmp_path: Path) -> None:
+    world, sides = World.create([[0, 0.1, 0.2, 0.3]]), []
+    for name, borne in (("a.json", 0.0), ("b.json", 1.5)):
+        state = {"format": "mrac-state", "version": 1, "step": 1, "visited": [[0, 0], [0, 1]],
+                 "robots": [{"cell": [0, 1], "exposure": borne}]}  # fmt: skip
+        (tmp_path / name).write_text(json.dumps(state))
+        plan = mrac.plan(world, state=tmp_path / name, wear=3.0)
+        sides.append(make_side(world, plan, RolloutChoices(rollouts=20_000)))
+    found = compare(*sides)
+    assert found.differing == (("its own state",), ("another state",))
+    difference, exact = found.difference("visited").estimate, found.exact_difference("visited")
+    assert exact is not None and exact < -0.17 and abs(difference.mean - exact) < 5 * difference.se
 
 
 def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

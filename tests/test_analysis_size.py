@@ -302,6 +302,13 @@ def test_a_deadline_counts_what_is_covered_by_then() -> None:
         assert early.robots is None
 
 
+def test_a_mission_s_own_deadline_is_said() -> None:
+    world, goal = World.create(np.zeros((1, 8))), make_goal(0.6, None, False, most=2)
+    found = find_size(world, Settings(deadline=4), goal, RolloutChoices(rollouts=64))
+    assert found.to_json()["deadline"] == found.deadline == 4
+    assert "by step 4" in str(found)
+
+
 def test_a_deadline_counts_what_evaluate_counts() -> None:
     world = load_world_file(WORLD)
     for loop in ("open", "closed"):

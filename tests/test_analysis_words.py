@@ -13,7 +13,7 @@ from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.figures import Chance, sampled_share
 from analysis.evaluation.formulas import WORDS, formula_counts, formulas_words
 from analysis.evaluation.table import answer_tables
-from analysis.evaluation.words import cell_words, chances_words, losses_words
+from analysis.evaluation.words import cell_words, chances_words, home_words, losses_words
 from analysis.kit.words import plan_words, share, span_words
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate, proportion
@@ -294,6 +294,22 @@ def test_figures_have_the_digits_that_their_interval_allows() -> None:
         ends = [float(end) for end in interval.split(" .. ")]
         assert abs(float(mean) - 0.5) <= half * (1 + 1e-6) + 0.5 * (digits == 0)
         assert ends[0] <= low + 1e-6 and high - 1e-6 <= ends[1], "rounded outwards"
+
+
+def test_no_end_is_named_after_the_deadline() -> None:
+    world = World.create(np.zeros((1, 9)))
+    plan = make_plan(world, np.array([[0, 0]]), Settings(return_to="home", deadline=6))
+    assert plan.time == 6
+    plan = replace(plan, outcome="stuck")  # as where the last one is back in the last step
+    assert span_words(plan, world.pace) == "the last move is at step 6, 6 moves, 2 quarter turns"
+
+
+@pytest.mark.parametrize("robots", [2, 3])
+def test_who_always_comes_home_is_said_in_good_words(robots: int) -> None:
+    world = World.create(np.zeros((1, 9)))
+    plan = mrac.plan(world, robots, return_to="home")
+    answer = mrac.evaluate(world, plan, rollouts=64, advice=False, exact="never")
+    assert home_words(answer).startswith(f"On average {'both' if robots == 2 else 'all 3'} robots come home, all")
 
 
 def test_the_end_that_a_plan_names_is_that_of_its_rollouts() -> None:

@@ -155,6 +155,27 @@ def test_the_rest_of_a_line_that_is_too_long_is_no_line(tmp_path: Path) -> None:
         assert error["type"] == "error" and error["line"] == 1 and begun == orders
 
 
+def test_where_there_is_no_outlook_that_is_said_before_any_order(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    np.save(tmp_path / "m.npy", np.array([[0.0, 0.1, 0.1]]))
+    (tmp_path / "m.yaml").write_text("map: m.npy\nhazard: {kind: consumed}\n")
+    assert run(["drive", str(tmp_path / "m.yaml"), "--outlook"]) == 2
+    said = capfd.readouterr()
+    assert not said.out and "leave `hazard`" in said.err
+
+
+def test_a_mission_that_is_over_says_the_time_of_the_run() -> None:
+    world, dialogue = talk(robots=1)
+    time = mrac.plan(world, starts=place_starts(world, 1)[0]).time
+    assert dialogue.mission.outlook(rollouts=64).steps.mean <= time
+    said = list(dialogue.begin())[-1]
+    while said["type"] == "orders":
+        (order,) = said["orders"]
+        said = say(dialogue, type="report", robot=0, cell=order["cell"])[-1]
+    assert said["type"] == "end" and said["step"] == time
+
+
 def test_without_reports_to_read_nothing_is_driven(tmp_path: Path) -> None:
     command = f'exec "{sys.executable}" -m mrac_jax drive example:paper <&-'
     done = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True,

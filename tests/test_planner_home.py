@@ -13,6 +13,7 @@ from movers import moving_world
 from numpy.typing import NDArray
 from oracle_tree import Tree as ReadableTree
 
+from analysis.comparison.compare import compare, make_side
 from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
 from analysis.tradeoff.front import settings_of
@@ -256,7 +257,11 @@ def test_threats_that_move_meet_who_goes_home_and_who_waits_there() -> None:
 def test_open_loop_paths_end_at_home(tmp_path: Any) -> None:
     world, starts = drawn(3)
     plan = make_plan(world, starts, Settings(return_to="home", range=60))
-    assert plan.ends_home
+    assert plan.ends_home() and plan.ends_home(0)
+    away = next(step for step, cell in enumerate(plan.robots[0].path) if cell != plan.robots[0].path[0])
+    assert not plan.ends_home(away)
+    cut = compare(*(make_side(world, plan, RolloutChoices(loop="open", rollouts=64, deadline=away)) for _ in range(2)))
+    assert "home" not in cut.figures and make_side(world, plan, RolloutChoices(loop="open")).comes_home
     plan.save(tmp_path / "plan.json")
     assert load_plan(tmp_path / "plan.json", world).settings == plan.settings
     answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=4096))

@@ -142,6 +142,13 @@ def test_a_scenario_says_it(tmp_path: Path) -> None:
         (tmp_path / "m.yaml").write_text(f"map: map.npz\n{text}\n")
         assert load_input(tmp_path / "m.yaml").pace == Pace(seconds)
     assert load_input(tmp_path / "m.yaml").with_pace(7).pace == Pace(7.0), "options stand in its place"
+    np.save(tmp_path / "cells.npy", CELLS)
+    (tmp_path / "m.yaml").write_text("map: {file: cells.npy, resolution: 0.5}\nspeed: 2\n")
+    world = load_input(tmp_path / "m.yaml")
+    assert world.pace == Pace(0.25) and world.cell_size == 0.5 and world.shape == (3, 4)
+    (tmp_path / "m.yaml").write_text("map: {file: map.npz, resolution: 0.5}\n")
+    with pytest.raises(InputError, match="the file says that a pixel has 3 m"):
+        load_input(tmp_path / "m.yaml")
 
 
 @pytest.mark.parametrize(
@@ -150,7 +157,7 @@ def test_a_scenario_says_it(tmp_path: Path) -> None:
         (("step: {seconds: 0}",), "`step.seconds` is 0; expected seconds, 1e-06 to 1e\\+06"),
         (("step: 2",), "`step`"),
         (("step: {seconds: 2}", "speed: 1"), "`speed` is 1; expected none beside step"),
-        (("speed: 1",), "nobody says how many metres a cell has"),
+        (("speed: 1",), "nobody says how many metres a cell has.*resolution: 0.5"),
         (("deadline: 20q",), "`deadline` is '20q'.*or a time, as 45min"),
     ],
 )

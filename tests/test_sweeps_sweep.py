@@ -314,6 +314,15 @@ sweep:
         rows = run_sweep(read_spec(spec_file(tmp_path, text)), store, processes=1).rows
         assert [row.labels["plan"] for row in rows] == ["ours.json", "theirs.json"]
         assert rows[0].estimate("visited").mean > rows[1].estimate("visited").mean
+    for name, borne in (("fresh", 0.0), ("worn", 3.0)):  # alike but for the state that they go on from
+        state = {"format": "mrac-state", "version": 1, "step": 0, "visited": starts.tolist(),
+                 "robots": [{"cell": cell, "exposure": borne} for cell in starts.tolist()]}  # fmt: skip
+        (tmp_path / "state.json").write_text(json.dumps(state))
+        mrac.plan(dangerous, state=tmp_path / "state.json", wear=3.0).save(tmp_path / f"{name}.json")
+    with Memory() as store:
+        states = text.replace("ours.json, theirs.json", "fresh.json, worn.json").replace("open", "closed")
+        fresh, worn = run_sweep(read_spec(spec_file(tmp_path, states)), store, processes=1).rows
+        assert len(store) == 2 and fresh.estimate("visited").mean > worn.estimate("visited").mean
     closed = text.replace("loop: open", "loop: closed")
     with Memory() as store:
         taken_over = run_sweep(read_spec(spec_file(tmp_path, closed)), store, processes=1).rows

@@ -65,7 +65,8 @@ class Side:
     @property
     def comes_home(self) -> bool:
         """Whether it is asked who comes home."""
-        return self.plan.ends_home if self.choices.loop == "open" else self.plan.comes_home
+        choices, plan = self.choices, self.plan
+        return plan.ends_home(choices.deadline) if choices.loop == "open" else plan.comes_home
 
     def unit(self, figure: str) -> float:
         """What one of a figure is worth: cells are fractions of the accessible ones."""
@@ -181,7 +182,16 @@ def differing(a: Side, b: Side) -> tuple[tuple[str, ...], tuple[str, ...]]:
             what = "plan" if same_starts else "starts"
             words[0].append(f"its own {what}")
             words[1].append(f"another {what}" if what == "plan" else "other starts")
+        elif _begun(a.plan) != _begun(b.plan):
+            words[0].append("its own state")
+            words[1].append("another state")
     return tuple(words[0]), tuple(words[1])
+
+
+def _begun(plan: Plan) -> tuple[object, ...]:
+    """What a plan goes on from: the allocation, and the state of the mission that it is the rest of."""
+    areas = [(area.level, area.robot, area.cells.tolist()) for area in plan.areas]
+    return areas, None if plan.state is None else plan.state.to_json()
 
 
 def _traits(side: Side, with_settings: bool) -> dict[str, str]:
@@ -293,7 +303,7 @@ def most_robots(a: Side, b: Side) -> int:
 
 def _figure(side: Side, results: RolloutResults, figure: str) -> NDArray[np.int32]:
     if figure in OF_HOME:
-        home = home_of(side.plan, results, side.choices.loop)
+        home = home_of(side.plan, results, side.choices.loop, side.choices.deadline)
         if home is None:
             return np.zeros(len(results.visited), dtype=np.int32)
         return home if figure == "home" else (home == len(side.plan.robots)).astype(np.int32)

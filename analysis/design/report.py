@@ -88,7 +88,7 @@ def _aim(size: TeamSize) -> str:
 
 
 def _by(size: TeamSize) -> str:
-    end = size.choices.deadline
+    end = size.deadline
     return "" if end is None else f" by step {end}{size.world.pace.also(end)}"
 
 
@@ -245,7 +245,7 @@ def _json(size: TeamSize) -> Json:
         "complete": goal.complete,
         "meaning": goal.meaning,
         "most": goal.most,
-        "deadline": choices.deadline,
+        "deadline": size.deadline,
         "robots": size.robots,
         "starts": None if size.robots is None else size.starts[: size.robots],
         "undecided": size.of(TeamVerdict.UNDECIDED),

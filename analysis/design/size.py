@@ -153,6 +153,11 @@ class TeamSize(Answer):
         return tuple(point.robots for point in self.points if point.verdict is verdict and point.robots < found)
 
     @property
+    def deadline(self) -> int | None:
+        """The step up to which all is counted: what was asked, else the mission's own."""
+        return self.choices.deadline if self.choices.deadline is not None else self.settings.deadline
+
+    @property
     def passed_over(self) -> tuple[int, ...]:
         """The teams below the one found (or all) that were neither looked at nor ruled out."""
         seen = {point.robots for point in self.points}

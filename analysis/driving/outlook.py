@@ -130,6 +130,11 @@ class DrivenMission(Mission):
         return AllPairs()
 
     @property
+    def _past(self) -> int:
+        """Steps that are over; entering the starts, step 0, takes no time."""
+        return max(self.step - 1, 0)
+
+    @property
     def _alive(self) -> int:
         return self.robots - len(self.lost)
 
@@ -155,7 +160,7 @@ class DrivenMission(Mission):
 
     def _seen(self, found: RolloutResults) -> Outlook:
         """The figures of rollouts."""
-        count, step = len(found.visited), self.step - 1
+        count, step = len(found.visited), self._past
         lost = np.bincount(self._lost(found), minlength=self._alive + 1)
         left = np.bincount(found.time - step)
         most = self.last_step - step
@@ -180,7 +185,7 @@ class DrivenMission(Mission):
         """The same rollouts of a mission that ends here."""
         fleet, ways = self._fleet, self._fleet.problem.home
         visited, survived = (int(np.count_nonzero(cells)) for cells in (fleet.visited, fleet.survived))
-        same = {"visited": visited, "survived": survived, "time": self.step - 1, "alive": self._alive}
+        same = {"visited": visited, "survived": survived, "time": self._past, "alive": self._alive}
         same["home"] = sum(ways is not None and robot.alive and is_home(ways, robot) for robot in fleet.robots)
         ended = {name: np.full_like(getattr(found, name), value) for name, value in same.items()}
         return replace(found, outcome=np.full_like(found.outcome, Outcome.CALLED_OFF), **ended)

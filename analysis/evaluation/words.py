@@ -69,7 +69,8 @@ def home_words(evaluation: Evaluation) -> str:
     if robots == 1:
         return f"The robot comes home in {every.share} of runs."
     mean = lost_words(home.mean, robots, min(home.digits(), 2))
-    return f"On average {mean} robots come home, all of them in {every.share} of runs."
+    mean += "" if mean.endswith("robots") else " robots"
+    return f"On average {mean} come home, all of them in {every.share} of runs."
 
 
 def chances_words(evaluation: Evaluation) -> str:

@@ -36,9 +36,8 @@ def plan_words(plan: Plan) -> str:
 def span_words(plan: Plan, pace: Pace) -> str:
     """ "makespan 1,315 steps, 2,612 moves, 511 quarter turns"; with what turns cost, if somebody says.
 
-    A run that ends before all is covered ends STUCK_AFTER steps after the last move.
+    A run that ends before all is covered waits a few steps before it ends.
     """
-    from planner.mrac.executive import STUCK_AFTER
     from planner.plans.turns import drive_of
 
     drive = drive_of(robot.path for robot in plan.robots)
@@ -47,7 +46,9 @@ def span_words(plan: Plan, pace: Pace) -> str:
         steps = drive.time(pace.turn)
         driven += f": with turns {steps:,.0f} steps{pace.also(steps)}"
     if plan.outcome in ("called_off", "stuck"):
-        return f"the last move is at {pace.step(plan.makespan)}, the end {STUCK_AFTER} steps later, {driven}"
+        later = plan.time - plan.makespan
+        end = f", the end {counted(later, 'step')} later" if later else ""
+        return f"the last move is at {pace.step(plan.makespan)}{end}, {driven}"
     return f"makespan {plan.makespan:,} steps{pace.also(plan.makespan)}, {driven}"
 
 

@@ -163,13 +163,15 @@ def run_key(team: Team, model: RolloutChoices) -> str:
 
 
 def _plan_hash(plan: Plan) -> str:
-    """Of a plan file: its paths, and for one of ours the allocation and the settings that the closed loop goes by."""
+    """Of a plan file: its paths, and for one of ours the allocation and the settings that the closed loop goes by, and
+    the state that it goes on from."""
     width = plan.shape[1]
     paths = [[list(divmod(cell, width)) for cell in robot.path.tolist()] for robot in plan.robots]
     areas = [[area.level, area.robot, area.cells.tolist()] for area in plan.areas]
     settings = None if plan.settings is None else plan.settings.to_json()
     bears = [] if plan.bears.is_plain else [plan.bears.to_json()]
-    return hashlib.sha256(canonical([paths, areas, settings, *bears]).encode()).hexdigest()
+    begun = [] if plan.state is None else [plan.state.to_json()]
+    return hashlib.sha256(canonical([paths, areas, settings, *bears, *begun]).encode()).hexdigest()
 
 
 def canonical(value: object) -> str:

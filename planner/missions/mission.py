@@ -439,9 +439,10 @@ class Mission:
         write_mission(path, self.world, state, more)
 
     def known(self) -> Json:
-        """Where it stands, as files and `drive` say it."""
+        """Where it stands, as files and `drive` say it: the step that is under way, or at which it ended."""
         ended = {} if self.outcome is None else {"outcome": self.outcome.name.lower()}
-        return ended | {"step": self.step, "covered": self.covered, "lost": list(self.lost)}
+        step = self.step if self.outcome is None else self._fleet.step
+        return ended | {"step": step, "covered": self.covered, "lost": list(self.lost)}
 
     @property
     def sees(self) -> Seen:

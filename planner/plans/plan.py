@@ -178,15 +178,15 @@ class Plan:
         """True if its robots are to come home (SPEC section 19)."""
         return self.settings is not None and self.settings.return_to is not None
 
-    @property
-    def ends_home(self) -> bool:
-        """True if all do, if nobody is stopped."""
+    def ends_home(self, step: int | None = None) -> bool:
+        """True if all do, if nobody is stopped; `step`: at which the run is cut off."""
         if self.settings is None or self.settings.return_to is None:
             return False
         to, starts = self.settings.return_to, [int(robot.path[0]) for robot in self.robots]
         bases = starts if isinstance(to, str) else [row * self.shape[1] + col for row, col in to]
         own = ({start} if to == "home" else set(bases) for start in starts)
-        return all(int(robot.path[-1]) in at for robot, at in zip(self.robots, own, strict=True))
+        ends = [robot.path[-1 if step is None else min(step, len(robot.path) - 1)] for robot in self.robots]
+        return all(int(cell) in at for cell, at in zip(ends, own, strict=True))
 
     @property
     def makespan(self) -> int:

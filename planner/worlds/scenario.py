@@ -140,13 +140,17 @@ def _map(key: Key, cell_size: float | None) -> Grid:
         return _elevation(key.mapping(optional=("elevation", "max_slope_deg", "resolution")), cell_size)
     if kind == "polygons":
         return _field(key.mapping(("polygons",), optional=OF_FIELDS), cell_size)
-    if "resolution" in keys:
-        raise keys["resolution"].wrong("none: a pixel has the metres that its file says, or 1", CELLS_OF_A_MAP)
-    path = key.mapping(("file",))["file"].file("a map file")
+    path = key.mapping(("file",), optional=("resolution",))["file"].file("a map file")
     top = read_yaml(path, MapError) if path.suffix.lower() in YAML else None
     if top is not None and isinstance(top.value, dict) and "map" in top.value and not _is_map(top):
         raise keys["file"].wrong("a map", "this is a scenario: run it itself")
-    return load_map(path, cell_size, top)
+    grid = load_map(path, cell_size, top)
+    if "resolution" not in keys:
+        return grid
+    resolution = keys["resolution"].number(CELL_SIZE)
+    if grid.measured:
+        raise keys["resolution"].wrong(f"none: the file says that a pixel has {grid.frame.size:g} m", CELLS_OF_A_MAP)
+    return replace(grid, frame=replace(grid.frame, size=resolution), measured=True)
 
 
 def _field(keys: dict[str, Key], cell_size: float | None) -> Grid:

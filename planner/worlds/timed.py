@@ -42,7 +42,9 @@ def _seconds_in(keys: dict[str, Key], world: World) -> float | None:
     seconds = world.cell_size / keys["speed"].number(SPEEDS)
     if not world.measured:
         problem = "is given, but nobody says how many metres a cell has"
-        raise keys["speed"].fault(problem, fix="give `cell_size:` too, or `step: {seconds: ...}` instead")
+        raise keys["speed"].fault(
+            problem, fix="give the metres of a pixel, `map: {file: ..., resolution: 0.5}`, or `step: {seconds: ...}`"
+        )
     if not STEP_SECONDS.accepts(seconds):
         raise keys["speed"].fault(f"makes a step take {seconds:g} s", STEP_SECONDS.expected)
     return seconds
