@@ -104,7 +104,7 @@ def test_the_maps_means_scatter_as_the_maps_do() -> None:
     assert abs(doubt.means.mean() - answer.tally.visited @ np.arange(7) / 6 / 20_000) < 0.005
     assert "256 maps, 20,000 rollouts" in doubt.chart().title + doubt.blocks().notes[0]
     few = mrac.evaluate(world, 1, **(QUIET | {"rollouts": 100})).outputs["map_doubt"]
-    assert few.behind == "256 maps, 4,096 rollouts"
+    assert few.behind == "64 maps drawn of 256, 1,024 rollouts"
     drawn = mrac.evaluate(doubtful("level")[0], 1, loop="open", **QUIET).outputs["map_doubt"]
     assert drawn.behind == "1,024 maps drawn of 65,536, exact on each"
     assert drawn.parts.between.ci95[0] < doubtful("level")[1][0] < drawn.parts.between.ci95[1]

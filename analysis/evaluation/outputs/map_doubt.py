@@ -30,9 +30,9 @@ from planner.worlds.doubt import Uncertain
 
 ENOUGH = 8
 """Rollouts a map, on average, that make it known enough to take the rollouts as they are."""
-LEAST, MOST = 2**12, 2**20
+LEAST, MOST = 2**10, 2**20
 """Of the evaluation's rollouts so many are looked at."""
-LEAST_MAPS, MOST_MAPS, EACH = 256, 1024, 16
+LEAST_MAPS, MOST_MAPS, EACH = 64, 1024, 16
 """Maps that are drawn where rollouts hardly share one, and rollouts on each in the closed loop."""
 
 
