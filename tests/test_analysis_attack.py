@@ -13,7 +13,7 @@ import pytest
 import mrac_jax as mrac
 from analysis.adversary import search
 from analysis.adversary.answer import Attack
-from analysis.adversary.report import findings, headline
+from analysis.adversary.report import findings, headline, report
 from analysis.cli.app import run
 from analysis.sampling import make_singles
 from planner.errors import InputError
@@ -153,6 +153,7 @@ def test_an_interruption_leaves_the_threats_so_far() -> None:
     answer = mrac.attack(world, count=2, p=P, progress=stop, on_interrupt="return")
     assert answer.partial and len(answer.known.threats) >= 1 and answer.known.known is None
     assert headline(answer).startswith("Interrupted.") and answer.to_json()["known"]["loss"]["known"] is None
+    assert not answer.hidden.threats and {*report(answer).files} == {"known.npz", "known.yaml"}
 
 
 def test_an_answer_by_a_rule_of_one_s_own_has_no_scenario(tmp_path: Path) -> None:

@@ -30,10 +30,14 @@ def write(folder: Path, text: str | None = None, **keys: object) -> Path:
     return path
 
 
-def test_metres_of_a_maps_pixels_are_asked_for_by_their_name(tmp_path: Path) -> None:
-    np.save(tmp_path / "field.npy", np.zeros((3, 4)))
-    (tmp_path / "s.yaml").write_text("map: {file: field.npy, resolution: 2}\n")
-    with pytest.raises(InputError, match=r"`map\.resolution` is 2; .*give `cell_size:` beside `map:`"):
+@pytest.mark.parametrize(("cells", "shape"), [("", (4, 6)), ("cell_size: 2", (4, 6)), ("cell_size: 4", (2, 3))])
+def test_metres_of_a_maps_pixels_that_its_file_does_not_say(cells: str, shape: tuple[int, int], tmp_path: Path) -> None:
+    np.save(tmp_path / "field.npy", np.zeros((4, 6)))
+    (tmp_path / "s.yaml").write_text("map: {file: field.npy, resolution: 2}\n" + cells)
+    world = load_input(tmp_path / "s.yaml")
+    assert world.shape == shape and world.cell_size == 8 / shape[0] and world.measured
+    (tmp_path / "s.yaml").write_text("map: {file: field.npy, resolution: 0}\n")
+    with pytest.raises(InputError, match=r"`map\.resolution` is 0"):
         load_input(tmp_path / "s.yaml")
 
 

@@ -26,6 +26,7 @@ def report(attack: Attack) -> Report:
     """The worst places, with the maps of what a threat costs in each cell."""
     choices, robots, cells = attack.choices, len(attack.starts), counted(len(attack.turn.options), "cell")
     threats = f"{counted(len(attack.known.threats), 'threat')} of {100 * attack.p:.3g} %"
+    hidden = len(attack.hidden.threats) > 0  # none: it was interrupted before
     return Report(
         "attack", "attack", asked(attack.world, robots, "where would a threat cost most?"), headline(attack),
         lambda: _json(attack), list(findings(attack)), _key_figures(attack),
@@ -36,8 +37,10 @@ def report(attack: Attack) -> Report:
         ),
         picture=lambda: _maps(attack), parts=[Part("Cells", [_table(attack)], _footnotes(attack))],
         notes=attack.notes, settings=attack.settings.shown(attack.world.pace), pace=attack.world.pace,
-        pictures={"attack.png": lambda: _maps(attack, 0), "hidden.png": lambda: _maps(attack, 1)},
-        files={"known.npz": attack.known_world.to_bytes, "hidden.npz": attack.hidden_world.to_bytes}
+        pictures={"attack.png": lambda: _maps(attack, 0)}
+        | ({"hidden.png": lambda: _maps(attack, 1)} if hidden else {}),
+        files={"known.npz": attack.known_world.to_bytes}
+        | ({"hidden.npz": attack.hidden_world.to_bytes} if hidden else {})
         | ({} if attack.settings.own_words else {"known.yaml": lambda: _scenario(attack)}),
     )  # fmt: skip
 
