@@ -89,7 +89,7 @@ def drive(
     else:
         mission = DrivenMission(world, made, **how)
     if outlook:
-        mission.outlook(rollouts=1)  # where there is none, that is said before any order
+        mission.check_foreseen()  # before any order
     talk = Dialogue(mission, state, lambda: mission.outlook().to_json(), unasked=outlook)
     _tell(talk.begin(), world.pace)
     for line in _lines(sys.stdin.buffer):

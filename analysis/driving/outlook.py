@@ -76,6 +76,12 @@ class WhatIf:
 class DrivenMission(Mission):
     """A mission that also says what will come of it, by the compiled simulator, from the end of the last step."""
 
+    def check_foreseen(self) -> None:
+        """Raise UsageError where the mission is over, WorldError for hazards, maps in doubt and phases."""
+        if self.outcome is not None:
+            raise UsageError("the mission is over", expected="one that goes on")
+        self.given.check_settled("the rest of a mission")
+
     def outlook(self, rollouts: int | None = None, seconds: float | None = None, seed: int = 0) -> Outlook:
         """What will be covered, robots lost, steps left, each with its 95 % interval.
 
@@ -144,9 +150,7 @@ class DrivenMission(Mission):
         """The same rollouts of each way to go on (arguments of `rest`): so many, or blocks of them for so long."""
         POSITIVE.check("seconds", seconds, optional=True)
         ends = time.monotonic() + (SECONDS if seconds is None else seconds)
-        if self.outcome is not None:
-            raise UsageError("the mission is over", expected="one that goes on")
-        self.given.check_settled("the rest of a mission")
+        self.check_foreseen()
         whole(1, MOST_ROLLOUTS).check("rollouts", rollouts, optional=True)
         choices = RolloutChoices(seed=seed, exact="never")
         rolls = [make_singles(self.world, self.rest(**way, nominal=False), choices, self._tables) for way in ways]
