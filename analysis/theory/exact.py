@@ -83,10 +83,13 @@ def _first_of_each(cells: NDArray[np.int64]) -> NDArray[np.bool_]:
     return first[cells] == places
 
 
-def chances_among(robot: RobotPlan, world: World, bearing: Bearing = PLAIN) -> RobotChances:
-    """The chances of one robot alone, where threats move: of every step, waits too (`theory.moving`)."""
+def chances_among(robot: RobotPlan, world: World, bearing: Bearing = PLAIN, waits: int = 0) -> RobotChances:
+    """The chances of one robot alone, where threats move: of every step, waits too (`theory.moving`).
+
+    `waits`: steps after its last move before it gives up.
+    """
     moves = robot.entered
-    path = robot.path[: moves[-1] + 1]
+    path = np.pad(robot.path[: moves[-1] + 1], (0, waits), mode="edge")
     own = chances_along(robot, _met(robot, world), bearing)
     passed = np.ones(len(path))
     passed[moves] = 1.0 - own.threat
@@ -191,7 +194,9 @@ def open_loop_exact(plan: Plan, world: World) -> OpenLoopExact:
     if world.doubt is None and world.knowledge is None:
         return exact_of(plan, chances_of(plan, world), world.threat.size)
     if world.movers is not None and len(plan.robots) == 1 and is_worth_it(world, plan.makespan):
-        return exact_of(plan, [chances_among(plan.robots[0], world, plan.bearing)], world.threat.size)
+        waits = max(plan.time - plan.makespan, 0)  # of paths alone there are none
+        one = chances_among(plan.robots[0], world, plan.bearing, waits)
+        return exact_of(plan, [one], world.threat.size)
     doubt, plain = world.doubt, plan.bearing.is_plain
     known = ways(plan, world) if plain or doubt is None or (isinstance(doubt, Uncertain) and doubt.whole) else None
     if known is None:
@@ -244,7 +249,7 @@ def _of_each_alone(plan: Plan, world: World) -> OpenLoopExact:
 
 def exact_of(plan: Plan, robots: list[RobotChances], cells: int) -> OpenLoopExact:
     """The exact values of robots that are independent, from the chances along their paths."""
-    horizon, state, none = plan.makespan + 1, plan.state, np.zeros(0, dtype=np.int64)
+    horizon, state, none = 1 + max(int(r.steps[-1]) for r in robots), plan.state, np.zeros(0, dtype=np.int64)
     before = (none, none) if state is None else (state.visited, state.survived)
     turns = _turns(robots, before[0])
     visited, visited_gain = _coverage(turns, [r.reach[r.first] for r in robots], cells, horizon)

@@ -67,17 +67,15 @@ class ClosedTruth:
 def exact_truth(plan: Plan, world: World, exact: OpenLoopExact, first_only: bool = False) -> ClosedTruth | None:
     """The closed loop where formulas are all of it, because it is the open loop; None elsewhere.
 
-    So it is of a plan of ours with one robot (every visit checked, nothing learned), and where no path has danger; not
-    among movers where it waits at the end before it gives up: they still meet it.
+    So it is of a plan of ours with one robot (every visit checked, nothing learned), and where no path has danger.
     """
-    ends = plan.state is None and plan.outcome == Outcome.COMPLETE.name.lower()
-    if world.movers is not None and not ends:
-        return None
     alone = len(plan.robots) == 1 and not (first_only or plan.is_foreign or world.is_learned)
     if not (alone and exact.is_known) and not is_certain(world, plan):
         return None
     stated = None if _is_cut_off(plan) else Truth.known(1.0)
     left, alive = Truth.known(1.0 - float(exact.alive_chance[0])), float(exact.survival.sum())
+    # else it waits before it gives up, which is known of one among movers alone
+    ends = world.movers is not None or (plan.state is None and plan.outcome == Outcome.COMPLETE.name.lower())
     time = exact.mean_time if ends else None
     return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0, alive, time)
 
