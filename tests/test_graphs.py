@@ -203,9 +203,9 @@ def test_julia_code_is_read(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -
 @pytest.mark.parametrize(
     ("written", "said"),
     [
-        *((computed, "no graph 'house'") for computed in ("1 - 0.1", "1.2.3", "sqrt(2)")),
-        *((chance, "('1', '2') has ") for chance in ("7.5", "0", "1/0")),
-        ("9e-1", ""),
+        *((computed, "no graph 'house'") for computed in ("1 - 0.1", "1.2.3", "sqrt(2)", "1/")),
+        *((chance, "('1', '2') has ") for chance in ("7.5", "0", "1/0", "1/00.0")),
+        *((chance, "") for chance in ("9e-1", ".9", "1.8/2.", "9/10")),
     ],
 )
 def test_julia_numbers_are_read_whole_and_checked(

@@ -240,19 +240,8 @@ def test_inputs_are_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "is an input" in refused(capsys, "record", TINY, "--plan", str(plan), "--out", str(plan))
     state = tmp_path / "run.state.json"
     state.write_text("{}")
-    words = (
-        "record",
-        TINY,
-        "--state",
-        str(state),
-        "--ids",
-        "0",
-        "--state-at",
-        "1",
-        "--out",
-        str(tmp_path / "run.mcap"),
-    )
-    assert "is an input" in refused(capsys, *words, "--force")
+    words = f"record {TINY} --state {state} --ids 0 --state-at 1 --out {tmp_path / 'run.mcap'} --force"
+    assert "is an input" in refused(capsys, *words.split())
     assert out.read_bytes() == before
     assert plan.read_text() == state.read_text() == "{}"
 

@@ -77,11 +77,10 @@ def read_graph(path: Path, instance: str | None = None) -> Graph:
     check_file(path, EXPECTED)
     if path.suffix == ".jl":
         name, start, rewards, chances = read_julia(path, instance)
-        for said in (rewards, chances):
-            of = REWARD if said is rewards else SURVIVAL
-            for whose, value in said.items():
-                if not of.accepts(value):
-                    raise GraphError(f"{whose} has {value:g}", source=path, expected=of.expected)
+        said = [*((*one, REWARD) for one in rewards.items()), *((*one, SURVIVAL) for one in chances.items())]
+        for whose, value, numbers in said:
+            if not numbers.accepts(value):
+                raise GraphError(f"{whose} has {value:g}", source=path, expected=numbers.expected)
         return make_graph(name, start, rewards, chances)
     if instance is not None:
         raise GraphError(f"instance {instance!r}: only Julia code has several", source=path, fix="leave it out")

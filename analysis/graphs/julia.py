@@ -15,7 +15,9 @@ from planner.arguments import did_you_mean
 from planner.errors import InputError
 
 EXPECTED = "a file of BOTOHE's, as src/examples.jl"
-KIND, NUMBER = r'(?::|")([A-Za-z_]\w*)"?', r"(\d+\.?\d*(?:[eE][-+]?\d+)?(?:/\d+)?)(?=[ \t]*(?:[,)\n]|$))"
+KIND, DECIMAL = r'(?::|")([A-Za-z_]\w*)"?', r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+NUMBER = rf"({DECIMAL}(?:/{DECIMAL})?)(?=[ \t]*(?:[,)\n]|$))"
+"""One, or one divided by another, and nothing behind it."""
 
 
 def read_julia(path: Path, instance: str | None) -> tuple[str, str, dict[str, float], dict[tuple[str, str], float]]:
@@ -65,6 +67,7 @@ def _numbers(pattern: str, text: str) -> dict[str, float]:
 
 
 def _number(text: str) -> float:
-    """A number, or one divided by another."""
+    """What a NUMBER comes to; NaN: it is divided by 0."""
     above, _, below = text.partition("/")
-    return float(above) / int(below or 1) if below != "0" else math.nan
+    divisor = float(below or 1)
+    return float(above) / divisor if divisor else math.nan
