@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any
 
-from planner.errors import InputError, UsageError
+from planner.errors import InputError, PlanError, UsageError
 
 COMMAND_LINE: ContextVar[bool] = ContextVar("command_line", default=False)
 """True while a command line is being run: `argument` then names options."""
@@ -64,6 +64,13 @@ def is_real(value: object) -> bool:
         return math.isfinite(value)
     except OverflowError:  # a whole number beyond all floats
         return False
+
+
+def check_each(name: str, given: object, robots: int, source: str = "", what: str = "number") -> None:
+    """Raise PlanError for what is given robot by robot, as a tuple, for another team than this of `robots`."""
+    if isinstance(given, tuple) and len(given) != robots:
+        problem = f"{argument(name)} of {len(given)} robots for a team of {robots}"
+        raise PlanError(problem, source=source, expected=f"one {what}, or one for each robot")
 
 
 @dataclass(frozen=True)

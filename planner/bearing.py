@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.arguments import argument
-from planner.errors import PlanError, UsageError
+from planner.arguments import argument, check_each
+from planner.errors import UsageError
 from planner.luck_names import LuckName
 from planner.tolerance import MOST, SCALE, susceptible, tolerances, unworn, wear_nodes, wear_scale, worn
 
@@ -68,13 +68,7 @@ class Bearing:
 
     def check(self, robots: int, source: str = "") -> None:
         """Raise PlanError where it is of another team."""
-        given = self.susceptibility
-        if isinstance(given, tuple) and len(given) != robots:
-            raise PlanError(
-                f"{argument('susceptibility')} of {len(given)} robots for a team of {robots}",
-                source=source,
-                expected="one number, or one for each robot",
-            )
+        check_each("susceptibility", self.susceptibility, robots, source)
 
     def check_luck(self, luck: LuckName) -> None:
         """Raise UsageError for luck that does not know what robots have borne."""

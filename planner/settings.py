@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, make_dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
-from planner.arguments import ANY, COMMAND_LINE, Numbers, argument, check_word, is_real, whole
+from planner.arguments import ANY, COMMAND_LINE, Numbers, argument, check_each, check_word, is_real, whole
 from planner.errors import PlanError
 from planner.limits import LEAST_SHAPE, LEAST_SUSCEPTIBILITY, MAX_STEP, MOST_SHAPE, MOST_SUSCEPTIBILITY
 from planner.pace import TIMES, UNPACED, Pace
@@ -270,6 +270,11 @@ class Settings:
         rule = f"the user's own rule {self.rule.name}" if not isinstance(self.policy, str) else ""
         order = "" if isinstance(self.in_area, str) else "an in-area order of the user's own"
         return " and ".join(filter(None, (rule, order)))
+
+    def check_team(self, robots: int, source: str = "") -> None:
+        """Raise PlanError, naming `source`, for what each robot has of another team."""
+        for name in (name for name, setting in SETTINGS.items() if setting.each and not setting.found):
+            check_each(name, getattr(self, name), robots, source)
 
     def check_stays(self, what: str) -> None:
         """Raise PlanError for robots that come home, which `what` knows nothing of."""

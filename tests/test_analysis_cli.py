@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOLDER, load_fixture
+from PIL import Image
 from refusals import refused
 
 import mrac_jax as mrac
@@ -478,6 +479,27 @@ def test_no_file_that_is_read_is_written(
     said = capsys.readouterr().err.splitlines()[-1]
     assert said.startswith(f"error: {kept} is an input")
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
+
+
+def test_a_folder_keeps_what_was_read_from_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Image.fromarray(np.full((2, 3), 254, dtype=np.uint8)).save("world.png")
+    Path("s.yaml").write_text("map: world.png\nthreats: [{generate: {kind: scattered, ratio: 0.5}}]\n")
+    World.create([[0.0, 0.1, 0.1]], [[0, 0]]).save("known.npz")
+    few = ["--rollouts", "64", "--out", "."]
+    before = {name: Path(name).read_bytes() for name in ("world.png", "known.npz")}
+    assert run(["attack", "known.npz", *few]) == 0
+    assert run(["evaluate", "s.yaml", "--no-advice", *few]) == 0
+    assert Path("world.png").read_bytes() == before["world.png"] != Path("evaluation-world.png").read_bytes()
+    assert Path("known.npz").read_bytes() == before["known.npz"] != Path("attack-known.npz").read_bytes()
+    assert "evaluation-world.png" in Path("index.html").read_text()
+    assert run(["plan", "s.yaml", "--out", "plan.json"]) == 0
+    named = Path("plan.json").read_bytes()
+    assert run(["evaluate", "s.yaml", "--no-advice", "--plan", "plan.json", *few]) == 0
+    assert Path("plan.json").read_bytes() == named, "which names its map"
+    Path("evaluation-plan.json").rename("plan.json")
+    assert run(["evaluate", "s.yaml", "--no-advice", "--plan", "plan.json", *few]) == 0
+    assert not Path("evaluation-plan.json").exists(), "the same content needs no other name"
 
 
 @pytest.mark.parametrize(

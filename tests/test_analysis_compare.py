@@ -17,7 +17,7 @@ from refusals import refused
 import analysis.comparison.compare
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.comparison.compare import FIGURES, Comparison, compare, make_side
+from analysis.comparison.compare import FIGURES, Comparison, compare, differing, make_side
 from analysis.comparison.report import headline
 from analysis.inputs import load_world
 from analysis.sampling import RolloutChoices, make_singles
@@ -94,6 +94,14 @@ def test_rests_of_two_missions_differ_by_what_they_go_on_from(tmp_path: Path) ->
     assert found.differing == (("its own state",), ("another state",))
     difference, exact = found.difference("visited").estimate, found.exact_difference("visited")
     assert exact is not None and exact < -0.17 and abs(difference.mean - exact) < 5 * difference.se
+
+
+def test_plans_that_differ_in_their_areas_alone_are_told_apart() -> None:
+    world = World.create([[0, 0.1, 0.2, 0.3]])
+    plan = mrac.plan(world, robots=1)
+    swapped = replace(plan, areas=plan.areas[::-1])
+    sides = [make_side(world, one, RolloutChoices(rollouts=64)) for one in (plan, swapped)]
+    assert differing(*sides) == (("its own allocation",), ("another allocation",))
 
 
 def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

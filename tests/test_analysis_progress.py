@@ -15,6 +15,7 @@ import pytest
 from analysis.evaluation.evaluate import evaluate
 from analysis.kit import compiling, progress
 from analysis.kit.compiling import Announcer, compiling_line
+from analysis.kit.notes import of_things
 from analysis.kit.safe_console import SafeConsole
 from analysis.sampling import RolloutChoices
 from planner import jit
@@ -52,6 +53,17 @@ def test_every_part_of_an_evaluation_is_announced_and_none_claims_to_be_over_ear
         assert counts, told[first]
         assert counts == sorted(counts)  # type: ignore[type-var]
         assert counts[-1] == ((100, 100) if told[first] == "coverage over time" else (200, 200))
+
+
+def test_what_is_counted_may_be_other_things_than_rollouts() -> None:
+    with progress.show_progress(asked=False) as watch:
+        of_things(watch, "exact values")(3, 9, 1.0)
+        assert watch.line() == "rollouts ... 3 of 9 exact values, 2 s left"
+        watch(64, 128, 1.0)
+        assert "64 of 128 rollouts" in watch.line()
+    told: list[tuple[float, ...]] = []
+    of_things(lambda *numbers: told.append(numbers), "exact values")(3, 9, 1.0)
+    assert told == [(3, 9, 1.0)], "who asked for numbers gets no words"
 
 
 def test_a_terminal_s_bar_is_empty_again_when_something_else_begins(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -151,7 +151,7 @@ def test_bad_ranges(tmp_path: Any) -> None:
     for wrong in (0, -3, 2.5, "many", (), (3, 0), True):
         with pytest.raises(PlanError, match="range"):
             make_plan(world, starts, Settings(range=wrong))  # type: ignore[arg-type]
-    with pytest.raises(PlanError, match="range of 3 robots for a team of 2"):
+    with pytest.raises(PlanError, match=f"^{world.source}: range of 3 robots for a team of 2"):
         make_plan(world, starts, Settings(range=(1, 2, 3)))
     world.save(tmp_path / "w.npz")
     for text in ("0", "[3, 0]", "[]", "1.5", "far"):

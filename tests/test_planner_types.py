@@ -213,7 +213,7 @@ def test_teams_of_unknown_types_and_what_does_not_know_types(tmp_path: Path) -> 
     world = site(tmp_path)
     starts = place_starts(world, 2)[0]
     for types, said in (("dron", "did you mean 'drone'"), (("drone",) * 3, "types of 3 robots for a team of 2")):
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=f"site.yaml: .*{said}"):
             make_plan(world, starts, Settings(types=types))
     with pytest.raises(InputError, match="knows no types of robots"):
         make_plan(replace(world, types=None), starts, Settings(types="drone"))

@@ -39,6 +39,12 @@ def test_every_series_and_line_is_drawn_by_name_within_its_axes() -> None:
     assert drawn["open loop"].get_xydata().tolist() == [[1, 38], [4, 60]] and drawn["open loop"].is_dashed()
 
 
+def test_no_upright_line_has_the_colour_of_a_curve() -> None:
+    curves = [Series(str(colour), ROBOTS, ROBOTS, colour=colour) for colour in (0, 3, 1, 4)]
+    (axes,) = charts_figure([Chart("T", tuple(curves), "x", "y", at_x=((1, "one"), (2, "two")))]).axes
+    assert len({str(line.get_color()) for line in axes.lines}) == 6
+
+
 def test_names_do_not_run_into_the_next_chart() -> None:
     figure = charts_figure(CHARTS)
     left, right = figure.axes

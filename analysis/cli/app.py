@@ -135,7 +135,8 @@ def evaluate(
             world, made, choices, progress=progress, doing=progress.doing, early=progress.doing, bound=bound or None,
             band=out is not None, advice=advice, **asked,
         )  # fmt: skip
-    return deliver(answer, report(answer, theory), out=out, as_json=as_json, notes=notes)
+    said, read = report(answer, theory), (plan, state)
+    return deliver(answer, said, out=out, as_json=as_json, notes=notes, source=source, beside=read)
 
 
 @app.command
@@ -170,7 +171,7 @@ def size(
     say(task.notes)
     with show_progress() as progress:
         answer = find_size(task.world, task.settings, goal, choices, progress=progress, doing=progress.doing)
-    return deliver(answer, out=out, as_json=as_json)
+    return deliver(answer, out=out, as_json=as_json, source=source)
 
 
 @app.command
@@ -222,7 +223,7 @@ def front(
         say([f"{plan_out} is not written: no setting is picked"])
     elif out is not None and answer.picked is not None:
         answer = replace(answer, plan_file=str(out / "plan.json"))
-    return deliver(answer, out=out, as_json=as_json)
+    return deliver(answer, out=out, as_json=as_json, source=source)
 
 
 @app.command
@@ -266,7 +267,7 @@ def _check_input(
     say(notes)
     with show_progress() as progress:
         answer = check_input(world, made, choices, progress, what.bound or None)
-    return deliver(answer, out=out, as_json=as_json)
+    return deliver(answer, out=out, as_json=as_json, source=source, beside=(plan,))
 
 
 def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json: bool) -> int:
@@ -356,6 +357,7 @@ def compare(
         out: Write the page and JSON to this folder.
     """
     from analysis.comparison.compare import compare as compare_sides
+    from analysis.inputs import input_path
     from analysis.kit.progress import show_progress
 
     check_folder(out)
@@ -372,7 +374,7 @@ def compare(
     say(notes if notes == more else [*(f"A: {note}" for note in notes), *(f"B: {note}" for note in more)])
     with show_progress() as progress:
         answer = compare_sides(first, other, progress=progress)
-    return deliver(answer, out=out, as_json=as_json)
+    return deliver(answer, out=out, as_json=as_json, source=a, beside=(plan, plan_b, input_path(source_b)))
 
 
 def _side(

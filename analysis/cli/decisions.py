@@ -88,7 +88,7 @@ def starts(
     if scenario_out is not None:
         write_scenario(scenario_out, input_path(source), answer.starts, settings, world.pace, cell_size)
         say([f"wrote {scenario_out}"])
-    return deliver(answer, out=out, as_json=as_json)
+    return deliver(answer, out=out, as_json=as_json, source=source, beside=(named,))
 
 
 def clear(
@@ -168,4 +168,4 @@ def _of_threats(
     say(task.notes)
     with show_progress() as progress:
         answer = search(task.world, task.starts, task.settings, choices, progress=progress, doing=progress.doing)
-    return deliver(answer, out=out, as_json=as_json)
+    return deliver(answer, out=out, as_json=as_json, source=source)

@@ -25,13 +25,17 @@ def deliver(
     as_json: bool = False,
     notes: Iterable[str] = (),
     command: str | None = None,
+    source: str | None = None,
+    beside: Iterable[Path | None] = (),
 ) -> int:
     """Save `answer` to `out`, print it, say the notes and what was written; returns the exit status.
 
     Args:
         said: its report, if it is not the one that everybody gets.
         command: what made it, for the page, if not the command line that is being run.
+        source, beside: the INPUT, and files that were read beside it: they are not replaced.
     """
+    from analysis.inputs import read_files
     from analysis.kit.progress import show_progress
     from analysis.report.answer import report_of
     from analysis.report.face import save_report
@@ -40,7 +44,8 @@ def deliver(
     if out is not None:
         with show_progress() as progress:
             progress.doing("pictures and page")
-            written = save_report(report, out, command_line() if command is None else command)
+            line = command_line() if command is None else command
+            written = save_report(report, out, line, read_files(source, *beside))
     show(report, as_json)
     say([*notes, *(f"wrote {file}" for file in written)])
     return INTERRUPTED if answer.partial else CHECK_FAILED if report.faults else DONE

@@ -47,4 +47,4 @@ def graph(
             file, 1 if robots is None else robots, instance, nodes_once, least_home or 0.0,
             USUAL_PLACES if places is None else places, progress.doing,
         )  # fmt: skip
-    return deliver(answer, out=out, as_json=as_json)
+    return deliver(answer, out=out, as_json=as_json, beside=(file,))

@@ -55,7 +55,7 @@ def sweep(
     say([f"results are in {kept}"])
     command = ["mrac-jax", "sweep", str(spec), "--store", str(kept)]
     command += [] if precision is None else ["--precision", f"{precision:g}"]
-    return deliver(answer, out=out, as_json=as_json, command=shlex.join(command))
+    return deliver(answer, out=out, as_json=as_json, command=shlex.join(command), beside=(spec,))
 
 
 def results(

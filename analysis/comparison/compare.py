@@ -182,16 +182,18 @@ def differing(a: Side, b: Side) -> tuple[tuple[str, ...], tuple[str, ...]]:
             what = "plan" if same_starts else "starts"
             words[0].append(f"its own {what}")
             words[1].append(f"another {what}" if what == "plan" else "other starts")
-        elif _begun(a.plan) != _begun(b.plan):
-            words[0].append("its own state")
-            words[1].append("another state")
+        else:
+            one, other = _begun(a.plan), _begun(b.plan)
+            for what in [what for what in one if one[what] != other[what]]:
+                words[0].append(f"its own {what}")
+                words[1].append(f"another {what}")
     return tuple(words[0]), tuple(words[1])
 
 
-def _begun(plan: Plan) -> tuple[object, ...]:
-    """What a plan goes on from: the allocation, and the state of the mission that it is the rest of."""
+def _begun(plan: Plan) -> dict[str, object]:
+    """What a plan goes on from: the state of the mission that it is the rest of, and the allocation."""
     areas = [(area.level, area.robot, area.cells.tolist()) for area in plan.areas]
-    return areas, None if plan.state is None else plan.state.to_json()
+    return {"state": None if plan.state is None else plan.state.to_json(), "allocation": areas}
 
 
 def _traits(side: Side, with_settings: bool) -> dict[str, str]:

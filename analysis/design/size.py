@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.design.rules import Ideals, TeamVerdict, judge_team, smallest_enough, team_ideals
-from analysis.kit.notes import Doing, Progress, quiet
+from analysis.kit.notes import Doing, Progress, of_things, quiet
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices
 from analysis.statistics.coverage import TARGETS
@@ -305,7 +305,8 @@ class _Search:
         """What the team comes to: exactly; or where it stands after every so many rollouts."""
         known, choices = trial.known(), self.choices
         if known is not None:
-            self.progress(known.tree.histories, known.tree.histories, known.tree.seconds)
+            histories = known.tree.histories
+            of_things(self.progress, "histories")(histories, histories, known.tree.seconds)
             yield known
             return
         most = choices.rollouts if choices.precision is None else MOST_ROLLOUTS

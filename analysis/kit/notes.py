@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from planner.errors import visible
 
@@ -15,6 +16,12 @@ Doing = Callable[[str], None]
 
 def quiet(*_: object) -> None:
     """The `Progress` and the `Doing` of who does not want to be told."""
+
+
+def of_things(progress: Progress, things: str) -> Progress:
+    """The same, of other things than rollouts; who does not say what is counted hears the numbers alone."""
+    said: Callable[..., None] = progress
+    return partial(said, things=things) if getattr(progress, "says_things", False) else progress
 
 
 def say(lines: Sequence[str]) -> None:

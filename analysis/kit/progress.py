@@ -28,20 +28,23 @@ REFRESH = 0.5
 class Watch:
     """Says what is being done, `doing`, and how far it has come, `(done, total, seconds)`, `total` 0: not known."""
 
+    says_things = True
+
     def __init__(self, bar: Progress, things: str) -> None:
-        self._bar, self._things = bar, things
+        self._bar, self._usual, self._things = bar, things, things
         self.doing(things)
 
     def doing(self, what: str) -> None:
         """Something else begins, of which nothing is done yet and nobody knows how much there is."""
-        self._what, self._done, self._total, self._left, self._began = what, 0, 0, 0.0, time.monotonic()
+        self._what, self._things, self._began = what, self._usual, time.monotonic()
+        self._done, self._total, self._left = 0, 0, 0.0
         for old in self._bar.task_ids:
             self._bar.remove_task(old)
         self._task = self._bar.add_task(what, total=None, count="", rate="")
 
-    def __call__(self, done: int, total: int, seconds: float, more: str = "") -> None:
-        """So much is done; `more`: words before it."""
-        self._done, self._total = done, total
+    def __call__(self, done: int, total: int, seconds: float, more: str = "", things: str = "") -> None:
+        """So much is done; `more`: words before it. `things`: that is counted now."""
+        self._done, self._total, self._things = done, total, things or self._usual
         took = seconds or time.monotonic() - self._began
         self._left = took * (total - done) / done if done else 0.0
         rate = f"{done / took:,.3g}/s" if 0 < done < 100 * took else f"{done / max(took, 1e-9):,.0f}/s"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from math import isfinite
 from pathlib import Path
@@ -60,10 +60,11 @@ def print_report(report: Report, console: Console) -> None:
     print_lines(console, [*report.last, *(f"note: {note}" for note in report.notes), *report.warnings])
 
 
-def save_report(report: Report, folder: Path, command: str) -> list[Path]:
+def save_report(report: Report, folder: Path, command: str, spare: Iterable[Path] = ()) -> list[Path]:
     """Write the page, the text, the JSON object, pictures and files into `folder`; returns them.
 
-    `command`: the command line that made it, for the page.
+    `command`: the command line that made it, for the page. `spare`: files that are not replaced by another content;
+    what would is written beside them, under the report's name and its own.
     """
     from analysis.pictures.style import png_of
     from analysis.report.html import page_of
@@ -75,5 +76,12 @@ def save_report(report: Report, folder: Path, command: str) -> list[Path]:
         f"{report.name}.json": json_text(json_of(report)),
         **{name: make() for name, make in report.files.items()},
     }
-    page = page_of(report, command, pictures, sorted({**files, **pictures}))
-    return write_all(folder, {"index.html": page, **files, **pictures})
+    files |= pictures
+    read = {file.resolve() for file in spare}
+
+    def free(name: str, content: str | bytes) -> str:
+        file, held = folder / name, content.encode() if isinstance(content, str) else content
+        return f"{report.name}-{name}" if file.resolve() in read and file.read_bytes() != held else name
+
+    files = {free(name, content): content for name, content in files.items()}
+    return write_all(folder, {"index.html": page_of(report, command, pictures, sorted(files)), **files})

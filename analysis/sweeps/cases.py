@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.worlds import Generated, Written
-from planner.arguments import argument
-from planner.errors import InputError, PlanError, UsageError
+from planner.errors import InputError, UsageError
 from planner.plan_team import plan_team, read_plan
 from planner.plans.plan import Plan
 from planner.settings import Choices, Settings
@@ -115,7 +114,7 @@ class Places:
             team = self._team(case)
             team.world.check_alike("a sweep")
             team.settings.check_alike("a sweep")
-            _check_each(team.settings, len(team.starts))
+            team.settings.check_team(len(team.starts))
             return team
         except InputError as error:
             raise naming(error, case.name) from error
@@ -144,15 +143,6 @@ class Places:
             expected = f"its own {len(plan.robots)} robots, starts and settings"
             raise UsageError(f"{case.plan} with other robots, starts or settings", expected=expected)
         return Team(world, plan.starts, plan.settings or Settings(), plan)
-
-
-def _check_each(settings: Settings, robots: int) -> None:
-    """Raise PlanError for ranges or susceptibilities, one a robot, of another team, as planning would later."""
-    for name in ("range", "susceptibility"):
-        given = getattr(settings, name)
-        if isinstance(given, tuple) and len(given) != robots:
-            problem = f"{argument(name)} of {len(given)} robots for a team of {robots}"
-            raise PlanError(problem, expected="one number, or one for each robot")
 
 
 def run_key(team: Team, model: RolloutChoices) -> str:

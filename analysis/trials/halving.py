@@ -15,7 +15,7 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
-from analysis.kit.notes import Progress, quiet
+from analysis.kit.notes import Progress, of_things, quiet
 from analysis.sampling import RolloutChoices
 from analysis.statistics.intervals import bet_interval, share_of_doubt
 from analysis.trials.measured import Known, Measured, Sampled
@@ -97,7 +97,8 @@ class Halving:
         """Look after look; whoever interrupts it finds `runs` as they were, `best` among them."""
         clock, total, seen = time.perf_counter(), 0, 0
         tell = progress or quiet
-        if self._all_known(lambda done: tell(done, len(self.contenders), time.perf_counter() - clock)):
+        known = of_things(tell, "exact values")
+        if self._all_known(lambda done: known(done, len(self.contenders), time.perf_counter() - clock)):
             return
         plan = schedule(len(self.contenders), self.rollouts)
         for size, upto in plan:

@@ -191,15 +191,15 @@ def prepare(
             said = f"a team of several speeds, or with radio, presumes threats that stay: {world.phases.said}"
             raise PlanError(said, source=world.source, fix="leave `phases` out")
     checked = check_starts(starts, world.met, world.source)
-    settings.bearing().check(len(checked))
+    settings.check_team(len(checked), world.source)
     worlds = world.of_robots(settings.types, len(checked))
     own, mixed = None, len(set(worlds)) > 1
     world = world if mixed else worlds[0]
     unknown = unknown_of(world, checked, settings.levels)
     told = unknown is None
     rule, cells = rule_of(settings.policy), checked[:, 0] * world.shape[1] + checked[:, 1]
-    moves = _of_each("range", settings.range, NO_LIMIT, len(cells))
-    _of_each("steps_per_move", settings.steps_per_move, 1, len(cells))
+    given_range = NO_LIMIT if settings.range is None else settings.range
+    moves = np.broadcast_to(np.asarray(given_range, dtype=np.int64), len(cells))
     if before is not None and not given and before.is_for(world, settings, world.accessible(checked)):
         return replace(before, world=world, starts=cells, range=moves)
     if mixed:
@@ -230,16 +230,6 @@ def prepare(
 def _parts(levels: ThreatLevels, shape: tuple[int, int]) -> NDArray[np.int32]:
     """`Problem.part`."""
     return ndimage.label(levels.accessible.reshape(shape), FOUR_NEIGHBOURS)[0].ravel()
-
-
-def _of_each(name: str, given: int | tuple[int, ...] | None, unset: int, robots: int) -> NDArray[np.int64]:
-    """A setting of each robot, `unset` for None. Raises PlanError where the settings give it for another team."""
-    if isinstance(given, tuple) and len(given) != robots:
-        raise PlanError(
-            f"{argument(name)} of {len(given)} robots for a team of {robots}",
-            expected="one number, or one for each robot",
-        )
-    return np.broadcast_to(np.asarray(unset if given is None else given, dtype=np.int64), robots)
 
 
 def worth_of(

@@ -138,7 +138,7 @@ class Plan:
         """The same plan with another `wear` or `susceptibility`, which no decision knows. Raises PlanError."""
         settings = replace(self.settings or self._own, **what)
         settings.check()
-        settings.bearing().check(len(self.robots))
+        settings.check_team(len(self.robots))
         return replace(self, bears=settings.bearing()) if self.is_foreign else replace(self, settings=settings)
 
     @property

@@ -38,11 +38,11 @@ class RobotTypes:
         """Which there are, in words."""
         return f"robots of the types {', '.join(self.names)}"
 
-    def number(self, name: str) -> int:
-        """The place of a type. Raises PlanError."""
+    def number(self, name: str, source: str) -> int:
+        """The place of a type. Raises PlanError, naming `source`."""
         if name not in self.names:
-            expected = "one of " + ", ".join(self.names)
-            raise PlanError(argument("types", name), expected=expected, fix=did_you_mean(name, self.names))
+            expected, fix = "one of " + ", ".join(self.names), did_you_mean(name, self.names)
+            raise PlanError(argument("types", name), source=source, expected=expected, fix=fix)
         return self.names.index(name)
 
     def arrays(self) -> dict[str, Any]:

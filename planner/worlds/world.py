@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from planner.arguments import Numbers, argument, exactly
+from planner.arguments import Numbers, argument, check_each, exactly
 from planner.errors import MapError, PlanError, WorldError
 from planner.files import atomic_write, check_file, npz_bytes, read_csv_grid, read_npy, read_npz
 from planner.pace import TURNS, UNPACED, Pace, pace_of
@@ -219,10 +219,8 @@ class World:
             problem = "robots of types presume one known map, every visit drawn for itself"
             raise WorldError(problem, source=self.source, fix=f"leave {argument('types')} out")
         names = (types,) * robots if isinstance(types, str) else types
-        if len(names) != robots:
-            problem = f"{argument('types')} of {len(names)} robots for a team of {robots}"
-            raise PlanError(problem, expected="one type, or one for each robot")
-        return tuple(self._of_types[self.types.number(name)] for name in names)
+        check_each("types", names, robots, self.source, "type")
+        return tuple(self._of_types[self.types.number(name, self.source)] for name in names)
 
     @property
     def enterable(self) -> NDArray[np.bool_]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.evaluation.outputs.output import Blocks, Output, Run
+from analysis.kit.notes import of_things
 from analysis.kit.tables import make_table
 from analysis.kit.words import percent
 from analysis.page.series import Chart, Series
@@ -159,7 +160,7 @@ def _of_drawn(run: Run, doubt: Uncertain, maps: int) -> Components:
     for place, threat in enumerate(_drawn(run, doubt, maps)):
         one = engine.under(replace(run.world, threat=threat, doubt=None))
         values[place] = one.results(place * EACH, EACH).visited / run.last.tally.accessible
-        run.progress(place + 1, maps, 0.0)
+        of_things(run.progress, "maps")(place + 1, maps, 0.0)
     return of_means(values.mean(axis=1), values.var(axis=1, ddof=1), EACH, 1.0)
 
 
