@@ -126,6 +126,31 @@ def test_fronts_are_those_of_all_teams(tmp_path: Path, nodes_once: bool, least: 
     assert outer < 1.13 * exact
 
 
+def one_way(seed: int) -> dict[str, Any]:
+    """A graph with a round trip and some chords, each in one direction: it has few trails."""
+    rng = np.random.default_rng(seed)
+    names = list("abcdefg"[: int(rng.integers(5, 8))])
+    arcs = {(one, other) for one, other in zip(names, [*names[1:], "a"], strict=True)}
+    arcs |= {tuple(rng.choice(names, 2, replace=False).tolist()) for _ in range(5)}
+    rewards = {name: float(rng.choice([0.0, 1.0, 2.5, 4.0])) for name in names} | {"b": 1.0}
+    return {
+        "base": "a",
+        "nodes": rewards,
+        "arcs": [[*ends, float(rng.choice([0.6, 0.8, 0.9]))] for ends in sorted(arcs)],
+    }
+
+
+@pytest.mark.parametrize("nodes_once", [True, False])
+def test_where_there_are_few_trails_all_are_looked_at(tmp_path: Path, nodes_once: bool) -> None:
+    for seed in range(20):
+        (tmp_path / "g.json").write_text(json.dumps(one_way(seed)))
+        graph = read_graph(tmp_path / "g.json")
+        teams = every_team(graph, closed_trails(graph, nodes_once, 0.0))
+        found = find_front(tmp_path / "g.json", 2, nodes_once=nodes_once, places=400)
+        assert found.area > 0.999 * staircase(teams, graph), seed
+        assert found.points[0].reward == pytest.approx(teams[:, 0].max())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(100, 200))
 def test_no_team_exceeds_the_certificate(tmp_path: Path, seed: int) -> None:

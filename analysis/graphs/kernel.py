@@ -2,8 +2,8 @@
 
 An archive has a place for each so many expected robots home: the plan with the largest reward that was met there.
 Every new plan has all changes of one trail looked at: another node by the safest ways, a shorter way, a part the other
-way round, two parts in the other order, and a trail from another place. A changed trail costs what comes after the
-change: a robot's reward is linear in its chances to visit.
+way round, two parts in the other order, and a trail from another place; on small graphs every trail there is. A changed
+trail costs what comes after the change: a robot's reward is linear in its chances to visit.
 """
 
 from __future__ import annotations
@@ -149,10 +149,11 @@ def _try(same: int, alive: float, before: float, trail: Any, length: int, team: 
 
 
 @compiled
-def explore(place: int, turn: int, graph: Any, rule: Any, archive: Any) -> int:
+def explore(place: int, turn: int, graph: Any, rule: Any, archive: Any, known: Any) -> int:
     """Offer all changes of one trail of the plan at `place`; returns how many were kept.
 
     `graph`: (chances `[V, V]`, the next node `[V, V]` on the safest way, rewards `[V]`, shares of visits).
+    `known`: (trails `[T, L]`, lengths `[T]`) that are offered whole.
     """
     chances, ahead, reward, shares = graph
     trails, lengths, _, _, _ = archive
@@ -206,4 +207,6 @@ def explore(place: int, turn: int, graph: Any, rule: Any, archive: Any) -> int:
                     size = lengths[other, one]
                     new[:size] = trails[other, one, :size]
                     kept += _try(0, 1.0, others + weight[old[0]], new, size, team, marks)
+        for one in range(len(known[1])):
+            kept += _try(0, 1.0, others + weight[old[0]], known[0][one], known[1][one], team, marks)
     return kept

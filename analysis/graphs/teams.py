@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -12,8 +13,8 @@ from scipy.sparse.csgraph import dijkstra
 from analysis.graphs.graph import Graph, Rules
 from analysis.graphs.kernel import explore
 
-LONGEST = 512
-"""Places of a trail."""
+LONGEST, MOST_BEGUN = 512, 20_000
+"""Places of a trail; beginnings of trails up to which all of a graph are looked at."""
 
 
 class Point(NamedTuple):
@@ -40,7 +41,7 @@ def search(graph: Graph, robots: int, rules: Rules, places: int, rounds: int) ->
     ways = [safest]
     if rules.nodes_once:  # the safest ways soon cross where the robot was: arcs, where there are any, do not
         ways.append(np.where(chances > 0, np.arange(count), safest).astype(np.int16))
-    rule = (graph.base, rules.nodes_once, rules.least_home)
+    rule, known = (graph.base, rules.nodes_once, rules.least_home), _every_trail(graph, rules, longest)
     for turn in range(rounds):
         best = np.maximum.accumulate(np.append(reward[1:], -1.0)[::-1])[::-1]
         new = np.flatnonzero(fresh & (reward > best))
@@ -49,7 +50,7 @@ def search(graph: Graph, robots: int, rules: Rules, places: int, rounds: int) ->
         for place in new[:: -1 if turn % 2 else 1].tolist():
             fresh[place] = False
             for ahead in ways:
-                explore(place, turn, (chances, ahead, graph.reward, shares), rule, archive)
+                explore(place, turn, (chances, ahead, graph.reward, shares), rule, archive, known)
     found = (
         Point(float(reward[place]), float(home[place]), tuple(
             tuple(trails[place, robot, : lengths[place, robot]].tolist()) for robot in range(robots)
@@ -57,6 +58,34 @@ def search(graph: Graph, robots: int, rules: Rules, places: int, rounds: int) ->
         for place in range(places) if lengths[place, 0]
     )  # fmt: skip
     return efficient(found)
+
+
+def _every_trail(graph: Graph, rules: Rules, longest: int) -> tuple[NDArray[np.int16], NDArray[np.int64]]:
+    """(trails `[T, longest]`, lengths `[T]`): all that leave the base and come back; none where that is too much work.
+
+    Changes along safest ways miss much where arcs lead one way, and there are few trails.
+    """
+    after = [graph.head[graph.tail == node].tolist() for node in range(len(graph.names))]
+    found, begun, seen = list[tuple[int, ...]](), [(graph.base,)], 0
+    while begun:
+        trail = begun.pop()
+        seen += 1
+        if seen > MOST_BEGUN:
+            found = []
+            break
+        gone = {*pairwise(trail)}
+        for head in after[trail[-1]]:
+            longer = (*trail, head)
+            if longer[-2:] in gone or len(longer) >= longest or (rules.nodes_once and head in trail[1:]):
+                continue
+            if head == graph.base:
+                found.append(longer)
+            if head != graph.base or not rules.nodes_once:
+                begun.append(longer)
+    trails = np.zeros((len(found), longest), np.int16)
+    for row, trail in zip(trails, found, strict=True):
+        row[: len(trail)] = trail
+    return trails, np.array([len(trail) for trail in found], np.int64)
 
 
 def _ahead(graph: Graph) -> NDArray[np.int16]:
