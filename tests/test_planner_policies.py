@@ -179,20 +179,30 @@ def test_compiled_counts_deadlines_and_other_truths() -> None:
     assert unharmed is not None and unharmed.time[0] == plan.time
 
 
+@pytest.mark.parametrize("valued", [False, True])
 @pytest.mark.parametrize("kept", [128, 2])
-def test_areas_are_ranked_by_the_least_price_per_cell(kept: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_areas_are_ranked_by_the_least_price_per_cell(kept: int, valued: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """As exact fractions say, as many as are kept; where those run out the others are found too."""
     monkeypatch.setattr(tables_module, "RANKED", kept)
     fixture = load_fixture("scattered-20x20-1000-k8")
-    plan = make_plan(fixture.world, fixture.starts, Settings(policy="per_cell"))
-    loop, problem = compile_closed_loop(plan, fixture.world), prepare(fixture.world, fixture.starts, plan.settings)
+    draw, world = np.random.default_rng(5), fixture.world
+    if valued:  # some cells, and all of some areas, are worth nothing
+        world = replace(
+            world, value=(draw.integers(0, 4, world.shape) * draw.integers(0, 2, world.shape)).astype(float)
+        )
+    plan = make_plan(world, fixture.starts, Settings(policy="per_cell"))
+    loop, problem = compile_closed_loop(plan, world), prepare(world, fixture.starts, plan.settings)
     given, sizes = range(len(loop.tables.level)), np.diff(loop.tables.begin).tolist()
+    worth = np.ones(world.threat.size, dtype=int) if problem.value is None else problem.value
+    best = [int(worth[area.cells].max()) for area in plan.areas]
+    assert not valued or (0 in best and len(set(best)) > 2)
     entries = problem.entry[loop.tables.level].tolist()
     for row, costs in zip(loop.tables.foremost.tolist(), loop.tables.area_cost.tolist(), strict=True):
-        least = [Fraction(max(costs[m], entries[m]) + (sizes[m] - 1) * entries[m], sizes[m]) for m in given]
-        reached = [m for m in given if costs[m] >= 0]
-        assert row == sorted(reached, key=least.__getitem__)[: len(row)] + [len(given)] * (len(row) - len(reached))
-    searched = compile_closed_loop(plan, fixture.world, tabled=False)
+        price = [max(costs[m], entries[m]) + (sizes[m] - 1) * entries[m] for m in given]
+        least = [Fraction(price[m], sizes[m] * best[m] or 1) for m in given]
+        reached = sorted((m for m in given if costs[m] >= 0), key=lambda m: (best[m] == 0, least[m]))
+        assert row == reached[: len(row)] + [len(given)] * (len(row) - len(reached))
+    searched = compile_closed_loop(plan, world, tabled=False)
     assert run_range(loop, 3, 0, 300)[0] == run_range(searched, 3, 0, 300)[0]
 
 

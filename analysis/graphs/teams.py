@@ -66,7 +66,7 @@ def _every_trail(graph: Graph, rules: Rules, longest: int) -> tuple[NDArray[np.i
     Changes along safest ways miss much where arcs lead one way, and there are few trails.
     """
     after = [graph.head[graph.tail == node].tolist() for node in range(len(graph.names))]
-    found, begun, seen = list[tuple[int, ...]](), [(graph.base,)], 0
+    found, begun, seen = list[tuple[int, ...]](), list[tuple[int, ...]]([(graph.base,)]), 0
     while begun:
         trail = begun.pop()
         seen += 1

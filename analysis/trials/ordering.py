@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from analysis.sampling import RolloutChoices
 from analysis.trials.trial import Trial
 from planner.kernels.loop import ClosedLoop
-from planner.kernels.tables import AllPairs
+from planner.kernels.tables import AllPairs, by_price
 from planner.mrac.make_plan import allocated
 from planner.mrac.problem import Problem, worth_of
 from planner.plans.plan import Plan
@@ -83,7 +83,9 @@ def _counting(loop: ClosedLoop, problem: Problem, priority: NDArray[np.int64]) -
     assert loop.policy is not None
     value = worth_of(problem.world, problem.levels.accessible, tuple(priority.tolist()))
     assert value is not None
-    return replace(loop, policy=loop.policy._replace(value=value[loop.cells]))
+    t = loop.tables
+    ranks = by_price(replace(problem, value=value), t.area_cost, loop.cells, t.order, t.begin, t.level)
+    return replace(loop, tables=t._replace(**ranks), policy=loop.policy._replace(value=value[loop.cells]))
 
 
 def _covered(trial: Trial, exact: bool) -> float:

@@ -175,7 +175,7 @@ def is_last(t, p, here, area, best, first):
     size, entry = np.int64(t.begin[area + 1] - t.begin[area]), p.entry[t.level[area]]
     # The price at its best: nothing visited, and every further cell one step away.
     least = max(np.int64(t.area_cost[here, area]), entry) + (size - 1) * entry
-    return best != NONE and least * first.value > price(first) * size
+    return best != NONE and least * first.value > price(first) * t.counted[area]
 
 
 @kernel
@@ -196,8 +196,9 @@ def next_ranked(t, s, here, place):
 def first_ranked(t, p, s, w, costs, robot, here, best, target, first, refusing):
     """(area, target, offer) of the first among the `best` so far and the unassigned areas, and whether that is all.
 
-    An area costs no less per cell than it did when nothing of it was visited, nor does a part of it: those of t = 0 are
-    looked at in that order, from a table, until all others come later. It may end before.
+    An area costs no less per cell, or by value than all its cells would at its best one's, than it did when nothing of
+    it was visited, nor does a part of it: those of t = 0 are looked at in that order, from a table, until all others
+    come later. It may end before.
     """
     given, ranked = len(t.level), t.foremost.shape[1]
     all_seen, place = ranked == given, next_ranked(t, s, here, 0)

@@ -60,7 +60,8 @@ class Tables(NamedTuple):
         area_cost: like cost_to `[A, M]`, cost from each cell to each area of t = 0 (its cheapest cell, visited or not);
             area_entry: like near `[A, M]`, that cell.
         foremost: like near `[A, min(M, RANKED)]`, the areas of t = 0 from each cell by the least that they ever cost
-            per cell to do; M after the last. Empty where no rule asks.
+            per cell to do, or by value; M after the last. Empty where no rule asks. counted: int64 `[M]`, cells of each
+            of them, or as many times the value of its best.
         entry: int64 `[A]`, cost of entering each cell (eq. (3)); empty where nothing is searched for.
         node, beside, border: the safe components, as `planner.mrac.far_search.SafeParts` has them; node has no
             component at its end, `[A + 1]`. kind: like near `[A]`; cells of one kind cost the same to enter,
@@ -116,6 +117,7 @@ class Tables(NamedTuple):
     area_cost: NDArray
     area_entry: NDArray
     foremost: NDArray
+    counted: NDArray
     limits: NDArray
     bound: NDArray
     exposure: NDArray

@@ -99,7 +99,7 @@ def make_tables(
     unknown = problem.unknown if problem.learns else None
     small = _are_small(problem, near, entry, compact[problem.starts])
     cost = area_cost = np.zeros((0, 0), dtype=np.int32 if small else np.int64)  # each a program
-    hop = ranked = area_entry = foremost = np.zeros((0, 0), dtype=narrow)
+    hop = ranked = area_entry = np.zeros((0, 0), dtype=narrow)
     if tabled:
         entries = [entry] if problem.own is None else problem.own.costs[:, cells]
         of_types = [
@@ -109,8 +109,6 @@ def make_tables(
         areas_of = [to_areas(of_type[0], hop.dtype, order, begin) for of_type in of_types]
         cost, hop, ranked = of_types[0] if problem.own is None else map(np.concatenate, zip(*of_types, strict=True))
         area_cost, area_entry = map(np.concatenate, zip(*areas_of, strict=True))
-        if problem.rule.by_price and problem.value is None and problem.own is None:
-            foremost = _foremost(area_cost, np.diff(begin), problem.entry[level]).astype(narrow)
     searches = not tabled or problem.settings.transit == "area"
     beside = np.where(near == NO_CELL, len(cells), near).astype(narrow)
     sides = problem.sides[cells]
@@ -122,7 +120,7 @@ def make_tables(
         ranked=ranked,
         area_cost=area_cost,
         area_entry=area_entry,
-        foremost=foremost,
+        **by_price(problem, area_cost, cells, order, begin, level),
         entry=entry if searches else entry[:0],
         **_for_searches(near, entry[: 0 if tabled or unknown else len(cells)], narrow),
         **_learning(unknown, problem.entry, cells, compact, narrow),
@@ -332,17 +330,29 @@ def _given(problem: Problem, compact: NDArray[np.int32], narrow: type) -> NDArra
     return np.array(rows, dtype=narrow).reshape(len(rows), longest)
 
 
-def _foremost(area_cost: NDArray, size: NDArray[np.int32], entry: NDArray[np.int64]) -> NDArray[np.int64]:
-    """`Tables.foremost` for areas of `size` `[M]` cells, each entered at the cost `entry` `[M]`.
+def by_price(
+    problem: Problem, area_cost: NDArray, cells: NDArray, order: NDArray, begin: NDArray, level: NDArray
+) -> dict[str, NDArray]:
+    """The fields of `Tables` that rank areas, where its other fields are these and its cells `cells` `[A]`.
 
-    From a cell of its own an area costs the entry of another one at least. Exact: different remainders of different
-    sizes below 2**26 are different fractions as floats too.
+    From a cell of its own an area costs the entry of another one at least, and no part of it is worth more than as many
+    of its best cell. Exact: different remainders of different counts below 2**26 are different fractions as floats too.
     """
+    size, entry = np.diff(begin).astype(np.int64), problem.entry[level]
+    counted, dtype = size, np.uint16 if len(cells) < MOST_CELLS else np.uint32
+    if problem.value is not None:
+        counted = size * np.maximum.reduceat(np.append(problem.value[cells][order], 0), begin[:-1])
+    if not (area_cost.size and problem.rule.by_price and problem.own is None):
+        return {"foremost": np.zeros((0, 0), dtype=dtype), "counted": counted}
     strips = np.array_split(area_cost, -(-area_cost.size // STRIP))
-    return np.concatenate([_by_price(strip, size, entry)[:, :RANKED] for strip in strips])
+    ranked = [_ranked(strip, size, counted, entry)[:, :RANKED] for strip in strips]
+    return {"foremost": np.concatenate(ranked).astype(dtype), "counted": counted}
 
 
-def _by_price(cost: NDArray, size: NDArray[np.int32], entry: NDArray[np.int64]) -> NDArray[np.int64]:
-    whole, rest = np.divmod(np.maximum(cost, entry) + (size - 1) * entry, size)
-    first = np.lexsort((rest / size, whole, cost < 0))
+def _ranked(
+    cost: NDArray, size: NDArray[np.int64], counted: NDArray[np.int64], entry: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Areas of `size` `[M]` cells by price for what is `counted` `[M]` at most, those that count nothing last."""
+    whole, rest = np.divmod(np.maximum(cost, entry) + (size - 1) * entry, np.maximum(counted, 1))
+    first = np.lexsort((rest / np.maximum(counted, 1), whole, np.broadcast_to(counted == 0, cost.shape), cost < 0))
     return np.where(np.take_along_axis(cost, first, axis=1) < 0, len(size), first)
