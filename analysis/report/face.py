@@ -81,7 +81,8 @@ def save_report(report: Report, folder: Path, command: str, spare: Iterable[Path
 
     def free(name: str, content: str | bytes) -> str:
         file, held = folder / name, content.encode() if isinstance(content, str) else content
-        return f"{report.name}-{name}" if file.resolve() in read and file.read_bytes() != held else name
+        taken = file.is_file() and file.resolve() in read and file.read_bytes() != held
+        return f"{report.name}-{name}" if taken else name
 
     files = {free(name, content): content for name, content in files.items()}
     return write_all(folder, {"index.html": page_of(report, command, pictures, sorted(files)), **files})
