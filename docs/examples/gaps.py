@@ -26,7 +26,7 @@ from planner.settings import Settings
 from planner.worlds.generate import Kind, ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 
-TRIES = {1: 300, 2: 300, 4: 200, 8: 100, 20: 25}
+TRIES = {1: 300, 2: 300, 4: 400, 8: 300, 20: 25}
 """Orders of areas that are tried, by the robots of the team; of other teams as of the next smaller."""
 ROLLOUTS = 4096
 LUCK = 10**6

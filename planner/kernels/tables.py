@@ -338,13 +338,13 @@ def by_price(
     From a cell of its own an area costs the entry of another one at least, and no part of it is worth more than as many
     of its best cell. Exact: different remainders of different counts below 2**26 are different fractions as floats too.
     """
-    size, entry = np.diff(begin).astype(np.int64), problem.entry[level]
-    counted, dtype = size, np.uint16 if len(cells) < MOST_CELLS else np.uint32
+    counted = size = np.diff(begin).astype(np.int64)
+    dtype = np.uint16 if len(cells) < MOST_CELLS else np.uint32
     if problem.value is not None:
         counted = size * np.maximum.reduceat(np.append(problem.value[cells][order], 0), begin[:-1])
     if not (area_cost.size and problem.rule.by_price and problem.own is None):
         return {"foremost": np.zeros((0, 0), dtype=dtype), "counted": counted}
-    strips = np.array_split(area_cost, -(-area_cost.size // STRIP))
+    entry, strips = problem.entry[level], np.array_split(area_cost, -(-area_cost.size // STRIP))
     ranked = [_ranked(strip, size, counted, entry)[:, :RANKED] for strip in strips]
     return {"foremost": np.concatenate(ranked).astype(dtype), "counted": counted}
 
