@@ -490,16 +490,17 @@ def test_a_folder_keeps_what_was_read_from_it(tmp_path: Path, monkeypatch: pytes
     before = {name: Path(name).read_bytes() for name in ("world.png", "known.npz")}
     assert run(["attack", "known.npz", *few]) == 0
     assert run(["evaluate", "s.yaml", "--no-advice", *few]) == 0
-    assert Path("world.png").read_bytes() == before["world.png"] != Path("evaluation-world.png").read_bytes()
-    assert Path("known.npz").read_bytes() == before["known.npz"] != Path("attack-known.npz").read_bytes()
-    assert "evaluation-world.png" in Path("index.html").read_text()
+    assert Path("world.png").read_bytes() == before["world.png"] != Path("evaluation/world.png").read_bytes()
+    assert Path("known.npz").read_bytes() == before["known.npz"] != Path("attack/known.npz").read_bytes()
+    attacked = (mrac.load(f"attack/known.{suffix}").threat for suffix in ("yaml", "npz"))
+    assert np.array_equal(*attacked), "files that name each other stay together"
     assert run(["plan", "s.yaml", "--out", "plan.json"]) == 0
     named = Path("plan.json").read_bytes()
     assert run(["evaluate", "s.yaml", "--no-advice", "--plan", "plan.json", *few]) == 0
     assert Path("plan.json").read_bytes() == named, "which names its map"
-    Path("evaluation-plan.json").rename("plan.json")
-    assert run(["evaluate", "s.yaml", "--no-advice", "--plan", "plan.json", *few]) == 0
-    assert not Path("evaluation-plan.json").exists(), "the same content needs no other name"
+    for again in ([], ["--plan", "here/plan.json"]):
+        assert run(["evaluate", "known.npz", "--no-advice", "--rollouts", "64", "--out", "here", *again]) == 0
+    assert not Path("here/evaluation").exists(), "the same content replaces nothing"
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from math import isfinite
 from pathlib import Path
@@ -64,7 +64,7 @@ def save_report(report: Report, folder: Path, command: str, spare: Iterable[Path
     """Write the page, the text, the JSON object, pictures and files into `folder`; returns them.
 
     `command`: the command line that made it, for the page. `spare`: files that are not replaced by another content;
-    what would is written beside them, under the report's name and its own.
+    where one would be, all go to a folder within, of the report's name: they name each other.
     """
     from analysis.pictures.style import png_of
     from analysis.report.html import page_of
@@ -77,12 +77,13 @@ def save_report(report: Report, folder: Path, command: str, spare: Iterable[Path
         **{name: make() for name, make in report.files.items()},
     }
     files |= pictures
-    read = {file.resolve() for file in spare}
+    page, spared = page_of(report, command, pictures, sorted(files)), {file.resolve() for file in spare}
+    if any(_replaces(folder / name, content, spared) for name, content in files.items()):
+        folder /= report.name
+    return write_all(folder, {"index.html": page, **files})
 
-    def free(name: str, content: str | bytes) -> str:
-        file, held = folder / name, content.encode() if isinstance(content, str) else content
-        taken = file.is_file() and file.resolve() in read and file.read_bytes() != held
-        return f"{report.name}-{name}" if taken else name
 
-    files = {free(name, content): content for name, content in files.items()}
-    return write_all(folder, {"index.html": page_of(report, command, pictures, sorted(files)), **files})
+def _replaces(file: Path, content: str | bytes, spared: Collection[Path]) -> bool:
+    """Whether a file that is to be spared would come to hold something else."""
+    held = content.encode() if isinstance(content, str) else content
+    return file.resolve() in spared and file.is_file() and file.read_bytes() != held

@@ -132,9 +132,10 @@ def _draw(axes: Axes, chart: Chart) -> None:
         _draw_series(axes, one)
     for y, words in chart.at_y:
         axes.axhline(y, color=FAINT, linewidth=0.8, linestyle=":", label=words)
-    free = [one for place, one in enumerate(ROBOT_COLOURS) if place not in {series.colour for series in points}]
+    drawn = {one.colour for one in points}
+    free = [one for place, one in enumerate(ROBOT_COLOURS) if place not in drawn] or ROBOT_COLOURS
     for number, (x, words) in enumerate(chart.at_x):
-        colour = (free or ROBOT_COLOURS)[number % len(free or ROBOT_COLOURS)] if len(chart.at_x) > 1 else FAINT
+        colour = free[number % len(free)] if len(chart.at_x) > 1 else FAINT
         axes.axvline(x, color=colour, linewidth=1.1, linestyle=LINE_STYLES[1 + number % 3], label=words)
     places = np.unique(np.concatenate([np.empty(0), *(one.x for one in points if one.about.kind != "bars")]))
     if 0 < len(places) <= FEW:
