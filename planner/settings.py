@@ -246,6 +246,11 @@ class Settings:
         """The step at which every run ends, by `deadline` or by `max_steps`; None: neither is set."""
         return min((step for step in (self.deadline, self.max_steps) if step is not None), default=None)
 
+    @property
+    def ends_by_deadline(self) -> bool:
+        """Whether it is `deadline` that cuts runs off, not the step limit."""
+        return self.deadline is not None and self.deadline == self.last_step
+
     def bearing(self, begun: tuple[int, ...] = ()) -> Bearing:
         """What the robots bear; `begun`: what each is known to have borne, in units of 2**-32 nat."""
         from planner.bearing import Bearing

@@ -6,7 +6,7 @@ Axis letters: `K` robots, `T` the last step counted, `N = H * W` cells, `B` roll
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 from functools import cache
@@ -23,23 +23,76 @@ class TallyError(MracError):
 
 
 class Outcome(IntEnum):
-    """How a rollout ended; the values are the positions in `Tally.outcomes`."""
+    """How a rollout or a mission ended; the values are the positions in `Tally.outcomes`."""
 
-    COMPLETE = 0
-    """Every accessible cell was visited (also when the last robot was stopped in that very step)."""
-    STOPPED = 1
-    """Every robot was stopped, cells left."""
-    STUCK = 2
-    """Closed loop: robots alive, but none can move or get an area."""
-    TIMEOUT = 3
-    """Closed loop: `t = T_max`."""
-    PATH_END = 4
-    """Open loop: robots alive at the end of their paths, cells left."""
-    CALLED_OFF = 5
+    clause: str
+    """What users read beside the word, after "the mission"."""
+
+    def __new__(cls, code: int, clause: str) -> Self:
+        """The member with this code."""
+        member = int.__new__(cls, code)
+        member._value_, member.clause = code, clause
+        return member
+
+    COMPLETE = 0, "visits every accessible cell"
+    """Also when the last robot is lost in that very step."""
+    ALL_ROBOTS_LOST = 1, "loses all robots"
+    """With cells left."""
+    NO_PROGRESS = 2, "ends because no robot can go on"
+    """Closed loop: robots are alive, but none can move or get an area."""
+    STEP_LIMIT = 3, "is cut off at the step limit"
+    """Closed loop: `t = T_max`. Counts and recordings hold this code for a deadline too (`by_deadline`)."""
+    END_OF_PATHS = 4, "ends with its paths"
+    """Open loop: robots are alive at the end of their paths, with cells left."""
+    NOT_WORTH_THE_RISK = 5, "ends because the rest is not worth the risk"
     """Closed loop: none moves on, though a robot alive could reach an area that nobody has (`worth`)."""
+    ENDED_BY_OPERATOR = 6, "is ended by its operator"
+    """A mission under way that a command ended."""
+    DEADLINE = 7, "is cut off at the deadline"
+    """Closed loop: `t` is the deadline of the plan. No count holds it: see STEP_LIMIT."""
+
+    @property
+    def word(self) -> str:
+        """What files, JSON and pages call it."""
+        return self.name.lower()
+
+    def by_deadline(self, deadline: bool) -> Outcome:
+        """DEADLINE for a run that was cut off, if a `deadline` did it, not the step limit; others unchanged."""
+        return Outcome.DEADLINE if deadline and self is Outcome.STEP_LIMIT else self
 
 
-OF_CLOSED_LOOP = tuple(outcome for outcome in Outcome if outcome is not Outcome.PATH_END)
+WORDS_OF_0_3 = {
+    "stopped": "all_robots_lost",
+    "stuck": "no_progress",
+    "timeout": "step_limit",
+    "path_end": "end_of_paths",
+    "paths": "end_of_paths",
+    "called_off": "not_worth_the_risk",
+}
+"""What releases up to 0.3 wrote for an outcome, to what it is called now. They are still read."""
+
+
+def counts_by_word(counts: Sequence[int] | NDArray[np.int64], deadline: bool) -> dict[str, int]:
+    """Rollouts by the word of each outcome. `counts`: by code, those of older files are shorter.
+
+    `deadline`: whether it is what cuts runs off.
+    """
+    found = dict.fromkeys((outcome.word for outcome in Outcome), 0)
+    for code, count in enumerate(counts):
+        found[Outcome(code).by_deadline(deadline).word] += int(count)
+    return found
+
+
+def counts_of_words(found: Mapping[str, int]) -> list[int]:
+    """The counts by code, of `counts_by_word` or of a file of release 0.3. Raises KeyError for another word."""
+    counts = [0] * len(Outcome)
+    for word, count in found.items():
+        outcome = Outcome[WORDS_OF_0_3.get(word, word).upper()]
+        counts[Outcome.STEP_LIMIT if outcome is Outcome.DEADLINE else outcome] += count
+    return counts
+
+
+OF_CLOSED_LOOP = tuple(outcome for outcome in Outcome if outcome is not Outcome.END_OF_PATHS)
 """How a closed-loop rollout can end."""
 
 

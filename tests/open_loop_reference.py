@@ -128,5 +128,5 @@ def _walk_one(plan: Plan, rollout: int, stops: Stop, tally: Tally) -> None:
     tally.survived[len(survived)] += 1
     tally.time[time] += 1
     tally.alive[len(alive)] += 1
-    unfinished = Outcome.PATH_END if alive else Outcome.STOPPED
+    unfinished = Outcome.END_OF_PATHS if alive else Outcome.ALL_ROBOTS_LOST
     tally.outcomes[Outcome.COMPLETE if len(visited) == tally.accessible else unfinished] += 1

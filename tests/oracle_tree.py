@@ -128,7 +128,7 @@ class Tree:
         chance = branch.chance * threat
         branch.chance *= 1 - threat
         if alive(branch.run) == 1:  # nothing follows: no copy is needed
-            self._end(branch.run, chance, Outcome.STOPPED if branch.run.unvisited else Outcome.COMPLETE, lost=1)
+            self._end(branch.run, chance, Outcome.ALL_ROBOTS_LOST if branch.run.unvisited else Outcome.COMPLETE, lost=1)
         else:
             run = branch.run.fork()
             run.stop(robot)

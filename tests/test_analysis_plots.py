@@ -385,7 +385,7 @@ def meets(lines: np.ndarray, box: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("picture", PICTURES)
 def test_no_line_runs_through_a_label(picture: str, evaluation: Evaluation, closed: Evaluation) -> None:
     done = closed.tally.outcomes.copy()
-    done[Outcome.COMPLETE], done[Outcome.STOPPED] = 50, 2950
+    done[Outcome.COMPLETE], done[Outcome.ALL_ROBOTS_LOST] = 50, 2950
     visited = closed.tally.visited.copy()
     visited[-1] += 50
     some = replace(closed, tally=replace(closed.tally, outcomes=done, visited=visited, ids=((0, 3050),)))

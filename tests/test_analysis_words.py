@@ -214,11 +214,11 @@ def test_chances_in_words() -> None:
         == "Every accessible cell is visited in each of the 40 runs; a run takes 3 steps on average."
     )
     outcomes = tally.outcomes.copy()
-    outcomes[Outcome.COMPLETE], outcomes[Outcome.STOPPED] = 0, 40
+    outcomes[Outcome.COMPLETE], outcomes[Outcome.ALL_ROBOTS_LOST] = 0, 40
     none = replace(known, tally=replace(tally, outcomes=outcomes))
     assert chances_words(none).startswith("Every accessible cell is visited in none of the 40 runs;")
     outcomes = outcomes.copy()
-    outcomes[Outcome.COMPLETE], outcomes[Outcome.STOPPED] = 10, 30
+    outcomes[Outcome.COMPLETE], outcomes[Outcome.ALL_ROBOTS_LOST] = 10, 30
     some = replace(known, tally=replace(tally, outcomes=outcomes))
     assert chances_words(some).startswith("Every accessible cell is visited in 25 % of runs;")
     assert cells == 9

@@ -88,7 +88,7 @@ def test_equals_the_compiled_simulator_on_the_whole_survey(capsys: pytest.Captur
         results = compare(one, rollouts, traced=(0, 1, 500, 999))
         counts["bisected"] += int((results.bisected > 0).sum())
         counts["divided"] += int((results.divided > 0).sum())
-        counts["stuck"] += int((results.outcome == Outcome.STUCK).sum())
+        counts["stuck"] += int((results.outcome == Outcome.NO_PROGRESS).sum())
         last = (results.outcome == Outcome.COMPLETE) & (results.alive == 0)
         counts["dead in the completing step"] += int(last.sum()) if one.accessible >= 10 else 0
         counts["idle at the start"] += rollouts if idle_at_start(plan) else 0
@@ -220,7 +220,7 @@ def test_traces_of_any_ids_in_any_room(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_made_up_limit_is_a_timeout(loop: ClosedLoop) -> None:
     cut = loop.until(7)
     tally = JaxClosedLoop(cut, 5, streams=1, lanes=LANES).tally(0, 200)
-    assert tally.outcomes[Outcome.TIMEOUT] > 150
+    assert tally.outcomes[Outcome.STEP_LIMIT] > 150
     assert tally == run_range(cut, 5, 0, 200)[0]
 
 

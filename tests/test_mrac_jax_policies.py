@@ -58,7 +58,7 @@ def test_counts_are_the_compiled_simulator_s(monkeypatch: pytest.MonkeyPatch) ->
             continue
         results = same(loop_of(one, **LIMITED[number % 6]), one.seed, 40, f"{one.name}, {LIMITED[number % 6]}")
         shares += int(results.bisected.sum() + results.divided.sum())
-        called_off += int((results.outcome == Outcome.CALLED_OFF).sum())
+        called_off += int((results.outcome == Outcome.NOT_WORTH_THE_RISK).sum())
         kinds.add(one.kind)
         sizes.add(program._cache_size())
     assert len(sizes) == 1  # limits are numbers in the program

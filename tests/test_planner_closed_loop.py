@@ -107,13 +107,13 @@ def test_every_count_is_the_readable_simulator_s() -> None:
             tally = compare(world, make_plan(world, starts), 20)
             outcomes = outcomes + tally.outcomes
     assert outcomes[Outcome.COMPLETE] > 0
-    assert outcomes[Outcome.STOPPED] > 0
+    assert outcomes[Outcome.ALL_ROBOTS_LOST] > 0
 
 
 def test_robots_in_different_parts_get_stuck_alike() -> None:
     world = World.create([[0.0, 0.4, 0.0, np.nan, 0.0, 0.3], [0.2, 0.0, 0.4, np.nan, 0.0, 0.3]])
     tally = compare(world, make_plan(world, [[0, 0], [0, 4]]), 200)
-    assert tally.outcomes[Outcome.STUCK] >= 20
+    assert tally.outcomes[Outcome.NO_PROGRESS] >= 20
     assert tally.outcomes[Outcome.COMPLETE] >= 5
 
 
@@ -155,7 +155,7 @@ def test_a_made_up_limit_ends_as_timeout() -> None:
     world = World.create(np.zeros((4, 6)))
     plan = make_plan(world, [[0, 0]])
     tally, _ = run_range(compile_closed_loop(plan, world).until(5), 0, 0, 10)
-    assert tally.outcomes[Outcome.TIMEOUT] == 10
+    assert tally.outcomes[Outcome.STEP_LIMIT] == 10
     assert tally.visited[6] == 10
     assert tally.time[5] == 10
 

@@ -55,11 +55,11 @@ def test_the_survey_holds_what_is_rare(rolled: list[tuple[SurveyWorld, Plan, Rol
         completes = results.outcome == Outcome.COMPLETE
         counts["bisected"] += int((results.bisected > 0).sum())
         counts["divided"] += int((results.divided > 0).sum())
-        counts["stuck"] += int((results.outcome == Outcome.STUCK).sum())
+        counts["stuck"] += int((results.outcome == Outcome.NO_PROGRESS).sum())
         # A map of one cell or two would make it too easy.
         counts["all dead as it completes"] += int((completes & (results.alive == 0)).sum()) * (one.accessible >= 10)
         counts["idle at start"] += ROLLOUTS * (idle_at_start(plan) > 0)
-        counts["timeout"] += int((results.outcome == Outcome.TIMEOUT).sum())
+        counts["timeout"] += int((results.outcome == Outcome.STEP_LIMIT).sum())
     print(f"{len(rolled)} worlds x {ROLLOUTS} rollouts: {dict(counts)}")  # noqa: T201
     for name, least in DEMANDED.items():
         assert counts[name] >= least, name
@@ -73,9 +73,9 @@ def check_theorem_2(one: SurveyWorld, results: RolloutResults) -> None:
     everything = results.visited == one.accessible
     expected = {
         Outcome.COMPLETE: everything,
-        Outcome.STOPPED: ~everything & (results.alive == 0),
-        Outcome.STUCK: ~everything & (results.alive > 0) & (one.parts > 1),
-        Outcome.TIMEOUT: ~everything & (results.alive > 0) & (results.time == (one.settings.max_steps or -1)),
+        Outcome.ALL_ROBOTS_LOST: ~everything & (results.alive == 0),
+        Outcome.NO_PROGRESS: ~everything & (results.alive > 0) & (one.parts > 1),
+        Outcome.STEP_LIMIT: ~everything & (results.alive > 0) & (results.time == (one.settings.max_steps or -1)),
     }
     for outcome, holds in expected.items():
         wrong = np.flatnonzero((results.outcome == outcome) & ~holds)
@@ -97,12 +97,12 @@ def readable_run(one: SurveyWorld, plan: Plan, rollout: int) -> Run:
 
 def check_stuck(one: SurveyWorld, plan: Plan, results: RolloutResults) -> int:
     """In a sample of the stuck rollouts no robot left can reach an unvisited cell; how many were looked at."""
-    sample = np.flatnonzero(results.outcome == Outcome.STUCK)[:SAMPLED]
+    sample = np.flatnonzero(results.outcome == Outcome.NO_PROGRESS)[:SAMPLED]
     part = one.world.components.ravel()
     accessible = one.world.accessible(one.starts).ravel()
     for rollout in sample.tolist():
         run = readable_run(one, plan, rollout)
-        assert run.outcome is Outcome.STUCK
+        assert run.outcome is Outcome.NO_PROGRESS
         assert run.visited.sum() == results.visited[rollout]
         alive = {int(part[path[-1]]) for path, lives in zip(run.paths, run.alive, strict=True) if lives}
         left = set(part[accessible & ~run.visited].tolist())
@@ -133,7 +133,7 @@ def test_theorem_2_on_the_survey(rolled: list[tuple[SurveyWorld, Plan, RolloutRe
 
 def test_theorem_2_is_not_taken_for_granted(survey: tuple[SurveyWorld, ...]) -> None:
     one = next(one for one in survey if one.parts == 1 and one.kind == "contiguous")
-    for outcome in (Outcome.COMPLETE, Outcome.STOPPED, Outcome.STUCK, Outcome.TIMEOUT):
+    for outcome in (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.NO_PROGRESS, Outcome.STEP_LIMIT):
         number = np.array([1], dtype=np.int32)
         results = RolloutResults(0, number, number, number, number, np.array([outcome], dtype=np.int8))
         with pytest.raises(AssertionError, match=rf"{one.name} rollout 0 ends {outcome.name}"):

@@ -172,7 +172,7 @@ def test_engines_agree_and_who_is_alive_is_home(number: int) -> None:
         np.testing.assert_array_equal(tally.home, np.bincount(singles.home, minlength=len(starts) + 1))
         assert singles.home[:6].tolist() == [int(readable.run(seed, rollout).home.sum()) for rollout in range(6)]
         if "range" not in asked and "deadline" not in asked and "reserve" not in asked:  # Theorem 2
-            assert set(np.unique(singles.outcome)) <= {Outcome.COMPLETE, Outcome.STOPPED}
+            assert set(np.unique(singles.outcome)) <= {Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST}
 
 
 def test_ways_home_are_the_safest_and_of_these_the_shortest() -> None:
@@ -342,7 +342,7 @@ def test_a_driven_mission_is_called_off_and_a_new_battery_sends_out_again() -> N
     assert set(driven(mission, 3)) == {"return"}
     while mission.outcome is None:
         driven(mission, 1)
-    assert mission.outcome == Outcome.CALLED_OFF and mission._fleet.robots[0].cell == 0
+    assert mission.outcome == Outcome.NOT_WORTH_THE_RISK and mission._fleet.robots[0].cell == 0
 
 
 def test_who_is_cut_off_from_home_goes_on_and_stays_where_it_ends(tmp_path: Any) -> None:

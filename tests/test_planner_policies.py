@@ -45,7 +45,7 @@ from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
-CODES = (Outcome.COMPLETE, Outcome.STOPPED, Outcome.STUCK, Outcome.TIMEOUT, Outcome.CALLED_OFF)
+CODES = (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.NO_PROGRESS, Outcome.STEP_LIMIT, Outcome.NOT_WORTH_THE_RISK)
 """What the fixtures' own codes mean."""
 POLICIES = FOLDER / "policies"
 TINY = sorted(path.stem for path in POLICIES.glob("tiny-*.json"))
@@ -381,8 +381,8 @@ def test_no_run_ends_at_the_limit(given_world: tuple[World, np.ndarray], limits:
     assert plan.outcome == "complete" or (plan.outcome == "called_off" and "worth" in limits)
     assert validate(plan, world) == []
     run = ReferenceLoop(plan, world).run(5, rollout)
-    assert run.outcome is not Outcome.TIMEOUT
-    assert run.outcome is not Outcome.CALLED_OFF or "worth" in limits
+    assert run.outcome is not Outcome.STEP_LIMIT
+    assert run.outcome is not Outcome.NOT_WORTH_THE_RISK or "worth" in limits
 
 
 @pytest.mark.slow
@@ -399,12 +399,12 @@ def test_no_compiled_run_of_100_000_ends_at_the_limit(capsys: pytest.CaptureFixt
         asked = Settings(**LIMITED[kind]) if kind < len(LIMITED) else Settings()
         plan = make_plan(world, free[luck.integers(len(free), size=luck.integers(1, 6))], asked)
         tally = run_range(compile_closed_loop(plan, world, tabled=number % 3 > 0), number, 0, 250)[0]
-        assert asked.worth is not None or tally.outcomes[Outcome.CALLED_OFF] == 0
+        assert asked.worth is not None or tally.outcomes[Outcome.NOT_WORTH_THE_RISK] == 0
         outcomes += tally.outcomes
     with capsys.disabled():
         ended = {one.name: int(outcomes[one]) for one in Outcome if outcomes[one]}
         print(f"\n{outcomes.sum():,} runs in {worlds} worlds: {ended}")  # noqa: T201
-    assert outcomes.sum() == 100_000 and outcomes[Outcome.TIMEOUT] == 0
+    assert outcomes.sum() == 100_000 and outcomes[Outcome.STEP_LIMIT] == 0
 
 
 def test_events_say_who_looked_again_and_what_was_refused() -> None:

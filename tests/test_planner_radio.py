@@ -88,7 +88,7 @@ def test_who_is_out_of_touch_drives_back_to_hear_of_what_is_left(policy: str) ->
         assert _ends(plan, world) == {(Outcome.COMPLETE, 11)}
     short = make_plan(world, [[0, 0], [0, 10]], Settings(radio=1.0, policy=policy, range=6))
     assert short.robots[0].path.tolist() == [0, 1, 2, 3, 4, 3, 2]
-    assert _ends(short, world) == {(Outcome.STUCK, 10)}
+    assert _ends(short, world) == {(Outcome.NO_PROGRESS, 10)}
 
 
 def _ends(plan: Plan, world: World) -> set[tuple[int, int]]:

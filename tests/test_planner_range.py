@@ -141,7 +141,7 @@ def test_the_outcome_is_stuck_with_everybody_alive() -> None:
     assert singles is not None
     whole = singles.alive == 2
     assert whole.any()
-    assert (singles.outcome[whole] == Outcome.STUCK).all()
+    assert (singles.outcome[whole] == Outcome.NO_PROGRESS).all()
     assert singles.visited[whole].max() <= 10
 
 

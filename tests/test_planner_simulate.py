@@ -82,7 +82,7 @@ def legs_that_leave(transit: str) -> int:
 
 def test_timeout_is_reported() -> None:
     plan = make_plan(World.create(np.zeros((3, 5))), [[0, 0]], Settings(max_steps=4))
-    assert (plan.outcome, plan.time) == ("timeout", 4)
+    assert (plan.outcome, plan.time) == ("step_limit", 4)
 
 
 def test_a_run_that_cannot_go_on_is_stuck_after_two_quiet_steps() -> None:
@@ -90,7 +90,7 @@ def test_a_run_that_cannot_go_on_is_stuck_after_two_quiet_steps() -> None:
     world = World.create([[0.0, 0.5, 0.0, np.nan, 0.0]])
     problem = prepare(world, [[0, 0], [0, 4]], Settings())
     run = simulate(problem, allocate(problem), max_steps=99, hit=lambda robot, step, cell: cell == 1)
-    assert (run.outcome, run.time, run.alive.tolist()) == (Outcome.STUCK, 3, [False, True])
+    assert (run.outcome, run.time, run.alive.tolist()) == (Outcome.NO_PROGRESS, 3, [False, True])
 
 
 def test_the_nominal_run_calls_no_luck() -> None:

@@ -130,12 +130,12 @@ def fuzz(number):
     accessible = world.accessible(starts).ravel()
     assert not (run.visited & ~accessible).any()
     left = accessible & ~run.visited
-    expected = {Outcome.COMPLETE: not left.any(), Outcome.STOPPED: not run.alive.any()}
+    expected = {Outcome.COMPLETE: not left.any(), Outcome.ALL_ROBOTS_LOST: not run.alive.any()}
     if run.outcome in expected:
         assert expected[run.outcome]
         return
     assert left.any() and run.alive.any()
-    assert run.outcome in (Outcome.STUCK, Outcome.CALLED_OFF)
+    assert run.outcome in (Outcome.NO_PROGRESS, Outcome.NOT_WORTH_THE_RISK)
     if settings.range is None and settings.worth is None and settings.reserve is None:
         trace = recorder.trace(0, run.area_of, run.outcome)
         looked = np.unique(trace.cells[trace.doing != Doing.DEAD])

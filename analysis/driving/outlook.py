@@ -192,4 +192,4 @@ class DrivenMission(Mission):
         same = {"visited": visited, "survived": survived, "time": self._past, "alive": self._alive}
         same["home"] = sum(ways is not None and robot.alive and is_home(ways, robot) for robot in fleet.robots)
         ended = {name: np.full_like(getattr(found, name), value) for name, value in same.items()}
-        return replace(found, outcome=np.full_like(found.outcome, Outcome.CALLED_OFF), **ended)
+        return replace(found, outcome=np.full_like(found.outcome, Outcome.ENDED_BY_OPERATOR), **ended)

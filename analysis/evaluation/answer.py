@@ -265,7 +265,7 @@ class Evaluation(Answer):
         whole(1, MOST_ROLLOUTS, "how many rollouts").check("most", most, optional=True)
         count = self.tally.rollouts if most is None else min(most, self.tally.rollouts)
         found = make_singles(self.world, self.plan, replace(self.choices, deadline=None))(0, count)
-        names = np.array([outcome.name.lower() for outcome in Outcome])
+        names = np.array([self.plan.ending(outcome).word for outcome in Outcome])
         columns = {name: getattr(found, name) for name in ("visited", "survived", "time", "alive")}
         return {"rollout": np.arange(count), **columns, "outcome": names[found.outcome]}
 

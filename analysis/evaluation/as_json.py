@@ -13,7 +13,7 @@ from analysis.theory.verdicts import MEANINGS
 from planner.files import Json
 from planner.plans.plan import Plan
 from planner.plans.turns import drive_of
-from planner.tally import Outcome
+from planner.tally import counts_by_word
 
 
 def to_json(evaluation: Evaluation) -> Json:
@@ -39,7 +39,7 @@ def to_json(evaluation: Evaluation) -> Json:
         "best": {figure: getattr(evaluation, figure) for figure in (*MEANINGS, "losses")},
         "coverage_of_free_cells": {m: getattr(found, m).mean.mean / cells["free"] for m in MEANINGS},
         "time": found.time.to_json() | {"max": int(np.flatnonzero(tally.time).max())},
-        "outcomes": {outcome.name.lower(): int(tally.outcomes[outcome]) for outcome in Outcome},
+        "outcomes": counts_by_word(tally.outcomes, plan.ends_by_deadline),
         "complete": found.complete,
         "alive": {"mean": found.alive.mean},
         "losses": found.losses.to_json() | {"exact": lost},

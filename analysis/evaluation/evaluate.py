@@ -153,13 +153,13 @@ def _metrics(world: World) -> str | None:
 
 def cut_off(world: World, tally: Tally, plan: Plan) -> tuple[str, ...]:
     """A note if rollouts were ended by the plan's deadline, or cut off at T_max: what they would cover is not known."""
-    count = int(tally.outcomes[Outcome.TIMEOUT])
+    count = int(tally.outcomes[Outcome.STEP_LIMIT])
     if plan.settings is not None and plan.settings.deadline is not None:
         home = "robots turn so as to be home by then" if plan.comes_home else "the team is called home then"
         return (f"the plan ends the mission at {world.pace.step(plan.settings.deadline)}: {home}",)
     if count == 0:
         return ()
-    cut = f"{count:,} of {tally.rollouts:,} rollouts were cut off at the limit of steps (timeout)"
+    cut = f"{count:,} of {tally.rollouts:,} rollouts were cut off at the step limit"
     return (f"{cut}: raise {argument('max_steps')}",)
 
 

@@ -16,12 +16,13 @@ from analysis.kit.words import percent
 from analysis.statistics.coverage import AT_LEAST, losses_shown
 from analysis.statistics.words import lost_words
 from analysis.theory.verdicts import MEANINGS
-from planner.plans.plan import NO_MORE
 from planner.plans.turns import drive_of
 from planner.tally import Outcome
 
 LISTED = 10
 """Cells that are worst in a way."""
+SAID_BY_COVERAGE = (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.END_OF_PATHS)
+"""Outcomes whose chances other rows of the table give."""
 
 
 def answer_tables(evaluation: Evaluation) -> list[Table]:
@@ -67,14 +68,8 @@ def _chances_table(evaluation: Evaluation) -> Table:
     table = _table(evaluation, "Chances in %, losses and time", named)
     chances = {f"chance to visit {100 * x:g} % or more": found.visited.at_least[x] for x in AT_LEAST[:-1]}
     chances["chance to visit every cell"] = found.complete
-    settings = evaluation.plan.settings
-    limit = "limit of steps" if settings is None or settings.deadline is None else "deadline"
-    ends = {
-        Outcome.STUCK: f"chance to end {NO_MORE if evaluation.plan.comes_home else 'stuck: no robot can go on'}",
-        Outcome.TIMEOUT: f"chance to end at the {limit}",
-        Outcome.CALLED_OFF: "chance to end as the rest is not worth a robot",
-    }
-    chances |= {name: found.ends[outcome] for outcome, name in ends.items() if outcome in found.ends}
+    ends = {outcome: chance for outcome, chance in found.ends.items() if outcome not in SAID_BY_COVERAGE}
+    chances |= {f"chance that it {evaluation.plan.clause_of(outcome)}": chance for outcome, chance in ends.items()}
     for name, chance in chances.items():
         _add(table, evaluation, name, "", chance.columns())
     some_left = bounds.team_survival if evaluation.settled else 1.0 - float(exact.alive_chance[0])

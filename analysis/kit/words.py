@@ -39,13 +39,14 @@ def span_words(plan: Plan, pace: Pace) -> str:
     A run that ends before all is covered waits a few steps before it ends.
     """
     from planner.plans.turns import drive_of
+    from planner.tally import Outcome
 
     drive = drive_of(robot.path for robot in plan.robots)
     driven = f"{counted(int(drive.moves.sum()), 'move')}, {counted(int(drive.turns.sum()), 'quarter turn')}"
     if pace.turn:
         steps = drive.time(pace.turn)
         driven += f": with turns {steps:,.0f} steps{pace.also(steps)}"
-    if plan.outcome in ("called_off", "stuck"):
+    if plan.outcome in (Outcome.NOT_WORTH_THE_RISK.word, Outcome.NO_PROGRESS.word):
         later = plan.time - plan.makespan
         end = f", the end {counted(later, 'step')} later" if later else ""
         return f"the last move is at {pace.step(plan.makespan)}{end}, {driven}"

@@ -18,7 +18,7 @@ from planner.limits import MAX_PLAN_BYTES
 from planner.luck_names import LUCKS, LuckName
 from planner.plans.plan import Plan
 from planner.plans.plan_file import parse_plan
-from planner.tally import Outcome, Tally
+from planner.tally import Tally, counts_by_word, counts_of_words
 from planner.worlds.world import MAX_CELLS, World, world_of
 
 FORMAT, VERSION = "mrac-recording", 2
@@ -92,15 +92,18 @@ def bounds_bytes(bounds: Bounds) -> bytes:
     return json_bytes(as_json(asdict(bounds)))
 
 
-def tally_bytes(tally: Tally) -> tuple[bytes, bytes]:
-    """(JSON, NumPy archive) of a tally: what was rolled out, ids and histograms; the counts of each cell."""
+def tally_bytes(tally: Tally, deadline: bool = False) -> tuple[bytes, bytes]:
+    """(JSON, NumPy archive) of a tally: what was rolled out, ids and histograms; the counts of each cell.
+
+    `deadline`: whether it is what cuts runs off.
+    """
     counts = tally.counts()
     said = {
         "key": tally.key,
         "shape": list(tally.shape),
         "ids": [list(span) for span in tally.ids],
         "rollouts": tally.rollouts,
-        "outcomes": {outcome.name.lower(): int(tally.outcomes[outcome]) for outcome in Outcome},
+        "outcomes": counts_by_word(tally.outcomes, deadline),
         **{name: array.tolist() for name, array in counts.items() if AXES[name] not in ("cell", "outcome")},
     }
     text = json.dumps(said, separators=(",", ":")).encode() + b"\n"
@@ -115,7 +118,7 @@ def read_tally(text: bytes, cells: bytes, source: str) -> Tally:
         counts = {
             name: arrays[name] if axis == "cell" else said[name] for name, axis in AXES.items() if name in said | arrays
         }
-        counts["outcomes"] = [said["outcomes"].get(outcome.name.lower(), 0) for outcome in Outcome]
+        counts["outcomes"] = counts_of_words(said["outcomes"])
         return Tally(
             key=str(said["key"]),
             shape=(int(said["shape"][0]), int(said["shape"][1])),

@@ -38,7 +38,7 @@ _EVENTS = {
     EventKind.SURPRISED: (Log.INFO, "{cells} are not as believed", "robots see that {cells} are not as they believed"),
 }  # fmt: skip
 """Of each kind foxglove.Log's level, what happened in short (on a picture there is little room), and in full."""
-END_LEVELS = {Outcome.COMPLETE: Log.INFO, Outcome.PATH_END: Log.INFO, Outcome.CALLED_OFF: Log.INFO}
+END_LEVELS = {Outcome.COMPLETE: Log.INFO, Outcome.END_OF_PATHS: Log.INFO, Outcome.NOT_WORTH_THE_RISK: Log.INFO}
 """Of the line that tells how a rollout ended; others are errors."""
 
 
@@ -88,10 +88,10 @@ def _stopped_by(robot: int, step: int, cell: NDArray, world: World, plan: Plan |
     return f"threat {100 * p:.3g} %, or a mover" if p else "by a mover"
 
 
-def end_text(trace: Trace, visited: int, survived: int, accessible: int, alive: int) -> str:
-    """How a rollout ended."""
+def end_text(trace: Trace, outcome: Outcome, visited: int, survived: int, accessible: int, alive: int) -> str:
+    """How a rollout ended, which its plan tells from its outcome (`Plan.ending`)."""
     share, passed = 100 * visited / accessible, 100 * survived / accessible
     return (
-        f"rollout {trace.rollout} ends: {trace.outcome.name.lower()} at step {trace.time}, {share:.1f} % visited, "
+        f"rollout {trace.rollout} ends: {outcome.word} at step {trace.time}, {share:.1f} % visited, "
         f"{passed:.1f} % survived, {alive} of {trace.cells.shape[1]} robots alive"
     )

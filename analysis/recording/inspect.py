@@ -78,16 +78,17 @@ def _rollout(one: RecordedRollout, world: World, plan: Plan | None, source: Path
         raise InputError(f"rollout {trace.rollout}: an event that means nothing ({error})", source=source) from error
     cells = max(one.accessible, 1)
     visited, survived, alive = (int(values[-1]) for values in (one.visited, one.survived, one.alive))
+    ended = trace.outcome if plan is None else plan.ending(trace.outcome)
     return {
         "rollout": trace.rollout,
         "begins_seconds": float(one.times[0]) / 1e9,
-        "outcome": trace.outcome.name.lower(),
+        "outcome": ended.word,
         "time": trace.time,
         "visited": visited / cells,
         "survived": survived / cells,
         "robots": trace.cells.shape[1],
         "alive": alive,
-        "text": end_text(trace, visited, survived, cells, alive),
+        "text": end_text(trace, ended, visited, survived, cells, alive),
         "events": [
             {"step": line.step, "kind": line.kind.name.lower(), "robot": line.robot, "text": line.text}
             for line in lines

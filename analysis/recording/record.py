@@ -152,7 +152,7 @@ def _row(trace: Trace, picks: dict[str, int], stage: Stage) -> Row:
     return Row(
         rollout=trace.rollout,
         picks=tuple(name for name, one in picks.items() if one == trace.rollout),
-        outcome=trace.outcome.name.lower(),
+        outcome=stage.plan.ending(trace.outcome).word,
         visited=int(frames.visited[-1]),
         survived=int(frames.survived[-1]),
         time=trace.time,
@@ -163,7 +163,7 @@ def _row(trace: Trace, picks: dict[str, int], stage: Stage) -> Row:
 
 def _describe(log: LogWriter, settings: contents.Settings, tally: Tally, world: World, plan: Plan) -> None:
     """Attachments and metadata that are known once the rollouts are chosen."""
-    text, cells = contents.tally_bytes(tally)
+    text, cells = contents.tally_bytes(tally, plan.ends_by_deadline)
     log.attach(contents.SETTINGS, "application/json", contents.json_bytes(settings.to_json()))
     log.attach(contents.TALLY, "application/json", text)
     log.attach(contents.TALLY_CELLS, "application/octet-stream", cells)

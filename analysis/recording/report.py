@@ -43,7 +43,7 @@ def _rollouts_table(done: Recorded) -> Table:
     columns = (*of, *["minutes"] * bool(pace), *figures)
     table = make_table(columns, left=("picked as", "ends"), dropped=("events", "survived, %"))
     for row in done.rows:
-        ends = "all lost" if row.outcome == "stopped" else row.outcome.replace("_", " ")
+        ends = row.outcome.replace("_", " ")
         shares = (f"{100 * count / cells:.1f}" for count in (row.visited, row.survived))
         times = (str(row.time), *[f"{pace.minutes * row.time:,.1f}"] * bool(pace))
         table.add_row(str(row.rollout), ", ".join(row.picks), ends, *times, *shares, str(row.alive), str(row.events))

@@ -124,7 +124,7 @@ def is_exact(run: Run) -> bool:
 
 def timeouts_of(run: Run) -> int:
     """Rollouts that were cut off at the limit of steps."""
-    return 0 if run.sums is None else int(run.sums["outcomes"][Outcome.TIMEOUT])
+    return 0 if run.sums is None else int(run.sums["outcomes"][Outcome.STEP_LIMIT])
 
 
 def figure_of(run: Run, name: str) -> tuple[float, float]:

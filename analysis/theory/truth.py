@@ -75,7 +75,7 @@ def exact_truth(plan: Plan, world: World, exact: OpenLoopExact, first_only: bool
     stated = None if _is_cut_off(plan) else Truth.known(1.0)
     left, alive = Truth.known(1.0 - float(exact.alive_chance[0])), float(exact.survival.sum())
     # else it waits before it gives up, which is known of one among movers alone
-    ends = world.movers is not None or (plan.state is None and plan.outcome == Outcome.COMPLETE.name.lower())
+    ends = world.movers is not None or (plan.state is None and plan.outcome == Outcome.COMPLETE.word)
     time = exact.mean_time if ends else None
     return ClosedTruth(Truth.known(exact.visited), Truth.known(exact.survived), left, stated, 0, alive, time)
 
@@ -107,7 +107,7 @@ def _mean(counts: NDArray[np.int64], doubt: float) -> Truth:
 def as_stated(plan: Plan, world: World, outcomes: NDArray[np.float64], how: str) -> Truth | None:
     """The share of runs that end as Theorem 2 says; None where they may end before (`_is_cut_off`).
 
-    A run that ends stuck is as stated only if the robots left cannot reach the rest: never on a map of one part.
+    A run without progress is as stated only if the robots left cannot reach the rest: never on a map of one part.
 
     Args:
         outcomes: the chance of each, by `Outcome`; runs that were not followed to their end, as those that were not
@@ -115,15 +115,15 @@ def as_stated(plan: Plan, world: World, outcomes: NDArray[np.float64], how: str)
     """
     if _is_cut_off(plan):
         return None
-    starts, (stuck, timeout) = plan.starts, outcomes[[Outcome.STUCK, Outcome.TIMEOUT]].tolist()
+    starts, (halted, cut) = plan.starts, outcomes[[Outcome.NO_PROGRESS, Outcome.STEP_LIMIT]].tolist()
     parts = len(np.unique(world.components[starts[:, 0], starts[:, 1]]))
-    unknown = stuck if parts > 1 else 0.0
-    high = 1.0 - timeout - (stuck - unknown)
+    unknown = halted if parts > 1 else 0.0
+    high = 1.0 - cut - (halted - unknown)
     return Truth(high, high - unknown, high, how)
 
 
 def _is_cut_off(plan: Plan) -> bool:
-    """True if runs may end before all is covered or lost (cut off, called off, out of range), or began mid-mission."""
+    """True if runs may end before all is covered or lost (cut off, not worth the risk, range), or began mid-mission."""
     settings = plan.settings
     return (
         plan.state is not None

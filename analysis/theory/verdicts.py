@@ -23,6 +23,7 @@ from analysis.theory.optimum import optimum
 from analysis.theory.own_bounds import mended_theorem3, until_first_loss
 from analysis.theory.truth import ClosedTruth, Truth
 from planner.plans.plan import Plan
+from planner.tally import Outcome
 from planner.worlds.world import World
 
 MEANINGS = ("visited", "survived")
@@ -258,11 +259,12 @@ def closed_checks(
 def nominal_checks(plan: Plan, world: World, alone: Plan | None) -> list[Check]:
     """Theorems 1 and 4 on the run without losses; `alone`: the plan of the first robot by itself, for T_1.
 
-    None of a run that `max_steps` cut off, in which robots may be called off or have a range, nor of the plan of
-    another planner: the theorems are not about them. Nor is Theorem 4 about robots that come home.
+    None of a run that was cut off, in which the rest may not be worth the risk or robots have a range, nor of the plan
+    of another planner: the theorems are not about them. Nor is Theorem 4 about robots that come home.
     """
     settings = plan.settings
-    if settings is None or settings.worth is not None or settings.range is not None or plan.outcome == "timeout":
+    cut_off = plan.outcome in (Outcome.STEP_LIMIT.word, Outcome.DEADLINE.word)
+    if settings is None or settings.worth is not None or settings.range is not None or cut_off:
         return []
     accessible = np.flatnonzero(world.accessible(plan.starts))
     seen = np.unique(np.concatenate([robot.path for robot in plan.robots]))

@@ -1,4 +1,4 @@
-"""The limits on a team (`planner.policies.limits`) in the lanes: who has to wait, and whether a run was called off.
+"""The limits on a team (`planner.policies.limits`) in the lanes: who has to wait, and what is not worth the risk.
 
 Axis letters as in `mrac_jax.closed_loop.state`.
 """
@@ -117,7 +117,7 @@ def _is_another_s(tables: LaneTables, lanes: Lanes, chosen: Chosen, mine: First,
 
 
 def judge(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
-    """A run that is stuck was called off if a live robot can reach an unassigned area."""
+    """A run without progress is not worth the risk if a live robot can reach an unassigned area."""
     waits = lanes.mode == JUDGE
     return jax.lax.cond(waits.any(), lambda now: _judge(tables, now, width), lambda now: now, lanes)
 
@@ -138,7 +138,7 @@ def _judge(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
         return could | (reached & bits_at(lanes.alive[:, at], who))
 
     could = jax.lax.fori_loop(0, place.shape[1], also, jnp.zeros(len(at), dtype=jnp.bool_))
-    outcome = jnp.where(could, jnp.int32(Outcome.CALLED_OFF), lanes.outcome[at])
+    outcome = jnp.where(could, jnp.int32(Outcome.NOT_WORTH_THE_RISK), lanes.outcome[at])
     return replace(
         lanes,
         outcome=spread(lanes.outcome, chosen.slot, outcome),

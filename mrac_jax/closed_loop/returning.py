@@ -194,18 +194,18 @@ def end_at_home(
     """
     homes, team = tables.homes, lanes.place.shape[0] // lanes.mode.shape[0]
     assert homes is not None
-    over = ends & (lanes.outcome == NONE) & (outcome != NONE) & (outcome != Outcome.TIMEOUT)
+    over = ends & (lanes.outcome == NONE) & (outcome != NONE) & (outcome != Outcome.STEP_LIMIT)
     lanes = replace(lanes, outcome=jnp.where(over, outcome, lanes.outcome))
-    if tables.policy is not None:  # was it called off? The step's end comes again, once that is known
-        asks = over & (outcome == Outcome.STUCK)
+    if tables.policy is not None:  # is the rest not worth the risk? The step's end comes again, once that is known
+        asks = over & (outcome == Outcome.NO_PROGRESS)
         lanes = replace(lanes, mode=jnp.where(asks, JUDGE, lanes.mode), robot=jnp.where(asks, team, lanes.robot))
         ends = ends & ~asks
     near = (lanes.outcome != NONE) | (homes.last - lanes.step <= homes.furthest)
     assert lanes.returning is not None
     calls = ends & near & any_bit(lanes.alive | lanes.returning)
     lanes = jax.lax.cond(calls.any(), lambda now: _call_home(tables, now, calls), lambda now: now, lanes)
-    late = jnp.where(lanes.step >= tables.max_steps, jnp.int32(Outcome.TIMEOUT), NONE)
-    late = jnp.where(any_bit(lanes.unharmed), late, jnp.int32(Outcome.STOPPED))
+    late = jnp.where(lanes.step >= tables.max_steps, jnp.int32(Outcome.STEP_LIMIT), NONE)
+    late = jnp.where(any_bit(lanes.unharmed), late, jnp.int32(Outcome.ALL_ROBOTS_LOST))
     assert lanes.returning is not None
     away = any_bit(lanes.returning)
     outcome = jnp.where((lanes.outcome == NONE) | away, late, lanes.outcome)

@@ -21,7 +21,7 @@ OFF, ACT, NEXT, FIND_CELL, FIND_FAR, FIND_AREA, FIND_OR_SHARE, LOST, SHARE, END 
 coverage path (among the nearest; among all; inside its area); search an area (else stay; else share); split the area of
 a lost robot; share; hand over its results."""
 RETARGET, LOOK_AGAIN, JUDGE, CHARGE = range(END + 1, END + 5)
-"""By other rules than the paper's: search the next target in the area; a better area; was the run called off?
+"""By other rules than the paper's: search the next target in the area; a better area; is the rest not worth the risk?
 Where robots are charged: is there something for a robot without an area, once it is?"""
 NEW_VISITED, NEW_SURVIVED, STOPPED, CELL_KINDS, STEP_KINDS = 1, 2, 4, 8, 4
 """Bits of a visit's kind: visits are counted by (cell, kind) and (step, kind)."""

@@ -363,9 +363,9 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
     # The step ends when no robot after this one acts in it.
     ends = turns & (later == team)
     quiet = jnp.where(lanes.progress, 0, lanes.quiet + 1)
-    outcome = jnp.where(lanes.step >= tables.max_steps, jnp.int32(Outcome.TIMEOUT), NONE)
-    outcome = jnp.where(quiet >= 2, jnp.int32(Outcome.STUCK), outcome)
-    outcome = jnp.where(any_bit(lanes.unharmed), outcome, jnp.int32(Outcome.STOPPED))
+    outcome = jnp.where(lanes.step >= tables.max_steps, jnp.int32(Outcome.STEP_LIMIT), NONE)
+    outcome = jnp.where(quiet >= 2, jnp.int32(Outcome.NO_PROGRESS), outcome)
+    outcome = jnp.where(any_bit(lanes.unharmed), outcome, jnp.int32(Outcome.ALL_ROBOTS_LOST))
     outcome = jnp.where(lanes.unvisited == 0, jnp.int32(Outcome.COMPLETE), outcome)
     if tables.homes is not None:
         lanes, ends, outcome = end_at_home(tables, lanes, ends, outcome)
@@ -373,8 +373,9 @@ def advance(tables: LaneTables, lanes: Lanes) -> Lanes:
     over = ends & (outcome >= 0)
     lanes = keep_step(tables, lanes, ends)
     halts = ends & (lanes.step + 1 == lanes.halt)
-    # Only by `worth` can a stuck run be one that was called off; that takes a look at all cells.
-    done = END if tables.policy is None or tables.homes is not None else jnp.where(outcome == Outcome.STUCK, JUDGE, END)
+    # Only `worth` can make a run without progress one that is not worth the risk; that takes a look at all cells.
+    asks = tables.policy is not None and tables.homes is None
+    done = jnp.where(outcome == Outcome.NO_PROGRESS, JUDGE, END) if asks else END
     return replace(
         lanes,
         mode=jnp.where(over, done, jnp.where(halts, OFF, jnp.where(turns, ACT, lanes.mode))),

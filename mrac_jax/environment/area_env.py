@@ -173,7 +173,7 @@ class AreaRuns:
             rewards=rewards,
             alive=alive,
             done=np.array([run.outcome is not None for run in runs]),
-            truncated=np.array([run.outcome is Outcome.TIMEOUT for run in runs]),
+            truncated=np.array([run.outcome is Outcome.STEP_LIMIT for run in runs]),
             covered=np.array([1 - run.team.unvisited / env.accessible for run in runs], np.float32),
             lost=(~alive).sum(axis=1, dtype=np.int32),
             step=np.array([max(run.team.step, 0) for run in runs], np.int32),

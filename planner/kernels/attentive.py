@@ -34,7 +34,6 @@ from planner.kernels.state import (
     AREA,
     AREA_BITS,
     AREAS_FULL,
-    CALLED_OFF,
     CELL,
     CHANGES,
     CHARGING,
@@ -48,6 +47,8 @@ from planner.kernels.state import (
     LAST,
     LEFT_IN,
     NEXT,
+    NO_PROGRESS,
+    NOT_WORTH_THE_RISK,
     NOW,
     OPEN,
     PARTED,
@@ -58,7 +59,6 @@ from planner.kernels.state import (
     ROBOT,
     STARTING,
     STEP,
-    STUCK,
     SURE,
     SURVIVED,
     TARGET,
@@ -348,14 +348,14 @@ def walk_alone(t, p, s, c, w, how, robot, step, size):
 def how_over(t, p, s, w):
     """How there is nothing more to be done, NONE: there is."""
     over = np.int64(is_over(t, s))
-    return np.int64(CALLED_OFF) if over == STUCK and could_go_on(t, p, s, w) else over
+    return np.int64(NOT_WORTH_THE_RISK) if over == NO_PROGRESS and could_go_on(t, p, s, w) else over
 
 
 @spliced
 def ending(t, p, s, w, how, step):
     """How the run ends after this step, NONE if it goes on."""
     outcome = end_of(t, s, how, step)
-    return CALLED_OFF if outcome == STUCK and could_go_on(t, p, s, w) else outcome
+    return NOT_WORTH_THE_RISK if outcome == NO_PROGRESS and could_go_on(t, p, s, w) else outcome
 
 
 @rare_kernel

@@ -36,7 +36,7 @@ def with_nominal_run(plan: Plan, loop: ClosedLoop) -> Plan:
     return replace(
         plan,
         robots=tuple(map(RobotPlan, paths)),
-        outcome=trace.outcome.name.lower(),
+        outcome=plan.ending(trace.outcome).word,
         time=len(trace.cells) - 1,
         shares=int(np.count_nonzero(trace.events[:, 2] == EventKind.SHARED)),
     )

@@ -40,6 +40,7 @@ from planner.kernels.state import (
     ACTS,
     AHEAD,
     ALIVE,
+    ALL_ROBOTS_LOST,
     AREA,
     AREA_BITS,
     AREAS_FULL,
@@ -62,6 +63,7 @@ from planner.kernels.state import (
     LEFT,
     LEFT_IN,
     NEXT,
+    NO_PROGRESS,
     OPEN,
     OVER,
     PARTED,
@@ -74,11 +76,9 @@ from planner.kernels.state import (
     ROBOT,
     STARTING,
     STEP,
-    STOPPED,
-    STUCK,
+    STEP_LIMIT,
     SURVIVED,
     TARGET,
-    TIMEOUT,
     TO_DO,
     TRAVELING,
     UNLIMITED,
@@ -256,8 +256,8 @@ def is_over(t, s):
     if is_complete(t, s):
         return COMPLETE
     if s.marks[ALIVE] == 0:
-        return STOPPED
-    return STUCK if s.marks[QUIET] >= t.limits[QUIET_STEPS] else NONE
+        return ALL_ROBOTS_LOST
+    return NO_PROGRESS if s.marks[QUIET] >= t.limits[QUIET_STEPS] else NONE
 
 
 @kernel
@@ -266,7 +266,7 @@ def end_of(t, s, how, step):
     if comes_home(t):
         return end_at_home(t, s, how, step)
     over = is_over(t, s)
-    return TIMEOUT if over == NONE and step >= how.max_steps else over
+    return STEP_LIMIT if over == NONE and step >= how.max_steps else over
 
 
 @rare_kernel
@@ -274,7 +274,7 @@ def end_at_home(t, s, how, step):
     """The same where robots come home."""
     over = s.marks[OVER] - 1
     if over == NONE or is_away(s):
-        over = STOPPED if s.marks[ALIVE] == 0 else TIMEOUT if step >= how.max_steps else NONE
+        over = ALL_ROBOTS_LOST if s.marks[ALIVE] == 0 else STEP_LIMIT if step >= how.max_steps else NONE
     if over == NONE:
         return over
     count_home(t, s)

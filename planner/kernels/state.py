@@ -22,7 +22,7 @@ from planner.trace import Doing
 IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING, RETURNING, CHARGING = map(int, Doing)
 LANDING, STARTING = range(len(Doing), len(Doing) + 2)
 """What a robot does besides: it has not entered its start yet, and has no area, or has one."""
-COMPLETE, STOPPED, STUCK, TIMEOUT, _, CALLED_OFF = map(int, Outcome)
+COMPLETE, ALL_ROBOTS_LOST, NO_PROGRESS, STEP_LIMIT, _, NOT_WORTH_THE_RISK, *_ = map(int, Outcome)
 AREAS_FULL, PARTED, CUT = -1, -2, -3
 """Why a run ends before its time: no room for its areas; some of its rollouts were hit; all of its mass was left."""
 FAR = 2**63 - 1
@@ -70,7 +70,7 @@ class Tables(NamedTuple):
         limits: int64 `[LIMITS]`. NEAR: cells that a search passes before it is one for what is far; WIDE: as of
             `SafeParts`; PATIENCE: searches from a cell before its costs to all are kept. GOAL: cells that count.
             LAST_STEP: by which robots that come home are to be there; RECHARGE: steps until they have their range
-            again, 0: they do not. QUIET_STEPS: steps in a row without progress after which a run is stuck.
+            again, 0: they do not. QUIET_STEPS: steps in a row without progress after which a run ends.
         truths: int16 `[M, A]`, level of each cell in each map that may be true, NONE of an obstacle, of robots that
             learn it; belief: int16 `[A]`, what they believe before the first step; price: int64 `[L]`, cost of entering
             a cell of each level; in_view: like near, what is seen from each cell, from `view_begin` int64 `[A + 1]` on
@@ -355,7 +355,7 @@ class Counts(NamedTuple):
         visits, stops, covered: `[A]`, entries, robots stopped, rollouts that visited the cell; unsurvived: `[A]`, those
             of them in which nobody survived there.
         time: `[T + 1]`; new: `[T + 1]`, cells new at each step; late: `[T + 1]`, what more of them was survived then.
-        visited, survived: `[GOAL + 1]`; alive: `[K + 1]`; outcomes: `[6]`.
+        visited, survived: `[GOAL + 1]`; alive: `[K + 1]`; outcomes: `[len(Outcome)]`.
         left_visited, left_survived, left_alive: as those, the mass of a tree that was left, by what it had come to;
             histories: `[3]`, ends of a tree, branches left, visits at which it may part. Zeros but for trees.
         home: `[K + 1]`, rollouts by robots at home at the end; empty where they do not come home.

@@ -16,6 +16,7 @@ from planner.kernels.retire import leave
 from planner.kernels.state import (
     ACTS,
     ALIVE,
+    ALL_ROBOTS_LOST,
     AREA,
     AREA_BITS,
     AT_STOP,
@@ -39,7 +40,6 @@ from planner.kernels.state import (
     PROGRESS,
     ROBOT,
     STEP,
-    STOPPED,
     SURVIVED,
     UNFINISHED,
     UNSURVIVED,
@@ -97,7 +97,7 @@ def count_last(t, s, c, cell, mass):
     c.alive[0] += mass
     if len(c.home) > 0:
         c.home[0] += mass
-    c.outcomes[COMPLETE if is_complete(t, s) else STOPPED] += mass
+    c.outcomes[COMPLETE if is_complete(t, s) else ALL_ROBOTS_LOST] += mass
 
 
 @kernel

@@ -108,8 +108,11 @@ class Fleet(Executive):
         robot.aside = True
 
     def call_off(self) -> None:
-        """The mission is over between two steps: who is to come home turns."""
-        self.over = Outcome.CALLED_OFF
+        """The operator ends the mission between two steps: robots that come home start their return.
+
+        What had ended it before stays the reason.
+        """
+        self.over = Outcome.ENDED_BY_OPERATOR if self.over is None else self.over
         self._call_home()
 
     def come_home(self) -> None:

@@ -107,7 +107,8 @@ class Mission:
     @property
     def outcome(self) -> Outcome | None:
         """How the mission has ended; None while it goes on."""
-        return self._fleet.outcome(self.last_step)
+        outcome = self._fleet.outcome(self.last_step)
+        return None if outcome is None else outcome.by_deadline(self.settings.ends_by_deadline)
 
     @property
     def covered(self) -> float:
@@ -440,7 +441,7 @@ class Mission:
 
     def known(self) -> Json:
         """Where it stands, as files and `drive` say it: the step that is under way, or at which it ended."""
-        ended = {} if self.outcome is None else {"outcome": self.outcome.name.lower()}
+        ended = {} if self.outcome is None else {"outcome": self.outcome.word}
         step = self.step if self.outcome is None else self._fleet.step
         return ended | {"step": step, "covered": self.covered, "lost": list(self.lost)}
 

@@ -41,7 +41,7 @@ Split = Callable[[tuple[int, int], NDArray[np.int64]], Sequence[NDArray[np.int64
 NOT_BEGUN = -1
 """The step before t = 0, at which robots enter their starts."""
 STUCK_AFTER = 2
-"""Steps in a row without a move or an allocation that end a run as stuck."""
+"""Steps in a row without a move or an allocation that end a run as one of no progress."""
 
 
 class Executive(Board):
@@ -98,9 +98,9 @@ class Executive(Board):
         elif self.over is not None and not any(robot.status is Doing.RETURNING for robot in self.robots):
             over = self.over
         else:
-            over = None if any(robot.alive for robot in self.robots) else Outcome.STOPPED
+            over = None if any(robot.alive for robot in self.robots) else Outcome.ALL_ROBOTS_LOST
         if over is None and self.step >= max_steps:
-            over = Outcome.TIMEOUT
+            over = Outcome.STEP_LIMIT
         return over if over is None or self.unvisited else Outcome.COMPLETE
 
     def _over(self) -> Outcome | None:
@@ -108,10 +108,10 @@ class Executive(Board):
         if self.unvisited == 0:
             return Outcome.COMPLETE
         if not any(robot.alive for robot in self.robots):
-            return Outcome.STOPPED
+            return Outcome.ALL_ROBOTS_LOST
         if self.quiet >= STUCK_AFTER * max(self.problem.settings.paces, default=1):
             could = (robot.able and first_area(self, robot, refusing=False) for robot in self.robots)
-            return Outcome.CALLED_OFF if self._refuses() and any(could) else Outcome.STUCK
+            return Outcome.NOT_WORTH_THE_RISK if self._refuses() and any(could) else Outcome.NO_PROGRESS
         return None
 
     def _refuses(self) -> bool:

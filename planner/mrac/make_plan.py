@@ -114,7 +114,7 @@ def make_plan(
         robots=tuple(RobotPlan(path, legs) for path, legs in zip(run.paths, run.legs, strict=True)),
         areas=allocation,
         areas_added=run.areas_added,
-        outcome=run.outcome.name.lower(),
+        outcome=run.outcome.by_deadline(problem.settings.ends_by_deadline).word,
         time=run.time,
         shares=run.shares,
         state=state,

@@ -60,7 +60,7 @@ def state_of(run: Executive, borne: Sequence[int] | None = None) -> MissionState
         has_it = area.robot != NO_ROBOT and owner.on_its_way and owner.area == number
         areas.append(AreaState(area.level, area.robot if has_it else NO_ROBOT, area.state.value, area.cells))
     visited, survived = np.flatnonzero(run.visited), np.flatnonzero(run.survived)
-    over, quiet = (None, run.quiet) if run.over is None else (run.over.name.lower(), 0)
+    over, quiet = (None, run.quiet) if run.over is None else (run.over.word, 0)
     return MissionState(world.shape, world.sha256, run.step, visited, survived, robots, tuple(areas), quiet, over)
 
 

@@ -86,7 +86,7 @@ def simulate(
 
     Args:
         problem, allocation, split, recorder, state: as of `Executive`.
-        max_steps: T_max, the step at which an unfinished run ends as a timeout; None = the problem's.
+        max_steps: T_max, the step at which an unfinished run is cut off; None = the problem's.
         hit: decides every hit; called once for each cell that a live robot enters, in order.
         truth: which of the maps robots meet and learn, where they are not told it (`Problem.unknown`); None: the one
             that they believe. Of hazards it is none of them, but robots learn.

@@ -15,6 +15,7 @@ from planner.open_loop.nodes import make_nodes
 from planner.open_loop.search import chances, search, team_cells
 from planner.plans.plan import Plan, RobotPlan, entries
 from planner.settings import Settings
+from planner.tally import Outcome
 from planner.worlds.world import World
 
 EFFORT = 200_000
@@ -63,7 +64,8 @@ def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, sec
     if before > cells:
         paths = tuple(robot.path for robot in nominal.robots)
     plan = Plan(
-        world.shape, world.sha256, None, tuple(RobotPlan(path) for path in paths), outcome="paths", for_open_loop=True,
+        world.shape, world.sha256, None, tuple(RobotPlan(path) for path in paths), outcome=Outcome.END_OF_PATHS.word,
+        for_open_loop=True,
         bears=settings.bearing(), source=world.source,
         notes=_notes(cells, before, found.evaluations, effort, closed, "cells" if world.value is None else "of value"),
     )  # fmt: skip

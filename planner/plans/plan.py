@@ -19,23 +19,15 @@ from planner.plans.state import MissionState
 from planner.policies import DEFAULT
 from planner.settings import Settings
 from planner.shown import html_of, text_of
+from planner.tally import Outcome
 from planner.worlds.world import EXAMPLE, World
 
 FORMAT, VERSION = "mrac-plan", 1
 MOST_SHOWN = 12
 """Robots of a plan that it shows of itself."""
 
-NOMINAL = {
-    "complete": "visits every accessible cell",
-    "stuck": "ends stuck: no robot can go on",
-    "timeout": "is cut off at the limit of steps",
-    "called_off": "ends when the rest is not worth a robot",
-    "path_end": "ends with the paths",
-    "stopped": "ends with the last robot",
-}
-"""How the run in which nobody is lost may end."""
-NO_MORE = "with cells left too far to come home from"
-"""How that of a team that comes home ends, in the place of "stuck"."""
+NO_MORE = "ends with cells left too far to come home from"
+"""What users read beside `no_progress` where robots come home, in the place of the outcome's own clause."""
 
 
 LegKind = Literal["travel", "cover"]
@@ -101,8 +93,7 @@ class Plan:
         robots: one RobotPlan a robot.
         areas: the allocation at t = 0, position = area id.
         areas_added: the areas that sharing appended during the nominal run; ids go on from `areas`.
-        outcome: how the nominal run ended ("complete", "stuck", "timeout", "called_off"; "paths" for another planner's
-            plan).
+        outcome: how the nominal run ended, a word of `Outcome`; "end_of_paths" of another planner's plan.
         time: the step at which it ended. shares: how often an area was shared.
         notes: what a user should know about it (cells that nobody visits, ...).
         for_open_loop: the paths are those of `planner.open_loop`.
@@ -218,9 +209,20 @@ class Plan:
     @property
     def ends(self) -> str:
         """How the run without losses ends: "if nobody is lost, the mission visits every accessible cell"."""
-        no_more = self.comes_home and self.outcome == "stuck"
-        ended = f"ends {NO_MORE}" if no_more else NOMINAL.get(self.outcome, self.outcome)
-        return f"if nobody is lost, the mission {ended}"
+        return f"if nobody is lost, the mission {self.clause_of(Outcome[self.outcome.upper()])}"
+
+    def ending(self, outcome: Outcome) -> Outcome:
+        """How a run of it ended, of the code that counts and recordings hold: DEADLINE where that cuts runs off."""
+        return outcome.by_deadline(self.ends_by_deadline)
+
+    @property
+    def ends_by_deadline(self) -> bool:
+        """Whether it is a deadline that cuts its runs off, not the step limit."""
+        return self.settings is not None and self.settings.ends_by_deadline
+
+    def clause_of(self, outcome: Outcome) -> str:
+        """What users read of a run that ended so, after "the mission"; `outcome`: as counts hold it."""
+        return NO_MORE if self.comes_home and outcome is Outcome.NO_PROGRESS else self.ending(outcome).clause
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("makespan", f"{self.makespan} steps")]

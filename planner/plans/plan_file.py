@@ -24,11 +24,12 @@ from planner.plans.plan import FORMAT, VERSION, Area, Leg, Plan, RobotPlan
 from planner.plans.reading import at, check_map, check_partition, read_cells
 from planner.plans.state_file import parse_state
 from planner.settings import BEARING, KEPT, POLICY, SETTINGS, Settings
+from planner.tally import OF_CLOSED_LOOP, WORDS_OF_0_3, Outcome
 from planner.worlds.keys import Key
 from planner.worlds.learning import as_planned
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World
 
-OUTCOMES = ("complete", "stuck", "timeout", "called_off")
+OUTCOMES = tuple(outcome.word for outcome in OF_CLOSED_LOOP if outcome is not Outcome.ALL_ROBOTS_LOST)
 REMAKE = "make the plan anew with `mrac-jax plan`"
 PARTS = ("areas", "areas_added")
 LATER = ("nominal", "notes", "plan_for", "state")
@@ -41,7 +42,7 @@ def load_plan(path: str | Path, world: World) -> Plan:
     """The plan in a JSON file, checked against `world`: SPEC's plan file, or `{"paths": [[[row, col], ...], ...]}`.
 
     The second form, which may be the bare list of paths, is the plan of another planner: `settings` None, no areas,
-    outcome "paths", time = makespan; cells that it leaves out are counted in `notes`. Unknown keys are ignored.
+    outcome "end_of_paths", time = makespan; cells that it leaves out are counted in `notes`. Unknown keys are ignored.
 
     Raises:
         PlanError: the file cannot be read, is no plan, belongs to another map, or its paths cannot be driven.
@@ -84,7 +85,7 @@ def _foreign_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:
     """
     source = str(paths.source)
     robots = tuple(RobotPlan(_path(item.value, number, world, source)) for number, item in enumerate(_team(paths)))
-    plan = Plan(world.shape, world.sha256, None, robots, outcome="paths", source=world.source)
+    plan = Plan(world.shape, world.sha256, None, robots, outcome=Outcome.END_OF_PATHS.word, source=world.source)
     missed = _unvisited(plan, world)
     notes: tuple[str, ...] = ()
     if len(missed):
@@ -256,10 +257,12 @@ def _nominal(keys: dict[str, Key], plan: Plan, world: World) -> tuple[str, int, 
     """How the nominal run ended: (outcome, time, shares), as saved, or worked out when the file leaves it out."""
     if "nominal" not in keys:
         complete = not len(_unvisited(plan, world))
-        return "complete" if complete else "timeout", plan.makespan, count_shares(plan)
+        ended = Outcome.COMPLETE if complete else plan.ending(Outcome.STEP_LIMIT)
+        return ended.word, plan.makespan, count_shares(plan)
     given = keys["nominal"].mapping(("outcome", "time", "shares"), strict=False)
     time = given["time"].number(whole(plan.makespan, MAX_STEP, "the step of the last move or a later one"))
-    return given["outcome"].choice(OUTCOMES), time, given["shares"].number(whole(0, MAX_CELLS))
+    word = given["outcome"].choice(OUTCOMES, WORDS_OF_0_3)
+    return plan.ending(Outcome[word.upper()]).word, time, given["shares"].number(whole(0, MAX_CELLS))
 
 
 def count_shares(plan: Plan) -> int:

@@ -27,10 +27,11 @@ from planner.plans.state import (
     MissionState,
     RobotState,
 )
+from planner.tally import OF_CLOSED_LOOP, WORDS_OF_0_3, Outcome
 from planner.worlds.keys import Key
 from planner.worlds.world import MAX_ROBOTS, World
 
-OVER = ("complete", "stuck", "called_off", "stopped")
+OVER = tuple(one.word for one in OF_CLOSED_LOOP if one not in (Outcome.STEP_LIMIT, Outcome.DEADLINE))
 """How a mission may be over while robots are on their way home."""
 NATS = Numbers(0, 1e6, "nats")
 Fault = tuple[str, ...]
@@ -80,7 +81,7 @@ def parse_state(data: object, world: World, source: str, before: World | None = 
         standing = np.array([robot.cell for robot in robots if robot.alive], dtype=np.int64)
         survived = np.union1d(read_cells(keys["survived"], world), standing)
     step, quiet = keys["step"].number(whole(0, MAX_STEP)), keys["quiet"].number(whole(0, 1))
-    over = None if keys["over"].value is None else keys["over"].choice(OVER)
+    over = None if keys["over"].value is None else keys["over"].choice(OVER, WORDS_OF_0_3)
     found = MissionState(world.shape, world.sha256, step, visited, survived, robots, areas, quiet, over)
     check_state(found, world, source)
     return found

@@ -126,12 +126,13 @@ class Key:
             raise self.wrong(expected)
         return self.value
 
-    def choice(self, options: Iterable[str]) -> str:
-        """One of `options`."""
+    def choice(self, options: Iterable[str], before: Mapping[str, str] | None = None) -> str:
+        """One of `options`; `before`: words of earlier releases that are read too, with what they are now."""
         options = list(options)
-        if not isinstance(self.value, str) or self.value not in options:
+        value = before[self.value] if before and isinstance(self.value, str) and self.value in before else self.value
+        if not isinstance(value, str) or value not in options:
             raise self.wrong(" or ".join(options), did_you_mean(self.value, options))
-        return self.value
+        return value
 
     def file(self, expected: str) -> Path:
         """A path, relative to the file that names it; the error names key and file when there is none."""

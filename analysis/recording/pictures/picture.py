@@ -48,7 +48,6 @@ from analysis.recording.pictures.parts import (
 )
 from analysis.recording.viewers.topics import Stage
 from planner.none import NO_ROBOT, NO_STEP
-from planner.plans.plan import NOMINAL
 from planner.roaming import ways_of_movers
 from planner.shown import counted
 from planner.trace import EventKind, Trace
@@ -70,7 +69,7 @@ class RolloutPicture:
         world = stage.world
         if self._found is not None:  # what is true, behind the fog
             world = replace(world, threat=self._found.truth, knowledge=None, doubt=None)
-        self._trace, self._world, self._shape = trace, world, world.shape
+        self._trace, self._plan, self._world, self._shape = trace, plan, world, world.shape
         self._frames = make_frames(trace, plan.state)
         self._accessible = world.accessible(plan.starts).ravel()
         self._free = world.free.ravel()
@@ -166,7 +165,7 @@ class RolloutPicture:
     def _write(self, step: int) -> None:
         trace, frames = self._trace, self._frames
         robots, total = len(self._paths), int(self._accessible.sum())
-        ended = f": {NOMINAL[trace.outcome.name.lower()]}" if step == trace.time else f" of {trace.time}"
+        ended = f": {self._plan.clause_of(trace.outcome)}" if step == trace.time else f" of {trace.time}"
         self._title.set_text(f"Rollout {trace.rollout}, step {step}{ended}{self._world.pace.also(step)}")
         visited = int(frames.visited[step])
         parts = [f"{percent(visited / total)} visited ({visited:,} of {counted(total, 'cell')})"]

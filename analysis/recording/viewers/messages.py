@@ -193,7 +193,7 @@ class RolloutDrawer:
     def _end(self, time: int) -> Said:
         trace, frames = self.trace, self.frames
         visited, survived, alive = int(frames.visited[-1]), int(frames.survived[-1]), int(frames.alive_count[-1])
-        text = end_text(trace, visited, survived, self.accessible, alive)
+        text = end_text(trace, self.stage.plan.ending(trace.outcome), visited, survived, self.accessible, alive)
         yield "/events", _log(time, END_LEVELS.get(trace.outcome, Log.ERROR), "rollout", text)
         end = schemas.End(rollout=trace.rollout, outcome=int(trace.outcome), time=trace.time, visited=visited)
         end.survived, end.alive = survived, alive

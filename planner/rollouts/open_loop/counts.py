@@ -57,8 +57,8 @@ def tally_of(compiled: CompiledPlan, mode: Mode, seed: int, start: int, counts: 
     stopped = int(counts.alive[0]) - counts.complete_dead
     outcomes = np.zeros(len(Outcome), dtype=np.int64)
     outcomes[Outcome.COMPLETE] = complete
-    outcomes[Outcome.STOPPED] = stopped
-    outcomes[Outcome.PATH_END] = counts.rollouts - complete - stopped
+    outcomes[Outcome.ALL_ROBOTS_LOST] = stopped
+    outcomes[Outcome.END_OF_PATHS] = counts.rollouts - complete - stopped
     return Tally(
         key=tally_key(compiled.identity, "open", mode, seed),
         shape=compiled.shape,
@@ -74,7 +74,7 @@ def tally_of(compiled: CompiledPlan, mode: Mode, seed: int, start: int, counts: 
 
 def outcomes_of(visited: NDArray[np.int32], alive: NDArray[np.int32], accessible: int) -> NDArray[np.int8]:
     """Open-loop outcome of each rollout, int8 `[B]`, from cells visited and robots alive `[B]`."""
-    unfinished = np.where(alive == 0, np.int8(Outcome.STOPPED), np.int8(Outcome.PATH_END))
+    unfinished = np.where(alive == 0, np.int8(Outcome.ALL_ROBOTS_LOST), np.int8(Outcome.END_OF_PATHS))
     return np.where(visited == accessible, np.int8(Outcome.COMPLETE), unfinished)
 
 

@@ -32,7 +32,7 @@ def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int, luck: Luc
     cells, doing, areas = (np.stack(values, axis=1) for values in zip(*columns, strict=True))
     events, missing = _events(plan, stops, cells, area_of, int(world.accessible(plan.starts).sum()))
     alive = any(stop is None for stop in stops)
-    outcome = Outcome.COMPLETE if missing == 0 else Outcome.PATH_END if alive else Outcome.STOPPED
+    outcome = Outcome.COMPLETE if missing == 0 else Outcome.END_OF_PATHS if alive else Outcome.ALL_ROBOTS_LOST
     return Trace(
         rollout=rollout,
         cells=cells.astype(np.int32),
