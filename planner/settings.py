@@ -172,7 +172,7 @@ class Settings:
         words=("grid", "area"),
     )  # fmt: skip
     max_steps: int | None = _setting(
-        None, "limit of steps", "End an unfinished run at this step (default: 8 * levels * cells + 64).",
+        None, "step limit", "End an unfinished run at this step (default: 8 * levels * cells + 64).",
         whole(1, MAX_STEP), unset="8 x levels x cells + 64",
     )  # fmt: skip
     policy: Policy = _setting(  # noqa: RUF009

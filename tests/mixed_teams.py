@@ -68,5 +68,5 @@ def assert_as_enumerated(plan: Plan, world: World, wanted: dict[str, Counter[Any
         counts = getattr(tree.counts, name)
         found = {value: count / WHOLE for value, count in enumerate(counts.tolist()) if count}
         assert found == pytest.approx(dict(wanted[name]), abs=1e-9), name
-    ends = {Outcome(n).name.lower(): count / WHOLE for n, count in enumerate(tree.counts.outcomes.tolist()) if count}
+    ends = {Outcome(n).word: count / WHOLE for n, count in enumerate(tree.counts.outcomes.tolist()) if count}
     assert ends == pytest.approx(dict(wanted["outcome"]), abs=1e-9)

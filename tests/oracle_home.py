@@ -163,8 +163,8 @@ class Homing(Timed):
                 self.turn_home(number, charged=False)
         away = any(walker.doing == "returning" for walker in self.team)
         dead = all(walker.doing == "dead" for walker in self.team)
-        ended = self.over if self.over and not away else "stopped" if dead else ""
-        ended = ended or ("timeout" if self.step >= self.last else "")
+        ended = self.over if self.over and not away else "all_robots_lost" if dead else ""
+        ended = ended or ("step_limit" if self.step >= self.last else "")
         return "complete" if ended and self.goal <= self.visited else ended
 
     def at_home(self) -> list[bool]:

@@ -14,7 +14,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from oracle_tree import OUTCOMES, Branch, Chance, Tree, alive, state_key
+from oracle_tree import ENDS, OUTCOMES, Branch, Chance, Tree, alive, state_key
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
@@ -22,7 +22,7 @@ from planner.errors import PlanError
 from planner.files import atomic_write
 from planner.mrac.executive import NOT_BEGUN
 from planner.plans.plan import Plan
-from planner.tally import OF_CLOSED_LOOP, Outcome
+from planner.tally import Outcome
 from planner.worlds.world import World
 
 REWARDS = ("visited", "survived", "time", "lost")
@@ -65,10 +65,10 @@ class ChainValues:
     time: Chance
     alive: Chance
     complete: Chance
-    stopped: Chance
-    stuck: Chance
-    timeout: Chance
-    called_off: Chance
+    all_robots_lost: Chance
+    no_progress: Chance
+    step_limit: Chance
+    not_worth_the_risk: Chance
 
 
 def closed_loop_chain(
@@ -161,7 +161,7 @@ class _Builder:
 
 def _place_of(outcome: Outcome) -> int:
     """The target that stands for an outcome until the chain is made."""
-    return -1 - OF_CLOSED_LOOP.index(outcome)
+    return -1 - ENDS.index(outcome)
 
 
 def _sources_first(moves: list[dict[int, Chance]] | tuple[dict[int, Chance], ...]) -> list[int] | None:

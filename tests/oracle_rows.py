@@ -217,9 +217,9 @@ class Row:
                     moved = True
             quiet = 0 if moved else quiet + 1
             alive = sum(me.doing != "dead" for me in self.robots)
-            end = "complete" if len(self.visited) == self.size else "stopped" if alive == 0 else ""
+            end = "complete" if len(self.visited) == self.size else "all_robots_lost" if alive == 0 else ""
             if not end and quiet >= 2 * max(self.turn):
-                end = "stuck"
+                end = "no_progress"
             if end:
                 return self.chance, end, len(self.visited), len(self.survived), step, alive
             step += 1

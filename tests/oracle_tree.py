@@ -28,8 +28,9 @@ Chance = Any
 """float, or what else counts chances, as Fraction (no union: nobody mixes them)."""
 STEP_OVER = -1
 """`Branch.turn` between two steps."""
-OUTCOMES = tuple(outcome.name.lower() for outcome in OF_CLOSED_LOOP)
-"""The closed loop's: complete, stopped, stuck, timeout, called_off."""
+ENDS = tuple(one for one in OF_CLOSED_LOOP if one not in (Outcome.ENDED_BY_OPERATOR, Outcome.DEADLINE))
+OUTCOMES = tuple(outcome.word for outcome in ENDS)
+"""The closed loop's that rollouts have: complete, all_robots_lost, no_progress, step_limit, not_worth_the_risk."""
 
 
 @dataclass(eq=False)
@@ -173,7 +174,7 @@ class ClosedLoopExact:
 
     Attributes:
         visited, survived: cells. time: steps. alive: robots.
-        complete, stopped, stuck, timeout, called_off: probabilities of the outcomes.
+        complete, all_robots_lost, no_progress, step_limit, not_worth_the_risk: probabilities of the outcomes.
         visited_chance, survived_chance: float64 `[A + 1]`, chance of so many cells. alive_chance: float64 `[K + 1]`,
             chance that so many robots are alive at the end. time_chance: float64 `[T + 1]`, chance that the run ends at
             that step.
@@ -185,10 +186,10 @@ class ClosedLoopExact:
     time: float
     alive: float
     complete: float
-    stopped: float
-    stuck: float
-    timeout: float
-    called_off: float
+    all_robots_lost: float
+    no_progress: float
+    step_limit: float
+    not_worth_the_risk: float
     visited_chance: NDArray[np.float64]
     survived_chance: NDArray[np.float64]
     alive_chance: NDArray[np.float64]
@@ -240,7 +241,7 @@ def _joined(branches: list[Branch]) -> list[Branch]:
 
 def _summed(ends: list[End], branches: int, tree: Tree) -> ClosedLoopExact:
     weights = np.array([end.chance for end in ends])
-    outcomes = np.bincount([OF_CLOSED_LOOP.index(end.outcome) for end in ends], weights, len(OUTCOMES))
+    outcomes = np.bincount([ENDS.index(end.outcome) for end in ends], weights, len(OUTCOMES))
     values: dict[str, Any] = dict(zip(OUTCOMES, outcomes.tolist(), strict=True))
     cells = tree.accessible + 1
     for figure, size in (("visited", cells), ("survived", cells), ("time", 0), ("alive", tree.robots + 1)):

@@ -159,8 +159,8 @@ class Twin:
         if self.goal <= self.visited:
             return "complete"
         if all(walker.doing == "dead" for walker in self.team):
-            return "stopped"
-        return "stuck" if self.quiet >= 2 else ""
+            return "all_robots_lost"
+        return "no_progress" if self.quiet >= 2 else ""
 
     def affords(self, walker: Walker, target: Cell) -> bool:
         """Whether the area of this target is there for the walker."""

@@ -34,7 +34,7 @@ def small_task(robots: int = 3, shape: tuple[int, int] = (6, 9), seed: int = 2) 
 def foreign_plan(world: World, plan: Plan) -> Plan:
     """The same paths as another planner's plan."""
     robots = tuple(RobotPlan(robot.path) for robot in plan.robots)
-    return Plan(world.shape, world.sha256, None, robots, outcome="paths", time=plan.makespan)
+    return Plan(world.shape, world.sha256, None, robots, outcome="end_of_paths", time=plan.makespan)
 
 
 def small_recording(path: Path, **choices: Any) -> tuple[World, Plan]:

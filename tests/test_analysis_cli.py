@@ -157,9 +157,9 @@ def test_the_deadline_is_said_after_the_headline(capsys: pytest.CaptureFixture[s
 @pytest.mark.usefixtures("few_lanes")
 def test_a_limit_that_cuts_rollouts_off_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     found = answer(capsys, WORLD, "--robots", "3", "--rollouts", "500", "--max-steps", "100")
-    cut = found["outcomes"]["timeout"]
+    cut = found["outcomes"]["step_limit"]
     assert 0 < cut < 500
-    assert found["notes"] == [f"{cut} of 500 rollouts were cut off at the limit of steps (timeout): raise --max-steps"]
+    assert found["notes"] == [f"{cut} of 500 rollouts were cut off at the step limit: raise --max-steps"]
 
 
 def test_table_names_both_meanings(capsys: pytest.CaptureFixture[str]) -> None:

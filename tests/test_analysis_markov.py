@@ -90,7 +90,7 @@ def test_the_step_is_part_of_the_state_where_the_limit_is_in_reach(max_steps: in
     plan = make_plan(fixture.world, fixture.starts, Settings(max_steps=max_steps), allocation=fixture.allocation)
     chain, found = closed_loop_chain(plan, fixture.world), closed_loop_exact(plan, fixture.world)
     assert chain.timed
-    assert found.timeout > 0
+    assert found.step_limit > 0
     for key, value in asdict(solve_chain(chain)).items():
         assert getattr(found, key) == pytest.approx(value, rel=0, abs=1e-9), key
 
@@ -111,7 +111,11 @@ def test_fractions_are_exact() -> None:
     values = solve_chain(chain)
     assert values.visited == 1 + 1 + Fraction(3, 4) + Fraction(9, 16)
     assert values.survived == 1 + Fraction(3, 4) + Fraction(9, 16) + Fraction(27, 64)
-    assert (values.alive, values.complete, values.stopped) == (Fraction(27, 64), Fraction(9, 16), Fraction(7, 16))
+    assert (values.alive, values.complete, values.all_robots_lost) == (
+        Fraction(27, 64),
+        Fraction(9, 16),
+        Fraction(7, 16),
+    )
 
 
 @pytest.mark.parametrize("name", ["tiny-3x6-17-k3", "tiny-6x3-27-k5", "tiny-4x8-12-k2"])
@@ -121,7 +125,7 @@ def test_rows_of_exact_chains_add_up_to_one(name: str) -> None:
     assert all(sum(row.values()) == 1 for row in exact.moves[: exact.inner])
     assert [list(row) for row in exact.moves] == [list(row) for row in rounded.moves]
     values = solve_chain(exact)
-    assert values.complete + values.stopped + values.stuck + values.timeout == 1
+    assert values.complete + values.all_robots_lost + values.no_progress + values.step_limit == 1
     assert is_near(values, solve_chain(rounded))
 
 

@@ -288,7 +288,7 @@ def extreme() -> dict[str, Evaluation]:
     split = World.create([[0.0, NAN, 0.2], [0.0, NAN, 0.2]])
     plans = {name: make_plan(w, [[0, 0]]) for name, w in {"one": one, "row": row, "tall": tall, "split": split}.items()}
     paths = tuple(RobotPlan(robot.path[:9]) for robot in plans["row"].robots)
-    foreign = Plan(row.shape, row.sha256, None, paths, outcome="paths", time=8)
+    foreign = Plan(row.shape, row.sha256, None, paths, outcome="end_of_paths", time=8)
     return {
         "one": evaluation_of(one, plans["one"]),
         "row": evaluation_of(row, plans["row"]),

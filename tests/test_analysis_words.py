@@ -22,7 +22,7 @@ from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import Verdict, overall
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import NO_MORE, NOMINAL
+from planner.plans.plan import NO_MORE
 from planner.plans.state import NO_CELLS, MissionState, RobotState
 from planner.settings import Settings
 from planner.shown import duration
@@ -248,9 +248,11 @@ def test_one_line_says_how_many_formulas_hold_and_fail() -> None:
 def test_what_a_plan_is_has_words_and_no_codes() -> None:
     plan = make_plan(World.create([[0.0, 0.2, 0.0]]), [[0, 0]])
     assert plan_words(plan) == "3 areas; if nobody is lost, the mission visits every accessible cell"
-    shared = plan_words(replace(plan, shares=10, outcome="called_off"))
-    assert shared == "3 areas, shared 10 times; if nobody is lost, the mission ends when the rest is not worth a robot"
-    assert {outcome.name.lower() for outcome in Outcome} == set(NOMINAL)
+    shared = plan_words(replace(plan, shares=10, outcome="not_worth_the_risk"))
+    said = "if nobody is lost, the mission ends because the rest is not worth the risk"
+    assert shared == f"3 areas, shared 10 times; {said}"
+    for outcome in Outcome:
+        assert outcome.clause in replace(plan, outcome=outcome.word).ends
     first = repr(plan).splitlines()[0]
     assert first == "Plan of MRAC: 1 robot on 1 x 3 cells; if nobody is lost, the mission visits every accessible cell"
 
@@ -259,10 +261,10 @@ def test_a_plan_says_its_policy_and_whether_robots_come_home() -> None:
     world = World.create([[0.0, 0.2, 0.0, 0.0]])
     settings = Settings(policy="watchful", reserve=0.5, return_to="home", range=4)
     plan = make_plan(world, [[0, 0]], settings)
-    ended = f"the mission ends {NO_MORE}"
+    ended = f"the mission {NO_MORE}"
     assert plan_words(plan) == f"watchful, reserve 0.5; 3 areas; if nobody is lost, {ended}"
     (table, *_) = answer_tables(mrac.evaluate(world, plan, rollouts=64, advice=False))
-    assert f"chance to end {NO_MORE}" in list(table.columns[0].cells)
+    assert f"chance that it {NO_MORE}" in list(table.columns[0].cells)
 
 
 def test_a_time_is_said_in_its_two_largest_units() -> None:
@@ -300,7 +302,7 @@ def test_no_end_is_named_after_the_deadline() -> None:
     world = World.create(np.zeros((1, 9)))
     plan = make_plan(world, np.array([[0, 0]]), Settings(return_to="home", deadline=6))
     assert plan.time == 6
-    plan = replace(plan, outcome="stuck")  # as where the last one is back in the last step
+    plan = replace(plan, outcome="no_progress")  # as where the last one is back in the last step
     assert span_words(plan, world.pace) == "the last move is at step 6, 6 moves, 2 quarter turns"
 
 
@@ -313,7 +315,7 @@ def test_who_always_comes_home_is_said_in_good_words(robots: int) -> None:
 
 
 def test_the_end_that_a_plan_names_is_that_of_its_rollouts() -> None:
-    """A mission that is called off ends some steps after its last move: headline and plan say so alike."""
+    """Where the rest is not worth the risk, a mission ends some steps after its last move: both say so alike."""
     world = World.create(np.array([[0.0, 0.0, 0.0, 0.5, 0.0]]))
     for worth, said in (
         (None, "makespan 4 steps, 4 moves, 0 quarter turns"),

@@ -214,7 +214,7 @@ def test_an_answer_says_its_figures_once(tmp_path: Path) -> None:
     for name in ("visited", "survived"):
         assert np.array_equal(np.bincount(singles[name], minlength=cells + 1), getattr(answer.tally, name))
     assert np.array_equal(np.bincount(singles["alive"], minlength=4), answer.tally.alive)
-    assert set(singles["outcome"]) <= {"complete", "stopped", "stuck", "timeout"}
+    assert set(singles["outcome"]) <= {"complete", "all_robots_lost", "no_progress", "step_limit"}
     assert {"index.html", "plan.json", "evaluation.json"} <= {file.name for file in answer.save(tmp_path / "out")}
     cut = mrac.evaluate(world, plan, rollouts=4096, seed=3, deadline=4)
     assert all(np.array_equal(cut.singles()[name], singles[name]) for name in singles)  # of the whole run, as its tally

@@ -26,13 +26,28 @@ from analysis.driving.dialogue import LONGEST, Dialogue
 from analysis.driving.outlook import DrivenMission
 from analysis.sampling import RolloutChoices, make_singles
 from planner.errors import InputError, StateError, UsageError, WorldError
+from planner.missions.saved import ended
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan
+from planner.tally import Outcome
 from planner.worlds.generate import Stream, ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
 ROOT = Path(__file__).parent.parent
+
+
+ROW = World.create(np.array([[0.0, 0.0, 0.0, 0.5, 0.0]]))
+ENDINGS: dict[str, tuple[dict[str, Any], str]] = {
+    "complete": ({}, "complete"),
+    "all_robots_lost": ({}, "stopped"),
+    "no_progress": ({"range": 2}, "stuck"),
+    "step_limit": ({"max_steps": 2}, "timeout"),
+    "deadline": ({"deadline": 2}, "timeout"),
+    "not_worth_the_risk": ({"policy": "per_cell", "worth": 1000.0}, "called_off"),
+    "ended_by_operator": ({"return_to": "home"}, "called_off"),
+}
+"""Settings of missions on ROW by how they end, with the word of release 0.3 for it."""
 
 
 # --- killed ---
@@ -227,14 +242,14 @@ def test_lost_late_and_doubled_reports_end_a_mission_all_the_same() -> None:
         end = drive_here(fleets.Fleet(world, 0.2, seed), dialogue)
         assert 0 < end["covered"] <= 1
         ends.add(end["outcome"])
-    assert {"complete", "stopped"} <= ends
+    assert {"complete", "all_robots_lost"} <= ends
 
 
 def test_the_fleet_drives_the_command_through_a_pipe(tmp_path: Path) -> None:
     world = World.create(np.array([[0, 0, 0.3, 0], [0, np.nan, 0, 0]]), [[0, 0], [1, 0]])
     world.save(tmp_path / "map.npz")
     end = example("fleet").drive(str(tmp_path / "map.npz"), 2, 0.1, 5, "--state", str(tmp_path / "now.json"))
-    assert end["outcome"] in ("complete", "stopped") and (tmp_path / "now.json").exists()
+    assert end["outcome"] in ("complete", "all_robots_lost") and (tmp_path / "now.json").exists()
 
 
 def said_to(file: Path | None, *, steps: bool, killed: int = 0) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -347,6 +362,68 @@ def test_the_ros_node_reports_cells_and_sends_goals(monkeypatch: pytest.MonkeyPa
         node.mission.kill()
         node.listener.join()
     assert len(cells) == 8 and len(missed) == 2 and missed[0] == missed[1] and not node.lost
+
+
+def end_of(dialogue: Dialogue, ending: str, step: int = 2) -> dict[str, Any]:
+    """The last line of a mission on ROW whose robot is lost, or ended by its operator, in `step`, if at all."""
+    (said,) = dialogue.begin()
+    while said["type"] != "end":
+        if ending == "ended_by_operator" and said["step"] == step:
+            (said,) = say(dialogue, type="call_off")
+            continue
+        lost = ending == "all_robots_lost" and said["step"] == step
+        (said,) = say(dialogue, type="report", robot=0, cell=said["orders"][0]["cell"], stopped=lost)
+    return said
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_the_last_line_says_why_a_mission_ended(tmp_path: Path, ending: str) -> None:
+    """No mission that its operator did not end says so; files of 0.3, which knew fewer words, are read."""
+    file, (settings, before) = tmp_path / "now.json", ENDINGS[ending]
+    plan = mrac.plan(ROW, starts=[[0, 0]], **settings)
+    said = end_of(Dialogue(DrivenMission(ROW, plan), file, dict), ending)
+    assert said["outcome"] == ending
+    kept = json.loads(file.read_text())
+    assert kept["ended"]["outcome"] == ending
+    kept["ended"]["outcome"] = before
+    file.write_text(json.dumps(kept))
+    again = ended(file, ROW, plan)
+    assert again is not None and {"type": "end", **again} == said
+
+
+def test_a_state_file_with_an_unknown_outcome_is_refused(tmp_path: Path) -> None:
+    file, plan = tmp_path / "now.json", mrac.plan(ROW, starts=[[0, 0]])
+    end_of(Dialogue(DrivenMission(ROW, plan), file, dict), "complete")
+    for wrong in ("abandoned", 3):
+        file.write_text(json.dumps(json.loads(file.read_text()) | {"ended": {"outcome": wrong}}))
+        with pytest.raises(StateError, match=rf"`ended.outcome` is {wrong!r}.*all_robots_lost"):
+            ended(file, ROW, plan)
+
+
+@pytest.mark.parametrize(("worth", "ending"), [(None, "ended_by_operator"), (1000.0, "not_worth_the_risk")])
+def test_who_ended_a_mission_on_its_way_home_is_kept(tmp_path: Path, worth: float | None, ending: str) -> None:
+    """What ended it first stays the reason, across a file too, and in the rollouts of the rest."""
+    file, policy = tmp_path / "now.json", {"policy": "per_cell", "worth": worth} if worth else {}
+    plan = mrac.plan(ROW, starts=[[0, 0]], return_to="home", **policy)
+    mission, operator = DrivenMission(ROW, plan), worth is None
+    while mission._fleet.over is None:
+        obey(mission)
+        if operator and mission.step == 3:
+            mission.call_off()
+    assert mission.outcome is None
+    mission.call_off()
+    mission.save(file)
+    kept = json.loads(file.read_text())
+    assert kept["over"] == ending
+    for word in (ending, "called_off"):
+        file.write_text(json.dumps(kept | {"over": word}))
+        again = DrivenMission.resume(file, ROW, plan)
+        assert again.rest().outcome == ending
+        (rolled,) = again._roll_out([{}], 8, None, 0)
+        assert set(rolled.outcome.tolist()) == {Outcome[ending.upper()]}
+        while again.outcome is None:
+            obey(again)
+        assert again.outcome.word == ending
 
 
 def test_a_mission_that_has_ended_says_so_again(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

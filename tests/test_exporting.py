@@ -287,7 +287,7 @@ def test_missions_take_off_hold_and_drive(tmp_path: Path) -> None:
     """What QGroundControl asks for; hold times are waits."""
     world = a_world()
     path = np.array([0, 1, 1, 1, 2])
-    plan = Plan(world.shape, world.sha256, None, (RobotPlan(path),), outcome="paths")
+    plan = Plan(world.shape, world.sha256, None, (RobotPlan(path),), outcome="end_of_paths")
     for altitude, commands, vehicle in ((30.0, [178, 22, 16, 16], 2), (0.0, [178, 16, 16, 16], 10)):
         (file,) = mrac.export(world, plan, tmp_path / "a.plan", altitude=altitude, speed=2.0)
         content = json.loads(file.read_text())

@@ -217,7 +217,7 @@ def hard_worlds() -> dict[str, Evaluation]:
     worlds = {"one": one, "row": row, "tall": tall, "split": split, "foreign": row}
     plans = {name: make_plan(world, [[0, 0]]) for name, world in worlds.items()}
     paths = tuple(RobotPlan(robot.path[:9]) for robot in plans["row"].robots)
-    plans["foreign"] = Plan(row.shape, row.sha256, None, paths, outcome="paths", time=8)
+    plans["foreign"] = Plan(row.shape, row.sha256, None, paths, outcome="end_of_paths", time=8)
     choices = {"row": {"deadline": 20}, "tall": {"loop": "open"}, "foreign": {"loop": "open"}}
     return {
         name: evaluate(worlds[name], plans[name], RolloutChoices(rollouts=20, **choices.get(name, {})))  # type: ignore[arg-type]

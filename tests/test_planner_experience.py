@@ -88,7 +88,7 @@ class Both:
         while (outcome := team.outcome(self.problem.max_steps)) is None:
             play_step(team, hit)
         paths = [moves(cells_of(self.world, robot.path)) for robot in team.robots]
-        return paths, set(cells_of(self.world, np.flatnonzero(team.visited))), outcome.name.lower(), team
+        return paths, set(cells_of(self.world, np.flatnonzero(team.visited))), outcome.word, team
 
     def theirs(self, hit, alarm=wants):
         width, areas = self.world.shape[1], self.plan.areas

@@ -219,7 +219,7 @@ def test_a_charged_robot_goes_out_again_by_hand() -> None:
     assert answer.figures.home is not None and answer.figures.home.mean == pytest.approx(passes[14], rel=1e-6)
     assert answer.visited.cells == pytest.approx(1 + passes[:4].sum() + passes[7:11].sum(), rel=1e-6)
     without = make_plan(world, [[0, 4]], Settings(return_to="home", range=9))
-    assert (without.outcome, len(np.unique(without.robots[0].path))) == ("stuck", 5)
+    assert (without.outcome, len(np.unique(without.robots[0].path))) == ("no_progress", 5)
 
 
 @pytest.mark.parametrize("number", [0, 1, 3, 4, 7])
@@ -331,7 +331,7 @@ def driven(mission: Mission, steps: int) -> list[str]:
     return said
 
 
-def test_a_driven_mission_is_called_off_and_a_new_battery_sends_out_again() -> None:
+def test_an_operator_ends_a_driven_mission_and_a_new_battery_sends_out_again() -> None:
     world = corridor(12, 0.01)
     mission = Mission(world, make_plan(world, [[0, 0]], Settings(return_to="home", range=8)))
     assert "return" not in driven(mission, 5) and set(driven(mission, 4)) == {"return"}
@@ -342,7 +342,7 @@ def test_a_driven_mission_is_called_off_and_a_new_battery_sends_out_again() -> N
     assert set(driven(mission, 3)) == {"return"}
     while mission.outcome is None:
         driven(mission, 1)
-    assert mission.outcome == Outcome.NOT_WORTH_THE_RISK and mission._fleet.robots[0].cell == 0
+    assert mission.outcome == Outcome.ENDED_BY_OPERATOR and mission._fleet.robots[0].cell == 0
 
 
 def test_who_is_cut_off_from_home_goes_on_and_stays_where_it_ends(tmp_path: Any) -> None:

@@ -87,7 +87,7 @@ class Both:
             self.problem, self.plan.areas, truth=0,
             hit=lambda robot, step, cell: decided[robot, step, divmod(cell, width)],
         )  # fmt: skip
-        assert (run.outcome.name.lower(), run.time) == (outcome, twin.step)
+        assert (run.outcome.word, run.time) == (outcome, twin.step)
         assert [tuple(cell) for cell in np.argwhere(run.visited.reshape(self.world.shape)).tolist()] == sorted(
             twin.visited
         )

@@ -19,8 +19,8 @@ from planner.worlds.learning import Obstacles, with_prior
 from planner.worlds.starts import place_starts
 
 ASKED: dict[str, dict[str, Any]] = {
-    "complete": {}, "timeout": {"max_steps": 9}, "stuck": {"range": 7},
-    "called_off": {"policy": "per_cell", "worth": 9.0, "reserve": 0.25},
+    "complete": {}, "step_limit": {"max_steps": 9}, "no_progress": {"range": 7},
+    "not_worth_the_risk": {"policy": "per_cell", "worth": 9.0, "reserve": 0.25},
 }  # fmt: skip
 """By an outcome that some of the runs have."""
 

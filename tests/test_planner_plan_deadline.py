@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +15,18 @@ from validate import validate
 from analysis.cli.app import run
 from analysis.comparison.compare import compare, make_side
 from analysis.evaluation.evaluate import evaluate
+from analysis.recording.mcap.reading import open_log
+from analysis.recording.rollouts import read_rollouts
 from analysis.sampling import RolloutChoices
+from analysis.sweeps.results import select
+from analysis.sweeps.rows import outcomes_of
+from analysis.sweeps.store.store import Store
 from planner.errors import PlanError, UsageError
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plans.plan import Plan
 from planner.plans.plan_file import load_plan
 from planner.settings import Settings
+from planner.tally import Outcome
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file
 
@@ -37,7 +45,7 @@ def planned(world: World, deadline: int | None = None, robots: int = 4) -> Plan:
 
 def test_the_paths_are_those_of_the_whole_plan_up_to_the_deadline(world: World) -> None:
     whole, ended = planned(world), planned(world, ENDS)
-    assert whole.makespan > ENDS and ended.time == ENDS and ended.outcome == "timeout"
+    assert whole.makespan > ENDS and ended.time == ENDS and ended.outcome == "deadline"
     for long, short in zip(whole.robots, ended.robots, strict=True):
         np.testing.assert_array_equal(long.path[: ENDS + 1], short.path)
     assert not validate(ended, world)
@@ -65,6 +73,10 @@ def test_rollouts_of_it_are_those_of_the_whole_plan_cut_off_there(world: World, 
     found = whole.outputs["deadline"]
     np.testing.assert_array_equal(ended.tally.visited, found.tally.visited)  # type: ignore[attr-defined]
     np.testing.assert_array_equal(ended.tally.alive, found.tally.alive)  # type: ignore[attr-defined]
+    cut = int(ended.tally.outcomes[Outcome.STEP_LIMIT])
+    said = ended.to_json()["outcomes"]
+    assert (said["deadline"], said["step_limit"]) == (cut, 0) and (cut > 0) == (loop == "closed")
+    assert list(ended.singles()["outcome"]).count("deadline") == cut
     assert any(f"step {ENDS}" in note for note in ended.notes)
     assert not any("raise --max-steps" in note for note in ended.notes)
 
@@ -93,7 +105,15 @@ def test_plan_record_and_export_take_it_and_their_paths_end_there(
     assert run(["plan", WORLD, "--robots", "3", "--deadline", str(ENDS), "--out", str(made)]) == 0
     assert f"The mission ends at step {ENDS}" in capsys.readouterr().out
     assert run(["record", WORLD, "--plan", str(made), "--ids", "3", "--out", str(log), "--json"]) == 0
-    assert all(row["time"] <= ENDS for row in json.loads(capsys.readouterr().out)["rollouts"])
+    (row,) = json.loads(capsys.readouterr().out)["rollouts"]
+    assert (row["time"], row["outcome"]) == (ENDS, "deadline")
+    assert run(["inspect", str(log), "--json"]) == 0
+    (told,) = json.loads(capsys.readouterr().out)["rollouts"]
+    assert told["outcome"] == "deadline" and f"rollout 3 ends: deadline at step {ENDS}" in told["text"]
+    assert json.loads(open_log(log).attachment("tally.json"))["outcomes"]["deadline"] == 1
+    assert next(read_rollouts(log)).trace.outcome is Outcome.STEP_LIMIT
+    assert run(["replay", str(log)]) == 0
+    capsys.readouterr()
     assert run(["export", WORLD, "--plan", str(made), "--out", str(out)]) == 0
     longest = max(len(robot["path"]) for robot in json.loads(made.read_text())["robots"])
     assert longest <= ENDS + 1
@@ -107,4 +127,17 @@ def test_a_sweep_keeps_to_the_deadline_of_its_plan(tmp_path: Path, capsys: pytes
     capsys.readouterr()
     assert run(["sweep", str(spec), "--store", str(tmp_path / "s.db"), "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)["settings"]
-    assert row["time"]["mean"] <= ENDS and row["timeouts"] > 0
+    assert row["time"]["mean"] <= ENDS and row["outcomes"]["deadline"] > 0 == row["outcomes"]["step_limit"]
+    with Store.open(tmp_path / "s.db", write=False) as store:
+        (stored,) = select(store, {})
+        counts = stored.sums["outcomes"]  # the codes of 0.3
+        assert counts[Outcome.STEP_LIMIT] == row["outcomes"]["deadline"] and counts[Outcome.DEADLINE] == 0
+        assert outcomes_of(replace(stored, sums={"outcomes": counts[:6]})) == row["outcomes"]
+        before = replace(stored, facts={**stored.facts}, sums={"outcomes": counts[:5]})
+        del before.facts["deadline"]  # a store of 0.3 knows it only as a label
+        assert outcomes_of(before)["step_limit"] == row["outcomes"]["deadline"]
+        assert outcomes_of(replace(before, what=before.what | {"deadline": ENDS})) == row["outcomes"]
+    assert run(["results", str(tmp_path / "s.db"), "--csv", str(tmp_path / "r.csv")]) == 0
+    (line,) = csv.DictReader((tmp_path / "r.csv").read_text().splitlines())
+    assert {outcome.word: int(line[outcome.word]) for outcome in Outcome} == row["outcomes"]
+    assert not {"stopped", "stuck", "timeout", "path_end", "called_off"} & line.keys()

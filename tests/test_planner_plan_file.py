@@ -112,7 +112,25 @@ def test_without_nominal_the_end_of_the_run_is_worked_out(tmp_path: Path) -> Non
     assert plans_equal(load_plan(written(tmp_path, data), WORLD), own_plan())
     data["robots"][0]["path"].pop()
     data["robots"][0]["legs"].pop()
-    assert load_plan(written(tmp_path, data), WORLD).outcome == "timeout"
+    assert load_plan(written(tmp_path, data), WORLD).outcome == "step_limit"
+
+
+@pytest.mark.parametrize(
+    ("before", "now"),
+    [
+        ("complete", "complete"),
+        ("stuck", "no_progress"),
+        ("timeout", "step_limit"),
+        ("called_off", "not_worth_the_risk"),
+    ],
+)
+def test_outcomes_of_0_3_are_read_and_written_by_their_names_of_today(tmp_path: Path, before: str, now: str) -> None:
+    data = own_plan().to_json()
+    data["nominal"]["outcome"] = before
+    plan = load_plan(written(tmp_path, data), WORLD)
+    assert plan.outcome == plan.to_json()["nominal"]["outcome"] == now
+    data["settings"]["deadline"] = 9
+    assert load_plan(written(tmp_path, data), WORLD).outcome == ("deadline" if before == "timeout" else now)
 
 
 def test_settings_left_out_take_their_defaults(tmp_path: Path) -> None:
@@ -124,7 +142,7 @@ def test_another_planners_paths_are_taken_with_a_note_on_cells_left_out(tmp_path
     data = {"format": "coverage-plan/1", "map": "x", "paths": [[[0, 0], [0, 1], [0, 1], [1, 1]], [[1, 3], [1, 3]]]}
     plan = load_plan(written(tmp_path, data), WORLD)
     assert plan.is_foreign
-    assert (plan.outcome, plan.time, plan.shares, plan.areas, plan.areas_added) == ("paths", 3, 0, (), ())
+    assert (plan.outcome, plan.time, plan.shares, plan.areas, plan.areas_added) == ("end_of_paths", 3, 0, (), ())
     assert [robot.path.tolist() for robot in plan.robots] == [[0, 1, 1, 5], [7, 7]]
     assert all(robot.path.dtype == np.int64 and robot.legs == () for robot in plan.robots)
     assert plan.notes == ("accessible cells on no path: 3 (the first: [0, 2])",)
@@ -358,6 +376,7 @@ FAULTS: list[tuple[Callable[[dict[str, Any]], None], list[str]]] = [
     (change(*ADDED, "cells", to=[9]), ["`areas_added[0].cells` holds 9"]),
     (change("nominal", to=3), ["`nominal` is 3"]),
     (change("nominal", "outcome", to="stopped"), ["`nominal.outcome` is 'stopped'", "complete"]),
+    (change("nominal", "outcome", to="all_robots_lost"), ["`nominal.outcome` is 'all_robots_lost'", "no_progress"]),
     (change("nominal", "time", to=2), ["`nominal.time` is 2", "the last move or a later one, 3 to"]),
     (change("nominal", "time", to=10**30), ["time"]),
     (change("nominal", "shares", to=-1), ["`nominal.shares` is -1"]),

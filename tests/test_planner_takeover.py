@@ -26,7 +26,7 @@ SEED = 20261122
 def paths_plan(world: World, *paths: list[int]) -> Plan:
     """Another planner's plan: these cells."""
     robots = tuple(RobotPlan(np.array(path, dtype=np.int64)) for path in paths)
-    return Plan(world.shape, world.sha256, None, robots, outcome="paths")
+    return Plan(world.shape, world.sha256, None, robots, outcome="end_of_paths")
 
 
 def wanderings(world: World, robots: int, steps: int, rng: np.random.Generator) -> Plan:
@@ -145,7 +145,7 @@ def test_sampled_values_are_those_of_enumeration() -> None:
 def test_the_plan_need_not_name_its_map_but_must_not_name_another() -> None:
     world, other = map_of(1), map_of(2)
     plan = wanderings(world, 2, 9, np.random.default_rng(1))
-    assert ready_loop(Plan(plan.shape, "", None, plan.robots, outcome="paths"), world)[1]
+    assert ready_loop(Plan(plan.shape, "", None, plan.robots, outcome="end_of_paths"), world)[1]
     with pytest.raises(PlanError, match="another map"):
         compile_closed_loop(plan, other)
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from pathlib import Path
 from random import Random
 
 import numpy as np
@@ -13,7 +16,17 @@ from hypothesis import strategies as st
 
 from analysis.recording.contents import read_tally, tally_bytes
 from analysis.sweeps.store.packed import pack, unpack
-from planner.tally import ByRobots, Outcome, RolloutResults, Tally, TallyError, no_counts, tally_key
+from planner.tally import (
+    ByRobots,
+    Outcome,
+    RolloutResults,
+    Tally,
+    TallyError,
+    counts_by_word,
+    counts_of_words,
+    no_counts,
+    tally_key,
+)
 
 EMPTY = Tally.empty("plan/open/fast/0", (2, 3), robots=2, accessible=5, last_step=4)
 
@@ -70,6 +83,33 @@ def test_adding_changes_neither_part() -> None:
 
 def test_every_outcome_has_its_place() -> None:
     assert [outcome.value for outcome in Outcome] == list(range(len(EMPTY.outcomes)))
+
+
+def test_the_table_of_outcomes_is_that_of_the_docs() -> None:
+    text = (Path(__file__).parent.parent / "docs" / "mission.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| (\d+) \|", text, re.MULTILINE)
+    assert rows == [(outcome.word, outcome.clause, str(int(outcome))) for outcome in Outcome]
+
+
+def test_counts_have_the_code_of_the_step_limit_for_a_deadline() -> None:
+    cut = counts_by_word([1, 0, 0, 5, 0, 2], deadline=True)
+    assert cut == dict.fromkeys(cut, 0) | {"complete": 1, "deadline": 5, "not_worth_the_risk": 2}
+    limit = counts_by_word([1, 0, 0, 5], deadline=False)
+    assert limit == dict.fromkeys((outcome.word for outcome in Outcome), 0) | {"complete": 1, "step_limit": 5}
+    assert counts_of_words(cut) == [1, 0, 0, 5, 0, 2, 0, 0]
+    with pytest.raises(KeyError):
+        counts_of_words({"abandoned": 1})
+
+
+def test_a_tally_in_a_recording_of_0_3_is_read() -> None:
+    tally = replace(EMPTY, ids=((0, 21),), outcomes=np.array([6, 5, 4, 3, 2, 1, 0, 0]))
+    for deadline in (False, True):
+        text, cells = tally_bytes(tally, deadline)
+        said = json.loads(text)
+        assert said["outcomes"]["deadline" if deadline else "step_limit"] == 3
+        assert read_tally(text, cells, "here") == tally
+    said["outcomes"] = {"complete": 6, "stopped": 5, "stuck": 4, "timeout": 3, "path_end": 2, "called_off": 1}
+    assert read_tally(json.dumps(said).encode(), cells, "here") == tally
 
 
 def test_results_join_only_in_sequence() -> None:

@@ -17,6 +17,7 @@ from planner.kernels.tree import WHOLE, grow_tree
 from planner.luck_names import LUCKS
 from planner.mrac.make_plan import make_plan
 from planner.settings import Settings
+from planner.tally import Outcome
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -71,9 +72,9 @@ def test_trees_are_what_the_readable_simulator_enumerates(
         assert high == low
         assert low == 0 or oracle.visited_chance[:low].sum() < share + 1e-6
     assert tree.chance_complete() == pytest.approx([oracle.complete] * 2, abs=tree.left + 1e-6)
-    for outcome in ("complete", "stopped", "stuck"):
-        sure = float(counts.outcomes[["complete", "stopped", "stuck"].index(outcome)]) / WHOLE
-        assert sure == pytest.approx(getattr(oracle, outcome), abs=tree.left + 1e-6)
+    for outcome in (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.NO_PROGRESS):
+        sure = float(counts.outcomes[outcome]) / WHOLE
+        assert sure == pytest.approx(getattr(oracle, outcome.word), abs=tree.left + 1e-6)
 
 
 def test_a_tree_is_what_rollouts_come_to_cell_by_cell() -> None:

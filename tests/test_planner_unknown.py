@@ -78,7 +78,7 @@ def both(believed, truth, starts, sense, stops):
     ended = twin.run()
     ours = [moves(cells_of(world, path)) for path in run.paths], set(cells_of(world, np.flatnonzero(run.visited)))
     theirs = [moves(walker.path) for walker in twin.team], twin.visited
-    return (*ours, run.outcome.name.lower()), (*theirs, ended)
+    return (*ours, run.outcome.word), (*theirs, ended)
 
 
 @pytest.mark.parametrize("number", range(len(MAPS)))

@@ -127,14 +127,14 @@ FAULTS: list[tuple[str, Callable[[Plan], Plan], int | None, int | None, tuple[in
     ("jump", with_path(0, 0, 1, 6, 13, 14), 0, 2, (1, 0)),
     ("jump", with_path(1, 7, 6, 5), 1, 2, (0, 5)),  # next in index, on the other side of the map
     ("theorem-1", with_path(0, 0, 1, 7, 13), None, None, (2, 2)),
-    ("theorem-1", both(with_path(0, 0, 1, 7, 13), with_fields(outcome="stuck")), None, None, (2, 2)),
-    ("outcome", with_fields(outcome="stopped"), None, None, None),
-    ("outcome", with_fields(outcome="paths"), None, None, None),
+    ("theorem-1", both(with_path(0, 0, 1, 7, 13), with_fields(outcome="no_progress")), None, None, (2, 2)),
+    ("outcome", with_fields(outcome="all_robots_lost"), None, None, None),
+    ("outcome", with_fields(outcome="end_of_paths"), None, None, None),
     ("outcome", with_fields(settings=None), None, None, None),
-    ("called-off", with_fields(outcome="called_off"), None, 4, None),
+    ("called-off", with_fields(outcome="not_worth_the_risk"), None, 4, None),
     ("time", with_fields(time=9), None, 9, None),
     ("time", with_fields(time=3), 0, 4, (2, 2)),
-    ("time", with_fields(outcome="timeout"), None, 4, None),
+    ("time", with_fields(outcome="step_limit"), None, 4, None),
     ("area-empty", with_area(0, cells=cells()), None, None, None),
     ("area-off-map", with_area(1, cells=cells(0, 1, 18)), None, None, (3, 0)),
     ("area-sorted", with_area(1, cells=cells(0, 7, 1)), None, None, (0, 1)),
@@ -258,13 +258,13 @@ def test_a_run_that_timed_out_may_leave_cells() -> None:
         RobotPlan(cells(7, 6), (Leg("cover", 2, 0, 1, 2),)),
         RobotPlan(cells(13)),
     )
-    plan = replace(good_plan(), robots=robots, areas_added=(), outcome="timeout", time=1, shares=0)
+    plan = replace(good_plan(), robots=robots, areas_added=(), outcome="step_limit", time=1, shares=0)
     assert validate(replace(plan, settings=Settings(max_steps=1)), WORLD) == []
     assert [item.rule for item in validate(replace(plan, settings=Settings(max_steps=7)), WORLD)] == ["time"]
 
 
 def test_another_planners_plan_answers_for_its_paths_alone() -> None:
-    plan = Plan(WORLD.shape, WORLD.sha256, None, (RobotPlan(cells(0, 0, 6)),), outcome="paths", time=2)
+    plan = Plan(WORLD.shape, WORLD.sha256, None, (RobotPlan(cells(0, 0, 6)),), outcome="end_of_paths", time=2)
     assert validate(plan, WORLD) == []
     assert [item.rule for item in validate(replace(plan, time=3), WORLD)] == ["time"]
     jump = replace(plan, robots=(RobotPlan(cells(0, 1, 6)),))
@@ -293,7 +293,7 @@ def test_the_fixtures_nominal_runs_are_sound(path: Path) -> None:
     data = json.loads(path.read_text())
     world = load_world_file(path.parent / data["world"])
     robots = tuple(RobotPlan(cells(*route)) for route in data["nominal"]["paths"])
-    paths = Plan(world.shape, world.sha256, None, robots, outcome="paths")
+    paths = Plan(world.shape, world.sha256, None, robots, outcome="end_of_paths")
     assert validate(replace(paths, time=paths.makespan), world) == []
     allocation = tuple(Area(a["level"], a["robot"], cells(*a["cells"])) for a in data["allocation"])
     found = validate(make_plan(world, data["starts"], Settings(), allocation), world)

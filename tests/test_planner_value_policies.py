@@ -49,11 +49,11 @@ def test_worth_refuses_by_value() -> None:
     for worth, share, refused in cases:  # U = 2000 times the share
         world = World.create(row, value=[[7, 1, 7 * share, 7 * share]])
         plan = make_plan(world, [[0, 0]], Settings(policy="per_cell", worth=worth))
-        assert (plan.outcome == "called_off") is refused, (worth, share)
+        assert (plan.outcome == "not_worth_the_risk") is refused, (worth, share)
     row = [[0.1, 0.1, 0, 0, 0.1, 0.1]]
     cheap = World.create(row, value=[[1, 1, 1, 1, 0, 0]])
     plan = make_plan(cheap, [[0, 2]], Settings(policy="per_cell", worth=2.0))
-    assert plan.outcome == "called_off"
+    assert plan.outcome == "not_worth_the_risk"
     assert set(plan.robots[0].path.tolist()) == {0, 1, 2, 3}  # nothing is risked for cells worth nothing
     assert make_plan(World.create(row), [[0, 2]], Settings(policy="per_cell", worth=2.0)).outcome == "complete"
 

@@ -73,7 +73,7 @@ def test_record_replay_inspect(tmp_path: Path, capsys: pytest.CaptureFixture[str
     out = recorded(tmp_path, *FEW, "--pick", "worst,best", "--outcomes", source=TINY)
     said = capsys.readouterr()
     assert "picked as" in said.out
-    assert "worst" in said.out and "all lost" in said.out and "stopped" not in said.out
+    assert "worst" in said.out and "all robots lost" in said.out and "stopped" not in said.out
     assert [line for line in said.err.splitlines() if line.startswith("wrote ")] == [
         f"wrote {out}",
         f"wrote {tmp_path / 'run.layout.json'}",

@@ -158,7 +158,7 @@ def test_a_small_turned_world_by_hand() -> None:
     """2 x 3 cells of 2 m, the lower-left corner at (10, 20), turned by 90 degrees: up is -x, right is +y."""
     threat = np.array([[0.0, 0.1, np.nan], [0.2, 0.0, 0.3]])
     world = World.create(threat, starts=[[0, 0]], cell_size=2.0, origin=(10.0, 20.0, np.pi / 2))
-    plan = Plan(world.shape, world.sha256, None, (RobotPlan(np.array([0, 1, 4, 5])),), outcome="paths", time=3)
+    plan = Plan(world.shape, world.sha256, None, (RobotPlan(np.array([0, 1, 4, 5])),), outcome="end_of_paths", time=3)
     trace = next(
         t for t in (open_loop_trace(plan, world, 0, r) for r in range(50)) if t.outcome == Outcome.END_OF_PATHS
     )

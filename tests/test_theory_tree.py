@@ -109,7 +109,7 @@ def test_forking_is_running_every_pattern_from_the_start(given_world, max_steps,
     found = closed_loop_exact(plan, world, first_only=first_only)
     assert found.ends <= played
     for outcome in (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.NO_PROGRESS, Outcome.STEP_LIMIT):
-        assert getattr(found, outcome.name.lower()) == pytest.approx(outcomes[outcome], abs=1e-12)
+        assert getattr(found, outcome.word) == pytest.approx(outcomes[outcome], abs=1e-12)
     chances = (found.visited_chance, found.survived_chance, found.time_chance, found.alive_chance)
     for chance, column in zip(chances, columns, strict=True):
         np.testing.assert_allclose(chance, column[: len(chance)], rtol=0, atol=1e-12)

@@ -26,7 +26,9 @@ from planner.worlds.world import World
 
 __all__ = ["Violation", "validate"]
 
-OUTCOMES = ("complete", "stuck", "timeout", "called_off", "paths")
+OUTCOMES = (
+    "complete", "no_progress", "step_limit", "deadline", "not_worth_the_risk", "ended_by_operator", "end_of_paths",
+)  # fmt: skip
 
 
 def validate(plan: Plan, world: World) -> list[Violation]:
@@ -94,21 +96,21 @@ def _path_rules(facts: Facts, robot: int) -> Iterator[Violation]:
 def _end_rules(facts: Facts) -> Iterator[Violation]:
     """outcome, called-off, theorem-1, time: how the run ends follows from who visited what when."""
     plan, firsts = facts.plan, facts.first[facts.accessible]
-    if plan.outcome not in OUTCOMES or plan.is_foreign != (plan.outcome == "paths"):
+    if plan.outcome not in OUTCOMES or plan.is_foreign != (plan.outcome == "end_of_paths"):
         yield facts.broken("outcome")
         return
     able = [int(facts.region[r.path[0]]) for i, r in enumerate(plan.robots) if i not in facts.ended]
     missed = np.flatnonzero(facts.accessible & (facts.first == NEVER))
     reachable = missed[np.isin(facts.region[missed], able)]
-    if plan.outcome == "called_off" and (plan.settings is None or plan.settings.worth is None):
+    if plan.outcome == "not_worth_the_risk" and (plan.settings is None or plan.settings.worth is None):
         yield facts.broken("called-off", step=plan.time)
     left_out = missed if plan.outcome == "complete" else reachable
-    if len(left_out) and plan.outcome in ("complete", "stuck"):
+    if len(left_out) and plan.outcome in ("complete", "no_progress"):
         yield facts.broken("theorem-1", cell=left_out[0])
-    end = {"complete": int(firsts.max(initial=0)), "paths": facts.last}.get(plan.outcome)
-    if plan.outcome == "timeout" and plan.settings is not None:
+    end = {"complete": int(firsts.max(initial=0)), "end_of_paths": facts.last}.get(plan.outcome)
+    if plan.outcome in ("step_limit", "deadline") and plan.settings is not None:
         end = plan.settings.last_step
-    finished = plan.outcome in ("stuck", "timeout", "called_off") and not len(missed)
+    finished = plan.outcome in OUTCOMES[1:5] and not len(missed)
     unfinished = plan.outcome == "complete" and len(missed)
     if finished or (end is not None and plan.time != end and not unfinished):
         yield facts.broken("time", step=plan.time)

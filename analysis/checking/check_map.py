@@ -142,15 +142,15 @@ def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None) -> tu
     elif len(robots) < len(plan.robots):
         without = len(plan.robots) - len(robots)
         out.append(f"eq. (5) is undefined for {without} of {len(plan.robots)} robots: a dangerous start, or no area")
-    called_off = plan.settings is not None and plan.settings.worth is not None
-    if called_off or ranged:
-        why = "robots may be called off (worth)" if called_off else "robots have a range"
+    with_worth = plan.settings is not None and plan.settings.worth is not None
+    if with_worth or ranged:
+        why = "the rest may not be worth the risk (worth)" if with_worth else "robots have a range"
         out.append(f"Theorems 1, 2 and 4 are left out: they are not about runs in which {why}")
     elif "theorem4_most" not in made and not plan.comes_home:
         out.append("Theorem 4 is left out: one robot alone cannot cover these cells, or the run was cut off")
     if closed is None:
         out.append("the closed loop is left out: nothing was rolled out")
-    elif closed.as_stated is None and not (called_off or ranged):
+    elif closed.as_stated is None and not (with_worth or ranged):
         out.append("Theorem 2 is left out: max_steps may cut runs off")
     return tuple(out)
 

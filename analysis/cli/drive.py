@@ -79,7 +79,7 @@ def drive(
     say(notes)
     how: dict[str, Any] = {"patience": patience or PATIENCE, "gain": 1.0 if gain is None else gain}
     if state is not None and state.exists():
-        over = ended(state, world)
+        over = ended(state, world, made)
         if over is not None:
             _tell([{"type": "end", **over}], world.pace)
             return DONE

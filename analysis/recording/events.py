@@ -38,8 +38,8 @@ _EVENTS = {
     EventKind.SURPRISED: (Log.INFO, "{cells} are not as believed", "robots see that {cells} are not as they believed"),
 }  # fmt: skip
 """Of each kind foxglove.Log's level, what happened in short (on a picture there is little room), and in full."""
-END_LEVELS = {Outcome.COMPLETE: Log.INFO, Outcome.END_OF_PATHS: Log.INFO, Outcome.NOT_WORTH_THE_RISK: Log.INFO}
-"""Of the line that tells how a rollout ended; others are errors."""
+ENDS_WITH_ERROR = (Outcome.ALL_ROBOTS_LOST, Outcome.NO_PROGRESS, Outcome.STEP_LIMIT)
+"""Outcomes whose line in a recording has the level of an error."""
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ no correlation exceeds; those of different seeds are independent and add in squa
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.statistics.estimate import Estimate
 from analysis.sweeps.cases import Label
-from analysis.sweeps.rows import KEPT, figures_of, single_map, timeouts_of
+from analysis.sweeps.rows import KEPT, figures_of, outcomes_of, single_map
 from analysis.sweeps.spec_settings import WORLD, is_path
 from analysis.sweeps.store.store import Run
 from analysis.sweeps.summary import Moments
@@ -32,14 +33,14 @@ class Part:
 
     Attributes:
         key: the run's. setting: its values of what is pooled. seed: of its rollouts.
-        rollouts, timeouts: how many. means, errors: of `figures_of`.
+        rollouts: how many. outcomes: of them, by word. means, errors: of `figures_of`.
     """
 
     key: str
     setting: Setting
     seed: Label
     rollouts: int
-    timeouts: int
+    outcomes: Counter[str]
     means: NDArray[np.float64]
     errors: NDArray[np.float64]
 
@@ -47,7 +48,7 @@ class Part:
 def part_of(run: Run, pooled: Sequence[str]) -> Part:
     """The part that a run is of its row; `pooled`: names of labels that vary within rows."""
     setting = tuple(run.what.get(name) for name in pooled if name != "input" or "map" in run.what)
-    return Part(run.key, setting, run.what.get("rollout_seed"), run.rollouts, timeouts_of(run), *figures_of(run))
+    return Part(run.key, setting, run.what.get("rollout_seed"), run.rollouts, outcomes_of(run), *figures_of(run))
 
 
 def map_of(run: Run) -> tuple[str, Label]:

@@ -22,6 +22,7 @@ from analysis.sweeps.sweep import Sweep
 from planner.arguments import argument
 from planner.files import Json
 from planner.shown import counted, duration
+from planner.tally import Outcome
 
 NAMES = {
     "visited": "cells visited, of the accessible ones",
@@ -110,9 +111,10 @@ def notes_of(sweep: Sweep) -> list[str]:
         notes.append(f"where the interval is widest, {noise}: {what} narrow it")
     if not sweep.reached and not sweep.partial:
         notes.append(f"{argument('precision')} was not reached with all maps and rollouts that there are")
-    cut = sum(row.timeouts for row in sweep.rows)
-    if cut:
-        notes.append(f"{cut:,} rollouts ended at max_steps or a deadline (timeout), not of themselves")
+    for outcome in (Outcome.STEP_LIMIT, Outcome.DEADLINE):
+        cut = sum(row.outcomes[outcome.word] for row in sweep.rows)
+        if cut:
+            notes.append(f"{counted(cut, 'rollout')} ended by {outcome.word}: the mission {outcome.clause}")
     return notes
 
 
@@ -216,7 +218,7 @@ def row_json(row: Row) -> Json:
         "setting": row.labels,
         "maps": row.maps,
         "rollouts": row.rollouts,
-        "timeouts": row.timeouts,
+        "outcomes": dict(row.outcomes),
         **{name: row.estimate(name) for name in FIGURES},
         "open_loop_exact": {name: row.known(f"exact {name}") for name in EXACT},
         "ideal_team": row.known("ideal"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -153,8 +154,10 @@ def _row(labels: dict[str, Label], maps: Sequence[Sequence[Part]], store: Store)
     if len(maps) == 1:
         found = [(part.setting, store.run(part.key), store.tally(part.key)) for part in parts]
         single = single_over([(s, run, tally) for s, run, tally in found if run is not None and tally is not None])
-    rollouts, timeouts = sum(part.rollouts for part in parts), sum(part.timeouts for part in parts)
-    return Row(labels, rollouts, timeouts, moments_over(maps), single=single)
+    rollouts, outcomes = sum(part.rollouts for part in parts), Counter[str]()
+    for part in parts:
+        outcomes.update(part.outcomes)
+    return Row(labels, rollouts, outcomes, moments_over(maps), single=single)
 
 
 def _order(value: Label) -> tuple[int, float, str]:

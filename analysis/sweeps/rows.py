@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from math import isfinite, nan
 
@@ -16,7 +17,7 @@ from analysis.sweeps.cases import Label
 from analysis.sweeps.store.store import Run
 from analysis.sweeps.summary import Moments
 from planner.limits import MAX_STEP
-from planner.tally import Outcome, Tally
+from planner.tally import Outcome, Tally, counts_by_word
 
 FRACTIONS = ("visited", "survived", "visited_of_free", "survived_of_free")
 FIGURES = (*FRACTIONS, "complete", "time", "alive")
@@ -35,14 +36,14 @@ class Row:
     """One setting's answer.
 
     Attributes:
-        labels: what it is. rollouts, timeouts: how many. moments: of KEPT.
+        labels: what it is. rollouts: how many. outcomes: rollouts by the word of each. moments: of KEPT.
         apart: of DIFFERENCES, from the first row on the same maps, beside the luck of both. first: that row's moments.
         single: estimates of a single map's rollouts, by name (FIGURES); empty where there are several maps.
     """
 
     labels: dict[str, Label]
     rollouts: int = 0
-    timeouts: int = 0
+    outcomes: Counter[str] = field(default_factory=Counter)
     moments: Moments = field(default_factory=lambda: Moments(len(KEPT)))
     apart: Moments = field(default_factory=lambda: Moments(len(DIFFERENCES), 2 * BESIDE - 1))
     first: Moments | None = None
@@ -122,9 +123,13 @@ def is_exact(run: Run) -> bool:
     return bool(run.facts.get("closed_loop"))
 
 
-def timeouts_of(run: Run) -> int:
-    """Rollouts that were cut off at the limit of steps."""
-    return 0 if run.sums is None else int(run.sums["outcomes"][Outcome.STEP_LIMIT])
+def outcomes_of(run: Run) -> Counter[str]:
+    """Rollouts by the word of each outcome.
+
+    Whether the deadline cut them off is among the run's facts; stores of 0.3 know a deadline only as a label.
+    """
+    deadline = "deadline" in run.facts or run.what.get("deadline") is not None
+    return Counter(counts_by_word(() if run.sums is None else run.sums["outcomes"], deadline))
 
 
 def figure_of(run: Run, name: str) -> tuple[float, float]:

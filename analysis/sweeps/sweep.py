@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from analysis.sweeps.engine import Done, Finished, Swept, run_cases, stored_luck
-from analysis.sweeps.rows import Row, figures_of, single_map, timeouts_of
+from analysis.sweeps.rows import Row, figures_of, outcomes_of, single_map
 from analysis.sweeps.spec import Spec
 from analysis.sweeps.store.store import Store, StoreError
 from analysis.sweeps.worlds import MOST_MAPS
@@ -98,7 +98,8 @@ class _Table:
                 self.first = (number, means)
             row.first = self.found[0].moments if 0 in self.found else None
             row.add(means, errors, run.rollouts - 1, self.first[1] if self.first[0] == number else None)
-            row.rollouts, row.timeouts = row.rollouts + run.rollouts, row.timeouts + timeouts_of(run)
+            row.rollouts += run.rollouts
+            row.outcomes.update(outcomes_of(run))
             tally = self.store.tally(key) if self.spec.maps is None else None
             if tally is not None:
                 row.single = single_map(run, tally)

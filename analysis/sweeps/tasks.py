@@ -227,8 +227,9 @@ def facts_of(team: Team, plan: Plan, most: int | None = None) -> Json:
     `exact`: of the open loop, in cells, steps and robots; None what is not known. `ideal_team`: SPEC
     section 7, cells; None where robots wear or differ, and where threats move.
     `most`: T_max, if it is known.
-    `longest`: steps that a run of either loop takes at most; stores of earlier releases lack it. Where a job asks for
-    exact values, its runs' facts have `closed_loop` too (`exact_means`).
+    `longest`: steps that a run of either loop takes at most; stores of earlier releases lack it. `deadline`: only where
+    it, not the step limit, cuts runs off; stores of earlier releases lack it. Where a job asks for exact values, its
+    runs' facts have `closed_loop` too (`exact_means`).
     """
     from analysis.theory.bounds import ideal_team
     from analysis.theory.exact import open_loop_exact
@@ -258,4 +259,5 @@ def facts_of(team: Team, plan: Plan, most: int | None = None) -> Json:
         "makespan": plan.makespan,
         "longest": longest_run(world, plan, "closed", most),
         "nominal": {"outcome": plan.outcome, "time": plan.time, "shares": plan.shares},
+        **({"deadline": plan.settings.deadline} if plan.settings and plan.ends_by_deadline else {}),
     }

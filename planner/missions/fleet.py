@@ -1,4 +1,4 @@
-"""A run whose robots do not always do what was decided: they are pushed, late, stuck, found again, or recharged."""
+"""A run whose robots do not always do what was decided: they are pushed, late, held up, found again, or recharged."""
 
 from __future__ import annotations
 

@@ -27,6 +27,7 @@ from planner.plans.reading import check_map
 from planner.plans.state import FORMAT, VERSION
 from planner.plans.state_file import parse_state
 from planner.settings import SETTINGS, Settings
+from planner.tally import WORDS_OF_0_3, Outcome
 from planner.worlds.keys import Key
 from planner.worlds.quantities import PROBABILITY
 from planner.worlds.world import MAX_CELLS, World
@@ -44,6 +45,7 @@ DEFAULTS: dict[str, Any] = {
     "heard": [],
     "waits": [],
     "ended": None,
+    "over": None,
 }
 """What a file holds beside a state, or in its place, and may leave out."""
 OF_REPORTS: dict[str, Any] = {
@@ -82,19 +84,34 @@ def read_rest(path: str | Path, world: World, plan: Plan) -> tuple[World, Plan, 
         same = not changed and settings == plan.settings
         return world, plan if same else make_plan(world, plan.starts, settings), keys
     state = parse_state(data, world, source, given)
+    if state.over is not None:
+        state = replace(state, over=_outcome(keys["over"], settings))
     return world, make_plan(replace(world, doubt=None), state.starts, settings, state=state), keys
 
 
-def ended(path: str | Path, world: World) -> Json | None:
+def ended(path: str | Path, world: World, plan: Plan) -> Json | None:
     """How the mission in the file ended, as `drive` says it: outcome, step, covered, lost. None: it goes on.
 
-    Raises StateError.
+    `plan`: that the mission is driven by. Raises StateError.
     """
     keys = _read(path)[1]
     if keys["ended"].value is None:
         return None
     check_map(keys["world"], _as_known(world, keys)[0], "state of", ON_ITS_MAP)
-    return {name: key.value for name, key in keys["ended"].mapping(OF_END).items()}
+    known, settings = keys["ended"].mapping(OF_END), plan.settings or Settings()
+    return {name: key.value for name, key in known.items()} | {"outcome": _outcome(known["outcome"], settings)}
+
+
+def _outcome(key: Key, settings: Settings) -> str:
+    """The outcome that a file names.
+
+    Up to release 0.3 files did not say whether an operator had ended a mission or the rule, or whether a deadline cut
+    it off: the settings tell, but for a mission with a `worth` that ended on the way home, which counts as the rule's.
+    """
+    if key.value == "called_off" and settings.worth is None:
+        return Outcome.ENDED_BY_OPERATOR.word
+    word = key.choice((outcome.word for outcome in Outcome), WORDS_OF_0_3)
+    return Outcome[word.upper()].by_deadline(settings.ends_by_deadline).word
 
 
 def _as_known(world: World, keys: dict[str, Key]) -> tuple[World, bool]:

@@ -12,7 +12,7 @@ import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from analysis.recording.discovery import Discovery
-from analysis.recording.events import END_LEVELS, end_text, event_line
+from analysis.recording.events import ENDS_WITH_ERROR, end_text, event_line
 from analysis.recording.frames import Frames, make_frames
 from analysis.recording.viewers import ros as drawn_ros
 from analysis.recording.viewers import schemas
@@ -193,8 +193,9 @@ class RolloutDrawer:
     def _end(self, time: int) -> Said:
         trace, frames = self.trace, self.frames
         visited, survived, alive = int(frames.visited[-1]), int(frames.survived[-1]), int(frames.alive_count[-1])
-        text = end_text(trace, self.stage.plan.ending(trace.outcome), visited, survived, self.accessible, alive)
-        yield "/events", _log(time, END_LEVELS.get(trace.outcome, Log.ERROR), "rollout", text)
+        ended = self.stage.plan.ending(trace.outcome)
+        text, level = end_text(trace, ended, visited, survived, self.accessible, alive), Log.INFO
+        yield "/events", _log(time, Log.ERROR if ended in ENDS_WITH_ERROR else level, "rollout", text)
         end = schemas.End(rollout=trace.rollout, outcome=int(trace.outcome), time=trace.time, visited=visited)
         end.survived, end.alive = survived, alive
         end.area_of.extend(trace.area_of.tolist())

@@ -11,7 +11,7 @@ from typing import Any
 
 from analysis.sweeps.cases import Label
 from analysis.sweeps.results import Where, labels_of, select
-from analysis.sweeps.rows import FIGURES, KEPT, exact_of, figures_of
+from analysis.sweeps.rows import FIGURES, KEPT, exact_of, figures_of, outcomes_of
 from analysis.sweeps.store.store import Run, Store
 from planner.arguments import argument
 from planner.errors import UsageError
@@ -21,7 +21,7 @@ from planner.tally import Outcome
 BATCH = 1000
 WHOLE, LARGE, NUMBER, TEXT = range(4)
 """Kinds of columns, the narrower first."""
-OUTCOMES = tuple(outcome.name.lower() for outcome in Outcome)
+OUTCOMES = tuple(outcome.word for outcome in Outcome)
 COUNTS = ("rollouts", *OUTCOMES, "height", "width", "accessible", "free", "dangerous", "makespan")
 NUMBERS = (
     *(f"{name}_{part}" for name in FIGURES for part in ("mean", "se")),
@@ -38,8 +38,7 @@ def flat(run: Run, labels: list[str]) -> Json:
     assert run.sums is not None
     cells = run.facts["cells"]
     row: Json = {name: run.what.get(name) for name in labels}
-    row |= {"rollouts": run.rollouts} | dict.fromkeys(OUTCOMES, 0)
-    row |= zip(OUTCOMES, run.sums["outcomes"], strict=False)  # older blocks lack the outcomes that came later
+    row |= {"rollouts": run.rollouts} | outcomes_of(run)
     row |= {"height": run.facts["shape"][0], "width": run.facts["shape"][1], "makespan": run.facts["makespan"]}
     row |= {name: cells[name] for name in ("accessible", "free", "dangerous")}
     means, errors = figures_of(run)
