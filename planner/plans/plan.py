@@ -21,7 +21,7 @@ from planner.settings import Settings
 from planner.shown import html_of, text_of
 from planner.worlds.world import EXAMPLE, World
 
-FORMAT, VERSION = "mrac-plan", 1
+FORMAT, VERSION = "mrac-plan", 2
 MOST_SHOWN = 12
 """Robots of a plan that it shows of itself."""
 
