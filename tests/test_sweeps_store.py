@@ -366,10 +366,8 @@ def test_a_store_of_release_0_3_goes_on_where_its_rules_are_todays(tmp_path: Pat
         assert (again.finished.rollouts, again.finished.reused, again.finished.earlier) == (0, 128, 0)
         assert len(store) == 5 and "rules" not in " ".join(notes_of(again))
         # where `plan_on` is given, or nothing changes that robots are told of, the rules are those of then
-        for more in (
-            "phases: [{from: 3, threats: []}], plan_on: first",
-            "movers: [{walk: 0.5, h: threats}], plan_on: own",
-        ):
+        moving = "movers: [{walk: 0.5, h: threats}], plan_on: own"
+        for more in ("phases: [{from: 3, threats: []}], plan_on: first", moving):
             made = swept(tmp_path, SWEEP % (f", {more}", "mrac"), store)
             assert made.finished.earlier == 0 and "rules" not in made.rows[0].labels
         assert all("rules" not in what for what in store.labels())
