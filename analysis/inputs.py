@@ -248,10 +248,9 @@ def plan_from_state(world: World, state: MissionState, settings: Settings, sourc
 
 def _load_plan(asked: Asked, plan_file: Path) -> Found:
     """A saved plan, confirmed; options that contradict it are errors."""
-    from planner.plan_team import read_plan
+    from planner.plan_team import read_plan_on
 
-    world = asked.load()
-    plan = read_plan(plan_file, world)
+    world, plan = read_plan_on(plan_file, asked.load())
     check_team(asked, len(plan.robots), plan_file)
     if asked.starts is not None and not np.array_equal(parse_starts(asked.starts), plan.starts):
         raise UsageError(f"{argument('starts')} contradicts the starts of {plan_file}", fix="leave it out")

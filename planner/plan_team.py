@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from numpy.typing import ArrayLike
 
 from planner.arguments import POSITIVE, argument
-from planner.errors import UsageError
+from planner.errors import PlanError, UsageError
 from planner.mrac.make_plan import confirm_plan, make_plan
-from planner.plans.plan import Plan
-from planner.plans.plan_file import load_plan
+from planner.plans.plan import FORMAT, Plan
+from planner.plans.plan_file import parse_plan, read_plan_json
+from planner.rules import BEFORE, rules_of
 from planner.settings import Settings
+from planner.worlds.moving import as_before
 from planner.worlds.world import World
+
+KEPT_READING = (
+    "made by a release before 0.4 without `plan_on`, so robots plan on all moving threats here (`plan_on: joined`)"
+)
 
 
 def read_plan(path: str | Path, world: World) -> Plan:
@@ -20,7 +28,38 @@ def read_plan(path: str | Path, world: World) -> Plan:
 
     Raises PlanError, naming robot, step or area, for what is no plan, belongs to another map or cannot be driven.
     """
-    return confirm_plan(load_plan(path, world), world, str(path))
+    of, plan = read_plan_on(path, world)
+    if of is not world:
+        problem = "made by a release before 0.4, which planned on all moving threats where `plan_on` was not given"
+        raise PlanError(problem, source=path, fix='make the world with plan_on="joined", or make the plan anew')
+    return plan
+
+
+def read_plan_on(path: str | Path, world: World) -> tuple[World, Plan]:
+    """The plan in a file, and the world that it is for: `world`, or that as releases before 0.4 made it.
+
+    So a plan of such a release keeps its reading of a scenario that does not say what robots plan on among moving
+    threats; its notes say so. Raises PlanError.
+    """
+    data, source, before = read_plan_json(path), str(path), as_before(world)
+    earlier = isinstance(data, dict) and data.get("format") == FORMAT and data.get("version") == 1
+    if earlier and before is not world and _sha256_in(data) == before.sha256 != world.sha256:
+        plan = confirm_plan(parse_plan(data, before, source), before, source)
+        return before, replace(plan, notes=(*plan.notes, f"{source}: {KEPT_READING}"))
+    plan = parse_plan(data, world, source)
+    try:
+        return world, confirm_plan(plan, world, source)
+    except PlanError as error:
+        if not earlier or plan.settings is None or rules_of(world, plan.settings, closed=False) == BEFORE:
+            raise
+        expected = f"{error.expected}; release 0.4 changed the rules for phases and for several types of robots"
+        raise PlanError(error.problem, source=source, expected=expected, fix=error.fix) from error
+
+
+def _sha256_in(data: Any) -> object:
+    """The hash of the map that a plan file says it was made for."""
+    named = data.get("world")
+    return named.get("sha256") if isinstance(named, dict) else None
 
 
 def plan_team(world: World, starts: ArrayLike, settings: Settings | None = None, seconds: float | None = None) -> Plan:

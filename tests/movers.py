@@ -11,7 +11,7 @@ from oracle_movers import Threat
 import mrac_jax as mrac
 from planner.worlds.generate import PAPER_LEVELS, ThreatPattern, random_world
 from planner.worlds.movers import ANYWHERE, Mover
-from planner.worlds.moving import with_movers
+from planner.worlds.moving import PlannedOn, with_movers
 from planner.worlds.world import World
 
 PRESUME_THREATS_THAT_STAY: list[Callable[[World], Any]] = [
@@ -34,7 +34,9 @@ def rounds(world: World) -> list[tuple[int, ...]]:
     ]
 
 
-def moving_world(seed: int, levels: Sequence[float] = PAPER_LEVELS, most: int = 10, plan_on: str = "joined") -> World:
+def moving_world(
+    seed: int, levels: Sequence[float] = PAPER_LEVELS, most: int = 10, plan_on: PlannedOn = "joined"
+) -> World:
     """A map of up to `most` x `most` cells with one to five movers, some of whom start where they are told."""
     random = np.random.default_rng(seed)
     height, width = random.integers(4, most + 1, 2).tolist()

@@ -152,18 +152,20 @@ class Homing(Timed):
                 walker.way = self.way_home(number, walker.at)
                 walker.doing = "returning" if walker.way else "done"
 
+    def can_act(self, number: int) -> bool:
+        return super().can_act(number) and self.left_moves[number] > 0 and not self.turned[number]
+
     def ended(self) -> str:
         self.over = self.over or super().ended()
         for number, walker in enumerate(self.team):
             if walker.doing == "charging" and self.over:
                 walker.doing = "done"
             late = walker.doing in ("idle", "done") and 0 < self.far(number, walker.at) >= self.last - self.step
-            able = walker.doing != "dead" and self.left_moves[number] > 0 and not self.turned[number]
-            if able and (self.over or late):
+            if self.can_act(number) and (self.over or late):
                 self.turn_home(number, charged=False)
         away = any(walker.doing == "returning" for walker in self.team)
         dead = all(walker.doing == "dead" for walker in self.team)
-        ended = self.over if self.over and not away else "all_robots_lost" if dead else ""
+        ended = "all_robots_lost" if dead else "" if away else self.over
         ended = ended or ("step_limit" if self.step >= self.last else "")
         return "complete" if ended and self.goal <= self.visited else ended
 

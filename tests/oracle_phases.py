@@ -7,6 +7,7 @@ are float arrays, NaN = obstacle; cells are (row, col).
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from oracle_unknown import Cell, Twin
@@ -25,12 +26,27 @@ class Timed(Twin):
         self.scale = sorted({0.0} | chances)
         self.levels = {begin: {c: self.level_of(p[c]) for c in np.ndindex(*p.shape)} for begin, p in maps}
         self.map, self.true = self.levels[0].copy(), self.levels[0]
+        begins = sorted(self.levels)
+        self.last_change = max(
+            (now for before, now in pairwise(begins)
+             if any(self.levels[before][c] != self.levels[now][c] for c in self.goal)),
+            default=0,
+        )  # fmt: skip
 
     def level_of(self, chance: float) -> int:
         return self.scale.index(float(chance)) if float(chance) in self.scale else -1
 
     def seen_from(self, at: Cell) -> set[Cell]:
-        return set(self.true)
+        return self.goal
+
+    def can_act(self, number: int) -> bool:
+        return self.team[number].doing != "dead"
+
+    def ended(self) -> str:
+        """No team is stuck while a robot that can act waits for a change that is still to come."""
+        waits = self.step + 1 < self.last_change and any(map(self.can_act, range(len(self.team))))
+        end = super().ended()
+        return "" if end == "stuck" and waits else end
 
     def look_about(self) -> None:
         self.true = getattr(self, "levels", {}).get(self.step + 1, self.true)

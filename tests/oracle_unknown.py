@@ -276,6 +276,7 @@ class Twin:
         news = {cell for cell in seen if self.map[cell] != self.true[cell]}
         if not news:
             return
+        self.moved = True  # a step in which the map changes is none without progress
         legs = {}
         for number, walker in enumerate(self.team):  # the leg that it is on, as it was found
             ends = [i for i, cell in enumerate(walker.way) if walker.doing == "traveling" or cell in walker.todo]

@@ -51,6 +51,26 @@ def test_what_is_too_far_is_further_than_every_robot_has_moves_for(moves: tuple[
     assert f"{rest.ended} of 2 robots" in said[1] and rest.ended <= 2
 
 
+@pytest.mark.parametrize("moves", [(6, 14), (12, 9)])
+@pytest.mark.parametrize("to", ["home", "nearest", ((0, 2), (4, 8))])
+def test_of_robots_that_come_home_the_way_home_counts(moves: tuple[int, int], to: str | tuple) -> None:
+    """Moves there and back are together too many for either robot; in the words and the layer too."""
+    starts = ((4, 0), (0, 0))
+    plan = mrac.plan(WORLD, range=moves, return_to=to)
+    rest = rest_of(WORLD, plan)
+    assert rest is not None and rest.returns
+    of = {"home": [[start] for start in starts], "nearest": [starts] * 2}.get(str(to), [to] * 2)
+    back = [np.min([moves_to(WORLD, base) for base in bases], axis=0) for bases in of]
+    near = [moves_to(WORLD, start) + home <= most for start, home, most in zip(starts, back, moves, strict=True)]
+    beyond = WORLD.accessible(plan.starts) & ~near[0] & ~near[1]
+    np.testing.assert_array_equal(rest.kinds == BEYOND, beyond)
+    answer = mrac.evaluate(WORLD, plan, **QUIET)  # type: ignore[arg-type]
+    assert not answer.expected.visited_by_cell[beyond.ravel()].any()
+    (said,) = rest_words(answer, rest)
+    assert f"{beyond.sum()} accessible cells" in said and said.endswith("too far for any robot to visit and come home.")
+    assert answer.layers.to_do[0].about.endswith("violet: too far for any robot to visit and come home.")
+
+
 def state(folder: Path) -> MissionState:
     cells = "[[4, 0], [3, 0], [2, 0], [0, 0], [0, 1]]"
     robots = '[{"cell": [2, 0]}, {"cell": [0, 1], "status": "dead"}]'

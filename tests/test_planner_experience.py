@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from closed_loop_compare import assert_same_trace
 from doubt import expected, persistent
 from oracle_experience import Pupil
 from test_planner_unknown import POLICIES, cells_of, moves
@@ -119,6 +120,24 @@ def test_every_scripted_run_is_that_of_a_twin_written_from_the_rules(number, kin
             cells = sorted(twin.goal)
             mine = chance_of(team.odds)[[r * both.world.shape[1] + c for r, c in cells]]
             np.testing.assert_allclose(mine, [twin.chance[cell] for cell in cells], atol=2e-5)
+
+
+@pytest.mark.parametrize(("detect", "false_alarm", "worth", "time"), [(0.7, 0.3, 8, 6), (0.6, 0.3, 32, 9)])
+def test_a_detector_that_changes_the_map_keeps_a_waiting_team_up(detect, false_alarm, worth, time):
+    """`0 q 0 0`, q = .5, h = .9: nobody goes at first. Each silent step takes ln((1 - a) / (1 - b)) nats off, and in
+    the steps in which that is another class the map changes; at the least class, or before, the robot goes.
+    """
+    world = taught([[0, 0.5, 0, 0]], np.full((1, 4), 0.9), "persistent", (1, detect, false_alarm))
+    plan = make_plan(world, [[0, 0]], Settings(policy="per_cell", worth=worth))
+    assert (plan.outcome, plan.time) == ("called_off", 2)  # in the nominal run nobody learns
+    problem = prepare(world, [[0, 0]], plan.settings)
+    team = make_team(problem, plan.areas, truth=0, readings=lambda robot, step, cells: np.zeros(len(cells), bool))
+    while (outcome := team.outcome(problem.max_steps)) is None:
+        play_step(team, lambda *_: False)
+    assert (outcome.name, team.step, int(team.visited.sum())) == ("COMPLETE", time, 4)
+    loop, readable = compile_closed_loop(plan, world), ReferenceLoop(plan, world)
+    for trace in trace_rollouts(loop, worth, range(12)):
+        assert_same_trace(trace, readable.trace(worth, trace.rollout))
 
 
 def test_all_that_can_happen_on_a_hidden_map_is_what_rollouts_come_to():

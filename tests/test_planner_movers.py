@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from planner.kernels.state import MOST_PASSES
 from planner.luck_names import LuckName
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
+from planner.plan_team import read_plan, read_plan_on
 from planner.plans.plan import Plan, RobotPlan
 from planner.roaming import Roaming, first_places, ways_of_movers
 from planner.rollouts.engine import Rolling, make_engine
@@ -26,7 +28,7 @@ from planner.settings import Settings
 from planner.threefry import threefry2x32
 from planner.trace import Doing
 from planner.worlds.movers import Mover
-from planner.worlds.moving import with_movers
+from planner.worlds.moving import PLAN_ON, as_before, with_movers
 from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file
@@ -63,7 +65,7 @@ def assert_equal_runs(
 
 def check_worlds(seeds: range) -> None:
     for seed in seeds:
-        world = moving_world(seed, plan_on=("joined", "own")[seed % 3 == 1])
+        world = moving_world(seed, plan_on=PLAN_ON[seed % 3])
         plan = make_plan(world, place_starts(world, 1 + seed % 5)[0], Settings(**KINDS[seed % len(KINDS)]))
         assert_equal_runs(world, plan, seed, seed % 4 == 3, ("tolerance", "step")[seed % 5 == 4])
 
@@ -228,9 +230,9 @@ def test_a_mover_that_stays_is_a_threat_that_stands() -> None:
 
 
 def test_movers_stay_where_they_are_in_the_long_run() -> None:
-    """Who starts anywhere is at every step in a cell with the chance that robots plan on, within 5 standard errors."""
+    """Who starts anywhere is at every step in a cell with the chance of `joined`, within 5 standard errors."""
     world = moving_world(9, most=5)
-    walker = with_movers(replace(world, threat=world.met, doubt=None), [Mover(0.3, 0.2)])
+    walker = with_movers(replace(world, threat=world.met, doubt=None), [Mover(0.3, 0.2)], "joined")
     assert walker.movers is not None
     chance, n = walker.movers.chances(walker.movers.members[0]).ravel(), 1500
     starts = np.bincount(first_places(walker.movers, 4, range(n))[:, 0], minlength=chance.size)
@@ -282,6 +284,47 @@ def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.nan_to_num(scenario(tmp_path, both + "patrols").threat[0]), [0.25, 0.25, 0])
 
 
+BOTH = "movers: [{walk: 0.5, h: 0.25}, {patrol: [[0, 0], [0, 1]], h: 0.5}]\n"
+
+
+def test_robots_plan_on_those_that_have_a_route_unless_something_else_is_said(tmp_path: Path) -> None:
+    """In scenarios, with a note, and in Python; p of a visit and luck are the same."""
+    world, said = scenario(tmp_path, BOTH), {on: scenario(tmp_path, f"{BOTH}plan_on: {on}\n") for on in PLAN_ON}
+    np.testing.assert_array_equal(world.threat, said["patrols"].threat)
+    np.testing.assert_array_equal(as_before(world).threat, said["joined"].threat)
+    assert as_before(said["own"]) is said["own"]
+    (note,) = world.notes
+    assert note.startswith("`plan_on` is not given: robots plan on the moving threats that have a route (patrols)")
+    assert "`plan_on: joined`" in note and "\n" not in note and not any(one.notes for one in said.values())
+    (note,) = scenario(tmp_path, "movers: [{patrol: [[0, 0], [0, 1]], h: 0.5}]\n").notes
+    assert world.movers is not None
+    plain = replace(world, threat=world.met, doubt=None, notes=())
+    assert with_movers(plain, world.movers.members).sha256 == world.sha256
+    walkers = scenario(tmp_path, "movers: [{walk: 0.5, h: 0.25}]\n")
+    np.testing.assert_array_equal(walkers.threat, walkers.met)
+
+
+def test_a_plan_of_an_earlier_release_keeps_its_reading(tmp_path: Path) -> None:
+    """Made for the map of `joined`, where `plan_on` was not given; not where it is, and not a plan of today."""
+    world, file = scenario(tmp_path, BOTH), tmp_path / "plan.json"
+    made = make_plan(as_before(world), [[0, 0], [2, 1]])
+    file.write_text(json.dumps(made.to_json() | {"version": 1}))
+    of, plan = read_plan_on(file, world)
+    assert of.sha256 == as_before(world).sha256 == plan.sha256 != world.sha256
+    assert [robot.path.tolist() for robot in plan.robots] == [robot.path.tolist() for robot in made.robots]
+    assert plan.notes[-1].startswith(f"{file}: made by a release before 0.4 without `plan_on`")
+    with pytest.raises(InputError, match=r'made by a release before 0.4.*make the world with plan_on="joined"'):
+        read_plan(file, world)
+    with pytest.raises(InputError, match="plan for another map"):
+        read_plan_on(file, scenario(tmp_path, BOTH + "plan_on: own\n"))
+    world = scenario(tmp_path, BOTH)
+    file.write_text(json.dumps(made.to_json()))
+    with pytest.raises(InputError, match="plan for another map"):
+        read_plan_on(file, world)
+    file.write_text(json.dumps(make_plan(world, [[0, 0], [2, 1]]).to_json()))
+    assert read_plan_on(file, world)[0] is world
+
+
 @pytest.mark.parametrize(
     ("more", "said"),
     [
@@ -301,7 +344,7 @@ def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
         ("movers: [{patrol: [[0, 0], [0, 1]], start: [1, 1], h: 0.1}]\n", r"starts at \[1, 1\], off its route"),
         ("movers: [{walk: 0.5, h: 0.5}]\nhazard: {kind: consumed, q: 0.1}\n", r"`movers` is .*none beside hazard"),
         ("plan_on: own\n", r"`plan_on` is 'own'; expected none without movers"),
-        ("movers: [{walk: 0.5, h: 0.5}]\nplan_on: last\n", r"`plan_on` is 'last'; expected joined or patrols or own"),
+        ("movers: [{walk: 0.5, h: 0.5}]\nplan_on: last\n", r"`plan_on` is 'last'; expected patrols or joined or own"),
     ],
 )
 def test_a_wrong_mover_is_one_line(tmp_path: Path, more: str, said: str) -> None:
@@ -313,7 +356,7 @@ def test_a_wrong_mover_is_one_line(tmp_path: Path, more: str, said: str) -> None
 def test_what_would_be_certain_or_does_not_fit_is_refused(tmp_path: Path) -> None:
     lone = World.create([[0.0, np.nan, 0.0]])
     with pytest.raises(InputError, match=r"makes p 1 at \[0, 2\].*make it an obstacle"):
-        with_movers(lone, [Mover(1.0, 0.0, 2)])
+        with_movers(lone, [Mover(1.0, 0.0, 2)], "joined")
     world = moving_world(1)
     world.save(tmp_path / "w.npz")
     arrays = dict(np.load(tmp_path / "w.npz"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from math import gamma
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ from planner.worlds.scenario import load_input
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file
 
+N = np.nan
 POLICIES = (
     {}, {"policy": "per_cell"}, {"policy": "per_cell", "reserve": 0.5}, {"policy": "frontier"},
     {"policy": "per_cell", "worth": 3.0}, {"policy": "watchful"}, {"wear": 3.0}, {"range": 12},
@@ -81,6 +83,63 @@ def test_events_are_those_of_the_readable_simulator() -> None:
     assert sum(agree(number) for number in range(48)) > 20
 
 
+# --- how a run ends ---
+
+
+@pytest.mark.parametrize("policy", ["per_cell", "watchful", "frontier"])
+def test_a_team_waits_for_a_danger_that_is_announced_to_end(policy: str) -> None:
+    """`0 .5 0 0`, one robot that is worth 4 cells, all safe from step f on: it goes on at f, and covers all.
+
+    Where f is after the last step, T_max = 8 * 2 * 4 + 64 = 128, it waits until then.
+    """
+    world = World.create([[0, 0.5, 0, 0]])
+    for f in (1, 2, 3, 4, 5, 9, 125, 128, 500):
+        timed = with_phases(world, [(f, np.zeros((1, 4)))])
+        plan = make_plan(timed, [[0, 0]], Settings(policy=policy, worth=4.0))
+        done = f + 3 <= 128  # it is allocated the area in step f, and moves in the three steps after it
+        assert (plan.outcome, plan.time) == (("complete", f + 3) if done else ("timeout", 128)), f
+        loop = compile_closed_loop(plan, timed)
+        tally = run_range(loop, f, 0, 64, threads=1)[0]
+        assert tally.alive.tolist() == [0, 64]
+        assert tally.visited.tolist() == [64 * (n == (4 if done else 1)) for n in range(5)]
+        assert_same_trace(trace_rollouts(loop, f, (3,))[0], followed(ReferenceLoop(plan, timed), f, 3)[1])
+        tree = grow_tree(loop, 0.0, 10**6)
+        assert tree is not None and tree.mean_alive == 1.0
+
+
+def test_a_team_ends_once_nothing_that_is_announced_changes_the_map() -> None:
+    """The last phase that changes a level counts, on cells that robots can reach, and while a robot can move."""
+    base = np.array([[0, 0.5, 0, np.nan, 0]])
+
+    def ends(phases: list[tuple[int, list[float]]], **more: Any) -> tuple[str, int]:
+        maps = [(at, np.array([p])) for at, p in phases]
+        plan = make_plan(
+            with_phases(World.create(base), maps), [[0, 0]], Settings(policy="per_cell", worth=1.0, **more)
+        )
+        return plan.outcome, plan.time
+
+    assert ends([(9, [0, 0.5, 0, N, 0.3])]) == ("called_off", 2)  # out of reach
+    assert ends([(4, [0, 0.4, 0, N, 0]), (9, [0, 0.4, 0, N, 0.3])]) == ("called_off", 5)  # the last that counts: 4
+    assert ends([(4, [0, 0.4, 0, N, 0]), (9, [0, 0, 0, N, 0])]) == ("complete", 11)
+    assert ends([(9, [0, 0, 0, N, 0])], range=0) == ("stuck", 2)  # nobody can move any more
+    assert ends([(3, [0, 0, 0, N, 0]), (9, [0, 0.5, 0, N, 0])]) == ("complete", 5)
+
+
+def test_robots_that_come_home_wait_for_it_too() -> None:
+    """As above, and then home: B, C, D at f + 1 to f + 3, back at f + 6; by a deadline that is before f nothing."""
+    world = World.create([[0, 0.5, 0, 0]])
+    for f, deadline, end in (
+        (5, None, ("complete", 11)), (4, 10, ("complete", 10)), (4, 9, ("timeout", 9)), (20, 10, ("timeout", 10)),
+    ):  # fmt: skip
+        timed = with_phases(world, [(f, np.zeros((1, 4)))])
+        settings = Settings(policy="per_cell", worth=4.0, return_to="home", deadline=deadline)
+        plan = make_plan(timed, [[0, 0]], settings)
+        assert (plan.outcome, plan.time) == end
+        loop = compile_closed_loop(plan, timed)
+        assert_same_trace(trace_rollouts(loop, f, (0,))[0], followed(ReferenceLoop(plan, timed), f, 0)[1])
+        assert run_range(loop, f, 0, 8, threads=1)[0].home.tolist() == [0, 8]
+
+
 @pytest.mark.slow
 def test_so_they_are_in_a_thousand_more() -> None:
     assert sum(agree(number) for number in range(48, 1048)) > 500
@@ -88,7 +147,6 @@ def test_so_they_are_in_a_thousand_more() -> None:
 
 # --- what is expected ---
 
-N = np.nan
 TINY = [
     [(0, [[0, 0.3, 0], [0, 0.2, 0]]), (3, [[0.3, 0, 0], [0, 0, 0.2]])],
     [(0, [[0, 0, 0.4], [N, 0, 0], [0, 0.4, 0]]),

@@ -16,10 +16,11 @@ import planner.plans.plan_file
 from planner.errors import MapError, PlanError
 from planner.files import LONG_BYTES, read_csv_grid
 from planner.mrac.make_plan import make_plan
-from planner.plan_team import plan_team
+from planner.plan_team import plan_team, read_plan
 from planner.plans.plan import Area, Leg, Plan, RobotPlan
 from planner.plans.plan_file import count_shares, load_plan
 from planner.settings import Settings
+from planner.worlds.changing import with_phases
 from planner.worlds.scenario import load_input
 from planner.worlds.world import World
 
@@ -98,6 +99,25 @@ def test_the_planners_plans_survive_the_round_trip(tmp_path: Path) -> None:
         plan.save(tmp_path / "plan.json")
         assert plans_equal(load_plan(tmp_path / "plan.json", world), plan)
         assert count_shares(plan) == plan.shares
+
+
+def test_a_plan_of_version_1_is_read_where_its_rules_are_todays(tmp_path: Path) -> None:
+    """Also of phases, if its paths follow by the rules of today; else one line says that these changed."""
+    plain = World.create([[0, 0.5, 0, 0]])
+    ends = with_phases(plain, [(4, np.zeros((1, 4)))])
+    calm = with_phases(plain, [(1, np.zeros((1, 4)))])
+    for world, worth in ((plain, None), (plain, 4.0), (calm, 4.0)):
+        made = make_plan(world, [[0, 0]], Settings(policy="per_cell", worth=worth))
+        again = read_plan(written(tmp_path, made.to_json() | {"version": 1}), world)
+        assert made.to_json()["version"] == 2
+        plans_equal(again, made)
+    data = make_plan(ends, [[0, 0]], Settings(policy="per_cell", worth=4.0)).to_json()
+    path = {"robots": [{"path": [[0, 0]], "legs": []}], "nominal": {"outcome": "called_off", "time": 2, "shares": 0}}
+    for version, more in ((1, "; release 0.4 changed the rules for phases"), (2, "")):
+        with pytest.raises(PlanError, match="the path of robot 0") as error:
+            read_plan(written(tmp_path, data | path | {"version": version}), ends)
+        assert ("release 0.4" in str(error.value)) is bool(more) and more in str(error.value)
+        assert "make the plan anew" in str(error.value) and "\n" not in str(error.value)
 
 
 def test_notes_in_a_file_are_kept(tmp_path: Path) -> None:
@@ -313,7 +333,7 @@ def without(*keys: Any) -> Callable[[dict[str, Any]], None]:
 LEG, AREA, ADDED = ("robots", 1, "legs", 0), ("areas", 1), ("areas_added", 0)
 FAULTS: list[tuple[Callable[[dict[str, Any]], None], list[str]]] = [
     (change("format", to="mrac-plans"), ["'mrac-plans'", '"mrac-plan"']),
-    (change("version", to=2), ["`version` is 2", "version 1", "update"]),
+    (change("version", to=3), ["`version` is 3", "version 1 to 2", "update"]),
     (change("version", to=0), ["`version` is 0"]),
     (change("version", to=True), ["`version` is True"]),
     (change("version", to="1"), ["`version` is '1'"]),

@@ -109,6 +109,29 @@ def test_everything_that_can_happen_on_rows() -> None:
         assert_as_enumerated(plan, world, everything([p["ab".index(of)].tolist() for of in types], starts))
 
 
+@pytest.mark.parametrize("policy", ["per_cell", "watchful"])
+@pytest.mark.parametrize("turned", range(4))
+def test_ties_of_the_price_go_to_the_nearest_target(policy: str, turned: int) -> None:
+    """By hand, n = 8: robot 0 has covered its safe cells and stands at 4 in `X X s s s Y # b`.
+
+    X, p = .1, w = 8, is safe for robot 1, which waits elsewhere: w' = 1. It has two cells, of which the nearer costs
+    d = 2 + 8, so C / u = (10 + 8 + 2 (8 - 1)) / 2 = 16. Y, p = .2, w = w' = 16, has one, beside it: d = C = 16. Both
+    are dearest alike, and 10 < 16: X comes first, whichever has the lower index or id.
+    """
+    p = np.array([[[0.1, 0.1, 0, 0, 0, 0.2, 0, 0]], [[0, 0, 0, 0, 0, 0.2, 0, 0]]], dtype=np.float32)
+    free, at = np.array([[True] * 6 + [False, True]]), np.array([[0, 2], [0, 7]])
+    if turned % 2:
+        p, free, at = p[:, :, ::-1], free[:, ::-1], at * [1, -1] + [0, 7]
+    if turned // 2:
+        p, free, at = p.transpose(0, 2, 1), free.T, at[:, ::-1]
+    own = World.create(np.where(free, p.max(axis=0), np.nan))
+    world = replace(own, types=checked_types(("a", "b"), p, free, ""))
+    plan = make_plan(world, at, Settings(policy=policy, types=("a", "b")))
+    places = [2, 3, 4, 3, 2, 1, 0, 1, 2, 3, 4, 5]
+    assert plan.robots[0].path.tolist() == [7 - place if turned % 2 else place for place in places]
+    assert_engines_agree(plan, world, turned, 3)
+
+
 def test_robots_of_one_type_are_robots_of_none_on_its_map() -> None:
     """Bit for bit, in both loops and engines."""
     for seed in (0, 1):

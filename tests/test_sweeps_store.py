@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -15,11 +16,15 @@ import pytest
 
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import Case, Places, Team, generated_case, run_key
+from analysis.sweeps.report import notes_of
+from analysis.sweeps.results import collect
+from analysis.sweeps.spec import read_spec
 from analysis.sweeps.store import file as store_file
 from analysis.sweeps.store.memory import Memory
 from analysis.sweeps.store.packed import add_sums, pack, sums_of, unpack
 from analysis.sweeps.store.ranges import joined, without
 from analysis.sweeps.store.store import Store, StoreError
+from analysis.sweeps.sweep import Sweep, run_sweep
 from analysis.sweeps.tasks import RunResult, Task, Wanted, run_task
 from analysis.sweeps.worlds import Generated
 from planner.tally import Tally
@@ -332,3 +337,69 @@ def test_ranges() -> None:
     assert joined([(5, 9), (0, 2), (2, 4), (8, 12)]) == ((0, 4), (5, 12))
     assert without(((0, 10), (20, 30)), ((2, 3), (9, 22), (29, 40))) == ((0, 2), (3, 9), (22, 29))
     assert without(((0, 10),), ()) == ((0, 10),) and without((), ((0, 1),)) == ()
+
+
+# --- a store of release 0.3 ---
+
+EARLIER_STORE = Path(__file__).parent / "fixtures" / "release-0.3.store"
+"""Made by release 0.3.0 from the sweeps below, 64 rollouts a run: 2 runs that no change of the rules concerns, then 1
+each of robots that come home, threats that change, and walkers without `plan_on`."""
+SWEEP = "base: {size: 6x6, robots: 2%s}\nmaps: 1\nrollouts: 64\nsweep: {policy: [%s]}\n"
+SAME = SWEEP % ("", "mrac, per_cell")
+RENEWED = {
+    "home": SWEEP % (", return_to: home", "mrac"),
+    "phases": SWEEP % (", phases: [{from: 3, threats: []}]", "mrac"),
+    "walkers": SWEEP % (", movers: [{walk: 0.5, h: threats}]", "mrac"),
+}
+
+
+def swept(folder: Path, text: str, store: Store) -> Sweep:
+    (folder / "sweep.yaml").write_text(text)
+    return run_sweep(read_spec(folder / "sweep.yaml"), store, processes=1)
+
+
+def test_a_store_of_release_0_3_goes_on_where_its_rules_are_todays(tmp_path: Path) -> None:
+    shutil.copy(EARLIER_STORE, tmp_path / "a.store")
+    with Store.open(tmp_path / "a.store") as store:
+        assert len(store) == 5
+        again = swept(tmp_path, SAME, store)
+        assert (again.finished.rollouts, again.finished.reused, again.finished.earlier) == (0, 128, 0)
+        assert len(store) == 5 and "rules" not in " ".join(notes_of(again))
+        # where `plan_on` is given, or nothing changes that robots are told of, the rules are those of then
+        moving = "movers: [{walk: 0.5, h: threats}], plan_on: own"
+        for more in ("phases: [{from: 3, threats: []}], plan_on: first", moving):
+            made = swept(tmp_path, SWEEP % (f", {more}", "mrac"), store)
+            assert made.finished.earlier == 0 and "rules" not in made.rows[0].labels
+        assert all("rules" not in what for what in store.labels())
+
+
+@pytest.mark.parametrize("name", RENEWED)
+def test_it_is_never_mixed_with_runs_by_rules_that_changed(tmp_path: Path, name: str) -> None:
+    shutil.copy(EARLIER_STORE, tmp_path / "a.store")
+    with Store.open(tmp_path / "a.store") as store:
+        told = collect(store, {})
+        assert any(note.startswith("3 runs follow rules that release 0.4 changed (phases") for note in told.notes)
+        made = swept(tmp_path, RENEWED[name], store)
+        assert (made.finished.rollouts, made.finished.reused, made.finished.earlier) == (64, 0, 1)
+        assert "the store holds 1 run of these by rules that release 0.4 changed" in notes_of(made)[-1]
+        assert len(store) == 6
+        again = swept(tmp_path, RENEWED[name], store)
+        assert (again.finished.rollouts, again.finished.reused, again.finished.earlier) == (0, 64, 1)
+        assert sorted(str(what["rules"]) for what in store.labels() if "rules" in what) == ["0.4", "before 0.4"]
+        for by in ((), ("policy",), ("robots",)):
+            found = collect(store, {}, by)
+            assert {row.labels["rules"] for row in found.rows} == {None, "0.4", "before 0.4"}
+            assert [row.rollouts for row in found.rows if row.labels["rules"]] == [64, 64]
+        assert any(note.startswith("2 runs follow rules") for note in collect(store, {}).notes)
+        newest = collect(store, {"rules": ("0.4",)})
+        assert newest.runs == 1 and newest.notes == ()
+
+
+def test_runs_of_a_store_that_was_merged_are_told_apart_too(tmp_path: Path) -> None:
+    """No sweep has met them: that others of their setting follow today's rules says that they do not."""
+    with Store.open(tmp_path / "new.store") as store:
+        swept(tmp_path, RENEWED["home"].replace("maps: 1", "maps: 1\nfirst_seed: 5"), store)
+        with Store.open(EARLIER_STORE, write=False) as earlier:
+            assert store.merge(earlier)[0] == 5
+        found = collect(store, {"return_to": ("home",)})
+        assert [(row.labels["rules"], row.maps) for row in found.rows] == [("0.4", 1), ("before 0.4", 1)]

@@ -224,7 +224,7 @@ def test_the_maps_threats_leave_it_and_walk() -> None:
     world = mrac.with_movers(TRUE, WALKS, "patrols")
     assert world.movers is not None and (world.threat[TRUE.free] == 0).all()
     assert [mover.hit for mover in world.movers.members] == TRUE.threat[TRUE.threat > 0].tolist()
-    joined = mrac.with_movers(TRUE, WALKS).threat[TRUE.free].astype(float)
+    joined = mrac.with_movers(TRUE, WALKS, "joined").threat[TRUE.free].astype(float)
     assert joined.mean() == pytest.approx(TRUE.threat[TRUE.free].mean(), rel=0.05) and joined.std() < 0.01
 
 

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oracle_strategy import best_of_one_robot
+from oracle_strategy import best_of_one_robot, best_that_comes_home
 from oracle_tree import closed_loop_exact
 
 import mrac_jax as mrac
 from analysis.checking.report import report
 from analysis.cli.app import run
 from analysis.evaluation.report import report as evaluation_report
+from analysis.evaluation.words import rest_words
 from analysis.kit.folder import as_text
 from analysis.report.face import print_report
 from analysis.theory import single
@@ -23,6 +24,7 @@ from analysis.theory.any_strategy import any_strategy, value_bound
 from analysis.theory.flow import ROUNDS, Dual, Programme, Row, Spend, certified, flow_bound, most_stopped
 from analysis.theory.nodes import contract
 from analysis.theory.optimum import optimum
+from analysis.theory.reachable import trimmed, within
 from analysis.theory.ways import missing_ways, way_within
 from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.rollouts.engine import Rolling, make_engine
@@ -288,6 +290,38 @@ def test_of_a_range_the_bound_knows_what_is_too_far() -> None:
     assert (
         "% on average with this team on this map (proven; of the range it knows only which cells are too far)" in said
     )
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_of_robots_that_come_home_the_bound_knows_the_way_home(seed: int) -> None:
+    """Above the optimum of a robot that comes home, also recharged, to its start or a base elsewhere; and it is less
+    than that of a robot that stays where it ends, where cells are too far to come home from.
+    """
+    world, draw = tiny_world(seed, 2, 4), np.random.default_rng(seed)
+    free = [tuple(cell) for cell in np.argwhere(world.accessible([[0, 0]])).tolist()]
+    for bases in ([(0, 0)], [free[int(draw.integers(len(free)))], (0, 0)]):
+        for moves, recharge in ((2, None), (3, None), (2, 3), (4, 1), (5, None)):
+            home = "home" if bases == [(0, 0)] else tuple(bases)
+            settings = Settings(range=moves, return_to=home, recharge=recharge)
+            plan = allocated_plan(world, [[0, 0]], settings)
+            best, can = best_that_comes_home(world, moves, bases, recharge is not None)
+            assert {tuple(cell) for cell in np.argwhere(within(world, plan)).tolist()} == can
+            assert best <= any_strategy(trimmed(world, plan), [[0, 0]]).cells + 1e-9
+            assert closed_loop_exact(make_plan(world, [[0, 0]], settings), world).visited <= best + 1e-9
+
+
+def test_what_is_too_far_to_come_home_from_is_not_in_the_bound() -> None:
+    """Seven safe cells, moves for four: the third cell is the last from which a robot comes home, charged or not."""
+    world = World.create([[0.0, 0.1, 0, 0, 0, 0, 0]])
+    for recharge in (None, 2):
+        plan = mrac.plan(world, 1, range=4, return_to="home", recharge=recharge)
+        answer = mrac.evaluate(world, plan, rollouts=64)
+        assert 2.7 < answer.bounds.least.cells <= 3
+        assert answer.rest is not None
+        said = next(iter(rest_words(answer, answer.rest)))
+        assert "4 accessible cells (57.1 %) are too far for any robot to visit and come home" in said
+    ends = mrac.evaluate(world, mrac.plan(world, 1, range=4), rollouts=64)
+    assert 4.4 < ends.bounds.least.cells <= 5
 
 
 def test_check_says_the_optimum_of_a_tiny_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -109,13 +109,13 @@ def evaluate(
 
     def work(tell: Progress, doing: Doing) -> Evaluation:
         doing("planning")
-        made = plan_of(world, plan) if state is None else _rest(world, state)
+        of, made = plan_of(world, plan) if state is None else (world, _rest(world, state))
         choices = RolloutChoices(
             loop=loop or made.usual_loop, **amount, exact=exact, mode=mode, luck=luck_of(luck, mode), engine=engine,
             seed=seed,
             deadline=deadline, first_only=first_visit,
         )  # fmt: skip
-        return evaluate_plan(world, made, choices, bound=bound, progress=tell, doing=doing, **asked)
+        return evaluate_plan(of, made, choices, bound=bound, progress=tell, doing=doing, **asked)
 
     return ask(work, progress, on_interrupt)
 
@@ -183,9 +183,9 @@ def compare(
             raise UsageError(argument(name, side), expected="(world, plan), a World and a plan for it")
 
     def make(side: tuple[World, Plan | str | Path | int | None], loop: Loop | None) -> Side:
-        plan = plan_of(*side)
+        world, plan = plan_of(*side)
         choices = RolloutChoices(loop=loop or plan.usual_loop, **amount, luck=luck, engine=engine, seed=seed)
-        return make_side(side[0], plan, choices)
+        return make_side(world, plan, choices)
 
     def work(tell: Progress, doing: Doing) -> Comparison:
         doing("planning")
@@ -215,6 +215,6 @@ def check(
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine)
 
     def work(tell: Progress, doing: Doing) -> MapCheck:
-        return check_input(world, plan_of(world, plan), choices, tell, bound)
+        return check_input(*plan_of(world, plan), choices, tell, bound)
 
     return ask(work, progress, on_interrupt)

@@ -57,13 +57,13 @@ def record(
     count = as_whole(rollouts) if picks else 0
 
     def work(tell: Progress, doing: Doing) -> Recorded:
-        given = plan_of(world, plan)
+        of, given = plan_of(world, plan)
         made = not given.is_foreign
-        seconds = world.with_pace(step_seconds).pace.seconds or 1.0
+        seconds = of.with_pace(step_seconds).pace.seconds or 1.0
         how: Any = {"loop": loop or given.usual_loop, "seed": seed, "step_seconds": seconds, "made": made}
         request = Request(chosen, picks, count, **how)
-        done = record_rollouts(world, given, request, path, progress=tell)
-        write_layout(layout_name(done.path), world, len(given.robots))
+        done = record_rollouts(of, given, request, path, progress=tell)
+        write_layout(layout_name(done.path), of, len(given.robots))
         return done
 
     return ask(work, progress, on_interrupt)
@@ -109,4 +109,4 @@ def export(
     from analysis.exporting.mission import make_mission
 
     form = choose_format(Path(out), to)
-    return write(make_mission(world, plan_of(world, plan), altitude, speed), Path(out), form)
+    return write(make_mission(*plan_of(world, plan), altitude, speed), Path(out), form)

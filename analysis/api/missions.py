@@ -36,7 +36,7 @@ def mission(
     """
     from analysis.driving.outlook import DrivenMission
 
-    made = plan_of(world, plan)
+    world, made = plan_of(world, plan)
     if isinstance(state, str | Path) and Path(state).suffix == ".json":
         return DrivenMission.resume(state, world, made, patience=patience, gain=gain)
     if state is not None:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from analysis.inputs import load_world, plan_from_state
 from planner.arguments import argument
 from planner.errors import UsageError
-from planner.plan_team import plan_team, read_plan
+from planner.plan_team import plan_team, read_plan_on
 from planner.plans.plan import Plan
 from planner.plans.state import MissionState
 from planner.plans.state_traces import read_state
@@ -178,10 +178,10 @@ def check_world(world: object) -> None:
         raise UsageError(argument("world", world), expected="a World, as mrac_jax.load makes one")
 
 
-def plan_of(world: World, given: Plan | str | Path | int | None) -> Plan:
-    """A plan, the one in a file, or a new one (for so many robots)."""
+def plan_of(world: World, given: Plan | str | Path | int | None) -> tuple[World, Plan]:
+    """A plan, the one in a file, or a new one (for so many robots); and the world that it is for (`read_plan_on`)."""
     check_world(world)
     if isinstance(given, Plan):
         given.require(world)
-        return given
-    return read_plan(given, world) if isinstance(given, str | Path) else plan(world, given)
+        return world, given
+    return read_plan_on(given, world) if isinstance(given, str | Path) else (world, plan(world, given))

@@ -68,6 +68,6 @@ def layers_of(
 
 
 def _to_do(rest: Rest) -> CellLayer:
-    about = "Green: to do; grey: visited before; violet: too far for the moves of any robot."
+    about = f"Green: to do; grey: visited before; violet: {rest.too_far}."
     return CellLayer("What is to do", about, rest.kinds.astype(np.float64), KINDS, norm=Normalize(0, len(NAMES) - 1),
                      names=NAMES, short="To do")  # fmt: skip

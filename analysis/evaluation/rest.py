@@ -21,12 +21,14 @@ class Rest:
 
     Attributes:
         kinds: int64 `[H, W]`, of accessible cells: TO_DO; BEFORE, visited in the state; BEYOND, further than any robot
-            alive has moves for. step: of the state; None: it is the whole mission.
+            alive has moves for, there and, of robots that come home, back. returns: they come home.
+        step: of the state; None: it is the whole mission.
         limited: there is a range. ended: robots at the end of theirs in the nominal run.
         pace: how long a step takes, if that is known.
     """
 
     kinds: NDArray[np.int64]
+    returns: bool
     step: int | None
     limited: bool
     ended: int
@@ -37,6 +39,11 @@ class Rest:
         """Of the section and the picture."""
         parts = [] if self.step is None else [f"Going on from {self.pace.step(self.step)}"]
         return ", ".join([*parts, *["what the range leaves" if parts else "What the range leaves"] * self.limited])
+
+    @property
+    def too_far(self) -> str:
+        """What makes a cell too far, for sentences."""
+        return "too far for any robot to visit and come home" if self.returns else "too far for the moves of any robot"
 
 
 NAMES = ("to do", "visited before", "too far")
@@ -56,4 +63,5 @@ def rest_of(world: World, plan: Plan) -> Rest | None:
         kinds.reshape(-1)[plan.state.visited] = BEFORE
     made = [int((np.diff(robot.path) != 0).sum()) for robot in plan.robots]
     ended = 0 if moves is None else sum(own >= most for own, most in zip(made, moves, strict=True))
-    return Rest(kinds, None if plan.state is None else plan.state.step, moves is not None, ended, world.pace)
+    step = None if plan.state is None else plan.state.step
+    return Rest(kinds, plan.comes_home, step, moves is not None, ended, world.pace)

@@ -210,10 +210,11 @@ def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
         )
     if rest.limited:
         beyond = int((kinds == BEYOND).sum())
-        far = "Every accessible cell is near enough for the moves of some robot."
+        whom = "some robot to visit and come home" if rest.returns else "the moves of some robot"
+        far = f"Every accessible cell is near enough for {whom}."
         if beyond:
             many = counted(beyond, "accessible cell")
-            far = f"{many} ({share(beyond, cells)}) are too far for the moves of any robot."
+            far = f"{many} ({share(beyond, cells)}) {'is' if beyond == 1 else 'are'} {rest.too_far}."
         yield far
         if plan.comes_home:
             return

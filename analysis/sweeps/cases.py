@@ -1,13 +1,15 @@
 """What a sweep runs: a case (world, team, plan), a model (how it is rolled out), and the key of the two together.
 
 The key of a run is a hash of content: the threats, the starts, what the plan follows from, the model, its seed and the
-version of the semantics. Names of files, labels, the number of rollouts, the engine, and the machine are not in it.
+version of the rules that it follows. Names of files, labels, the number of rollouts, the engine, and the machine are
+not in it.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
@@ -17,15 +19,17 @@ from numpy.typing import NDArray
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.worlds import Generated, Written
 from planner.errors import InputError, UsageError
-from planner.plan_team import plan_team, read_plan
+from planner.plan_team import plan_team, read_plan_on
 from planner.plans.plan import Plan
+from planner.rules import BEFORE, RELEASES, rules_of
 from planner.settings import Choices, Settings
 from planner.worlds.generate import Kind
+from planner.worlds.moving import as_before
 from planner.worlds.starts import check_same_team, place_starts
 from planner.worlds.world import World, check_starts
 
-SEMANTICS = 1
-"""Version of what a rollout means (docs/spec.md). It is in every key: results of two versions never mix."""
+RULES = "rules"
+"""The label of runs whose rules an earlier release had otherwise (`planner.rules`), and of those of that release."""
 REMEMBERED = 4
 """Worlds that `Places` keeps: the next case is mostly another team in the same one."""
 Label = str | int | float | bool | None
@@ -84,7 +88,9 @@ def labels_of(case: Case, team: Team, model: RolloutChoices) -> dict[str, Label]
     """What a run is found by: the case's labels, the number of robots, how it is rolled out."""
     checks = "first_visit" if model.first_only else "every_visit"
     drawn: dict[str, Label] = {"loop": model.loop, "mode": model.drawn, "threat_checks": checks}
-    return dict(case.labels) | {"robots": len(team.starts)} | drawn | {"rollout_seed": model.seed}
+    told = dict(case.labels) | {"robots": len(team.starts)} | drawn | {"rollout_seed": model.seed}
+    rules = _rules(team, model)
+    return told if rules == BEFORE else told | {RULES: RELEASES[rules]}
 
 
 def generated_case(
@@ -106,12 +112,22 @@ class Places:
 
     def __init__(self) -> None:
         self._world = lru_cache(REMEMBERED)(lambda where: where.world())
-        self._plan = lru_cache(REMEMBERED)(lambda path, where: read_plan(path, self._world(where)))
+        self._plan = lru_cache(REMEMBERED)(lambda path, where: read_plan_on(path, self._world(where)))
 
     def team(self, case: Case) -> Team:
         """The case's world, starts and settings. Raises InputError naming the case."""
+        return self._checked(case, lambda world: world)
+
+    def earlier_key(self, case: Case, model: RolloutChoices) -> str | None:
+        """The key of the run as releases before 0.4 made it; None where their rules for it are today's."""
+        team = self.team(case)
+        if _rules(team, model) == BEFORE:
+            return None
+        return run_key(self._checked(case, as_before), model, BEFORE)
+
+    def _checked(self, case: Case, of: Callable[[World], World]) -> Team:
         try:
-            team = self._team(case)
+            team = self._team(case, of)
             team.world.check_alike("a sweep")
             team.settings.check_alike("a sweep")
             team.settings.check_team(len(team.starts))
@@ -119,10 +135,10 @@ class Places:
         except InputError as error:
             raise naming(error, case.name) from error
 
-    def _team(self, case: Case) -> Team:
-        world: World = self._world(case.world)
+    def _team(self, case: Case, of: Callable[[World], World]) -> Team:
+        world: World = of(self._world(case.world))
         if case.plan is not None:
-            return self._planned(case, world)
+            return self._planned(case)
         if case.starts is not None:
             if case.robots not in (None, len(case.starts)):
                 raise UsageError(f"{case.robots} robots and {len(case.starts)} starts", fix="leave robots out")
@@ -137,18 +153,26 @@ class Places:
         settings = case.choices.settings(world.team.settings, world.pace, case.name, by=world.source)
         return Team(world, starts, settings)
 
-    def _planned(self, case: Case, world: World) -> Team:
-        plan: Plan = self._plan(case.plan, case.world)
+    def _planned(self, case: Case) -> Team:
+        world, plan = self._plan(case.plan, case.world)
         if case.robots not in (None, len(plan.robots)) or case.starts is not None or case.choices.given():
             expected = f"its own {len(plan.robots)} robots, starts and settings"
             raise UsageError(f"{case.plan} with other robots, starts or settings", expected=expected)
         return Team(world, plan.starts, plan.settings or Settings(), plan)
 
 
-def run_key(team: Team, model: RolloutChoices) -> str:
-    """The identity of a run: sha256, as 64 hex digits, of all that its rollouts follow from. Cheap: nothing planned."""
+def _rules(team: Team, model: RolloutChoices) -> int:
+    return rules_of(team.world, team.settings, closed=model.loop == "closed")
+
+
+def run_key(team: Team, model: RolloutChoices, rules: int | None = None) -> str:
+    """The identity of a run: sha256, as 64 hex digits, of all that its rollouts follow from. Cheap: nothing planned.
+
+    `rules`: the version that it follows; None: today's for such a team (`planner.rules.rules_of`), so that runs which
+    no change of the rules concerns keep their keys.
+    """
     drawn = {"loop": model.loop, "first_only": model.first_only, "seed": model.seed, "mode": model.drawn}
-    said = {"semantics": SEMANTICS, "team": team.identity, "model": drawn}
+    said = {"semantics": rules or _rules(team, model), "team": team.identity, "model": drawn}
     return hashlib.sha256(canonical(said).encode()).hexdigest()
 
 

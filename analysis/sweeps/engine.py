@@ -16,13 +16,14 @@ from itertools import groupby
 from analysis.kit.pool import Pool, wanted_processes
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices
-from analysis.sweeps.cases import Case, Places, Team, labels_of, run_key
+from analysis.sweeps.cases import RULES, Case, Places, Team, labels_of, run_key
 from analysis.sweeps.store.ranges import cut
 from analysis.sweeps.store.store import Store
 from analysis.sweeps.tasks import RunResult, Stream, Task, Wanted, run_task, run_tasks
 from planner.errors import UsageError
 from planner.limits import BLOCK, MOST_ROLLOUTS
 from planner.luck_names import LuckName
+from planner.rules import BEFORE, RELEASES
 
 SHARE = 16_384
 """Rollouts of a model in one task on a map of at most 400 cells; fewer on larger ones, where each takes longer."""
@@ -82,13 +83,17 @@ class Done:
 
 @dataclass(frozen=True)
 class Finished:
-    """How a sweep ended: jobs finished, rollouts run and reused, seconds; `partial`: interrupted."""
+    """How a sweep ended: jobs finished, rollouts run and reused, seconds; `partial`: interrupted.
+
+    `earlier`: runs that the store holds by the rules of an earlier release too, which are left alone.
+    """
 
     jobs: int
     rollouts: int
     reused: int
     seconds: float
     partial: bool = False
+    earlier: int = 0
 
 
 class Swept(Answer):
@@ -198,6 +203,7 @@ class _Run:
     jobs: int = 0
     rollouts: int = 0
     reused: int = 0
+    earlier: int = 0
 
     def tasks(self, jobs: Iterable[Job]) -> Iterator[Task]:
         """The tasks of one job after the other; a job that lacks nothing is finished on the spot."""
@@ -216,7 +222,10 @@ class _Run:
                 yield Task(job.case, team, part, ticket)
 
     def _wanted(self, job: Job, team: Team, model: RolloutChoices) -> Wanted:
-        key = run_key(team, model)
+        key, before = run_key(team, model), self.places.earlier_key(job.case, model)
+        if before is not None and self.store.held(before):
+            self.earlier += 1
+            self.store.label(before, {RULES: RELEASES[BEFORE]})
         missing = self.store.missing(key, 0, job.rollouts)
         held = job.rollouts - sum(stop - start for start, stop in missing)
         if held:
@@ -246,7 +255,8 @@ class _Run:
 
     def finished(self, partial: bool = False) -> Finished:
         """How it ended."""
-        return Finished(self.jobs, self.rollouts, self.reused, time.perf_counter() - self.clock, partial)
+        seconds = time.perf_counter() - self.clock
+        return Finished(self.jobs, self.rollouts, self.reused, seconds, partial, self.earlier)
 
 
 def share_of(team: Team) -> int:

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from analysis.report.answer import Answer
-from analysis.sweeps.cases import Label, shown
+from analysis.sweeps.cases import RULES, Label, shown
+from analysis.sweeps.older import EARLIER, MAP_LABELS, Older, is_older, older_note
 from analysis.sweeps.pooled import Part, complete, map_of, moments_over, part_of, single_over
 from analysis.sweeps.rows import Row
 from analysis.sweeps.store.store import Run, Store
@@ -15,8 +16,6 @@ from planner.arguments import argument, check_word
 from planner.errors import UsageError
 from planner.shown import counted
 
-MAP_LABELS = ("map", "rollout_seed")
-"""Labels that tell the maps of a setting apart; all others tell settings apart."""
 MOST_VALUES = 8
 
 Where = dict[str, tuple[str, ...]]
@@ -59,7 +58,8 @@ def parse_where(texts: Iterable[str]) -> Where:
 
 def select(store: Store, where: Where) -> Iterator[Run]:
     """The runs with rollouts whose labels have one of the values wanted."""
-    for run in store.runs():
+    older = Older(store)
+    for run in map(older.labelled, store.runs()):
         fits = all(name in run.what and shown(run.what[name]) in values for name, values in where.items())
         if fits and run.sums is not None:
             yield run
@@ -75,13 +75,19 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
     seen = labels_of(store, where)
     for name in by:
         check_word("by", name, seen)
-    wanted = list(by) or [name for name, values in seen.items() if name not in MAP_LABELS and len(values) > 1]
-    pooled = tuple(n for n, values in seen.items() if len(values) > 1 and n not in (*wanted, *MAP_LABELS))
+    # Rules tell settings apart only where some are of an earlier release, and are then never averaged.
+    apart = EARLIER in seen.get(RULES, ())
+    varying = [n for n, values in seen.items() if len(values) > 1 and n not in MAP_LABELS and (n != RULES or apart)]
+    wanted = list(dict.fromkeys([*by, RULES] if apart else by)) if by else varying
+    pooled = tuple(name for name in varying if name not in wanted)
     groups: dict[tuple[Label, ...], Group] = {}
+    homes, older = dict[str, bool](), Counter[bool | None]()
     for run in select(store, where):
+        if RULES not in run.what and not run.facts.get("rules"):
+            older[is_older(run, store, homes)] += 1
         group = groups.setdefault(tuple(run.what.get(name) for name in wanted), {})
         group.setdefault(map_of(run), []).append(part_of(run, pooled))
-    notes = _pooled_notes(seen, wanted, pooled)
+    notes = _pooled_notes(seen, wanted, pooled) + older_note(older[True], older[None])
     rows, runs = [], 0
     for place in sorted(groups, key=lambda values: [_order(value) for value in values]):
         labels, group = dict(zip(wanted, place, strict=True)), _in_order(groups[place])

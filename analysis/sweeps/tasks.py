@@ -23,6 +23,7 @@ from planner.limits import BLOCK
 from planner.luck_names import LuckName
 from planner.plans.plan import Plan
 from planner.policies import DEFAULT
+from planner.rules import NOW
 from planner.settings import BEARING, Settings
 from planner.tally import Tally
 
@@ -227,9 +228,9 @@ def facts_of(team: Team, plan: Plan, most: int | None = None) -> Json:
     `exact`: of the open loop, in cells, steps and robots; None what is not known. `ideal_team`: SPEC
     section 7, cells; None where robots wear or differ, and where threats move.
     `most`: T_max, if it is known.
-    `longest`: steps that a run of either loop takes at most; stores of earlier releases lack it. `deadline`: only where
-    it, not the step limit, cuts runs off; stores of earlier releases lack it. Where a job asks for exact values, its
-    runs' facts have `closed_loop` too (`exact_means`).
+    `rules`: the latest of the release that made it; `longest`: steps that a run of either loop takes at most;
+    `deadline`: only where it, not the step limit, cuts runs off; stores of earlier releases lack all three. Where a job
+    asks for exact values, its runs' facts have `closed_loop` too (`exact_means`).
     """
     from analysis.theory.bounds import ideal_team
     from analysis.theory.exact import open_loop_exact
@@ -258,6 +259,7 @@ def facts_of(team: Team, plan: Plan, most: int | None = None) -> Json:
         "ideal_team": ideal_team(threat, robots) if ideal else None,
         "makespan": plan.makespan,
         "longest": longest_run(world, plan, "closed", most),
+        "rules": NOW,
         "nominal": {"outcome": plan.outcome, "time": plan.time, "shares": plan.shares},
         **({"deadline": plan.settings.deadline} if plan.settings and plan.ends_by_deadline else {}),
     }

@@ -205,10 +205,11 @@ def end_at_home(
     calls = ends & near & any_bit(lanes.alive | lanes.returning)
     lanes = jax.lax.cond(calls.any(), lambda now: _call_home(tables, now, calls), lambda now: now, lanes)
     late = jnp.where(lanes.step >= tables.max_steps, jnp.int32(Outcome.STEP_LIMIT), NONE)
-    late = jnp.where(any_bit(lanes.unharmed), late, jnp.int32(Outcome.ALL_ROBOTS_LOST))
     assert lanes.returning is not None
     away = any_bit(lanes.returning)
     outcome = jnp.where((lanes.outcome == NONE) | away, late, lanes.outcome)
+    # All robots may be lost on the way home too, whatever ended the mission.
+    outcome = jnp.where(any_bit(lanes.unharmed), outcome, jnp.int32(Outcome.STOPPED))
     return lanes, ends, jnp.where((outcome != NONE) & (lanes.unvisited == 0), jnp.int32(Outcome.COMPLETE), outcome)
 
 

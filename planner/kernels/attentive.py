@@ -270,22 +270,20 @@ def go(t, p, s, w, log, how, robot, step, cell):
 
 @rare_kernel
 def learn(t, p, s, w, log, how, ids):
-    """At the end of a step: what robots see, and what follows; 1 if somebody got an area, else 0; NONE: no room."""
+    """At the end of a step: what robots see, and what follows; 1 if the map changed, else 0; NONE: no room."""
     count, fresh = learns_of(t, s, w, how, ids)
-    got = 0
     if fresh and len(p.view_begin) > 0:
         s.marks[CHANGES] += 1  # areas would show less: what is kept of offers is void
     if count == 0:
         return 0
-    if not revise(t, s, w, log, count):
-        got = NONE
+    got = 1 if revise(t, s, w, log, count) else NONE  # a map update is progress
     unsettle(s)
     for robot in range(len(s.robots)):
         if got == NONE or not has_area(s.robots, robot):
             continue
         if s.areas[s.robots[robot, AREA], LEFT_IN] == 0:
             more = allocate_next(t, p, s, w, log, robot, np.bool_(False))
-            got = NONE if more == NONE else got | more
+            got = NONE if more == NONE else got
         elif is_lost(s, w, robot):
             aim(t, s, w, how, robot)
     forget_news(w, count)

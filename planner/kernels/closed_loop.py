@@ -24,6 +24,7 @@ from planner.none import NO_AREA
 from planner.plans.plan import Area, Plan
 from planner.plans.state import MissionState
 from planner.roaming import check_counters
+from planner.rules import BEFORE, rules_of
 from planner.tally import Outcome, RolloutResults, Tally, tally_key
 from planner.trace import EventKind, Trace
 from planner.worlds.doubt import Uncertain
@@ -106,6 +107,8 @@ def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool, state
         "max_steps": problem.max_steps,
         "first_only": first_only,
     }
+    if (rules := rules_of(problem.world, problem.settings)) != BEFORE:
+        said["rules"] = rules
     if problem.value is not None:
         said["value"] = problem.value.tolist()
     if state is not None:

@@ -11,7 +11,7 @@ from planner.jit import kernel, rare_kernel
 from planner.kernels.afford import affords, comes_home
 from planner.kernels.areas import costs_from, make_lowest
 from planner.kernels.bits import ONE, holds, lowest_bit
-from planner.kernels.follow import dearer, is_before, offer_of, refuses
+from planner.kernels.follow import is_before, offer_of, refuses
 from planner.kernels.nearest import searches
 from planner.kernels.own import own
 from planner.kernels.radio import hears
@@ -85,8 +85,9 @@ def is_too_far_from_home(t, p, s, w, robot, here, target, offer, refusing):
     if not refusing:
         return False
     way = t.home_cost[t.home_of[robot]]
-    cost = offer.cost + max(way[target] - way[here], 0)
-    return refuses(p, Offer(offer.level, cost, offer.unvisited, offer.entry, offer.value, offer.beyond))
+    cost, shown = offer.cost + max(way[target] - way[here], 0), offer.frontier
+    left, entry, more = offer.unvisited, offer.entry, offer.surcharge
+    return refuses(p, Offer(offer.level, cost, left, entry, offer.value, offer.beyond, shown, more))
 
 
 @kernel
@@ -220,14 +221,6 @@ def first_ranked(t, p, s, w, costs, robot, here, best, target, first, refusing):
     return best, target, first, all_seen
 
 
-@kernel
-def own_cost(t, p, s, robot, area, first):
-    """The cost of the way to an area that was offered so: `offer_of` makes the same offer of it."""
-    if len(t.type_of) == 0 or area == NONE:
-        return first.cost
-    return first.cost - dearer(t, p, s, robot, area)
-
-
 @rare_kernel
 def first_area(t, p, s, w, robot, its_own, refusing):
     """(area, target, cost) of the first unassigned area that the robot can reach, area NONE if there is none.
@@ -236,7 +229,7 @@ def first_area(t, p, s, w, robot, its_own, refusing):
     """
     best, target, first = np.int64(NONE), np.int64(NONE), offer_of(t, p, s, robot, 0, FAR)
     if (s.marks[OPEN] == 0 and its_own == NONE) or not hears(t, s, robot):
-        return best, target, own_cost(t, p, s, robot, best, first)
+        return best, target, first.cost
     here = np.int64(s.robots[robot, CELL])
     costs = costs_from(t, s, w, robot)
     if its_own != NONE:  # its target stays the same on the way there, until it is visited, or costs are others
@@ -257,20 +250,20 @@ def first_area(t, p, s, w, robot, its_own, refusing):
     if len(t.foremost) > 0:
         best, target, first, all_seen = first_ranked(t, p, s, w, costs, robot, here, best, target, first, refusing)
         if all_seen:
-            return best, target, own_cost(t, p, s, robot, best, first)
+            return best, target, first.cost
     level = least_open(p, s)
     mixed = len(t.type_of) > 0 and s.marks[OPEN] > 0  # levels of areas are in the order of nobody's own
     for further in range(2):
         # First by bounds from the tables alone; cells are looked at only of what may still go before.
         for closely in range(2):
             if is_below(t, p, s, here, first, best, np.int64(0) if mixed else level + further):
-                return best, target, own_cost(t, p, s, robot, best, first)
+                return best, target, first.cost
             best, target, first, unseen = first_among(
                 t, p, s, w, costs, robot, here, further, closely, best, target, first, refusing
             )
             if not unseen:
                 break
-    return best, target, own_cost(t, p, s, robot, best, first)
+    return best, target, first.cost
 
 
 @rare_kernel

@@ -19,7 +19,7 @@ from planner.errors import PlanError
 from planner.jit import OF_THIS_PROCESS, UNCOUNTED, kernel, rare_kernel
 from planner.kernels.handed import Handed
 from planner.kernels.own import own, own_level
-from planner.kernels.state import BEGIN, DEAD, DOING, END, FAR, LEFT_IN, LEVEL, SEEN, VISITED
+from planner.kernels.state import BEGIN, DEAD, DOING, END, LEFT_IN, LEVEL, SEEN, VISITED
 from planner.kernels.tables import Tables
 from planner.mrac.problem import Problem
 from planner.policies import RULES
@@ -148,7 +148,7 @@ def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables) -> P
 
 def _check_order(policy: Policy) -> None:
     """Raise PlanError for an order that is not arithmetic."""
-    offer = typeof(Offer(*map(np.int64, (0, 1, 1, 1, 1, 0, 0))))
+    offer = typeof(Offer(*map(np.int64, (0, 1, 1, 1, 1, 0, 0, 0))))
     try:
         is_before.compile((Handed(typeof(policy)), offer, offer, types.boolean))  # type: ignore[attr-defined]
     except NumbaError as error:
@@ -174,15 +174,14 @@ def value_left(p, s, area):
 def offer_of(t, p, s, robot, area, cost):
     """An area as the rule sees it, its target being at this cost from the robot."""
     level, left = own_level(t, robot, s.areas[area, LEVEL]), np.int64(s.areas[area, LEFT_IN])
-    if len(t.type_of) > 0 and cost < FAR:
-        cost += dearer(t, p, s, robot, area)
     value = value_left(p, s, area) if len(p.value) > 0 else left
     shown = frontier(p, s, area) if len(p.view_begin) > 0 else np.int64(0)
-    return Offer(level, np.int64(cost), left, p.entry[level], value, np.int64(p.beyond), shown)
+    more = surcharge(t, p, s, robot, area) if len(t.type_of) > 0 else np.int64(0)
+    return Offer(level, np.int64(cost), left, p.entry[level], value, np.int64(p.beyond), shown, more)
 
 
 @rare_kernel
-def dearer(t, p, s, robot, area):
+def surcharge(t, p, s, robot, area):
     """How much less a robot alive of another type would pay for the area's cells to do."""
     level = np.int64(s.areas[area, LEVEL])
     mine = least = p.entry[own_level(t, robot, level)]

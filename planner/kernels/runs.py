@@ -60,6 +60,7 @@ from planner.kernels.state import (
     IDLE,
     LANDING,
     LAST,
+    LAST_UPDATE,
     LEFT,
     LEFT_IN,
     NEXT,
@@ -224,17 +225,16 @@ def set_right(t, s, w, log, how, robot):
 
 @rare_kernel
 def learn(t, s, w, log, how, ids):
-    """At the end of a step: what robots see, and what follows; 1 if somebody got an area, else 0; NONE: no room."""
+    """At the end of a step: what robots see, and what follows; 1 if the map changed, else 0; NONE: no room."""
     count, _ = learns_of(t, s, w, how, ids)
-    got = 0
     if count == 0:
         return 0
-    if not revise(t, s, w, log, count):
-        got = NONE
+    # A map update is progress (SPEC section 15): robots without an area look again in the next step.
+    got = 1 if revise(t, s, w, log, count) else NONE
     for robot in range(len(s.robots)):
         if got != NONE and has_area(s.robots, robot):
             more = set_right(t, s, w, log, how, robot)
-            got = NONE if more == NONE else got | more
+            got = NONE if more == NONE else got
     forget_news(w, count)
     return got
 
@@ -257,7 +257,18 @@ def is_over(t, s):
         return COMPLETE
     if s.marks[ALIVE] == 0:
         return ALL_ROBOTS_LOST
-    return NO_PROGRESS if s.marks[QUIET] >= t.limits[QUIET_STEPS] else NONE
+    return NO_PROGRESS if s.marks[QUIET] >= t.limits[QUIET_STEPS] and not awaits_update(t, s) else NONE
+
+
+@rare_kernel
+def awaits_update(t, s):
+    """Whether a robot that can move waits for an announced phase that changes the map."""
+    if s.marks[STEP] + 1 >= t.limits[LAST_UPDATE]:
+        return False
+    able = np.uint64(0)
+    for word in range(len(s.movers)):
+        able |= s.movers[word] | s.waiting[word]
+    return able != 0
 
 
 @kernel
@@ -273,8 +284,10 @@ def end_of(t, s, how, step):
 def end_at_home(t, s, how, step):
     """The same where robots come home."""
     over = s.marks[OVER] - 1
-    if over == NONE or is_away(s):
-        over = ALL_ROBOTS_LOST if s.marks[ALIVE] == 0 else STEP_LIMIT if step >= how.max_steps else NONE
+    if s.marks[ALIVE] == 0:  # on the way home too, whatever ended the mission
+        over = ALL_ROBOTS_LOST
+    elif over == NONE or is_away(s):
+        over = STEP_LIMIT if step >= how.max_steps else NONE
     if over == NONE:
         return over
     count_home(t, s)

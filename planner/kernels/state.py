@@ -43,9 +43,9 @@ MOST_PASSES = 8
 """Survived visits of a cell that are told apart; what further ones add to a chance to detect is bounded
 (`analysis.evaluation.outputs.value`)."""
 
-NEAR, WIDE, PATIENCE, GOAL, LAST_STEP, RECHARGE, QUIET_STEPS, LIMITS = range(8)
+NEAR, WIDE, PATIENCE, GOAL, LAST_STEP, RECHARGE, QUIET_STEPS, LAST_UPDATE, LIMITS = range(9)
 """`Tables.limits` of searches, the cells that can truly be visited, when robots know that the mission ends, steps
-that they are charged, and steps without progress that end a run."""
+that they are charged, steps without progress that end a run, and the step of the last announced map update."""
 
 
 class Tables(NamedTuple):
@@ -70,7 +70,8 @@ class Tables(NamedTuple):
         limits: int64 `[LIMITS]`. NEAR: cells that a search passes before it is one for what is far; WIDE: as of
             `SafeParts`; PATIENCE: searches from a cell before its costs to all are kept. GOAL: cells that count.
             LAST_STEP: by which robots that come home are to be there; RECHARGE: steps until they have their range
-            again, 0: they do not. QUIET_STEPS: steps in a row without progress after which a run ends.
+            again, 0: they do not. QUIET_STEPS: steps in a row without progress after which a run is stuck, unless an
+            announced phase that changes the map begins later: LAST_UPDATE is the step of the last one, 0: none.
         truths: int16 `[M, A]`, level of each cell in each map that may be true, NONE of an obstacle, of robots that
             learn it; belief: int16 `[A]`, what they believe before the first step; price: int64 `[L]`, cost of entering
             a cell of each level; in_view: like near, what is seen from each cell, from `view_begin` int64 `[A + 1]` on

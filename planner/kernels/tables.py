@@ -13,12 +13,16 @@ from planner.kernels.all_pairs import all_pairs, to_areas
 from planner.kernels.state import (
     GOAL,
     LAST_STEP,
+    LAST_UPDATE,
+    LIMITS,
     MOST_CELLS,
     MOVER_WORDS,
     NEAR,
+    PATIENCE,
     QUIET_STEPS,
     RANKED,
     RECHARGE,
+    WIDE,
     WORD,
     Tables,
 )
@@ -145,7 +149,7 @@ def make_tables(
     if problem.home is not None:
         tables.limits[[LAST_STEP, RECHARGE]] = problem.home.last, problem.settings.recharge or 0
     if unknown is not None:  # a search passes all that is near enough to matter: nothing is far
-        tables.limits[[NEAR, GOAL]] = len(cells), unknown.accessible.sum()
+        tables.limits[[NEAR, GOAL, LAST_UPDATE]] = len(cells), unknown.accessible.sum(), unknown.last_update
     return tables
 
 
@@ -292,6 +296,9 @@ def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: typ
     parts = find_safe_parts(near[: len(entry)], entry)
     node = np.append(parts.node, np.int32(NO_CELL)) if len(entry) else parts.node
     kind_cost, kind, counts = np.unique(entry, return_inverse=True, return_counts=True)
+    limits = np.zeros(LIMITS, dtype=np.int64)
+    limits[[NEAR, WIDE, GOAL]] = NEAR_CELLS, parts.wide, len(near)
+    limits[PATIENCE] = ASKED_BEFORE if len(near) >= MOST_CELLS else 0
     return {
         "node": node,
         "beside": parts.begin[: len(node)],
@@ -299,9 +306,7 @@ def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: typ
         "kind": kind.astype(narrow),
         "kind_cost": kind_cost,
         "kind_begin": np.cumsum(counts) - counts,
-        "limits": np.array(
-            [NEAR_CELLS, parts.wide, ASKED_BEFORE if len(near) >= MOST_CELLS else 0, len(near), 0, 0, 0]
-        ),
+        "limits": limits,
     }
 
 

@@ -54,6 +54,13 @@ class Lessons:
             self.odds[at] = self.evidence.stop if stopped else added(self.odds[at], -self.evidence.survival[at])
             self._happened.add(cell)
 
+    def last_update(self, accessible: NDArray[np.bool_]) -> int:
+        """The step from which the last announced phase holds that changes p of an accessible cell `[N]`; 0: none."""
+        if self.phases is None or not self.phases.told:
+            return 0
+        maps = self.phases.threats.reshape(len(self.phases.begins), -1)[:, accessible]
+        return int(self.phases.begins[1:][(maps[1:] != maps[:-1]).any(axis=1)].max(initial=0))
+
     def at_end(self, step: int, world: World, held: Iterable[int]) -> Seen:
         """p of cells by what is known at the end of the step; no obstacle where robots are, `held`."""
         told: Seen = {}

@@ -92,6 +92,7 @@ class Mission:
         self.world, self._plan = world, plan
         self._fleet = Fleet(problem, areas, recorder=recorder, state=plan.state)
         self._fleet.gain = self.gain
+        self._fleet.last_update = self._lessons.last_update(problem.levels.accessible)
         robots = len(self._fleet.robots)
         self._borne = list(plan.state.exposures) if plan.state is not None else [0] * robots
         self._waits, self._reports = [0] * robots, Reports(self._fleet)
@@ -273,12 +274,14 @@ class Mission:
         self._reports.clear()
         self._orders = None
         changed = surprises(self.world, seen)
+        known = fleet.problem.levels.accessible
         if len(changed) and held and fleet.step < self.last_step:
             world = seen_world(self.world, seen, self.given)
             state, got = learned_state(self.state, world, changed, self.settings)
             self._go_on(world, allocated_plan(replace(world, doubt=None), state.starts, self.settings, state=state))
-            # what a person reports may be what all were waiting for
-            self._fleet.progress = fleet.progress or got or not reported.keys().isdisjoint(changed.tolist())
+            # A map update is progress, as in a simulated run (SPEC section 15).
+            known = known | self._fleet.problem.levels.accessible
+            self._fleet.progress = fleet.progress or got or bool(known[changed].any())
             self.seen |= {cell: seen[cell] for cell in changed.tolist()}
         self._fleet.end_step()
 

@@ -60,7 +60,8 @@ class Learning(Executive):
             if self.seen is not None:
                 self.changes += not self.seen[cells].all()
                 self.seen[cells] = True
-            self.believe(cells, self.found(cells))
+            # A map update is progress: a robot without an area looks again in the next step.
+            self.progress |= self.believe(cells, self.found(cells))
         super().end_step()
 
     def looked_at(self) -> NDArray[np.int64]:
@@ -75,13 +76,13 @@ class Learning(Executive):
         assert self.truth is not None
         return self.truth[cells]
 
-    def believe(self, cells: NDArray[np.integer], levels: NDArray[np.int16]) -> None:
-        """From now on robots believe these cells to be of these levels, NO_LEVEL: an obstacle."""
+    def believe(self, cells: NDArray[np.integer], levels: NDArray[np.int16]) -> bool:
+        """From now on robots believe these cells to be of these levels, NO_LEVEL: an obstacle. True: any is new."""
         news = cells[self.belief[cells] != levels].astype(np.int64)
         self.belief[cells] = levels
         live = np.array([robot.cell for robot in self.robots if robot.alive], dtype=np.int64)
         if len(news) == 0 or len(live) == 0:
-            return
+            return False
         legs = {robot.number: self._leg(robot) for robot in self.robots if robot.on_its_way}
         ways = {robot.number: robot.ahead for robot in self.robots}
         self.problem = self.problem.believing(self.belief, live)
@@ -104,6 +105,7 @@ class Learning(Executive):
             elif robot.status is Doing.RETURNING and self.problem.home is not None:
                 robot.ahead = self.problem.home.way(robot.number, robot.cell)[::-1]
                 robot.status = Doing.RETURNING if robot.ahead else Doing.DONE  # cut off
+        return True
 
     # --- (2): what leaves its area ---
 

@@ -94,11 +94,11 @@ def offer_of(board: Board, robot: Robot, number: int, cost: int) -> Offer:
     area, problem = board.areas[number], board.problem
     value = area.unvisited if problem.value is None else int(problem.value[board.to_do(number)].sum())
     level, shown = problem.level_for(robot.number, area.level), frontier(board, number)
-    entry = int(problem.entry[level])
-    if board.rule.attentive and problem.own is not None:  # what a robot alive of another type would pay less
+    entry, surcharge = int(problem.entry[level]), 0
+    if board.rule.attentive and problem.own is not None:
         levels = (problem.level_for(other.number, area.level) for other in board.robots if other.alive)
-        cost += area.unvisited * (entry - min((int(problem.entry[level]) for level in levels), default=entry))
-    return Offer(level, cost, area.unvisited, entry, value, problem.beyond, shown)
+        surcharge = area.unvisited * (entry - min((int(problem.entry[level]) for level in levels), default=entry))
+    return Offer(level, cost, area.unvisited, entry, value, problem.beyond, shown, surcharge)
 
 
 def frontier(board: Board, number: int) -> int:

@@ -68,6 +68,7 @@ class Executive(Board):
         self.split, self.recorder = split, recorder
         self.step, self.quiet, self.bisected, self.divided, self.progress = NOT_BEGUN, 0, 0, 0, False
         self.over: Outcome | None = None
+        self.last_update = 0 if problem.unknown is None else problem.unknown.last_update
         if state is not None:
             self.set_back_to(state)
             self.step, self.quiet, self.next_move = state.step, state.quiet, state.step + 1
@@ -95,10 +96,11 @@ class Executive(Board):
         """How the run ends after this step; None if it goes on."""
         if self.problem.home is None:
             over = self._over()
-        elif self.over is not None and not any(robot.status is Doing.RETURNING for robot in self.robots):
-            over = self.over
+        elif not any(robot.alive for robot in self.robots):
+            over = Outcome.STOPPED
         else:
-            over = None if any(robot.alive for robot in self.robots) else Outcome.ALL_ROBOTS_LOST
+            away = any(robot.status is Doing.RETURNING for robot in self.robots)
+            over = None if away else self.over
         if over is None and self.step >= max_steps:
             over = Outcome.STEP_LIMIT
         return over if over is None or self.unvisited else Outcome.COMPLETE
@@ -109,10 +111,14 @@ class Executive(Board):
             return Outcome.COMPLETE
         if not any(robot.alive for robot in self.robots):
             return Outcome.ALL_ROBOTS_LOST
-        if self.quiet >= STUCK_AFTER * max(self.problem.settings.paces, default=1):
+        if self.quiet >= STUCK_AFTER * max(self.problem.settings.paces, default=1) and not self._awaits_update():
             could = (robot.able and first_area(self, robot, refusing=False) for robot in self.robots)
             return Outcome.NOT_WORTH_THE_RISK if self._refuses() and any(could) else Outcome.NO_PROGRESS
         return None
+
+    def _awaits_update(self) -> bool:
+        """Whether a robot that can move waits for an announced phase that changes the map."""
+        return self.step + 1 < self.last_update and any(robot.able for robot in self.robots)
 
     def _refuses(self) -> bool:
         """Whether areas may be left that somebody could go to."""

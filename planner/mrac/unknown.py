@@ -58,6 +58,14 @@ class Unknown:
         differ = (self.truths != self.belief)[:, self.within]
         return (not self.looks or self.knowledge.sense.range > 0) and bool(differ.any())
 
+    @cached_property
+    def last_update(self) -> int:
+        """The step from which the last announced phase holds that changes a level which robots know of; 0: none."""
+        if self.phases is None:
+            return 0
+        changes = (self.truths[1:] != self.truths[:-1])[:, self.within].any(axis=1)
+        return int(self.phases.begins[1:][changes].max(initial=0))
+
     @property
     def dearest(self) -> ThreatLevels:
         """Every cell that may be reached at the highest level that it may have."""

@@ -22,7 +22,7 @@ from planner.shown import html_of, text_of
 from planner.tally import Outcome
 from planner.worlds.world import EXAMPLE, World
 
-FORMAT, VERSION = "mrac-plan", 1
+FORMAT, VERSION = "mrac-plan", 2
 MOST_SHOWN = 12
 """Robots of a plan that it shows of itself."""
 

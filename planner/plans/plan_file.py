@@ -49,7 +49,12 @@ def load_plan(path: str | Path, world: World) -> Plan:
 
     Source: SPEC section 9. Cost: linear in the file and the map.
     """
-    return parse_plan(read_json(Path(path), MAX_PLAN_BYTES, PlanError, "a plan file (JSON)"), world, str(path))
+    return parse_plan(read_plan_json(path), world, str(path))
+
+
+def read_plan_json(path: str | Path) -> object:
+    """The JSON of a plan file. Raises PlanError."""
+    return read_json(Path(path), MAX_PLAN_BYTES, PlanError, "a plan file (JSON)")
 
 
 def parse_plan(data: object, world: World, source: str) -> Plan:
@@ -112,8 +117,8 @@ def _own_plan(top: Key, world: World) -> Plan:
     """A plan in the project's own format: version, map, settings, paths with legs, areas, nominal outcome."""
     keys = top.mapping(("version", "world", "robots"), ("settings", *PARTS, *LATER, *BORNE), strict=False)
     version = keys["version"].number(whole(1))
-    if version != VERSION:
-        raise keys["version"].wrong(f"version {VERSION}", "update mrac-jax" if version > VERSION else REMAKE)
+    if version > VERSION:
+        raise keys["version"].wrong(f"version 1 to {VERSION}", "update mrac-jax")
     check_map(keys["world"], world, "plan for", f"give the map that it was made for, or {REMAKE}")
     entries = [robot.mapping(("path",), ("legs",), strict=False) for robot in _team(keys["robots"])]
     if "settings" not in keys or keys["settings"].value is None:

@@ -17,6 +17,8 @@ class Offer(NamedTuple):
         beyond: more than any C where cells have a value, 0 where they have none: areas worth nothing go last.
         frontier: F, cells that nobody has seen and that would be seen from its cells to do, where robots learn the map
             as they drive and the rule looks ahead; else 0.
+        surcharge: what covering its cells to do costs more than for the robot type in the team that pays least for
+            them (SPEC section 22); 0 where all robots are of one type. It counts in C, not in d.
     """
 
     level: Any
@@ -26,8 +28,9 @@ class Offer(NamedTuple):
     value: Any
     beyond: Any
     frontier: Any = 0
+    surcharge: Any = 0
 
 
 def price(offer: Offer) -> Any:
-    """C = d + (u - 1) w: what it costs to go there and enter every cell to do (SPEC section 11)."""
-    return offer.cost + (offer.unvisited - 1) * offer.entry
+    """C = d + (u - 1) w: what it costs to go there and enter every cell to do (SPEC section 11), and the surcharge."""
+    return offer.cost + (offer.unvisited - 1) * offer.entry + offer.surcharge

@@ -58,10 +58,12 @@ class Movers:
 
     Attributes:
         own: float32 `[H, W]`, what the cells themselves stop a robot with; NaN = obstacle. members: the movers.
+        by_default: nobody said which of them robots plan on (`plan_on`), and the choice matters: some have no route.
     """
 
     own: NDArray[np.float32]
     members: tuple[Mover, ...]
+    by_default: bool = False
 
     @property
     def said(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -17,25 +17,34 @@ from planner.worlds.quantities import CHANCE
 from planner.worlds.world import World
 
 AT, STAYS = "[row, col], whole numbers", "a chance to stay, 0 to 1"
-JOINED = "joined"
-PLAN_ON = (JOINED, "patrols", "own")
+PlannedOn = Literal["patrols", "joined", "own"]
+PLAN_ON: tuple[PlannedOn, ...] = get_args(PlannedOn)
+PATROLS, JOINED, OWN = PLAN_ON
+"""Robots plan on p joined with where the moving threats that have a route are in the long run, the default; with where
+all moving threats are, the default before release 0.4; on p alone."""
+DEFAULT = (
+    "`plan_on` is not given: robots plan on the moving threats that have a route (patrols); before release 0.4 they "
+    "planned on all of them, which `plan_on: joined` still does"
+)
+"""The note on a scenario that leaves `plan_on` out."""
 THREATS = "threats"
 """The h of walkers that are the threats of the map itself."""
 
 
-def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_on: str = JOINED) -> World:
+def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_on: PlannedOn | None = None) -> World:
     """The world with threats that move beside its own.
 
     Args:
         movers: each with the keys that a scenario has: `{"walk": 0.2, "h": 0.3, "count": 6}`, or
             `{"patrol": [[0, 0], [0, 1]], "h": 1}`; `{"walk": 0.5, "h": "threats"}`: a walker of each dangerous
             cell, with its p, which leaves it.
-        plan_on: "joined": robots plan on p joined with where movers are in the long run; "patrols": with where those
-            are that have a route; "own": on p alone.
+        plan_on: "patrols": robots plan on p joined with where movers that have a route are in the long run; "joined":
+            with where all movers are; "own": on p alone. None: "patrols" ("joined" before release 0.4).
 
     Raises WorldError for movers that are none, for a world that is not known, or has types of robots.
     """
-    check_word("plan_on", plan_on, PLAN_ON, WorldError, world.source)
+    chosen = PATROLS if plan_on is None else plan_on
+    check_word("plan_on", chosen, PLAN_ON, WorldError, world.source)
     check_alone(world, "movers")
     members: list[Mover] = []
     own = world.threat
@@ -48,17 +57,31 @@ def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_
             own = np.where(world.free, np.float32(0), np.float32(np.nan))
         else:
             members += _read_each(given, world)
-    found = checked(Movers(own, tuple(members)), world.source)
-    told = [one for one in members if plan_on == JOINED or (one.patrols and plan_on != "own")]
-    return replace(world, threat=found.joined(told, world.source), doubt=found)
+    by_default = plan_on is None and not all(one.patrols for one in members)
+    found = checked(Movers(own, tuple(members), by_default), world.source)
+    return _planned_on(replace(world, doubt=found), found, chosen)
+
+
+def _planned_on(world: World, movers: Movers, plan_on: PlannedOn) -> World:
+    told = [one for one in movers.members if plan_on == JOINED or (one.patrols and plan_on == PATROLS)]
+    return replace(world, threat=movers.joined(told, world.source), doubt=movers)
+
+
+def as_before(world: World) -> World:
+    """The world as releases before 0.4 made it: where nobody said what robots plan on, with `plan_on` "joined"."""
+    if world.movers is None or not world.movers.by_default:
+        return world
+    return _planned_on(world, replace(world.movers, by_default=False), JOINED)
 
 
 def read_movers(key: Key, plan_on: Key | None, world: World) -> World:
     """The world of a scenario with `movers: [{walk: s | patrol: [[r, c], ...], start, h, count}, ...]`, `plan_on`."""
     items = key.items("a list of movers, each {walk or patrol, h}")
     members = [one for item in items for one in ([item.value] if _is_of_the_map(item) else _read_each(item, world))]
+    chosen: Any = None if plan_on is None else plan_on.choice(PLAN_ON)
     with key.naming():
-        return with_movers(world, members, JOINED if plan_on is None else plan_on.choice(PLAN_ON))
+        found = with_movers(world, members, chosen)
+    return replace(found, notes=(*found.notes, DEFAULT)) if plan_on is None else found
 
 
 def _is_of_the_map(key: Key) -> bool:

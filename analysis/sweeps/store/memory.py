@@ -65,6 +65,9 @@ class Memory(Store):
     def runs(self) -> Iterator[Run]:
         return (run for key in list(self._held) if (run := self.run(key)) is not None)
 
+    def labels(self) -> Iterator[dict[str, Label]]:
+        return (held.what for held in self._held.values())
+
     def label(self, key: str, what: Mapping[str, Label]) -> None:
         self._held[key].what = dict(sorted((dict(what) | self._held[key].what).items()))
 

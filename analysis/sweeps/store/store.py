@@ -123,6 +123,12 @@ class Store:
             for row in self._connection.execute(f"{_RUNS} ORDER BY rowid"):
                 yield self._run(row)
 
+    def labels(self) -> Iterator[dict[str, Label]]:
+        """The labels of all runs."""
+        with told(self.path, write=False):
+            for row in self._connection.execute(_RUNS):
+                yield self._said(row)[0]
+
     def label(self, key: str, what: Mapping[str, Label]) -> None:
         """Let a run be found by these labels too; those that it has stay as they are."""
         for row in self._rows(f"{_RUNS} WHERE key = ?", key):
