@@ -201,7 +201,7 @@ def test_elevation_scenarios_refuse_what_makes_no_sense(tmp_path: Path) -> None:
         ({"elevation": "dem.npy", "max_slope_deg": 91}, "91"),
         ({"elevation": "dem.npy", "resolution": -1}, "resolution` is -1"),
         ({"elevation": "gone.npy"}, "no such file"),
-        ({"elevation": "inf.npy"}, "elevation is inf at [0, 0]"),
+        ({"elevation": "inf.npy"}, "no elevation at all: 24 pixels of inf"),
         ({"elevation": "nan.npy"}, "no elevation at all"),
         ({"elevation": "builtin:jacksborough"}, "did you mean 'builtin:jacksboro'"),
         ({"elevation": "builtin:jacksboro", "resolution": 5}, "resolution"),

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from planner.worlds.grid import Ground
 from planner.worlds.keys import Key
+from planner.worlds.physical import AMOUNTS, PROBABILITIES
 from planner.worlds.points import COLUMNS, read_points
 from planner.worlds.polygons import read_polygons, rings_of
 from planner.worlds.quantities import DETECT, VALUE, Quantity, first_of
@@ -62,7 +63,8 @@ def _everywhere(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
 def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     """A raster on the map's pixels, or on the cells, of the numbers themselves: values are amounts, and add up."""
     key = keys["raster"]
-    raster, free, pixels = raster_on(key, ground, "sum" if of is VALUE else "average")
+    how, meaning = ("sum", AMOUNTS) if of is VALUE else ("average", PROBABILITIES)
+    raster, free, pixels = raster_on(key, ground, how, meaning)
     values = np.where(free, raster.values, 0.0)
     wrong = ~((values >= 0) & (values <= of.numbers.most))
     if wrong.any():

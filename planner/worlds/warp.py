@@ -23,11 +23,21 @@ SQUARE = 1e-6
 
 
 class Band(NamedTuple):
-    """A raster as it is in its file, north up: float64 `[H, W]` (NaN = no data), its edges and CRS, or None."""
+    """A raster as it is in its file, north up.
+
+    Attributes:
+        values: float64 `[H, W]`, physical values; NaN = no data.
+        bounds: its edges in its CRS; None where the file does not say. crs: None where it names none.
+        points: ground control points that its pixels are placed by; (): they fill the bounds evenly.
+        notes: what reading did that a user should know. voids: undeclared ones, in words.
+    """
 
     values: NDArray[np.float64]
     bounds: Bounds | None
     crs: Any
+    points: tuple[Any, ...] = ()
+    notes: tuple[str, ...] = ()
+    voids: str = ""
 
 
 def side_of_pixels(shortest: float, cell_size: float | None) -> float:
@@ -54,6 +64,19 @@ def edges_in(bounds: Bounds, crs: Any, target: str, source: str) -> Bounds:
     return edges
 
 
+def suggested(band: Band, target: str, unit: float, source: str) -> tuple[Bounds, tuple[float, float]]:
+    """Where a raster placed by control points lies in the CRS `target`, of `unit` metres: edges, sides of its pixels.
+
+    Both in metres, (left, bottom, right, top) and (height, width); the sides keep the diagonal. Raises MapError.
+    """
+    rasterio = rasterio_for("another coordinate reference system", source)
+    height, width = band.values.shape
+    with no_way(band.crs, target, source):
+        grid, cols, rows = rasterio.warp.calculate_default_transform(band.crs, target, width, height, gcps=band.points)
+    left, top, side = unit * grid.c, unit * grid.f, unit * grid.a
+    return (left, top - rows * side, left + cols * side, top), (side, side)
+
+
 def lay_over(band: Band, frame: Frame, place: Georeference, how: How, source: str) -> NDArray[np.float64]:
     """The raster on the pixels of `frame`, float64 `[H, W]`; NaN where it does not reach, or has no data.
 
@@ -66,8 +89,9 @@ def lay_over(band: Band, frame: Frame, place: Georeference, how: How, source: st
     rows, cols = band.values.shape
     a, b, c, d, e, f = affine(frame, place)
     laid = np.empty(frame.shape)
+    evenly = rasterio.Affine((right - left) / cols, 0, left, 0, (bottom - top) / rows, top)
     keys = {
-        "src_transform": rasterio.Affine((right - left) / cols, 0, left, 0, (bottom - top) / rows, top),
+        **({"gcps": band.points} if band.points else {"src_transform": evenly}),
         "src_crs": band.crs, "src_nodata": math.nan, "dst_crs": place.crs, "dst_nodata": math.nan,
     }  # fmt: skip
     for start in range(0, frame.shape[1], STRIP):
