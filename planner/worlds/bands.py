@@ -17,7 +17,7 @@ from planner.worlds.georeference import rasterio_for
 from planner.worlds.grid import Bounds
 from planner.worlds.images import plausible
 from planner.worlds.physical import HEIGHTS, NO_UNIT, Meaning, Said, Unit, edited, physical, plain
-from planner.worlds.warp import Band
+from planner.worlds.warp import Band, span
 
 EXACT = 0.1
 """Pixels that control points may lie off a north-up grid that is then taken for their place, without resampling."""
@@ -48,7 +48,7 @@ def read_band(path: Path, of: Meaning) -> Band:
         crs, vertical = _split(data.crs or data.gcps[1] or _crs_beside(path, data, rasterio), path, rasterio)
         said = _said(data, vertical, path)
         numbers = data.read(1, masked=True)
-        bounds, points, notes = _place(data, crs, path, rasterio)
+        bounds, points, notes = _place(data, crs, path)
         if not data.transform.is_identity and data.transform.e > 0:  # stored south-up
             numbers = numbers[::-1]
     values, more, voids = physical(np.ma.getdata(numbers), ~np.ma.getmaskarray(numbers), said, of, str(path))
@@ -91,9 +91,9 @@ def _split(crs: Any, path: Path, rasterio: Any) -> tuple[Any, Unit | None]:
     """
     if crs is None:
         return None, _vertical_beside(path)
-    parts = _bare(crs.to_dict(projjson=True))
-    parts = [_bare(part) for part in parts.get("components", [parts])]
-    upright = [axis for axis in parts[-1]["coordinate_system"]["axis"] if axis["direction"] in ("up", "down")]
+    whole = crs.to_dict(projjson=True)
+    parts = _bare(whole).get("components", [whole])
+    upright = [axis for axis in _bare(parts[-1])["coordinate_system"]["axis"] if axis["direction"] in ("up", "down")]
     if len(parts) > 1:
         crs = rasterio.crs.CRS.from_user_input(json.dumps(parts[0]))
     if not upright:
@@ -140,7 +140,7 @@ def _vertical_beside(path: Path) -> Unit | None:
     return Unit(*named) if named else Unit(f"1 / {many:g} m", 1 / many)
 
 
-def _place(data: Any, crs: Any, path: Path, rasterio: Any) -> Place:
+def _place(data: Any, crs: Any, path: Path) -> Place:
     """Where the band lies. Raises MapError for a place that is given in a way that is not read."""
     transform, (points, _) = data.transform, data.gcps
     if not transform.is_identity:
@@ -151,7 +151,7 @@ def _place(data: Any, crs: Any, path: Path, rasterio: Any) -> Place:
         bounds = (transform.c, bottom, right, top)
         return bounds, (), _without_crs(bounds, transform.a, path) if crs is None else ()
     if points:
-        return _by_points(points, crs, data.shape, path, rasterio)
+        return _by_points(points, crs, data.shape, path)
     for domain, (words, command) in UNPLACED.items():
         if data.tags(ns=domain):
             raise MapError(f"is placed by {words}, not read here", source=path, fix=f"warp it first ({command})")
@@ -167,7 +167,7 @@ def _without_crs(bounds: Bounds, side: float, path: Path) -> tuple[str, ...]:
     return ("its coordinates are taken for metres of a frame of its own: it names no CRS",)
 
 
-def _by_points(points: list[Any], crs: Any, shape: tuple[int, int], path: Path, rasterio: Any) -> Place:
+def _by_points(points: list[Any], crs: Any, shape: tuple[int, int], path: Path) -> Place:
     """The place that ground control points give: a north-up grid if they lie on one, else they are warped by."""
     at = np.array([[point.col, point.row, 1.0] for point in points])
     found = np.array([[point.x, point.y] for point in points])
@@ -175,12 +175,12 @@ def _by_points(points: list[Any], crs: Any, shape: tuple[int, int], path: Path, 
     if np.linalg.matrix_rank(at) < 3:
         raise MapError(f"is placed by {given}", source=path, expected="three or more, not in one line")
     if crs is None:
-        raise MapError("its ground control points name no CRS", source=path, fix="give them one (gdal_edit.py -a_srs)")
+        raise MapError("its ground control points name no CRS", source=path, fix="give them one (gdal_translate -a_srs)")
     height, width = shape
     (a, d), (b, e), (left, top) = np.linalg.lstsq(at, found, rcond=None)[0].tolist()
     left, top = left + b * height / 2, top + d * width / 2
     off = np.abs(at @ [[a, 0], [0, e], [left, top]] - found)
     if a > 0 > e and (off <= EXACT * np.array([a, -e])).all():
         return (left, top + height * e, left + width * a, top), (), (f"placed by its {given}, on a north-up grid",)
-    grid, cols, rows = rasterio.warp.calculate_default_transform(crs, crs, width, height, gcps=points)
-    return (grid.c, grid.f + rows * grid.e, grid.c + cols * grid.a, grid.f), tuple(points), (f"placed by its {given}",)
+    edges, _ = span(points, shape, crs, crs.to_string(), str(path))
+    return edges, tuple(points), (f"placed by its {given}",)

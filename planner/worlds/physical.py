@@ -129,13 +129,14 @@ def physical(raw: NDArray, known: NDArray[np.bool_], said: Said, of: Meaning, so
         problem = f"says that its values are {said.scale:g} * number + {said.offset:g}"
         raise MapError(problem, source=source, expected="a finite scale other than 0, and a finite offset")
     factor, unit_notes = _factor(said, of, source)
+    is_scaled = (said.scale, said.offset) != (1, 0)
     with np.errstate(over="ignore", invalid="ignore"):  # long doubles; infinite numbers
         numbers = raw.astype(np.float64)
-        scaled = numbers * said.scale + said.offset
-        values = scaled / (1 / factor)  # a percent is divided by 100, so that 7 % are 0.07 to the last bit
+        scaled = numbers * said.scale + said.offset if is_scaled else numbers
+        values = scaled / (1 / factor) if factor != 1 else scaled  # by 100 if percent: 7 % are 0.07 to the last bit
     void = known & _voids(raw, (numbers, scaled, values), said, of)
     notes = unit_notes
-    if (said.scale, said.offset) != (1, 0):
+    if is_scaled:
         added = f" + {said.offset:g}" if said.offset else ""
         notes = (f"as the file says, its values are {said.scale:g} * number{added}", *notes)
     return Physical(np.where(known & ~void, values, np.nan), notes, _describe(numbers[void], of, source))
@@ -172,21 +173,20 @@ def _unit_note(unit: str, size: float) -> tuple[str, ...]:
 
 def _voids(raw: NDArray, stages: tuple[NDArray[np.float64], ...], said: Said, of: Meaning) -> NDArray[np.bool_]:
     """bool `[H, W]`: numbers that stand for no data. `stages`: the file's numbers, scaled, and in the unit of `of`."""
-    numbers, _, values = stages
-    fill = FILL if of is HEIGHTS else (-999, *FILL)  # a sea may be 999 m deep
-    void = np.isin(numbers, said.fill)
-    for stage in stages:
-        void |= np.isin(stage, fill) | (np.abs(stage - FILL[0]) < NEAR)
-    void |= (np.abs(numbers) >= HUGE) & (np.abs(numbers) <= HUGEST)
-    if raw.dtype.kind in "iu" and not said.declared:
-        end = numbers == float(np.iinfo(raw.dtype).max)
-        if of is PROBABILITIES:
-            void |= end & (values > 1)
-        elif raw.dtype.itemsize > 1:
-            void |= end
+    numbers, scaled, values = stages
+    void = (np.abs(numbers) >= HUGE) & (np.abs(numbers) <= HUGEST)
+    fill = FILL if of is HEIGHTS else (*FILL, -999)  # a sea may be 999 m deep
+    for stage in {id(stage): stage for stage in (numbers, scaled, values)}.values():
+        low = stage < max(fill) + NEAR
+        if low.any():
+            void[low] |= np.isin(stage[low], fill) | (np.abs(stage[low] - FILL[0]) < NEAR)
+    if raw.dtype.kind in "iu" and not said.declared and (raw.dtype.itemsize > 1 or of is PROBABILITIES):
+        void |= numbers == float(np.iinfo(raw.dtype).max)
     if of is HEIGHTS:
         void |= (values < LOWEST) | (values > HIGHEST)
-    return void
+    if of is PROBABILITIES:
+        void &= (values < 0) | (values > 1)
+    return void | np.isin(numbers, said.fill)
 
 
 def _describe(numbers: NDArray[np.float64], of: Meaning, source: str) -> str:

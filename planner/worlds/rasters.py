@@ -17,7 +17,7 @@ from planner.worlds.georeference import Georeference, degree_sides, same_crs, ut
 from planner.worlds.grid import Bounds, Frame, Ground
 from planner.worlds.physical import PROBABILITIES, Meaning, Said, physical
 from planner.worlds.quantities import CELL_SIZE, COORDINATE
-from planner.worlds.warp import SQUARE, WORDS, Band, How, edges_in, lay_over, side_of_pixels, suggested
+from planner.worlds.warp import SQUARE, WORDS, Band, How, edges_in, lay_over, side_of_pixels, span
 from planner.worlds.world import MAX_CELLS
 
 GEO_SUFFIXES = (".tif", ".tiff", ".asc")
@@ -197,10 +197,11 @@ def _warped(
     """A raster on square pixels of a CRS, in metres, their edges whole multiples of their side.
 
     `where`: the CRS in words. `spans`: the raster's edges there and the sides of its pixels (height, width), both in
-    metres; None: as GDAL has them.
+    units of the CRS; None: as its control points have them.
     """
     unit = 1 / place.scale[0]
-    edges, sides = suggested(band, place.crs, unit, source) if spans is None else spans
+    found = span(band.points, band.values.shape, band.crs, place.crs, source) if spans is None else spans
+    edges, sides = (tuple(unit * length for length in lengths) for lengths in found)
     _check_sides(sides, source)
     side = side_of_pixels(min(sides), cell_size)
     near = np.array(edges) / side

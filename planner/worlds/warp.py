@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.worlds.georeference import Georeference, no_way, rasterio_for
+from planner.worlds.georeference import Georeference, no_way, rasterio_for, reproject
 from planner.worlds.grid import Bounds, Frame
 
 How = Literal["average", "sum", "bilinear", "nearest"]
@@ -18,6 +19,8 @@ always the nearest's to say."""
 WORDS: dict[How, str] = {"average": "averaged", "sum": "summed up", "bilinear": "linear", "nearest": "nearest"}
 STRIP = 32
 """Columns that are warped at a time: GDAL takes a stretch of a row for straight, up to an eighth of a pixel off."""
+LATTICE = 21
+"""Places a side of a raster that control points place, by which its edges are found."""
 SQUARE = 1e-6
 """Relative difference of a pixel's sides up to which it counts as square."""
 
@@ -64,17 +67,21 @@ def edges_in(bounds: Bounds, crs: Any, target: str, source: str) -> Bounds:
     return edges
 
 
-def suggested(band: Band, target: str, unit: float, source: str) -> tuple[Bounds, tuple[float, float]]:
-    """Where a raster placed by control points lies in the CRS `target`, of `unit` metres: edges, sides of its pixels.
+def span(
+    points: Sequence[Any], shape: tuple[int, int], crs: Any, target: str, source: str
+) -> tuple[Bounds, tuple[float, float]]:
+    """Where a raster `shape` that ground control points place lies in the CRS `target`, in its units.
 
-    Both in metres, (left, bottom, right, top) and (height, width); the sides keep the diagonal. Raises MapError.
+    Returns its edges (left, bottom, right, top), and the mean sides of a pixel (height, width). Raises MapError.
     """
     rasterio = rasterio_for("another coordinate reference system", source)
-    height, width = band.values.shape
-    with no_way(band.crs, target, source):
-        grid, cols, rows = rasterio.warp.calculate_default_transform(band.crs, target, width, height, gcps=band.points)
-    left, top, side = unit * grid.c, unit * grid.f, unit * grid.a
-    return (left, top - rows * side, left + cols * side, top), (side, side)
+    rows, cols = (ends.ravel() for ends in np.meshgrid(*(np.linspace(0, n, LATTICE) for n in shape), indexing="ij"))
+    with no_way(crs, target, source), rasterio.transform.GCPTransformer(points) as places:
+        found = np.stack(places.xy(rows.tolist(), cols.tolist(), offset="ul"), axis=-1)
+    found = reproject(found, crs.to_string(), target, source)
+    down, right, _ = np.linalg.lstsq(np.stack([rows, cols, np.ones(rows.shape)], axis=-1), found, rcond=None)[0]
+    (left, bottom), (east, top) = found.min(axis=0).tolist(), found.max(axis=0).tolist()
+    return (left, bottom, east, top), (float(np.hypot(*down)), float(np.hypot(*right)))
 
 
 def lay_over(band: Band, frame: Frame, place: Georeference, how: How, source: str) -> NDArray[np.float64]:
