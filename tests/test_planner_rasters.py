@@ -229,6 +229,8 @@ def test_a_map_of_probabilities_is_what_its_file_says(tmp_path: Path, number: fl
     assert world.detect == pytest.approx(np.full((4, 6), p))
     world = load_input(scenario(tmp_path, map="map.tif", hazard={"kind": "persistent", "q": 0.5, "h": "p.tif"}))
     assert world.threat == pytest.approx(np.full((4, 6), p / 2))
+    is_scaled = bool({"scale", "offset"} & said.keys())
+    assert is_scaled == any("* number" in note and note.startswith("hazard.h") for note in world.notes)
     world = load_input(scenario(tmp_path, map="map.tif", uncertain={"maps": ["p.tif", "map.tif"]}))
     assert world.threat == pytest.approx(np.full((4, 6), p / 2))
 
@@ -255,6 +257,7 @@ def test_doses_and_values_are_what_their_files_say(tmp_path: Path) -> None:
     says(tmp_path / "value.tif", dose, scale=0.5, offset=1, units="EUR")
     world = load_input(scenario(tmp_path, map="map.tif", value=[{"raster": "value.tif"}]))
     assert world.value is not None and world.value[0].tolist() == [51, 1, 1, 1, 1, 1]
+    assert "value[0]: its values are in EUR" in world.notes
 
 
 @pytest.mark.parametrize("units", ["mSv/h", "m", "dB", "bananas"])

@@ -175,7 +175,9 @@ def _by_points(points: list[Any], crs: Any, shape: tuple[int, int], path: Path) 
     if np.linalg.matrix_rank(at) < 3:
         raise MapError(f"is placed by {given}", source=path, expected="three or more, not in one line")
     if crs is None:
-        raise MapError("its ground control points name no CRS", source=path, fix="give them one (gdal_translate -a_srs)")
+        raise MapError(
+            "its ground control points name no CRS", source=path, fix="give them one (gdal_translate -a_srs)"
+        )
     height, width = shape
     (a, d), (b, e), (left, top) = np.linalg.lstsq(at, found, rcond=None)[0].tolist()
     left, top = left + b * height / 2, top + d * width / 2

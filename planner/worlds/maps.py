@@ -73,8 +73,8 @@ def _threat_raster(path: Path, cell_size: float | None) -> Grid:
 
 def _picture(path: Path) -> Grid:
     """A picture as a map; a world file beside it is not read, which a note says."""
-    grid, (first, *_, last) = image_grid(path), path.suffix[1:]
-    beside = (path.with_suffix(end) for end in (f".{first}{last}w", f"{path.suffix}w", ".wld"))
+    grid, suffix = image_grid(path), path.suffix
+    beside = (path.with_suffix(end) for end in (f".{suffix[1]}{suffix[-1]}w", f"{suffix}w", ".wld"))
     notes = (
         f"{one.name} beside it is not read: give `map: {{file: ..., resolution: ...}}`, or a GeoTIFF"
         for one in beside

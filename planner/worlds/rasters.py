@@ -201,10 +201,10 @@ def _warped(
     """
     unit = 1 / place.scale[0]
     found = span(band.points, band.values.shape, band.crs, place.crs, source) if spans is None else spans
-    edges, sides = (tuple(unit * length for length in lengths) for lengths in found)
+    edges, sides = unit * np.array(found[0]), (unit * found[1][0], unit * found[1][1])
     _check_sides(sides, source)
     side = side_of_pixels(min(sides), cell_size)
-    near = np.array(edges) / side
+    near = edges / side
     left, bottom, right, top = *np.floor(near[:2] + SQUARE), *np.ceil(near[2:] - SQUARE)
     height, width = int(top - bottom), int(right - left)
     _check_count(height, width, side, source)
