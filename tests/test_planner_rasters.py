@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +13,22 @@ import pytest
 import yaml
 
 from planner.errors import InputError, MapError, ScenarioError
-from planner.worlds.elevation import jacksboro
+from planner.worlds.elevation import jacksboro, read_elevation
 from planner.worlds.georeference import degree_sides
+from planner.worlds.physical import AMOUNTS
 from planner.worlds.rasters import read_raster, square_metres
 from planner.worlds.scenario import load_input
 
 
-def tif(path: Path, values: np.ndarray, transform: tuple[float, ...] = (), crs: str | None = None, **more: Any) -> Path:
-    """A GeoTIFF; `transform`: (pixel width, 0, left, 0, -pixel height, top)."""
+def tif(
+    path: Path,
+    values: np.ndarray,
+    transform: tuple[float, ...] = (),
+    crs: str | None = None,
+    edit: Callable[[Any], object] = id,
+    **more: Any,
+) -> Path:
+    """A GeoTIFF; `transform`: (pixel width, 0, left, 0, -pixel height, top); `edit`: sets what it says besides."""
     rasterio = pytest.importorskip("rasterio")
     affine = pytest.importorskip("affine")
     keys = {"height": values.shape[0], "width": values.shape[1], "count": 1, "dtype": values.dtype, "crs": crs} | more
@@ -31,6 +40,7 @@ def tif(path: Path, values: np.ndarray, transform: tuple[float, ...] = (), crs: 
         warnings.simplefilter("ignore")
         with rasterio.open(path, "w", driver="GTiff", **keys) as out:
             out.write(values, 1)
+            edit(out)
     return path
 
 
@@ -162,6 +172,253 @@ def test_a_tiny_tif_that_claims_to_be_huge(tmp_path: Path) -> None:
         read_raster(tmp_path / "a.tif")
 
 
+GRID = (10, 0, 500_000, 0, -10, 5_200_200)
+"""Pixels of 10 m in UTM zone 32."""
+US_FOOT = 1200 / 3937
+
+
+def says(path: Path, values: np.ndarray, **said: Any) -> Path:
+    """A GeoTIFF on GRID that says `scale`, `offset`, `units` or `tags` of its numbers; the rest as of `tif`."""
+    own = {name: said.pop(name) for name in ("scale", "offset", "units", "tags") if name in said}
+
+    def edit(out: Any) -> None:
+        out.scales, out.offsets = (own.get("scale", 1.0),), (own.get("offset", 0.0),)
+        out.units = (own.get("units", ""),)
+        out.update_tags(1, **own.get("tags", {}))
+
+    return tif(path, values, GRID, said.pop("crs", "EPSG:32632"), edit, **said)
+
+
+def scenario(folder: Path, **keys: Any) -> Path:
+    (folder / "s.yaml").write_text(yaml.safe_dump(keys))
+    return folder / "s.yaml"
+
+
+def bare(folder: Path) -> str:
+    """A map without threats on GRID."""
+    return tif(folder / "map.tif", np.zeros((4, 6), dtype=np.float32), GRID, "EPSG:32632").name
+
+
+def ramp(degrees: float, unit: float = 1.0) -> np.ndarray:
+    """Heights `[4, 6]` that rise eastwards by so many degrees, in units of so many metres."""
+    return np.tile(np.arange(6) * 10 * math.tan(math.radians(degrees)) / unit, (4, 1))
+
+
+@pytest.mark.parametrize(
+    ("number", "said", "p"),
+    [
+        (0, {"scale": 0.01, "offset": 0.05}, 0.05),
+        (51, {"scale": 1 / 255}, 0.2),
+        (7, {"units": "%"}, 0.07),
+        (70, {"units": "Percent", "scale": 0.1}, 0.07),
+        (20, {"units": "\u2030"}, 0.02),
+        (20, {"units": "0.001"}, 0.02),
+        (7, {"tags": {"units": "percent"}}, 0.07),
+        (0, {"units": "probability", "offset": 0.25}, 0.25),
+        (0.25, {"crs": "EPSG:32632+6360"}, 0.25),  # the unit of heights, which GDAL takes for the band's
+    ],
+)
+def test_a_map_of_probabilities_is_what_its_file_says(tmp_path: Path, number: float, said: dict, p: float) -> None:
+    """Scale, offset and unit: read everywhere where chances are."""
+    dtype = np.uint8 if isinstance(number, int) else np.float32
+    path = says(tmp_path / "p.tif", np.full((4, 6), number, dtype=dtype), **said)
+    assert (load_input(path).threat == np.float32(p)).all()
+    keys: dict[str, Any] = {"map": bare(tmp_path), "threats": [{"raster": "p.tif"}]}
+    assert (load_input(scenario(tmp_path, **keys)).threat == np.float32(p)).all()
+    world = load_input(scenario(tmp_path, map="map.tif", detect=[{"raster": "p.tif"}]))
+    assert world.detect == pytest.approx(np.full((4, 6), p))
+    world = load_input(scenario(tmp_path, map="map.tif", hazard={"kind": "persistent", "q": 0.5, "h": "p.tif"}))
+    assert world.threat == pytest.approx(np.full((4, 6), p / 2))
+    is_scaled = bool({"scale", "offset"} & said.keys())
+    assert is_scaled == any("* number" in note and note.startswith("hazard.h") for note in world.notes)
+    world = load_input(scenario(tmp_path, map="map.tif", uncertain={"maps": ["p.tif", "map.tif"]}))
+    assert world.threat == pytest.approx(np.full((4, 6), p / 2))
+
+
+def test_doses_and_values_are_what_their_files_say(tmp_path: Path) -> None:
+    """A rule counts in the raster's own unit, which a note names; values are amounts."""
+    dose = np.zeros((4, 6), dtype=np.int16)
+    dose[0, 0] = 100
+    says(tmp_path / "dose.tif", dose, scale=0.1, units="mSv/h")
+    rules = (
+        ({"kind": "exposure", "rate": 0.01}, -math.expm1(-0.1)),
+        ({"kind": "linear", "scale": 0.03}, 0.3),
+        ({"kind": "classes", "edges": [9.5, 50], "p": [0, 0.4, 0.8]}, 0.4),
+    )
+    for rule, p in rules:
+        path = scenario(tmp_path, map=bare(tmp_path), threats=[{"raster": "dose.tif", "rule": rule}])
+        world = load_input(path)
+        assert world.threat[0, 0] == pytest.approx(p) and not world.threat[1:].any()
+        assert any("mSv/h" in note for note in world.notes) and any("0.1 * number" in note for note in world.notes)
+    says(tmp_path / "percent.tif", dose, units="%")
+    rule = {"kind": "linear", "scale": 0.005}
+    path = scenario(tmp_path, map="map.tif", threats=[{"raster": "percent.tif", "rule": rule}])
+    assert load_input(path).threat[0, 0] == np.float32(0.5)  # of a rule, percent is a unit as any other
+    says(tmp_path / "value.tif", dose, scale=0.5, offset=1, units="EUR")
+    world = load_input(scenario(tmp_path, map="map.tif", value=[{"raster": "value.tif"}]))
+    assert world.value is not None and world.value[0].tolist() == [51, 1, 1, 1, 1, 1]
+    assert "value[0]: its values are in EUR" in world.notes
+
+
+@pytest.mark.parametrize("units", ["mSv/h", "m", "dB", "bananas"])
+def test_a_unit_that_is_not_understood_is_named(tmp_path: Path, units: str) -> None:
+    says(tmp_path / "p.tif", np.zeros((4, 6), dtype=np.float32), units=units)
+    for path in (tmp_path / "p.tif", scenario(tmp_path, map=bare(tmp_path), threats=[{"raster": "p.tif"}])):
+        with pytest.raises(
+            MapError, match=rf"p\.tif: its values are in '{units}', taken for probabilities; expected no"
+        ):
+            load_input(path)
+    if units != "m":
+        with pytest.raises(MapError, match=rf"'{units}', taken for heights; expected m, dm"):
+            load_input(scenario(tmp_path, map={"elevation": "p.tif"}))
+
+
+def test_packed_numbers_that_only_the_metadata_tell_of(tmp_path: Path) -> None:
+    """NetCDF's items, left by a converter that may have unpacked the numbers, or not: nobody knows."""
+    path = says(tmp_path / "p.tif", np.ones((4, 6), dtype=np.uint8), tags={"scale_factor": "0.1"})
+    with pytest.raises(MapError, match=r"scale_factor = 0\.1, its band the scale 1; .*gdal_edit"):
+        load_input(path)
+    path = says(tmp_path / "p.tif", np.ones((4, 6), dtype=np.uint8), scale=0.1, tags={"scale_factor": "0.1"})
+    assert (load_input(path).threat == np.float32(0.1)).all()
+    with pytest.raises(MapError, match=r"0 \* number"):
+        load_input(says(tmp_path / "p.tif", np.ones((4, 6), dtype=np.uint8), scale=0.0))
+
+
+@pytest.mark.parametrize(
+    ("said", "unit", "dtype"),
+    [
+        ({"scale": 0.1}, 0.1, np.int16),
+        ({"scale": 0.01, "offset": -100}, 0.01, np.int32),
+        ({"units": "US survey foot"}, US_FOOT, np.float32),
+        ({"units": "ft"}, 0.3048, np.float32),
+        ({"units": "feet", "scale": 0.5}, 0.1524, np.int16),
+        ({"units": "cm"}, 0.01, np.int32),
+        ({"units": "m a.s.l."}, 1.0, np.float32),
+        ({"crs": "EPSG:32632+6360"}, US_FOOT, np.float32),
+        ({"crs": "EPSG:32632+8228"}, 0.3048, np.float32),
+        ({"crs": "EPSG:32632+5703"}, 1.0, np.float32),
+        ({"crs": "EPSG:32632+5715"}, -1.0, np.float32),  # depths
+    ],
+)
+def test_heights_are_metres_before_slopes_are_taken(tmp_path: Path, said: dict, unit: float, dtype: type) -> None:
+    offset = said.get("offset", 0.0)
+    for degrees, free in ((20, 24), (45, 0)):
+        heights = ramp(degrees)
+        numbers = (heights - offset) / unit
+        numbers = np.rint(numbers) if np.dtype(dtype).kind == "i" else numbers
+        says(tmp_path / "dem.tif", numbers.astype(dtype), **said)
+        raster = read_elevation(tmp_path / "dem.tif")
+        assert raster.values == pytest.approx(heights, abs=0.51 * abs(unit) if np.dtype(dtype).kind == "i" else 1e-4)
+        path = scenario(tmp_path, map={"elevation": "dem.tif", "max_slope_deg": 28})
+        if free:
+            assert load_input(path).free.sum() == free
+        else:
+            with pytest.raises(MapError, match="every pixel of 10 m is steeper than 28 degrees"):
+                load_input(path)
+
+
+def test_units_of_heights_that_contradict_each_other_or_are_presumed(tmp_path: Path) -> None:
+    says(tmp_path / "dem.tif", ramp(20), crs="EPSG:32632+6360", units="m")
+    with pytest.raises(MapError, match="heights are in 'm', but its CRS counts heights in 'US survey foot'"):
+        read_elevation(tmp_path / "dem.tif")
+    tif(tmp_path / "dem.tif", ramp(20), (10, 0, 500, 0, -10, 900), "EPSG:2263")
+    assert any("CRS is in US survey foot" in note for note in read_elevation(tmp_path / "dem.tif").notes)
+
+
+@pytest.mark.parametrize(("zunits", "unit"), [("FEET", 0.3048), ("METERS", 1.0), ("100", 0.01), ("NO", 1.0)])
+def test_units_of_heights_in_an_old_prj(tmp_path: Path, zunits: str, unit: float) -> None:
+    pytest.importorskip("rasterio")
+    (tmp_path / "dem.asc").write_text(
+        "ncols 3\nnrows 2\nxllcorner 500000\nyllcorner 5000000\ncellsize 10\n0 5 9\n0 0 0\n"
+    )
+    (tmp_path / "dem.prj").write_text(
+        f"Projection UTM\nZone 32\nDatum WGS84\nZunits {zunits}\nUnits METERS\nParameters\n"
+    )
+    assert read_elevation(tmp_path / "dem.asc").values[0] == pytest.approx(np.array([0, 5, 9]) * unit)
+
+
+@pytest.mark.parametrize(
+    ("void", "dtype", "said"),
+    [
+        (-9999, np.float32, {}),
+        (-9999.9, np.float32, {}),
+        (-32768, np.int16, {}),
+        (32767, np.int16, {"scale": 0.1}),
+        (-9999, np.int16, {"scale": 0.1}),
+        (-9999 / 0.3048, np.float32, {"units": "ft"}),
+        (-3.4028234663852886e38, np.float32, {}),
+        (30_000, np.float32, {"units": "ft"}),  # 9,144 m
+        (9_001, np.float32, {}),
+        (-12_001, np.float32, {}),
+        (np.inf, np.float32, {}),
+        (4242, np.float32, {"tags": {"_FillValue": "4242"}}),
+    ],
+)
+def test_voids_that_no_file_declares_are_no_ground(tmp_path: Path, void: float, dtype: type, said: dict) -> None:
+    heights = np.zeros((4, 6), dtype=dtype)
+    heights[1:3, 2:5] = void
+    says(tmp_path / "dem.tif", heights, **said)
+    world = load_input(scenario(tmp_path, map={"elevation": "dem.tif", "max_slope_deg": 28}))
+    assert np.array_equal(world.free, heights == 0)
+    assert any(note.startswith("6 pixels of ") and "edit-info --nodata" in note for note in world.notes)
+    says(tmp_path / "dem.tif", heights, nodata=void, **said)
+    world = load_input(scenario(tmp_path, map={"elevation": "dem.tif", "max_slope_deg": 28}))
+    assert np.array_equal(world.free, heights == 0) and not any("6 pixels" in note for note in world.notes)
+
+
+def test_heights_that_are_none_of_these_stay(tmp_path: Path) -> None:
+    """The deepest sea, the highest mountain, and the largest number where another one is declared to be no data."""
+    numbers = np.array([[-10_935, 8_849, -999, 32767, -1]], dtype=np.int16)
+    says(tmp_path / "dem.tif", numbers, scale=0.1, nodata=-1)
+    raster = read_elevation(tmp_path / "dem.tif")
+    assert raster.values[0, :4] == pytest.approx(numbers[0, :4] / 10) and np.isnan(raster.values[0, 4])
+    says(tmp_path / "dem.tif", numbers[:, :3])
+    assert read_elevation(tmp_path / "dem.tif").values.tolist() == numbers[:, :3].tolist()
+
+
+def test_voids_of_arrays(tmp_path: Path) -> None:
+    np.save(tmp_path / "dem.npy", np.where(np.eye(4), -9999.0, 5.0))
+    world = load_input(scenario(tmp_path, map={"elevation": "dem.npy"}))
+    assert np.array_equal(world.free, np.eye(4) == 0)
+    assert any("4 pixels of -9999" in note and "write nan there" in note for note in world.notes)
+
+
+@pytest.mark.parametrize(
+    ("void", "dtype"), [(-9999, np.float32), (-32768, np.int16), (1e20, np.float64), (255, np.uint8)]
+)
+def test_voids_of_probabilities_are_unknown(tmp_path: Path, void: float, dtype: type) -> None:
+    """As a map they are obstacles; under a free cell of another map they are an error that counts them."""
+    p = np.zeros((4, 6), dtype=dtype)
+    p[0, :2] = void
+    path = says(tmp_path / "p.tif", p, scale=0.01)
+    world = load_input(path)
+    assert np.array_equal(world.free, p == 0) and any(note.startswith("2 pixels of ") for note in world.notes)
+    rules = ({}, {"rule": {"kind": "classes", "edges": [0.5], "p": [0.1, 0.2]}})
+    for rule in rules[: 1 if dtype is np.uint8 else 2]:  # 255 may be a class
+        path = scenario(tmp_path, map=bare(tmp_path), threats=[{"raster": "p.tif"} | rule])
+        with pytest.raises(
+            ScenarioError, match=r"p\.tif, which is nan \(no data\) at \[0, 0\] \(2 such cells\) \(2 pixels"
+        ):
+            load_input(path)
+
+
+def test_no_data_is_compared_before_numbers_are_scaled(tmp_path: Path) -> None:
+    numbers = np.array([[10, 20, 30]], dtype=np.uint8)
+    raster = read_raster(says(tmp_path / "p.tif", numbers, scale=0.01, nodata=20))
+    assert raster.values[0, [0, 2]].tolist() == [0.1, 0.3] and np.isnan(raster.values[0, 1])
+    raster = read_raster(says(tmp_path / "p.tif", numbers, scale=2, offset=-10, nodata=10), of=AMOUNTS)
+    assert np.isnan(raster.values[0, 0]) and raster.values[0, 1:].tolist() == [30, 50]  # 20 becomes 30, no data is 10
+
+
+def test_a_scale_that_a_file_beside_says(tmp_path: Path) -> None:
+    """GDAL's `.aux.xml`, of an `.asc`, which can hold none itself."""
+    pytest.importorskip("rasterio")
+    (tmp_path / "p.asc").write_text("ncols 2\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 10\n1 2\n3 4\n")
+    band = '<PAMRasterBand band="1"><UnitType>%</UnitType><Offset>3</Offset><Scale>0.5</Scale></PAMRasterBand>'
+    (tmp_path / "p.asc.aux.xml").write_text(f"<PAMDataset>{band}</PAMDataset>")
+    assert read_raster(tmp_path / "p.asc").values == pytest.approx(np.array([[0.035, 0.04], [0.045, 0.05]]))
+
+
 def test_without_rasterio_the_error_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.tif").write_bytes(b"II*\0")
     real = builtins.__import__
@@ -201,7 +458,7 @@ def test_elevation_scenarios_refuse_what_makes_no_sense(tmp_path: Path) -> None:
         ({"elevation": "dem.npy", "max_slope_deg": 91}, "91"),
         ({"elevation": "dem.npy", "resolution": -1}, "resolution` is -1"),
         ({"elevation": "gone.npy"}, "no such file"),
-        ({"elevation": "inf.npy"}, "elevation is inf at [0, 0]"),
+        ({"elevation": "inf.npy"}, "no elevation at all: 24 pixels of inf"),
         ({"elevation": "nan.npy"}, "no elevation at all"),
         ({"elevation": "builtin:jacksborough"}, "did you mean 'builtin:jacksboro'"),
         ({"elevation": "builtin:jacksboro", "resolution": 5}, "resolution"),

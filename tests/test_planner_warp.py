@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
+from PIL import Image
 from test_planner_rasters import tif
 
 from planner.errors import MapError, ScenarioError
@@ -147,3 +148,139 @@ def test_what_cannot_be_warped_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(MapError, match="after resampling to squares"):
         tif(tmp_path / "a.tif", np.zeros((1000, 2)), (1.0, 0, 10.0, 0, -0.00001, 50.0), "EPSG:4326")
         read_raster(tmp_path / "a.tif")
+
+
+def placed(path: Path, values: NDArray[Any], at: Any, crs: str | None, count: int = 5, **more: Any) -> Path:
+    """A GeoTIFF placed by `count` ground control points: `at(row, col)` is (x, y) in pixels from the upper left."""
+    control = pytest.importorskip("rasterio.control")
+    height, width = values.shape
+    spots = [(0, 0), (0, width), (height, 0), (height, width), (height / 2, width / 2)]
+    points = [control.GroundControlPoint(row, col, *at(row, col), 0.0) for row, col in spots[:count]]
+    return tif(path, values, crs=crs, gcps=points, **more)
+
+
+def test_control_points_on_a_north_up_grid_are_its_place(tmp_path: Path) -> None:
+    """Pixels of 10 m, and of 10 feet, are not resampled; degrees go to their zone as with a transform."""
+    p = np.zeros((6, 8), dtype=np.float32)
+    p[0, 0] = 0.1
+    for crs, unit in (("EPSG:32632", 1.0), ("EPSG:2263", 1200 / 3937)):
+        path = placed(tmp_path / "a.tif", p, lambda row, col: (500_000 + 10 * col, 200_000 - 10 * row), crs)
+        world = load_input(path)
+        assert np.array_equal(world.threat, p) and world.cell_size == pytest.approx(10 * unit)
+        assert world.to_xy(0) == pytest.approx(np.array([500_005, 199_995]) * unit)
+        assert any("5 ground control points" in note for note in world.notes)
+    place = PLACES["EPSG:32632"]
+    field = np.arange(60 * 80, dtype=np.float32).reshape(SHAPE)
+    step, west, north = place
+    by_points = placed(tmp_path / "b.tif", field, lambda row, col: (west + step * col, north - step * row), "EPSG:4326")
+    there = read_raster(degrees(tmp_path / "c.tif", field, *place), None, "bilinear")
+    raster = read_raster(by_points, None, "bilinear")
+    assert raster.frame is not None and there.frame is not None and raster.frame.size == pytest.approx(there.frame.size)
+    np.testing.assert_allclose(raster.values, there.values, atol=0.5)
+
+
+@pytest.mark.parametrize(
+    ("crs", "target", "right", "down"),
+    [
+        ("EPSG:32632", "EPSG:32632", (8.0, 6.0), (6.0, -8.0)),  # turned by 37 degrees
+        ("EPSG:2263", "EPSG:2263", (30.0, -9.0), (-9.0, -30.0)),  # feet
+        ("EPSG:4326", "EPSG:32632", (0.0004, 0.0001), (0.0002, -0.0003)),  # degrees, sheared
+    ],
+)
+def test_control_points_on_no_grid_are_warped_by(
+    tmp_path: Path, crs: str, target: str, right: tuple[float, float], down: tuple[float, float]
+) -> None:
+    """Linear fields stay linear: the rows and columns of the file, as pyproj and the plain formula have them."""
+    corner = np.array({"EPSG:32632": (500_000, 5_200_000), "EPSG:2263": (1e6, 2e5), "EPSG:4326": (10.0, 47.0)}[crs])
+    steps = np.array([down, right])
+    for axis in (0, 1):
+        field = np.indices(SHAPE)[axis] + 0.5
+        path = placed(tmp_path / "a.tif", field, lambda row, col: corner + [row, col] @ steps, crs)
+        raster = read_raster(path, None, "bilinear")
+        assert raster.frame is not None and raster.georeference is not None and raster.georeference.crs == target
+        there = raster.georeference.to_crs(raster.frame.centres())
+        if crs != target:
+            there = np.stack(
+                pyproj.Transformer.from_crs(target, crs, always_xy=True).transform(*np.moveaxis(there, -1, 0)), -1
+            )
+        at = (there - corner) @ np.linalg.inv(steps)
+        within = ((at > 0.6) & (at < np.array(SHAPE) - 0.6)).all(axis=-1)
+        assert within.sum() > 3000 and np.abs(raster.values - at[..., axis])[within].max() < 0.05
+        off = ((at < -0.05) | (at > np.array(SHAPE) + 0.05)).any(axis=-1)
+        assert np.isnan(raster.values[off]).all() and not np.isnan(raster.values[within]).any()
+
+
+def test_control_points_of_a_threat_laid_over_a_map(tmp_path: Path) -> None:
+    """p of 0.4 south of a line that is turned by 37 degrees; of numbers that are scaled."""
+    tif(tmp_path / "m.tif", np.zeros((12, 12), np.float32), (10, 0, 500_000, 0, -10, 5_200_120), "EPSG:32632")
+    p = np.zeros((80, 80), dtype=np.uint8)
+    p[40:] = 40
+    middle = np.array((500_060, 5_200_060))
+    placed(
+        tmp_path / "p.tif",
+        p,
+        lambda row, col: middle + [row - 40, col - 40] @ np.array([(1.8, -2.4), (2.4, 1.8)]),
+        "EPSG:32632",
+        edit=lambda out: setattr(out, "scales", (0.01,)),
+    )
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump({"map": "m.tif", "threats": [{"raster": "p.tif"}]}))
+    world = load_input(tmp_path / "s.yaml")
+    x, y = np.moveaxis(world.frame.centres() - middle, -1, 0)
+    beyond = (1.8 * x - 2.4 * y) / 3  # metres down the raster's rows
+    assert world.threat[beyond > 8] == pytest.approx(0.4) and not world.threat[beyond < -8].any()
+
+
+def test_places_that_are_not_read_are_refused(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    values, path = np.zeros((6, 8), np.float32), tmp_path / "a.tif"
+    for count, crs, words in (
+        (1, "EPSG:32632", "by 1 ground control point;"),
+        (2, "EPSG:32632", "2 ground"),
+    ):
+        placed(path, values, lambda row, col: (col + row, 3 * col - row), crs, count)
+        with pytest.raises(MapError, match=words):
+            load_input(path)
+    tif(path, values)
+    spots = "".join(f'<GCP Pixel="{x}" Line="{y}" X="{x}" Y="{-y}"/>' for x, y in ((0, 0), (8, 0), (0, 6)))
+    beside = path.with_name("a.tif.aux.xml")
+    beside.write_text(f"<PAMDataset><GCPList>{spots}</GCPList></PAMDataset>")
+    with pytest.raises(MapError, match="control points name no CRS"):
+        load_input(path)
+    beside.unlink()
+    rpcs = rasterio.rpc.RPC(0, 500, 50, 1, [0] * 20, [1] + [0] * 19, 2, 1, 9, 1, [0] * 20, [1] + [0] * 19, 2, 1)
+    tif(path, values, rpcs=rpcs)
+    with pytest.raises(MapError, match=r"RPCs.*gdalwarp -rpc"):
+        load_input(path)
+    geolocation = {"X_DATASET": "x.tif", "Y_DATASET": "y.tif", "SRS": "EPSG:4326"}
+    tif(path, values, edit=lambda out: out.update_tags(ns="GEOLOCATION", **geolocation))
+    with pytest.raises(MapError, match=r"geolocation array.*gdalwarp -geoloc"):
+        load_input(path)
+    tif(path, values, (0.01, 0, 2, 0, -0.01, 50), "EPSG:4807")
+    with pytest.raises(MapError, match="counts in grad"):
+        load_input(path)
+
+
+def test_a_place_that_files_beside_it_give(tmp_path: Path) -> None:
+    """A world file, with and without a `.prj`; no place at all; a picture's world file."""
+    values = np.zeros((6, 8), np.float32)
+    path = tif(tmp_path / "a.tif", values)
+    assert any("gives no place: a pixel is 1 m" in note for note in load_input(path).notes)
+    (tmp_path / "a.tfw").write_text("10\n0\n0\n-10\n500005\n5200055\n")
+    world = load_input(path)
+    assert world.cell_size == 10 and world.georeference is None and any("names no CRS" in note for note in world.notes)
+    (tmp_path / "a.prj").write_text(pyproj.CRS(32632).to_wkt("WKT1_ESRI"))
+    world = load_input(path)
+    assert world.georeference is not None and world.georeference.crs == "EPSG:32632" and not world.notes
+    (tmp_path / "a.prj").write_text("nonsense")
+    with pytest.raises(MapError, match=r"a\.tif: the \.prj beside it cannot be read"):
+        load_input(path)
+    (tmp_path / "a.prj").unlink()
+    (tmp_path / "a.tfw").write_text("0.0003\n0\n0\n-0.0003\n10.1\n47.2\n")
+    with pytest.raises(MapError, match=r"names no CRS, and pixels of 0\.0003 at .* look like degrees.*--crs EPSG:4326"):
+        load_input(path)
+    local = 'LOCAL_CS["site",UNIT["foot",0.3048]]'
+    assert load_input(tif(tmp_path / "b.tif", values, (10, 0, 0, 0, -10, 60), local)).cell_size == pytest.approx(3.048)
+    Image.fromarray(np.full((4, 6), 255, np.uint8)).save(tmp_path / "c.png")
+    assert not any("beside it" in note for note in load_input(tmp_path / "c.png").notes)
+    (tmp_path / "c.pgw").write_text("0.5\n0\n0\n-0.5\n0\n0\n")
+    assert any("c.pgw beside it is not read" in note for note in load_input(tmp_path / "c.png").notes)

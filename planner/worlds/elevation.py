@@ -13,14 +13,14 @@ from scipy import ndimage
 from planner.errors import MapError
 from planner.worlds.georeference import WGS84
 from planner.worlds.grid import FREE, OCCUPIED, Frame, Grid
-from planner.worlds.quantities import first_of
+from planner.worlds.physical import HEIGHTS
 from planner.worlds.rasters import Raster, degree_raster, read_raster
 
 BUILTIN = "builtin:"
 JACKSBORO = "jacksboro"
 """The one elevation model that comes along, inside matplotlib: Jacksboro fault, Tennessee, about 32 x 30 km."""
-HIGHEST = 1e6
-"""Largest elevation accepted, in metres, up or down."""
+TALLEST = 1e6
+"""Metres above the ground that a threat may look from, at most."""
 SIGHT_SLACK = 1e-9
 """Slope by which a ridge must rise above the line of sight to block it: rounding on level ground must not."""
 
@@ -34,9 +34,12 @@ def elevation_grid(raster: Raster, resolution: float, max_slope_deg: float | Non
     frame = Frame((height, width), resolution) if raster.frame is None else raster.frame
     blocked = np.isnan(raster.values)
     if blocked.all():
-        raise MapError("holds no elevation at all", source=raster.source)
+        raise MapError("holds no elevation at all" + f": {raster.voids}" * bool(raster.voids), source=raster.source)
     if max_slope_deg is not None:
         blocked = blocked | (slope_degrees(raster.values, frame.size) > max_slope_deg)
+        if blocked.all():
+            problem = f"every pixel of {frame.size:g} m is steeper than {max_slope_deg:g} degrees, or without data"
+            raise MapError(problem, source=raster.source, fix="; ".join(raster.notes))
     state = np.where(blocked, OCCUPIED, FREE).astype(np.uint8)
     return Grid(
         state, frame, raster.source, elevation=raster.values, bounds=raster.bounds, notes=raster.notes,
@@ -46,13 +49,7 @@ def elevation_grid(raster: Raster, resolution: float, max_slope_deg: float | Non
 
 def read_elevation(path: Path, cell_size: float | None = None) -> Raster:
     """The elevation in a raster file, in metres; degrees and oblong pixels resampled linearly to square metres."""
-    raster = read_raster(path, cell_size, "bilinear")
-    wrong = np.abs(raster.values) > HIGHEST
-    if wrong.any():
-        at, where = first_of(wrong)
-        expected = f"metres, none beyond {HIGHEST:g}, or NaN for no data"
-        raise MapError(f"elevation is {raster.values[at]:g} {where}", source=path, expected=expected)
-    return raster
+    return read_raster(path, cell_size, "bilinear", of=HEIGHTS)
 
 
 def jacksboro(cell_size: float | None = None) -> Raster:

@@ -71,6 +71,18 @@ def _threat_raster(path: Path, cell_size: float | None) -> Grid:
     return replace(world_grid(world), bounds=raster.bounds, measured=raster.frame is not None)
 
 
+def _picture(path: Path) -> Grid:
+    """A picture as a map; a world file beside it is not read, which a note says."""
+    grid, suffix = image_grid(path), path.suffix
+    beside = (path.with_suffix(end) for end in (f".{suffix[1]}{suffix[-1]}w", f"{suffix}w", ".wld"))
+    notes = (
+        f"{one.name} beside it is not read: give `map: {{file: ..., resolution: ...}}`, or a GeoTIFF"
+        for one in beside
+        if one.is_file()
+    )
+    return replace(grid, notes=(*grid.notes, *notes))
+
+
 def _field(path: Path, cell_size: float | None) -> Grid:
     if cell_size is None:
         size = argument("cell_size")
@@ -146,7 +158,7 @@ FORMATS: dict[str, Reader] = {
     ".mcap": lambda path, cell_size, top: read_logged_map(path).grid(),
     ".mcpp": lambda path, cell_size, top: read_mcpp(path, read_movingai),
     ".json": lambda path, cell_size, top: world_grid(read_sources(path)),
-    **dict.fromkeys(IMAGES, lambda path, cell_size, top: image_grid(path)),
+    **dict.fromkeys(IMAGES, lambda path, cell_size, top: _picture(path)),
     **dict.fromkeys(FIELDS, lambda path, cell_size, top: _field(path, cell_size)),
 }
 """What reads a map, by the end of its file's name: of (path, cell size in metres or None, its YAML if already read)."""

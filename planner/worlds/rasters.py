@@ -5,19 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from planner.errors import MapError
-from planner.files import check_file, foreign_errors, read_csv_grid, read_npy
-from planner.worlds.georeference import Georeference, degree_sides, rasterio_for, same_crs, utm_zone
+from planner.files import check_file, read_csv_grid, read_npy
+from planner.worlds.bands import read_band
+from planner.worlds.georeference import Georeference, degree_sides, same_crs, utm_zone
 from planner.worlds.grid import Bounds, Frame, Ground
-from planner.worlds.images import plausible
+from planner.worlds.physical import PROBABILITIES, Meaning, Said, physical
 from planner.worlds.quantities import CELL_SIZE, COORDINATE
-from planner.worlds.warp import SQUARE, WORDS, Band, How, edges_in, lay_over, side_of_pixels
+from planner.worlds.warp import SQUARE, WORDS, Band, How, edges_in, lay_over, side_of_pixels, span
 from planner.worlds.world import MAX_CELLS
 
 GEO_SUFFIXES = (".tif", ".tiff", ".asc")
@@ -26,6 +26,8 @@ SUFFIXES = (".npy", ".csv", *GEO_SUFFIXES)
 """Rasters that can be read."""
 TRUE = 0.01
 """Relative difference of a CRS's metre from one on the ground up to which nobody is told."""
+
+NO_PLACE = "gives no place: a pixel is 1 m, unless `resolution:` in `map:` says otherwise"
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +39,7 @@ class Raster:
         frame: where its square pixels lie in metres, or None when the file does not say.
         bounds: (left, bottom, right, top) in the units of its own georeference, or None.
         source: the file. notes: what reading did that a user should know.
+        voids: numbers that hold no data though the file does not say so, in words ("": there are none).
         georeference: where the frame lies on the Earth, or None when the file does not say.
     """
 
@@ -46,34 +49,51 @@ class Raster:
     source: str
     notes: tuple[str, ...] = ()
     georeference: Georeference | None = None
+    voids: str = ""
 
 
-def read_raster(path: Path, cell_size: float | None = None, how: How = "average", over: Ground | None = None) -> Raster:
-    """The raster in a `.npy`, `.csv`, `.tif` or `.asc` file.
+def read_raster(
+    path: Path,
+    cell_size: float | None = None,
+    how: How = "average",
+    over: Ground | None = None,
+    of: Meaning = PROBABILITIES,
+) -> Raster:
+    """The raster in a `.npy`, `.csv`, `.tif` or `.asc` file, as values of what it is taken for (`of`).
 
-    One in degrees is warped to the UTM zone of its middle, as `how` says; where it reaches out of a zone it stays in
+    Scale, offset and unit of a file are applied before all else, and voids that it does not declare hold no data. One
+    in degrees is warped to the UTM zone of its middle, as `how` says; where it reaches out of a zone it stays in
     rows and columns of its degrees (`degree_raster`). Pixels that are not square become so: the nearest value, or
     linear. The new pixel is the largest part of `cell_size` that does not exceed the shorter side of the old one (or
     that side). A raster on other ground than the map `over` which it is laid, or on other pixels, is warped to the
-    map's pixels, where both say where they lie. Raises MapError for what cannot be read, and when rasterio is needed
-    and not installed.
+    map's pixels, where both say where they lie; one placed by ground control points too, or to a UTM zone. Raises
+    MapError for what cannot be read, a unit that is not understood, and when rasterio is needed and not installed.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise MapError(f"unknown raster format {path.suffix!r}", source=path, expected=" ".join(SUFFIXES))
     check_file(path, "a raster")
     if suffix in GEO_SUFFIXES:
-        band, grid = _read_band(path), None if over is None else over.grid
-        if over is None or grid is None or not _says_where(band) or grid.georeference is None or _same(band, over):
-            return _on_the_ground(band, str(path), cell_size, how)
-        values = lay_over(band, grid.frame, grid.georeference, how, str(path))
-        note = f"{band.crs.to_string()[:40]}, {_size(band.values)} pixels, laid over the map's: {WORDS[how]}"
-        return Raster(values, grid.frame, grid.bounds, str(path), (note,), grid.georeference)
+        band = read_band(path, of)
+        raster = _placed(band, str(path), cell_size, how, over)
+        placeless = NO_PLACE if raster.frame is None and over is None else ""
+        notes = (*band.notes, *raster.notes, *filter(None, [placeless, band.voids]))
+        return replace(raster, notes=notes, voids=band.voids)
     values = read_npy(path, MAX_CELLS) if suffix == ".npy" else read_csv_grid(path, MAX_CELLS)
     if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "fiub":
         raise MapError(f"holds {values.dtype} {values.shape}", source=path, expected="numbers [H, W]")
-    with np.errstate(over="ignore"):  # long doubles
-        return Raster(values.astype(np.float64), None, None, str(path))
+    found = physical(values, np.ones(values.shape, dtype=bool), Said(), of, str(path))
+    return Raster(found.values, None, None, str(path), tuple(filter(None, [found.voids])), voids=found.voids)
+
+
+def _placed(band: Band, source: str, cell_size: float | None, how: How, over: Ground | None) -> Raster:
+    """The band on pixels of its own, or on the map's where it lies on other ground or other pixels."""
+    grid = None if over is None else over.grid
+    if over is None or grid is None or grid.georeference is None or not _says_where(band) or _same(band, over):
+        return _on_the_ground(band, source, cell_size, how)
+    values = lay_over(band, grid.frame, grid.georeference, how, source)
+    note = f"{band.crs.to_string()[:40]}, {_size(band.values)} pixels, laid over the map's: {WORDS[how]}"
+    return Raster(values, grid.frame, grid.bounds, source, (note,), grid.georeference)
 
 
 def _says_where(band: Band) -> bool:
@@ -83,7 +103,13 @@ def _says_where(band: Band) -> bool:
 def _same(band: Band, over: Ground) -> bool:
     """True for a raster of the map's own pixels or cells: its CRS, in metres, its edges within half a pixel."""
     ours, place = over.grid.bounds, over.grid.georeference
-    if ours is None or place is None or not band.crs.is_projected or not same_crs(band.crs.to_string(), place.crs):
+    if (
+        ours is None
+        or place is None
+        or band.points
+        or not band.crs.is_projected
+        or not same_crs(band.crs.to_string(), place.crs)
+    ):
         return False
     assert band.bounds is not None
     pixel = (band.bounds[2] - band.bounds[0]) / band.values.shape[1]
@@ -117,70 +143,79 @@ def _check_count(height: int, width: int, side: float, source: str) -> None:
         raise MapError(problem, source=source, expected=f"1 to {MAX_CELLS} pixels")
 
 
-def _read_band(path: Path) -> Band:
-    rasterio = rasterio_for(f"reading {path.suffix}", path, fix=", or convert to .npy")
-    driver = "AAIGrid" if path.suffix.lower() == ".asc" else "GTiff"
-    with foreign_errors("cannot be read as a raster", path, "GeoTIFF"), rasterio.open(path, driver=driver) as data:
-        plausible(data.width * data.height, path)
-        values, transform, crs = _first_band(data, path), data.transform, data.crs
-    if transform.is_identity:
-        return Band(values, None, None)
-    if transform.b or transform.d or not transform.a > 0 or not np.isfinite(transform).all():
-        raise MapError("is rotated or mirrored", source=path, fix="warp it north-up first (gdalwarp)")
-    if transform.e > 0:  # stored south-up
-        values = values[::-1].copy()
-    bottom = min(transform.f, transform.f + values.shape[0] * transform.e)
-    right, top = transform.c + values.shape[1] * transform.a, bottom + values.shape[0] * abs(transform.e)
-    return Band(values, (transform.c, bottom, right, top), crs)
-
-
-def _first_band(data: Any, path: Path) -> NDArray[np.float64]:
-    if data.count != 1 or np.dtype(data.dtypes[0]).kind not in "fiu":
-        raise MapError(f"{data.count} bands of {data.dtypes[0]}", source=path, expected="one band of real numbers")
-    band = data.read(1, masked=True)
-    return np.where(np.ma.getmaskarray(band), np.nan, np.ma.getdata(band).astype(np.float64))
-
-
 def _on_the_ground(band: Band, source: str, cell_size: float | None, how: How) -> Raster:
-    values, bounds, crs = band
+    bounds, crs = band.bounds, band.crs
     if bounds is None:
-        return Raster(values, None, None, source)
-    if crs is not None and crs.is_geographic:
-        zone = utm_zone(*bounds)
-        if zone is not None:
-            return _utm_raster(band, zone, source, cell_size, how)
-        return degree_raster(values, bounds, crs.to_string(), source, cell_size, how)
-    (left, bottom, right, top), (height, width) = bounds, values.shape
-    sides = ((top - bottom) / height, (right - left) / width)
-    if crs is None or not crs.is_projected:
-        return ground_raster(values, sides, (left, bottom), bounds, source, cell_size, how)
-    unit = float(crs.linear_units_factor[1])
-    place = Georeference(crs.to_string(), scale=(1 / unit, 1 / unit))
-    sides, corner = (sides[0] * unit, sides[1] * unit), (left * unit, bottom * unit)
-    raster = ground_raster(values, sides, corner, bounds, source, cell_size, how, place)
-    return replace(raster, notes=(*raster.notes, *_true_metres(raster, place)))
+        return Raster(band.values, None, None, source)
+    geographic = crs is not None and crs.is_geographic
+    if geographic and abs(math.degrees(crs.units_factor[1]) - 1) > SQUARE:
+        problem = f"its CRS counts in {crs.units_factor[0]}"
+        raise MapError(problem, source=source, expected="degrees or metres", fix="warp it first (gdalwarp -t_srs)")
+    zone = utm_zone(*bounds) if geographic else None
+    if zone is not None:
+        return _utm_raster(band, bounds, zone, source, cell_size, how)
+    if geographic and not band.points:
+        return degree_raster(band.values, bounds, crs.to_string(), source, cell_size, how)
+    unit = 1.0 if crs is None or geographic else float(crs.units_factor[1])
+    place = Georeference(crs.to_string(), scale=(1 / unit, 1 / unit)) if crs is not None and crs.is_projected else None
+    if band.points:
+        if place is None:
+            problem = "its control points are on no map projection" + ", and reach out of a UTM zone" * geographic
+            raise MapError(problem, source=source, fix="warp it first (gdalwarp -t_srs)")
+        raster = _warped(band, place, place.crs[:40], source, cell_size, how)
+    else:
+        (height, width), (left, bottom, right, top) = band.values.shape, np.multiply(bounds, unit).tolist()
+        sides = ((top - bottom) / height, (right - left) / width)
+        raster = ground_raster(band.values, sides, (left, bottom), bounds, source, cell_size, how, place)
+    return raster if place is None else replace(raster, notes=(*raster.notes, *_true_metres(raster, place)))
 
 
-def _utm_raster(band: Band, zone: tuple[str, str], source: str, cell_size: float | None, how: How) -> Raster:
-    """A raster of degrees on square pixels of its UTM zone, their edges whole multiples of their side."""
-    assert band.bounds is not None
-    (west, south, east, north), (rows, cols), (words, crs) = band.bounds, band.values.shape, zone
+def _utm_raster(
+    band: Band, bounds: Bounds, zone: tuple[str, str], source: str, cell_size: float | None, how: How
+) -> Raster:
+    """A raster of degrees on square pixels of its UTM zone."""
+    place, where = Georeference(zone[1]), f"{zone[0]} ({zone[1]})"
+    if band.points:
+        return _warped(band, place, where, source, cell_size, how)
+    (west, south, east, north), (rows, cols) = bounds, band.values.shape
     up, across = degree_sides((south + north) / 2)
     sides = ((north - south) / rows * up, (east - west) / cols * across)
     _check_sides(sides, source)
+    edges = edges_in(bounds, band.crs, place.crs, source)
+    return _warped(band, place, where, source, cell_size, how, (edges, sides))
+
+
+def _warped(
+    band: Band,
+    place: Georeference,
+    where: str,
+    source: str,
+    cell_size: float | None,
+    how: How,
+    spans: tuple[Bounds, tuple[float, float]] | None = None,
+) -> Raster:
+    """A raster on square pixels of a CRS, in metres, their edges whole multiples of their side.
+
+    `where`: the CRS in words. `spans`: the raster's edges there and the sides of its pixels (height, width), both in
+    units of the CRS; None: as its control points have them.
+    """
+    unit = 1 / place.scale[0]
+    found = span(band.points, band.values.shape, band.crs, place.crs, source) if spans is None else spans
+    edges, sides = unit * np.array(found[0]), (unit * found[1][0], unit * found[1][1])
+    _check_sides(sides, source)
     side = side_of_pixels(min(sides), cell_size)
-    edges = np.array(edges_in(band.bounds, band.crs, crs, source)) / side
-    left, bottom, right, top = *np.floor(edges[:2] + SQUARE), *np.ceil(edges[2:] - SQUARE)
+    near = edges / side
+    left, bottom, right, top = *np.floor(near[:2] + SQUARE), *np.ceil(near[2:] - SQUARE)
     height, width = int(top - bottom), int(right - left)
     _check_count(height, width, side, source)
     frame = Frame((height, width), side, (float(left * side), float(bottom * side), 0.0))
-    values = lay_over(band, frame, Georeference(crs), how, source)
+    values = lay_over(band, frame, place, how, source)
     note = (
-        f"degrees: {_size(band.values)} pixels of {sides[0]:.4g} x {sides[1]:.4g} m warped to {_size(values)} of "
-        f"{side:.4g} m in {words} ({crs}), {WORDS[how]}; {int(np.isnan(values).sum())} hold no data"
+        f"{_size(band.values)} pixels of {sides[0]:.4g} x {sides[1]:.4g} m warped to {_size(values)} of {side:.4g} m "
+        f"in {where}, {WORDS[how]}; {int(np.isnan(values).sum())} hold no data"
     )
-    corners = (float(left * side), float(bottom * side), float(right * side), float(top * side))
-    return Raster(values, frame, corners, source, (note,), Georeference(crs))
+    west, south, east, north = (float(edge * side / unit) for edge in (left, bottom, right, top))
+    return Raster(values, frame, (west, south, east, north), source, (note,), place)
 
 
 def _size(values: NDArray) -> str:

@@ -190,9 +190,10 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
     threat, notes, apart, by_type = all_threats(sources, keys["combine"].choice(COMBINE), ground, matrix)
     frame = ground.frame
     cells = np.where(ground.free, threat, np.nan)
+    of_cells, more = layers(keys, ground)
     world = World.create(
-        cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes), ground.grid.georeference,
-        **layers(keys, ground),
+        cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes, *more), ground.grid.georeference,
+        **of_cells,
     )  # fmt: skip
     world = replace(world, sources=apart, measured=ground.grid.measured)
     world = _in_doubt(replace(world, pace=pace_in(keys, world)), ground, keys)

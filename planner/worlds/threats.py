@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arguments import SEED, Numbers, whole
-from planner.worlds.elevation import HIGHEST, band_threat, visible
+from planner.worlds.elevation import TALLEST, band_threat, visible
 from planner.worlds.generate import LEVEL, PAPER_LEVELS, ThreatPattern, most_areas, random_threats
 from planner.worlds.grid import Frame, Grid, Ground
 from planner.worlds.keys import Key
+from planner.worlds.physical import AMOUNTS, PROBABILITIES, Meaning
 from planner.worlds.points import COLUMNS, read_points
 from planner.worlds.polygons import read_polygons, rings_of
 from planner.worlds.quantities import DISTANCE, PROBABILITY, SAMPLE, SHARE, first_of
@@ -94,23 +95,25 @@ def one_source(key: Key, sources: Collection[str]) -> str:
 
 def raster_threat(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     """A raster on the map's pixels, or on the cells, through a rule from values to p (none: they are p themselves)."""
-    raster, free, pixels = raster_on(keys["raster"], ground, "nearest" if has_classes(keys.get("rule")) else "average")
+    rule = keys.get("rule")
+    how: How = "nearest" if has_classes(rule) else "average"
+    raster, free, pixels = raster_on(keys["raster"], ground, how, PROBABILITIES if rule is None else AMOUNTS)
     with np.errstate(over="ignore", invalid="ignore"):
-        p, fix = by_rule(keys.get("rule"), np.where(free, raster.values, 0.0))
-    check_p(np.where(free, p, 0.0), raster.values, keys.get("rule", keys["raster"]), fix)
+        p, fix = by_rule(rule, np.where(free, raster.values, 0.0))
+    check_p(np.where(free, p, 0.0), raster.values, rule or keys["raster"], fix)
     return Threat(ground.largest(p) if pixels else p, raster.notes)
 
 
 def raster_values(key: Key, ground: Ground) -> Threat:
-    """A raster's values on the cells, finite wherever they are free; they need not be probabilities."""
-    raster, free, pixels = raster_on(key, ground, "average")
+    """A raster of chances on the cells, finite wherever they are free; that they lie in 0..1 is not checked."""
+    raster, free, pixels = raster_on(key, ground, "average", PROBABILITIES)
     values = np.where(free, raster.values, 0.0)
     return Threat(ground.largest(values) if pixels else values, raster.notes)
 
 
-def raster_on(key: Key, ground: Ground, how: How) -> tuple[Raster, NDArray[np.bool_], bool]:
+def raster_on(key: Key, ground: Ground, how: How, of: Meaning) -> tuple[Raster, NDArray[np.bool_], bool]:
     """(raster, which of its places are free, whether they are the map's pixels)."""
-    raster = read_raster(key.file("a raster file"), ground.frame.size, how, ground)
+    raster = read_raster(key.file("a raster file"), ground.frame.size, how, ground, of)
     _check_ground(key, ground.grid, raster)
     pixels = raster.values.shape == ground.grid.frame.shape
     if not pixels and raster.values.shape != ground.frame.shape:
@@ -119,7 +122,7 @@ def raster_on(key: Key, ground: Ground, how: How) -> tuple[Raster, NDArray[np.bo
             f"the raster has {_shape(raster.values.shape)}",
         )
     free = ground.free_pixels if pixels else ground.free
-    _check_values(raster.values, free, key)
+    _check_values(raster, free, key)
     return raster, free, pixels
 
 
@@ -136,13 +139,14 @@ def _check_ground(key: Key, grid: Grid, raster: Raster) -> None:
         raise key.wrong(f"the ground of the map: {grid.bounds}", f"the raster covers {raster.bounds}")
 
 
-def _check_values(values: NDArray[np.float64], free: NDArray[np.bool_], key: Key) -> None:
-    wrong = free & ~np.isfinite(values)
+def _check_values(raster: Raster, free: NDArray[np.bool_], key: Key) -> None:
+    wrong = free & ~np.isfinite(raster.values)
     if wrong.any():
         at, where = first_of(wrong)
-        what = "nan (no data)" if np.isnan(values[at]) else "infinite"
+        what = "nan (no data)" if np.isnan(raster.values[at]) else "infinite"
         expected, fix = "a finite number wherever the map is free", "fill it, or make these cells obstacles in the map"
-        raise key.fault(f"names {key.value}, which is {what} {where}", expected, fix)
+        voids = f" ({raster.voids})" if raster.voids else ""
+        raise key.fault(f"names {key.value}, which is {what} {where}{voids}", expected, fix)
 
 
 def _layer(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
@@ -248,7 +252,7 @@ def _viewshed(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
     elevation = ground.elevation()
     if elevation is None:
         raise key.fault("needs heights, and the map has none", "map: {elevation: ...}")
-    height = keys["height"].number(Numbers(0, HIGHEST, "metres above the ground"))
+    height = keys["height"].number(Numbers(0, TALLEST, "metres above the ground"))
     bands = _bands(key, keys)
     things = []
     for key in keys["sites"].items("a list of [row, col]"):

@@ -3,44 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.worlds.grid import Ground
 from planner.worlds.keys import Key
+from planner.worlds.physical import AMOUNTS, PROBABILITIES
 from planner.worlds.points import COLUMNS, read_points
 from planner.worlds.polygons import read_polygons, rings_of
 from planner.worlds.quantities import DETECT, VALUE, Quantity, first_of
 from planner.worlds.shapes import CUT_OFF, point_threat
 from planner.worlds.threats import check_place, columns_said, one_source, raster_on, read_falloff
+from planner.worlds.warp import How
 
 Layer = NDArray[np.float64]
-Says = tuple[Layer, NDArray[np.bool_]]
-"""What a source says, float64 `[H, W]`, and of which cells, bool `[H, W]`."""
 NOWHERE = "is said of no cell"
 
 
-def layers(keys: dict[str, Key], ground: Ground) -> dict[str, Layer | None]:
-    """The arguments `value` and `detect` of `World.create`, float64 `[H, W]`, None where nobody says anything."""
-    return {of.name: _layer(keys.get(of.name), of, ground) for of in (VALUE, DETECT)}
+class Says(NamedTuple):
+    """What a source says, float64 `[H, W]`, and of which cells, bool `[H, W]`; notes."""
+
+    layer: Layer
+    where: NDArray[np.bool_]
+    notes: tuple[str, ...] = ()
 
 
-def _layer(key: Key | None, of: Quantity, ground: Ground) -> Layer | None:
-    """The map's own layer, else 1 everywhere; then source by source, of which the last one counts in a cell."""
+def layers(keys: dict[str, Key], ground: Ground) -> tuple[dict[str, Layer | None], tuple[str, ...]]:
+    """The arguments `value` and `detect` of `World.create`, float64 `[H, W]`, None if nothing is said; notes."""
+    found = {of.name: _layer(keys.get(of.name), of, ground) for of in (VALUE, DETECT)}
+    return {name: layer for name, (layer, _) in found.items()}, sum((notes for _, notes in found.values()), ())
+
+
+def _layer(key: Key | None, of: Quantity, ground: Ground) -> tuple[Layer | None, tuple[str, ...]]:
+    """The map's own layer, else 1 everywhere; then source by source, of which the last one counts in a cell; notes."""
     own = getattr(ground.grid, of.name)
     own = None if own is None else _over_pixels(of, ground)(own)
+    notes: tuple[str, ...] = ()
     if key is None:
-        return own
+        return own, notes
     if of is VALUE and ground.grid.swath is not None:
         raise key.wrong("none of a map with a swath, where it counts the field's cells", "leave one of the two out")
     if not isinstance(key.value, list):
-        return np.full(ground.frame.shape, key.number(of.numbers, f"{of.numbers.expected}, or a list of sources"))
+        return np.full(
+            ground.frame.shape, key.number(of.numbers, f"{of.numbers.expected}, or a list of sources")
+        ), notes
     layer = np.ones(ground.frame.shape) if own is None else own
     for source in key.items("a list of sources"):
-        says, where = _source(source, of, ground)
-        layer = np.where(where, says, layer)
-    return layer
+        says = _source(source, of, ground)
+        layer = np.where(says.where, says.layer, layer)
+        notes += tuple(f"{source.path}: {note}" for note in says.notes)
+    return layer, notes
 
 
 def _over_pixels(of: Quantity, ground: Ground) -> Callable[[Layer], Layer]:
@@ -56,20 +70,21 @@ def _source(key: Key, of: Quantity, ground: Ground) -> Says:
 
 def _everywhere(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     shape = ground.frame.shape
-    return np.full(shape, keys["everywhere"].number(of.numbers)), np.ones(shape, dtype=bool)
+    return Says(np.full(shape, keys["everywhere"].number(of.numbers)), np.ones(shape, dtype=bool))
 
 
 def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     """A raster on the map's pixels, or on the cells, of the numbers themselves: values are amounts, and add up."""
     key = keys["raster"]
-    raster, free, pixels = raster_on(key, ground, "sum" if of is VALUE else "average")
+    how: How = "sum" if of is VALUE else "average"
+    raster, free, pixels = raster_on(key, ground, how, AMOUNTS if of is VALUE else PROBABILITIES)
     values = np.where(free, raster.values, 0.0)
     wrong = ~((values >= 0) & (values <= of.numbers.most))
     if wrong.any():
         at, where = first_of(wrong)
         problem = f"names {key.value}, which says {of.name} = {values[at]:g} {where}"
         raise key.fault(problem, of.numbers.expected, "mend the raster")
-    return _over_pixels(of, ground)(values) if pixels else values, ground.free
+    return Says(_over_pixels(of, ground)(values) if pixels else values, ground.free, raster.notes)
 
 
 def _polygons(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
@@ -83,7 +98,7 @@ def _polygons(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
         says, where = np.where(held, feature.number, says), where | held
     if not where.any():
         check_place(keys["polygons"], np.concatenate(rings_of(features)), frame, NOWHERE)
-    return says, where
+    return Says(says, where)
 
 
 def _points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
@@ -108,7 +123,7 @@ def _points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
         where[tuple(at[held].T)] = True
     if not where.any():
         check_place(key, points[:, :2], frame, NOWHERE)
-    return says, where
+    return Says(says, where)
 
 
 SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], Quantity, Ground], Says]]] = {

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.worlds.georeference import Georeference, no_way, rasterio_for
+from planner.worlds.georeference import Georeference, no_way, rasterio_for, reproject
 from planner.worlds.grid import Bounds, Frame
 
 How = Literal["average", "sum", "bilinear", "nearest"]
@@ -18,16 +19,28 @@ always the nearest's to say."""
 WORDS: dict[How, str] = {"average": "averaged", "sum": "summed up", "bilinear": "linear", "nearest": "nearest"}
 STRIP = 32
 """Columns that are warped at a time: GDAL takes a stretch of a row for straight, up to an eighth of a pixel off."""
+LATTICE = 21
+"""Places a side of a raster that control points place, by which its edges are found."""
 SQUARE = 1e-6
 """Relative difference of a pixel's sides up to which it counts as square."""
 
 
 class Band(NamedTuple):
-    """A raster as it is in its file, north up: float64 `[H, W]` (NaN = no data), its edges and CRS, or None."""
+    """A raster as it is in its file, north up.
+
+    Attributes:
+        values: float64 `[H, W]`, physical values; NaN = no data.
+        bounds: its edges in its CRS; None where the file does not say. crs: None where it names none.
+        points: ground control points that its pixels are placed by; (): they fill the bounds evenly.
+        notes: what reading did that a user should know. voids: undeclared ones, in words.
+    """
 
     values: NDArray[np.float64]
     bounds: Bounds | None
     crs: Any
+    points: tuple[Any, ...] = ()
+    notes: tuple[str, ...] = ()
+    voids: str = ""
 
 
 def side_of_pixels(shortest: float, cell_size: float | None) -> float:
@@ -54,6 +67,23 @@ def edges_in(bounds: Bounds, crs: Any, target: str, source: str) -> Bounds:
     return edges
 
 
+def span(
+    points: Sequence[Any], shape: tuple[int, int], crs: Any, target: str, source: str
+) -> tuple[Bounds, tuple[float, float]]:
+    """Where a raster `shape` that ground control points place lies in the CRS `target`, in its units.
+
+    Returns its edges (left, bottom, right, top), and the mean sides of a pixel (height, width). Raises MapError.
+    """
+    rasterio = rasterio_for("another coordinate reference system", source)
+    rows, cols = (ends.ravel() for ends in np.meshgrid(*(np.linspace(0, n, LATTICE) for n in shape), indexing="ij"))
+    with no_way(crs, target, source), rasterio.transform.GCPTransformer(points) as places:
+        found = np.stack(places.xy(rows.tolist(), cols.tolist(), offset="ul"), axis=-1)
+    found = reproject(found, crs.to_string(), target, source)
+    down, right, _ = np.linalg.lstsq(np.stack([rows, cols, np.ones(rows.shape)], axis=-1), found, rcond=None)[0]
+    (left, bottom), (east, top) = found.min(axis=0).tolist(), found.max(axis=0).tolist()
+    return (left, bottom, east, top), (float(np.hypot(*down)), float(np.hypot(*right)))
+
+
 def lay_over(band: Band, frame: Frame, place: Georeference, how: How, source: str) -> NDArray[np.float64]:
     """The raster on the pixels of `frame`, float64 `[H, W]`; NaN where it does not reach, or has no data.
 
@@ -66,8 +96,9 @@ def lay_over(band: Band, frame: Frame, place: Georeference, how: How, source: st
     rows, cols = band.values.shape
     a, b, c, d, e, f = affine(frame, place)
     laid = np.empty(frame.shape)
+    evenly = rasterio.Affine((right - left) / cols, 0, left, 0, (bottom - top) / rows, top)
     keys = {
-        "src_transform": rasterio.Affine((right - left) / cols, 0, left, 0, (bottom - top) / rows, top),
+        **({"gcps": band.points} if band.points else {"src_transform": evenly}),
         "src_crs": band.crs, "src_nodata": math.nan, "dst_crs": place.crs, "dst_nodata": math.nan,
     }  # fmt: skip
     for start in range(0, frame.shape[1], STRIP):

@@ -133,19 +133,20 @@ def read_hazard(key: Key, world: World, ground: Ground) -> World:
         raise given["h"].wrong(f"a number or a raster: q is {FROM_SOURCES} already")
     if not from_sources and (world.threat > 0).any():
         raise given["q"].wrong(f"{FROM_SOURCES}, or no threats at all", "leave q out, or the threats")
-    values = {name: _chances(given[name], world, ground) for name in ("q", "h")}
+    (q, more), (h, notes) = (_chances(given[name], world, ground) for name in ("q", "h"))
     with key.naming():
-        return with_hazard(world, kind, values["q"], values["h"], learn)
+        return with_hazard(replace(world, notes=(*world.notes, *more, *notes)), kind, q, h, learn)
 
 
-def _chances(key: Key, world: World, ground: Ground) -> ArrayLike:
-    """A number, or an array `[H, W]` of chances 0..1: of the scenario's sources, or of a raster."""
+def _chances(key: Key, world: World, ground: Ground) -> tuple[ArrayLike, tuple[str, ...]]:
+    """A number, or an array `[H, W]` of chances 0..1: of the scenario's sources, or of a raster; notes."""
     expected = f"a chance 0..1, a raster file, or {FROM_SOURCES}"
     if key.value == FROM_SOURCES:
-        return np.where(world.free, world.threat, 0.0)
+        return np.where(world.free, world.threat, 0.0), ()
     if not isinstance(key.value, str):
-        return key.number(CHANCE, expected)
-    return raster_values(key, ground).p
+        return key.number(CHANCE, expected), ()
+    found = raster_values(key, ground)
+    return found.p, tuple(f"{key.path}: {note}" for note in found.notes)
 
 
 def read_uncertain(key: Key, world: World, ground: Ground, combine: str) -> World:
