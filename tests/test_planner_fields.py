@@ -144,10 +144,10 @@ NAN = '{"type": "Polygon", "coordinates": [[[0, 0], [NaN, 0], [1, 1]]]}'
         ("f.csv", "x,y\n" + "1,2\n" * 10**6, 10, "at most 131072"),
         ("f.csv", "x,y\n1,2\nnan,4\n5,6\n", 10, "line 3: x is 'nan'"),
         ("f.csv", "a,b,c\n1,2,3\n", 10, "columns x and y, or lon and lat"),
-        ("f.csv", "lon,lat\n8,200\n9,1\n9,2\n", 10, "is no longitude and latitude"),
+        ("f.csv", "lon,lat\n8,200\n9,1\n9,2\n", 10, "line 2: latitude stands first, as in 8, 200: 200 is no latitude"),
         ("f.csv", "lon,lat\n8,20\n12,20\n12,22\n", 10, "a field of at most 3 degrees"),
         ("f.csv", "0,0\n1e6,0\n1e6,1e6\n", 0.5, "expected at most 67108864; give larger cells"),
-        ("f.csv", "0,0\n4,0\n4,4\n", 10, "no cell of 10 m lies whole in the field; give smaller cells"),
+        ("f.csv", "0,0\n4,0\n4,4\n", 10, "no cell of 10 m lies whole in the field of 4 x 4 m; give smaller cells"),
     ],
 )
 def test_what_is_no_field(tmp_path: Path, name: str, text: str, cell_size: float, said: str) -> None:

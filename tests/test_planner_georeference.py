@@ -246,7 +246,7 @@ def test_coordinates_that_contradict(tmp_path: Path) -> None:
     with pytest.raises(MapError, match=r"a\.geojson: no way from the CRS 'EPSG:999999'"):
         load_input(scenario(tmp_path, threats=[{"polygons": "a.geojson"}]))
     (tmp_path / "p.csv").write_text("lon,lat,strength\n15,52,0.1\n500000,5761038,0.1\n")
-    with pytest.raises(MapError, match=r"line 3: '500000, 5761038, 0.1' is no longitude and latitude"):
+    with pytest.raises(MapError, match=r"line 3: a point at longitude 500000, latitude 5.76104e\+06"):
         load_input(scenario(tmp_path, threats=[{"points": "p.csv", "falloff": {"kind": "disc", "radius": 10}}]))
     with pytest.raises(ScenarioError, match=r"`datum` is .*; expected none: the map says where it lies"):
         load_input(scenario(tmp_path, datum={"latitude": 1, "longitude": 2}))

@@ -49,7 +49,7 @@ def test_points_at_the_centres(tmp_path: Path) -> None:
 )
 def test_points_files(tmp_path: Path, text: str) -> None:
     (tmp_path / "p.csv").write_text(text)
-    assert read_points(tmp_path / "p.csv")[0].tolist() == [[1, 2, 0.5], [3, 4, 0.25]]
+    assert read_points(tmp_path / "p.csv", Frame((9, 9), 1.0))[0].tolist() == [[1, 2, 0.5], [3, 4, 0.25]]
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_points_files(tmp_path: Path, text: str) -> None:
 def test_broken_points_files(tmp_path: Path, text: str, names: str) -> None:
     (tmp_path / "p.csv").write_text(text)
     with pytest.raises(MapError) as caught:
-        read_points(tmp_path / "p.csv")
+        read_points(tmp_path / "p.csv", Frame((9, 9), 1.0))
     assert names in str(caught.value)
 
 

@@ -15,6 +15,7 @@ from conftest import FOLDER, worlds_with_starts
 from hypothesis import given
 
 import planner.files
+import planner.tables
 from planner.errors import InputError, MapError, WorldError
 from planner.files import atomic_write
 from planner.mrac.graph import to_networkx
@@ -77,7 +78,7 @@ def test_masked_cells_are_obstacles() -> None:
 
 
 def test_csv_is_read_in_batches_and_a_wrong_line_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner.files, "CSV_BATCH", 40)
+    monkeypatch.setattr(planner.tables, "CSV_BATCH", 40)
     file, rows = tmp_path / "w.csv", [f"0.{n:03d}, nan,{' ' * (n % 3)}-1,0.5e-3" for n in range(200)]
     file.write_text("\ufeff" + "\r\n\r\n".join(rows) + "\n\n")
     expected = np.array([[n / 1000, np.nan, np.nan, 0.0005] for n in range(200)], dtype=np.float32)
@@ -95,7 +96,7 @@ def test_csv_is_read_in_batches_and_a_wrong_line_is_named(tmp_path: Path, monkey
 
 def test_a_csv_file_too_large_is_refused_at_once(tmp_path: Path) -> None:
     with (tmp_path / "w.csv").open("wb") as out:
-        out.truncate(planner.files.MAX_CSV_BYTES + 1)
+        out.truncate(planner.tables.MAX_CSV_BYTES + 1)
     with pytest.raises(MapError, match=r"67108865 bytes; expected .* of at most 67108864; save it as \.npz"):
         load_world_file(tmp_path / "w.csv")
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planner.errors import MapError
-from planner.files import check_file, foreign_errors, read_csv_grid, read_npy
+from planner.files import check_file, foreign_errors, read_npy
+from planner.tables import read_csv_grid
 from planner.worlds.georeference import Georeference, degree_sides, rasterio_for, same_crs, utm_zone
 from planner.worlds.grid import Bounds, Frame, Ground
 from planner.worlds.images import plausible
@@ -69,11 +70,11 @@ def read_raster(path: Path, cell_size: float | None = None, how: How = "average"
         values = lay_over(band, grid.frame, grid.georeference, how, str(path))
         note = f"{band.crs.to_string()[:40]}, {_size(band.values)} pixels, laid over the map's: {WORDS[how]}"
         return Raster(values, grid.frame, grid.bounds, str(path), (note,), grid.georeference)
-    values = read_npy(path, MAX_CELLS) if suffix == ".npy" else read_csv_grid(path, MAX_CELLS)
+    values, notes = (read_npy(path, MAX_CELLS), ()) if suffix == ".npy" else read_csv_grid(path, MAX_CELLS)
     if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "fiub":
         raise MapError(f"holds {values.dtype} {values.shape}", source=path, expected="numbers [H, W]")
     with np.errstate(over="ignore"):  # long doubles
-        return Raster(values.astype(np.float64), None, None, str(path))
+        return Raster(values.astype(np.float64), None, None, str(path), notes)
 
 
 def _says_where(band: Band) -> bool:

@@ -190,10 +190,9 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
     threat, notes, apart, by_type = all_threats(sources, keys["combine"].choice(COMBINE), ground, matrix)
     frame = ground.frame
     cells = np.where(ground.free, threat, np.nan)
-    world = World.create(
-        cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes), ground.grid.georeference,
-        **layers(keys, ground),
-    )  # fmt: skip
+    values, more = layers(keys, ground)
+    notes = (*ground.notes, *notes, *more)
+    world = World.create(cells, None, frame.size, frame.origin, str(source), notes, ground.grid.georeference, **values)
     world = replace(world, sources=apart, measured=ground.grid.measured)
     world = _in_doubt(replace(world, pace=pace_in(keys, world)), ground, keys)
     if "wear" in keys:

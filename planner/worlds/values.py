@@ -16,17 +16,18 @@ from planner.worlds.shapes import CUT_OFF, point_threat
 from planner.worlds.threats import check_place, columns_said, one_source, raster_on, read_falloff
 
 Layer = NDArray[np.float64]
-Says = tuple[Layer, NDArray[np.bool_]]
-"""What a source says, float64 `[H, W]`, and of which cells, bool `[H, W]`."""
+Says = tuple[Layer, NDArray[np.bool_], tuple[str, ...]]
+"""What a source says, float64 `[H, W]`, of which cells, bool `[H, W]`, and notes."""
 NOWHERE = "is said of no cell"
 
 
-def layers(keys: dict[str, Key], ground: Ground) -> dict[str, Layer | None]:
-    """The arguments `value` and `detect` of `World.create`, float64 `[H, W]`, None where nobody says anything."""
-    return {of.name: _layer(keys.get(of.name), of, ground) for of in (VALUE, DETECT)}
+def layers(keys: dict[str, Key], ground: Ground) -> tuple[dict[str, Layer | None], tuple[str, ...]]:
+    """The arguments `value` and `detect` of `World.create`, float64 `[H, W]` or None where nobody says them; notes."""
+    notes: list[str] = []
+    return {of.name: _layer(keys.get(of.name), of, ground, notes) for of in (VALUE, DETECT)}, tuple(notes)
 
 
-def _layer(key: Key | None, of: Quantity, ground: Ground) -> Layer | None:
+def _layer(key: Key | None, of: Quantity, ground: Ground, notes: list[str]) -> Layer | None:
     """The map's own layer, else 1 everywhere; then source by source, of which the last one counts in a cell."""
     own = getattr(ground.grid, of.name)
     own = None if own is None else _over_pixels(of, ground)(own)
@@ -38,8 +39,9 @@ def _layer(key: Key | None, of: Quantity, ground: Ground) -> Layer | None:
         return np.full(ground.frame.shape, key.number(of.numbers, f"{of.numbers.expected}, or a list of sources"))
     layer = np.ones(ground.frame.shape) if own is None else own
     for source in key.items("a list of sources"):
-        says, where = _source(source, of, ground)
+        says, where, said = _source(source, of, ground)
         layer = np.where(where, says, layer)
+        notes.extend(f"{source.path}: {note}" for note in said)
     return layer
 
 
@@ -56,7 +58,7 @@ def _source(key: Key, of: Quantity, ground: Ground) -> Says:
 
 def _everywhere(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     shape = ground.frame.shape
-    return np.full(shape, keys["everywhere"].number(of.numbers)), np.ones(shape, dtype=bool)
+    return np.full(shape, keys["everywhere"].number(of.numbers)), np.ones(shape, dtype=bool), ()
 
 
 def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
@@ -69,21 +71,21 @@ def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
         at, where = first_of(wrong)
         problem = f"names {key.value}, which says {of.name} = {values[at]:g} {where}"
         raise key.fault(problem, of.numbers.expected, "mend the raster")
-    return _over_pixels(of, ground)(values) if pixels else values, ground.free
+    return _over_pixels(of, ground)(values) if pixels else values, ground.free, raster.notes
 
 
 def _polygons(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     """The number of the last polygon that holds the centre of a cell."""
     default = keys[of.name].number(of.numbers) if of.name in keys else None
-    frame = ground.frame
-    features = read_polygons(keys["polygons"].file("a file of polygons"), default, frame, ground.grid.georeference, of)
+    frame, place = ground.frame, ground.grid.georeference
+    features, _, notes = read_polygons(keys["polygons"].file("a file of polygons"), default, frame, place, of)
     says, where = np.zeros(frame.shape), np.zeros(frame.shape, dtype=bool)
     for feature in features:
         held = feature.mask(frame)
         says, where = np.where(held, feature.number, says), where | held
     if not where.any():
-        check_place(keys["polygons"], np.concatenate(rings_of(features)), frame, NOWHERE)
-    return says, where
+        check_place(keys["polygons"], np.concatenate(rings_of(features)), frame, place, NOWHERE)
+    return says, where, notes
 
 
 def _points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
@@ -91,9 +93,9 @@ def _points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
 
     Where several reach a cell their values add up, and of the chances to detect the best one counts.
     """
-    key, frame = keys["points"], ground.frame
+    key, frame, place = keys["points"], ground.frame, ground.grid.georeference
     path = key.file("a CSV file with x, y, strength")
-    points, _ = read_points(path, ground.grid.georeference, of, columns_said(keys))
+    points, _, notes = read_points(path, frame, place, of, columns_said(keys))
     merge = np.add if of is VALUE else np.maximum
     if "falloff" in keys:
         kind, radius = read_falloff(keys["falloff"])
@@ -107,8 +109,8 @@ def _points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
         merge.at(says, tuple(at[held].T), points[held, 2])
         where[tuple(at[held].T)] = True
     if not where.any():
-        check_place(key, points[:, :2], frame, NOWHERE)
-    return says, where
+        check_place(key, points[:, :2], frame, place, NOWHERE)
+    return says, where, notes
 
 
 SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], Quantity, Ground], Says]]] = {
