@@ -29,6 +29,8 @@ COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?")
 """A number with a decimal comma."""
 GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}[,.]\d{3}")
 """What may be a whole number with a mark between thousands: 1,234."""
+MARKED = re.compile(r"[-+]?[\d.,]+")
+"""Digits and marks."""
 DECIMAL_COMMAS = "if its numbers have decimal commas, separate the columns by semicolons"
 Fields = Sequence[tuple[int, str]]
 """(number of the line, text)."""
@@ -100,6 +102,9 @@ def sign_of(fields: Fields, sure: bool = False) -> Sign:
     """The decimal sign of numbers that belong together; `sure`: others in the file have decimal commas beyond doubt."""
     commas = [(line, field.strip()) for line, field in fields if "," in field and COMMA.fullmatch(field.strip())]
     points = [(line, field.strip()) for line, field in fields if "." in field and is_number(field)]
+    for line, field in fields:
+        if "," in field and "." in field and MARKED.fullmatch(field.strip()):
+            return Sign(problem=f"line {line}: {field.strip()[:40]!r} has marks between thousands")
     if commas and points:
         (line, comma), (other, point) = commas[0], points[0]
         return Sign(

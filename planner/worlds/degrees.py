@@ -156,14 +156,14 @@ def extent(values: NDArray[np.float64], turn: float) -> tuple[float, float]:
     high = float(x[last])
     low = high - (turn - float(gaps[last]))
     back = turn * np.floor(low / turn + 0.5)
-    return low - back, high - back
+    return float(low - back), float(high - back)
 
 
 def unrolled(polygons: list[Rings], low: float, high: float, turn: float) -> list[Rings]:
     """Polygons of one shape where they lie about x = low .. high, where x comes round after `turn` (0: never).
 
-    A ring with a step of more than half a turn goes the short way if it then reaches low .. high; a polygon comes as
-    often as it lies there, at least once; parts that were cut where x comes round are joined.
+    A ring with a step of more than half a turn goes the short way if it holds their middle no other way. A polygon
+    comes as often as it lies there, at least once. Parts that were cut where x comes round are joined.
     """
     if not turn:
         return polygons
@@ -181,17 +181,23 @@ def unrolled(polygons: list[Rings], low: float, high: float, turn: float) -> lis
 
 
 def _short_way(rings: Rings, low: float, high: float, turn: float) -> Rings:
-    """The polygon with every step the short way round, if it has longer ones and reaches low .. high so."""
+    """The polygon with every step the short way round, if it has longer ones and is about x = low .. high only so."""
     if not any(_is_wide(ring, turn) for ring in rings):
         return rings
+
+    def away(ring: NDArray[np.float64]) -> float:
+        """From the middle of low .. high to the nearest x of the ring; below 0 within it."""
+        middle, half = (low + high) / 2, float(np.ptp(ring[:, 0])) / 2
+        return abs(float(near(ring[:, 0].min() + half, middle, turn)) - middle) - half
+
     short = [_unwrapped(ring, turn) for ring in rings]
+    if away(rings[0]) <= 0 or away(short[0]) > (high - low) / 2 or np.ptp(short[0][:, 0]) == 0:
+        return rings
     middle = float(short[0][:, 0].min() + short[0][:, 0].max()) / 2
     for ring in short[1:]:
         own = float(ring[:, 0].min() + ring[:, 0].max()) / 2
         ring[:, 0] += near(own, middle, turn) - own
-    half = float(np.ptp(short[0][:, 0])) / 2
-    away = abs(float(near(middle, (low + high) / 2, turn)) - (low + high) / 2)
-    return short if half > 0 and away <= half + (high - low) / 2 else rings
+    return short
 
 
 def _joined(polygons: list[Rings], turns: list[int], tolerance: float) -> list[Rings]:

@@ -159,7 +159,7 @@ def _in_metres(
             check_range(corners, "", path)
             return _degrees([[reproject(ring, crs, WGS84) for ring in rings] for rings in polygons], path)
         unit = float(known.linear_units_factor[1])
-    place, turn = Georeference(crs, scale=(1 / unit, 1 / unit)), turn_of(crs)
+    place, turn = Georeference(crs, scale=(1 / unit, 1 / unit)), turn_of(crs)[0]
     polygons = unrolled(polygons, *extent(corners[:, 0], turn), turn)
     return _checked([[ring * unit for ring in rings] for rings in polygons], path), place, ()
 
@@ -183,9 +183,10 @@ def _degrees(polygons: list[Rings], path: Path) -> tuple[list[Rings], Georeferen
     up, across = degree_sides((south + north) / 2)
     place = Georeference(WGS84, (float(west), float(south)), (1 / across, 1 / up))
     off = max(abs(degree_sides(edge)[1] / across - 1) for edge in (south, north))
-    notes = (f"degrees: metres east and north of its corner, {100 * off:.2g} % off at the edges",) if off > 1e-3 else ()
+    note = f"degrees: worked on in metres east and north of {describe(west, float(south))}"
+    note += f", {100 * off:.2g} % off at the edges" if off > 1e-3 else ""
     polygons = unrolled(polygons, west, east, TURN)
-    return [[place.from_crs(ring, WGS84) for ring in rings] for rings in polygons], place, notes
+    return [[place.from_crs(ring, WGS84) for ring in rings] for rings in polygons], place, (note,)
 
 
 def _checked(polygons: list[Rings], path: Path) -> list[Rings]:

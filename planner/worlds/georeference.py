@@ -63,11 +63,18 @@ class Georeference:
         return found
 
     def from_crs(self, points: ArrayLike, crs: str) -> NDArray[np.float64]:
-        """Coordinates `[..., 2]` of any CRS as metres of the map's frame. Raises MapError."""
-        return (reproject(points, crs, self.crs) - self.origin) / self.scale
+        """Coordinates `[..., 2]` of any CRS as metres of the map's frame. Raises MapError.
+
+        Where x comes round, longitudes that go on across 180 lead to x that goes on.
+        """
+        found, (turn, start) = reproject(points, crs, self.crs), turn_of(self.crs)
+        if turn and is_degrees(crs) and crs != self.crs:
+            expected = start + np.asarray(points, dtype=np.float64)[..., 0] * turn / TURN
+            found[..., 0] = near(found[..., 0], expected, turn)
+        return (found - self.origin) / self.scale
 
 
-def near(values: ArrayLike, middle: float, turn: float) -> NDArray[np.float64]:
+def near(values: ArrayLike, middle: ArrayLike, turn: float) -> NDArray[np.float64]:
     """The values moved by whole turns to within half a turn of `middle`; those half a turn away stay."""
     given = np.asarray(values, dtype=np.float64)
     return given - turn * np.round((given - middle) / turn)
@@ -92,15 +99,18 @@ def is_degrees(crs: str) -> bool:
 
 
 @cache
-def turn_of(crs: str) -> float:
-    """Units of x in a turn of the Earth, where x comes round as longitudes do: degrees, Mercator. Else 0."""
+def turn_of(crs: str) -> tuple[float, float]:
+    """(units of x in a turn of the Earth, x at longitude 0) of a CRS whose x comes round as longitudes do; else (0, 0).
+
+    So do degrees, and the cylindrical projections, as Mercator's.
+    """
     if is_degrees(crs):
-        return TURN
+        return TURN, 0.0
     try:
         (start, _), (one, _), (north, _) = reproject([(0, 0), (1, 0), (1, 60)], WGS84, crs).tolist()
-    except MapError:  # it does not reach there, as UTM
-        return 0.0
-    return TURN * (one - start) if abs(north - one) <= 1e-9 * abs(one - start) else 0.0
+    except MapError:  # it does not reach there
+        return 0.0, 0.0
+    return (TURN * (one - start), start) if abs(north - one) <= 1e-9 * abs(one - start) else (0.0, 0.0)
 
 
 def around(latitude: float, longitude: float) -> Georeference:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planner.arguments import did_you_mean
 from planner.errors import MapError
 from planner.files import check_size
-from planner.tables import DECIMAL_COMMAS, SEPARATORS, Sign, is_header, layout_note, read_rows, signs_of
+from planner.tables import DECIMAL_COMMAS, SEPARATORS, STRONG, Sign, is_header, layout_note, read_rows, signs_of
 from planner.worlds.degrees import check_range, in_range, on_map
 from planner.worlds.georeference import Georeference
 from planner.worlds.grid import Frame
@@ -103,8 +103,9 @@ def read_table(path: Path, holds: str) -> Table:
         raise MapError("has a header and no points", source=path, expected=holds)
     for number, row in body:
         if len(row) != len(rows[0][1]):
-            problem, expected = f"line {number} has {len(row)} values", f"{len(rows[0][1])} as above"
-            expected += f", separated by {SEPARATORS[separator]}"
+            other = next((words for mark, words in SEPARATORS.items() if mark in STRONG and mark in "".join(row)), "")
+            problem = f"line {number} has {len(row)} values" + f", and {other}" * bool(other)
+            expected = f"{len(rows[0][1])} as above, separated by {SEPARATORS[separator]}"
             fix = DECIMAL_COMMAS if separator == "," and len(row) > len(rows[0][1]) else ""
             raise MapError(problem, source=path, expected=expected, fix=fix)
     return Table(path, names, body, signs_of(body), separator)

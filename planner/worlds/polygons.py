@@ -86,7 +86,7 @@ def _on_map(features: list[Feature], crs: str, frame: Frame, georeference: Geore
         check_range(np.concatenate(rings), "", path)
         Patch.of(frame, georeference).check_order(boxes_of(rings), path)
     corners = frame.at([0, 0, *frame.shape[:1] * 2], [0, frame.shape[1]] * 2)[:, 0]
-    place = float(corners.min()), float(corners.max()), turn_of(georeference.crs) / georeference.scale[0]
+    place = float(corners.min()), float(corners.max()), turn_of(georeference.crs)[0] / georeference.scale[0]
     return [
         feature._replace(
             polygons=unrolled(
