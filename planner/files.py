@@ -14,7 +14,7 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, TypeAlias
 
@@ -30,10 +30,6 @@ CHECKSUM = "checksum"
 LOG = logging.getLogger("mrac_jax")
 LONG_BYTES = 8 * 2**20
 """Text of more than this takes seconds to read."""
-MAX_CSV_BYTES = 2**26
-"""Largest grid of comma-separated numbers that is read (64 MiB); larger ones are quicker as arrays."""
-CSV_BATCH = 2**20
-"""Characters of such a file that are read at a time: a wrong value is named as soon as it is met."""
 LONGEST_NAME = 300
 """Characters of a path that a message shows."""
 
@@ -256,50 +252,3 @@ def check_size(path: Path, most_bytes: int, error: type[InputError], expected: s
         raise error(f"{size} bytes", source=path, expected=f"{expected} of at most {most_bytes}", fix=fix)
     if size > LONG_BYTES:
         LOG.warning("reading %s (%.0f MB), which takes a while ...", printable(path), size / 1e6)
-
-
-def read_csv_grid(path: Path, most_cells: int) -> NDArray[np.float64]:
-    """A grid of comma-separated numbers, float64 `[H, W]`; `nan` allowed. MapError names a bad line and value."""
-    check_size(path, MAX_CSV_BYTES, MapError, "comma-separated numbers", "save it as .npz or .npy, or coarsen the map")
-    blocks: list[NDArray[np.float64]] = []
-    number = cells = 0
-    try:
-        with path.open(encoding="utf-8-sig") as stream:
-            while lines := stream.readlines(CSV_BATCH):
-                block = _csv_block(path, number, lines, blocks[0].shape[1] if blocks else None)
-                number, cells = number + len(lines), cells + block.size
-                if cells > most_cells:
-                    raise MapError(f"more than {most_cells} cells", source=path, fix="coarsen the map")
-                blocks += [block] if block.size else []
-    except (OSError, UnicodeDecodeError) as error:
-        raise MapError(f"cannot be read as text ({error})", source=path, expected="comma-separated numbers") from error
-    if not blocks:
-        raise MapError("is empty", source=path, expected="rows of comma-separated numbers")
-    return np.concatenate(blocks)
-
-
-def _csv_block(path: Path, before: int, lines: list[str], width: int | None) -> NDArray[np.float64]:
-    """The numbers in `lines`, of which there are `before` above, float64 `[rows, width]`; empty lines are skipped."""
-    with suppress(ValueError), warnings.catch_warnings(action="ignore"):
-        block = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2)
-        if width in (None, block.shape[1]):
-            return block
-    rows: list[list[float]] = []  # something is wrong, or loadtxt is too strict: line by line
-    for number, line in enumerate(lines, start=before + 1):
-        if line.strip():
-            rows.append(_csv_row(path, number, line, width))
-            width = len(rows[0])
-    return np.array(rows, dtype=np.float64)
-
-
-def _csv_row(path: Path, number: int, line: str, width: int | None) -> list[float]:
-    values = []
-    for column, text in enumerate(field.strip() for field in line.rstrip("\r\n").split(",")):
-        try:
-            values.append(float(text))
-        except ValueError:
-            problem = f"line {number}, column {column}: {text[:40]!r} is no number"
-            raise MapError(problem, source=path, expected="comma-separated numbers without a header") from None
-    if width not in (None, len(values)):
-        raise MapError(f"line {number} has {len(values)} values", source=path, expected=f"{width} as above")
-    return values

@@ -257,13 +257,18 @@ def test_wrong_candidates_are_told(
 
 
 def test_a_list_of_candidates_may_have_a_header(tmp_path: Path) -> None:
+    """And other separators, which a note says."""
     (tmp_path / "doors.csv").write_text("name,col,row\nnorth,1,0\nsouth,2,5\n")
-    assert read_candidates(tmp_path / "doors.csv").tolist() == [[0, 1], [5, 2]]
+    assert read_candidates(tmp_path / "doors.csv")[0].tolist() == [[0, 1], [5, 2]]
     (tmp_path / "doors.csv").write_text("nan,1\n5,2\n")
-    assert read_candidates(tmp_path / "doors.csv").shape == (2, 2)
+    assert read_candidates(tmp_path / "doors.csv")[0].shape == (2, 2)
     (tmp_path / "doors.csv").write_text("x,y\n5,2\n")
     with pytest.raises(InputError, match=r"doors\.csv: has the columns x, y; expected row and col"):
         read_candidates(tmp_path / "doors.csv")
+    for text in ("name;col;row\nnorth;1;0\nsouth;2;5\n", "0\t1\n5\t2\n", "row col\n0 1\n5 2\n"):
+        (tmp_path / "doors.csv").write_text(text)
+        cells, (note,) = read_candidates(tmp_path / "doors.csv")
+        assert cells.tolist() == [[0, 1], [5, 2]] and "columns are read as separated by" in note
 
 
 def test_starts_that_reach_little_of_the_map_are_told(tmp_path: Path) -> None:

@@ -13,10 +13,12 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import yaml
+from matplotlib.path import Path as Outline
 from rasterio.features import rasterize
 
 import mrac_jax as mrac
 from analysis.cli.app import run
+from analysis.exporting.antimeridian import cut_area, cut_line
 from analysis.exporting.export import FORMATS
 from analysis.exporting.mission import straight_runs
 from analysis.exporting.outlines import outline
@@ -173,6 +175,102 @@ def test_areas_and_chances(tmp_path: Path, mission: tuple[World, Plan]) -> None:
         entered = without_waits(robot.path.tolist())
         chance = 1 - np.prod(1 - world.threat.ravel()[entered].astype(float))
         assert feature["properties"]["chance_of_loss"] == pytest.approx(chance, abs=1e-8)
+
+
+FIJI = {
+    "zone 60": (Georeference("EPSG:32760"), (819_438.0, 8_117_981.0, 0.3)),
+    "degrees": (Georeference("EPSG:4326", (179.99985, -17.0), (9.4e-6, 9.04e-6)), (0.0, 0.0, 0.0)),
+    "mercator": (Georeference("EPSG:3857"), (20_037_495.0, -1_920_800.0, 0.0)),
+}
+"""Places about longitude 180, where the world's middle is."""
+
+
+def longitudes(coordinates: Any) -> list[float]:
+    if isinstance(coordinates[0], float):
+        return [coordinates[0]]
+    return [longitude for part in coordinates for longitude in longitudes(part)]
+
+
+@pytest.mark.parametrize("place", FIJI)
+def test_exports_are_cut_at_longitude_180(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+    """RFC 7946, 3.1.9: no part spans the world, parts together are the plan's cells; waypoints are in -180..180."""
+    monkeypatch.setitem(PLACES, "utm", FIJI[place])
+    world = a_world()
+    plan = mrac.plan(world, robots=2)
+    (file,) = mrac.export(world, plan, tmp_path / "out.geojson")
+    shapes = [feature["geometry"] for feature in json.loads(file.read_text())["features"]]
+    areas, paths = [one for one in shapes if "Polygon" in one["type"]], [one for one in shapes if "Line" in one["type"]]
+    assert {one["type"] for one in shapes} >= {"MultiPolygon", "MultiLineString"} and len(paths) == 2
+    for one in shapes:
+        parts = one["coordinates"] if one["type"].startswith("Multi") else [one["coordinates"]]
+        for part in parts:
+            east = longitudes(part)
+            assert max(east) - min(east) < 0.01 and max(map(abs, east)) <= 180
+    crs = rasterio.crs.CRS.from_user_input(world.georeference.crs)  # type: ignore[union-attr]
+    (tif,) = mrac.export(world, plan, tmp_path / "out.tif")
+    with rasterio.open(tif) as data:
+        transform = data.transform
+    turn = {"degrees": 360.0, "mercator": 2 * math.pi * 6_378_137}.get(place, 0.0)
+    for area, shape in zip(plan.areas, areas, strict=True):
+        polygons = shape["coordinates"] if shape["type"].startswith("Multi") else [shape["coordinates"]]
+        burnt = np.zeros(world.shape, dtype=bool)
+        for rings in polygons:
+            moved = [
+                np.transpose(rasterio.warp.transform("EPSG:4326", crs, *zip(*ring, strict=True))) for ring in rings
+            ]
+            if moved[0][:, 0].min() < 0 and turn:
+                moved = [ring + np.array([turn, 0]) for ring in moved]
+            held = rasterize([{"type": "Polygon", "coordinates": [ring.tolist() for ring in moved]}],
+                             out_shape=world.shape, transform=transform, fill=0)  # fmt: skip
+            assert not (burnt & (held > 0)).any()
+            burnt |= held > 0
+        assert np.flatnonzero(burnt).tolist() == area.cells.tolist()
+    (kml,) = mrac.export(world, plan, tmp_path / "out.kml")
+    top = ElementTree.parse(kml).getroot()
+    assert len(list(top.iter(f"{KML}MultiGeometry"))) == sum(one["type"].startswith("Multi") for one in shapes)
+    for places in top.iter(f"{KML}coordinates"):
+        east = [float(one.split(",")[0]) for one in (places.text or "").split()]
+        assert max(east) - min(east) < 0.01 and max(map(abs, east)) <= 180
+    for name in ("qgc", "gpx"):
+        found = routes(name, mrac.export(world, plan, tmp_path / name, to=name))  # type: ignore[arg-type]
+        for robot, route in zip(plan.robots, found, strict=True):
+            assert max(abs(east) for east, _ in route) <= 180
+            points = np.transpose(rasterio.warp.transform("EPSG:4326", crs, *zip(*route, strict=True)))
+            points[points[:, 0] < 0, 0] += turn
+            along = cells_along(world, (points - world.georeference.origin) / world.georeference.scale)  # type: ignore[union-attr]
+            assert along == without_waits(robot.path.tolist())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_areas_with_holes_cut_at_random(seed: int) -> None:
+    """Cells of any shape, also with corners and sides on the cut: each place is inside as before."""
+    rng = np.random.default_rng(seed)
+    for offset, yaw in ((4.0, 0.0), (3.5, 0.0), (5.0, 0.4)):
+        world = World.create(np.where(rng.random((9, 11)) < 0.35, np.nan, 0.0))
+        labels = world.components
+        cells = np.flatnonzero(labels.ravel() == np.bincount(labels[labels > 0]).argmax())
+        turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
+        rings = [np.array(ring)[:, ::-1] * (1.0, -1.0) @ turn + (180 - offset, 0) for ring in outline(cells, 11)]
+        parts = cut_area(rings)
+        places = rng.uniform((180 - offset - 6, -12), (180 - offset + 14, 8), (400, 2))
+        moved = places - np.where(places[:, :1] > 180, (360.0, 0.0), 0.0)
+        inside = np.sum([[Outline(ring).contains_point(one) for one in places] for ring in rings], axis=0) % 2
+        found = sum(
+            np.sum([[Outline(ring).contains_point(one) for one in moved] for ring in part], axis=0) % 2
+            for part in parts
+        )
+        np.testing.assert_array_equal(found, inside)
+        assert len(parts) > 1 and all(np.abs(ring[:, 0]).max() <= 180 for part in parts for ring in part)
+
+
+def test_lines_cut_by_hand() -> None:
+    """There and back; along 180; what only touches it is whole."""
+    line = np.array([[179.0, 0.0], [181, 2], [181, 3], [180, 4], [179, 4]])
+    east = [[-180, 1], [-179, 2], [-179, 3], [-180, 4]]
+    assert [part.tolist() for part in cut_line(line)] == [[[179, 0], [180, 1]], east, [[180, 4], [179, 4]]]
+    for whole in ([[179.0, 0.0], [180, 1], [179, 2]], [[10.0, 0.0], [10, 0]]):
+        assert [part.tolist() for part in cut_line(np.array(whole))] == [whole]
+    assert [part.tolist() for part in cut_line(np.array([[180.0, 0.0], [180, 1]]))] == [[[-180, 0], [-180, 1]]]
 
 
 @pytest.mark.parametrize("seed", range(8))

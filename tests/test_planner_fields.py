@@ -144,10 +144,10 @@ NAN = '{"type": "Polygon", "coordinates": [[[0, 0], [NaN, 0], [1, 1]]]}'
         ("f.csv", "x,y\n" + "1,2\n" * 10**6, 10, "at most 131072"),
         ("f.csv", "x,y\n1,2\nnan,4\n5,6\n", 10, "line 3: x is 'nan'"),
         ("f.csv", "a,b,c\n1,2,3\n", 10, "columns x and y, or lon and lat"),
-        ("f.csv", "lon,lat\n8,200\n9,1\n9,2\n", 10, "is no longitude and latitude"),
+        ("f.csv", "lon,lat\n8,200\n9,1\n9,2\n", 10, "line 2: latitude stands first, as in 8, 200: 200 is no latitude"),
         ("f.csv", "lon,lat\n8,20\n12,20\n12,22\n", 10, "a field of at most 3 degrees"),
         ("f.csv", "0,0\n1e6,0\n1e6,1e6\n", 0.5, "expected at most 67108864; give larger cells"),
-        ("f.csv", "0,0\n4,0\n4,4\n", 10, "no cell of 10 m lies whole in the field; give smaller cells"),
+        ("f.csv", "0,0\n4,0\n4,4\n", 10, "no cell of 10 m lies whole in the field of 4 x 4 m; give smaller cells"),
     ],
 )
 def test_what_is_no_field(tmp_path: Path, name: str, text: str, cell_size: float, said: str) -> None:
@@ -168,3 +168,71 @@ def test_a_field_needs_a_size_of_cells_and_a_crs_that_is_known(tmp_path: Path) -
         geojson(path, [L_SHAPE], crs={"type": "name", "properties": {"name": crs}})
         with pytest.raises(InputError, match="expected a CRS that PROJ knows"):
             load_input(path, 10)
+
+
+CUT = [[-90, -60], [160, -60], [160, 60], [60, 60], [60, 0], [-40, 0], [-40, 60], [-90, 60], [-90, -60]]
+"""Metres about a place at longitude 180, with a bay in the north that it runs through."""
+
+
+def across_180(turn: float, ring: list[list[float]] = CUT) -> list[list[float]]:
+    """That ring in degrees, whole; its longitudes about 180, or about -180 (`turn` -360)."""
+    return [[180 + turn + x / 106_470, -17 + y / 110_650] for x, y in ring]
+
+
+def cut_at_180() -> list[list[list[float]]]:
+    """The same, cut there by hand: from the west, the south-eastern part and the two arms of the bay are one or two."""
+    west = [[-90, -60], [0, -60], [0, 0], [-40, 0], [-40, 60], [-90, 60], [-90, -60]]
+    east = [[0, -60], [160, -60], [160, 60], [60, 60], [60, 0], [0, 0], [0, -60]]
+    return [across_180(0, west), across_180(-360, east)]
+
+
+def test_a_field_across_longitude_180(tmp_path: Path) -> None:
+    """However it is written: the same cells, none an obstacle for the cut, and their corner in -180..180."""
+    pytest.importorskip("rasterio")
+    whole = load_input(geojson(tmp_path / "f.geojson", [across_180(0)]), 10)
+    assert whole.free.sum() > 150 and not whole.free[:5, 6:14].any() and whole.free[7:11, 1:24].all()
+    stepped = [[x if x <= 180 else x - 360, y] for x, y in across_180(0)]
+    east, west = cut_at_180()
+    multi = {"type": "MultiPolygon", "coordinates": [[east], [west]]}
+    (tmp_path / "m.geojson").write_text(json.dumps(multi))
+    (tmp_path / "f.csv").write_text("lon;lat\n" + "".join(f"{x};{y}\n".replace(".", ",") for x, y in stepped))
+    files = [
+        geojson(tmp_path / "n.geojson", [across_180(-360)]),
+        geojson(tmp_path / "s.geojson", [stepped]),
+        geojson(tmp_path / "p.geojson", [east], [west]),
+        tmp_path / "m.geojson",
+        tmp_path / "f.csv",
+    ]
+    for path in files:
+        world = scenario(tmp_path, map={"polygons": path.name}, cell_size=10)
+        np.testing.assert_array_equal(world.free, whole.free)
+        np.testing.assert_allclose(world.to_lonlat(world.at(0, 0)), whole.to_lonlat(whole.at(0, 0)), atol=1e-9)
+    assert any("semicolons, numbers as written with decimal commas" in note for note in world.notes)
+    mercator = np.pi / 180 * 6_378_137
+    rings = [
+        [[x * mercator, mercator * np.degrees(np.arcsinh(np.tan(np.radians(y))))] for x, y in one]
+        for one in (east, west)
+    ]
+    path = geojson(
+        tmp_path / "g.geojson", *([ring] for ring in rings), crs={"type": "name", "properties": {"name": "EPSG:3857"}}
+    )
+    found = load_input(path, 10)  # a metre of Mercator is 0.956 m there
+    assert found.shape[1] == 27 and not found.free[:5, 7:14].any() and found.free[8:11, 1:25].all()
+
+
+def test_a_field_whose_latitude_stands_first(tmp_path: Path) -> None:
+    """-122 is no latitude; where both may be one, the note says where the field is taken to lie."""
+    for digits in (3, 7):
+        ring = [[37.41, -122.06], [37.411, -122.06], [round(37.4112345, digits), -122.059], [37.41, -122.06]]
+        with pytest.raises(InputError, match=r"f\.geojson: latitude stands first, as in 37\.41, -122\.06: .*swap"):
+            load_input(geojson(tmp_path / "f.geojson", [ring]), 10)
+    world = load_input(geojson(tmp_path / "f.geojson", [[[y, x] for x, y in degrees(RECTANGLE)]]), 20)
+    assert any("metres east and north of 8 N 47.5 E" in note for note in world.notes)
+    with pytest.raises(InputError, match=r"whole in the field of .* at 8 N 47\.5 E; .*swap latitude and longitude"):
+        load_input(tmp_path / "f.geojson", 500)
+
+
+def test_metres_beyond_90_are_no_latitudes(tmp_path: Path) -> None:
+    """A field of 2 x 2 m at (10, 120) of a frame of its own is one, in cells that fit in."""
+    world = load_input(geojson(tmp_path / "f.geojson", [[[10, 120], [12, 120], [12, 122], [10, 122]]]), 0.5)
+    assert world.free.sum() == 16 and world.georeference is None

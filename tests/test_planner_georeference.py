@@ -246,7 +246,131 @@ def test_coordinates_that_contradict(tmp_path: Path) -> None:
     with pytest.raises(MapError, match=r"a\.geojson: no way from the CRS 'EPSG:999999'"):
         load_input(scenario(tmp_path, threats=[{"polygons": "a.geojson"}]))
     (tmp_path / "p.csv").write_text("lon,lat,strength\n15,52,0.1\n500000,5761038,0.1\n")
-    with pytest.raises(MapError, match=r"line 3: '500000, 5761038, 0.1' is no longitude and latitude"):
+    with pytest.raises(MapError, match=r"line 3: a point at longitude 500000, latitude 5.76104e\+06"):
         load_input(scenario(tmp_path, threats=[{"points": "p.csv", "falloff": {"kind": "disc", "radius": 10}}]))
     with pytest.raises(ScenarioError, match=r"`datum` is .*; expected none: the map says where it lies"):
         load_input(scenario(tmp_path, datum={"latitude": 1, "longitude": 2}))
+
+
+FIJI = "EPSG:32760"
+"""UTM zone 60 south, whose eastern edge is longitude 180."""
+
+
+def fiji(folder: Path) -> World:
+    """20 x 20 pixels of 10 m without danger, their middle at longitude 180, 17 south."""
+    (x, y), *_ = np.round(reproject([[180.0, -17.0]], "EPSG:4326", FIJI), -1).tolist()
+    tif(folder / "m.tif", np.zeros((20, 20), dtype=np.float32), (10, 0, x - 100, 0, -10, y + 100), FIJI)
+    return load_input(folder / "m.tif")
+
+
+def multi(folder: Path, *polygons: list[Any]) -> None:
+    geometry = {"type": "MultiPolygon", "coordinates": polygons}
+    (folder / "a.geojson").write_text(json.dumps({"type": "Feature", "properties": {"p": 0.25}, "geometry": geometry}))
+
+
+def halves(ring: list[list[float]]) -> tuple[list[list[float]], list[list[float]]]:
+    """A ring across longitude 180 as RFC 7946, 3.1.9, has it: what is east of 180 is moved there, and back."""
+    east = [[min(x % 360, 180), y] for x, y in ring]
+    return east, [[max(x % 360, 180) - 360, y] for x, y in ring]
+
+
+def test_shapes_across_longitude_180(tmp_path: Path) -> None:
+    """Cut in two, uncut with a step from 179.99 to -179.99, beyond 180 on either side: the same 12 x 12 cells."""
+    world = fiji(tmp_path)
+    assert not world.notes and (np.abs(ring_of(world, 0, 0, 20, 20))[:, 0] <= 180).all()
+    ring = ring_of(world, 4, 4, 16, 16)
+    expected = np.zeros((20, 20), dtype=np.float32)
+    expected[4:16, 4:16] = 0.25
+    for rings in (halves(ring), [ring], [[[x % 360, y] for x, y in ring]], [[[x % 360 - 360, y] for x, y in ring]]):
+        multi(tmp_path, *([one] for one in rings))
+        path = scenario(tmp_path, threats=[{"polygons": "a.geojson"}])
+        np.testing.assert_array_equal(load_input(path).threat, expected)
+    east, west = halves(ring)
+    text = KML.format(" ".join(f"{x},{y}" for x, y in east)).removesuffix("</Placemark></kml>")
+    other = KML.format(" ".join(f"{x},{y}" for x, y in west))
+    (tmp_path / "a.kml").write_text(text + other[other.index("<Polygon>") :])
+    np.testing.assert_array_equal(load_input(scenario(tmp_path, threats=[{"polygons": "a.kml"}])).threat, expected)
+    multi(tmp_path, [east], [west])
+    kept = load_input(
+        scenario(tmp_path, keepout=[{"polygons": "a.geojson"}], value=[{"polygons": "a.geojson", "value": 2}])
+    )
+    np.testing.assert_array_equal(~kept.free, expected > 0)
+    longitude = 180 - ring[0][0] + 180
+    for name in (longitude, longitude - 360):
+        (tmp_path / "p.csv").write_text(f"lon,lat,strength\n{name},{ring[0][1]},0.5\n")
+        source = {"points": "p.csv", "falloff": {"kind": "disc", "radius": 10.0}}
+        held = np.argwhere(load_input(scenario(tmp_path, threats=[source])).threat)
+        assert len(held) and np.abs(held - (3.5, 15.5)).max() <= 1.5
+
+
+@pytest.mark.parametrize(("west", "crs"), [(165.0, "EPSG:4326"), (-195.0, "EPSG:4326"), (165.0, "EPSG:3857")])
+def test_wide_shapes_on_a_map_in_degrees_or_mercator(tmp_path: Path, west: float, crs: str) -> None:
+    """30 x 10 degrees about longitude 180: what is asked for is held, on both sides, and the whole world is."""
+    side = 0.5 if crs == "EPSG:4326" else 0.5 * 111_319.49079327357
+    transform = (side, 0, west / 0.5 * side, 0, -side, -10 / 0.5 * side)
+    tif(tmp_path / "m.tif", np.zeros((20, 60), dtype=np.float32), transform, crs)
+
+    def box(left: float, right: float) -> list[list[list[float]]]:
+        return [[[left, -18.0], [right, -18.0], [right, -12.0], [left, -12.0], [left, -18.0]]]
+
+    for polygons in ([box(175, 180), box(-180, -175)], [box(175, -175)], [box(175, 185)], [box(-185, -175)]):
+        multi(tmp_path, *polygons)
+        held = load_input(scenario(tmp_path, threats=[{"polygons": "a.geojson"}])).threat > 0
+        assert np.flatnonzero(held.any(axis=0)).tolist() == list(range(20, 40))
+    multi(tmp_path, box(-180, 180))
+    held = load_input(scenario(tmp_path, threats=[{"polygons": "a.geojson"}])).threat > 0
+    assert held.any(axis=0).all()
+
+
+def test_a_datum_beyond_180_is_the_place_a_turn_away(tmp_path: Path) -> None:
+    np.save(tmp_path / "m.npy", np.zeros((10, 10), dtype=np.float32))
+    for longitude in (179.9999, -180.0001):
+        world = load_input(scenario(tmp_path, map="m.npy", datum={"latitude": 0, "longitude": longitude}))
+        places = world.to_lonlat([[0.0, 0.0], [1000.0, 0.0]])
+        assert places[0] == pytest.approx((179.9999, 0), abs=1e-9)
+        assert places[1] == pytest.approx((-180.0001 + 1000 / 111_319.49, 0), abs=1e-6)
+
+
+RING = '{{"type": "Polygon", "coordinates": [[{}]]%s}}'
+CRS84 = ', "crs": {{"type": "name", "properties": {{"name": "CRS84"}}}}'
+SWAPPED = [
+    ("a.geojson", RING % "", "[{1}, {0}]", ", "),
+    ("a.geojson", RING % CRS84, "[{1}, {0}]", ", "),
+    ("a.kml", KML, "{1},{0}", " "),
+    ("a.gpx", GPX, '<trkpt lon="{1}" lat="{0}"/>', ""),
+    ("a.csv", "lon,lat\n{}", "{1},{0}", "\n"),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "place", "between"), SWAPPED)
+def test_latitude_first_is_said(tmp_path: Path, name: str, text: str, place: str, between: str) -> None:
+    utm_map(tmp_path)
+    ring = ring_of(load_input(tmp_path / "m.tif"), 3, 5, 9, 12)
+    (tmp_path / name).write_text(text.format(between.join(place.format(*corner) for corner in ring)))
+    for keys in ({"threats": [{"polygons": name, "p": 0.1}]}, {"keepout": [{"polygons": name}]}):
+        with pytest.raises(MapError, match=rf"{name}: latitude stands first, as in 51\.99.* 15\.00.*; swap the two"):
+            load_input(scenario(tmp_path, **keys))
+    east, north = ring[0]
+    source = {"points": "p.csv", "falloff": {"kind": "disc", "radius": 10}}
+    for head, words in (
+        (f"lon,lat,strength\n{north},{east},0.1\n", r"p\.csv: latitude stands first"),
+        (f"lat,lon,strength\n{-122.5},{37.5},0.1\n", r"line 2: latitude stands first, as in 37\.5, -122\.5"),
+        (f"x,y,strength\n{north},{east},0.1\n", "name the columns lat and lon"),
+        (f"x,y,strength\n{east},{north},0.1\n", "name the columns lon and lat"),
+    ):
+        (tmp_path / "p.csv").write_text(head)
+        with pytest.raises(InputError, match=words):
+            load_input(scenario(tmp_path, threats=[source]))
+    np.save(tmp_path / "m.npy", np.zeros((10, 10), dtype=np.float32))
+    with pytest.raises(ScenarioError, match=r"`datum\.latitude` is 151; .* latitude and longitude .* swap them"):
+        load_input(scenario(tmp_path, map="m.npy", datum={"latitude": 151, "longitude": -33.9}))
+
+
+def test_metres_that_would_lie_on_the_map_as_latitude_and_longitude_are_metres(tmp_path: Path) -> None:
+    """A map of 100 m at 15 east, 52 north: x = 52, y = 15 on it is no latitude."""
+    np.save(tmp_path / "m.npy", np.zeros((100, 100), dtype=np.float32))
+    geojson(tmp_path, [[50.0, 13.0], [54.0, 13.0], [54.0, 17.0], [50.0, 17.0]])
+    world = load_input(
+        scenario(tmp_path, map="m.npy", datum={"latitude": 52, "longitude": 15}, threats=[{"polygons": "a.geojson"}])
+    )
+    assert np.argwhere(world.threat).min(axis=0).tolist() == [83, 50] and (world.threat > 0).sum() == 16

@@ -14,12 +14,13 @@ import pytest
 
 import planner.plans.plan_file
 from planner.errors import MapError, PlanError
-from planner.files import LONG_BYTES, read_csv_grid
+from planner.files import LONG_BYTES
 from planner.mrac.make_plan import make_plan
 from planner.plan_team import plan_team, read_plan
 from planner.plans.plan import Area, Leg, Plan, RobotPlan
 from planner.plans.plan_file import count_shares, load_plan
 from planner.settings import Settings
+from planner.tables import read_csv_grid
 from planner.worlds.changing import with_phases
 from planner.worlds.scenario import load_input
 from planner.worlds.world import World

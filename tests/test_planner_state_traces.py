@@ -75,7 +75,8 @@ def test_an_occupancy_grid_lies_by_its_origin(tmp_path: Path, kind: str) -> None
 
 
 @pytest.mark.parametrize("text", ["row,col\n1,0\n1,1\n2,1\n", "1,0\n1,1\n2,1\n", "n,col,row\n7,0,1\n7,1,1\n7,1,2\n",
-                                  "x_m,y_m\n11.9,25.2\n13,25\n13,23\n"])  # fmt: skip
+                                  "x_m,y_m\n11.9,25.2\n13,25\n13,23\n", "row;col\n1;0\n1;1\n2;1\n",
+                                  "x_m;y_m\n11,9;25,2\n13;25\n13;23\n"])  # fmt: skip
 def test_visited_cells_in_a_csv_file(tmp_path: Path, text: str) -> None:
     (tmp_path / "c.csv").write_text(text)
     assert cells_of(read_state(tmp_path / "c.csv", WORLD, STARTS)[0].visited) == DONE
@@ -108,6 +109,13 @@ def test_tracks_on_a_georeferenced_map_may_be_in_degrees(tmp_path: Path) -> None
     lines = [f"rover,{longitude!r},{latitude!r}" for longitude, latitude in places.tolist()]
     (tmp_path / "t.csv").write_text("\n".join(["robot,lon,lat", *lines]))
     assert cells_of(read_state(tmp_path / "t.csv", world)[0].visited) == DONE
+    turned = [f"rover\t{longitude - 360}\t{latitude}".replace(".", ",") for longitude, latitude in places.tolist()]
+    (tmp_path / "u.csv").write_text("\n".join(["robot\tlon\tlat", *turned]))
+    state, notes = read_state(tmp_path / "u.csv", world)
+    assert cells_of(state.visited) == DONE and "by tabs, numbers as written with decimal commas" in notes[0]
+    (tmp_path / "u.csv").write_text((tmp_path / "t.csv").read_text().replace("lon,lat", "lat,lon"))
+    with pytest.raises(InputError, match=r"u\.csv: latitude stands first, as in 52\.000.*, 8\.000.*swap"):
+        read_state(tmp_path / "u.csv", world)
     with pytest.raises(InputError, match="has the columns robot, lon, lat; expected row and col, or x and y in metres"):
         read_state(tmp_path / "t.csv", WORLD)
 

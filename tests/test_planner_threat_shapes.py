@@ -49,7 +49,7 @@ def test_points_at_the_centres(tmp_path: Path) -> None:
 )
 def test_points_files(tmp_path: Path, text: str) -> None:
     (tmp_path / "p.csv").write_text(text)
-    assert read_points(tmp_path / "p.csv")[0].tolist() == [[1, 2, 0.5], [3, 4, 0.25]]
+    assert read_points(tmp_path / "p.csv", Frame((9, 9), 1.0))[0].tolist() == [[1, 2, 0.5], [3, 4, 0.25]]
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_points_files(tmp_path: Path, text: str) -> None:
 def test_broken_points_files(tmp_path: Path, text: str, names: str) -> None:
     (tmp_path / "p.csv").write_text(text)
     with pytest.raises(MapError) as caught:
-        read_points(tmp_path / "p.csv")
+        read_points(tmp_path / "p.csv", Frame((9, 9), 1.0))
     assert names in str(caught.value)
 
 
@@ -263,3 +263,58 @@ def test_coordinates_that_cannot_be(tmp_path: Path, ring: list) -> None:
     with pytest.raises(MapError, match=r"a\.geojson: features\[0\]: wrong coordinates \(a point is ") as caught:
         load(tmp_path, [{"polygons": "a.geojson", "p": 0.5}])
     assert len(str(caught.value)) < 500
+
+
+TABLES = [
+    ("x;y;strength\n1;2;0.5\n3;4;0.25\n", "semicolons", "points"),
+    ("x;y;strength\r\n1,0;2;0,5\r\n\r\n3;4;0,25\r\n", "semicolons", "commas"),
+    ("1,0\t2\t0,5\n3\t4\t0,25\n", "tabs", "commas"),
+    ("sep=;\nid;x;y;strength;\n3.1;1;2;,5;\n3.2;3;4;0,25;\n", "semicolons", "commas"),
+    ('"x","y","strength"\n"1,0","2","0,5"\n"3","4","0,25"\n', "commas", "commas"),
+    ("x y strength\n1 2  0.5\n3   4 0.25\n", "spaces", "points"),
+    ("x|y|strength\n1,000|2,000|5,0e-1\n3|4|0,250\n", "bars", "commas"),
+]
+
+
+@pytest.mark.parametrize(("text", "separator", "decimal"), TABLES)
+def test_points_between_other_separators(tmp_path: Path, text: str, separator: str, decimal: str) -> None:
+    (tmp_path / "p.csv").write_bytes(text.encode())
+    found = read_points(tmp_path / "p.csv", Frame((9, 9), 1.0))
+    assert found.places.tolist() == [[1, 2, 0.5], [3, 4, 0.25]]
+    note = f"columns are read as separated by {separator}, numbers as written with decimal {decimal}"
+    assert found.notes == (note,)
+    np.save(tmp_path / "m.npy", np.zeros((9, 9)))
+    for key in ("threats", "value"):
+        (tmp_path / "s.yaml").write_text(
+            f"map: m.npy\n{key}:\n- {{points: p.csv, falloff: {{kind: disc, radius: 1}}}}\n"
+        )
+        assert f"{key}[0]: {note}" in load_input(tmp_path / "s.yaml").notes
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("x;y;strength\n1,5;2;0.5\n3;4;0,25\n", "strength: line 3 has '0,25' and line 2 '0.5'"),
+        ("x;y;strength\n1,234;2,345;0\n", "x: line 2: '1,234' may be 1.234 or 1234"),
+        ("x;y;strength\n1.234;2,3;0\n", "x: line 2: '1.234' may be 1.234 or 1234"),
+        ("x;y;strength\n1.234,5;2;0\n", "x: line 2: '1.234,5' has marks between thousands"),
+        ("x;1\ty\n1;2\t3\n", "its columns may be separated by semicolons or by tabs"),
+        ("x,y,strength\n1;2;0.5\n", "line 2 has 1 values, and semicolons; expected 3 as above, separated by commas"),
+        ("x,y,strength\n1,0,2,0,0,5\n", "if its numbers have decimal commas, separate the columns by semicolons"),
+        ("1,0,2,0,0,5\n", "if its numbers have decimal commas, separate the columns by semicolons"),
+    ],
+)
+def test_tables_that_can_be_read_in_two_ways(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "p.csv").write_text(text)
+    with pytest.raises(MapError) as caught:
+        read_points(tmp_path / "p.csv", Frame((9, 9), 1.0))
+    assert words in str(caught.value) and "p.csv" in str(caught.value)
+
+
+def test_a_column_that_is_not_read_may_hold_anything(tmp_path: Path) -> None:
+    """Names with semicolons among commas; marks between thousands, and the other decimal sign."""
+    (tmp_path / "p.csv").write_text('name,x,y,strength\n"Pit; north",1,2,0.5\nHill,3,4,0.25\n')
+    found = read_points(tmp_path / "p.csv", Frame((9, 9), 1.0))
+    assert found.names[0][0] == "Pit; north" and not found.notes
+    (tmp_path / "p.csv").write_text("x;y;strength;seen;id\n1;2;0,5;1.234;3.1\n3;4;0,25;7,5;3,2\n")
+    assert read_points(tmp_path / "p.csv", Frame((9, 9), 1.0)).places.tolist() == [[1, 2, 0.5], [3, 4, 0.25]]

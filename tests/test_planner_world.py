@@ -15,6 +15,7 @@ from conftest import FOLDER, worlds_with_starts
 from hypothesis import given
 
 import planner.files
+import planner.tables
 from planner.errors import InputError, MapError, WorldError
 from planner.files import atomic_write
 from planner.mrac.graph import to_networkx
@@ -77,7 +78,7 @@ def test_masked_cells_are_obstacles() -> None:
 
 
 def test_csv_is_read_in_batches_and_a_wrong_line_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner.files, "CSV_BATCH", 40)
+    monkeypatch.setattr(planner.tables, "CSV_BATCH", 40)
     file, rows = tmp_path / "w.csv", [f"0.{n:03d}, nan,{' ' * (n % 3)}-1,0.5e-3" for n in range(200)]
     file.write_text("\ufeff" + "\r\n\r\n".join(rows) + "\n\n")
     expected = np.array([[n / 1000, np.nan, np.nan, 0.0005] for n in range(200)], dtype=np.float32)
@@ -95,7 +96,7 @@ def test_csv_is_read_in_batches_and_a_wrong_line_is_named(tmp_path: Path, monkey
 
 def test_a_csv_file_too_large_is_refused_at_once(tmp_path: Path) -> None:
     with (tmp_path / "w.csv").open("wb") as out:
-        out.truncate(planner.files.MAX_CSV_BYTES + 1)
+        out.truncate(planner.tables.MAX_CSV_BYTES + 1)
     with pytest.raises(MapError, match=r"67108865 bytes; expected .* of at most 67108864; save it as \.npz"):
         load_world_file(tmp_path / "w.csv")
 
@@ -295,3 +296,46 @@ def test_writing_follows_links_and_takes_the_longest_names(tmp_path: Path) -> No
     assert (tmp_path / "real.txt").read_text() == (tmp_path / "made.txt").read_text() == "new"
     write_text(tmp_path / ("x" * 255))
     assert len(list(tmp_path.iterdir())) == 5
+
+
+GRIDS = [
+    ("0;0.5\nnan;-1\n", "semicolons", "points"),
+    ("0;0,5\r\nnan;-1\r\n", "semicolons", "commas"),
+    ("sep=\t\n0\t5,0e-1\nnan\t-1\n", "tabs", "commas"),
+    ("  0.0e+00 5.0e-01\n nan  -1\n", "spaces", "points"),
+]
+
+
+@pytest.mark.parametrize(("text", "separator", "decimal"), GRIDS)
+def test_grids_between_other_separators(
+    tmp_path: Path, text: str, separator: str, decimal: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(planner.tables, "CSV_BATCH", 5)
+    (tmp_path / "w.csv").write_bytes(text.encode())
+    world = load_world_file(tmp_path / "w.csv")
+    np.testing.assert_array_equal(world.threat, [[0, 0.5], [np.nan, np.nan]])
+    note = f"columns are read as separated by {separator}, numbers as written with decimal {decimal}"
+    assert world.notes == (note,)
+    (tmp_path / "s.yaml").write_text("map: m.npy\nthreats:\n- {raster: w.csv}\n")
+    np.save(tmp_path / "m.npy", np.where(world.free, 0, np.nan))
+    assert f"threats[0]: {note}" in load_input(tmp_path / "s.yaml").notes
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("0;0,5\n0;0.5\n", "line 1 has '0,5' and line 2 '0.5'"),
+        ("0;1,234\n0;2,345\n", "line 1: '1,234' may be 1.234 or 1234"),
+        ("0;1.234,5\n", "line 1: '1.234,5' has marks between thousands"),
+        ("0,0,0,5\n0,0,0,2,5\n", "separate the columns by semicolons"),
+        (
+            "a;b\n0;1\n",
+            "line 1, column 0: 'a' is no number; expected numbers without a header, separated by semicolons",
+        ),
+    ],
+)
+def test_grids_that_can_be_read_in_two_ways(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "w.csv").write_text(text)
+    with pytest.raises(MapError) as caught:
+        load_world_file(tmp_path / "w.csv")
+    assert words in str(caught.value) and "w.csv" in str(caught.value)

@@ -73,12 +73,12 @@ def starts(
     named = None if candidates in (None, BORDER) else Path(str(candidates))
     check_files(source, scenario_out, suffix=".yaml", beside=(named,))
     check_folder(out)
-    given = BORDER if named is None else read_candidates(named)
+    given, notes = (BORDER, ()) if named is None else read_candidates(named)
     team = Team(cell_size=cell_size, step_seconds=step_seconds, speed=speed)
     asked = team.asked(source, planning.choices())
     world = asked.load()
     settings = asked.choices.settings(world.team.settings, world.pace, by=world.source)
-    say(world.notes)
+    say((*world.notes, *(f"{named}: {note}" for note in notes)))
     with show_progress() as progress:
         answer = find_starts(
             world, team_size(world, robots), settings, choices, depot=depot, candidates=given,

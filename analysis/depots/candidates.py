@@ -16,8 +16,9 @@ from scipy import ndimage
 
 from planner.arguments import argument
 from planner.errors import MapError, UsageError
-from planner.files import check_file, read_csv_grid, read_npy
-from planner.worlds.points import is_header, read_table
+from planner.files import check_file, read_npy
+from planner.tables import read_csv_grid, starts_with_header
+from planner.worlds.points import read_table
 from planner.worlds.world import FOUR_NEIGHBOURS, MAX_CELLS, World
 
 BORDER = "border"
@@ -32,27 +33,22 @@ def border(world: World) -> NDArray[np.bool_]:
     return near & (world.threat == 0)
 
 
-def read_candidates(path: Path) -> NDArray:
-    """What a file of candidates holds, a mask or a list: .npy, or .csv of numbers. Raises InputError."""
-    readers = {".npy": read_npy, ".csv": _read_csv}
-    if path.suffix.lower() not in readers:
+def read_candidates(path: Path) -> tuple[NDArray, tuple[str, ...]]:
+    """What a file of candidates holds, a mask or a list: .npy, or .csv of numbers; and notes. Raises InputError."""
+    if path.suffix.lower() not in (".npy", ".csv"):
         problem = f"{argument('candidates')} {path} is neither {BORDER!r} nor such a file"
         raise UsageError(problem, expected="a mask of the map or rows of row,col as .npy or .csv")
     check_file(path, "a mask of the map, or rows of row,col")
-    return readers[path.suffix.lower()](path, MAX_CELLS)
-
-
-def _read_csv(path: Path, most_cells: int) -> NDArray:
-    """Numbers without a header, or the columns row and col of one with names."""
-    with path.open(encoding="utf-8-sig", errors="replace") as lines:
-        named = is_header(lines.readline().strip().split(","))
-    if not named:
-        return read_csv_grid(path, most_cells)
+    if path.suffix.lower() == ".npy":
+        return read_npy(path, MAX_CELLS), ()
+    if not starts_with_header(path):
+        return read_csv_grid(path, MAX_CELLS)
     table = read_table(path, "lines row, col")
     row, col = table.column("row"), table.column("col", "column")
     if row is None or col is None:
         raise MapError(f"has the columns {', '.join(table.names)[:80]}", source=path, expected="row and col")
-    return np.array([[table.number(one, row, "row"), table.number(one, col, "col")] for one in table.rows])
+    cells = [[table.number(one, row, "row"), table.number(one, col, "col")] for one in table.rows]
+    return np.array(cells), table.notes
 
 
 def candidate_cells(world: World, given: ArrayLike, source: object = "") -> tuple[Cells, tuple[str, ...]]:

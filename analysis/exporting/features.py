@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite
 
 import numpy as np
 
-from analysis.exporting.mission import DEGREES, Mission
+from analysis.exporting.antimeridian import cut_area, cut_line
+from analysis.exporting.mission import Mission, rounded
 from analysis.exporting.outlines import outline
 from planner.files import Json
 
@@ -18,12 +19,21 @@ Position = list[float]
 
 @dataclass(frozen=True)
 class Feature:
-    """A path (one line) or an area (rings, the outer one first, closed) in longitude and latitude, and its facts."""
+    """A path or an area in longitude and latitude, and its facts.
+
+    Attributes:
+        name: of it. facts: what is known of it.
+        is_area: it is an area, not a path.
+        parts: what a cut at longitude 180 leaves, mostly one part: of a path one line, of an area rings, the outer one
+            first, closed.
+        points: of a path, uncut.
+    """
 
     name: str
     is_area: bool
-    lines: list[list[Position]]
+    parts: list[list[list[Position]]]
     facts: Json
+    points: list[Position] = field(default_factory=list)
 
 
 def features(mission: Mission) -> Iterator[Feature]:
@@ -45,8 +55,9 @@ def features(mission: Mission) -> Iterator[Feature]:
             "covered": _rounded(mission.exact.visited_by_cell[area.cells].mean()),
             "losses": _rounded(mission.exact.stops_by_cell[area.cells].sum()),
         }
-        rings = [_corners(mission, ring) for ring in outline(area.cells, width)]
-        yield Feature(f"area {number}", True, rings, facts)
+        rings = [mission.on_earth(world.at(*np.array(ring).T)) for ring in outline(area.cells, width)]
+        parts = [[rounded(ring).tolist() for ring in part] for part in cut_area(rings)]
+        yield Feature(f"area {number}", True, parts, facts)
     for number, robot in enumerate(mission.plan.robots):
         facts = {
             "robot": number,
@@ -55,14 +66,9 @@ def features(mission: Mission) -> Iterator[Feature]:
             "chance_of_loss": _rounded(1 - mission.exact.survival[number]),
         }
         cells = [stop.cell for stop in mission.stops(number)]
-        cells = cells if len(cells) > 1 else cells * 2  # a line has two points, if the robot never moves too
-        yield Feature(f"robot {number}", False, [mission.lonlat(np.array(cells)).tolist()], facts)
-
-
-def _corners(mission: Mission, ring: list[tuple[int, int]]) -> list[Position]:
-    rows, cols = np.array(ring).T
-    places = mission.world.to_lonlat(mission.world.at(rows, cols))
-    return (np.round(places, DEGREES) + 0.0).tolist()
+        cells = np.array(cells if len(cells) > 1 else cells * 2)  # a line has two points, if it never moves too
+        lines = [[rounded(part).tolist()] for part in cut_line(mission.on_earth(world.to_xy(cells)))]
+        yield Feature(f"robot {number}", False, lines, facts, mission.lonlat(cells).tolist())
 
 
 def _rounded(value: float) -> float | None:
@@ -70,16 +76,18 @@ def _rounded(value: float) -> float | None:
 
 
 def geojson(mission: Mission) -> str:
-    """A FeatureCollection of `features`: Polygons, LineStrings."""
+    """A FeatureCollection of `features`: Polygons and LineStrings, of several parts where longitude 180 cuts them."""
     collection = [
-        {
-            "type": "Feature",
-            "properties": {"name": feature.name} | feature.facts,
-            "geometry": {"type": "Polygon", "coordinates": feature.lines}
-            if feature.is_area
-            else {"type": "LineString", "coordinates": feature.lines[0]},
-        }
+        {"type": "Feature", "properties": {"name": feature.name} | feature.facts, "geometry": _geometry(feature)}
         for feature in features(mission)
     ]
     lines = ",\n".join(json.dumps(feature, allow_nan=False) for feature in collection)
     return f'{{"type": "FeatureCollection", "features": [\n{lines}\n]}}\n'
+
+
+def _geometry(feature: Feature) -> Json:
+    kind = "Polygon" if feature.is_area else "LineString"
+    parts = feature.parts if feature.is_area else [line for (line,) in feature.parts]
+    if len(parts) == 1:
+        return {"type": kind, "coordinates": parts[0]}
+    return {"type": f"Multi{kind}", "coordinates": parts}

@@ -42,15 +42,17 @@ def _placemark(folder: Element, feature: Feature) -> None:
     data = SubElement(place, "ExtendedData")
     for name, value in feature.facts.items():
         _text(SubElement(data, "Data", name=name), "value", "" if value is None else str(value))
-    if not feature.is_area:
-        path = SubElement(place, "LineString")
-        _text(path, "tessellate", "1")
-        _coordinates(path, feature.lines[0])
-        return
-    polygon = SubElement(place, "Polygon")
-    for number, ring in enumerate(feature.lines):
-        border = SubElement(polygon, "innerBoundaryIs" if number else "outerBoundaryIs")
-        _coordinates(SubElement(border, "LinearRing"), ring)
+    parent = place if len(feature.parts) == 1 else SubElement(place, "MultiGeometry")
+    for part in feature.parts:
+        if not feature.is_area:
+            path = SubElement(parent, "LineString")
+            _text(path, "tessellate", "1")
+            _coordinates(path, part[0])
+            continue
+        polygon = SubElement(parent, "Polygon")
+        for number, ring in enumerate(part):
+            border = SubElement(polygon, "innerBoundaryIs" if number else "outerBoundaryIs")
+            _coordinates(SubElement(border, "LinearRing"), ring)
 
 
 def _coordinates(parent: Element, points: list[Position]) -> None:
@@ -66,7 +68,8 @@ def gpx(mission: Mission) -> str:
             _text(route, "name", feature.name)
             if (chance := feature.facts["chance_of_loss"]) is not None:
                 _text(route, "desc", f"chance of loss {chance:.6f}")
-            for east, north in feature.lines[0]:
+            for east, north in feature.points:
+                east = -180.0 if east == 180 else east  # GPX has longitudes below 180 alone
                 SubElement(route, "rtept", lat=f"{north:.9f}", lon=f"{east:.9f}")
     return _document(top)
 

@@ -14,6 +14,7 @@ from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from planner.arguments import Numbers
 from planner.pace import SPEEDS
 from planner.plans.plan import Plan, last_move
+from planner.worlds.georeference import principal
 from planner.worlds.world import World
 
 DEGREES = 9
@@ -85,7 +86,19 @@ class Mission:
 
     def lonlat(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
         """(longitude, latitude) of the centres of cells. Raises MapError where nobody says where the map lies."""
-        return np.round(self.world.to_lonlat(self.world.to_xy(cells)), DEGREES) + 0.0
+        return rounded(principal(self.on_earth(self.world.to_xy(cells))))
+
+    def on_earth(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(longitude, latitude) of points (x, y) of the map's frame; longitudes go on across 180. Raises MapError."""
+        height, width = self.world.shape
+        middle = self.world.to_lonlat(self.world.at(height / 2, width / 2))
+        assert self.world.georeference is not None
+        return self.world.georeference.to_lonlat(points, about=middle[0])
+
+
+def rounded(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(longitude, latitude) as files hold them, without a minus before 0."""
+    return np.round(places, DEGREES) + 0.0
 
 
 def make_mission(world: World, plan: Plan, altitude: float | None = None, speed: float | None = None) -> Mission:

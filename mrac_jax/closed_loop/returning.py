@@ -209,7 +209,7 @@ def end_at_home(
     away = any_bit(lanes.returning)
     outcome = jnp.where((lanes.outcome == NONE) | away, late, lanes.outcome)
     # All robots may be lost on the way home too, whatever ended the mission.
-    outcome = jnp.where(any_bit(lanes.unharmed), outcome, jnp.int32(Outcome.STOPPED))
+    outcome = jnp.where(any_bit(lanes.unharmed), outcome, jnp.int32(Outcome.ALL_ROBOTS_LOST))
     return lanes, ends, jnp.where((outcome != NONE) & (lanes.unvisited == 0), jnp.int32(Outcome.COMPLETE), outcome)
 
 

@@ -97,7 +97,7 @@ class Executive(Board):
         if self.problem.home is None:
             over = self._over()
         elif not any(robot.alive for robot in self.robots):
-            over = Outcome.STOPPED
+            over = Outcome.ALL_ROBOTS_LOST
         else:
             away = any(robot.status is Doing.RETURNING for robot in self.robots)
             over = None if away else self.over

@@ -15,7 +15,7 @@ from planner.limits import MAX_STEP
 from planner.none import NO_AREA
 from planner.plans.state import NO_CELLS, MissionState, RobotState
 from planner.plans.state_file import check_state, load_state
-from planner.worlds.georeference import WGS84
+from planner.worlds.degrees import on_map
 from planner.worlds.grid import Frame
 from planner.worlds.images import SUFFIXES as IMAGES
 from planner.worlds.images import read_image
@@ -159,7 +159,7 @@ def _listed(path: Path, world: World) -> Found:
     table = read_table(path, "lines row, col, or robot, row, col")
     if table.column("robot") is not None:
         return _tracks(table, world)
-    return Found(_cells(table, world)[0])
+    return Found(_cells(table, world)[0], notes=table.notes)
 
 
 def _cells(table: Table, world: World) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -197,7 +197,7 @@ def _metres(table: Table, world: World) -> NDArray[np.float64]:
         said = ", ".join(table.names)[:80] if table.names else f"{len(table.rows[0][1])} of them, without a header"
         expected = "row and col, or x and y in metres" + (", or lon and lat" if world.georeference else "")
         raise MapError(f"has the columns {said}", source=table.path, expected=expected)
-    return world.georeference.from_crs(table.lonlat((longitude, latitude)), WGS84)
+    return on_map(table.lonlat((longitude, latitude)), world.frame, world.georeference, table.path)
 
 
 def _tracks(table: Table, world: World) -> Found:
@@ -230,7 +230,9 @@ def _tracks(table: Table, world: World) -> Found:
             raise MapError(problem, source=path, expected="idle, done or dead")
         robots.append(_robot(int(track[-1]), status or "idle", min(int(away), MAX_STEP), int(track[0])))
     off = int((~on).sum())
-    notes = (f"{off} of {len(on)} places lie off the map or on obstacles: left out",) if off else ()
+    notes = table.notes
+    if off:
+        notes += (f"{off} of {len(on)} places lie off the map or on obstacles: left out",)
     step = int(steps.max()) if step_at is not None else max(robot.moves for robot in robots)
     return Found(np.unique(cells[on]), tuple(robots), step, notes)
 

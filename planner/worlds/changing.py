@@ -60,10 +60,11 @@ def read_phases(keys: dict[str, Key], world: World, ground: Ground) -> World:
 
     A phase's threats stand where those of the scenario do at first: they combine with the map's own.
     """
-    pairs, combine = [], keys["combine"].choice(COMBINE)
+    pairs, combine, notes = [], keys["combine"].choice(COMBINE), list(world.notes)
     for item in keys["phases"].items("a list of phases, each {from: a step, threats: [...]}"):
         given = item.mapping(("from", "threats"))
-        threat = all_threats(given["threats"].items("a list of sources", least=0), combine, ground, {})[0]
+        threat, said, *_ = all_threats(given["threats"].items("a list of sources", least=0), combine, ground, {})
+        notes.extend(said)
         with item.naming():
             cells = World.create(np.where(ground.free, threat, np.nan), source=world.source)
         pairs.append((given["from"].value, cells))
@@ -72,4 +73,4 @@ def read_phases(keys: dict[str, Key], world: World, ground: Ground) -> World:
         raise keys["phases"].fault("begin at step 0, where `threats` are to hold", fix=fix)
     plan_on: Any = keys["plan_on"].choice(PLAN_ON) if "plan_on" in keys else FIRST
     with keys["phases"].naming():
-        return with_phases(world, pairs, plan_on)
+        return with_phases(replace(world, notes=tuple(notes)), pairs, plan_on)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +10,21 @@ from numpy.typing import NDArray
 
 from planner.errors import MapError
 from planner.files import foreign_errors
-from planner.worlds.georeference import WGS84, Georeference, degree_sides, rasterio_for, reproject
+from planner.worlds.degrees import Rings, check_range, extent, fine, in_range, unrolled
+from planner.worlds.georeference import (
+    TURN,
+    WGS84,
+    Georeference,
+    degree_sides,
+    principal,
+    rasterio_for,
+    reproject,
+    turn_of,
+)
 from planner.worlds.grid import FREE, OCCUPIED, WHOLE, Frame, Grid
-from planner.worlds.polygons import DEGREES, Rings, Shapes, read_shapes
+from planner.worlds.polygons import Shapes, read_shapes
 from planner.worlds.quantities import COORDINATE
+from planner.worlds.rasters import describe
 from planner.worlds.shapes import inside
 from planner.worlds.world import MAX_CELLS
 
@@ -24,7 +34,6 @@ BOUNDARIES = ("whole", "centre")
 """Which cells are free: those that lie whole within the field, or those whose centre does."""
 WIDEST = 3.0
 """Degrees that a field spans at most: coordinates that span more are metres of a frame of their own."""
-PLAIN_DEGREES = re.compile(r"CRS:?84$|EPSG:.*\b4326$", re.IGNORECASE)
 
 
 def read_field(
@@ -40,7 +49,8 @@ def read_field(
     north of their lower-left corner, to scale on the middle latitude; in another CRS its own metres. Raises MapError.
     """
     shapes = read_shapes(path)
-    polygons, place, notes = _in_metres(shapes, path)
+    polygons, place, notes = _in_metres(shapes, path, cell_size)
+    notes = (*shapes.notes, *notes)
     blocks = 1 if swath is None else round(swath / cell_size)
     frame = _frame(polygons, cell_size, path, direction, blocks)
     held, crossed = np.zeros(frame.shape, dtype=bool), np.zeros(frame.shape, dtype=bool)
@@ -50,10 +60,7 @@ def read_field(
             crossed |= touched(rings, frame)
     free = held & ~crossed
     if not free.any():
-        problem = (
-            f"no cell of {cell_size:g} m lies {'whole' if boundary == 'whole' else 'with its centre'} in the field"
-        )
-        raise MapError(problem, source=path, fix="give smaller cells")
+        raise _no_cell(polygons, place, cell_size, boundary, path)
     lost = int((held & crossed).sum())
     if lost:
         notes += (
@@ -93,6 +100,22 @@ def touched(rings: Rings, frame: Frame) -> NDArray[np.bool_]:
     return np.cumsum(counts, axis=1)[:, :width] > 0
 
 
+def _no_cell(
+    polygons: list[Rings], place: Georeference | None, cell_size: float, boundary: str, path: Path
+) -> MapError:
+    """The error for a field without a free cell: it says how large the field is, and where a file in degrees lies."""
+    corners = np.concatenate([ring for rings in polygons for ring in rings])
+    across, up = np.ptp(corners, axis=0).tolist()
+    problem = f"no cell of {cell_size:g} m lies {'whole' if boundary == 'whole' else 'with its centre'} in the field"
+    problem, fix = f"{problem} of {across:.4g} x {up:.4g} m", "give smaller cells"
+    if place is not None:
+        (east, north), *_ = principal(place.to_lonlat(corners[:1], str(path))).tolist()
+        problem += f" at {describe(east, north)}"
+    if place is not None and place.crs == WGS84:
+        fix += ", or swap latitude and longitude if it does not lie there"
+    return MapError(problem, source=path, fix=fix)
+
+
 def _frame(polygons: list[Rings], cell_size: float, path: Path, yaw: float, blocks: int) -> Frame:
     """Cells from the upper-left corner of all polygons, where blocks of pixels begin too, to beyond the lower-right.
 
@@ -110,42 +133,60 @@ def _frame(polygons: list[Rings], cell_size: float, path: Path, yaw: float, bloc
     return Frame((height, width), cell_size, (cos * left - sin * bottom, sin * left + cos * bottom, yaw))
 
 
-def _in_metres(shapes: Shapes, path: Path) -> tuple[list[Rings], Georeference | None, tuple[str, ...]]:
+def _in_metres(
+    shapes: Shapes, path: Path, cell_size: float
+) -> tuple[list[Rings], Georeference | None, tuple[str, ...]]:
     """The polygons in metres of the map's frame, where that lies on the Earth, and notes."""
     polygons = [rings for feature in shapes.features for rings in feature.polygons]
     if not polygons:
         raise MapError("holds no polygon", source=path, expected="the boundary of a field")
     corners = np.concatenate([ring for rings in polygons for ring in rings])
-    small = bool((np.abs(corners) <= DEGREES).all() and (np.ptp(corners, axis=0) <= WIDEST).all())
+    small, swapped = _spans_a_field(corners), _spans_a_field(corners[:, ::-1])
+    tiny = bool((np.ptp(corners, axis=0) < cell_size).all())
+    if not shapes.crs and swapped and not small and (tiny or fine(corners)):
+        check_range(corners, "", path)
     if shapes.crs is None and small:
         fix = "say it in QGIS, or ogr2ogr -a_srs; a shapefile's is in the .prj beside it"
         raise MapError("names no CRS, and looks like degrees", source=path, expected="a CRS", fix=fix)
     crs = shapes.crs or (WGS84 if shapes.crs == "" and small else "")
     if not crs:
         return polygons, None, ("its coordinates are taken for metres of a frame of its own: it names no CRS",)
-    if PLAIN_DEGREES.search(crs):
+    if crs == WGS84:
         return _degrees(polygons, path)
     with foreign_errors(f"its CRS is {crs[:60]!r}", path, "a CRS that PROJ knows, in degrees or metres"):
         known = rasterio_for("another coordinate reference system", path).crs.CRS.from_user_input(crs)
         if known.is_geographic:
+            check_range(corners, "", path)
             return _degrees([[reproject(ring, crs, WGS84) for ring in rings] for rings in polygons], path)
         unit = float(known.linear_units_factor[1])
-    place = Georeference(crs, scale=(1 / unit, 1 / unit))
+    place, turn = Georeference(crs, scale=(1 / unit, 1 / unit)), turn_of(crs)[0]
+    polygons = unrolled(polygons, *extent(corners[:, 0], turn), turn)
     return _checked([[ring * unit for ring in rings] for rings in polygons], path), place, ()
+
+
+def _spans_a_field(corners: NDArray[np.float64]) -> bool:
+    """True for (longitude, latitude) `[n, 2]` of a field; where they lie a turn apart, of one about 180 alone."""
+    longitudes = corners[:, 0]
+    about = np.ptp(longitudes) <= WIDEST or bool((np.abs(longitudes) >= TURN / 2 - WIDEST).all())
+    west, east = extent(longitudes, TURN)
+    return about and east - west <= WIDEST and np.ptp(corners[:, 1]) <= WIDEST and bool(in_range(corners).all())
 
 
 def _degrees(polygons: list[Rings], path: Path) -> tuple[list[Rings], Georeference, tuple[str, ...]]:
     corners = np.concatenate([ring for rings in polygons for ring in rings])
-    (west, south), (east, north) = corners.min(axis=0), corners.max(axis=0)
-    if (np.abs(corners) > DEGREES).any() or max(east - west, north - south) > WIDEST or max(-south, north) > 89:
+    check_range(corners, "", path)
+    (west, east), (south, north) = extent(corners[:, 0], TURN), (corners[:, 1].min(), corners[:, 1].max())
+    if max(east - west, north - south) > WIDEST or max(-south, north) > 89:
         problem = f"lies at longitude {west:.6g} .. {east:.6g}, latitude {south:.6g} .. {north:.6g}"
         expected = f"degrees, -89 .. 89 north, a field of at most {WIDEST:g} degrees"
         raise MapError(problem, source=path, expected=expected, fix="name the file's CRS, if it is another")
     up, across = degree_sides((south + north) / 2)
     place = Georeference(WGS84, (float(west), float(south)), (1 / across, 1 / up))
     off = max(abs(degree_sides(edge)[1] / across - 1) for edge in (south, north))
-    notes = (f"degrees: metres east and north of its corner, {100 * off:.2g} % off at the edges",) if off > 1e-3 else ()
-    return [[place.from_crs(ring, WGS84) for ring in rings] for rings in polygons], place, notes
+    note = f"degrees: worked on in metres east and north of {describe(west, float(south))}"
+    note += f", {100 * off:.2g} % off at the edges" if off > 1e-3 else ""
+    polygons = unrolled(polygons, west, east, TURN)
+    return [[place.from_crs(ring, WGS84) for ring in rings] for rings in polygons], place, (note,)
 
 
 def _checked(polygons: list[Rings], path: Path) -> list[Rings]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,12 @@ from planner.files import foreign_errors
 
 WGS84 = "EPSG:4326"
 """Longitude and latitude, in this order everywhere in this program: GeoJSON, KML, GPS."""
+PLAIN_DEGREES = re.compile(r"CRS:?84$|EPSG:.*\b4326$", re.IGNORECASE)
+"""Names of WGS 84."""
+TURN = 360.0
+"""Degrees of longitude in a turn of the Earth: places a whole turn apart are one."""
+RANGE = np.array([TURN, 90.0])
+"""Largest longitude and latitude that are read: 181 and -181 are places too, and some files count from 0 to 360."""
 UTM_LATITUDES, UTM_REACH = (-80.0, 84.0), 6.0
 """Where UTM holds, and how many degrees from its central meridian a zone is used here: metres are 0.5 % off there."""
 LONGEST = 2**14
@@ -43,17 +51,71 @@ class Georeference:
         """Points (x, y) `[..., 2]` of the map's frame, in metres, as coordinates of the CRS."""
         return np.asarray(points, dtype=np.float64) * self.scale + self.origin
 
-    def to_lonlat(self, points: ArrayLike, file: str = "") -> NDArray[np.float64]:
-        """Points (x, y) `[..., 2]` of the map's frame as (longitude, latitude) in degrees, WGS 84. Raises MapError."""
-        return reproject(self.to_crs(points), self.crs, WGS84, file)
+    def to_lonlat(self, points: ArrayLike, file: str = "", about: float | None = None) -> NDArray[np.float64]:
+        """Points (x, y) `[..., 2]` of the map's frame as (longitude, latitude) in degrees, WGS 84. Raises MapError.
+
+        Longitudes are within half a turn of the longitude `about`, by default the first point's, so that neighbours
+        stay neighbours: across longitude 180 they go on with 180.1. `principal` brings them back.
+        """
+        found = reproject(self.to_crs(points), self.crs, WGS84, file)
+        if found.size:
+            found[..., 0] = near(found[..., 0], found.flat[0] if about is None else about, TURN)
+        return found
 
     def from_crs(self, points: ArrayLike, crs: str) -> NDArray[np.float64]:
-        """Coordinates `[..., 2]` of any CRS as metres of the map's frame. Raises MapError."""
-        return (reproject(points, crs, self.crs) - self.origin) / self.scale
+        """Coordinates `[..., 2]` of any CRS as metres of the map's frame. Raises MapError.
+
+        Where x comes round, longitudes that go on across 180 lead to x that goes on.
+        """
+        found, (turn, start) = reproject(points, crs, self.crs), turn_of(self.crs)
+        if turn and is_degrees(crs) and crs != self.crs:
+            expected = start + np.asarray(points, dtype=np.float64)[..., 0] * turn / TURN
+            found[..., 0] = near(found[..., 0], expected, turn)
+        return (found - self.origin) / self.scale
+
+
+def near(values: ArrayLike, middle: ArrayLike, turn: float) -> NDArray[np.float64]:
+    """The values moved by whole turns to within half a turn of `middle`; those half a turn away stay."""
+    given = np.asarray(values, dtype=np.float64)
+    return given - turn * np.round((given - middle) / turn)
+
+
+def principal(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(longitude, latitude) `[..., 2]` with longitudes in -180..180."""
+    return np.stack([near(places[..., 0], 0.0, TURN), places[..., 1]], axis=-1)
+
+
+def is_degrees(crs: str) -> bool:
+    """True for the name or the text of a CRS of longitudes and latitudes."""
+    if PLAIN_DEGREES.search(crs):
+        return True
+    try:
+        rasterio = rasterio_for("a CRS", crs)
+        with rasterio.Env():  # which keeps GDAL's errors off the screen
+            return bool(rasterio.crs.CRS.from_user_input(crs).is_geographic)
+    except Exception:  # rasterio is missing, or PROJ does not know the CRS: what needs it says so
+        names = r"EPSG:.*\b(4258|4269|4979|4230)$|GEOG(CS|CRS)"
+        return bool(re.search(names, crs, re.IGNORECASE))
+
+
+@cache
+def turn_of(crs: str) -> tuple[float, float]:
+    """(units of x in a turn of the Earth, x at longitude 0) of a CRS whose x comes round as longitudes do; else (0, 0).
+
+    So do degrees, and the cylindrical projections, as Mercator's.
+    """
+    if is_degrees(crs):
+        return TURN, 0.0
+    try:
+        (start, _), (one, _), (north, _) = reproject([(0, 0), (1, 0), (1, 60)], WGS84, crs).tolist()
+    except MapError:  # it does not reach there
+        return 0.0, 0.0
+    return (TURN * (one - start), start) if abs(north - one) <= 1e-9 * abs(one - start) else (0.0, 0.0)
 
 
 def around(latitude: float, longitude: float) -> Georeference:
     """Metres east and north of a place, by a transverse Mercator projection about it (true to 1e-6 within 9 km)."""
+    longitude = float(near(longitude, 0.0, TURN))
     words = f"+proj=tmerc +lat_0={latitude!r} +lon_0={longitude!r} +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
     return Georeference(words)
 

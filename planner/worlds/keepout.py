@@ -30,8 +30,9 @@ def keep_out(key: Key, grid: Grid) -> Grid:
             held = values_over(read_ros_map(keys[kind].file("a map_server YAML file")), grid.frame) >= FULL
         else:
             path = keys[kind].file("a file of polygons")
-            features = read_polygons(path, 0.0, grid.frame, grid.georeference)
-            held = np.logical_or.reduce([feature.mask(grid.frame) for feature in features])
+            shapes = read_polygons(path, 0.0, grid.frame, grid.georeference)
+            held = np.logical_or.reduce([feature.mask(grid.frame) for feature in shapes.features])
+            notes += [f"{item.path}: {note}" for note in shapes.notes]
         if not held.any():
             raise keys[kind].wrong("something on the map", "it keeps robots out of no pixel: check its coordinates")
         state[held] = OCCUPIED

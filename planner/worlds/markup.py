@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planner.errors import MapError
 from planner.files import check_size
+from planner.worlds.degrees import check_range
 from planner.worlds.sources import short_name
 
 Places = NDArray[np.float64]
@@ -104,10 +105,7 @@ def _ring(points: list[tuple[str | None, str | None]], where: str, path: Path) -
         ring = np.array([(float(lon or "nan"), float(lat or "nan")) for lon, lat in points]).reshape(-1, 2)
     except ValueError as error:
         raise MapError(f"{where}: {error}", source=path, expected="longitude and latitude in degrees") from error
-    wrong = ~(np.abs(ring) <= (180, 90)).all(axis=1)
-    if wrong.any():
-        problem = f"{where}: a point at longitude {ring[wrong][0][0]:g}, latitude {ring[wrong][0][1]:g}"
-        raise MapError(problem, source=path, expected="degrees, -180..180 and -90..90")
+    check_range(ring, f"{where}: ", path)
     if len(ring) < 3:
         raise MapError(f"{where} has {len(ring)} points", source=path, expected="three around an area, or more")
     return ring

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +13,10 @@ from numpy.typing import NDArray
 from planner.arguments import did_you_mean
 from planner.errors import MapError
 from planner.files import check_size
-from planner.worlds.georeference import WGS84, Georeference
+from planner.tables import DECIMAL_COMMAS, SEPARATORS, STRONG, Sign, is_header, layout_note, read_rows, signs_of
+from planner.worlds.degrees import check_range, in_range, on_map
+from planner.worlds.georeference import Georeference
+from planner.worlds.grid import Frame
 from planner.worlds.quantities import FARTHEST, THREAT, Quantity
 from planner.worlds.shapes import IN_METRES, MAX_BYTES
 from planner.worlds.sources import short_name
@@ -33,11 +35,21 @@ AS_SAID: Mapping[str, str] = {}
 
 
 class Table(NamedTuple):
-    """A file's lines: the names of its columns in small letters ([]: it has no header), and (line, fields) of each."""
+    """A file's lines: the names of its columns in small letters ([]: it has no header), and (line, fields) of each.
+
+    `signs`: the decimal sign of each column. `separator`: between them.
+    """
 
     path: Path
     names: list[str]
     rows: list[tuple[int, list[str]]]
+    signs: list[Sign]
+    separator: str
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know of how it was read."""
+        return layout_note(self.separator, "," if any(sign.decimal == "," for sign in self.signs) else ".")
 
     def column(self, *options: str) -> int | None:
         """Where the first of these names stands."""
@@ -45,9 +57,12 @@ class Table(NamedTuple):
 
     def number(self, row: tuple[int, list[str]], column: int, name: str, far: float = math.inf) -> float:
         """A finite number in a field, called `name`, of metres up to `far`. Raises MapError naming line and value."""
-        text = row[1][column]
+        text, sign = row[1][column], self.signs[column]
+        if sign.problem:
+            fix = "write all numbers with decimal points, and none with marks between thousands"
+            raise MapError(f"{name}: {sign.problem}", source=self.path, expected="one decimal sign", fix=fix)
         try:
-            value = float(text)
+            value = float(text.replace(",", ".") if sign.decimal == "," else text)
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
@@ -65,26 +80,19 @@ class Table(NamedTuple):
     def lonlat(self, columns: Sequence[int]) -> NDArray[np.float64]:
         """Longitude and latitude of every line, float64 `[lines, 2]`."""
         found = self.places(columns)
-        wrong = (np.abs(found) > (180, 90)).any(axis=1)
-        if wrong.any():
-            line, row = self.rows[int(np.argmax(wrong))]
-            problem = f"line {line}: {', '.join(row)[:60]!r} is no longitude and latitude"
-            raise MapError(problem, source=self.path, expected="degrees, -180..180 and -90..90")
+        wrong = ~in_range(found)
+        check_range(found, f"line {self.rows[int(np.argmax(wrong))][0]}: ", self.path)
         return found
 
 
 def read_table(path: Path, holds: str) -> Table:
     """The lines of a CSV file that are not empty, all as long as the first; a first one without numbers is a header.
 
-    `holds`: in words, for errors. Raises MapError.
+    Columns are separated by commas, semicolons, tabs, bars or spaces; numbers have decimal points or commas. `holds`:
+    in words, for errors. Raises MapError.
     """
     check_size(path, MAX_BYTES, MapError, holds)
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as lines:
-            reader = csv.reader(lines)
-            rows = [(reader.line_num, row) for row in reader if any(field.strip() for field in row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise MapError(f"cannot be read as text ({error})", source=path, expected=holds) from error
+    separator, rows = read_rows(path, holds)
     if len(rows) > MAX_POINTS:
         raise MapError(f"{len(rows)} lines", source=path, expected=f"at most {MAX_POINTS} points", fix="use a raster")
     if not rows:
@@ -95,30 +103,36 @@ def read_table(path: Path, holds: str) -> Table:
         raise MapError("has a header and no points", source=path, expected=holds)
     for number, row in body:
         if len(row) != len(rows[0][1]):
-            problem, expected = f"line {number} has {len(row)} values", f"{len(rows[0][1])} as above"
-            raise MapError(problem, source=path, expected=expected)
-    return Table(path, names, body)
+            other = next((words for mark, words in SEPARATORS.items() if mark in STRONG and mark in "".join(row)), "")
+            problem = f"line {number} has {len(row)} values" + f", and {other}" * bool(other)
+            expected = f"{len(rows[0][1])} as above, separated by {SEPARATORS[separator]}"
+            fix = DECIMAL_COMMAS if separator == "," and len(row) > len(rows[0][1]) else ""
+            raise MapError(problem, source=path, expected=expected, fix=fix)
+    return Table(path, names, body, signs_of(body), separator)
 
 
-def is_header(row: list[str]) -> bool:
-    """Whether none of these fields is a number."""
+class Points(NamedTuple):
+    """What a file of points says.
 
-    def numeric(text: str) -> bool:
-        try:
-            float(text)
-        except ValueError:
-            return False
-        return True
+    Attributes:
+        places: (x, y, strength) of every point, float64 `[points, 3]`: metres, metres, and p (or another quantity).
+        names: of each its name, in a column `name` or `id` if there is one, and where it stands.
+        notes: what reading did that a user should know.
+    """
 
-    return not any(numeric(field) for field in row)
+    places: NDArray[np.float64]
+    names: list[tuple[str, str]]
+    notes: tuple[str, ...] = ()
 
 
 def read_points(
-    path: Path, georeference: Georeference | None = None, of: Quantity = THREAT, said: Mapping[str, str] = AS_SAID
-) -> tuple[NDArray[np.float64], list[tuple[str, str]]]:
-    """(x, y, strength) of every point, float64 `[points, 3]`: metres, metres, and p (or what it is `of`).
-
-    And of each its name, in a column `name` or `id` if there is one, and where it stands.
+    path: Path,
+    frame: Frame,
+    georeference: Georeference | None = None,
+    of: Quantity = THREAT,
+    said: Mapping[str, str] = AS_SAID,
+) -> Points:
+    """The points of a CSV file on a map.
 
     A header may name the columns x (or x_m), y (or y_m) and strength (or p), in any order and among others; on a
     georeferenced map also longitude and latitude (lon, lat). `said`: which columns they are, by x, y and strength.
@@ -129,27 +143,35 @@ def read_points(
     columns, degrees = _columns(table, georeference is not None, of, said)
     places = table.lonlat(columns[:2]) if degrees else table.places(columns[:2])
     if georeference is not None and degrees:
-        places = georeference.from_crs(places, WGS84)
+        places = on_map(places, frame, georeference, path)
     strengths = [table.number(row, columns[2], STRENGTH) for row in table.rows]
     for (line, _), strength in zip(table.rows, strengths, strict=True):
         if not of.numbers.accepts(strength):
             raise MapError(f"line {line}: strength is {strength:g}", source=path, expected=of.numbers.expected)
     called = table.column(*NAMES)
     names = [("" if called is None else short_name(row[called]), f"line {n} of {path.name}") for n, row in table.rows]
-    return np.column_stack([places, strengths]), names
+    return Points(np.column_stack([places, strengths]), names, table.notes)
 
 
-def read_corners(path: Path) -> tuple[NDArray[np.float64], bool]:
-    """(x, y) of every line, float64 `[lines, 2]`, and whether they are longitude and latitude. Raises MapError."""
+class Corners(NamedTuple):
+    """(x, y) of every line of a file, float64 `[lines, 2]`, whether they are longitude and latitude, and notes."""
+
+    places: NDArray[np.float64]
+    degrees: bool
+    notes: tuple[str, ...]
+
+
+def read_corners(path: Path) -> Corners:
+    """The corners of an area, one after the other. Raises MapError."""
     table = read_table(path, "lines x, y")
     for options, degrees in (((X, Y), False), ((LONGITUDE, LATITUDE), True)):
         columns = [table.column(*names) for names in options]
         if columns[0] is not None and columns[1] is not None:
-            return (table.lonlat if degrees else table.places)((columns[0], columns[1])), degrees
+            return Corners((table.lonlat if degrees else table.places)((columns[0], columns[1])), degrees, table.notes)
     if len(table.rows[0][1]) != 2:
         problem = f"has the columns {', '.join(table.names)[:80]}" if table.names else "has no header"
         raise MapError(problem, source=path, expected="columns x and y, or lon and lat: a corner a line")
-    return table.places((0, 1)), False
+    return Corners(table.places((0, 1)), False, table.notes)
 
 
 def _columns(table: Table, georeferenced: bool, of: Quantity, said: Mapping[str, str]) -> tuple[list[int], bool]:
@@ -159,7 +181,8 @@ def _columns(table: Table, georeferenced: bool, of: Quantity, said: Mapping[str,
         width = len(table.rows[0][1])
         if said or width != 3:
             problem = "has no header" if said else f"line {table.rows[0][0]} has {width} values"
-            raise MapError(problem, source=table.path, expected="x, y, strength")
+            fix = DECIMAL_COMMAS if table.separator == "," and width > 3 and not said else ""
+            raise MapError(problem, source=table.path, expected="x, y, strength", fix=fix)
         return [0, 1, 2], False
     for what, name in said.items():
         if name.lower() not in names:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import reprlib
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -13,7 +12,8 @@ from numpy.typing import NDArray
 
 from planner.errors import MapError
 from planner.files import Json, read_json
-from planner.worlds.georeference import HOW_TO_GIVE_ONE, WGS84, Georeference
+from planner.worlds.degrees import Patch, Rings, boxes_of, check_range, fine, in_range, unrolled
+from planner.worlds.georeference import HOW_TO_GIVE_ONE, PLAIN_DEGREES, WGS84, Georeference, is_degrees, turn_of
 from planner.worlds.grid import Frame
 from planner.worlds.markup import read_gpx, read_kml
 from planner.worlds.points import read_corners
@@ -21,8 +21,6 @@ from planner.worlds.quantities import COORDINATE, FARTHEST, THREAT, Quantity
 from planner.worlds.shapes import IN_METRES, MAX_BYTES, MAX_CORNERS, inside
 from planner.worlds.sources import short_name
 from planner.worlds.vectors import KINDS, read_vectors
-
-Rings = list[NDArray[np.float64]]
 
 
 class Feature(NamedTuple):
@@ -42,22 +40,21 @@ def rings_of(features: Iterable[Feature]) -> Rings:
     return [ring for feature in features for rings in feature.polygons for ring in rings]
 
 
-DEGREES = np.array([180.0, 90.0])
-
-
 class Shapes(NamedTuple):
     """The features of a file in its own coordinates, and the name of their CRS.
 
-    "": the file does not say, and need not (GeoJSON); None: it does not say, and should.
+    crs "": the file does not say, and need not (GeoJSON); None: it does not say, and should. `notes`: what reading did
+    that a user should know.
     """
 
     features: list[Feature]
     crs: str | None = ""
+    notes: tuple[str, ...] = ()
 
 
 def read_polygons(
     path: Path, default: float | None, frame: Frame, georeference: Georeference | None, of: Quantity = THREAT
-) -> list[Feature]:
+) -> Shapes:
     """Every feature of a file, its number float; a polygon is a list of rings, float64 `[points, 2]` in metres.
 
     Polygons with holes; the number is the feature's property of that name, or `default`. On a map without georeference
@@ -71,20 +68,33 @@ def read_polygons(
         for index, feature in enumerate(shapes.features)
     ]
     crs = (shapes.crs or "") if georeference is None else _crs(shapes, frame, georeference, path)
-    if georeference is None and _is_degrees(crs):
+    if georeference is None and is_degrees(crs):
         fix = f"{IN_METRES}, or {HOW_TO_GIVE_ONE}"
         raise MapError(f"its crs is {crs[:60]!r}, degrees", source=path, expected="metres", fix=fix)
     if georeference is None or not crs:
-        return found
+        return shapes._replace(features=found)
     try:
-        return [
-            feature._replace(
-                polygons=[[georeference.from_crs(ring, crs) for ring in rings] for rings in feature.polygons]
-            )
-            for feature in found
-        ]
+        return shapes._replace(features=_on_map(found, crs, frame, georeference, path))
     except MapError as error:
         raise MapError(error.problem, source=path, expected=error.expected, fix=error.fix) from error
+
+
+def _on_map(features: list[Feature], crs: str, frame: Frame, georeference: Georeference, path: Path) -> list[Feature]:
+    """Features in metres of the map's frame, joined where they were cut at longitude 180."""
+    if is_degrees(crs):
+        rings = rings_of(features)
+        check_range(np.concatenate(rings), "", path)
+        Patch.of(frame, georeference).check_order(boxes_of(rings), path)
+    corners = frame.at([0, 0, *frame.shape[:1] * 2], [0, frame.shape[1]] * 2)[:, 0]
+    place = float(corners.min()), float(corners.max()), turn_of(georeference.crs)[0] / georeference.scale[0]
+    return [
+        feature._replace(
+            polygons=unrolled(
+                [[georeference.from_crs(ring, crs) for ring in rings] for rings in feature.polygons], *place
+            )
+        )
+        for feature in features
+    ]
 
 
 def read_shapes(path: Path, of: Quantity = THREAT) -> Shapes:
@@ -97,7 +107,7 @@ def read_shapes(path: Path, of: Quantity = THREAT) -> Shapes:
     corners = sum(map(len, rings_of(shapes.features)))
     if corners > MAX_CORNERS:
         raise MapError(f"{corners} corners", source=path, expected=f"at most {MAX_CORNERS}", fix="simplify it")
-    return shapes
+    return shapes._replace(crs=WGS84) if PLAIN_DEGREES.search(shapes.crs or "") else shapes
 
 
 def _number(value: object, default: float | None, index: int, path: Path, of: Quantity) -> float:
@@ -118,25 +128,19 @@ def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -
         )
     if shapes.crs:
         return shapes.crs
-    rings = rings_of(shapes.features)
-    height, width = frame.shape
-    places = georeference.to_lonlat(frame.at([0, 0, height, height], [0, width, 0, width]))
-    low, high = places.min(axis=0), places.max(axis=0)
-    there = [bool((ring.max(axis=0) >= low).all() and (ring.min(axis=0) <= high).all()) for ring in rings]
-    degrees = [bool((np.abs(ring) <= DEGREES).all()) for ring in rings]
-    if not any(on and ok for on, ok in zip(there, degrees, strict=True)):
+    rings, patch = rings_of(shapes.features), Patch.of(frame, georeference)
+    if not patch.meets(boxes_of(rings)).any():
+        metres = frame.local(np.concatenate(rings)) / frame.size
+        off = (metres.max(axis=0) < 0).any() or (metres.min(axis=0) > frame.shape[::-1]).any()
+        if off or fine(np.concatenate(rings)):
+            patch.check_order(boxes_of(rings), path)
         return ""
+    degrees = [bool(in_range(ring).all()) for ring in rings]
     if not all(degrees):
         wrong = rings[degrees.index(False)][0].tolist()
         problem = f"mixes longitude and latitude with coordinates that are none, as {wrong}"
         raise MapError(problem, source=path, expected="one kind of coordinates", fix="or a `crs` that names it")
     return WGS84
-
-
-def _is_degrees(crs: str) -> bool:
-    return crs.startswith(("GEOGCS", "GEOGCRS")) or bool(
-        re.search(r"CRS:?84|EPSG:.*\b(4326|4258|4269|4979|4230)$", crs, re.IGNORECASE)
-    )
 
 
 def _geojson(path: Path, number: str) -> Shapes:
@@ -196,10 +200,10 @@ def _polygons(geometry: Any, where: str, path: Path) -> Iterator[Rings]:
 
 def _ring(path: Path) -> Shapes:
     """One polygon from the lines of a CSV file, corner after corner."""
-    corners, degrees = read_corners(path)
+    corners, degrees, notes = read_corners(path)
     if len(corners) < 3:
         raise MapError(f"{len(corners)} corners", source=path, expected="three around an area, or more")
-    return Shapes([Feature(None, [[corners]])], WGS84 if degrees else "")
+    return Shapes([Feature(None, [[corners]])], WGS84 if degrees else "", notes)
 
 
 def _corner(point: Any) -> list[float]:

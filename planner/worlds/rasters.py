@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planner.errors import MapError
-from planner.files import check_file, read_csv_grid, read_npy
+from planner.files import check_file, read_npy
+from planner.tables import read_csv_grid
 from planner.worlds.bands import read_band
 from planner.worlds.georeference import Georeference, degree_sides, same_crs, utm_zone
 from planner.worlds.grid import Bounds, Frame, Ground
@@ -79,11 +80,11 @@ def read_raster(
         placeless = NO_PLACE if raster.frame is None and over is None else ""
         notes = (*band.notes, *raster.notes, *filter(None, [placeless, band.voids]))
         return replace(raster, notes=notes, voids=band.voids)
-    values = read_npy(path, MAX_CELLS) if suffix == ".npy" else read_csv_grid(path, MAX_CELLS)
+    values, said = (read_npy(path, MAX_CELLS), ()) if suffix == ".npy" else read_csv_grid(path, MAX_CELLS)
     if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "fiub":
         raise MapError(f"holds {values.dtype} {values.shape}", source=path, expected="numbers [H, W]")
     found = physical(values, np.ones(values.shape, dtype=bool), Said(), of, str(path))
-    return Raster(found.values, None, None, str(path), tuple(filter(None, [found.voids])), voids=found.voids)
+    return Raster(found.values, None, None, str(path), (*said, *filter(None, [found.voids])), voids=found.voids)
 
 
 def _placed(band: Band, source: str, cell_size: float | None, how: How, over: Ground | None) -> Raster:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planner.arguments import Numbers
 from planner.errors import MapError
 from planner.files import Json
-from planner.worlds.georeference import Georeference, around
+from planner.worlds.georeference import TURN, Georeference, around
 from planner.worlds.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
 from planner.worlds.images import Picture, read_image
 from planner.worlds.keys import Key, read_yaml
@@ -92,8 +92,13 @@ def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
 def read_datum(key: Key) -> Georeference:
     """`{latitude, longitude}` of the map frame's (0, 0), in degrees of WGS 84; x points east there, y north."""
     keys = key.mapping(("latitude", "longitude"))
-    latitude = keys["latitude"].number(Numbers(-89, 89, "degrees"))
-    return around(latitude, keys["longitude"].number(Numbers(-180, 180, "degrees")))
+    latitudes, longitudes = Numbers(-89, 89, "degrees"), Numbers(-TURN, TURN, said="degrees, -180 to 180")
+    given = [keys[name].value for name in ("latitude", "longitude")]
+    if not latitudes.accepts(given[0]) and longitudes.accepts(given[0]) and latitudes.accepts(given[1]):
+        raise keys["latitude"].wrong(
+            latitudes.expected, "if latitude and longitude stand in the wrong order, swap them"
+        )
+    return around(keys["latitude"].number(latitudes), keys["longitude"].number(longitudes))
 
 
 def _values(

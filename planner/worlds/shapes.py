@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.worlds.degrees import Patch, fine
+from planner.worlds.georeference import Georeference
 from planner.worlds.grid import Frame
 from planner.worlds.ros_map import RosMap
 
@@ -48,7 +50,9 @@ def point_spreads(
         yield (rows + top) * width + cols + left, strength * shape[rows, cols]
 
 
-def misplaced(points: NDArray[np.float64], frame: Frame) -> tuple[str, str] | None:
+def misplaced(
+    points: NDArray[np.float64], frame: Frame, georeference: Georeference | None = None
+) -> tuple[str, str] | None:
     """Why shapes at `points` (x, y) `[points, 2]` that threaten no pixel are no mistake (None), or which, and the fix.
 
     It is one if they lie off the map, and if they look like degrees: within their range, to tenths of a millimetre.
@@ -56,16 +60,25 @@ def misplaced(points: NDArray[np.float64], frame: Frame) -> tuple[str, str] | No
     height, width = frame.shape
     local = frame.local(points) / frame.size
     off = bool((local.max(axis=0) < 0).any() or (local.min(axis=0) > (width, height)).any())
-    finer = bool((np.abs(points - np.round(points, 3)) > 1e-9).any())
-    degrees = bool((np.abs(points) <= (180, 90)).all()) and finer
-    if not off and not degrees:
+    orders = [bool((np.abs(places) <= (180, 90)).all()) and fine(points) for places in (points, points[:, ::-1])]
+    if not off and not any(orders):
         return None
     (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
     x, y, _ = frame.origin
     problem = f"x {west:.10g} .. {east:.10g}, y {south:.10g} .. {north:.10g} "
-    problem += "look like longitude and latitude" if degrees else "lie off the map"
-    problem += f", {width * frame.size:g} x {height * frame.size:g} m from ({x:.10g}, {y:.10g})"
-    return problem, IN_METRES if degrees else "give metres in the map's frame (its origin says where it lies)"
+    if not any(orders):
+        problem += f"lie off the map, {width * frame.size:g} x {height * frame.size:g} m from ({x:.10g}, {y:.10g})"
+        return problem, "give metres in the map's frame (its origin says where it lies)"
+    problem += f"look like {'longitude and latitude' if orders[0] else 'latitude and longitude, latitude first'}"
+    if georeference is None:
+        problem += f", {width * frame.size:g} x {height * frame.size:g} m from ({x:.10g}, {y:.10g})"
+        return problem, IN_METRES if orders[0] else f"swap the two, and {IN_METRES}"
+    patch = Patch.of(frame, georeference)
+    problem += f", and the map lies at {patch.words}"
+    near = [patch.is_near(points), patch.is_near(points[:, ::-1])]
+    if not any(near):
+        return problem, "check the coordinates: do they belong to this map?"
+    return problem, f"name the columns {' and '.join(('lon', 'lat') if near[0] else ('lat', 'lon'))}"
 
 
 def values_over(layer: RosMap, frame: Frame) -> NDArray[np.int16]:

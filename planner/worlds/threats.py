@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planner.arguments import SEED, Numbers, whole
 from planner.worlds.elevation import TALLEST, band_threat, visible
 from planner.worlds.generate import LEVEL, PAPER_LEVELS, ThreatPattern, most_areas, random_threats
+from planner.worlds.georeference import Georeference
 from planner.worlds.grid import Frame, Grid, Ground
 from planner.worlds.keys import Key
 from planner.worlds.physical import AMOUNTS, PROBABILITIES, Meaning
@@ -175,15 +176,15 @@ def _points(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
         raise keys["rule"].wrong("none beside falloff: there strength is p itself", "leave it out")
     kind, radius = read_falloff(keys["falloff"])
     path = keys["points"].file("a CSV file with x, y, strength")
-    points, names = read_points(path, ground.grid.georeference, said=columns_said(keys))
-    frame = ground.grid.frame
+    frame, place = ground.grid.frame, ground.grid.georeference
+    points, names, notes = read_points(path, frame, place, said=columns_said(keys))
     spreads = point_spreads(points, kind, radius, frame)
     things = [Thing(*name, *spread) for name, spread in zip(names, spreads, strict=True)]
     at = frame.pixels(points[:, :2])
     outside = int((~frame.holds(at)).sum())
     if points[:, 2].any() and not any(thing.p.any() for thing in things):
-        check_place(keys["points"], points[:, :2], frame, "threatens nothing")
-    notes: tuple[str, ...] = (f"{outside} of {len(points)} points lie off the map",) if outside else ()
+        check_place(keys["points"], points[:, :2], frame, place, "threatens nothing")
+    notes += (f"{outside} of {len(points)} points lie off the map",) if outside else ()
     if len(np.unique(points[:, :2], axis=0)) > 1 and len(np.unique(at, axis=0)) == 1:
         notes += (f"all {len(points)} points lie in one pixel: are x and y in metres?",)
     return _of_things(things, combine, ground, notes)
@@ -195,16 +196,16 @@ def _samples(keys: dict[str, Key], ground: Ground) -> Threat:
     if "falloff" in keys:
         raise keys["falloff"].wrong("none beside interpolate: samples are of a field, not of points", "leave one out")
     path = key.file("a CSV file with x, y, strength")
-    samples, _ = read_points(path, ground.grid.georeference, SAMPLE, columns_said(keys))
-    frame = ground.grid.frame
+    frame, place = ground.grid.frame, ground.grid.georeference
+    samples, _, notes = read_points(path, frame, place, SAMPLE, columns_said(keys))
     if not frame.holds(frame.pixels(samples[:, :2])).any():
-        check_place(key, samples[:, :2], frame, "says nothing of the map")
-    values, notes = np.zeros(free.shape), tuple[str, ...]()
+        check_place(key, samples[:, :2], frame, place, "says nothing of the map")
+    values = np.zeros(free.shape)
     if free.any():
         centres = ground.frame.centres()[free]
         values[free] = interpolated(keys["interpolate"], samples, centres)
         far = farthest(samples, centres)
-        notes = (f"{len(samples)} samples, interpolated; the farthest free cell is {far:.4g} m from one",)
+        notes += (f"{len(samples)} samples, interpolated; the farthest free cell is {far:.4g} m from one",)
     with np.errstate(over="ignore", invalid="ignore"):
         p, fix = by_rule(keys.get("rule"), values)
     check_p(np.where(free, p, 0.0), values, keys.get("rule", key), fix)
@@ -222,9 +223,9 @@ def read_falloff(key: Key) -> tuple[str, float]:
     return falloff["kind"].choice(("gaussian", "disc")), falloff["radius"].number(DISTANCE)
 
 
-def check_place(key: Key, points: NDArray[np.float64], frame: Frame, what: str) -> None:
+def check_place(key: Key, points: NDArray[np.float64], frame: Frame, place: Georeference | None, what: str) -> None:
     """An error for shapes at `points` `[points, 2]` that touch no pixel and lie off the map, as degrees do."""
-    wrong = misplaced(points, frame)
+    wrong = misplaced(points, frame, place)
     if wrong is not None:
         raise key.fault(f"names {key.value}, which {what}: {wrong[0]}", "metres on the map", wrong[1])
 
@@ -232,7 +233,7 @@ def check_place(key: Key, points: NDArray[np.float64], frame: Frame, what: str) 
 def _polygon(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     default = keys["p"].number(PROBABILITY) if "p" in keys else None
     frame, path = ground.grid.frame, keys["polygons"].file("a file of polygons")
-    features = read_polygons(path, default, frame, ground.grid.georeference)
+    features, _, said = read_polygons(path, default, frame, ground.grid.georeference)
     things: list[Thing] = []
     notes = []
     for index, feature in enumerate(features):
@@ -241,8 +242,9 @@ def _polygon(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
             notes.append(f"features[{index}] holds no pixel's centre: no threat from it")
         things.append(Thing(feature.name, f"features[{index}] of {path.name}", at, np.full(len(at), feature.number)))
     if len(notes) == len(features):
-        check_place(keys["polygons"], np.concatenate(rings_of(features)), frame, "threatens nothing")
-    return _of_things(things, combine, ground, tuple(notes))
+        corners = np.concatenate(rings_of(features))
+        check_place(keys["polygons"], corners, frame, ground.grid.georeference, "threatens nothing")
+    return _of_things(things, combine, ground, (*said, *notes))
 
 
 def _viewshed(source: dict[str, Key], combine: str, ground: Ground) -> Threat:

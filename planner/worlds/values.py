@@ -90,15 +90,15 @@ def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
 def _polygons(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     """The number of the last polygon that holds the centre of a cell."""
     default = keys[of.name].number(of.numbers) if of.name in keys else None
-    frame = ground.frame
-    features = read_polygons(keys["polygons"].file("a file of polygons"), default, frame, ground.grid.georeference, of)
+    frame, place = ground.frame, ground.grid.georeference
+    features, _, notes = read_polygons(keys["polygons"].file("a file of polygons"), default, frame, place, of)
     says, where = np.zeros(frame.shape), np.zeros(frame.shape, dtype=bool)
     for feature in features:
         held = feature.mask(frame)
         says, where = np.where(held, feature.number, says), where | held
     if not where.any():
-        check_place(keys["polygons"], np.concatenate(rings_of(features)), frame, NOWHERE)
-    return Says(says, where)
+        check_place(keys["polygons"], np.concatenate(rings_of(features)), frame, place, NOWHERE)
+    return Says(says, where, notes)
 
 
 def _points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
@@ -106,9 +106,9 @@ def _points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
 
     Where several reach a cell their values add up, and of the chances to detect the best one counts.
     """
-    key, frame = keys["points"], ground.frame
+    key, frame, place = keys["points"], ground.frame, ground.grid.georeference
     path = key.file("a CSV file with x, y, strength")
-    points, _ = read_points(path, ground.grid.georeference, of, columns_said(keys))
+    points, _, notes = read_points(path, frame, place, of, columns_said(keys))
     merge = np.add if of is VALUE else np.maximum
     if "falloff" in keys:
         kind, radius = read_falloff(keys["falloff"])
@@ -122,8 +122,8 @@ def _points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
         merge.at(says, tuple(at[held].T), points[held, 2])
         where[tuple(at[held].T)] = True
     if not where.any():
-        check_place(key, points[:, :2], frame, NOWHERE)
-    return Says(says, where)
+        check_place(key, points[:, :2], frame, place, NOWHERE)
+    return Says(says, where, notes)
 
 
 SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], Quantity, Ground], Says]]] = {

@@ -16,12 +16,13 @@ from scipy import ndimage
 
 from planner.arguments import Numbers, argument, check_each, exactly
 from planner.errors import MapError, PlanError, WorldError
-from planner.files import atomic_write, check_file, npz_bytes, read_csv_grid, read_npy, read_npz
+from planner.files import atomic_write, check_file, npz_bytes, read_npy, read_npz
 from planner.pace import TURNS, UNPACED, Pace, pace_of
 from planner.shown import html_of, text_of
+from planner.tables import read_csv_grid
 from planner.tolerance import exposure_of
 from planner.worlds.doubt import Draws, Hazard, Uncertain, doubt_in
-from planner.worlds.georeference import HOW_TO_GIVE_ONE, LONGEST, Georeference
+from planner.worlds.georeference import HOW_TO_GIVE_ONE, LONGEST, Georeference, principal
 from planner.worlds.grid import Frame
 from planner.worlds.knowledge import Knowledge, knowledge_in
 from planner.worlds.movers import Movers, movers_in
@@ -300,11 +301,14 @@ class World:
         return self.frame.at(rows, cols)
 
     def to_lonlat(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Points (x, y) `[..., 2]` of the map's frame as (longitude, latitude), WGS 84. Raises MapError."""
+        """Points (x, y) `[..., 2]` of the map's frame as (longitude, latitude) in degrees, WGS 84. Raises MapError.
+
+        Longitudes are in -180..180.
+        """
         if self.georeference is None:
             problem = "nobody says where the map lies on the Earth"
             raise MapError(problem, source=self.source, expected="a georeferenced map", fix=HOW_TO_GIVE_ONE)
-        return self.georeference.to_lonlat(points)
+        return principal(self.georeference.to_lonlat(points))
 
     def places(self, points: ArrayLike) -> NDArray[np.float64]:
         """Places in cells (down, right) `[..., 2]` from the upper-left corner, of points (x, y) in metres."""
@@ -484,8 +488,9 @@ def load_world_file(path: str | Path) -> World:
         return world_of(read_npz(path, 8 * MAX_CELLS), str(path))
     if suffix == ".npy":
         return replace(World.create(read_npy(path, MAX_CELLS), source=str(path)), measured=False)
-    values = read_csv_grid(path, MAX_CELLS)
-    return replace(World.create(np.where(values == -1, np.nan, values), source=str(path)), measured=False)
+    values, notes = read_csv_grid(path, MAX_CELLS)
+    values = np.where(values == -1, np.nan, values)
+    return replace(World.create(values, source=str(path), notes=notes), measured=False)
 
 
 def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
