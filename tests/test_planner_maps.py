@@ -152,16 +152,37 @@ def test_a_ros_map_without_free_thresh_has_the_usual_one(tmp_path: Path) -> None
     assert not any("free_thresh" in note for note in read_ros_map(ros(tmp_path, greys)).notes)
 
 
+def size_note(world: World) -> str:
+    return " ".join(note for note in world.notes if "footprint" in note)
+
+
 def test_pixels_smaller_than_robots_are_told(tmp_path: Path) -> None:
     """Of a bare map without cell_size alone: a scenario and a world file mean the cells that they have."""
-    said = "a cell is a pixel of 0.05 m, so a robot is 0.05 m wide: give its footprint, cell_size=0.5"
     path = ros(tmp_path, np.full((20, 20), 255, dtype=np.uint8))
     world = load_input(path)
-    assert said in world.notes
+    assert size_note(world) == (
+        "20 x 20 = 400 cells: a cell is a pixel of 0.05 m, so a robot is 0.05 m wide; give its footprint, usually "
+        "cell_size=0.5 (4 cells)"
+    )
     world.save(tmp_path / "w.npz")
     (tmp_path / "s.yaml").write_text("map: m.yaml\n")
     for quiet in (load_input(path, 0.5), load_input(tmp_path / "w.npz"), load_input(tmp_path / "s.yaml")):
-        assert not any("footprint" in note for note in quiet.notes)
+        assert not size_note(quiet)
+
+
+def test_many_cells_are_told_with_the_robot_that_they_mean(tmp_path: Path) -> None:
+    """The cell size that is suggested is a whole number of pixels, and is taken."""
+    np.save(tmp_path / "large.npy", np.zeros((101, 100)))
+    assert size_note(load_input(tmp_path / "large.npy")) == (
+        "101 x 100 = 10,100 cells: a cell is a pixel of 1 m (presumed), so a robot is 1 m wide; give its footprint, "
+        "cell_size=2.0 (2,500 cells)"
+    )
+    assert load_input(tmp_path / "large.npy", 2.0).shape == (50, 50)
+    np.save(tmp_path / "enough.npy", np.zeros((100, 100)))
+    assert not size_note(load_input(tmp_path / "enough.npy"))
+    fine = load_input(ros(tmp_path, np.full((120, 90), 255, dtype=np.uint8), resolution=0.03))
+    assert "usually cell_size=0.51 (35 cells)" in size_note(fine)
+    assert load_input(tmp_path / "m.yaml", 0.51).shape == (7, 5)
 
 
 def test_movingai(tmp_path: Path) -> None:

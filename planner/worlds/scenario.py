@@ -59,6 +59,10 @@ OF_FIELDS = ("boundary", "direction", "swath")
 DEGREES_ROUND = Numbers(-180, 180, "degrees")
 SMALL_ROBOT = 0.2
 """Metres: a cell is a robot's footprint, and few are smaller."""
+USUAL_CELL = 0.5
+"""Metres: the side of a cell that is suggested where pixels are smaller than SMALL_ROBOT."""
+MANY_CELLS = 10_000
+"""Cells of a bare map above which a note suggests larger ones."""
 CELLS_OF_A_MAP = "give `cell_size:` beside `map:`, the side of a cell in metres"
 
 
@@ -76,7 +80,7 @@ def load_input(path: str | Path, cell_size: float | None = None) -> World:
     if top is None or _is_map(top):
         keys = Key({}, "", path).mapping(defaults=DEFAULTS)
         world = _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
-        return world if cell_size is not None or path.suffix.lower() == ".npz" else _told_if_tiny(world)
+        return world if cell_size is not None or path.suffix.lower() == ".npz" else _told_size(world)
     if cell_size is not None:
         raise ScenarioError(
             "the scenario says what its cell_size is", source=path, fix=f"leave {argument('cell_size')} out"
@@ -84,12 +88,19 @@ def load_input(path: str | Path, cell_size: float | None = None) -> World:
     return read_scenario(top, path)
 
 
-def _told_if_tiny(world: World) -> World:
-    """With a note where the pixels of a bare map are smaller than most robots."""
-    if world.cell_size >= SMALL_ROBOT:
+def _told_size(world: World) -> World:
+    """With a note where the pixels of a bare map are smaller than most robots, or many: what they take a robot for."""
+    (height, width), side, count = world.shape, world.cell_size, world.threat.size
+    if side >= SMALL_ROBOT and count <= MANY_CELLS:
         return world
-    side = f"{world.cell_size:g} m"
-    note = f"a cell is a pixel of {side}, so a robot is {side} wide: give its footprint, {argument('cell_size', 0.5)}"
+    many = math.ceil((count / MANY_CELLS) ** 0.5) if side >= SMALL_ROBOT else math.ceil(USUAL_CELL / side - WHOLE)
+    ratio = max(1, min(many, height, width))
+    usual = argument("cell_size", round(ratio * side, 9))
+    pixel = f"{side:g} m" if world.measured else f"{side:g} m (presumed)"
+    note = (
+        f"{height} x {width} = {count:,} cells: a cell is a pixel of {pixel}, so a robot is {side:g} m wide; give its "
+        f"footprint, {'usually ' * (side < SMALL_ROBOT)}{usual} ({(height // ratio) * (width // ratio):,} cells)"
+    )
     return replace(world, notes=(*world.notes, note))
 
 
