@@ -118,7 +118,7 @@ def _marked(path: Path, world: World) -> Found:
 def _mask(path: Path) -> NDArray[np.bool_]:
     if path.suffix.lower() != ".npy":
         picture = read_image(path)
-        return (picture.bright >= HALF) & picture.opaque
+        return (picture.bright >= HALF) & (True if picture.alpha is None else picture.alpha >= HALF)
     array = read_npy(path, MAX_CELLS)
     if array.ndim != 2 or array.size == 0 or array.dtype.kind not in "biuf":
         raise StateError(f"holds {array.dtype} {array.shape}", source=path, expected="a mask [H, W]: not 0 is visited")

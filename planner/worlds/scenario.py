@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arguments import ANY, Numbers, argument, whole
-from planner.errors import InputError, MapError, ScenarioError
+from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.files import check_file
 from planner.settings import SETTINGS as KNOWN
 from planner.worlds.changing import read_phases
@@ -200,6 +200,8 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
     matrix = read_matrix(keys.get("robots"))
     threat, notes, apart, by_type = all_threats(sources, keys["combine"].choice(COMBINE), ground, matrix)
     frame = ground.frame
+    if not ground.free.any():  # what reading the map noted is why
+        raise WorldError("every cell is an obstacle", source=source, fix="; ".join(ground.notes))
     cells = np.where(ground.free, threat, np.nan)
     world = World.create(
         cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes), ground.grid.georeference,
