@@ -15,6 +15,7 @@ from planner.worlds.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, coarsen
 from planner.worlds.maps import load_map, read_movingai
 from planner.worlds.ros_map import read_ros_map
 from planner.worlds.scenario import load_input
+from planner.worlds.world import World
 
 GREYS = np.array([[0, 89, 90, 127, 205], [191, 192, 254, 255, 100]], dtype=np.uint8)
 
@@ -146,12 +147,15 @@ def test_greys_of_unknown_ground_that_the_thresholds_make_free_are_counted(tmp_p
 def test_greys_of_unknown_ground_elsewhere(tmp_path: Path) -> None:
     """Of a bare picture, of another program, and as obstacles."""
     Image.fromarray(np.array([[0, 205, 254]], dtype=np.uint8)).save(tmp_path / "bare.pgm")
-    assert "grey 205, which map_saver writes for unknown ground, is free in 1 pixel;" in load_input(
-        tmp_path / "bare.pgm"
-    ).notes[0]
+    assert (
+        "grey 205, which map_saver writes for unknown ground, is free in 1 pixel;"
+        in load_input(tmp_path / "bare.pgm").notes[0]
+    )
     other = np.array([[0, 128, 128, 255]], dtype=np.uint8)
     notes = load_input(ros(tmp_path, other, free_thresh=0.5)).notes
-    assert notes[0].startswith("grey 128, which cartographer writes for unknown ground, is free in 2 pixels; with `free")
+    assert notes[0].startswith(
+        "grey 128, which cartographer writes for unknown ground, is free in 2 pixels; with `free"
+    )
     assert read_ros_map(ros(tmp_path, other, free_thresh=0.498)).values.tolist() == [[100, -1, -1, 0]]
     notes = load_input(ros(tmp_path, other, free_thresh=0.1, occupied_thresh=0.4)).notes
     assert "is an obstacle in 2 pixels; with `occupied_thresh: 0.65`" in notes[0]

@@ -24,6 +24,7 @@ from planner.worlds.keepout import keep_out
 from planner.worlds.keys import PLACE, Key, read_yaml
 from planner.worlds.learning import KEYS as KNOWLEDGE
 from planner.worlds.learning import read_knowledge
+from planner.worlds.logged_map import is_bag, read_logged_map
 from planner.worlds.maps import YAML, load_map, world_grid
 from planner.worlds.moving import read_movers
 from planner.worlds.peers import MAPS_KEY
@@ -75,7 +76,8 @@ def load_input(path: str | Path, cell_size: float | None = None) -> World:
     Raises InputError: one line naming the file, the value, what was expected, the fix.
     """
     path = Path(path)
-    check_file(path, "a scenario, a map or a world file")
+    if not is_bag(path):
+        check_file(path, "a scenario, a map or a world file")
     top = read_yaml(path) if path.suffix.lower() in YAML else None
     if top is None or _is_map(top):
         keys = Key({}, "", path).mapping(defaults=DEFAULTS)
@@ -132,6 +134,7 @@ def _no_map(top: Key) -> InputError:
     names = [str(name)[:60] for name in top.value]
     close = [(name, key) for key in ("map", "image") for name in difflib.get_close_matches(key, names, n=1)]
     fix = f"did you mean {close[0][1]!r} by {close[0][0]!r}?" if close else ""
+    fix = "it describes a rosbag2: name its folder" if "rosbag2_bagfile_information" in names else fix
     expected = "the key map (a scenario) or image (a ROS map)"
     return ScenarioError("is neither a scenario nor a ROS map", source=top.source, expected=expected, fix=fix)
 
@@ -145,23 +148,30 @@ def _map(key: Key, cell_size: float | None) -> Grid:
     """The map of a scenario: `{file: ...}` (or just the name), or `{elevation: ..., max_slope_deg: ...}`."""
     if isinstance(key.value, str):
         key = Key({"file": key.value}, key.path, key.source)
-    keys = key.mapping(optional=("file", "elevation", "max_slope_deg", "resolution", "polygons", *OF_FIELDS))
+    keys = key.mapping(optional=("file", "elevation", "max_slope_deg", "resolution", "topic", "polygons", *OF_FIELDS))
     kind = one_source(key, ("file", "elevation", "polygons"))
     if kind == "elevation":
         return _elevation(key.mapping(optional=("elevation", "max_slope_deg", "resolution")), cell_size)
     if kind == "polygons":
         return _field(key.mapping(("polygons",), optional=OF_FIELDS), cell_size)
-    path = key.mapping(("file",), optional=("resolution",))["file"].file("a map file")
+    path = key.mapping(("file",), optional=("resolution", "topic"))["file"].file("a map file", folder=is_bag)
     top = read_yaml(path, MapError) if path.suffix.lower() in YAML else None
     if top is not None and isinstance(top.value, dict) and "map" in top.value and not _is_map(top):
         raise keys["file"].wrong("a map", "this is a scenario: run it itself")
-    grid = load_map(path, cell_size, top)
+    grid = _logged(path, keys["topic"]) if "topic" in keys else load_map(path, cell_size, top)
     if "resolution" not in keys:
         return grid
     resolution = keys["resolution"].number(CELL_SIZE)
     if grid.measured:
         raise keys["resolution"].wrong(f"none: the file says that a pixel has {grid.frame.size:g} m", CELLS_OF_A_MAP)
     return replace(grid, frame=replace(grid.frame, size=resolution), measured=True)
+
+
+def _logged(path: Path, topic: Key) -> Grid:
+    """The map on a topic of a log."""
+    if path.suffix.lower() != ".mcap" and not is_bag(path):
+        raise topic.wrong("none: the map is not in a log (.mcap)", "leave it out")
+    return read_logged_map(path, topic.text("the name of a topic, as /map")).grid()
 
 
 def _field(keys: dict[str, Key], cell_size: float | None) -> Grid:
