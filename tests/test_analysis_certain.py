@@ -120,7 +120,9 @@ def test_the_nominal_run_is_counted_as_an_engine_counts_it(robots: int, policy: 
     for step in (1, plan.time - 1, plan.time, plan.time + 5):
         assert nominal.until(step).tally(0, 7) == numba.until(step).tally(0, 7)
     assert nominal.tally(0, 3) + nominal.tally(3, 2) == numba.tally(0, 5)
-    assert np.array_equal(nominal.results(0, 9).time, np.full(9, plan.time))
+    for name in ("start", "visited", "survived", "time", "alive", "outcome"):
+        assert np.array_equal(getattr(nominal.results(2, 9), name), getattr(numba.results(2, 9), name)), name
+    assert list(nominal.traces([4, 0])) == list(numba.traces([4, 0]))
 
 
 @pytest.mark.parametrize("way", ["home", "danger", "asked for"])

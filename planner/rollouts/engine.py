@@ -124,7 +124,7 @@ def make_engine(
         return open_loop_engine(compile_plan(plan, world), how.seed, mode, engine)
     loop = compile_closed_loop(plan, world, first_only=how.first_only, kept=kept, luck=how.luck)
     make = partial(closed_loop_engine, loop, how.seed, engine)
-    return NominalRun(plan, loop, how.seed, make) if engine == "auto" and is_nominal(plan, world) else make()
+    return NominalRun(world, plan, loop, how.seed, make) if engine == "auto" and is_nominal(plan, world) else make()
 
 
 def open_loop_engine(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from planner.kernels.loop import ClosedLoop
 from planner.limits import BLOCK
+from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan, is_certain
 from planner.tally import Outcome, RolloutResults, Tally
 from planner.trace import Trace
@@ -33,15 +34,18 @@ class NominalRun:
     """Counts the nominal run as often as it is asked for (see `planner.rollouts.engine.Engine`).
 
     The paths are counted with NumPy, so that nothing is compiled: on a large map without threats the compilation takes
-    a minute, and the answer a second. Whatever the paths do not tell is asked of the engine that `make_full` makes.
+    a minute, and the answer a second. How areas were shared (`RolloutResults.bisected` and `divided`) is left out.
     """
 
     name = "nominal run"
     least = BLOCK
 
-    def __init__(self, plan: Plan, loop: ClosedLoop, seed: int, make_full: Callable[[], Engine]) -> None:
-        """`plan`: one that `is_nominal`; `loop`: the same plan, compiled to arrays."""
-        self.plan, self.loop, self.seed, self.accessible = plan, loop, seed, loop.accessible
+    def __init__(self, world: World, plan: Plan, loop: ClosedLoop, seed: int, make_full: Callable[[], Engine]) -> None:
+        """`plan`: one that `is_nominal` in this world; `loop`: the same, compiled to arrays.
+
+        `make_full`: makes the engine that rolls it out under other threats, or with other counts.
+        """
+        self.world, self.plan, self.loop, self.seed, self.accessible = world, plan, loop, seed, loop.accessible
         self._make_full = make_full
 
     @cached_property
@@ -78,19 +82,25 @@ class NominalRun:
 
     def results(self, start: int, count: int) -> RolloutResults:
         """What each of those rollouts came to."""
-        return self._full.results(start, count)
+        names = ("visited", "survived", "time", "alive", "outcomes")
+        columns = (np.full(count, np.argmax(getattr(self._once, name)), dtype=np.int32) for name in names)
+        visited, survived, time, alive, outcome = columns
+        return RolloutResults(start, visited, survived, time, alive, outcome.astype(np.int8))
 
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
         """Both of them."""
-        return self._full.run(start, count)
+        return self.tally(start, count), self.results(start, count)
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
-        """Those rollouts in full."""
-        return self._full.traces(rollouts)
+        """Those rollouts in full, in the order given."""
+        if self.loop.max_steps < self.plan.time:
+            return self._full.traces(rollouts)
+        once = ReferenceLoop(self.plan, self.world, luck=self.loop.luck).trace(self.seed, 0)
+        return (replace(once, rollout=rollout) for rollout in rollouts)
 
     def until(self, step: int) -> NominalRun:
         """The same rollouts cut off at the end of `step`."""
-        return NominalRun(self.plan, self.loop.until(step), self.seed, lambda: self._full.until(step))
+        return NominalRun(self.world, self.plan, self.loop.until(step), self.seed, lambda: self._full.until(step))
 
     def under(self, truth: World) -> Engine:
         """The same decisions under the threats of `truth`."""
