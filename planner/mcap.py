@@ -5,11 +5,18 @@ Everything here raises `Damaged` and nothing else on bytes that are not what the
 
 from __future__ import annotations
 
+import heapq
+import itertools
+import math
+import mmap
+import shlex
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import lz4.frame
@@ -17,6 +24,9 @@ import zstandard
 from mcap import records
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
+
+from planner.errors import InputError
+from planner.files import printable, why_no_file
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
@@ -31,6 +41,10 @@ MAX_DESCRIPTIONS = 2**24
 """Most bytes of schemas and channels, and of metadata, that are kept of one log."""
 _MESSAGE = struct.Struct("<HIQQ")
 _WINDOW = 2**27
+_CHUNK_START, _CHUNK_CRC = struct.Struct("<Q"), slice(24, 28)
+"""The first field of a chunk, its first log time, and where its checksum stands."""
+UNCHECKED = "its messages are under no checksums: try `mcap recover` of the MCAP command line tools"
+"""What to do with a damaged log of which `mrac-jax recover` saves nothing."""
 
 
 class Damaged(ValueError):
@@ -39,6 +53,40 @@ class Damaged(ValueError):
     def __init__(self, problem: str, work: int = 0) -> None:
         super().__init__(problem)
         self.work = work
+
+
+def mapped(path: Path, error: type[InputError] = InputError) -> memoryview:
+    """The file's bytes, read only as they are used. Raises `error` where it is not a plain file or is empty."""
+    problem = why_no_file(path)
+    if problem == "is a folder" and (inside := sorted(one.name for one in path.glob("*.mcap"))):
+        problem, fix = f"is a folder with {', '.join(inside)[:200]}", "name the file in it"
+        raise error(problem, source=printable(path), expected="an MCAP file", fix=fix)
+    try:
+        if not problem and not path.stat().st_size:
+            problem = "is empty"
+        if problem:
+            raise error(problem, source=printable(path), expected="an MCAP file")
+        with path.open("rb") as stream:
+            return memoryview(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ))
+    except (OSError, ValueError) as wrong:
+        raise error(f"cannot be read ({wrong})", source=printable(path), expected="an MCAP file") from wrong
+
+
+def refusal(path: Path, problem: str, data: memoryview, error: type[InputError] = InputError) -> InputError:
+    """What every reader says of a log that is cut or damaged, with what helps."""
+    fix = UNCHECKED if unchecked(data) else f"try `mrac-jax recover {shlex.quote(printable(path))}`"
+    return error(f"truncated or damaged: {problem}", source=path, fix=fix)
+
+
+def unchecked(data: memoryview) -> bool:
+    """Whether a log has messages up to where it is damaged, and none of them in a chunk with a checksum."""
+    found = False
+    with suppress(Damaged):
+        for _, opcode, body in records_in(data[len(MAGIC) :]):
+            if opcode == Opcode.CHUNK and any(body[_CHUNK_CRC]):
+                return False
+            found |= opcode in (Opcode.CHUNK, Opcode.MESSAGE)
+    return found
 
 
 class _Body:
@@ -142,6 +190,40 @@ def all_records(data: memoryview) -> Iterator[tuple[int, int, memoryview]]:
             yield from records_in(memoryview(unpacked(parsed(records.Chunk, body))))
         else:
             yield at, opcode, body
+
+
+def by_log_time(data: memoryview) -> Iterator[tuple[int, int, memoryview]]:
+    """`all_records` of a section, messages in the order of their log times; of equal ones in the file's.
+
+    Chunks may overlap in time: a message waits until every chunk that may hold an earlier one has been unpacked.
+    Memory: the chunks that overlap, one where none do. What is no message comes before the messages beside it.
+    """
+    parts: list[tuple[int, int, int, memoryview]] = []  # first log time, offset, opcode, body
+    for at, opcode, body in records_in(data):
+        if opcode == Opcode.CHUNK and len(body) >= _CHUNK_START.size:
+            parts.append((_CHUNK_START.unpack_from(body)[0], at, opcode, body))
+        elif opcode == Opcode.MESSAGE and len(body) >= _MESSAGE.size:
+            parts.append((_MESSAGE.unpack_from(body)[2], at, opcode, body))
+        else:
+            yield at, opcode, body
+    parts.sort(key=lambda part: part[:2])
+    waiting: list[tuple[int, int, int, memoryview]] = []  # log time, offset of the part, of the record, body
+    for (first, at, opcode, body), following in itertools.zip_longest(parts, parts[1:]):
+        inside = [(0, opcode, body)]
+        if opcode == Opcode.CHUNK:
+            inside = list(records_in(memoryview(unpacked(parsed(records.Chunk, body)))))
+        for within, kind, record in inside:
+            if kind == Opcode.MESSAGE and len(record) >= _MESSAGE.size:
+                time = _MESSAGE.unpack_from(record)[2]
+                if time < first:
+                    raise Damaged("a chunk with a message before its first log time", len(body))
+                heapq.heappush(waiting, (time, at, within, record))
+            else:
+                yield within, kind, record
+        until = math.inf if following is None else following[0]
+        while waiting and waiting[0][0] < until:
+            _, at, within, record = heapq.heappop(waiting)
+            yield within, Opcode.MESSAGE, record
 
 
 @dataclass(frozen=True)

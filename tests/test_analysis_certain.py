@@ -14,8 +14,11 @@ from analysis.comparison.compare import compare, make_side
 from analysis.evaluation.as_json import to_json
 from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
+from planner.kernels import closed_loop
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import is_certain
+from planner.rollouts.engine import Rolling, make_engine
+from planner.settings import Policy, Settings
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
@@ -50,7 +53,8 @@ def test_one_rollout_answers_with_a_point(
     words = ["evaluate", maps[name], "--robots", "2", "--loop", loop, "--json", "--seed", "7"]
     for more in ([], ["--rollouts", "50000"], ["--precision", "0.0001"], ["--deadline", "3", "--threat-scale", "0,1"]):
         answer = answer_of(capsys, *words, *more)
-        assert (answer["rollouts"], answer["certain"], answer["seed"], answer["engine"]) == (1, True, 7, "numba")
+        by = "numba" if loop == "open" else "nominal run"
+        assert (answer["rollouts"], answer["certain"], answer["seed"], answer["engine"]) == (1, True, 7, by)
         for meaning in ("visited", "survived"):
             shown = answer["coverage"][meaning]
             assert (shown["mean"], shown["se"], shown["ci95"]) == (1.0, 0.0, [1.0, 1.0])
@@ -96,11 +100,56 @@ def test_more_rollouts_are_indeed_the_same(loop: str) -> None:
     world = World.create(WALLED)
     plan = make_plan(world, place_starts(world, 2)[0])
     assert is_certain(world, plan)
-    choices = RolloutChoices(loop=loop, rollouts=300)  # type: ignore[arg-type]
+    choices = RolloutChoices(loop=loop, rollouts=300, engine="numba")  # type: ignore[arg-type]
     tally = list(roll_out.make_roll_out(world, plan, choices)(choices, None))[-1].tally
     one = evaluate(world, plan, choices).tally
     for name, counts in one.counts().items():
         assert np.array_equal(300 * counts, tally.counts()[name][: len(counts)]), name
+
+
+@pytest.mark.parametrize("robots", [1, 3])
+@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+def test_the_nominal_run_is_counted_as_an_engine_counts_it(robots: int, policy: Policy) -> None:
+    """Count for count, key and all, whole and cut off: before its end, at it, and after it."""
+    world = World.create(WALLED)
+    plan = make_plan(world, place_starts(world, robots)[0], Settings(policy=policy))
+    how = Rolling(seed=5)
+    nominal, numba = make_engine(plan, world, how), make_engine(plan, world, how, "numba")
+    assert (nominal.name, numba.name) == ("nominal run", "numba")
+    assert nominal.tally(3, 40) == numba.tally(3, 40)
+    for step in (1, plan.time - 1, plan.time, plan.time + 5):
+        assert nominal.until(step).tally(0, 7) == numba.until(step).tally(0, 7)
+    assert nominal.tally(0, 3) + nominal.tally(3, 2) == numba.tally(0, 5)
+    for name in ("start", "visited", "survived", "time", "alive", "outcome"):
+        assert np.array_equal(getattr(nominal.results(2, 9), name), getattr(numba.results(2, 9), name)), name
+    assert list(nominal.traces([4, 0])) == list(numba.traces([4, 0]))
+
+
+@pytest.mark.parametrize("way", ["home", "danger", "asked for"])
+def test_what_may_differ_from_the_nominal_run_is_rolled_out(way: str) -> None:
+    threat = np.zeros((3, 4))
+    threat[2, 3] = 0.5 * (way == "danger")
+    world = World.create(threat)
+    settings = Settings(return_to="home") if way == "home" else Settings()
+    plan = make_plan(world, place_starts(world, 2)[0], settings)
+    assert make_engine(plan, world, Rolling(), "numba" if way == "asked for" else "auto").name == "numba"
+
+
+def test_a_large_safe_map_is_answered_without_compiled_rollouts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A map of 5 cm a pixel: the kernel of rollouts, which takes a minute to compile, is not asked for."""
+
+    def refuse(*given: object) -> None:
+        raise AssertionError("rolled out by compiled code")
+
+    monkeypatch.setattr(closed_loop, "run_sets", refuse)
+    monkeypatch.setattr(closed_loop, "on_threads", refuse)
+    world = World.create(np.zeros((120, 100)))
+    plan = make_plan(world, place_starts(world, 3)[0])
+    answer = evaluate(world, plan, RolloutChoices(deadline=2000), band=True, advice=True)
+    assert answer.certain and answer.engine == "nominal run"
+    assert answer.tally.visited[12_000] == 1
+    band = answer.outputs["band"]
+    assert band.low[-1] == band.high[-1] == 12_000 and band.low[0] == 3  # type: ignore[attr-defined]
 
 
 @pytest.mark.usefixtures("one_picture")

@@ -11,8 +11,12 @@ import pytest
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from planner.errors import MapError
+from analysis.recording.inspect import inspect
+from analysis.recording.recover import recover
+from planner.errors import InputError, MapError, ScenarioError
+from planner.plans.state_traces import read_state
 from planner.worlds.scenario import load_input
+from planner.worlds.world import World
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 KIND = "nav_msgs/msg/OccupancyGrid"
@@ -79,7 +83,11 @@ def test_the_last_map_of_a_log(tmp_path: Path, frame: str) -> None:
 def test_logs_that_are_refused(tmp_path: Path) -> None:
     whole = grid(np.zeros((3, 4)))
     for messages, words in (
-        ([("/a", whole), ("/b", whole)], "holds maps on /a, /b; expected one topic, or /map among them"),
+        (
+            [("/a", whole), ("/b", whole)],
+            r"holds several maps: /a \(nav_msgs/msg/OccupancyGrid\), /b \(nav_.*\); expected one, or /map among them; "
+            r"choose one in a scenario: `map: {file: ..., topic: ...}`",
+        ),
         ([("/map", whole[:-1])], "cut short"),
         ([("/map", whole[:40])], "cut short"),
         ([("/map", b"")], "cut short"),
@@ -90,13 +98,14 @@ def test_logs_that_are_refused(tmp_path: Path) -> None:
             load_input(log(tmp_path / "a.mcap", *messages))
         assert "a.mcap" in str(caught.value)
     for kind, encoding in (("nav_msgs/msg/Path", "cdr"), (KIND, "json")):
-        with pytest.raises(MapError, match="holds no map"):
+        with pytest.raises(MapError, match=f"holds no map, but /map .{kind}"):
             load_input(log(tmp_path / "a.mcap", ("/map", whole), kind=kind, encoding=encoding))
     data = log(tmp_path / "a.mcap", ("/map", whole)).read_bytes()
     rng = np.random.default_rng(3)
-    for size in (0, 7, 40, len(data) // 2, len(data) - 9):
+    for size in (0, 7, 8, 40, len(data) // 2, len(data) - 9):
         (tmp_path / "a.mcap").write_bytes(data[:size])
-        with pytest.raises(MapError, match=r"cannot be read as MCAP|holds no map"):
+        words = r"is empty|cannot be read as MCAP" if size < 8 else r"truncated.*try `mrac-jax recover .*/a\.mcap`"
+        with pytest.raises(MapError, match=words):
             load_input(tmp_path / "a.mcap")
     for _ in range(60):  # damage anywhere: an error in one line, or a map
         damaged = bytearray(data)
@@ -106,3 +115,127 @@ def test_logs_that_are_refused(tmp_path: Path) -> None:
             assert load_input(tmp_path / "a.mcap").shape == (3, 4)
         except MapError as error:
             assert "a.mcap" in str(error)
+
+
+FIRST, LAST = np.zeros((3, 4)), np.zeros((3, 4))
+FIRST[0, 0] = LAST[2, 3] = 100  # the bottom left, the top right
+
+
+def timed(path: Path, *messages: tuple[int, str, np.ndarray], **options: Any) -> Path:
+    """A log of grids: (log time, topic, values), in the order of the file."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, **options)
+        writer.start()
+        schema = writer.register_schema(KIND, "ros2msg", b"")
+        channels = {topic: writer.register_channel(topic, "cdr", schema) for _, topic, _ in messages}
+        for time, topic, values in messages:
+            writer.add_message(channels[topic], time, grid(values, turn=(0, 0, 0, 1)), time)
+        writer.finish()
+    return path
+
+
+def obstacle(world: World) -> list[list[int]]:
+    return np.argwhere(~world.free).tolist()
+
+
+@pytest.mark.parametrize("chunk", [1, 2**20])
+def test_the_latest_map_is_the_latest_by_log_time(tmp_path: Path, chunk: int) -> None:
+    """In one chunk or in one each; of equal times the one that comes later in the file."""
+    path = tmp_path / "a.mcap"
+    assert obstacle(load_input(timed(path, (200, "/map", LAST), (100, "/map", FIRST), chunk_size=chunk))) == [[0, 3]]
+    assert obstacle(load_input(timed(path, (100, "/map", LAST), (200, "/map", FIRST), chunk_size=chunk))) == [[2, 0]]
+    assert obstacle(load_input(timed(path, (0, "/map", FIRST), (0, "/map", LAST), chunk_size=chunk))) == [[0, 3]]
+    assert obstacle(load_input(timed(path, (0, "/map", LAST), (0, "/map", FIRST), use_chunking=False))) == [[2, 0]]
+
+
+def test_a_topic_of_several_is_chosen_in_a_scenario(tmp_path: Path) -> None:
+    timed(tmp_path / "a.mcap", (1, "/map", FIRST), (2, "/costmap", LAST))
+    world = load_input(tmp_path / "a.mcap")
+    assert obstacle(world) == [[2, 0]]
+    assert world.notes[0] == (
+        "/map is taken of the maps /costmap (nav_msgs/msg/OccupancyGrid), /map (nav_msgs/msg/OccupancyGrid); choose "
+        "one in a scenario: `map: {file: ..., topic: ...}`"
+    )
+    scenario = tmp_path / "s.yaml"
+    for topic, cell in (("/map", [2, 0]), ("/costmap", [0, 3])):
+        scenario.write_text(f"map: {{file: a.mcap, topic: {topic}}}\n")
+        world = load_input(scenario)
+        assert obstacle(world) == [cell] and not world.notes
+    scenario.write_text("map: {file: a.mcap, topic: /costmaps}\n")
+    with pytest.raises(
+        MapError, match=r"a\.mcap: holds no map on /costmaps; expected one of /costmap \(.*mean '/costmap'"
+    ):
+        load_input(scenario)
+    np.save(tmp_path / "w.npy", np.zeros((3, 4)))
+    scenario.write_text("map: {file: w.npy, topic: /map}\n")
+    with pytest.raises(ScenarioError, match=r"`map.topic` is '/map'; expected none: the map is not in a log"):
+        load_input(scenario)
+
+
+def test_a_topic_that_has_something_else(tmp_path: Path) -> None:
+    path = log(tmp_path / "a.mcap", ("/scan", b"x"), kind="sensor_msgs/msg/LaserScan")
+    with pytest.raises(
+        MapError, match=r"holds no map, but /scan \(sensor_msgs/msg/LaserScan\); expected messages nav_"
+    ):
+        load_input(path)
+
+
+def test_a_rosbag2_folder_is_the_logs_in_it(tmp_path: Path) -> None:
+    """Split into two files, the latest map in the first by name; as INPUT, in a scenario, and as a state."""
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 5}\n")
+    timed(bag / "bag_0.mcap", (300, "/map", LAST))
+    timed(bag / "bag_1.mcap", (200, "/map", FIRST))
+    assert obstacle(load_input(bag)) == [[0, 3]]
+    (tmp_path / "s.yaml").write_text("map: {file: bag, topic: /map}\n")
+    assert obstacle(load_input(tmp_path / "s.yaml")) == [[0, 3]]
+    state, _ = read_state(bag, load_input(bag), [[1, 1]])
+    assert state.visited.tolist() == [5]  # the start alone: what is occupied is no free cell
+    with pytest.raises(InputError, match="it describes a rosbag2: name its folder"):
+        load_input(bag / "metadata.yaml")
+
+
+def test_other_storage_is_named_with_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "old_0.db3").write_bytes(b"SQLite format 3")
+    for path in (tmp_path / "old", tmp_path / "old" / "old_0.db3"):
+        with pytest.raises(
+            MapError, match=r"not MCAP: old_0\.db3; expected .*; convert it: `ros2 bag convert -i .*old"
+        ):
+            load_input(path)
+    (tmp_path / "packed").mkdir()
+    (tmp_path / "packed" / "p_0.mcap.zstd").write_bytes(b"x")
+    with pytest.raises(MapError, match=r"unpack it: `unzstd .*/p_0\.mcap\.zstd`"):
+        load_input(tmp_path / "packed")
+    (tmp_path / "none").mkdir()
+    with pytest.raises(MapError, match="is a folder"):
+        load_input(tmp_path / "none")
+
+
+def test_a_cut_log_names_what_saves_its_maps(tmp_path: Path) -> None:
+    """`recover`, which then gives back the map; for messages under no checksums the tool that does without them."""
+    messages = [(time, "/map", FIRST) for time in range(200)]
+    data = timed(tmp_path / "whole.mcap", *messages, chunk_size=2000).read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: len(data) // 2])
+    for read in (load_input, lambda path: read_state(path, World.create(np.zeros((3, 4))), [[1, 1]]), inspect):
+        with pytest.raises(InputError, match=r"truncated or damaged: .*; try `mrac-jax recover .*/cut\.mcap`"):
+            read(cut)
+    recover(cut, tmp_path / "new.mcap")
+    assert obstacle(load_input(tmp_path / "new.mcap")) == [[2, 0]]
+    for options in ({"use_chunking": False}, {"enable_crcs": False, "chunk_size": 2000}):
+        data = timed(tmp_path / "whole.mcap", *messages, **options).read_bytes()
+        cut.write_bytes(data[: len(data) // 2])
+        with pytest.raises(MapError, match="are under no checksums: try `mcap recover` of the MCAP command line tools"):
+            load_input(cut)
+        with pytest.raises(InputError, match=r"holds nothing that can be saved.*try `mcap recover`"):
+            recover(cut, tmp_path / "none.mcap")
+
+
+def test_values_between_the_thresholds_of_a_logged_map_are_counted(tmp_path: Path) -> None:
+    values = np.array([[0, 25, 26], [-1, 64, 65]])
+    world = load_input(timed(tmp_path / "a.mcap", (0, "/map", values)))
+    assert world.notes[:2] == (
+        "unknown, since its value is between 25 and 65: 2 pixels", "3 unknown pixels count as obstacles",
+    )  # fmt: skip

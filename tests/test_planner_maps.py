@@ -15,6 +15,7 @@ from planner.worlds.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, coarsen
 from planner.worlds.maps import load_map, read_movingai
 from planner.worlds.ros_map import read_ros_map
 from planner.worlds.scenario import load_input
+from planner.worlds.world import World
 
 GREYS = np.array([[0, 89, 90, 127, 205], [191, 192, 254, 255, 100]], dtype=np.uint8)
 
@@ -84,12 +85,81 @@ def test_negate_swaps_black_and_white(tmp_path: Path) -> None:
     assert straight.tolist() == mirrored.tolist()
 
 
-def test_a_pixel_that_is_not_opaque_is_unknown(tmp_path: Path) -> None:
-    image = np.zeros((2, 3, 4), dtype=np.uint8)
-    image[..., 3] = [[255, 254, 0], [255, 255, 128]]
-    image[1, 0] = [255, 255, 255, 255]
-    values = read_ros_map(ros(tmp_path, image)).values
-    assert values.tolist() == [[100, -1, -1], [0, 100, -1]]
+def alpha_image() -> np.ndarray:
+    """Black and white by rows, of alpha 255, 254, 128 and 0 by columns."""
+    image = np.zeros((2, 4, 4), dtype=np.uint8)
+    image[1, :, :3] = 255
+    image[..., 3] = [255, 254, 128, 0]
+    return image
+
+
+def test_trinary_averages_alpha_into_the_brightness(tmp_path: Path) -> None:
+    """map_server's arithmetic: the mean of red, green, blue and alpha; black of alpha 255 has p = 0.75."""
+    read = read_ros_map(ros(tmp_path, alpha_image(), free_thresh=0.196))
+    assert read.values.tolist() == [[100, 100, 100, 100], [0, 0, 0, -1]]
+    assert read.notes == (
+        "mode: trinary averages alpha into the brightness, as map_server does: 1 pixel unknown by it",
+    )
+    nearly = np.dstack([np.full((3, 4), 254, np.uint8)] * 4)
+    assert load_input(ros(tmp_path, nearly, free_thresh=0.196)).free.all()
+    grey = np.dstack([np.full((3, 4), 205, np.uint8)] * 3 + [np.full((3, 4), 255, np.uint8)])
+    notes = load_input(ros(tmp_path, grey, free_thresh=0.196)).notes
+    assert notes[0].endswith("12 pixels free by it")
+    assert "with `free_thresh: 0.147`" in notes[1]
+
+
+def test_scale_takes_what_is_not_opaque_for_unknown_and_raw_takes_no_notice(tmp_path: Path) -> None:
+    read = read_ros_map(ros(tmp_path, alpha_image(), mode="scale"))
+    assert read.values.tolist() == [[100, -1, -1, -1], [0, -1, -1, -1]]
+    assert "mode: scale takes what is not wholly opaque for unknown" in read.notes[0]
+    assert read_ros_map(ros(tmp_path, alpha_image() // 3, mode="raw")).values.tolist() == [[0] * 4, [85] * 4]
+
+
+def test_where_transparency_leaves_no_free_cell_the_error_says_so(tmp_path: Path) -> None:
+    nearly = np.dstack([np.full((3, 4), 254, np.uint8)] * 4)
+    with pytest.raises(WorldError, match=r"every cell is an obstacle; mode: scale takes what is not .* 12 pixels unk"):
+        load_input(ros(tmp_path, nearly, mode="scale"))
+
+
+def test_a_bare_picture_reads_alpha_as_trinary_and_hides_what_is_transparent(tmp_path: Path) -> None:
+    Image.fromarray(alpha_image()).save(tmp_path / "a.png")
+    grid = load_map(tmp_path / "a.png")
+    assert grid.state.tolist() == [[OCCUPIED] * 3 + [UNKNOWN], [FREE] * 3 + [UNKNOWN]]
+    assert "2 pixels wholly transparent: unknown" in grid.notes
+
+
+@pytest.mark.parametrize("negate", [0, 1])
+def test_greys_of_unknown_ground_that_the_thresholds_make_free_are_counted(tmp_path: Path, negate: int) -> None:
+    grey = np.full((4, 6), 254, np.uint8)
+    grey[1, 2], grey[2] = 0, 205
+    grey = 255 - grey if negate else grey
+    world = load_input(ros(tmp_path, grey, negate=negate, free_thresh=0.25))
+    assert int(world.free.sum()) == 23
+    shown = 50 if negate else 205
+    assert world.notes[0] == (
+        f"grey {shown}, which map_saver writes for unknown ground, is free in 6 pixels; with `free_thresh: 0.196` in a "
+        "map_server YAML file it is unknown"
+    )
+    told = load_input(ros(tmp_path, grey, negate=negate, free_thresh=0.196))
+    assert told.notes[0] == "6 unknown pixels count as obstacles" and int(told.free.sum()) == 17
+
+
+def test_greys_of_unknown_ground_elsewhere(tmp_path: Path) -> None:
+    """Of a bare picture, of another program, and as obstacles."""
+    Image.fromarray(np.array([[0, 205, 254]], dtype=np.uint8)).save(tmp_path / "bare.pgm")
+    assert (
+        "grey 205, which map_saver writes for unknown ground, is free in 1 pixel;"
+        in load_input(tmp_path / "bare.pgm").notes[0]
+    )
+    other = np.array([[0, 128, 128, 255]], dtype=np.uint8)
+    notes = load_input(ros(tmp_path, other, free_thresh=0.5)).notes
+    assert notes[0].startswith(
+        "grey 128, which cartographer writes for unknown ground, is free in 2 pixels; with `free"
+    )
+    assert read_ros_map(ros(tmp_path, other, free_thresh=0.498)).values.tolist() == [[100, -1, -1, 0]]
+    notes = load_input(ros(tmp_path, other, free_thresh=0.1, occupied_thresh=0.4)).notes
+    assert "is an obstacle in 2 pixels; with `occupied_thresh: 0.65`" in notes[0]
+    assert not read_ros_map(ros(tmp_path, other, free_thresh=0.5, mode="scale")).notes
 
 
 def test_colour_counts_by_its_mean_and_16_bits_as_well(tmp_path: Path) -> None:
@@ -152,16 +222,37 @@ def test_a_ros_map_without_free_thresh_has_the_usual_one(tmp_path: Path) -> None
     assert not any("free_thresh" in note for note in read_ros_map(ros(tmp_path, greys)).notes)
 
 
+def size_note(world: World) -> str:
+    return " ".join(note for note in world.notes if "footprint" in note)
+
+
 def test_pixels_smaller_than_robots_are_told(tmp_path: Path) -> None:
     """Of a bare map without cell_size alone: a scenario and a world file mean the cells that they have."""
-    said = "a cell is a pixel of 0.05 m, so a robot is 0.05 m wide: give its footprint, cell_size=0.5"
     path = ros(tmp_path, np.full((20, 20), 255, dtype=np.uint8))
     world = load_input(path)
-    assert said in world.notes
+    assert size_note(world) == (
+        "20 x 20 = 400 cells: a cell is a pixel of 0.05 m, so a robot is 0.05 m wide; give its footprint, usually "
+        "cell_size=0.5 (4 cells)"
+    )
     world.save(tmp_path / "w.npz")
     (tmp_path / "s.yaml").write_text("map: m.yaml\n")
     for quiet in (load_input(path, 0.5), load_input(tmp_path / "w.npz"), load_input(tmp_path / "s.yaml")):
-        assert not any("footprint" in note for note in quiet.notes)
+        assert not size_note(quiet)
+
+
+def test_many_cells_are_told_with_the_robot_that_they_mean(tmp_path: Path) -> None:
+    """The cell size that is suggested is a whole number of pixels, and is taken."""
+    np.save(tmp_path / "large.npy", np.zeros((101, 100)))
+    assert size_note(load_input(tmp_path / "large.npy")) == (
+        "101 x 100 = 10,100 cells: a cell is a pixel of 1 m (presumed), so a robot is 1 m wide; give its footprint, "
+        "cell_size=2.0 (2,500 cells)"
+    )
+    assert load_input(tmp_path / "large.npy", 2.0).shape == (50, 50)
+    np.save(tmp_path / "enough.npy", np.zeros((100, 100)))
+    assert not size_note(load_input(tmp_path / "enough.npy"))
+    fine = load_input(ros(tmp_path, np.full((120, 90), 255, dtype=np.uint8), resolution=0.03))
+    assert "usually cell_size=0.51 (35 cells)" in size_note(fine)
+    assert load_input(tmp_path / "m.yaml", 0.51).shape == (7, 5)
 
 
 def test_movingai(tmp_path: Path) -> None:

@@ -73,6 +73,22 @@ def test_reading_gives_back_what_was_written(tmp_path: Path) -> None:
         log.attachment("x")
 
 
+@pytest.mark.parametrize("chunk_size", [1, 150, 2**20])
+def test_messages_are_read_in_the_order_of_their_times(tmp_path: Path, chunk_size: int) -> None:
+    """Within chunks, over chunks that overlap, and of equal times as the file has them; as the mcap library reads."""
+    times = [50, 10, 30, 30, 90, 20, 20, 70, 30, 60]
+    with LogWriter(tmp_path / "a.mcap", chunk_size=chunk_size, ordered=False) as log:
+        channel = log.channel("/poses", POSE)
+        for number, time in enumerate(times):
+            log.write(channel, time, bytes([number]) * 40)
+    order = sorted(range(len(times)), key=lambda number: times[number])
+    found = [(message.log_time, message.data[0]) for message in open_log(tmp_path / "a.mcap").messages()]
+    assert found == [(times[number], number) for number in order]
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        theirs = [message.log_time for _, _, message in make_reader(stream).iter_messages(log_time_order=True)]
+    assert theirs == [time for time, _ in found]
+
+
 def test_messages_are_written_in_order(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="in order"), LogWriter(tmp_path / "b.mcap") as log:
         channel = log.channel("/x", POSE)

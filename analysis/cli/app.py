@@ -10,7 +10,6 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -66,6 +65,7 @@ from planner.settings import BEST
 
 if TYPE_CHECKING:
     from analysis.comparison.compare import Side
+    from planner.worlds.world import World
 
 NO_CACHE_OPTION = "--no-cache"
 """Of every command, and of nothing that a command knows of."""
@@ -128,7 +128,16 @@ def evaluate(
     asked: dict[str, Any] = {"threat_scale": scales} | ({} if metrics is None else {"value": metrics})
     asked |= {"knowledge": ranges} if ranges else {}
     sought = what.seconds if planning.policy == BEST else None
-    world, made, notes = load_or_make_plan(wanted, plan, state, first=partial(check_asked, **asked), seconds=sought)
+    told: list[str] = []
+
+    def first(world: World) -> None:
+        """What the map's reader noted is said before anything takes long."""
+        check_asked(world, **asked)
+        told.extend(world.notes)
+        say(told)
+
+    world, made, notes = load_or_make_plan(wanted, plan, state, first=first, seconds=sought)
+    notes = tuple(note for note in notes if note not in told)
     choices = what.choices(made.is_foreign, None)
     with show_progress() as progress:
         answer = evaluate_plan(

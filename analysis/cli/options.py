@@ -216,8 +216,8 @@ Input = Annotated[
     Parameter(
         name="INPUT",
         converter=verbatim,
-        help="Scenario or ROS map .yaml .yml; MovingAI .map, .mcpp; sources .json; world .npz .npy .csv; log .mcap; "
-        "raster .tif .tiff .asc; image .png .pgm .ppm .pbm .pnm .bmp .gif .jpg .jpeg; boundary .geojson .kml "
-        ".gpx .shp .gpkg; or example:NAME (terrain, building, paper).",
+        help="Scenario or ROS map .yaml .yml; MovingAI .map, .mcpp; sources .json; world .npz .npy .csv; log .mcap or "
+        "rosbag2 folder; raster .tif .tiff .asc; image .png .pgm .ppm .pbm .pnm .bmp .gif .jpg .jpeg; boundary "
+        ".geojson .kml .gpx .shp .gpkg; or example:NAME (terrain, building, paper).",
     ),
 ]

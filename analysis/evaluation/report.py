@@ -97,11 +97,11 @@ def _of_doubt(world: World) -> str:
 
 
 def _in_lines(evaluation: Evaluation, looked_at: Mapping[str, str]) -> list[str]:
-    """The same for a terminal, and how fast it was."""
+    """The same for a terminal, and how fast rollouts were, if there is more than one to tell."""
     plan, rate = evaluation.plan, evaluation.tally.rollouts / max(evaluation.seconds, 1e-9)
     before = {"map": f"{evaluation.world.source}: ", "in doubt": "in doubt: ", "plan": "plan: " * (not plan.is_foreign)}
     lines = [before.get(name, "") + what for name, what in looked_at.items()]
-    return [*lines[:-1], f"{lines[-1]}: {rate:,.0f} a second"]
+    return lines if evaluation.certain else [*lines[:-1], f"{lines[-1]}: {rate:,.0f} a second"]
 
 
 def _area(square_metres: float) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from mcap import records
 
 from analysis.recording.mcap.container import RECOVERED, LogSchema, LogWriter
-from analysis.recording.mcap.reading import Summary, mapped, read_summary
+from analysis.recording.mcap.reading import Summary, read_summary
 from analysis.recording.mcap.scan import pieces
 from planner import mcap as wire
 from planner.arguments import argument
@@ -68,7 +68,7 @@ def recover(path: str | Path, out: str | Path) -> Recovered:
         InputError: the file cannot be read, nothing in it can be saved, or `out` cannot be written.
     """
     path, out = Path(path), Path(out)
-    data = mapped(path)
+    data = wire.mapped(path)
     writer = LogWriter(out, ordered=False, suffix=".recovering", discard=True)
     if any(other.exists() and other.samefile(path) for other in (writer.path, writer.partial)):
         raise UsageError(
@@ -78,7 +78,8 @@ def recover(path: str | Path, out: str | Path) -> Recovered:
     with writer:
         _save(data, writer, report)
         if not (report.chunks or report.attachments or report.metadata):
-            raise InputError("holds nothing that can be saved", source=path, expected="an MCAP log")
+            fix = wire.UNCHECKED if wire.unchecked(data) else ""
+            raise InputError("holds nothing that can be saved", source=path, expected="an MCAP log", fix=fix)
         if not report.complete:
             writer.metadata(RECOVERED, {"reason": "recovered from a damaged log", "lost": str(len(report.lost))})
     return report

@@ -19,7 +19,7 @@ from planner.worlds.degrees import on_map
 from planner.worlds.grid import Frame
 from planner.worlds.images import SUFFIXES as IMAGES
 from planner.worlds.images import read_image
-from planner.worlds.logged_map import read_logged_map
+from planner.worlds.logged_map import is_bag, read_logged_map
 from planner.worlds.points import LATITUDE, LONGITUDE, Table, X, Y, read_table
 from planner.worlds.ros_map import FULL, RosMap, read_ros_map
 from planner.worlds.world import MAX_CELLS, MAX_ROBOTS, World, check_starts
@@ -28,6 +28,8 @@ HALF = 0.5
 """Share of a cell's pixels that must be marked for the cell to count as visited."""
 SUFFIXES = (".json", ".csv", ".npy", ".yaml", ".yml", ".mcap", *IMAGES)
 """Files that a state is read from."""
+KEEP_ONE = "keep one of them: `mcap filter LOG -y TOPIC -o OUT.mcap`"
+"""How to choose a topic of a log."""
 
 
 class Found(NamedTuple):
@@ -45,14 +47,14 @@ def read_state(path: str | Path, world: World, starts: ArrayLike | None = None) 
     Args:
         path: a state file (JSON); driven tracks (.csv: robot and row, col, or x, y in metres, or lon, lat; also step,
             status); visited cells (.csv: row, col, with or without a header); a mask of the map's cells or pixels
-            (.npy: not 0; a picture: bright), or an OccupancyGrid (.yaml of map_server, .mcap: occupied), in which what
-            is marked is visited.
+            (.npy: not 0; a picture: bright), or an OccupancyGrid (.yaml of map_server, .mcap or a rosbag2 folder:
+            occupied), in which what is marked is visited.
         starts: (row, col) `[K, 2]` of the robots now, for files that do not say where they are: all but the first two.
 
     Raises StateError, MapError, UsageError.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
+    suffix = _suffix(path)
     if suffix == ".json":
         _check_no_starts(starts, path)
         return load_state(path, world), ()
@@ -69,6 +71,11 @@ def read_state(path: str | Path, world: World, starts: ArrayLike | None = None) 
         cells = check_starts(starts, world.threat, argument("starts"))
         found = found._replace(robots=tuple(_robot(int(row * world.shape[1] + col)) for row, col in cells))
     return _state(found, world, path)
+
+
+def _suffix(path: Path) -> str:
+    """What the end of a file's name says it is; a rosbag2 folder is a log."""
+    return ".mcap" if is_bag(path) else path.suffix.lower()
 
 
 def _check_no_starts(starts: ArrayLike | None, path: Path) -> None:
@@ -101,9 +108,9 @@ def _state(found: Found, world: World, path: Path) -> tuple[MissionState, tuple[
 
 def _marked(path: Path, world: World) -> Found:
     """Cells half of whose pixels are marked, or those whose centre is where pixels are larger than cells."""
-    suffix, frame = path.suffix.lower(), world.frame
+    suffix, frame = _suffix(path), world.frame
     if suffix in (".yaml", ".yml", ".mcap"):
-        grid = read_logged_map(path) if suffix == ".mcap" else read_ros_map(path)
+        grid = read_logged_map(path, choose=KEEP_ONE) if suffix == ".mcap" else read_ros_map(path)
         return Found(np.flatnonzero(_under(grid, frame)))
     mask = _mask(path)
     ratio = _ratio(mask.shape, world.shape)
@@ -118,7 +125,7 @@ def _marked(path: Path, world: World) -> Found:
 def _mask(path: Path) -> NDArray[np.bool_]:
     if path.suffix.lower() != ".npy":
         picture = read_image(path)
-        return (picture.bright >= HALF) & picture.opaque
+        return (picture.bright >= HALF) & (True if picture.alpha is None else picture.alpha >= HALF)
     array = read_npy(path, MAX_CELLS)
     if array.ndim != 2 or array.size == 0 or array.dtype.kind not in "biuf":
         raise StateError(f"holds {array.dtype} {array.shape}", source=path, expected="a mask [H, W]: not 0 is visited")

@@ -26,6 +26,7 @@ from planner.plans.plan import Plan
 from planner.rollouts.blocks import check_range, run_ranges
 from planner.rollouts.by_luck import sums_by_luck
 from planner.rollouts.names import ENGINES, EngineName, check_jax, of_jax
+from planner.rollouts.nominal_run import NominalRun, is_nominal
 from planner.rollouts.numba_closed_loop import NumbaClosedLoop
 from planner.rollouts.open_loop.compiled import MODES, CompiledPlan, Mode, compile_plan
 from planner.rollouts.open_loop.engine import OpenLoop
@@ -40,7 +41,7 @@ class Engine(Protocol):
 
     @property
     def name(self) -> str:
-        """ "jax" or "numba"."""
+        """ "jax", "numba" or, where no robot can be lost, "nominal run"."""
         ...
 
     @property
@@ -122,7 +123,8 @@ def make_engine(
         mode = "tolerance" if how.luck == "tolerance" else mode
         return open_loop_engine(compile_plan(plan, world), how.seed, mode, engine)
     loop = compile_closed_loop(plan, world, first_only=how.first_only, kept=kept, luck=how.luck)
-    return closed_loop_engine(loop, how.seed, engine)
+    make = partial(closed_loop_engine, loop, how.seed, engine)
+    return NominalRun(world, plan, loop, how.seed, make) if engine == "auto" and is_nominal(plan, world) else make()
 
 
 def open_loop_engine(

@@ -39,13 +39,18 @@ class Picture:
 
     Attributes:
         bright: float64 `[H, W]`, 0 black .. 1 white, mean of red, green, blue.
-        opaque: bool `[H, W]`.
-        coloured: bool `[H, W]`, neither black, grey, white nor transparent.
+        alpha: float64 `[H, W]`, 0 transparent .. 1 opaque; None: the picture has no transparency.
+        coloured: bool `[H, W]`, neither black, grey, white nor wholly transparent.
     """
 
     bright: NDArray[np.float64]
-    opaque: NDArray[np.bool_]
+    alpha: NDArray[np.float64] | None
     coloured: NDArray[np.bool_]
+
+    @property
+    def grey(self) -> NDArray[np.int64]:
+        """The grey value 0..255 of every pixel, int64 `[H, W]`; -1 where it is coloured."""
+        return np.where(self.coloured, -1, np.rint(self.bright * 255).astype(np.int64))
 
     def colours(self, readings: dict[str, NDArray[np.bool_]]) -> tuple[str, ...]:
         """A note on the coloured pixels, if there are any: what they are taken for.
@@ -85,8 +90,8 @@ def _check_raw(image: Image.Image, path: Path) -> None:
 def _picture(image: Image.Image) -> Picture:
     if image.mode.startswith("I"):  # 16 bits a pixel
         wide = np.asarray(image, dtype=np.float64) / 65535
-        return Picture(np.clip(wide, 0, 1), np.ones(wide.shape, dtype=bool), np.zeros(wide.shape, dtype=bool))
+        return Picture(np.clip(wide, 0, 1), None, np.zeros(wide.shape, dtype=bool))
     pixels = np.asarray(image.convert("RGBA"))
-    opaque = pixels[..., 3] == 255
     bright = pixels[..., :3].sum(axis=2, dtype=np.float64) / (3 * 255)
-    return Picture(bright, opaque, opaque & (np.ptp(pixels[..., :3], axis=2) > COLOURED))
+    coloured = (pixels[..., 3] > 0) & (np.ptp(pixels[..., :3], axis=2) > COLOURED)
+    return Picture(bright, pixels[..., 3] / 255 if image.has_transparency_data else None, coloured)

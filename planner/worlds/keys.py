@@ -6,7 +6,7 @@ import difflib
 import itertools
 import re
 import reprlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -134,11 +134,14 @@ class Key:
             raise self.wrong(" or ".join(options), did_you_mean(self.value, options))
         return value
 
-    def file(self, expected: str) -> Path:
-        """A path, relative to the file that names it; the error names key and file when there is none."""
+    def file(self, expected: str, folder: Callable[[Path], bool] = lambda path: False) -> Path:
+        """A path, relative to the file that names it; the error names key and file when there is none.
+
+        `folder`: says whether a folder stands for the files in it.
+        """
         path = Path(self.source).parent / self.text(expected)
         problem = why_no_file(path)
-        if problem:
+        if problem and not folder(path):
             problem = f"`{self.path}`: {problem}: {printable(path)!r}"
             raise self.error(problem, source=self.source, expected=expected)
         return path

@@ -1,17 +1,19 @@
-"""The last `nav_msgs/OccupancyGrid` of a ROS 2 log (MCAP) as a map."""
+"""The latest `nav_msgs/OccupancyGrid` of a ROS 2 log (MCAP, or a rosbag2 folder of it) as a map."""
 
 from __future__ import annotations
 
 import math
-import mmap
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from planner.arguments import did_you_mean
 from planner.errors import MapError
-from planner.files import check_size, foreign_errors
-from planner.mcap import MAGIC, Damaged, Descriptions, all_records
+from planner.files import check_size, foreign_errors, why_no_file
+from planner.mcap import MAGIC, Damaged, Descriptions, all_records, mapped, refusal
+from planner.shown import counted
 from planner.worlds.grid import Frame
 from planner.worlds.quantities import CELL_SIZE, COORDINATE, FARTHEST
 from planner.worlds.ros_map import FULL, NO_VALUE, RosMap
@@ -24,35 +26,99 @@ OCCUPIED, FREE = 65, 25
 """Values from and up to which a pixel is occupied and free: nav2's map_saver cuts there when it saves such a map."""
 LEVEL = 1e-3
 """Largest x and y of a quaternion that still only turns a map about the vertical."""
+MOST_LISTED, MOST_TOPICS = 12, 1000
+"""Topics that an error lists, and that are kept for it."""
+OTHER_STORAGE = {
+    ".db3": "convert it: `ros2 bag convert -i {bag} -o out.yaml`, where out.yaml holds "
+    "`output_bags: [{{uri: out, storage_id: mcap, all: true}}]`",
+    ".zstd": "unpack it: `unzstd {log}`",
+}
+"""Ends of the names of logs that are not read, and what makes an MCAP log of one."""
 
 
-def read_logged_map(path: Path) -> RosMap:
-    """The last grid on `/map`, or on the one topic that has grids; raises MapError.
+def is_bag(path: Path) -> bool:
+    """Whether this is a rosbag2 folder: one that holds logs."""
+    return why_no_file(path) == "is a folder" and bool(_logs_in(path))
+
+
+def _logs_in(folder: Path) -> list[Path]:
+    """Files of a rosbag2 folder that hold messages, in the order of their names, whatever their storage."""
+    return sorted(one for one in folder.glob("*") if one.name.endswith((".mcap", *OTHER_STORAGE)))
+
+
+def log_files(path: Path) -> list[Path]:
+    """The MCAP file itself, or those of a rosbag2 folder. Raises MapError for a folder of another storage."""
+    if not is_bag(path):
+        return [path]
+    logs = [one for one in _logs_in(path) if one.suffix == ".mcap"]
+    if not logs:
+        raise other_storage(path, _logs_in(path)[0])
+    return logs
+
+
+def other_storage(path: Path, log: Path) -> MapError:
+    """The error for a log that is no MCAP file; `path`: the same, or its rosbag2 folder."""
+    fix = next(fix for end, fix in OTHER_STORAGE.items() if log.name.endswith(end))
+    problem = f"is a log that is not MCAP: {log.name}"
+    return MapError(problem, source=path, expected="an MCAP log (.mcap)", fix=fix.format(bag=path, log=log))
+
+
+def read_logged_map(path: Path, topic: str | None = None, choose: str = "") -> RosMap:
+    """The latest grid, by log time, of a log or a rosbag2 folder; raises MapError.
 
     Values are cut as nav2's map_saver does: occupied from 65, free up to 25, else unknown.
+
+    Args:
+        path: an MCAP file, or a rosbag2 folder of them.
+        topic: of the map; None: `/map`, or the one topic that has grids.
+        choose: what the error of a log with several maps says of how to choose one.
     """
-    check_size(path, MAX_BYTES, MapError, "a log", "cut the map's topic out")
-    with foreign_errors("cannot be read as MCAP", path, "a whole log"), path.open("rb") as stream:
-        found = _grids(memoryview(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)))
-    if not found:
-        raise MapError("holds no map", source=path, expected=f"messages {SCHEMA} (ROS 2, {ENCODING})")
-    if len(found) > 1 and TOPIC not in found:
-        topics = ", ".join(sorted(found))[:200]
-        raise MapError(f"holds maps on {topics}", source=path, expected=f"one topic, or {TOPIC} among them")
-    topic = TOPIC if TOPIC in found else next(iter(found))
-    with foreign_errors(f"the map on {topic} is cut short", path, SCHEMA):
-        return _decode(found[topic], path)
-
-
-def _grids(data: memoryview) -> dict[str, bytes]:
-    """The last message of every topic with grids."""
-    if data[: len(MAGIC)] != MAGIC or data[-len(MAGIC) :] != MAGIC:
-        raise Damaged("its first or last bytes are not those of a whole log")
-    found: dict[str, bytes] = {}
-    for message in Descriptions().messages(all_records(data[len(MAGIC) : -len(MAGIC)])):
-        if message.schema and message.schema.name == SCHEMA and message.channel.message_encoding == ENCODING:
-            found[message.topic] = message.data
+    grids: dict[str, tuple[int, bytes]] = {}
+    others: dict[str, str] = {}
+    for file in log_files(path):
+        _add_grids(file, grids, others)
+    if not grids:
+        problem = f"holds no map, but {_listed(others)}" if others else "holds no map"
+        raise MapError(problem, source=path, expected=f"messages {SCHEMA} (ROS 2, {ENCODING})")
+    maps = _listed(dict.fromkeys(grids, SCHEMA))
+    if topic is None and len(grids) > 1 and TOPIC not in grids:
+        raise MapError(f"holds several maps: {maps}", source=path, expected=f"one, or {TOPIC} among them", fix=choose)
+    taken = topic or (TOPIC if TOPIC in grids else next(iter(grids)))
+    if taken not in grids:
+        problem = f"holds no map on {taken}" + (f" ({others[taken]})" if taken in others else "")
+        raise MapError(problem, source=path, expected=f"one of {maps}", fix=did_you_mean(taken, grids))
+    with foreign_errors(f"the map on {taken} is cut short", path, SCHEMA):
+        found = _decode(grids[taken][1], path)
+    if topic is None and len(grids) > 1:
+        found = replace(found, notes=(*found.notes, f"{taken} is taken of the maps {maps}; {choose}".rstrip("; ")))
     return found
+
+
+def _listed(topics: dict[str, str]) -> str:
+    """Topics with their types: "/map (nav_msgs/msg/OccupancyGrid), ..."."""
+    said = [f"{topic} ({kind})" for topic, kind in sorted(topics.items())[:MOST_LISTED]]
+    more = len(topics) - MOST_LISTED
+    return ", ".join(said) + (f" and {more} more" if more > 0 else "")
+
+
+def _add_grids(path: Path, grids: dict[str, tuple[int, bytes]], others: dict[str, str]) -> None:
+    """Add log time and data of the latest grid of each topic of a file, and the types of topics that have none."""
+    check_size(path, MAX_BYTES, MapError, "a log", "cut the map's topic out")
+    data = mapped(path, MapError)
+    if data[: len(MAGIC)] != MAGIC:
+        raise MapError("cannot be read as MCAP: its first bytes are not those of one", source=path, expected="a log")
+    try:
+        if data[-len(MAGIC) :] != MAGIC or len(data) < 2 * len(MAGIC):
+            raise Damaged("the end is missing")
+        for message in Descriptions().messages(all_records(data[len(MAGIC) : -len(MAGIC)])):
+            kind, encoding = message.schema.name if message.schema else "no type", message.channel.message_encoding
+            if kind == SCHEMA and encoding == ENCODING:
+                if message.log_time >= grids.get(message.topic, (0, b""))[0]:
+                    grids[message.topic] = message.log_time, message.data
+            elif len(others) < MOST_TOPICS:
+                others[message.topic] = kind if encoding == ENCODING else f"{kind}, {encoding}"
+    except Damaged as error:
+        raise refusal(path, str(error), data, MapError) from error
 
 
 def _decode(data: bytes, path: Path) -> RosMap:
@@ -76,4 +142,8 @@ def _decode(data: bytes, path: Path) -> RosMap:
     yaw = math.remainder(2 * math.atan2(turn[2], turn[3]), 2 * math.pi)
     grid = values.reshape(height, width)[::-1].astype(np.int16)
     state = np.where(grid >= OCCUPIED, FULL, np.where((grid >= 0) & (grid <= FREE), 0, NO_VALUE)).astype(np.int16)
-    return RosMap(state, Frame((height, width), size, (x, y, yaw)), str(path))
+    between = int(((grid > FREE) & (grid < OCCUPIED)).sum())
+    notes = (
+        (f"unknown, since its value is between {FREE} and {OCCUPIED}: {counted(between, 'pixel')}",) if between else ()
+    )
+    return RosMap(state, Frame((height, width), size, (x, y, yaw)), str(path), notes=notes)

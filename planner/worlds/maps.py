@@ -17,7 +17,7 @@ from planner.worlds.fields import read_field
 from planner.worlds.grid import FREE, OCCUPIED, Frame, Grid
 from planner.worlds.images import SUFFIXES as IMAGES
 from planner.worlds.keys import Key, read_yaml
-from planner.worlds.logged_map import read_logged_map
+from planner.worlds.logged_map import OTHER_STORAGE, is_bag, other_storage, read_logged_map
 from planner.worlds.peers import MAPS_KEY, read_maps, read_mcpp, read_sources
 from planner.worlds.rasters import GEO_SUFFIXES, read_raster
 from planner.worlds.ros_map import image_grid, read_ros_map
@@ -28,6 +28,7 @@ MOVINGAI_FREE = b".GS"
 """Characters of free cells in a MovingAI map; all others are blocked."""
 
 
+CHOOSE_TOPIC = "choose one in a scenario: `map: {file: ..., topic: ...}`"
 CORNERS = "octile-corner"
 """A type of MovingAI maps that is not read."""
 
@@ -35,10 +36,14 @@ CORNERS = "octile-corner"
 def load_map(path: Path, cell_size: float | None = None, top: Key | None = None) -> Grid:
     """The map in any file but a scenario, chosen by the file's name (`top`: its YAML, if already read).
 
-    `cell_size` in metres only matters where pixels must be resampled (see `rasters.read_raster`). Raises MapError or
-    WorldError naming the file, the value and what was expected.
+    `cell_size` in metres only matters where pixels must be resampled (see `rasters.read_raster`). A rosbag2 folder is
+    read as the logs in it. Raises MapError or WorldError naming the file, the value and what was expected.
     """
+    if is_bag(path):
+        return read_logged_map(path, choose=CHOOSE_TOPIC).grid()
     suffix = path.suffix.lower()
+    if suffix in OTHER_STORAGE:
+        raise other_storage(path, path)
     if suffix not in FORMATS:
         raise MapError(f"unknown map format {path.suffix!r}", source=path, expected=" ".join(FORMATS))
     check_file(path, "a map")
@@ -155,7 +160,7 @@ FORMATS: dict[str, Reader] = {
     **dict.fromkeys(WORLD_FILES, lambda path, cell_size, top: world_grid(load_world_file(path))),
     **dict.fromkeys(GEO_SUFFIXES, lambda path, cell_size, top: _threat_raster(path, cell_size)),
     ".map": lambda path, cell_size, top: read_movingai(path),
-    ".mcap": lambda path, cell_size, top: read_logged_map(path).grid(),
+    ".mcap": lambda path, cell_size, top: read_logged_map(path, choose=CHOOSE_TOPIC).grid(),
     ".mcpp": lambda path, cell_size, top: read_mcpp(path, read_movingai),
     ".json": lambda path, cell_size, top: world_grid(read_sources(path)),
     **dict.fromkeys(IMAGES, lambda path, cell_size, top: _picture(path)),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from planner.arguments import Numbers
 from planner.errors import MapError
 from planner.files import Json
+from planner.shown import counted
 from planner.worlds.georeference import TURN, Georeference, around
 from planner.worlds.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
 from planner.worlds.images import Picture, read_image
@@ -26,6 +27,8 @@ OPTIONAL = ("datum",)
 """Keys that a map's YAML file must have, and may have; `datum` is ours: where the map frame's (0, 0) lies."""
 FULL, NO_VALUE = 100, -1
 """Value of an occupied pixel, and of an unknown one."""
+UNKNOWN_GREYS = {205: "map_saver", 128: "cartographer"}
+"""Greys that programs write for unknown ground, of black = occupied."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +71,9 @@ def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
     With brightness b of 0..1 (16 bits as well), p = 1 - b, or b if `negate`. Modes: `trinary` (the default): occupied
     if p >= occupied_thresh, free if p <= free_thresh, else unknown; `scale`: the same, and between the thresholds
     round(100 * (p - free) / (occupied - free)); `raw`: the bytes 0..100 themselves, above unknown, `negate` without
-    effect. A pixel that is not opaque is unknown. Raises MapError naming key, value and what was expected.
+    effect. Transparency is read as map_server reads it: `trinary` averages alpha into the brightness as a fourth
+    channel, in `scale` a pixel that is not wholly opaque is unknown, in `raw` alpha has no effect. Raises MapError
+    naming key, value and what was expected.
     """
     top = read_yaml(path, MapError) if top is None else Key(top.value, "", path, MapError)
     keys = top.mapping(REQUIRED, OPTIONAL, DEFAULTS, strict=False)
@@ -104,17 +109,61 @@ def read_datum(key: Key) -> Georeference:
 def _values(
     mode: str, picture: Picture, negate: bool, occupied: float, free: float
 ) -> tuple[NDArray[np.int16], tuple[str, ...]]:
-    """`RosMap.values`, and a note on colours."""
+    """`RosMap.values`, and notes on colours, transparency, and unknown ground that is read as something else."""
     if mode == "raw":
         raw = np.rint(picture.bright * 255)
-        values = np.where(raw <= FULL, raw, NO_VALUE).astype(np.int16)
+        values, notes = np.where(raw <= FULL, raw, NO_VALUE).astype(np.int16), []
     else:
         p = picture.bright if negate else 1 - picture.bright
-        between = np.rint((p - free) / (occupied - free) * FULL) if mode == "scale" else np.full(p.shape, NO_VALUE)
-        values = np.where(p >= occupied, FULL, np.where(p <= free, 0, between)).astype(np.int16)
-    values[~picture.opaque] = NO_VALUE
+        values, notes = _by_thresholds(mode, p, occupied, free), []
+        if picture.alpha is not None:
+            plain, alpha = values, picture.alpha
+            if mode == "trinary":
+                bright = (3 * picture.bright + alpha) / 4
+                p = bright if negate else 1 - bright
+                values = _by_thresholds(mode, p, occupied, free)
+                how = "mode: trinary averages alpha into the brightness, as map_server does"
+            else:
+                values = np.where(alpha < 1, NO_VALUE, plain).astype(np.int16)
+                how = "mode: scale takes what is not wholly opaque for unknown, as map_server does"
+            notes += _changed(plain, values, how)
+        notes += _unknown_greys(mode, picture, values, p, negate)
     readings = {"obstacle": values >= FULL, "free": values == 0, "unknown": values == NO_VALUE}
-    return values, picture.colours(readings | {"in between": (values > 0) & (values < FULL)})
+    readings |= {"in between": (values > 0) & (values < FULL)}
+    return values, (*picture.colours(readings), *notes)
+
+
+def _by_thresholds(mode: str, p: NDArray[np.float64], occupied: float, free: float) -> NDArray[np.int16]:
+    """Values of how occupied pixels are, p `[H, W]` in 0..1."""
+    between = np.rint((p - free) / (occupied - free) * FULL) if mode == "scale" else np.full(p.shape, NO_VALUE)
+    return np.where(p >= occupied, FULL, np.where(p <= free, 0, between)).astype(np.int16)
+
+
+def _changed(plain: NDArray[np.int16], values: NDArray[np.int16], how: str) -> list[str]:
+    """A note on pixels that transparency makes something else; `plain`: values by brightness alone."""
+    names = {NO_VALUE: "unknown", 0: "free", FULL: "obstacles"}
+    counts = {name: int(((values == value) & (plain != value)).sum()) for value, name in names.items()}
+    said = ", ".join(f"{counted(count, 'pixel')} {name} by it" for name, count in counts.items() if count)
+    return [f"{how}: {said}"] if said else []
+
+
+def _unknown_greys(
+    mode: str, picture: Picture, values: NDArray[np.int16], p: NDArray[np.float64], negate: bool
+) -> list[str]:
+    """A note for every grey of unknown ground that the thresholds make free or an obstacle."""
+    notes = []
+    for unknown, writer in UNKNOWN_GREYS.items() if mode == "trinary" else ():
+        grey = 255 - unknown if negate else unknown
+        for taken, value in (("free", 0), ("an obstacle", FULL)):
+            held = (picture.grey == grey) & (values == value)
+            if held.any():
+                below = math.floor(1000 * p[held].min()) / 1000
+                fix = f"free_thresh: {below:g}" if value == 0 else "occupied_thresh: 0.65"
+                notes.append(
+                    f"grey {grey}, which {writer} writes for unknown ground, is {taken} in "
+                    f"{counted(int(held.sum()), 'pixel')}; with `{fix}` in a map_server YAML file it is unknown"
+                )
+    return notes
 
 
 def _flag(key: Key) -> bool:
@@ -127,8 +176,12 @@ def image_grid(path: Path) -> Grid:
     """A plain picture as a map, one metre a pixel: dark is an obstacle.
 
     It is read as a trinary map with map_server's usual thresholds (0.65 and 0.25): p = 1 - brightness >= 0.65 is an
-    obstacle, p <= 0.25 free, between (and where it is transparent) unknown.
+    obstacle, p <= 0.25 free, between unknown. What is wholly transparent shows nothing, and is unknown.
     """
-    values, notes = _values("trinary", read_image(path), False, 0.65, 0.25)
+    picture = read_image(path)
+    values, notes = _values("trinary", picture, False, 0.65, 0.25)
+    if picture.alpha is not None and (hidden := picture.alpha == 0).any():
+        values[hidden] = NO_VALUE
+        notes += (f"{counted(int(hidden.sum()), 'pixel')} wholly transparent: unknown",)
     height, width = values.shape
     return replace(RosMap(values, Frame((height, width), 1.0), str(path), notes=notes).grid(), measured=False)

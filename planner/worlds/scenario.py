@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arguments import ANY, Numbers, argument, whole
-from planner.errors import InputError, MapError, ScenarioError
+from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.files import check_file
 from planner.settings import SETTINGS as KNOWN
 from planner.worlds.changing import read_phases
@@ -24,6 +24,7 @@ from planner.worlds.keepout import keep_out
 from planner.worlds.keys import PLACE, Key, read_yaml
 from planner.worlds.learning import KEYS as KNOWLEDGE
 from planner.worlds.learning import read_knowledge
+from planner.worlds.logged_map import is_bag, read_logged_map
 from planner.worlds.maps import YAML, load_map, world_grid
 from planner.worlds.moving import read_movers
 from planner.worlds.peers import MAPS_KEY
@@ -59,6 +60,10 @@ OF_FIELDS = ("boundary", "direction", "swath")
 DEGREES_ROUND = Numbers(-180, 180, "degrees")
 SMALL_ROBOT = 0.2
 """Metres: a cell is a robot's footprint, and few are smaller."""
+USUAL_CELL = 0.5
+"""Metres: the side of a cell that is suggested where pixels are smaller than SMALL_ROBOT."""
+MANY_CELLS = 10_000
+"""Cells of a bare map above which a note suggests larger ones."""
 CELLS_OF_A_MAP = "give `cell_size:` beside `map:`, the side of a cell in metres"
 
 
@@ -71,12 +76,13 @@ def load_input(path: str | Path, cell_size: float | None = None) -> World:
     Raises InputError: one line naming the file, the value, what was expected, the fix.
     """
     path = Path(path)
-    check_file(path, "a scenario, a map or a world file")
+    if not is_bag(path):
+        check_file(path, "a scenario, a map or a world file")
     top = read_yaml(path) if path.suffix.lower() in YAML else None
     if top is None or _is_map(top):
         keys = Key({}, "", path).mapping(defaults=DEFAULTS)
         world = _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
-        return world if cell_size is not None or path.suffix.lower() == ".npz" else _told_if_tiny(world)
+        return world if cell_size is not None or path.suffix.lower() == ".npz" else _told_size(world)
     if cell_size is not None:
         raise ScenarioError(
             "the scenario says what its cell_size is", source=path, fix=f"leave {argument('cell_size')} out"
@@ -84,12 +90,19 @@ def load_input(path: str | Path, cell_size: float | None = None) -> World:
     return read_scenario(top, path)
 
 
-def _told_if_tiny(world: World) -> World:
-    """With a note where the pixels of a bare map are smaller than most robots."""
-    if world.cell_size >= SMALL_ROBOT:
+def _told_size(world: World) -> World:
+    """With a note where the pixels of a bare map are smaller than most robots, or many: what they take a robot for."""
+    (height, width), side, count = world.shape, world.cell_size, world.threat.size
+    if side >= SMALL_ROBOT and count <= MANY_CELLS:
         return world
-    side = f"{world.cell_size:g} m"
-    note = f"a cell is a pixel of {side}, so a robot is {side} wide: give its footprint, {argument('cell_size', 0.5)}"
+    many = math.ceil((count / MANY_CELLS) ** 0.5) if side >= SMALL_ROBOT else math.ceil(USUAL_CELL / side - WHOLE)
+    ratio = max(1, min(many, height, width))
+    usual = argument("cell_size", round(ratio * side, 9))
+    pixel = f"{side:g} m" if world.measured else f"{side:g} m (presumed)"
+    note = (
+        f"{height} x {width} = {count:,} cells: a cell is a pixel of {pixel}, so a robot is {side:g} m wide; give its "
+        f"footprint, {'usually ' * (side < SMALL_ROBOT)}{usual} ({(height // ratio) * (width // ratio):,} cells)"
+    )
     return replace(world, notes=(*world.notes, note))
 
 
@@ -121,6 +134,7 @@ def _no_map(top: Key) -> InputError:
     names = [str(name)[:60] for name in top.value]
     close = [(name, key) for key in ("map", "image") for name in difflib.get_close_matches(key, names, n=1)]
     fix = f"did you mean {close[0][1]!r} by {close[0][0]!r}?" if close else ""
+    fix = "it describes a rosbag2: name its folder" if "rosbag2_bagfile_information" in names else fix
     expected = "the key map (a scenario) or image (a ROS map)"
     return ScenarioError("is neither a scenario nor a ROS map", source=top.source, expected=expected, fix=fix)
 
@@ -134,23 +148,30 @@ def _map(key: Key, cell_size: float | None) -> Grid:
     """The map of a scenario: `{file: ...}` (or just the name), or `{elevation: ..., max_slope_deg: ...}`."""
     if isinstance(key.value, str):
         key = Key({"file": key.value}, key.path, key.source)
-    keys = key.mapping(optional=("file", "elevation", "max_slope_deg", "resolution", "polygons", *OF_FIELDS))
+    keys = key.mapping(optional=("file", "elevation", "max_slope_deg", "resolution", "topic", "polygons", *OF_FIELDS))
     kind = one_source(key, ("file", "elevation", "polygons"))
     if kind == "elevation":
         return _elevation(key.mapping(optional=("elevation", "max_slope_deg", "resolution")), cell_size)
     if kind == "polygons":
         return _field(key.mapping(("polygons",), optional=OF_FIELDS), cell_size)
-    path = key.mapping(("file",), optional=("resolution",))["file"].file("a map file")
+    path = key.mapping(("file",), optional=("resolution", "topic"))["file"].file("a map file", folder=is_bag)
     top = read_yaml(path, MapError) if path.suffix.lower() in YAML else None
     if top is not None and isinstance(top.value, dict) and "map" in top.value and not _is_map(top):
         raise keys["file"].wrong("a map", "this is a scenario: run it itself")
-    grid = load_map(path, cell_size, top)
+    grid = _logged(path, keys["topic"]) if "topic" in keys else load_map(path, cell_size, top)
     if "resolution" not in keys:
         return grid
     resolution = keys["resolution"].number(CELL_SIZE)
     if grid.measured:
         raise keys["resolution"].wrong(f"none: the file says that a pixel has {grid.frame.size:g} m", CELLS_OF_A_MAP)
     return replace(grid, frame=replace(grid.frame, size=resolution), measured=True)
+
+
+def _logged(path: Path, topic: Key) -> Grid:
+    """The map on a topic of a log."""
+    if path.suffix.lower() != ".mcap" and not is_bag(path):
+        raise topic.wrong("none: the map is not in a log (.mcap)", "leave it out")
+    return read_logged_map(path, topic.text("the name of a topic, as /map")).grid()
 
 
 def _field(keys: dict[str, Key], cell_size: float | None) -> Grid:
@@ -189,6 +210,8 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
     matrix = read_matrix(keys.get("robots"))
     threat, notes, apart, by_type = all_threats(sources, keys["combine"].choice(COMBINE), ground, matrix)
     frame = ground.frame
+    if not ground.free.any():  # what reading the map noted is why
+        raise WorldError("every cell is an obstacle", source=source, fix="; ".join(ground.notes))
     cells = np.where(ground.free, threat, np.nan)
     of_cells, more = layers(keys, ground)
     world = World.create(

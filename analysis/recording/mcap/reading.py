@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mmap
 import zlib
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -84,17 +83,17 @@ class Log:
         raise InputError(f"has no attachment {name!r}", source=self.path)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[LogMessage]:
-        """The messages in the file's order, which in our own logs is that of their log times.
+        """The messages in the order of their log times, and of the file where these are equal.
 
         `topics`: only these; None for all. Raises InputError at the first chunk that is damaged.
         """
         try:
             section = self._data[len(wire.MAGIC) : self._data_end]
-            for message in self._described.copy().messages(wire.all_records(section)):
+            for message in self._described.copy().messages(wire.by_log_time(section)):
                 if topics is None or message.topic in topics:
                     yield message
         except Damaged as error:
-            raise refusal(self.path, str(error)) from error
+            raise wire.refusal(self.path, str(error), self._data) from error
 
     def _read_data_section(self) -> None:
         """Every record's length, attachments and metadata, and the checksum of all of it."""
@@ -129,27 +128,8 @@ def open_log(path: str | Path) -> Log:
         InputError: no such file, not an MCAP file, or one that is truncated or damaged (then it names `recover`).
     """
     path = Path(path)
-    data = mapped(path)
+    data = wire.mapped(path)
     try:
         return Log(path, data)
     except Damaged as error:
-        raise refusal(path, str(error)) from error
-
-
-def mapped(path: Path) -> memoryview:
-    """The file's bytes, read only as they are used. Raises InputError where it is not a plain file or is empty."""
-    try:
-        if not path.is_file():
-            problem = "is not a plain file" if path.exists() else "does not exist"
-            raise InputError(problem, source=path, expected="an MCAP file")
-        with path.open("rb") as stream:
-            if not path.stat().st_size:
-                raise InputError("is empty", source=path, expected="an MCAP file")
-            return memoryview(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ))
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot be read ({error})", source=path, expected="an MCAP file") from error
-
-
-def refusal(path: Path, problem: str) -> InputError:
-    """What a reader says of a log that is cut or damaged."""
-    return InputError(f"truncated or damaged: {problem}", source=path, fix=f"try `mrac-jax recover {path}`")
+        raise wire.refusal(path, str(error), data) from error
