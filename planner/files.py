@@ -217,6 +217,8 @@ def read_json(path: Path, most_bytes: int, error: type[InputError], expected: st
         raise error(problem, source=path, expected=expected) from None
     except RecursionError:
         raise error("is nested too deeply", source=path, expected=expected) from None
+    except InputError:
+        raise
     except (OSError, ValueError, MemoryError) as wrong:  # not UTF-8, an integer of thousands of digits, no permission
         raise error(f"cannot be read as JSON ({str(wrong)[:60]})", source=path, expected=expected) from None
     finally:

@@ -460,8 +460,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return status if isinstance(status, int) else DONE
     except MissingArgumentError as error:
         line = _missing(error)
-    except (InputError, CycloptsError) as error:
-        line = " ".join(str(error).split())
+    except CycloptsError as error:  # which wraps the InputError of an option's converter, a ValueError
+        line = " ".join(str(error.__cause__ if isinstance(error.__cause__, InputError) else error).split())
+    except InputError as error:
+        line = str(error)
     except BrokenPipeError:  # the reader has gone, as `head` does: nothing more to say
         sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
         return DONE

@@ -146,6 +146,8 @@ def mapped(path: Path) -> memoryview:
             if not path.stat().st_size:
                 raise InputError("is empty", source=path, expected="an MCAP file")
             return memoryview(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ))
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
         raise InputError(f"cannot be read ({error})", source=path, expected="an MCAP file") from error
 
