@@ -38,9 +38,7 @@ class InputError(MracError, ValueError):
         fix: what the person can do now ("" when the expectation says it).
     """
 
-    def __init__(
-        self, problem: str | Exception, *, source: object = "", expected: str = "", fix: str = ""
-    ) -> None:
+    def __init__(self, problem: str | Exception, *, source: object = "", expected: str = "", fix: str = "") -> None:
         self.problem, self.source, self.expected, self.fix = str(problem), str(source), expected, fix
         parts = [f"{self.source}: {self.problem}" if self.source else self.problem]
         if expected:
