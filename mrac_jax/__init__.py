@@ -13,6 +13,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mrac_jax import forks as forks  # which has to be there before a fork
+
 if TYPE_CHECKING:
     from analysis import plots
     from analysis.api import (

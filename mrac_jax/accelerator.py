@@ -3,28 +3,63 @@
 from __future__ import annotations
 
 import importlib.util
+import logging
 import os
+import pkgutil
+import sys
 from functools import cache
 from importlib.metadata import entry_points
+from pathlib import Path
 
+from planner.rollouts.names import why_not
+
+LOG = logging.getLogger("mrac_jax")
 PLUGINS = ("jax_plugins", "libtpu")
 """Packages that bring JAX an accelerator."""
+CUDA = ("xla_cuda", "cuda", "jax_cuda")
+"""What the names of plug-ins for NVIDIA's devices begin with."""
+DEVICES = ("nvidia*", "nvhost*", "nvgpu*", "dxg")
+"""Files in /dev that Linux has where there is such a device; the last is that of WSL."""
 
 
 @cache
 def accelerator() -> str | None:
-    """The platform of JAX's accelerator ("gpu", "tpu"), or None; no plug-in for one: JAX is not even imported."""
-    platforms = os.environ.get("JAX_PLATFORMS", "")
-    if platforms == "cpu" or not (platforms or _has_plugin()):
-        return None
-    import jax
+    """The platform of JAX's accelerator ("gpu", "tpu"), or None: JAX is not even imported where there can be none.
 
+    One that JAX was told to use, but that cannot be used, is named in a note (log).
+    """
+    platforms = _platforms()
+    if platforms.split(",")[0] == "cpu":
+        return None
     try:
+        if not _may_be_one():
+            if platforms:
+                raise RuntimeError("there is no plug-in of JAX with a device here")
+            return None
+        import jax
+
         platform = jax.default_backend()
-    except RuntimeError:  # a plug-in without its device
+    except Exception as error:  # JAX raises nearly anything: an AssertionError where CUDA has no device
+        LOG.warning("%s: engine numba is used", why_not(error))
         return None
     return None if platform == "cpu" else platform
 
 
-def _has_plugin() -> bool:
-    return any(map(importlib.util.find_spec, PLUGINS)) or bool(entry_points(group="jax_plugins"))
+def _platforms() -> str:
+    """The platforms that JAX is told to use, "cuda,cpu", or ""."""
+    jax = sys.modules.get("jax")
+    told = os.environ.get("JAX_PLATFORMS") if jax is None else jax.config.jax_platforms
+    return told or ""
+
+
+def _may_be_one() -> bool:
+    """Whether a plug-in is installed, and for those of NVIDIA's devices alone, such a device is there."""
+    names = {point.name for point in entry_points(group="jax_plugins")}
+    for package in PLUGINS:
+        spec = importlib.util.find_spec(package)
+        if spec is not None:
+            inside = {found.name for found in pkgutil.iter_modules(spec.submodule_search_locations)}
+            names |= inside if package == "jax_plugins" and inside else {package}
+    if sys.platform == "linux" and names and all(name.startswith(CUDA) for name in names):
+        return any(any(Path("/dev").glob(device)) for device in DEVICES)
+    return bool(names)

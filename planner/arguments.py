@@ -20,6 +20,7 @@ OPTIONS = {
     "picks": "--pick",
     "folder": "--out",
     "evaluated": "--rollouts",
+    "force=True": "--force",
 }
 """Arguments whose option has another name."""
 

@@ -25,19 +25,22 @@ class MracError(Exception):
     """Base of every error that this project raises on purpose."""
 
 
-class InputError(MracError):
+class InputError(MracError, ValueError):
     """Bad input from a person. `str(error)` is one line: source, problem, what was expected, the fix.
 
+    It is a `ValueError`, so code that wraps the `ValueError` of a library lets an `InputError` pass first.
+
     Args:
-        problem: what is wrong, with the offending value in it.
+        problem: what is wrong, with the offending value in it; or another error, as libraries do that raise the error
+            of another process again, `type(error)(error)`.
         source: the file, option or key the value came from ("" when there is none).
         expected: what would have been accepted ("" when the problem says it).
         fix: what the person can do now ("" when the expectation says it).
     """
 
-    def __init__(self, problem: str, *, source: object = "", expected: str = "", fix: str = "") -> None:
-        self.problem, self.source, self.expected, self.fix = problem, str(source), expected, fix
-        parts = [f"{self.source}: {problem}" if self.source else problem]
+    def __init__(self, problem: str | Exception, *, source: object = "", expected: str = "", fix: str = "") -> None:
+        self.problem, self.source, self.expected, self.fix = str(problem), str(source), expected, fix
+        parts = [f"{self.source}: {self.problem}" if self.source else self.problem]
         if expected:
             parts.append(f"expected {expected}")
         if fix:

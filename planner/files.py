@@ -21,7 +21,8 @@ from typing import IO, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import InputError, MapError, visible
+from planner.arguments import argument
+from planner.errors import InputError, MapError, UsageError, visible
 
 Json: TypeAlias = dict[str, Any]
 """A JSON object, or what a YAML file holds in its place: values are looked at before they are believed."""
@@ -58,6 +59,14 @@ def check_file(path: Path, expected: str) -> None:
     problem = why_no_file(path)
     if problem:
         raise MapError(problem, source=printable(path), expected=expected)
+
+
+def check_new(*paths: str | Path, force: bool = False) -> None:
+    """Raise UsageError for the first of these files that is there already, unless it may be replaced by `force`."""
+    for path in map(Path, () if force else paths):
+        if path.exists():
+            fix = f"give {argument('force', True)} to replace it, or another name"
+            raise UsageError(f"{printable(path)} is there already", fix=fix)
 
 
 @contextmanager
@@ -213,6 +222,8 @@ def read_json(path: Path, most_bytes: int, error: type[InputError], expected: st
         raise error(problem, source=path, expected=expected) from None
     except RecursionError:
         raise error("is nested too deeply", source=path, expected=expected) from None
+    except InputError:
+        raise
     except (OSError, ValueError, MemoryError) as wrong:  # not UTF-8, an integer of thousands of digits, no permission
         raise error(f"cannot be read as JSON ({str(wrong)[:60]})", source=path, expected=expected) from None
     finally:

@@ -68,6 +68,8 @@ def mapped(path: Path, error: type[InputError] = InputError) -> memoryview:
             raise error(problem, source=printable(path), expected="an MCAP file")
         with path.open("rb") as stream:
             return memoryview(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ))
+    except InputError:
+        raise
     except (OSError, ValueError) as wrong:
         raise error(f"cannot be read ({wrong})", source=printable(path), expected="an MCAP file") from wrong
 

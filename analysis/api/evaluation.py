@@ -8,7 +8,8 @@ from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from analysis.api.plans import Loop, check_world, plan, plan_of
+from analysis.api.options import Loop
+from analysis.api.plans import check_world, plan, plan_of
 from analysis.api.policies import judge
 from analysis.evaluation.answer import Evaluation
 from analysis.kit.calls import OnInterrupt, ask
@@ -159,9 +160,13 @@ def compare(
     precision: float | None = None,
     seconds: float | None = None,
     exact: Exactness = "auto",
-    luck: LuckName = "tolerance",
+    mode: Literal["fast", "step"] | None = None,
+    luck: LuckName | None = None,
     engine: EngineName = "auto",
     seed: int = 0,
+    deadline: int | str | None = None,
+    first_visit: bool = False,
+    first_visit_b: bool | None = None,
     progress: Progress | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
 ) -> Comparison:
@@ -172,7 +177,8 @@ def compare(
         loop: of both; `loop_b`: of b alone. None: open for paths alone, else closed.
         rollouts: how many; or `precision`: until the 95 % interval of the difference of mean coverage is within so much
             of it. Neither: 100,000, as far as 10 seconds go.
-        seconds, exact, luck, engine, seed, progress, on_interrupt: as of `evaluate`.
+        first_visit: as of `evaluate`, of both; `first_visit_b`: of b alone.
+        seconds, exact, mode, luck, engine, seed, deadline, progress, on_interrupt: as of `evaluate`.
     """
     from analysis.comparison.compare import Side, make_side
     from analysis.comparison.compare import compare as compare_sides
@@ -182,14 +188,18 @@ def compare(
         if not (isinstance(side, tuple) and len(side) == 2 and isinstance(side[0], World)):
             raise UsageError(argument(name, side), expected="(world, plan), a World and a plan for it")
 
-    def make(side: tuple[World, Plan | str | Path | int | None], loop: Loop | None) -> Side:
+    def make(side: tuple[World, Plan | str | Path | int | None], loop: Loop | None, first_only: bool) -> Side:
         world, plan = plan_of(*side)
-        choices = RolloutChoices(loop=loop or plan.usual_loop, **amount, luck=luck, engine=engine, seed=seed)
+        choices = RolloutChoices(
+            loop=loop or plan.usual_loop, **amount, mode=mode, luck=luck_of(luck, mode), engine=engine, seed=seed,
+            deadline=deadline, first_only=first_only,
+        )  # fmt: skip
         return make_side(world, plan, choices)
 
     def work(tell: Progress, doing: Doing) -> Comparison:
         doing("planning")
-        return compare_sides(make(a, loop), make(b, loop_b or loop), progress=tell)
+        other = first_visit if first_visit_b is None else first_visit_b
+        return compare_sides(make(a, loop, first_visit), make(b, loop_b or loop, other), progress=tell)
 
     return ask(work, progress, on_interrupt)
 
@@ -201,6 +211,7 @@ def check(
     rollouts: int = 20_000,
     seed: int = 0,
     engine: EngineName = "auto",
+    first_visit: bool = False,
     bound: bool | None = None,
     progress: Progress | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
@@ -208,11 +219,11 @@ def check(
     """Which of the paper's formulas, and of ours, hold for this plan?
 
     Args:
-        plan, rollouts, seed, engine, bound, progress, on_interrupt: as of `evaluate`.
+        plan, rollouts, seed, engine, first_visit, bound, progress, on_interrupt: as of `evaluate`.
     """
     from analysis.checking.check_map import check_input
 
-    choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine)
+    choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, first_only=first_visit)
 
     def work(tell: Progress, doing: Doing) -> MapCheck:
         return check_input(*plan_of(world, plan), choices, tell, bound)

@@ -13,6 +13,8 @@ from analysis.kit.calls import OnInterrupt, ask
 from analysis.kit.notes import Doing, Progress
 
 if TYPE_CHECKING:
+    from distributed import Client
+
     from analysis.reproduction.reproduce import Reproduction
     from analysis.sweeps.results import Results
     from analysis.sweeps.sweep import Sweep
@@ -24,6 +26,7 @@ def sweep(
     *,
     precision: float | None = None,
     processes: int | None = None,
+    scheduler: str | Client | None = None,
     progress: Progress | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
 ) -> Sweep:
@@ -31,6 +34,8 @@ def sweep(
 
     Args:
         precision: more maps until every interval of mean coverage is within so much of it. processes: at a time.
+        scheduler: a dask.distributed scheduler to run on instead: its address, "tcp://host:8786", or an open Client.
+            No result depends on it.
         progress, on_interrupt: as of `evaluate`; jobs are counted.
     """
     from analysis.sweeps.spec import read_spec
@@ -41,7 +46,7 @@ def sweep(
 
     def work(tell: Progress, doing: Doing) -> Sweep:
         with Store.open(Path(f"{asked.source.stem}.store") if store is None else Path(store)) as opened:
-            how: Any = {"precision": precision, "processes": processes}
+            how: Any = {"precision": precision, "processes": processes, "scheduler": scheduler}
             return run_sweep(asked, opened, watch=lambda *now: tell(*now[:3]), **how)
 
     return ask(work, progress, on_interrupt, "jobs")
@@ -55,13 +60,14 @@ def reproduce(
     seed: int = 0,
     store: str | Path | None = None,
     processes: int | None = None,
+    scheduler: str | Client | None = None,
     progress: Progress | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
 ) -> Reproduction:
     """The paper's experiments again, with intervals; results are kept in `store` if one is named.
 
     Args:
-        maps: of each setting; rollouts: of each map. progress, on_interrupt: as of `evaluate`; jobs are counted.
+        maps: of each setting; rollouts: of each map. processes, scheduler: as of `sweep`. progress, on_interrupt: as of `evaluate`; jobs are counted.
     """
     from analysis.reproduction.reproduce import reproduce as run_experiments
     from analysis.sweeps.store.store import Store
@@ -69,7 +75,7 @@ def reproduce(
     def work(tell: Progress, doing: Doing) -> Reproduction:
         with nullcontext() if store is None else Store.open(Path(store)) as kept:
             how: Any = {"maps": maps, "rollouts": rollouts, "seed": seed, "store": kept, "processes": processes}
-            return run_experiments(figure, **how, progress=tell)
+            return run_experiments(figure, **how, scheduler=scheduler, progress=tell)
 
     return ask(work, progress, on_interrupt, "jobs")
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from numpy.typing import ArrayLike
 
+from analysis.api.options import Loop, ReturnTo
 from analysis.inputs import load_world, plan_from_state
 from planner.arguments import argument
 from planner.errors import UsageError
@@ -17,14 +18,10 @@ from planner.plans.plan import Plan
 from planner.plans.state import MissionState
 from planner.plans.state_traces import read_state
 from planner.policies.in_area import InAreaOrder
-from planner.settings import BEST, Choices, Policy, Settings
+from planner.settings import BEST, SETTINGS, Choices, Policy, Settings
 from planner.worlds.reported import with_route
 from planner.worlds.starts import starts_of
 from planner.worlds.world import World
-
-Loop = Literal["closed", "open"]
-ReturnTo = str | Sequence[Sequence[int]] | None
-"""Where robots come home to: "home", "nearest", bases `[[row, col], ...]`, or nowhere."""
 
 
 def load(
@@ -132,12 +129,10 @@ def plan(
     """
     from analysis.trials.best import BASE, plan_best
 
+    given = {name: value for name, value in locals().items() if name in SETTINGS}
     check_world(world)
     sought = policy == BEST
-    asked = (levels, density, risk, transit, max_steps, BASE if sought else policy, reserve, worth, plan_for, effort)
-    bears = {"wear": wear, "susceptibility": susceptibility, "recharge": recharge}
-    bears |= {"types": one_or_each(types), "steps_per_move": one_or_each(steps_per_move), "radio": radio}
-    settings = settings_of(world, range, *asked, deadline=deadline, in_area=in_area, return_to=return_to, **bears)
+    settings = settings_of(world, **given | ({"policy": BASE} if sought else {}))
     if sought and state is not None:
         raise UsageError(f"both {argument('policy', BEST)} and a state", expected="one of them")
     if state is not None:
@@ -151,25 +146,17 @@ def plan(
     return (plan_best if sought else plan_team)(world, starts_of(world, robots, starts), settings, seconds)
 
 
-def settings_of(
-    world: World,
-    range: Any,
-    *asked: object,
-    deadline: int | str | None = None,
-    return_to: ReturnTo = None,
-    susceptibility: float | Sequence[float] | None = None,
-    **more: Any,
-) -> Settings:
-    """What is asked, in the order of `Settings`, in the place of what the world came with."""
-    bases = return_to if return_to is None or isinstance(return_to, str) else tuple(map(one_or_each, return_to))
-    each: dict[str, Any] = {"range": one_or_each(range), "susceptibility": one_or_each(susceptibility)}
-    given = Choices(*asked, deadline=deadline, return_to=bases, **each, **more)
-    return given.settings(world.team.settings, world.pace, by=world.source)
+def settings_of(world: World, **given: Any) -> Settings:
+    """What is asked, by name, in the place of what the world came with. Raises InputError."""
+    asked = Choices(**{name: _of_tuples(name, value) for name, value in given.items()})
+    return asked.settings(world.team.settings, world.pace, by=world.source)
 
 
-def one_or_each(given: Any) -> Any:
-    """One number, or a tuple of one a robot."""
-    return tuple(given) if isinstance(given, Iterable) and not isinstance(given, str) else given
+def _of_tuples(name: str, given: Any) -> Any:
+    """The value of a setting, where it is a list, of one a robot or of cells, as a tuple."""
+    if not isinstance(given, Iterable) or isinstance(given, str):
+        return given
+    return tuple(map(tuple, given)) if SETTINGS[name].places else tuple(given)
 
 
 def check_world(world: object) -> None:

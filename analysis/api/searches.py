@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.api.plans import Loop, ReturnTo, check_world, settings_of
-from analysis.kit.calls import Found, OnInterrupt, ask
-from analysis.kit.notes import Progress
-from analysis.sampling import Exactness, RolloutChoices
-from planner.luck_names import LuckName
-from planner.rollouts.names import EngineName
-from planner.settings import SETTINGS, Choices, Policy, Settings
+from analysis.api.options import FrontOptions, Loop, SearchOptions, SizeOptions, takes
+from analysis.api.plans import check_world, settings_of
+from analysis.kit.calls import Found, ask
+from analysis.sampling import RolloutChoices, how_much, luck_of
+from planner.settings import SETTINGS, Settings
 from planner.worlds.starts import starts_of
-from planner.worlds.world import World
+from planner.worlds.world import World, check_starts
 
 if TYPE_CHECKING:
     from analysis.adversary.answer import Attack
@@ -30,22 +28,26 @@ if TYPE_CHECKING:
 Answered = TypeVar("Answered", bound=Found)
 
 
-ROLLED = ("rollouts", "seed", "engine", "deadline", "luck", "exact")
-"""Arguments that say what is rolled out, as `RolloutChoices` names them."""
-
-
-def _chosen(world: World, first_visit: bool, **given: Any) -> tuple[Settings, RolloutChoices]:
-    """The settings and the rollouts among the arguments of a search. Raises InputError."""
+def _settings(world: World, options: Mapping[str, Any]) -> Settings:
+    """The settings among the options. Raises InputError."""
     check_world(world)
-    settings = settings_of(world, **{name: given.get(name) for name in SETTINGS if name != "deadline"})
-    return settings, RolloutChoices(first_only=first_visit, **{name: given[name] for name in ROLLED})
+    return settings_of(world, **{name: options[name] for name in SETTINGS if name in options and name != "deadline"})
 
 
-def _ask(search: Callable[..., Answered], progress: Progress | bool | None, on_interrupt: OnInterrupt) -> Answered:
+def _rollouts(options: Mapping[str, Any], **how: Any) -> RolloutChoices:
+    """The rollouts among the options; `how`: more of them. Raises UsageError."""
+    given = {name: options[name] for name in ("seed", "engine", "deadline", "exact")}
+    luck = luck_of(options["luck"], how.get("mode"))
+    return RolloutChoices(first_only=options["first_visit"], **{**given, "luck": luck, **how})
+
+
+def _ask(search: Callable[..., Answered], options: Mapping[str, Any]) -> Answered:
     """The answer of a search that says how far it is."""
-    return ask(lambda tell, doing: search(progress=tell, doing=doing), progress, on_interrupt)
+    work = lambda tell, doing: search(progress=tell, doing=doing)  # noqa: E731
+    return ask(work, options["progress"], options["on_interrupt"])
 
 
+@takes(SizeOptions)
 def size(
     world: World,
     *,
@@ -54,132 +56,100 @@ def size(
     complete: bool = False,
     meaning: Literal["visited", "survived"] = "visited",
     most: int = 64,
-    loop: Loop = "closed",
-    rollouts: int = 100_000,
-    seed: int = 0,
-    deadline: int | str | None = None,
-    exact: Exactness = "auto",
-    progress: Progress | bool | None = None,
-    on_interrupt: OnInterrupt = "raise",
+    starts: ArrayLike | None = None,
+    loop: Loop | None = None,
+    rollouts: int | None = None,
+    precision: float | None = None,
+    mode: Literal["fast", "step"] | None = None,
+    **options: Unpack[SizeOptions],
 ) -> TeamSize:
     """The smallest team that covers `target` on average, or with the chance `confidence`; `complete`: every cell.
 
     Args:
         meaning: of "covered". most: robots to look at.
-        loop, rollouts, seed, deadline, exact, progress, on_interrupt: as of `evaluate`; `exact`: of each team.
+        starts: `[[row, col], ...]`, of which a team takes the first; default: the world's own, else its start rule.
+        loop, mode: as of `evaluate`. rollouts: of each team, at most (default: 100,000); or `precision`.
+        options: settings, as of `plan`; seed, deadline, first_visit, engine, luck, exact (of each team), progress,
+            on_interrupt, as of `evaluate`.
     """
     from analysis.design.size import find_size, make_goal
 
-    check_world(world)
-    choices = RolloutChoices(loop=loop, rollouts=rollouts, seed=seed, deadline=deadline, exact=exact)
-    settings = Choices().settings(world.team.settings, world.pace, by=world.source)
+    settings = _settings(world, options)
     goal = make_goal(target, confidence, complete, meaning, most)
+    amount = how_much(rollouts, precision, None, usual=100_000) | {"seconds": None}
+    loop = loop or ("open" if settings.plan_for == "open" else "closed")
+    choices = _rollouts(options, loop=loop, mode=mode, **amount)
+    if starts is not None:
+        world = world.with_starts(check_starts(starts, world.met, "starts"))
 
     search = partial(find_size, world, settings, goal, choices)
-    return _ask(search, progress, on_interrupt)
+    return _ask(search, options)
 
 
+@takes(FrontOptions)
 def front(
     world: World,
     robots: int | None = None,
     *,
     starts: ArrayLike | None = None,
-    levels: int | None = None,
-    density: float | None = None,
-    risk: Literal["paper", "log"] | None = None,
-    transit: Literal["grid", "area"] | None = None,
-    max_steps: int | None = None,
-    range: int | Sequence[int] | None = None,
-    wear: float | None = None,
-    susceptibility: float | Sequence[float] | None = None,
-    return_to: ReturnTo = None,
-    recharge: int | None = None,
     losses: float | None = None,
     target: float | None = None,
     reserves: Sequence[float] | None = None,
     worths: Sequence[float] | None = None,
     rollouts: int | None = None,
-    seed: int = 0,
-    deadline: int | str | None = None,
-    first_visit: bool = False,
-    engine: EngineName = "auto",
-    luck: LuckName = "tolerance",
-    exact: Exactness = "auto",
-    progress: Progress | bool | None = None,
-    on_interrupt: OnInterrupt = "raise",
+    **options: Unpack[FrontOptions],
 ) -> Front:
     """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
 
     Args:
-        robots, starts, levels, density, risk, transit, max_steps, range, wear, susceptibility, return_to, recharge: as
-            of `plan`.
+        robots, starts: the team, as of `plan`.
         losses: pick the setting that covers most with at most so many robots lost on average; or `target`: the one
             that loses the fewest with so much covered. `answer.picked` is it, `answer.plan_of(answer.picked)` its plan.
         reserves, worths: to look at (default: as the map suggests).
         rollouts: of each setting, the same for all; None: 4,096, fewer above 2,048 accessible cells.
-        deadline: end every mission at this step.
-        luck, exact, progress, on_interrupt: as of `evaluate`; `exact`: of all that is compared together.
+        options: settings, as of `plan`; deadline, at which every mission ends; seed, first_visit, engine, luck, exact
+            (of all that is compared together), progress, on_interrupt, as of `evaluate`.
     """
     from analysis.tradeoff.rules import make_goal, usual_rollouts
     from analysis.tradeoff.search import Ladders, find_front
 
-    check_world(world)
-    given, goal = locals(), make_goal(losses, target)
+    settings, goal = _settings(world, options), make_goal(losses, target)
     ladders = Ladders(None if reserves is None else tuple(reserves), None if worths is None else tuple(worths))
     placed = np.asarray(starts_of(world, robots, starts))
-    count = usual_rollouts(world, placed) if rollouts is None else rollouts
-    settings, choices = _chosen(**given | {"rollouts": count})
+    choices = _rollouts(options, rollouts=usual_rollouts(world, placed) if rollouts is None else rollouts)
 
     search = partial(find_front, world, placed, settings, choices, goal=goal, ladders=ladders)
-    return _ask(search, progress, on_interrupt)
+    return _ask(search, options)
 
 
+@takes(SearchOptions)
 def starts(
     world: World,
     robots: int | None = None,
     *,
     depot: bool = False,
     candidates: ArrayLike = "border",
-    levels: int | None = None,
-    density: float | None = None,
-    risk: Literal["paper", "log"] | None = None,
-    transit: Literal["grid", "area"] | None = None,
-    max_steps: int | None = None,
-    policy: Policy | None = None,
-    reserve: float | None = None,
-    worth: float | None = None,
-    range: int | Sequence[int] | None = None,
-    wear: float | None = None,
-    susceptibility: float | Sequence[float] | None = None,
-    return_to: ReturnTo = None,
-    recharge: int | None = None,
     rollouts: int = 4096,
-    seed: int = 0,
-    deadline: int | str | None = None,
-    first_visit: bool = False,
-    engine: EngineName = "auto",
-    luck: LuckName = "tolerance",
-    exact: Exactness = "auto",
-    progress: Progress | bool | None = None,
-    on_interrupt: OnInterrupt = "raise",
+    **options: Unpack[SearchOptions],
 ) -> Starts:
     """The best starts of a team, one each or (`depot`) one for all: `answer.starts`, `answer.world_with_starts`.
 
     Args:
-        robots: how many; default: as many as the world's own team. The settings are those of `plan`.
+        robots: how many; default: as many as the world's own team.
         candidates: "border", the safe cells on the border of the map; a mask `[H, W]`; or cells `[[row, col], ...]`.
-        rollouts: of the last two places that are left, the same for all. deadline: end every mission at this step.
-        luck, exact, progress, on_interrupt: as of `evaluate`; `exact`: of all that is compared together.
+        rollouts: of the last two places that are left, the same for all.
+        options: as of `front`, and policy, reserve, worth, as of `plan`.
     """
     from analysis.depots.search import find_starts, team_size
 
-    settings, choices = _chosen(**locals())
+    settings, choices = _settings(world, options), _rollouts(options, rollouts=rollouts)
     size = team_size(world, robots)
 
     search = partial(find_starts, world, size, settings, choices, depot=depot, candidates=candidates)
-    return _ask(search, progress, on_interrupt)
+    return _ask(search, options)
 
 
+@takes(SearchOptions)
 def clear(
     world: World,
     robots: int | None = None,
@@ -187,47 +157,28 @@ def clear(
     count: int = 1,
     remove: Literal["areas", "sources"] | None = None,
     starts: ArrayLike | None = None,
-    levels: int | None = None,
-    density: float | None = None,
-    risk: Literal["paper", "log"] | None = None,
-    transit: Literal["grid", "area"] | None = None,
-    max_steps: int | None = None,
-    policy: Policy | None = None,
-    reserve: float | None = None,
-    worth: float | None = None,
-    range: int | Sequence[int] | None = None,
-    wear: float | None = None,
-    susceptibility: float | Sequence[float] | None = None,
-    return_to: ReturnTo = None,
-    recharge: int | None = None,
     rollouts: int = 4096,
-    seed: int = 0,
-    deadline: int | str | None = None,
-    first_visit: bool = False,
-    engine: EngineName = "auto",
-    luck: LuckName = "tolerance",
-    exact: Exactness = "auto",
-    progress: Progress | bool | None = None,
-    on_interrupt: OnInterrupt = "raise",
+    **options: Unpack[SearchOptions],
 ) -> Clearing:
     """Which threat to remove first, and `count` of them greedily: `answer.picks`, `answer.gain`.
 
     Args:
         remove: the connected "areas" of danger, or the "sources", the polygons, points and sites of a scenario's
             threats; None: these where there are several.
-        robots, starts: the team; the settings are those of `plan`.
-        rollouts: of the last two threats that are left, the same for all. deadline: end every mission at this step.
-        luck, exact, progress, on_interrupt: as of `evaluate`; `exact`: of all that is compared together.
+        robots, starts: the team, as of `plan`.
+        rollouts: of the last two threats that are left, the same for all.
+        options: as of `front`, and policy, reserve, worth, as of `plan`.
     """
     from analysis.removal.search import find_clearing
 
-    settings, choices = _chosen(**locals())
+    settings, choices = _settings(world, options), _rollouts(options, rollouts=rollouts)
     placed = np.asarray(starts_of(world, robots, starts))
 
     search = partial(find_clearing, world, placed, settings, choices, count=count, remove=remove)
-    return _ask(search, progress, on_interrupt)
+    return _ask(search, options)
 
 
+@takes(SearchOptions)
 def attack(
     world: World,
     robots: int | None = None,
@@ -235,41 +186,21 @@ def attack(
     count: int = 1,
     p: float = 0.2,
     starts: ArrayLike | None = None,
-    levels: int | None = None,
-    density: float | None = None,
-    risk: Literal["paper", "log"] | None = None,
-    transit: Literal["grid", "area"] | None = None,
-    max_steps: int | None = None,
-    policy: Policy | None = None,
-    reserve: float | None = None,
-    worth: float | None = None,
-    range: int | Sequence[int] | None = None,
-    wear: float | None = None,
-    susceptibility: float | Sequence[float] | None = None,
-    return_to: ReturnTo = None,
-    recharge: int | None = None,
     rollouts: int = 4096,
-    seed: int = 0,
-    deadline: int | str | None = None,
-    first_visit: bool = False,
-    engine: EngineName = "auto",
-    luck: LuckName = "tolerance",
-    exact: Exactness = "auto",
-    progress: Progress | bool | None = None,
-    on_interrupt: OnInterrupt = "raise",
+    **options: Unpack[SearchOptions],
 ) -> Attack:
     """Where `count` threats would cost the team most: `answer.known`, `answer.hidden`, and the worlds with them.
 
     Args:
         p: the chance that a visit of one stops a robot, beside what else is there.
-        robots, starts: the team; the settings are those of `plan`.
-        rollouts: of the last two places that are left, the same for all. deadline: end every mission at this step.
-        luck, exact, progress, on_interrupt: as of `evaluate`; `exact`: of all that is compared together.
+        robots, starts: the team, as of `plan`.
+        rollouts: of the last two places that are left, the same for all.
+        options: as of `front`, and policy, reserve, worth, as of `plan`.
     """
     from analysis.adversary.search import find_attack
 
-    settings, choices = _chosen(**locals())
+    settings, choices = _settings(world, options), _rollouts(options, rollouts=rollouts)
     placed = np.asarray(starts_of(world, robots, starts))
 
     search = partial(find_attack, world, placed, settings, choices, count=count, p=p)
-    return _ask(search, progress, on_interrupt)
+    return _ask(search, options)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, CycloptsError, MissingArgumentError, Parameter
 
-from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
+from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, may_replace, output_console
 from analysis.cli.decisions import attack, clear, starts
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
 from analysis.cli.drive import drive
@@ -41,6 +41,7 @@ from analysis.cli.options import (
     PLANNING,
     ROLLOUTS,
     Bound,
+    Force,
     Input,
     Json,
     Kind,
@@ -193,6 +194,7 @@ def front(
     planning: OfAnyPolicy | None = None,
     plan_out: OutPath = None,
     out: OutPath = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> int:
     """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
@@ -216,6 +218,8 @@ def front(
         raise UsageError(f"--plan-out {plan_out} without a pick", fix="add --losses or --target")
     check_files(source, plan_out)
     check_folder(out)
+    if not may_replace(plan_out, force):
+        return DONE
     task = load_task(team.asked(source, settings))
     say(task.notes)
     choices = what.choices(usual_rollouts(task.world, task.starts))
@@ -225,7 +229,7 @@ def front(
             words=what.words(source, team, planning), progress=progress, doing=progress.doing,
         )  # fmt: skip
     if plan_out is not None and answer.picked is not None:
-        answer.plan_of(answer.picked).save(plan_out)
+        answer.plan_of(answer.picked).save(plan_out, force=True)
         answer = replace(answer, plan_file=str(plan_out))
         say([f"wrote {plan_out}"])
     elif plan_out is not None:
@@ -302,6 +306,7 @@ def plan_command(
     waypoints: OutPath = None,
     altitude: Altitude = None,
     seconds: Annotated[Number, Parameter(group=PLANNING)] = None,
+    force: Force = False,
     as_json: Annotated[Json, Parameter(help="Print the plan file's JSON object.")] = False,
 ) -> int:
     """Plan alone: print what the plan is, and write it as a file or as waypoints to drive.
@@ -321,6 +326,8 @@ def plan_command(
     if altitude is not None and waypoints is None:
         raise UsageError("--altitude without --waypoints", fix="add --waypoints")
     check_files(source, out, waypoints, beside=(state,))
+    if not may_replace(out, force):
+        return DONE
     form = None if waypoints is None else choose_format(waypoints, None, "waypoints")
     asked = team.asked(source, planning.choices())
     check = None if form is None else form.check
@@ -332,7 +339,7 @@ def plan_command(
         written += export(mission, waypoints, form, spare=read_files(source, state, out))
         say(mission.unknown(form.figures))
     if out is not None:
-        made.save(out)
+        made.save(out, force=True)
     if as_json:
         print_json(made.to_json())
     else:
@@ -434,7 +441,7 @@ def generate(
 
     check_files(on, out, suffix=".npz")
     world, notes = generate_world(on, kind, size, obstacles, ratio, areas, levels, seed, robots, cell_size)
-    world.save(out)
+    world.save(out, force=True)
     say([*notes, f"wrote {out}"])
     return DONE
 
@@ -469,8 +476,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return status if isinstance(status, int) else DONE
     except MissingArgumentError as error:
         line = _missing(error)
-    except (InputError, CycloptsError) as error:
-        line = " ".join(str(error).split())
+    except CycloptsError as error:  # which wraps the InputError of an option's converter, a ValueError
+        line = " ".join(str(error.__cause__ if isinstance(error.__cause__, InputError) else error).split())
+    except InputError as error:
+        line = str(error)
     except BrokenPipeError:  # the reader has gone, as `head` does: nothing more to say
         sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
         return DONE

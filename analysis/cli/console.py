@@ -10,6 +10,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
+from analysis.kit.notes import say
 from planner.errors import UsageError
 
 COMMAND: ContextVar[tuple[str, ...]] = ContextVar("command", default=())
@@ -53,6 +54,24 @@ def check_folder(out: Path | None) -> None:
     except OSError as error:
         problem = f"--out {out} cannot be made in {nearest} ({error.strerror})"
         raise UsageError(problem, expected="a folder to write to") from error
+
+
+def may_replace(out: Path | None, force: bool) -> bool:
+    """Whether nothing is there, or it may be replaced: by `force`, or as a person at a terminal says.
+
+    Raises UsageError where nobody is asked.
+    """
+    if out is None or force or not out.exists():
+        return True
+    if sys.stdin is None or not (sys.stdin.isatty() and sys.stderr.isatty()):
+        from planner.files import check_new
+
+        check_new(out)
+    say([f"{out} is there already. Replace it? [y/N]"])
+    if sys.stdin.readline().strip().lower() in ("y", "yes"):
+        return True
+    say([f"{out} is unchanged; nothing was written"])
+    return False
 
 
 def check_files(

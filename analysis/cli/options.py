@@ -210,6 +210,9 @@ StateFile = Annotated[
 Json = Annotated[
     bool, Parameter(name="--json", group=OUTPUT, negative="", help="Print one JSON object and nothing else.")
 ]
+Force = Annotated[
+    bool, Parameter(group=OUTPUT, negative="", help="Replace a file of the output's name without asking.")
+]
 Bound = Annotated[bool, Parameter(group=OUTPUT, negative="")]
 Input = Annotated[
     str,

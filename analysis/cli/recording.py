@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from analysis.cli.console import check_files
+from analysis.cli.console import check_files, may_replace
 from analysis.cli.deliver import CHECK_FAILED, DONE, INTERRUPTED, deliver, show
 from analysis.cli.groups import PlanningToTheEnd, Team
 from analysis.cli.options import (
@@ -17,6 +16,7 @@ from analysis.cli.options import (
     PLANNING,
     ROLLOUTS,
     Engine,
+    Force,
     Input,
     Json,
     OutPath,
@@ -28,7 +28,7 @@ from analysis.cli.options import (
 from analysis.cli.recording_options import Recording
 from analysis.kit.notes import say
 from analysis.recording.names import SUFFIX, check_name, growing_name, layout_name, left_over, state_name
-from planner.errors import InputError, UsageError
+from planner.errors import InputError
 
 File = Annotated[Path, Parameter(name="FILE", converter=path, help="A recording (.mcap).")]
 TIMELINE = Group("Timeline", sort_key=3)
@@ -55,7 +55,7 @@ def record(
     state_at: Annotated[Whole, Parameter(group=OUTPUT)] = None,
     picture: OutPath = None,
     animation: OutPath = None,
-    force: Annotated[bool, Parameter(group=OUTPUT, negative="")] = False,
+    force: Force = False,
     as_json: Json = False,
 ) -> int:
     """Record rollouts as an MCAP file for Foxglove, Lichtblick and Rerun, with all that it takes to replay them.
@@ -68,7 +68,6 @@ def record(
         state_at: Of one rollout (--ids): also its state at the end of this step, NAME.state.json.
         picture: Also a picture of the first rollout's end (.png).
         animation: Also an animation of the first rollout (.gif).
-        force: Replace a recording of that name without asking.
     """
     from analysis.cli.progress import load_or_make_plan
     from analysis.kit.progress import show_progress
@@ -82,8 +81,7 @@ def record(
     what, team, planning = what or Recording(), team or Team(), planning or PlanningToTheEnd()
     cut_to = None if state_at is None else state_name(out)
     check_outputs(source, (plan, state), out, picture, animation, cut_to)
-    if not force and not may_replace(out):
-        say([f"{out} stays as it is; nothing was recorded"])
+    if not may_replace(out, force):
         return DONE
     if plan is None:
         what.request(foreign=planning.plan_for == "open")
@@ -103,7 +101,7 @@ def record(
     written = [done.path, layout]
     if cut is not None:
         written.append(state_name(done.path))
-        cut.save(written[-1])
+        cut.save(written[-1], force=True)
     told = [*interrupted_lines(done, out), *(f"wrote {file}" for file in written)]
     status = deliver(done, as_json=as_json, notes=told)
     asked = [str(file) for file in (picture, animation) if file is not None]
@@ -125,16 +123,6 @@ def nothing_recorded(out: Path) -> str:
     if growing.exists():
         return f"interrupted: {growing} holds what was done so far; recover it with `mrac-jax recover {growing}`"
     return "interrupted: nothing was recorded"
-
-
-def may_replace(out: Path) -> bool:
-    """Whether nothing is there, or a person at a terminal says that it may go. Raises UsageError where nobody is."""
-    if not out.exists():
-        return True
-    if sys.stdin is None or not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise UsageError(f"{out} is there already", fix="give --force to replace it, or another name")
-    say([f"{out} is there already. Replace it? [y/N]"])
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
 def check_outputs(

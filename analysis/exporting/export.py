@@ -14,7 +14,7 @@ from analysis.exporting.nav2 import nav2_poses
 from analysis.exporting.qgc import qgc_plan
 from planner.arguments import argument, did_you_mean
 from planner.errors import UsageError
-from planner.files import atomic_write, printable
+from planner.files import atomic_write, check_new, printable
 from planner.plans.waypoints import waypoints_csv
 from planner.worlds.world import World
 
@@ -94,13 +94,14 @@ def choose_format(out: Path, to: str | None, name: str = "out") -> Format:
     return found[0]
 
 
-def export(mission: Mission, out: Path, form: Format, spare: Iterable[Path] = ()) -> list[Path]:
+def export(mission: Mission, out: Path, form: Format, spare: Iterable[Path] = (), *, force: bool = True) -> list[Path]:
     """Write the mission; returns the files. Nothing is written unless all of it can be made.
 
     Raises InputError: a map that nobody has put on the Earth, an altitude that cannot be flown, a file that cannot be
-    written, or that is the map or `spare`, other files that were read.
+    written, or that is the map or `spare`, other files that were read; without `force` one that is there already.
     """
     names = form.names(out, len(mission.plan.robots))
+    check_new(*names, force=force)
     read = {file.resolve() for file in (Path(mission.world.source), *spare)}
     for name in names:
         if name.resolve() in read:

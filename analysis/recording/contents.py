@@ -125,6 +125,8 @@ def read_tally(text: bytes, cells: bytes, source: str) -> Tally:
             ids=tuple((int(start), int(stop)) for start, stop in said["ids"]),
             **{name: np.asarray(values, dtype=np.int64) for name, values in counts.items()},
         )
+    except InputError:
+        raise
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(f"{TALLY}: no tally ({_short(error)})", source=source) from error
 

@@ -105,6 +105,8 @@ def _save(data: memoryview, writer: LogWriter, report: Recovered) -> None:
                 report.chunks += 1
             else:
                 report.lost.append(Lost(piece.found, piece.start, piece.end))
+        except InputError:  # the copy cannot be written
+            raise
         except ValueError as error:  # Damaged, or more than a log may have
             report.lost.append(Lost(str(error), piece.start, piece.end))
     counts = summary.statistics

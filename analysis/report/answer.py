@@ -36,9 +36,12 @@ class Answer:
         rows = said[self.listed] if self.listed else [said]
         return frame_of([{"figure": name, **row} for name, row in rows.items()] if isinstance(rows, dict) else rows)
 
-    def save(self, folder: str | Path) -> list[Path]:
-        """Write what the command's `--out` writes; returns the files."""
-        return save_report(report_of(self), Path(folder), "")
+    def save(self, folder: str | Path, *, force: bool = False) -> list[Path]:
+        """Write what the command's `--out` writes; returns the files.
+
+        `force`: replace files that are there already; without it that is a UsageError, and nothing is written.
+        """
+        return save_report(report_of(self), Path(folder), "", force=force)
 
     def _brief(self) -> tuple[str, Rows]:
         """What a console or a notebook shows of an answer: a screen at most."""

@@ -15,6 +15,7 @@ from analysis.kit.folder import as_text, json_text, write_all
 from analysis.kit.tables import print_lines
 from analysis.report.blocks import Report
 from analysis.report.minutes import with_minutes
+from planner.files import check_new
 from planner.shown import Rows
 
 WIDE = 140
@@ -60,11 +61,14 @@ def print_report(report: Report, console: Console) -> None:
     print_lines(console, [*report.last, *(f"note: {note}" for note in report.notes), *report.warnings])
 
 
-def save_report(report: Report, folder: Path, command: str, spare: Iterable[Path] = ()) -> list[Path]:
+def save_report(
+    report: Report, folder: Path, command: str, spare: Iterable[Path] = (), force: bool = True
+) -> list[Path]:
     """Write the page, the text, the JSON object, pictures and files into `folder`; returns them.
 
     `command`: the command line that made it, for the page. `spare`: files that are not replaced by another content;
-    where one would be, all go to a folder within, of the report's name: they name each other.
+    where one would be, all go to a folder within, of the report's name: they name each other. `force`: other files that
+    are there already are replaced; else a UsageError.
     """
     from analysis.pictures.style import png_of
     from analysis.report.html import page_of
@@ -80,6 +84,7 @@ def save_report(report: Report, folder: Path, command: str, spare: Iterable[Path
     page, spared = page_of(report, command, pictures, sorted(files)), {file.resolve() for file in spare}
     if any(_replaces(folder / name, content, spared) for name, content in files.items()):
         folder /= report.name
+    check_new(*(folder / name for name in ("index.html", *files)), force=force)
     return write_all(folder, {"index.html": page, **files})
 
 

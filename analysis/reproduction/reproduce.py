@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import reduce
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,9 @@ from planner.files import Json
 from planner.luck_names import LuckName
 from planner.tally import add_padded
 from planner.worlds.generate import Kind
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 TEAMS = (1, 2, 4, 8, 10, 12, 16, 20)
 RATIOS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
@@ -124,7 +127,7 @@ def reproduce(
     seed: int = 0,
     store: Store | None = None,
     processes: int | None = None,
-    scheduler: str | None = None,
+    scheduler: str | Client | None = None,
     progress: Progress | None = None,
 ) -> Reproduction:
     """Run what a figure (or "all") needs and put it together; the executors are those of `run_cases`.

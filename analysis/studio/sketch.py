@@ -99,7 +99,7 @@ class Sketch:
         team: Json = {"count": self.robots} if starts is None else {"starts": starts.tolist()}
         keys = {"map": {"file": raster.name}} | said(team, self.settings, self.world.pace)
         text = yaml.safe_dump(keys, sort_keys=False)
-        self.world.with_starts(None).save(raster)
+        self.world.with_starts(None).save(raster, force=True)
         with atomic_write(out) as stream:
             stream.write(f"# Painted in mrac-jax studio.\n{text}")
         return out, raster

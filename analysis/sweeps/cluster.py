@@ -12,9 +12,10 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from collections.abc import Coroutine, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
+from typing import TYPE_CHECKING, Any
 
 from analysis.kit.loops import run_loop
 from analysis.kit.pool import AHEAD
@@ -23,7 +24,7 @@ from planner.arguments import argument
 from planner.errors import UsageError
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, Future
 
 CONNECT_SECONDS = 6.0
 """How long a scheduler has to answer."""
@@ -34,8 +35,8 @@ LOOK_SECONDS = 2.0
 
 
 @contextmanager
-def on_cluster(scheduler: str) -> Iterator[Stream]:
-    """A stream on the scheduler at this address. Raises UsageError."""
+def on_cluster(scheduler: str | Client) -> Iterator[Stream]:
+    """A stream on the scheduler at this address, or of this client, which stays open. Raises UsageError."""
     try:
         from distributed import Client
     except ImportError:
@@ -44,15 +45,31 @@ def on_cluster(scheduler: str) -> Iterator[Stream]:
     named, quiet = f"{argument('scheduler')} {scheduler}", logging.root.manager.disable
     logging.disable(logging.CRITICAL)  # workers that come and go are no news for whoever waits for a result
     try:
-        _check_scheduler(scheduler, named)
-        with Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False) as client:
+        if isinstance(scheduler, str):
+            _check_scheduler(scheduler, named)
+            opened: Any = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
+        else:
+            _check_client(scheduler, Client, named)
+            opened = nullcontext(scheduler)
+        with opened as client:
+            address = client.scheduler.address
             try:
                 client.wait_for_workers(1, timeout=WORKER_SECONDS)
             except TimeoutError:
-                raise UsageError(f"{named} has no workers", fix=f"start some with `dask worker {scheduler}`") from None
-            yield lambda tasks: _stream(client, tasks, scheduler)
+                raise UsageError(f"{named} has no workers", fix=f"start some with `dask worker {address}`") from None
+            yield lambda tasks: _stream(client, tasks, address)
     finally:
         logging.disable(quiet)
+
+
+def _check_client(given: object, kind: type, named: str) -> None:
+    """Raise UsageError unless `given` is an open client whose calls wait for their answer."""
+    expected = "the address of a dask scheduler, or a dask.distributed Client that is open and not asynchronous"
+    if not isinstance(given, kind):
+        raise UsageError(named, expected=expected)
+    client: Any = given
+    if client.asynchronous or client.status != "running":
+        raise UsageError(f"{named}, {'asynchronous' if client.asynchronous else client.status}", expected=expected)
 
 
 def _check_scheduler(scheduler: str, named: str) -> None:
@@ -60,7 +77,7 @@ def _check_scheduler(scheduler: str, named: str) -> None:
     if scheduler.startswith("tls://"):
         _check_keys(named)
     try:
-        answers = run_loop(asyncio.wait_for(_identity(scheduler), CONNECT_SECONDS))
+        answers = _run(asyncio.wait_for(_identity(scheduler), CONNECT_SECONDS))
     except Exception as error:  # whatever listens there may say anything
         fix = f"start one with `dask scheduler`, or use {argument('processes')}"
         expected = "an address, as tls://host:8786 or tcp://host:8786"
@@ -68,6 +85,16 @@ def _check_scheduler(scheduler: str, named: str) -> None:
         raise UsageError(problem, expected=expected, fix=fix) from None
     if answers != "Scheduler":
         raise UsageError(f"{named} is a dask {answers}", expected="the address of a scheduler")
+
+
+def _run(main: Coroutine[Any, Any, str]) -> str:
+    """`run_loop`, in another thread where this one has a loop already, as a notebook's has."""
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return run_loop(main)
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(run_loop, main).result()
 
 
 def _check_keys(named: str) -> None:
@@ -105,29 +132,32 @@ def _stream(client: Client, tasks: Iterable[Task], where: str) -> Iterator[tuple
     from distributed.scheduler import KilledWorker
 
     source, done = iter(tasks), as_completed(loop=client.loop)
-    running: dict[str, Task] = {}
+    running: dict[str, tuple[Future, Task]] = {}
     room, looked = 0, 0.0
-    while True:
-        if time.monotonic() - looked > LOOK_SECONDS:
-            room, looked = AHEAD * max(1, sum(client.ncores().values())), time.monotonic()
-        while len(running) < room:
-            task = next(source, None)
-            if task is None:
-                break
-            future = client.submit(run_task, task, pure=False)
-            running[future.key] = task
-            done.add(future)
-        if not running:
-            return
-        future = next(done)
-        task = running.pop(future.key)
-        try:
-            results = future.result()
-        except KilledWorker:
-            fix = "give the workers more memory, or use fewer of them"
-            raise UsageError(f"{where}: worker after worker was lost at {task.case.name}", fix=fix) from None
-        except (CancelledError, OSError) as error:
-            fix = "what was done is in the store: run the same command again to go on"
-            raise UsageError(f"{where} was lost ({type(error).__name__})", fix=fix) from None
-        future.release()
-        yield task, results
+    try:
+        while True:
+            if time.monotonic() - looked > LOOK_SECONDS:
+                room, looked = AHEAD * max(1, sum(client.ncores().values())), time.monotonic()
+            while len(running) < room:
+                task = next(source, None)
+                if task is None:
+                    break
+                future = client.submit(run_task, task, pure=False)
+                running[future.key] = future, task
+                done.add(future)
+            if not running:
+                return
+            future = next(done)
+            _, task = running.pop(future.key)
+            try:
+                results = future.result()
+            except KilledWorker:
+                fix = "give the workers more memory, or use fewer of them"
+                raise UsageError(f"{where}: worker after worker was lost at {task.case.name}", fix=fix) from None
+            except (CancelledError, OSError) as error:
+                fix = "what was done is in the store: run the same command again to go on"
+                raise UsageError(f"{where} was lost ({type(error).__name__})", fix=fix) from None
+            future.release()
+            yield task, results
+    finally:  # of a client that stays open, too
+        client.cancel([future for future, _ in running.values()])

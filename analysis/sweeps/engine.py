@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import groupby
+from typing import TYPE_CHECKING
 
 from analysis.kit.pool import Pool, wanted_processes
 from analysis.report.answer import Answer
@@ -24,6 +25,9 @@ from planner.errors import UsageError
 from planner.limits import BLOCK, MOST_ROLLOUTS
 from planner.luck_names import LuckName
 from planner.rules import BEFORE, RELEASES
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 SHARE = 16_384
 """Rollouts of a model in one task on a map of at most 400 cells; fewer on larger ones, where each takes longer."""
@@ -112,7 +116,7 @@ def run_cases(
     store: Store,
     *,
     processes: int | None = None,
-    scheduler: str | None = None,
+    scheduler: str | Client | None = None,
     total: int = 0,
     progress: Callable[[Done], None] | None = None,
 ) -> Finished:
@@ -121,7 +125,7 @@ def run_cases(
     Args:
         jobs: taken one by one, so it may be endless as long as somebody interrupts. store: where results go.
         processes: of this machine (None: one a core; 1: this process).
-        scheduler: address of a dask.distributed scheduler to run on instead.
+        scheduler: a dask.distributed scheduler to run on instead: its address, or an open client of it.
         total: number of jobs, for `progress`, if it is known.
         progress: called after every job.
 
@@ -143,7 +147,7 @@ def run_cases(
 
 
 @contextmanager
-def _stream(processes: int | None, scheduler: str | None, total: int) -> Iterator[Stream]:
+def _stream(processes: int | None, scheduler: str | Client | None, total: int) -> Iterator[Stream]:
     """What runs tasks: a cluster, this process, or so many of this machine."""
     if scheduler is not None:
         from analysis.sweeps.cluster import on_cluster

@@ -40,6 +40,7 @@ from mrac_jax.closed_loop.state import (
     Sums,
 )
 from mrac_jax.closed_loop.tables import PIECE_BITS, PIECES, LaneTables, lane_tables, step_bucket
+from mrac_jax.process import fixed_flags
 from mrac_jax.two_words import two_words
 from planner.kernels.closed_loop import results_from, tally_from, trace_from
 from planner.kernels.loop import ClosedLoop, known_cells
@@ -93,9 +94,10 @@ class JaxClosedLoop:
 
     name = "jax"
 
+    @fixed_flags()
     def __init__(self, loop: ClosedLoop, seed: int, *, streams: int | None = None, lanes: int | None = None) -> None:
-        """Raises WorldError for a world that the lanes have no room for, UsageError for luck by step, and
-        for legs that stay in their area.
+        """Raises WorldError for a world that the lanes have no room for, UsageError for luck by step, for legs that stay
+        in their area, and where JAX cannot run.
 
         Args:
             loop: what to roll out. seed: 0 <= seed < 2**64.
@@ -143,6 +145,7 @@ class JaxClosedLoop:
         return tally, results_from(start, rows[:, :own], _whole(rows[:, own:]))
 
     @cached_property
+    @fixed_flags()
     def _start(self) -> tuple[Lanes, NDArray[np.int32]]:
         """Lanes (NumPy) at the steps at which rollouts begin, and what one comes to that is never hit.
 
@@ -164,6 +167,7 @@ class JaxClosedLoop:
         none = no_sums(self._tables, self._steps, 1)
         return tuple(jax.tree.leaves(jax.tree.map(np.int64, (none.by_cell, none.by_step, none.passes))))
 
+    @fixed_flags()  # a thread has its own
     def _stream(self, stream: int, start: int, count: int) -> tuple[Counts, NDArray[np.int32]]:
         """One stream's ids: those that are hit run in lanes, call after call."""
         (snapshots, never_hit), device = self._start, self._devices[stream]
@@ -288,6 +292,7 @@ def queue_of(room: int, team: int, ids: NDArray[np.int64], begin_at: NDArray, le
     )
 
 
+@fixed_flags()
 def _traces(loop: ClosedLoop, tables: LaneTables, seed: int, rollouts: Sequence[int]) -> list[Trace]:
     """At most TRACED rollouts on one device, with a log that is made larger until everything fits."""
     ids, team = np.resize(np.array(rollouts, dtype=np.int64), TRACED), len(tables.starts)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mrac_jax.environment.asked import asked_of
 from mrac_jax.environment.running import Next, Told, picture_of
-from mrac_jax.environment.spaces import Box, Discrete
+from mrac_jax.environment.spaces import Box, Discrete, checked_actions
 from planner.arguments import Numbers, check_word, whole
 from planner.luck import Luck
 from planner.missions.chosen import ChosenRun
@@ -152,7 +152,8 @@ class AreaRuns:
         """As of `Runs`, with actions `[B, K]`; each goes on to its own next decision."""
         if not self._runs:
             raise RuntimeError("step before reset")
-        env, given = self.env, np.asarray(actions)
+        env = self.env
+        given = checked_actions(actions, (len(self._runs), env.num_agents), env.offers + 1)
         rewards = np.zeros((len(self._runs), env.num_agents), np.float32)
         rollouts = self._next.after(np.array([run.outcome is not None for run in self._runs]))
         for place, run in enumerate(self._runs):

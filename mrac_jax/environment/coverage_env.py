@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mrac_jax.environment.asked import asked_of
-from mrac_jax.environment.spaces import Box, Discrete
+from mrac_jax.environment.spaces import Box, Discrete, check_agents, checked_actions
+from mrac_jax.process import require_jax
 from mrac_jax.threefry import threefry2x32
 from mrac_jax.two_words import is_reached, less, tolerance_words, two_words
 from planner.arguments import Numbers, whole
@@ -39,6 +40,10 @@ PLANES = ("threat", "obstacles", "visited", "self", "others", "alive")
 visited, where it is (nowhere once it is lost), where others are who are not lost, and the share of the team alive."""
 AT_ONCE = 32
 """Episodes of a batch that begin together."""
+Stepped: TypeAlias = tuple[
+    dict[str, jax.Array], "State", dict[str, jax.Array], dict[str, jax.Array], dict[str, jax.Array]
+]
+"""Observations, state, rewards, dones, infos."""
 
 
 @partial(jax.tree_util.register_dataclass, meta_fields=[],
@@ -127,17 +132,25 @@ class CoverageEnv:
         """float32 `[P, h, w]` of PLANES."""
         return self._box
 
-    @partial(jax.jit, static_argnums=0)
     def reset(self, key: jax.Array) -> tuple[dict[str, jax.Array], State]:
         """Observations and state at t = 0. The luck of `jax.random.key(seed)` is that of rollout 0 of the seed."""
+        require_jax()
+        return self._reset(key)
+
+    @partial(jax.jit, static_argnums=0)
+    def _reset(self, key: jax.Array) -> tuple[dict[str, jax.Array], State]:
         state = self.begin(_seed_of(key), jnp.uint32(0))
         return self.get_obs(state), state
 
-    @partial(jax.jit, static_argnums=0)
     def step(
         self, key: jax.Array, state: State, actions: dict[str, jax.Array], reset_state: State | None = None
-    ) -> tuple[dict[str, jax.Array], State, dict[str, jax.Array], dict[str, jax.Array], dict[str, jax.Array]]:
+    ) -> Stepped:
         """As `step_env`; where the episode is over, the observations and state are those of the next one."""
+        require_jax()
+        return self._step(key, state, self._given(actions), reset_state)
+
+    @partial(jax.jit, static_argnums=0)
+    def _step(self, key: jax.Array, state: State, actions: jax.Array, reset_state: State | None) -> Stepped:
         after, rewards, dones, infos = self._taken(state, actions)
         if reset_state is None:
             chosen = self._renewed(_seed_of(key), after)
@@ -145,20 +158,28 @@ class CoverageEnv:
             chosen = jax.tree.map(lambda new, old: jnp.where(after.done, new, old), reset_state, after)
         return self.get_obs(chosen), chosen, rewards, dones, infos
 
-    def step_env(
-        self, key: jax.Array, state: State, actions: dict[str, jax.Array]
-    ) -> tuple[dict[str, jax.Array], State, dict[str, jax.Array], dict[str, jax.Array], dict[str, jax.Array]]:
+    def step_env(self, key: jax.Array, state: State, actions: dict[str, jax.Array]) -> Stepped:
         """One step of the team: observations, state, rewards, dones (`__all__` too), infos; `key` is not needed.
 
         A robot's reward is the cells that it was the first to enter (of robots that enter one cell in one step the
         first by number), minus `worth` when it is lost; then it is done, may only stay, and has reward 0. infos:
         `covered`, a fraction of the accessible cells, `lost` robots, `truncated`.
+
+        Raises UsageError for other agents, and for an action outside the space. Under `jit`, `vmap` or `scan` values
+        are not known: there such an action is not noticed, and what it does is undefined.
         """
-        after, rewards, dones, infos = self._taken(state, actions)
+        require_jax()
+        after, rewards, dones, infos = self._taken(state, self._given(actions))
         return self.get_obs(after), after, rewards, dones, infos
 
-    def _taken(self, state: State, actions: dict[str, jax.Array]) -> tuple[State, dict, dict, dict]:
-        after, rewards = self.advance(state, jnp.stack([actions[agent] for agent in self.agents]))
+    def _given(self, actions: dict[str, jax.Array]) -> jax.Array:
+        """The actions by agent as an array, int32 `[K]`."""
+        check_agents(actions, self.agents, complete=True)
+        each = [checked_actions(actions[name], (), len(ACTIONS), f"action of {name}") for name in self.agents]
+        return jnp.stack([jnp.asarray(one, jnp.int32) for one in each])
+
+    def _taken(self, state: State, actions: jax.Array) -> tuple[State, dict, dict, dict]:
+        after, rewards = self.advance(state, actions)
         over = dict(zip(self.agents, ~after.alive | after.done, strict=True)) | {"__all__": after.done}
         return after, dict(zip(self.agents, rewards, strict=True)), over, self.infos(after)
 
@@ -211,7 +232,8 @@ class CoverageEnv:
 
     def advance(self, state: State, actions: jax.Array) -> tuple[State, jax.Array]:
         """The state after a team step with these actions, int `[K]`, and the rewards, float32 `[K]`."""
-        cell = jnp.asarray(self._next)[state.cell, jnp.clip(actions, 0, len(ACTIONS) - 1)]
+        actions = checked_actions(actions, (self.num_agents,), len(ACTIONS))
+        cell = jnp.asarray(self._next)[state.cell, actions]
         cell = jnp.where(state.alive, cell, state.cell)
         after, new = self._entered(state, cell, cell != state.cell)
         step = state.step + 1
@@ -221,7 +243,8 @@ class CoverageEnv:
 
     def _entered(self, state: State, cell: jax.Array, enters: jax.Array) -> tuple[State, jax.Array]:
         """The state once these robots have entered these cells, and who was the first in one, bool `[K]`."""
-        with_lower = (cell[:, None] == cell) & enters & np.tri(self.num_agents, k=-1, dtype=bool)
+        together, lower = cell[:, None] == cell[None], np.tri(self.num_agents, k=-1, dtype=bool)
+        with_lower = together & enters[None] & lower
         new = enters & ~state.visited[cell] & ~with_lower.any(axis=1)
         exposure, harmless = jnp.asarray(self._exposure)[cell], state.harmless
         if harmless is not None:
@@ -239,8 +262,8 @@ class CoverageEnv:
         self, left: jax.Array, exposure: jax.Array, cell: jax.Array, hit: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         """Exposures and hits where the first hit removes a hazard: who enters later in the step, by number, is safe."""
-        together, first = cell[:, None] == cell, jnp.tri(self.num_agents, k=-1, dtype=bool)
-        after = (together & first & hit).any(axis=1)
+        together, first = cell[:, None] == cell[None], jnp.tri(self.num_agents, k=-1, dtype=bool)
+        after = (together & first & hit[None]).any(axis=1)
         return jnp.where(after[:, None], jnp.uint32(0), exposure), hit & ~after
 
     def infos(self, state: State) -> dict[str, jax.Array]:
@@ -252,20 +275,20 @@ class CoverageEnv:
 
     def legal(self, state: State) -> jax.Array:
         """bool `[K, 5]`: the actions of `get_avail_actions`."""
-        only_stay = jnp.asarray([True, False, False, False, False])
+        only_stay = jnp.asarray([[True, False, False, False, False]])
         return jnp.where(state.alive[:, None], jnp.asarray(self._legal)[state.cell], only_stay)
 
     def observe(self, state: State) -> jax.Array:
         """float32 `[K, P, h, w]`: the observations of all robots."""
         robots, (height, width) = self.num_agents, self.world.shape
-        count = jnp.zeros(len(self._next)).at[state.cell].add(state.alive.astype(jnp.float32))
+        count = jnp.zeros(len(self._next), jnp.float32).at[state.cell].add(state.alive.astype(jnp.float32))
         changing = jnp.stack([state.visited.astype(jnp.float32), count]).reshape(2, height, width)
         shared = jnp.concatenate([jnp.asarray(self._still), changing])
         if self.view is None:
             seen, own = jnp.broadcast_to(shared, (robots, *shared.shape)), state.cell
         else:
             seen, own = self._windows(shared, state.cell, self.view), jnp.full(robots, 2 * self.view * (self.view + 1))
-        here = jnp.where(state.alive[:, None], jax.nn.one_hot(own, seen[0, 0].size), 0.0)
+        here = jnp.where(state.alive[:, None], jax.nn.one_hot(own, seen[0, 0].size, dtype=jnp.float32), 0.0)
         here = here.reshape(robots, 1, *seen.shape[2:])
         others = (seen[:, 3:] > here).astype(jnp.float32)
         alive = jnp.full_like(here, state.alive.mean(dtype=jnp.float32))
@@ -273,11 +296,11 @@ class CoverageEnv:
 
     def _windows(self, planes: jax.Array, cell: jax.Array, view: int) -> jax.Array:
         """What lies within `view` rows and columns of each robot, `[K, 4, h, w]`; beyond the map is an obstacle."""
-        beyond = jnp.array([0.0, 1.0, 0.0, 0.0])[:, None, None]
+        beyond = jnp.array([0.0, 1.0, 0.0, 0.0], jnp.float32)[:, None, None]
         padded = jnp.pad(planes - beyond, ((0, 0), (view, view), (view, view))) + beyond
         size = (len(planes), 2 * view + 1, 2 * view + 1)
         rows, cols = jnp.divmod(cell, self.world.shape[1])
-        return jax.vmap(lambda row, col: jax.lax.dynamic_slice(padded, (0, row, col), size))(rows, cols)
+        return jax.vmap(lambda row, col: jax.lax.dynamic_slice(padded, (jnp.int32(0), row, col), size))(rows, cols)
 
 
 def _seed_of(key: jax.Array) -> jax.Array:

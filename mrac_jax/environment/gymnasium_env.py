@@ -15,6 +15,7 @@ from mrac_jax.environment.area_env import AreaEnv
 from mrac_jax.environment.coverage_env import CoverageEnv
 from mrac_jax.environment.kinds import make_env, runs_of
 from mrac_jax.environment.running import Told
+from mrac_jax.environment.spaces import checked_actions
 from planner.worlds.world import World
 
 ID = "mrac/Coverage-v0"
@@ -57,8 +58,9 @@ class TeamEnv(gymnasium.Env):
         return told.seen[0], self._info(told)
 
     def step(self, action: ArrayLike) -> tuple[NDArray, float, bool, bool, dict[str, Any]]:
-        """A team step with an action for each robot, `[K]`."""
-        told = self._runs.step(np.asarray(action)[None])
+        """A team step with an action for each robot, `[K]`. Raises UsageError for one outside the space."""
+        each = self.action_space.nvec
+        told = self._runs.step(checked_actions(action, each.shape, int(each[0]))[None])
         cut = bool(told.truncated[0])
         return told.seen[0], float(told.rewards[0].sum()), bool(told.done[0]) and not cut, cut, self._info(told)
 
@@ -93,7 +95,7 @@ class TeamVectorEnv(VectorEnv):
         return told.seen, self._info(told)
 
     def step(self, actions: ArrayLike) -> tuple[NDArray, NDArray, NDArray, NDArray, dict[str, Any]]:
-        """A step of all with actions `[B, K]`."""
+        """A step of all with actions `[B, K]`. Raises UsageError for one outside the space."""
         told = self._runs.step(actions)
         rewards = told.rewards.sum(axis=1).astype(np.float64)
         return told.seen, rewards, told.done & ~told.truncated, told.truncated, self._info(told)

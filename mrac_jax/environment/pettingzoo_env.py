@@ -13,6 +13,7 @@ from mrac_jax.environment.area_env import AreaEnv
 from mrac_jax.environment.coverage_env import CoverageEnv
 from mrac_jax.environment.kinds import runs_of
 from mrac_jax.environment.running import Told
+from mrac_jax.environment.spaces import check_agents, checked_actions
 
 Dicts = tuple[dict[str, NDArray], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]
 
@@ -48,8 +49,14 @@ class CoverageParallelEnv(ParallelEnv):
         return self._of_agents(told.seen[0]), self._infos(told)
 
     def step(self, actions: dict[str, Any]) -> Dicts:
-        """Observations, rewards, terminations, truncations, infos of the agents there were; who is left out stays."""
-        told = self._runs.step([[int(actions.get(name, 0)) for name in self.possible_agents]])
+        """Observations, rewards, terminations, truncations, infos of the agents there were; who is left out stays.
+
+        Raises UsageError for an agent that there is not, and for an action outside the space.
+        """
+        check_agents(actions, self.possible_agents, complete=False)
+        spaces = ((name, int(space.n)) for name, space in self.action_spaces.items())
+        given = [checked_actions(actions.get(name, 0), (), count, f"action of {name}") for name, count in spaces]
+        told = self._runs.step([given])
         ended, cut = bool(told.done[0] and not told.truncated[0]), bool(told.truncated[0])
         alive = dict(zip(self.possible_agents, told.alive[0].tolist(), strict=True))
         before = list(self.agents)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mrac_jax.environment.coverage_env import ACTIONS, CoverageEnv
 from mrac_jax.environment.running import Runs
+from mrac_jax.environment.spaces import checked_actions
 from planner.arguments import argument
 from planner.errors import UsageError
 
@@ -128,8 +129,7 @@ def as_maps_sees(
 
 def moves_of(actions: NDArray[Any], planes: NDArray[np.float32]) -> NDArray[np.int64]:
     """ACTIONS `[K]` for MAPS' ones: as robots block each other there, a move to where another one is, is to stay."""
-    if actions.shape != (len(planes),) or not np.isin(actions, range(len(LABELS))).all():
-        raise UsageError(f"actions are {actions.tolist()}", expected=f"{len(planes)} of 0 to {len(LABELS) - 1}")
+    actions = checked_actions(actions, (len(planes),), len(LABELS))
     shut, moves = _shut(planes[0, 1]), np.zeros(len(planes), np.int64)
     at = {int(robot): (int(row) + 1, int(col) + 1) for robot, row, col in np.argwhere(planes[:, 3])}
     for robot, (row, col) in list(at.items()):

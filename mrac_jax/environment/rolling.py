@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mrac_jax.environment.area_env import AreaEnv
 from mrac_jax.environment.coverage_env import ACTIONS, CoverageEnv, State
+from mrac_jax.process import fixed_flags
 from planner.errors import UsageError
 from planner.threefry import key_of
 
@@ -46,19 +47,22 @@ class PolicyRollouts:
         self.spans = [(start, min(start + self._width, count)) for start in range(0, count, self._width)]
 
     @cached_property
-    def _run(self) -> Callable[[jax.Array, jax.Array], State]:
+    def _run(self) -> Callable[[jax.Array, jax.Array], tuple[State, Any]]:
         assert isinstance(self._env, CoverageEnv)
         if self._policy is None or self.compiled:
             return jax.jit(jax.vmap(_compiled(self._env, self._policy), (None, 0)))
         return _Asked(self._env, self._policy, self._seed)
 
+    @fixed_flags(user_code=True)
     def __call__(self, span: tuple[int, int]) -> Ended:
-        """Rollouts `start .. stop - 1`."""
+        """Rollouts `start .. stop - 1`. Raises UsageError for actions that there are not."""
         if isinstance(self._env, AreaEnv):
             return self._env.roll_out(_chooser(self._env, self._policy), self._seed, *span)
         words, (start, stop) = jnp.asarray(key_of(self._seed), jnp.uint32), span
         last = start + self._width if self.compiled else stop  # one width, one program
-        state = self._run(words, jnp.arange(start, last, dtype=jnp.uint32))
+        state, valid = self._run(words, jnp.arange(start, last, dtype=jnp.uint32))
+        if not np.asarray(valid).all():
+            raise UsageError("the policy returned actions that there are not", expected=_whole_numbers(len(ACTIONS)))
         visited, lost, steps = (
             np.asarray(of)[: stop - start].astype(np.int64)
             for of in (state.covered, (~state.alive).sum(axis=1), state.step)
@@ -91,7 +95,7 @@ def _chooser(
     def act(seen: NDArray[np.float32], legal: NDArray[np.bool_], draws: np.random.Generator) -> NDArray[np.int64]:
         if ask is None:
             return draws.integers(0, legal.sum(axis=1))
-        key = jax.random.key(int(draws.integers(2**32))) if compiled else draws
+        key = jax.random.key(int(draws.integers(2**32)), impl="threefry2x32") if compiled else draws
         return _checked(env, ask(seen, key), env.offers + 1)
 
     return act
@@ -100,32 +104,46 @@ def _chooser(
 def _checked(env: CoverageEnv | AreaEnv, actions: Any, most: int) -> NDArray[Any]:
     """What a policy returned, if it is an action below `most` for each robot."""
     given = np.asarray(actions)
-    _check(env, given.shape)
-    if given.dtype.kind not in "iu" or not ((given >= 0) & (given < most)).all():
-        raise UsageError(f"the policy returned {given.tolist()}", expected=f"whole numbers, 0 to {most - 1}")
+    _check(env, given)
+    if not ((given >= 0) & (given < most)).all():
+        raise UsageError(f"the policy returned {given.tolist()}", expected=_whole_numbers(most))
     return given
 
 
-def _check(env: CoverageEnv | AreaEnv, shape: tuple[int, ...]) -> None:
-    if shape != (env.num_agents,):
-        raise UsageError(f"the policy returned actions of shape {shape}", expected=f"({env.num_agents},), one a robot")
+def _check(env: CoverageEnv | AreaEnv, given: Any) -> None:
+    if given.shape != (env.num_agents,):
+        problem = f"the policy returned actions of shape {given.shape}"
+        raise UsageError(problem, expected=f"({env.num_agents},), one a robot")
+    if given.dtype.kind not in "iu":
+        raise UsageError(f"the policy returned actions of {given.dtype}", expected="whole numbers")
 
 
-def _compiled(env: CoverageEnv, policy: Callable[..., Any] | None) -> Callable[[jax.Array, jax.Array], State]:
-    """One rollout, `(seed words, id) -> last state`."""
+def _whole_numbers(count: int) -> str:
+    return f"whole numbers, 0 to {count - 1}"
+
+
+def _compiled(env: CoverageEnv, policy: Callable[..., Any] | None) -> Callable[[jax.Array, jax.Array], tuple]:
+    """One rollout, `(seed words, id) -> last state, whether all actions were such as there are`."""
     ask = None if policy is None else _asking(policy)
+    closed = jnp.float32(-1e9)  # its chance is 0, and it is no infinity, which JAX_DEBUG_INFS would stop at
 
     def actions_of(state: State, key: jax.Array) -> jax.Array:
         if ask is None:
-            return jax.random.categorical(key, jnp.where(env.legal(state), 0.0, -jnp.inf))
-        actions = ask(env.observe(state), key)
-        _check(env, jnp.shape(actions))
-        return jnp.asarray(actions).astype(jnp.int32)
+            actions = jax.random.categorical(key, jnp.where(env.legal(state), jnp.float32(0), closed))
+        else:
+            actions = jnp.asarray(ask(env.observe(state), key))
+            _check(env, actions)
+        return actions.astype(jnp.int32)
 
-    def one(seed: jax.Array, rollout: jax.Array) -> State:
-        key = jax.random.fold_in(jax.random.wrap_key_data(seed), rollout)
-        step = lambda state: env.advance(state, actions_of(state, jax.random.fold_in(key, state.step)))[0]  # noqa: E731
-        return jax.lax.while_loop(lambda state: ~state.done, step, env.begin(seed, rollout))
+    def step(key: jax.Array, state: State, valid: jax.Array) -> tuple[State, jax.Array]:
+        actions = actions_of(state, jax.random.fold_in(key, state.step))
+        valid &= ((actions >= 0) & (actions < len(ACTIONS))).all()
+        return env.advance(state, actions)[0], valid
+
+    def one(seed: jax.Array, rollout: jax.Array) -> tuple[State, jax.Array]:
+        key = jax.random.fold_in(jax.random.wrap_key_data(seed, impl="threefry2x32"), rollout)
+        begun = env.begin(seed, rollout), jnp.bool_(True)
+        return jax.lax.while_loop(lambda now: ~now[0].done, lambda now: step(key, *now), begun)
 
     return one
 
@@ -139,8 +157,8 @@ class _Asked:
         self._advance = jax.jit(jax.vmap(self._advanced))
         self._observe = jax.jit(jax.vmap(env.observe))
 
-    def __call__(self, seed: jax.Array, rollouts: jax.Array) -> State:
-        """Their last states; what is over waits for the others."""
+    def __call__(self, seed: jax.Array, rollouts: jax.Array) -> tuple[State, bool]:
+        """Their last states, and that all actions were such as there are; what is over waits for the others."""
         states = self._begin(seed, rollouts)
         draws = [np.random.default_rng([self.seed, int(rollout)]) for rollout in rollouts]
         while not (done := np.asarray(states.done)).all():
@@ -148,7 +166,7 @@ class _Asked:
             for place in np.flatnonzero(~done):
                 actions[place] = self._asked(seen[place], draws[place])
             states = self._advance(states, actions)
-        return states
+        return states, True
 
     def _advanced(self, state: State, actions: jax.Array) -> State:
         """What is over stays as it is."""

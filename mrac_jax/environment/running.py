@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
@@ -9,7 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mrac_jax.environment.coverage_env import CoverageEnv, State
+from mrac_jax.environment.coverage_env import ACTIONS, CoverageEnv, State
+from mrac_jax.environment.spaces import checked_actions
+from mrac_jax.process import fixed_flags
 from planner.arguments import SEED
 from planner.threefry import key_of
 from planner.worlds.world import World
@@ -64,28 +67,49 @@ class Next:
 
 
 class Runs:
-    """B environments. The n-th episode of environment b, counted from the last seed given, is rollout n B + b of it."""
+    """B environments. The n-th episode of environment b, counted from the last seed given, is rollout n B + b of it.
+
+    JAX starts with the first `reset`: until then the process may be forked. A copy, pickled or not, goes on from where
+    it was made.
+    """
 
     def __init__(self, env: CoverageEnv, count: int = 1) -> None:
         self.env, self._next = env, Next(count)
-        self._seed = jnp.zeros(2, jnp.uint32)
+        self._seed = np.zeros(2, np.uint32)
         self.state: State | None = None
-        self._begin, self._advance = jax.jit(self._began), jax.jit(self._advanced)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but compiled programs, which stay in their process; arrays as NumPy's, which do not start JAX."""
+        kept = {name: value for name, value in vars(self).items() if name not in ("_begin", "_advance")}
+        return kept | {"state": jax.tree.map(np.asarray, self.state)}
+
+    @cached_property
+    def _begin(self) -> Any:
+        return jax.jit(self._began)
+
+    @cached_property
+    def _advance(self) -> Any:
+        return jax.jit(self._advanced)
+
+    @fixed_flags()
     def reset(self, seed: int | None = None) -> Told:
         """Begin: rollout 0 and on of the seed, or without one the next ones; the first time of a random seed."""
         rollouts = self._next.begin(seed)
-        self._seed = jnp.asarray(key_of(self._next.seed), jnp.uint32)
+        self._seed = np.asarray(key_of(self._next.seed), np.uint32)
         self.state, told = self._begin(self._seed, rollouts)
         return Told(*jax.device_get(told))
 
+    @fixed_flags()
     def step(self, actions: ArrayLike) -> Told:
-        """Take the actions `[B, K]`; where the episode was over before, they are ignored and the next one begins."""
+        """Take the actions `[B, K]`; where the episode was over before, they are ignored and the next one begins.
+
+        Raises UsageError for actions outside the space; the state is then what it was.
+        """
         if self.state is None:
             raise RuntimeError("step before reset")
+        given = checked_actions(actions, (self._next.count, self.env.num_agents), len(ACTIONS))
         rollouts = self._next.after(np.asarray(self.state.done))
-        given = jnp.asarray(np.asarray(actions), jnp.int32)
-        self.state, told = self._advance(self._seed, rollouts, self.state, given)
+        self.state, told = self._advance(self._seed, rollouts, self.state, given.astype(np.int32))
         return Told(*jax.device_get(told))
 
     def _began(self, seed: jax.Array, rollouts: jax.Array) -> tuple[State, tuple[jax.Array, ...]]:

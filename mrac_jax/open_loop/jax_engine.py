@@ -21,6 +21,7 @@ from mrac_jax.caches import keep_jax_programs
 from mrac_jax.doubt import exposure_in_doubt
 from mrac_jax.open_loop.joint_events import count_events, unite, weigh
 from mrac_jax.open_loop.padding import ENTRIES_A_STEP, PaddedDraws, PaddedTables, pad_tables
+from mrac_jax.process import fixed_flags
 from mrac_jax.threefry import threefry2x32
 from mrac_jax.two_words import is_reached, less, two_words
 from planner.arguments import argument
@@ -213,8 +214,9 @@ class JaxOpenLoop:
     with sums of its own; nothing is exchanged, so neither their number nor that of devices can change a count.
     """
 
+    @fixed_flags()
     def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode) -> None:
-        """Raises UsageError for a mode that is not `tolerance`."""
+        """Raises UsageError for a mode that is not `tolerance`, and where JAX cannot run."""
         if mode != "tolerance":
             what, fix = f"{argument('engine', 'jax')} with luck by {mode}", f"use {argument('engine', 'numba')}"
             raise UsageError(what, expected=argument("luck", "tolerance"), fix=fix)
@@ -250,6 +252,7 @@ class JaxOpenLoop:
             complete_dead=int(visited[1, compiled.accessible]),
         )
 
+    @fixed_flags()
     def results(self, start: int, count: int) -> RolloutResults:
         """What each of those rollouts came to."""
         run, parts = jitted(singles, self.batch), []
@@ -274,6 +277,7 @@ class JaxOpenLoop:
         empty = len(self.padded.counter) - len(joint.robot)
         return on_host(Luck, key=key, left=two_words(np.pad(bears.T, ((0, empty), (0, 0)))))
 
+    @fixed_flags()  # a thread has its own
     def _part(self, stream: int, start: int, count: int) -> Sums:
         """One stream's sums, int64 on the host."""
         run, device, total = jitted(advance, self.batch), self._devices[stream], None

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from planner.arguments import FRACTION, is_whole, whole
 from planner.errors import StateError
-from planner.files import Json
+from planner.files import Json, check_new
 from planner.limits import MAX_STEP
 from planner.missions.closing import closed_by, closed_state
 from planner.missions.fleet import Fleet
@@ -76,6 +76,7 @@ class Mission:
         if world.movers is not None:
             world.check_settled("a mission that is driven")
         self.given, self._lessons = world, Lessons(world, plan)
+        self._file: Path | None = None
         if self._lessons:
             settings, world = plan.require(world), replace(world, doubt=None)
             plan = plan if plan.state is not None else make_plan(world, plan.starts, settings)
@@ -410,7 +411,7 @@ class Mission:
         """
         known, rest, keys = read_rest(path, world, plan)
         mission = cls(known, rest, **how)
-        mission.given = world
+        mission.given, mission._file = world, Path(path).resolve()
         heard, waits = (keys[name].items("a list of steps", least=0) for name in ("heard", "waits"))
         for steps in (heard, waits):
             if steps and len(steps) != mission.robots:
@@ -428,11 +429,16 @@ class Mission:
         mission._reports.heard[: len(heard)] = [one.number(step) for one in heard]
         return mission
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write where it stands, with what was reported of the step under way, to go on from (`missions.saved`).
 
-        What is written is on the disk before this returns. Raises StateError, also for another planner's paths.
+        What is written is on the disk before this returns. Its own file, which it was resumed from or has written, is
+        replaced; another file that is there already only by `force`. Raises UsageError for such a file, StateError for
+        another planner's paths.
         """
+        file = Path(path).resolve()
+        if file != self._file:
+            check_new(path, force=force)
         self._check_kept(self._fleet)
         state = self.state.to_json() if self.step > 0 else None
         more: Json = {"seen": _pairs(self.seen), "sees": _pairs(self.sees)}
@@ -441,6 +447,7 @@ class Mission:
         more |= {"odds": self._lessons.to_json()}
         more |= {} if self.outcome is None else {"ended": self.known()}
         write_mission(path, self.world, state, more)
+        self._file = file
 
     def known(self) -> Json:
         """Where it stands, as files and `drive` say it: the step that is under way, or at which it ended."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planner.bearing import PLAIN, Bearing
 from planner.errors import PlanError
-from planner.files import Json, write_json
+from planner.files import Json, check_new, write_json
 from planner.limits import MAX_PLAN_BYTES
 from planner.plans.state import MissionState
 from planner.policies import DEFAULT
@@ -283,12 +283,14 @@ class Plan:
             **({"state": self.state.to_json()} if self.state is not None else {}),
         }
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write the plan file, whole or not at all. Raises PlanError, also if it were too large to be read.
 
+        `force`: replace a file that is there already; without it that is a UsageError.
         Its `world` names the file of the map from the folder of the plan, or the example; a map of neither kind is
         known by its hash alone.
         """
+        check_new(path, force=force)
         data, source = self.to_json(), self.source
         if source.startswith(EXAMPLE):
             data["world"]["source"] = source

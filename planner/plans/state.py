@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import StateError
-from planner.files import Json, write_json
+from planner.files import Json, check_new, write_json
 from planner.limits import MAX_PLAN_BYTES
 from planner.none import NO_AREA
 
@@ -144,6 +144,10 @@ class MissionState:
             **({} if self.over is None else {"over": self.over}),
         }
 
-    def save(self, path: str | Path) -> None:
-        """Write the state file, whole or not at all. Raises StateError, also if it were too large to be read."""
+    def save(self, path: str | Path, *, force: bool = False) -> None:
+        """Write the state file, whole or not at all. Raises StateError, also if it were too large to be read.
+
+        `force`: replace a file that is there already; without it that is a UsageError.
+        """
+        check_new(path, force=force)
         write_json(Path(path), self.to_json(), MAX_PLAN_BYTES, StateError)

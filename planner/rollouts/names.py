@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from importlib import import_module
 from importlib.util import find_spec
 from pkgutil import resolve_name
 from typing import Any, Literal, get_args
@@ -27,5 +29,17 @@ def check_jax() -> None:
 
 
 def of_jax(what: str) -> Any:
-    """What stands under one of the names in `OF_JAX`, imported now."""
+    """What stands under one of the names in `OF_JAX`, imported now. Raises UsageError where JAX cannot be imported."""
+    if what != "accelerator":  # which imports JAX only where there may be one
+        try:
+            import_module("jax")
+        except Exception as error:  # a flag with a wrong value, a jaxlib of another release, no JAX at all
+            raise UsageError(why_not(error), fix="correct that, or use engine numba") from error
     return resolve_name(OF_JAX[what])
+
+
+def why_not(error: Exception) -> str:
+    """Why JAX cannot run, in one line: what it raised, and the platforms that it was told to use."""
+    said = " ".join(str(error).split())[:200] or type(error).__name__
+    platforms = os.environ.get("JAX_PLATFORMS", "")
+    return f"JAX cannot start{f' with JAX_PLATFORMS={platforms}' if platforms else ''} ({said})"

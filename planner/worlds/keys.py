@@ -246,6 +246,8 @@ def read_yaml(path: Path, error: type[InputError] = ScenarioError) -> Key:
         mark = wrong.problem_mark or wrong.context_mark
         line = f"line {mark.line + 1}: " if mark else ""
         raise error(f"{line}{wrong.problem or wrong.context}", source=path, expected="YAML") from wrong
+    except InputError:
+        raise
     except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError, OSError) as wrong:
         raise error(f"cannot be read as YAML ({wrong})", source=path, expected="YAML in UTF-8") from wrong
     return Key(value, "", path, error)

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from planner.arguments import Numbers, argument, check_each, exactly
 from planner.errors import MapError, PlanError, WorldError
-from planner.files import atomic_write, check_file, npz_bytes, read_npy, read_npz
+from planner.files import atomic_write, check_file, check_new, npz_bytes, read_npy, read_npz
 from planner.pace import TURNS, UNPACED, Pace, pace_of
 from planner.shown import html_of, text_of
 from planner.tables import read_csv_grid
@@ -369,8 +369,9 @@ class World:
     def _repr_html_(self) -> str:
         return html_of(f"World {self.source}", self._rows())
 
-    def save(self, path: str | Path) -> None:
-        """Write the world file (`.npz`) of SPEC section 9, whole or not at all."""
+    def save(self, path: str | Path, *, force: bool = False) -> None:
+        """Write the world file (`.npz`) of SPEC section 9, whole or not at all; `force`: as of `Plan.save`."""
+        check_new(path, force=force)
         with atomic_write(Path(path), "wb") as out:
             out.write(self.to_bytes())
 
