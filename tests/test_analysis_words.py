@@ -145,14 +145,14 @@ def test_shares_are_never_rounded_to_none_or_all() -> None:
             if 0 <= count <= of:
                 for digits in range(5):
                     check_share(share(count, of, digits).removesuffix(" %"), count, of)
-                check_share(sampled_share(count, of).removesuffix(" %"), count, of)
+                check_share(sampled_share(count, of), count, of)
 
 
 def test_a_share_has_no_more_digits_than_its_interval_bears() -> None:
     """The last decimal is at most ten times finer than the half-width, unless fewer would claim 0 or 100 %."""
     for of in (10, 100, 5_000, 100_000):
         for count in range(1, of, max(1, of // 97)):
-            printed = sampled_share(count, of).removesuffix(" %")
+            printed = sampled_share(count, of)
             digits = len(printed.partition(".")[2])
             if digits and share(count, of, digits - 1)[0] not in "<>":
                 assert 10.0 ** -(digits - 1) > 100 * proportion(count, of).half_width
@@ -168,7 +168,7 @@ def test_means_are_never_rounded_to_none_or_all() -> None:
     ]  # fmt: skip
 
 
-def test_losses_are_shown_in_words_where_figures_would_say_less() -> None:
+def test_losses_in_a_table_are_figures_that_claim_neither_end() -> None:
     shown = [
         losses_shown(Estimate(mean, 0.001, ends), 8)
         for mean, ends in (
@@ -177,13 +177,13 @@ def test_losses_are_shown_in_words_where_figures_would_say_less() -> None:
         )
     ]  # fmt: skip
     assert shown == [
-        ("all 8", "7.98 or more"), ("almost all 8", "7.99 or more"), ("none of 8", "0.01 or fewer"),
+        ("8 of 8", "7.98 or more"), ("> 7.99 of 8", "7.99 or more"), ("0 of 8", "0.01 or fewer"),
         ("1.87 of 8", "1.86 .. 1.88"), ("2.50 of 8", "exact"),
     ]  # fmt: skip
 
 
 def test_what_was_never_seen_is_said_as_the_most_that_it_may_be() -> None:
-    assert Estimate(0.0, 0.0, (0.0, 0.0009)).said(100, " %") == "0 % (at most 0.1 %, 95 %)"
+    assert Estimate(0.0, 0.0, (0.0, 0.0009)).said(100, " %") == "0 % (0.1 or less, 95 %)"
     assert Estimate(0.0, 0.1, (-0.2, 0.2)).said() == "0.0 ± 0.2 (95 %)"
     assert Estimate(0.0, 0.0, (0.0, 0.0)).said() == "0.00 (exact)"
 

@@ -12,10 +12,12 @@ from analysis.kit.tables import make_table
 from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
 from analysis.report.words import asked, map_words
 from analysis.statistics.intervals import ALPHA
+from analysis.statistics.words import between
 from analysis.theory.formulas import FORMULAS, Direction
 from analysis.theory.truth import Truth
 from analysis.theory.verdicts import Check, Verdict, overall
 from planner.arguments import argument
+from planner.shown import percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -146,11 +148,11 @@ def _footnotes(checked: MapCheck) -> list[str]:
 
 def _key_figures(checked: MapCheck) -> tuple[KeyFigure, ...]:
     cells, exact, closed, rows = checked.cells, checked.exact, checked.closed, checked.rows
-    out = [KeyFigure(f"{100 * exact.visited / cells:.2f} %", "visited, open loop", "exact")]
+    out = [KeyFigure(percent(exact.visited / cells, 2), "visited, open loop", "exact")]
     if closed is not None:
         seen = closed.visited
-        how = f"{100 * seen.low / cells:.2f} .. {100 * seen.high / cells:.2f} %" if closed.rollouts else "exact"
-        out.append(KeyFigure(f"{100 * seen.value / cells:.2f} %", "visited, closed loop", how))
+        how = f"{between(100 * seen.low / cells, 100 * seen.high / cells)} %" if closed.rollouts else "exact"
+        out.append(KeyFigure(percent(seen.value / cells, 2), "visited, closed loop", how))
     for verdict, words in ((Verdict.FAILS, "comparisons fail"), (Verdict.HOLDS, "hold")):
         number = sum(check.verdict is verdict for check in rows)
         out.append(KeyFigure(f"{number}", words, f"of {len(rows)}: each formula, meaning and loop"))

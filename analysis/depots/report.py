@@ -23,7 +23,7 @@ from analysis.report.words import (
     team_figure,
 )
 from analysis.statistics.coverage import losses_said
-from analysis.statistics.words import between
+from analysis.statistics.words import between, of_all
 from planner.files import Json
 from planner.shown import counted
 
@@ -161,8 +161,8 @@ def _table(starts: Starts) -> Table:
         alone = "" if place.one_robot is None else f"{place.one_robot:.1f}"
         figures: tuple[str, ...] = ("",) * (5 if valued else 3)
         if place.coverage is not None and place.losses is not None:
-            worth = () if place.value is None else place.value.columns(100.0)
-            figures = (*worth, *place.coverage.columns(100.0), f"{place.losses.mean:.2f}")
+            worth = () if place.value is None else place.value.columns(100.0, 100)
+            figures = (*worth, *place.coverage.columns(100.0, 100), of_all(place.losses.mean, len(starts.starts)))
         behind = ""
         if place.behind is not None:
             low, high = (100 * end for end in place.behind)

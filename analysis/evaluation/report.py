@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from fractions import Fraction
 from functools import partial
 
 from analysis.evaluation import maps
@@ -28,7 +29,7 @@ from analysis.kit.words import plan_words, span_words
 from analysis.report.blocks import KeyFigure, Part, Pictured, Report
 from analysis.report.words import asked, team_figure
 from analysis.trials.exact_loop import TreeTruth
-from planner.shown import counted
+from planner.shown import counted, floored
 from planner.worlds.world import World
 
 
@@ -122,11 +123,11 @@ def _settings(evaluation: Evaluation) -> dict[str, object]:
 def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
     """The few to take away."""
     found, cells, seen = evaluation.figures, evaluation.tally.accessible, evaluation.visited
-    visited, between = seen.columns(100.0)
+    visited, between = seen.columns(100.0, 100)
     (complete, likely), (time, steps) = found.complete.columns(), evaluation.time.columns()
     between += " %" * (seen.half_width > 0)
     sure = "sure with 95 %" if found.visited.known is None else "exact"
-    runs = KeyFigure(f"{100 * (found.assured or 0) / cells:.1f} %", "or more in 95 % of runs", sure)
+    runs = KeyFigure(floored(Fraction(found.assured or 0, cells)), "or more in 95 % of runs", sure)
     return [
         KeyFigure(f"{visited} %", "visited on average", f"{between}, of {cells:,} accessible cells"),
         *([] if found.assured is None else [runs]),

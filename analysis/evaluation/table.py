@@ -18,6 +18,7 @@ from analysis.statistics.words import lost_words
 from analysis.theory.verdicts import MEANINGS
 from planner.plans.plan import NO_MORE
 from planner.plans.turns import drive_of
+from planner.shown import in_percent
 from planner.tally import Outcome
 
 LISTED = 10
@@ -78,7 +79,7 @@ def _chances_table(evaluation: Evaluation) -> Table:
     for name, chance in chances.items():
         _add(table, evaluation, name, "", chance.columns())
     some_left = bounds.team_survival if evaluation.settled else 1.0 - float(exact.alive_chance[0])
-    known = "" if math.isnan(some_left) else percent(some_left, 2).removesuffix(" %")
+    known = in_percent(some_left, 2)
     _add(table, evaluation, "chance that a robot is left at the end", known, found.some_left.columns())
     robots = len(evaluation.plan.robots)
     known = "" if math.isnan(exact.expected_losses) else lost_words(exact.expected_losses, robots)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
+from fractions import Fraction
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from analysis.statistics.estimate import Estimate
 from analysis.statistics.words import lost_words
 from analysis.theory.reachable import moves_left
 from analysis.trials.best import is_best
-from planner.shown import counted
+from planner.shown import ceiled, counted, floored
 
 
 def losses_words(evaluation: Evaluation) -> str:
@@ -84,17 +84,17 @@ def chances_words(evaluation: Evaluation) -> str:
 
 def limit_words(evaluation: Evaluation) -> str:
     """What no strategy exceeds on average on this map, where that is proven and not plain; else nothing."""
-    if (most := _most(evaluation)) is None or is_best(evaluation.plan):
+    if not (most := _most(evaluation)) or is_best(evaluation.plan):
         return ""
-    return f"No strategy visits more than {most:.2f} % on average with this team on this map ({proven(evaluation)})."
+    return f"No strategy visits more than {most} on average with this team on this map ({proven(evaluation)})."
 
 
-def _most(evaluation: Evaluation) -> float | None:
-    """Per cent that no strategy exceeds on average, rounded upwards; None where that is not proven, or plain."""
+def _most(evaluation: Evaluation) -> str:
+    """The share that no strategy exceeds on average, rounded upwards; "" where that is not proven, or plain."""
     limit = evaluation.bounds.any_strategy
     if limit is None or limit.cells > evaluation.tally.accessible - 0.005:
-        return None
-    return math.ceil(10_000 * limit.mean) / 100
+        return ""
+    return ceiled(limit.mean) if ceiled(limit.mean) != ceiled(1) else ""
 
 
 def proven(evaluation: Evaluation) -> str:
@@ -131,19 +131,19 @@ def headline(evaluation: Evaluation) -> str:
     who = counted(robots, "robot visits", "robots visit")
     if is_best(evaluation.plan) and (settings := evaluation.plan.settings) is not None:
         most = _most(evaluation)
-        limit = "" if most is None else f"; no strategy exceeds {most:.2f} % on average ({proven(evaluation)})"
+        limit = f"; no strategy exceeds {most} on average ({proven(evaluation)})" * bool(most)
         return f"{who} {shown} with {policy_words(settings)}{limit}."
-    runs = "" if least is None else f", and at least {100.0 * least / tally.accessible:.1f} % in 95 % of runs"
+    runs = "" if least is None else f", and at least {floored(Fraction(least, tally.accessible))} in 95 % of runs"
     return f"{who} {shown}{runs}."
 
 
 def certain_headline(evaluation: Evaluation) -> str:
     """The answer where nothing can happen: one run is all of them."""
     tally, robots = evaluation.tally, len(evaluation.plan.robots)
-    covered, steps = 100 * evaluation.closed_form.visited / tally.accessible, int(np.flatnonzero(tally.time)[0])
+    covered, steps = evaluation.closed_form.visited / tally.accessible, int(np.flatnonzero(tally.time)[0])
     who, long = counted(robots, "robot visits", "robots visit"), evaluation.world.pace.steps(steps)
     return (
-        f"{who} {covered:.2f} % of the accessible cells in {long} and none is lost: no cell on the "
+        f"{who} {percent(covered, 2)} of the accessible cells in {long} and none is lost: no cell on the "
         "way is dangerous, so every run is the same and 1 rollout is enough."
     )
 

@@ -64,7 +64,7 @@ def ways_table(study: Study) -> Table:
     """What every team covers, by way."""
     table = _table("Visited, %", list(study.question.ways))
     for team in study.teams:
-        table.add_row(*_named(team), *(study.estimate(team, way).around(100) for way in study.question.ways))
+        table.add_row(*_named(team), *(study.estimate(team, way).around(100, most=100) for way in study.question.ways))
     return table
 
 

@@ -27,6 +27,7 @@ from analysis.report.answer import json_end
 from analysis.report.blocks import Part, Report
 from analysis.sweeps.by_map import FIGURES
 from planner.files import Json
+from planner.shown import in_percent
 from planner.worlds.generate import Kind
 
 LISTED = 6
@@ -110,10 +111,10 @@ def gains_table(study: Study) -> Table:
 def _add_gains(table: Table, study: Study, name: str, robots: int, settings: tuple[Setting, ...]) -> None:
     gains = [study.gain(setting).around(100, "+") for setting in settings[1:]]
     steps = " / ".join(f"{study.estimate(setting, 'time').mean:.0f}" for setting in settings)
-    whole = " / ".join(f"{100 * study.estimate(setting, 'complete').mean:.1f}" for setting in settings)
+    whole = " / ".join(in_percent(study.estimate(setting, "complete").mean) for setting in settings)
     gap = study.gap(best_of(study, settings)) if settings[0].side != LARGE else None
     left = "" if gap is None else gap.around(100, "+")
-    paper = f"{100 * study.estimate(settings[0], 'visited').mean:.1f}"
+    paper = in_percent(study.estimate(settings[0], "visited").mean)
     table.add_row(name, str(robots), paper, *[*gains, ""][:2], steps, whole, left)
 
 
@@ -132,7 +133,7 @@ def front_table(study: Study, robots: int) -> Table:
             shown: list[str] = []
             for setting in settings:
                 losses, steps = (study.estimate(setting, figure).mean for figure in ("losses", "time"))
-                shown += [study.estimate(setting, "visited").around(100), f"{losses:.1f}", f"{steps:.0f}"]
+                shown += [study.estimate(setting, "visited").around(100, most=100), f"{losses:.1f}", f"{steps:.0f}"]
             table.add_row(settings[0].name, *shown)
     return table
 

@@ -43,7 +43,7 @@ def source_words(rollouts: int) -> str:
 
 def share_figure(estimate: Estimate, name: str, note: str = "") -> KeyFigure:
     """A share as a key figure, with its interval."""
-    mean, interval = estimate.columns(100.0)
+    mean, interval = estimate.columns(100.0, 100)
     return KeyFigure(f"{mean} %", name, interval + " %" * (estimate.half_width > 0) + note)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,7 @@ from analysis.survey.survey import Row, Survey, survey_starts, survey_world
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.verdicts import Verdict
 from planner.files import Json
-from planner.shown import counted
+from planner.shown import counted, in_percent, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -57,7 +58,7 @@ def headline(survey: Survey) -> str:
         f"{len(survey.failing)} of the paper's {len(paper)} formulas, every reading counted, fail on some of {worlds}"
     )
     parts = [
-        f"{FORMULAS[key].title} on up to {100 * row.fails.mean:.1f} % (k = {row.robots})"
+        f"{FORMULAS[key].title} on up to {percent(row.fails.mean)} (k = {row.robots})"
         for key, row in survey.failing.items()
     ]
     said += f": {'; '.join(parts)}" if parts else ""
@@ -104,8 +105,8 @@ def _rows(survey: Survey, cell: Callable[[Row], str]) -> Iterator[tuple[str, str
 
 def _shares(row: Row) -> str:
     """ "79.2/4.2"; "-" where neither happens, "?" after it where a world is undecided."""
-    fails, vacuous = (100 * row.verdicts[verdict] / row.worlds for verdict in (Verdict.FAILS, Verdict.VACUOUS))
-    shown = f"{fails:.3g}/{vacuous:.3g}" if fails or vacuous else "-"
+    counts = [row.verdicts[verdict] for verdict in (Verdict.FAILS, Verdict.VACUOUS)]
+    shown = "/".join(in_percent(Fraction(count, row.worlds)) for count in counts) if any(counts) else "-"
     return shown + ("?" if row.verdicts[Verdict.UNDECIDED] else "")
 
 

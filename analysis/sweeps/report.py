@@ -21,7 +21,7 @@ from analysis.sweeps.rows import DIFFERENCES, EXACT, FIGURES, FRACTIONS, Row
 from analysis.sweeps.sweep import Sweep
 from planner.arguments import argument
 from planner.files import Json
-from planner.shown import counted, duration
+from planner.shown import counted, duration, in_percent
 
 NAMES = {
     "visited": "cells visited, of the accessible ones",
@@ -146,25 +146,23 @@ def rows_table(rows: Sequence[Row]) -> Table:
         cells += [f"{row.maps:,}", f"{row.rollouts:,}"] if uneven else []
         cells += [percent(row.estimate("visited")), percent(row.estimate("survived"))]
         known = row.known("exact visited")
-        cells += ["" if known is None else f"{100 * known.mean:.2f}", percent(row.estimate("complete"))]
+        cells += ["" if known is None else in_percent(known.mean, 2), percent(row.estimate("complete"))]
         cells.append(around(row.estimate("time")))
         if compared:
             change = row.difference("visited") if number else None
-            cells.append("" if change is None else f"{'+' if change.mean > 0 else ''}{percent(change)}")
+            cells.append("" if change is None else change.around(100, "+", digits=2 if change.half_width < 0.01 else 1))
         table.add_row(*cells)
     return table
 
 
 def percent(estimate: Estimate) -> str:
     """A fraction with its interval, in percent."""
-    digits = 2 if estimate.half_width < 0.01 else 1
-    return f"{100 * estimate.mean:.{digits}f} ± {100 * estimate.half_width:.{digits}f}"
+    return estimate.around(100, most=100, digits=2 if estimate.half_width < 0.01 else 1)
 
 
 def around(estimate: Estimate) -> str:
     """A mean with its interval."""
-    digits = 1 if estimate.half_width < 10 else 0
-    return f"{estimate.mean:,.{digits}f} ± {estimate.half_width:,.{digits}f}"
+    return estimate.around(digits=1 if estimate.half_width < 10 else 0)
 
 
 def _charts(rows: Sequence[Row], figures: Sequence[str]) -> list[Chart]:

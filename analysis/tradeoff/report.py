@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import ceil
+
 from rich.table import Table
 
 from analysis.kit.folder import json_text
@@ -20,10 +22,11 @@ from analysis.report.words import (
     team_figure,
 )
 from analysis.statistics.coverage import losses_said
+from analysis.statistics.words import of_all
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.rules import LANDMARKS, Setting
 from planner.files import Json
-from planner.shown import counted
+from planner.shown import chance, counted, floored, in_percent
 
 TITLES = {
     "mrac": "mrac, ended early",
@@ -83,11 +86,13 @@ def headline(front: Front) -> str:
 def _picked(front: Front) -> str:
     goal, again = front.goal, front.confirmed
     by_losses = goal.losses is not None
-    limit = f"{100 * (goal.target or 0):g} % or more covered on average"
+    limit = f"{chance(goal.target or 0, 12)} or more covered on average"
     if by_losses:
         limit = f"at most {goal.losses:g} of {counted(len(front.starts), 'robot')} lost on average"
     if again is not None:
-        bound = f"at most {again.most:.2f} lost" if by_losses else f"at least {100 * again.least:.2f} % covered"
+        bound = f"at least {floored(again.least, 2)} covered"
+        if by_losses:
+            bound = f"at most {ceil(100 * again.most) / 100:.2f} lost"
         sure = "exact" if again.exact else f"95 %: {bound}"
         said = f"{_percent(again)} covered, {_lost(front, again)} lost on average"
         return f"Best found with {limit}: {_named(front, again)}. {said}; the limit is kept ({sure})."
@@ -96,7 +101,8 @@ def _picked(front: Front) -> str:
         return f"No setting is sure to have {limit} (95 %): ask for a little {other}, or --rollouts for more."
     if by_losses:
         least = min(front.points, key=lambda one: (one.losses.mean, -one.coverage.mean))
-        return f"No setting has {limit}: the fewest are {least.losses.mean:.2f}, with {_named(front, least)}."
+        fewest = of_all(least.losses.mean, len(front.starts))
+        return f"No setting has {limit}: the fewest are {fewest}, with {_named(front, least)}."
     most = max(front.points, key=lambda one: one.coverage.mean)
     return f"No setting has {limit}: the most is {_percent(most)}, with {_named(front, most)}."
 
@@ -189,7 +195,7 @@ def _chart(front: Front, which: str) -> Chart:
         x_whole=not robots,
         y_range=(0, 100),
         at_x=limit,
-        at_y=() if goal.target is None else ((100 * goal.target, f"{100 * goal.target:g} % wanted"),),
+        at_y=() if goal.target is None else ((100 * goal.target, f"{chance(goal.target, 12)} wanted"),),
         note="Farther up and to the left is better. Press a name to hide a curve.",
     )
 
@@ -207,7 +213,8 @@ def _prices(front: Front) -> Table:
 def _price(front: Front, point: Point) -> str:
     setting, step = point.setting, front.world.pace.step
     at = ", ".join(f"{name} {value:g}" for name, value in setting.limits.items())
-    return f"{point.losses.mean:.2f} ({at or ('whole' if setting.deadline is None else step(setting.deadline))})"
+    lost = of_all(point.losses.mean, len(front.starts))
+    return f"{lost} ({at or ('whole' if setting.deadline is None else step(setting.deadline))})"
 
 
 def _points(front: Front, whole: bool = False) -> Table:
@@ -223,9 +230,9 @@ def _points(front: Front, whole: bool = False) -> Table:
         point, setting = front.points[place], front.points[place].setting
         limits = ("" if value is None else f"{value:g}" for value in (setting.reserve, setting.worth))
         end = "" if setting.deadline is None else f"{setting.deadline:,}{pace.also(setting.deadline)}"
-        worth = () if point.value is None else (f"{100 * point.value.mean:.2f}",)
+        worth = () if point.value is None else (in_percent(point.value.mean, 2),)
         times = (f"{point.time.mean:,.0f}", *[f"{pace.minutes * point.time.mean:,.1f}"] * bool(pace))
-        figures = (*point.coverage.columns(100.0), *worth, *point.losses.columns(), *times)
+        figures = (*point.coverage.columns(100.0, 100), *worth, *point.losses.columns(), *times)
         mark = "pick" if place == front.pick else "efficient" if whole and front.efficient[place] else ""
         table.add_row(setting.policy, *limits, end, *figures, mark)
     return table

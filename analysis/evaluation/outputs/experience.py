@@ -146,7 +146,7 @@ class Experience(Output):
         for (_, found), said in zip(self._teams(), ("are told", "learn", "learn nothing"), strict=True):
             time = f"{found.mean('time').mean:.1f}"
             table.add_row(
-                said, *found.mean("visited", self._unit).columns(100.0), found.mean("lost").columns()[0], time
+                said, *found.mean("visited", self._unit).columns(100.0, 100), found.mean("lost").columns()[0], time
             )
         visited = [percent(found.mean("visited", self._unit).mean) for _, found in self._teams()]
         before, after = self.bits

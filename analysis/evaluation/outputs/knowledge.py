@@ -175,7 +175,7 @@ class Knowledge(Output):
             lost, time = team.found.mean("lost"), team.found.mean("time")
             table.add_row(
                 "told the map" if team is self.told else _sees(team.range),
-                *team.coverage.columns(100.0),
+                *team.coverage.columns(100.0, 100),
                 behind,
                 lost.columns()[0],
                 f"{time.mean:.1f}",

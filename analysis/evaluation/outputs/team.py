@@ -91,7 +91,7 @@ class Mates(Output):
         leads = []
         for said, found in (("as they are", self.team), *self.others):
             visited, time = found.mean("visited", self._unit), f"{found.mean('time').mean:.1f}"
-            table.add_row(said, *visited.columns(100.0), found.mean("lost").columns()[0], time)
+            table.add_row(said, *visited.columns(100.0, 100), found.mean("lost").columns()[0], time)
         for said, found in self.others:
             share, less = percent(found.mean("visited", self._unit).mean), self.ahead(Other(said, found))
             apart = less if less.mean > 0 else found.ahead(self.team, "visited", self._unit)
