@@ -25,9 +25,17 @@ def html_of(title: str, rows: Rows) -> str:
     return f"<b>{escape(title)}</b><table>{''.join(cells)}</table>"
 
 
-def counted(number: int, thing: str, things: str = "") -> str:
-    """ "1 chunk", "3,001 rollouts"; `things`: the plural, where an s does not make it."""
-    return f"{number:,} {thing if number == 1 else things or thing + 's'}"
+def counted(number: float, thing: str, things: str = "") -> str:
+    """ "1 chunk", "3,001 rollouts", "1.5 steps"; `things`: the plural, where an s does not make it."""
+    shown = f"{number:g}" if isinstance(number, float) else f"{number:,}"
+    return f"{shown} {thing if number == 1 else things or thing + 's'}"
+
+
+def at_least_words(number: int, of: int) -> str:
+    """ "at least 1 robot is", "at least 2 robots are", "every robot is"."""
+    if number == of:
+        return "the robot is" if of == 1 else "every robot is"
+    return f"at least {counted(number, 'robot')} {'is' if number == 1 else 'are'}"
 
 
 def duration(seconds: float) -> str:

@@ -122,7 +122,7 @@ def _key_figures(starts: Starts) -> list[KeyFigure]:
         note = f"{'exact' if low == high else between(low, high)}, against {standing_words(starts)}"
         out.append(KeyFigure(f"{100 * starts.gain.mean:+.2f} points", "best found", note))
     how = "" if starts.exact else ", all together with 95 %"
-    others = f"of {len(starts.simulated) - 1} others simulated{how}"
+    others = f"of {counted(len(starts.simulated) - 1, 'other')} simulated{how}"
     return [*out, KeyFigure(f"{starts.beaten}", "surely beaten", others)]
 
 
@@ -189,7 +189,7 @@ def _footnotes(starts: Starts) -> list[str]:
         f"{counts} of one robot's plan."
         + " behind: all of these intervals hold together with 95 %; places put aside early have few rollouts."
         * (not starts.exact),
-        *([f"{more} further places are in the JSON object."] if more > 0 else []),
+        *([f"The JSON object has {counted(more, 'further place')}."] if more > 0 else []),
     ]
 
 

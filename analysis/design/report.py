@@ -115,7 +115,7 @@ def _of(fraction: float) -> str:
 def _after(size: TeamSize) -> str:
     """How long the undecided ones were looked at."""
     most = max(point.rollouts for point in size.points if point.verdict is TeamVerdict.UNDECIDED)
-    return f" after {most:,} rollouts"
+    return f" after {counted(most, 'rollout')}"
 
 
 def _listed(numbers: Sequence[int], last: str = "and") -> str:
@@ -219,9 +219,9 @@ def _footnotes(size: TeamSize) -> list[str]:
             "the end."
         )
     if rolled:
-        often = f"{min(rolled):,} to {max(rolled):,}" if min(rolled) < max(rolled) else f"{rolled[0]:,}"
+        often = (f"{min(rolled):,} to " if min(rolled) < max(rolled) else "") + counted(max(rolled), "rollout")
         lines.append(
-            f"{often} rollouts a team. The verdicts are on the {figure}, and hold together "
+            f"{often} a team. The verdicts are on the {figure}, and hold together "
             f"with {100 * (1 - ALPHA):g} % confidence."
         )
     if size.of(TeamVerdict.UNDECIDED) and size.choices.precision is None and not size.partial:

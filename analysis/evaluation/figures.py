@@ -16,11 +16,12 @@ from analysis.statistics.control import complete_chance, tally_mean
 from analysis.statistics.coverage import AT_LEAST, losses_shown
 from analysis.statistics.estimate import Estimate, assured, exactly, mean_estimate, proportion, quantile, quantiles
 from analysis.statistics.words import MOST_DIGITS, between, meant_fraction
+from analysis.theory.exact import OpenLoopExact
 from analysis.theory.verdicts import MEANINGS
 from analysis.trials.exact_loop import SLACK
 from planner.arguments import FRACTION
 from planner.files import Json
-from planner.kernels.tree import Tree
+from planner.kernels.tree import WHOLE, Tree
 from planner.plans.plan import Plan
 from planner.shown import in_percent, inside
 from planner.tally import Outcome, Tally
@@ -145,6 +146,12 @@ class Covered:
         counts = getattr(tree.counts, meaning) + getattr(tree.counts, f"left_{meaning}")
         low, high = tree.covered(meaning)
         return cls(counts, exactly((low + high) / 2), False, partial(tree.chance_of, meaning))
+
+    def in_order(self, chances: NDArray[np.float64]) -> Self:
+        """Of one robot, which covers its cells in the order of their `chances` `[N]`: the n-th is that of n or more."""
+        least = np.concatenate([[1.0], np.sort(chances)[::-1][: self.cells], [0.0]])
+        mass = np.rint(-np.diff(least) * WHOLE).astype(np.int64)
+        return replace(self, counts=mass, known=lambda cells: (float(least[cells]), float(least[cells])))
 
     @property
     def cells(self) -> int:
@@ -283,6 +290,33 @@ class Figures:
             robots = self.losses.robots
             known = replace(known, alive=exactly(alive), losses=Losses(**vars(exactly(robots - alive)), robots=robots))
         return known if tree.mean_time is None else replace(known, time=exactly(tree.mean_time))
+
+    def with_means(self, visited: float, survived: float, lost: float) -> Self:
+        """The same, with means that are known, NaN: not; cells, and robots lost."""
+        known = {name: getattr(self, name) for name in MEANINGS}
+        for name, cells in zip(MEANINGS, (visited, survived), strict=True):
+            if math.isfinite(cells):
+                known[name] = replace(known[name], mean=exactly(cells))
+        if not math.isfinite(lost):
+            return replace(self, **known)
+        robots = self.losses.robots
+        return replace(self, **known, alive=exactly(robots - lost), losses=Losses(**vars(exactly(lost)), robots=robots))
+
+    def with_formulas(self, exact: OpenLoopExact, time: float | None) -> Self:
+        """The same, where robots follow their own paths to the end, as far as `exact` and `time` are known."""
+        robots, lost = self.losses.robots, exact.expected_losses
+        if exact.survival.sum() > 0:  # however little it is
+            lost = min(lost, math.nextafter(robots, 0.0))
+        known = self.with_means(exact.visited, exact.survived, lost)
+        if math.isfinite(exact.some_left):
+            left = [Chance.known(chance, chance) for chance in exact.alive_chance.tolist()]
+            known = replace(known, left=left, some_left=Chance.known(exact.some_left, exact.some_left))
+        if exact.is_known and robots == 1:
+            visited = known.visited.in_order(exact.visited_by_cell)
+            survived = known.survived.in_order(exact.survived_by_cell)
+            complete, least = visited.chance(visited.cells), quantile(visited.counts, 0.05)
+            known = replace(known, visited=visited, survived=survived, complete=complete, assured=least)
+        return known if time is None or not math.isfinite(time) else replace(known, time=exactly(time))
 
     def coverage_json(self) -> Json:
         """In both meanings."""

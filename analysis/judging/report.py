@@ -29,7 +29,7 @@ def report(judged: Judged) -> Report:
         lambda: _json(judged), figures=[share_figure(judged.coverage, "visited on average"), *score],
         heading=(map_words(judged.world, judged.cells, robots),
                  f"{counted(judged.choices.rollouts, 'rollout')}, seed {judged.choices.seed}, at most "
-                 f"{judged.max_steps:,} steps{judged.world.pace.also(judged.max_steps)}"),
+                 f"{judged.world.pace.steps(judged.max_steps)}"),
         parts=[Part("On the same luck", [table], [note])], pace=judged.world.pace,
     )  # fmt: skip
 

@@ -28,7 +28,8 @@ def plan_words(plan: Plan) -> str:
 
     With its policy first, unless it is the paper's with nothing of its own.
     """
-    shared = f", shared {plan.shares} time{'s' * (plan.shares != 1)}" if plan.shares else ""
+    often = "once" if plan.shares == 1 else f"{plan.shares:,} times"
+    shared = f", shared {often}" if plan.shares else ""
     policy = "" if plan.settings is None else policy_words(plan.settings)
     by = "" if policy in ("", "mrac") else f"{policy}; "
     return f"{by}{counted(len(plan.areas), 'area')}{shared}; {plan.ends}"
@@ -45,12 +46,12 @@ def span_words(plan: Plan, pace: Pace) -> str:
     driven = f"{counted(int(drive.moves.sum()), 'move')}, {counted(int(drive.turns.sum()), 'quarter turn')}"
     if pace.turn:
         steps = drive.time(pace.turn)
-        driven += f": with turns {steps:,.0f} steps{pace.also(steps)}"
+        driven += f": with turns {pace.steps(steps)}"
     if plan.outcome in ("called_off", "stuck"):
         later = plan.time - plan.makespan
         end = f", the end {counted(later, 'step')} later" if later else ""
         return f"the last move is at {pace.step(plan.makespan)}{end}, {driven}"
-    return f"makespan {plan.makespan:,} steps{pace.also(plan.makespan)}, {driven}"
+    return f"makespan {pace.steps(plan.makespan)}, {driven}"
 
 
 def bearing_words(plan: Plan, world: World) -> str:

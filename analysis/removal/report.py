@@ -148,7 +148,7 @@ def _footnotes(clearing: Clearing) -> list[str]:
         "bound: how much the bound for every strategy rises. lost in it: robots a run, as things are.",
     ]
     if len(clearing.options) > SHOWN:
-        lines.append(f"{len(clearing.options) - SHOWN} further threats are in the JSON object.")
+        lines.append(f"The JSON object has {counted(len(clearing.options) - SHOWN, 'further threat')}.")
     if clearing.remove == "sources":
         lines.append("p: the largest of the threat alone; where others overlap it, theirs stays.")
     return lines

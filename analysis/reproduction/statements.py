@@ -71,7 +71,7 @@ def _figure4(points: Sequence[Point]) -> Iterator[Finding]:
             least = 0.5 / (len(point.columns["share", loop, "time"]) * point.rollouts)
             deviation = max((float(ndtri(np.clip(share, least, 1 - least))) for share in shares), key=abs)
             verdict = StatementVerdict.REPRODUCED if abs(deviation) <= ENOUGH else StatementVerdict.NOT_REPRODUCED
-            said = f"one map, {point.robots} robots: {100 * coverage:.2f} % in {steps} steps{how}"
+            said = f"one map, {counted(point.robots, 'robot')}: {100 * coverage:.2f} % in {counted(steps, 'step')}{how}"
             yield Finding("Fig. 4", said, found, deviation, verdict)
 
 

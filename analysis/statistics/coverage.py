@@ -33,6 +33,13 @@ TARGETS = Numbers(0, 1, "a fraction of the accessible cells", above=True)
 """What a user may want covered."""
 
 
+def more_said(more: Estimate, costs: str, instead: str, other: str = "more") -> str:
+    """ "not knowing it costs 4.1 points ± 0.2 (95 %)"; below 0: "robots that are not told it visit 0.5 points more"."""
+    if more.mean >= 0:
+        return f"{costs} {more.said(100, ' points')}"
+    return f"{instead} {more.negated.said(100, f' points {other}')}"
+
+
 def losses_said(losses: Estimate, robots: int, *, mean_only: bool = False) -> str:
     """The same in a sentence: "all 4 robots", "no robot", "0.67 ± 0.01 (95 %) robots".
 

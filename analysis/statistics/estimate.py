@@ -111,6 +111,12 @@ class Estimate:
         below = (most is not None or self.ci95[0] >= 0) and about - half < -ROUNDED
         return "" if below or (most is not None and about + half > most + ROUNDED) else f"{half:,.{digits}f}"
 
+    @property
+    def negated(self) -> Estimate:
+        """The same the other way round."""
+        low, high = self.ci95
+        return Estimate(-self.mean, self.se, (-high, -low))
+
     def times(self, unit: float) -> Estimate:
         """The same in a unit of which one of these is so many."""
         return Estimate(self.mean * unit, self.se * unit, (self.ci95[0] * unit, self.ci95[1] * unit))

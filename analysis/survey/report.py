@@ -41,7 +41,7 @@ def report(survey: Survey) -> Report:
             Part("Over the size of the team", drawn=lambda: _charts(survey)),
             Part("Every formula", [_table(survey, *one) for one in TABLES.items()], _footnotes(survey), unfolded=True),
         ),
-        warnings=(f"Interrupted after {survey.worlds:,} worlds.",) if survey.partial else (),
+        warnings=(f"Interrupted after {counted(survey.worlds, 'world')}.",) if survey.partial else (),
         settings=survey.choices.settings.shown(), took=[f"{survey.seconds:.0f} s"],
         again="World number i has the seed of the first plus i: the number of processes changes nothing.",
         pictures={"bound_against_truth.png": partial(_scatter, survey), "over_robots.png": partial(_charts, survey)},
@@ -53,7 +53,7 @@ def report(survey: Survey) -> Report:
 def headline(survey: Survey) -> str:
     """The answer in one sentence: which of the paper's formulas fail somewhere, and whether anything proven does."""
     paper = {row.check.formula for row in survey.rows if row.check.about.paper}
-    worlds = f"{survey.worlds:,} {survey.choices.kind} worlds"
+    worlds = counted(survey.worlds, f"{survey.choices.kind} world")
     said = (
         f"{len(survey.failing)} of the paper's {len(paper)} formulas, every reading counted, fail on some of {worlds}"
     )
@@ -76,7 +76,7 @@ def _heading(survey: Survey) -> list[str]:
     return [
         f"{survey.said}, "
         f"{', '.join(map(str, choices.teams))} robots, seeds {first} to {first + choices.worlds - 1}; closed loop: "
-        f"{survey.rollouts.rollouts:,} rollouts a world and team"
+        f"{counted(survey.rollouts.rollouts, 'rollout')} a world and team"
     ]
 
 
@@ -144,7 +144,7 @@ def _key_figures(survey: Survey) -> tuple[KeyFigure, ...]:
         KeyFigure(f"{len(failing)} of {len(paper)}", "of the paper's formulas fail somewhere", "every reading counted"),
         KeyFigure(f"{len({check.formula for _, _, check in survey.faults})}", "of what is proven fails",
                   f"ours: {len(ours)} bounds"),
-        KeyFigure(f"{sum(row.worlds for row in rows):,}", "comparisons", f"on {survey.worlds:,} worlds"),
+        KeyFigure(f"{sum(row.worlds for row in rows):,}", "comparisons", f"on {counted(survey.worlds, 'world')}"),
     )  # fmt: skip
 
 

@@ -91,7 +91,7 @@ def done_words(sweep: Sweep) -> str:
     """How much was done, and how sure it is, in one sentence."""
     finished = sweep.finished
     on = "one map" if sweep.spec.maps is None else counted(max(row.maps for row in sweep.rows), "map")
-    ran = f"{finished.rollouts:,} rollouts run" if finished.rollouts else "nothing to run"
+    ran = f"{counted(finished.rollouts, 'rollout')} run" if finished.rollouts else "nothing to run"
     reused = f", {finished.reused:,} taken from the store" if finished.reused else ""
     begins = "Interrupted: " if sweep.partial else ""
     said = f"{begins}{counted(len(sweep.rows), 'setting')} on {on}: {ran}{reused} in {duration(finished.seconds)}"
@@ -112,7 +112,7 @@ def notes_of(sweep: Sweep) -> list[str]:
         notes.append(f"{argument('precision')} was not reached with all maps and rollouts that there are")
     cut = sum(row.timeouts for row in sweep.rows)
     if cut:
-        notes.append(f"{cut:,} rollouts ended at max_steps or a deadline (timeout), not of themselves")
+        notes.append(f"{counted(cut, 'rollout')} ended at max_steps or a deadline (timeout), not of themselves")
     return notes
 
 

@@ -165,7 +165,7 @@ def _key_figures(front: Front) -> list[KeyFigure]:
     return [
         share_figure(again.coverage, "visited on average", "" if again.exact else ", fresh rollouts"),
         team_figure(again.losses, len(front.starts)),
-        KeyFigure(f"{steps:,.0f} steps{front.world.pace.also(steps)}", "mean time", _named(front, again)),
+        KeyFigure(front.world.pace.steps(steps), "mean time", _named(front, again)),
     ]
 
 
