@@ -11,6 +11,8 @@ from math import ceil, floor, isnan
 Rows = Sequence[tuple[str, str]]
 NOTHING = 1e-12
 """By so much of itself a figure may miss the most that it can be and count as that: what sums of float64 lose."""
+FINEST = 6
+"""Decimals of a percentage beyond which a bound is said to be 100."""
 
 
 def text_of(title: str, rows: Rows) -> str:
@@ -99,7 +101,9 @@ def floored(fraction: float | Fraction, digits: int = 1) -> str:
 
 
 def ceiled(fraction: float | Fraction, digits: int = 2) -> str:
-    """A bound that a share does not exceed, in percent, rounded upwards."""
+    """A bound that a share does not exceed, in percent, rounded upwards; with further decimals rather than as 100."""
+    if fraction < 1 and ceil(_scaled(fraction, digits)) >= 10 ** (digits + 2) and digits < FINEST:
+        return ceiled(fraction, digits + 1)
     return f"{float(ceil(_scaled(fraction, digits)) / Fraction(10**digits)):.{digits}f} %"
 
 

@@ -131,7 +131,7 @@ def test_how_a_mission_ends_is_said_in_words() -> None:
     for asked, row in (
         ({"deadline": 3}, "chance to end at the deadline"),
         ({"range": 3}, "chance to end stuck: no robot can go on"),
-        ({"policy": "per_cell", "worth": 10}, "chance to end as the rest is not worth a robot"),
+        ({"policy": "per_cell", "worth": 10}, "chance to stop because the rest is not worth a robot"),
     ):
         answer = mrac.evaluate(world, mrac.plan(world, 1, **asked), rollouts=64, **QUIET)
         shown = as_text(lambda console, answer=answer: print_report(report(answer), console))

@@ -12,7 +12,7 @@ from analysis.adversary.answer import Attack, Placed
 from analysis.kit.tables import make_table
 from analysis.removal.threat import Gain, Threat, Weighed, by_cell
 from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
-from analysis.report.words import asked, luck_words, map_words, search_end, source_words
+from analysis.report.words import asked, luck_words, map_words, search_end, sourced
 from planner.files import Json
 from planner.shown import chance, counted
 from planner.worlds.restart import said
@@ -74,7 +74,7 @@ def findings(attack: Attack) -> Iterator[str]:
     """What both cost in cells and robots, what it is worth to know, and how sure the worst cell is."""
     for placed, own, kind in ((attack.known, attack.known.known, KNOWN), (attack.hidden, attack.hidden.hidden, HIDDEN)):
         if own is not None:
-            yield f"{source_words(own.rollouts)}, {_at(placed.threats)} against {kind}: {own.said('fewer')}."
+            yield sourced(own.rollouts, f"{_at(placed.threats)} against {kind}: {own.said('fewer')}.")
     known, hidden = attack.known.hidden, attack.hidden.known
     if known is not None and hidden is not None:
         yield (

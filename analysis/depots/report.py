@@ -19,7 +19,7 @@ from analysis.report.words import (
     run_again,
     search_end,
     share_figure,
-    source_words,
+    sourced,
     team_figure,
 )
 from analysis.statistics.coverage import losses_said
@@ -82,7 +82,7 @@ def findings(starts: Starts) -> Iterator[str]:
         worth = "" if again.value is None else f"{again.value.said(100, ' %')} of the value and "
         cells = "" if again.value is None else " of the cells"
         covered = f"{worth}{again.coverage.said(100, ' %')}{cells} covered"
-        yield f"{source_words(again.rollouts)}: {covered}, {losses_said(again.losses, len(starts.starts))} lost."
+        yield sourced(again.rollouts, f"{covered}, {losses_said(again.losses, len(starts.starts))} lost.")
     best = starts.places[starts.best]
     if starts.gain is not None and starts.stay:
         low, high = (100 * end for end in starts.gain.ci95)

@@ -112,7 +112,7 @@ def _most(evaluation: Evaluation) -> str:
     limit = evaluation.bounds.any_strategy
     if limit is None or limit.cells > evaluation.tally.accessible - 0.005:
         return ""
-    return ceiled(limit.mean) if ceiled(limit.mean) != ceiled(1) else ""
+    return ceiled(limit.mean)
 
 
 def proven(evaluation: Evaluation) -> str:

@@ -11,7 +11,7 @@ from analysis.kit.tables import make_table
 from analysis.removal.answer import Clearing
 from analysis.removal.threat import Gain, Threat, Weighed, by_cell
 from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
-from analysis.report.words import asked, luck_words, map_words, search_end, source_words
+from analysis.report.words import asked, luck_words, map_words, search_end, sourced
 from planner.arguments import exactly
 from planner.files import Json
 from planner.shown import chance, counted
@@ -67,7 +67,7 @@ def findings(clearing: Clearing) -> Iterator[str]:
     """How sure that is, what the old plan wins, and what the picks add."""
     first, gain = clearing.turns[0], clearing.gain
     if gain is not None:
-        yield f"{source_words(gain.rollouts)}, after replanning: {gain.said('more')}."
+        yield sourced(gain.rollouts, f"after replanning, {gain.said('more')}.")
     yield first.certainty("worth more")
     unknown = first.best_unknown
     most, own = (_said(clearing, one.unknown) for one in (unknown, first.picked))

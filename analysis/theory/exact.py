@@ -272,7 +272,8 @@ def exact_of(plan: Plan, robots: list[RobotChances], cells: int) -> OpenLoopExac
     at = [robot.cells[first:] for robot in robots]
     stops = np.bincount(np.concatenate(at), np.concatenate(stopped), cells).astype(np.float64)
     survival = np.array([robot.survival for robot in robots])
-    lost = [np.bincount(robot.steps, robot.reach * robot.threat, horizon) for robot in robots]
+    steps = np.concatenate([robot.steps for robot in robots])
+    lost = np.bincount(steps, np.concatenate([robot.reach * robot.threat for robot in robots]), horizon)
     return OpenLoopExact(
         visited_by_cell=visited,
         survived_by_cell=survived,
@@ -282,7 +283,7 @@ def exact_of(plan: Plan, robots: list[RobotChances], cells: int) -> OpenLoopExac
         survival=survival,
         alive_chance=poisson_binomial(survival),
         time_chance=_time_chance(robots, horizon),
-        losses_curve=np.cumsum(np.sum(lost, axis=0)),
+        losses_curve=np.cumsum(lost),
     )
 
 

@@ -18,7 +18,7 @@ from analysis.report.words import (
     run_again,
     search_end,
     share_figure,
-    source_words,
+    sourced,
     team_figure,
 )
 from analysis.statistics.coverage import losses_said
@@ -127,8 +127,9 @@ def _told(front: Front) -> list[Point]:
 def pick_lines(front: Front) -> list[str]:
     """How sure the figures of the headline are, and how to have them again."""
     told, again = _told(front), front.confirmed
-    one = source_words(not all(point.exact for point in told))
-    lines = [f"{one if len(told) == 1 else _named(front, point)}: {_fresh(front, point)}." for point in told]
+    lines = [f"{_named(front, point)}: {_fresh(front, point)}." for point in told]
+    if len(told) == 1:
+        lines = [sourced(not told[0].exact, f"{_fresh(front, told[0])}.")]
     if front.tried > 1 and again is not None:
         place = {2: "second", 3: "third"}.get(front.tried, f"{front.tried}th")
         lines.append(f"It is the {place} that was tried there; the 95 % holds with all tries.")
