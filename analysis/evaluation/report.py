@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from fractions import Fraction
 from functools import partial
 
 from analysis.evaluation import maps
@@ -28,7 +29,7 @@ from analysis.kit.words import plan_words, span_words
 from analysis.report.blocks import KeyFigure, Part, Pictured, Report
 from analysis.report.words import asked, team_figure
 from analysis.trials.exact_loop import TreeTruth
-from planner.shown import counted
+from planner.shown import counted, floored
 from planner.worlds.world import World
 
 
@@ -77,7 +78,9 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
     ground = f" ({_area(cells['accessible'] * world.cell_size**2)})" if world.cell_size != 1 else ""
     loop = f"open loop, {evaluation.mode} mode" if evaluation.loop == "open" else "closed loop"
     tree = evaluation.closed.tree if isinstance(evaluation.closed, TreeTruth) else None
-    whole = "" if tree is None else f"{counted(tree.histories, 'history', 'histories')} of all that can happen; "
+    whole = ""
+    if tree is not None:
+        whole = f"exact: all that can happen, {counted(tree.histories, 'branch', 'branches')}; and "
     return {
         "map": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
@@ -121,19 +124,21 @@ def _settings(evaluation: Evaluation) -> dict[str, object]:
 
 def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
     """The few to take away."""
-    found, cells, seen = evaluation.figures, evaluation.tally.accessible, evaluation.visited
-    visited, between = seen.columns(100.0)
+    found, cells, seen = evaluation.shown, evaluation.tally.accessible, evaluation.visited
+    visited, between = seen.columns(100.0, 100)
     (complete, likely), (time, steps) = found.complete.columns(), evaluation.time.columns()
     between += " %" * (seen.half_width > 0)
-    sure = "sure with 95 %" if found.visited.known is None else "exact"
-    runs = KeyFigure(f"{100 * (found.assured or 0) / cells:.1f} %", "or more in 95 % of runs", sure)
+    sure = "with 95 % confidence" if found.visited.known is None else "exact"
+    runs = KeyFigure(floored(Fraction(found.assured or 0, cells)), "or more in 95 % of runs", sure)
     return [
         KeyFigure(f"{visited} %", "visited on average", f"{between}, of {cells:,} accessible cells"),
         *([] if found.assured is None else [runs]),
         KeyFigure(f"{complete} %", "chance to visit every cell", likely),
         team_figure(evaluation.losses, evaluation.losses.robots),
         *([] if found.home is None else [team_figure(found.home, found.home.robots, "robots home at the end")]),
-        KeyFigure(f"{time} steps", "mean time", steps + evaluation.world.pace.also(evaluation.time.mean)),
+        KeyFigure(
+            f"{time} step{'s' * (time != '1')}", "mean time", steps + evaluation.world.pace.also(evaluation.time.mean)
+        ),
     ]
 
 

@@ -11,10 +11,10 @@ from analysis.kit.tables import make_table
 from analysis.removal.answer import Clearing
 from analysis.removal.threat import Gain, Threat, Weighed, by_cell
 from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
-from analysis.report.words import asked, luck_words, map_words, search_end, source_words
+from analysis.report.words import asked, luck_words, map_words, search_end, sourced
 from planner.arguments import exactly
 from planner.files import Json
-from planner.shown import counted
+from planner.shown import chance, counted
 
 KINDS = {"areas": "connected areas of danger", "sources": "polygons, points and sites of the scenario"}
 KINDS_OF_GAIN = {"cells": "Cells", "of value": "Value"}
@@ -55,7 +55,8 @@ def place_words(clearing: Clearing, threat: Threat) -> str:
     """A threat by name, size, chance and place."""
     row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
     most = "" if threat.thing is None else "at most "
-    return f"{threat.name} ({counted(len(threat.cells), 'cell')} of {most}{100 * threat.p:.3g} % from [{row}, {col}])"
+    at = f"{'' if len(threat.cells) == 1 else 'from '}row {row}, column {col}"
+    return f"{threat.name} ({counted(len(threat.cells), 'cell')}, {most}p = {chance(threat.p)}, {at})"
 
 
 def _said(clearing: Clearing, gain: Gain | None) -> str:
@@ -66,7 +67,7 @@ def findings(clearing: Clearing) -> Iterator[str]:
     """How sure that is, what the old plan wins, and what the picks add."""
     first, gain = clearing.turns[0], clearing.gain
     if gain is not None:
-        yield f"{source_words(gain.rollouts)}, after replanning: {gain.said('more')}."
+        yield sourced(gain.rollouts, f"after replanning, {gain.said('more')}.")
     yield first.certainty("worth more")
     unknown = first.best_unknown
     most, own = (_said(clearing, one.unknown) for one in (unknown, first.picked))
@@ -125,8 +126,9 @@ def _table(clearing: Clearing) -> Table:
         threat, known = one.threat, one.known
         row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
         told = ("", "", "") if known is None else (*_columns(known), f"{known.rollouts:,}" if known.rollouts else "")
-        table.add_row(threat.name, *[f"{row},{col}"] * areas, f"{len(threat.cells)}", f"{100 * threat.p:.3g}",
-                      f"{one.hits:.3f}", f"{one.screen:.2f}", *told[:2], *_columns(one.unknown), told[2])  # fmt: skip
+        table.add_row(threat.name, *[f"{row},{col}"] * areas, f"{len(threat.cells)}",
+                      chance(threat.p).removesuffix(" %"), f"{one.hits:.3f}", f"{one.screen:.2f}", *told[:2],
+                      *_columns(one.unknown), told[2])  # fmt: skip
     return table
 
 
@@ -146,7 +148,7 @@ def _footnotes(clearing: Clearing) -> list[str]:
         "bound: how much the bound for every strategy rises. lost in it: robots a run, as things are.",
     ]
     if len(clearing.options) > SHOWN:
-        lines.append(f"{len(clearing.options) - SHOWN} further threats are in the JSON object.")
+        lines.append(f"The JSON object has {counted(len(clearing.options) - SHOWN, 'further threat')}.")
     if clearing.remove == "sources":
         lines.append("p: the largest of the threat alone; where others overlap it, theirs stays.")
     return lines

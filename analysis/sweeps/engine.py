@@ -25,6 +25,7 @@ from planner.errors import UsageError
 from planner.limits import BLOCK, MOST_ROLLOUTS
 from planner.luck_names import LuckName
 from planner.rules import BEFORE, RELEASES
+from planner.shown import counted
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -98,6 +99,11 @@ class Finished:
     seconds: float
     partial: bool = False
     earlier: int = 0
+
+    @property
+    def said(self) -> str:
+        """In a line."""
+        return f"{self.seconds:.0f} s: {counted(self.rollouts, 'rollout')} run, {self.reused:,} from the store"
 
 
 class Swept(Answer):

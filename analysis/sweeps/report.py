@@ -22,7 +22,7 @@ from analysis.sweeps.sweep import Sweep
 from planner.arguments import argument
 from planner.files import Json
 from planner.rules import BEFORE, RELEASES
-from planner.shown import counted, duration
+from planner.shown import counted, duration, in_percent
 from planner.tally import Outcome
 
 NAMES = {
@@ -93,7 +93,7 @@ def done_words(sweep: Sweep) -> str:
     """How much was done, and how sure it is, in one sentence."""
     finished = sweep.finished
     on = "one map" if sweep.spec.maps is None else counted(max(row.maps for row in sweep.rows), "map")
-    ran = f"{finished.rollouts:,} rollouts run" if finished.rollouts else "nothing to run"
+    ran = f"{counted(finished.rollouts, 'rollout')} run" if finished.rollouts else "nothing to run"
     reused = f", {finished.reused:,} taken from the store" if finished.reused else ""
     begins = "Interrupted: " if sweep.partial else ""
     said = f"{begins}{counted(len(sweep.rows), 'setting')} on {on}: {ran}{reused} in {duration(finished.seconds)}"
@@ -154,25 +154,23 @@ def rows_table(rows: Sequence[Row]) -> Table:
         cells += [f"{row.maps:,}", f"{row.rollouts:,}"] if uneven else []
         cells += [percent(row.estimate("visited")), percent(row.estimate("survived"))]
         known = row.known("exact visited")
-        cells += ["" if known is None else f"{100 * known.mean:.2f}", percent(row.estimate("complete"))]
+        cells += ["" if known is None else in_percent(known.mean, 2), percent(row.estimate("complete"))]
         cells.append(around(row.estimate("time")))
         if compared:
             change = row.difference("visited") if number else None
-            cells.append("" if change is None else f"{'+' if change.mean > 0 else ''}{percent(change)}")
+            cells.append("" if change is None else change.around(100, "+", digits=2 if change.half_width < 0.01 else 1))
         table.add_row(*cells)
     return table
 
 
 def percent(estimate: Estimate) -> str:
     """A fraction with its interval, in percent."""
-    digits = 2 if estimate.half_width < 0.01 else 1
-    return f"{100 * estimate.mean:.{digits}f} ± {100 * estimate.half_width:.{digits}f}"
+    return estimate.around(100, most=100, digits=2 if estimate.half_width < 0.01 else 1)
 
 
 def around(estimate: Estimate) -> str:
     """A mean with its interval."""
-    digits = 1 if estimate.half_width < 10 else 0
-    return f"{estimate.mean:,.{digits}f} ± {estimate.half_width:,.{digits}f}"
+    return estimate.around(digits=1 if estimate.half_width < 10 else 0)
 
 
 def _charts(rows: Sequence[Row], figures: Sequence[str]) -> list[Chart]:
