@@ -26,6 +26,7 @@ from analysis.driving.dialogue import LONGEST, Dialogue
 from analysis.driving.outlook import DrivenMission
 from analysis.sampling import RolloutChoices, make_singles
 from planner.errors import InputError, StateError, UsageError, WorldError
+from planner.files import CHECKSUM
 from planner.missions.saved import ended
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan
@@ -369,11 +370,15 @@ def end_of(dialogue: Dialogue, ending: str, step: int = 2) -> dict[str, Any]:
     (said,) = dialogue.begin()
     while said["type"] != "end":
         if ending == "ended_by_operator" and said["step"] == step:
-            (said,) = say(dialogue, type="call_off")
-            continue
+            ending, (said,) = "", say(dialogue, type="call_off")
         lost = ending == "all_robots_lost" and said["step"] == step
         (said,) = say(dialogue, type="report", robot=0, cell=said["orders"][0]["cell"], stopped=lost)
     return said
+
+
+def kept_in(file: Path) -> dict[str, Any]:
+    """What a state file holds, to be changed."""
+    return {name: value for name, value in json.loads(file.read_text()).items() if name != CHECKSUM}
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
@@ -383,7 +388,7 @@ def test_the_last_line_says_why_a_mission_ended(tmp_path: Path, ending: str) -> 
     plan = mrac.plan(ROW, starts=[[0, 0]], **settings)
     said = end_of(Dialogue(DrivenMission(ROW, plan), file, dict), ending)
     assert said["outcome"] == ending
-    kept = json.loads(file.read_text())
+    kept = kept_in(file)
     assert kept["ended"]["outcome"] == ending
     kept["ended"]["outcome"] = before
     file.write_text(json.dumps(kept))
@@ -395,14 +400,16 @@ def test_a_state_file_with_an_unknown_outcome_is_refused(tmp_path: Path) -> None
     file, plan = tmp_path / "now.json", mrac.plan(ROW, starts=[[0, 0]])
     end_of(Dialogue(DrivenMission(ROW, plan), file, dict), "complete")
     for wrong in ("abandoned", 3):
-        file.write_text(json.dumps(json.loads(file.read_text()) | {"ended": {"outcome": wrong}}))
+        kept = kept_in(file)
+        kept["ended"]["outcome"] = wrong
+        file.write_text(json.dumps(kept))
         with pytest.raises(StateError, match=rf"`ended.outcome` is {wrong!r}.*all_robots_lost"):
             ended(file, ROW, plan)
 
 
 @pytest.mark.parametrize(("worth", "ending"), [(None, "ended_by_operator"), (1000.0, "not_worth_the_risk")])
 def test_who_ended_a_mission_on_its_way_home_is_kept(tmp_path: Path, worth: float | None, ending: str) -> None:
-    """What ended it first stays the reason, across a file too, and in the rollouts of the rest."""
+    """What ended it first stays the reason, across a file too."""
     file, policy = tmp_path / "now.json", {"policy": "per_cell", "worth": worth} if worth else {}
     plan = mrac.plan(ROW, starts=[[0, 0]], return_to="home", **policy)
     mission, operator = DrivenMission(ROW, plan), worth is None
@@ -413,17 +420,24 @@ def test_who_ended_a_mission_on_its_way_home_is_kept(tmp_path: Path, worth: floa
     assert mission.outcome is None
     mission.call_off()
     mission.save(file)
-    kept = json.loads(file.read_text())
+    kept = kept_in(file)
     assert kept["over"] == ending
     for word in (ending, "called_off"):
         file.write_text(json.dumps(kept | {"over": word}))
         again = DrivenMission.resume(file, ROW, plan)
         assert again.rest().outcome == ending
-        (rolled,) = again._roll_out([{}], 8, None, 0)
-        assert set(rolled.outcome.tolist()) == {Outcome[ending.upper()]}
         while again.outcome is None:
             obey(again)
         assert again.outcome.word == ending
+
+
+def test_rollouts_of_a_mission_that_its_operator_ended_say_so() -> None:
+    mission = DrivenMission(ROW, mrac.plan(ROW, starts=[[0, 0]], return_to="home"))
+    for _ in range(3):
+        obey(mission)
+    mission.call_off()
+    (found,) = mission._roll_out([{}], 8, None, 0)
+    assert set(found.outcome.tolist()) == {Outcome.ENDED_BY_OPERATOR} and set(found.visited.tolist()) == {3}
 
 
 def test_a_mission_that_has_ended_says_so_again(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
