@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -41,9 +40,10 @@ def read_plan_on(path: str | Path, world: World) -> tuple[World, Plan]:
     So a plan of such a release keeps its reading of a scenario that does not say what robots plan on among moving
     threats; its notes say so. Raises PlanError.
     """
-    data, source, before = read_plan_json(path), str(path), as_before(world)
+    data, source = read_plan_json(path), str(path)
     earlier = isinstance(data, dict) and data.get("format") == FORMAT and data.get("version") == 1
-    if earlier and before is not world and _sha256_in(data) == before.sha256 != world.sha256:
+    before = as_before(world) if earlier else world
+    if _sha256_in(data) == before.sha256 != world.sha256:
         plan = confirm_plan(parse_plan(data, before, source), before, source)
         return before, replace(plan, notes=(*plan.notes, f"{source}: {KEPT_READING}"))
     plan = parse_plan(data, world, source)
@@ -56,9 +56,9 @@ def read_plan_on(path: str | Path, world: World) -> tuple[World, Plan]:
         raise PlanError(error.problem, source=source, expected=expected, fix=error.fix) from error
 
 
-def _sha256_in(data: Any) -> object:
+def _sha256_in(data: object) -> object:
     """The hash of the map that a plan file says it was made for."""
-    named = data.get("world")
+    named = data.get("world") if isinstance(data, dict) else None
     return named.get("sha256") if isinstance(named, dict) else None
 
 

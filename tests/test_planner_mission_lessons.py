@@ -15,6 +15,7 @@ from planner.missions.mission import Mission
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
 from planner.settings import Settings
+from planner.tally import Outcome
 from planner.tolerance import exposure_of
 from planner.trace import Doing, EventKind
 from planner.worlds.changing import with_phases
@@ -79,6 +80,19 @@ def test_it_drives_as_the_simulator_does(worlds: int, kind: str, tmp_path: Path)
         assert (np.where(alive, places, 0) == np.where(alive, trace.cells[: len(places)], 0)).all(), number
         surprised += int((trace.events[:, 2] == EventKind.SURPRISED).sum())
     assert surprised > 10
+
+
+@pytest.mark.parametrize("more", [{}, {"return_to": "home"}])
+def test_a_mission_waits_for_a_phase_that_is_announced(more: dict[str, Any], tmp_path: Path) -> None:
+    """`0 .5 0 0`, one robot that is worth 4 cells: it goes once all is safe, from step f on, and covers all."""
+    home = 3 if more else 0
+    for f in (1, 3, 4, 9):
+        world = with_phases(World.create([[0, 0.5, 0, 0]]), [(f, np.zeros((1, 4)))])
+        settings = Settings(policy="per_cell", worth=4.0, **more)
+        places, trace = drive(world, [[0, 0]], settings, f, tmp_path / "m.json" if f > 3 else None)
+        assert (trace.outcome, trace.time) == (Outcome.COMPLETE, f + 3 + home)
+        assert places.ravel().tolist() == [0] * (f + 1) + [1, 2, 3] + [2, 1, 0] * bool(home)
+        assert places.tolist() == trace.cells.tolist()
 
 
 def test_what_a_visit_and_a_stop_say_is_bayes_rule(tmp_path: Path) -> None:

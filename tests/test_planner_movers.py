@@ -296,6 +296,9 @@ def test_robots_plan_on_those_that_have_a_route_unless_something_else_is_said(tm
     (note,) = world.notes
     assert note.startswith("`plan_on` is not given: robots plan on the moving threats that have a route (patrols)")
     assert "`plan_on: joined`" in note and "\n" not in note and not any(one.notes for one in said.values())
+    lone = World.create([[0.0, np.nan, 0.0]])
+    sure = with_movers(lone, [Mover(1.0, 0.0, 2)])  # `joined` refuses it
+    assert as_before(sure) is sure
     (note,) = scenario(tmp_path, "movers: [{patrol: [[0, 0], [0, 1]], h: 0.5}]\n").notes
     assert world.movers is not None
     plain = replace(world, threat=world.met, doubt=None, notes=())

@@ -70,7 +70,8 @@ def older_note(sure: int, unsure: int) -> list[str]:
     """What is to be said of so many runs that follow, and that may follow, rules which release 0.4 changed."""
     if not sure + unsure:
         return []
-    parts = [f"{counted(sure, 'run')} follow rules that release 0.4 changed"] if sure else []
+    follow = "follows" if sure == 1 else "follow"
+    parts = [f"{counted(sure, 'run')} {follow} rules that release 0.4 changed"] if sure else []
     parts += [f"{counted(unsure, 'run')} may, if threats change with time or `plan_on` is left out"] if unsure else []
     changed = "phases, detectors, return home, moving threats"
     return [f"{', and '.join(parts)} ({changed}): run the sweep again to renew them"]

@@ -88,6 +88,8 @@ class Executive(Board):
     def end_step(self) -> None:
         """Every robot has had its turn."""
         self.quiet = 0 if self.progress else self.quiet + 1
+        if self._awaits_update():
+            self.quiet = min(self.quiet, self._most_quiet - 1)
         if self.problem.home is not None:
             self._call_home()
         self._look()
@@ -111,10 +113,15 @@ class Executive(Board):
             return Outcome.COMPLETE
         if not any(robot.alive for robot in self.robots):
             return Outcome.ALL_ROBOTS_LOST
-        if self.quiet >= STUCK_AFTER * max(self.problem.settings.paces, default=1) and not self._awaits_update():
+        if self.quiet >= self._most_quiet:
             could = (robot.able and first_area(self, robot, refusing=False) for robot in self.robots)
             return Outcome.NOT_WORTH_THE_RISK if self._refuses() and any(could) else Outcome.NO_PROGRESS
         return None
+
+    @property
+    def _most_quiet(self) -> int:
+        """Steps in a row without progress after which the run ends."""
+        return STUCK_AFTER * max(self.problem.settings.paces, default=1)
 
     def _awaits_update(self) -> bool:
         """Whether a robot that can move waits for an announced phase that changes the map."""

@@ -19,9 +19,9 @@ from planner.worlds.world import World
 AT, STAYS = "[row, col], whole numbers", "a chance to stay, 0 to 1"
 PlannedOn = Literal["patrols", "joined", "own"]
 PLAN_ON: tuple[PlannedOn, ...] = get_args(PlannedOn)
-PATROLS, JOINED, OWN = PLAN_ON
+PATROLS, JOINED = PLAN_ON[:2]
 """Robots plan on p joined with where the moving threats that have a route are in the long run, the default; with where
-all moving threats are, the default before release 0.4; on p alone."""
+all moving threats are, the default before release 0.4."""
 DEFAULT = (
     "`plan_on` is not given: robots plan on the moving threats that have a route (patrols); before release 0.4 they "
     "planned on all of them, which `plan_on: joined` still does"
@@ -68,10 +68,16 @@ def _planned_on(world: World, movers: Movers, plan_on: PlannedOn) -> World:
 
 
 def as_before(world: World) -> World:
-    """The world as releases before 0.4 made it: where nobody said what robots plan on, with `plan_on` "joined"."""
+    """The world as releases before 0.4 made it: where nobody said what robots plan on, with `plan_on` "joined".
+
+    The world itself where they made the same, or refused it (p of 1).
+    """
     if world.movers is None or not world.movers.by_default:
         return world
-    return _planned_on(world, replace(world.movers, by_default=False), JOINED)
+    try:
+        return _planned_on(world, replace(world.movers, by_default=False), JOINED)
+    except WorldError:
+        return world
 
 
 def read_movers(key: Key, plan_on: Key | None, world: World) -> World:
