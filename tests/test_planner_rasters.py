@@ -366,6 +366,13 @@ def test_voids_that_no_file_declares_are_no_ground(tmp_path: Path, void: float, 
     assert np.array_equal(world.free, heights == 0) and not any("6 pixels" in note for note in world.notes)
 
 
+def test_heights_in_no_metres_that_say_no_unit(tmp_path: Path) -> None:
+    """Millimetres: too many different heights for marks of no data, so the note names the other remedy."""
+    says(tmp_path / "dem.tif", ramp(20) * 1000)
+    with pytest.raises(MapError, match=r"steeper than 28 degrees.*12 pixels of .* \.\. .*unit if they are no metres"):
+        load_input(scenario(tmp_path, map={"elevation": "dem.tif", "max_slope_deg": 28}))
+
+
 def test_heights_that_are_none_of_these_stay(tmp_path: Path) -> None:
     """The deepest sea, the highest mountain, and the largest number where another one is declared to be no data."""
     numbers = np.array([[-10_935, 8_849, -999, 32767, -1]], dtype=np.int16)

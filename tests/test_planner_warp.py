@@ -279,7 +279,8 @@ def test_a_place_that_files_beside_it_give(tmp_path: Path) -> None:
     with pytest.raises(MapError, match=r"names no CRS, and pixels of 0\.0003 at .* look like degrees.*--crs EPSG:4326"):
         load_input(path)
     local = 'LOCAL_CS["site",UNIT["foot",0.3048]]'
-    assert load_input(tif(tmp_path / "b.tif", values, (10, 0, 0, 0, -10, 60), local)).cell_size == pytest.approx(3.048)
+    world = load_input(tif(tmp_path / "b.tif", values, (10, 0, 0, 0, -10, 60), local))
+    assert world.cell_size == pytest.approx(3.048) and "names no place on the Earth" in world.notes[0]
     Image.fromarray(np.full((4, 6), 255, np.uint8)).save(tmp_path / "c.png")
     assert not any("beside it" in note for note in load_input(tmp_path / "c.png").notes)
     (tmp_path / "c.pgw").write_text("0.5\n0\n0\n-0.5\n0\n0\n")

@@ -149,7 +149,10 @@ def _place(data: Any, crs: Any, path: Path) -> Place:
         bottom = min(transform.f, transform.f + data.height * transform.e)
         right, top = transform.c + data.width * transform.a, bottom + data.height * abs(transform.e)
         bounds = (transform.c, bottom, right, top)
-        return bounds, (), _without_crs(bounds, transform.a, path) if crs is None else ()
+        if crs is None:
+            return bounds, (), _without_crs(bounds, transform.a, path)
+        elsewhere = "its CRS names no place on the Earth: its coordinates are taken for those of a frame of its own"
+        return bounds, (), () if crs.is_projected or crs.is_geographic else (elsewhere,)
     if points:
         return _by_points(points, crs, data.shape, path)
     for domain, (words, command) in UNPLACED.items():

@@ -21,7 +21,7 @@ NEAR = 1.0
 """How far from the first of FILL a number may be: -9999.9 and -9999.25 are in use."""
 HUGE, HUGEST = 1e20, 3.5e38
 """Magnitudes between which a number stands for no data: 1e20, 9.97e36 and 3.4e38, the largest float32, are in use."""
-MOST_NAMED = 3
+MOST_NAMED = 2
 """Different numbers that a note names one by one."""
 SAME_UNIT = 1e-5
 """Relative difference of two units up to which they count as one: a foot and a US survey foot differ by 2e-6."""
@@ -175,7 +175,7 @@ def _voids(raw: NDArray, stages: tuple[NDArray[np.float64], ...], said: Said, of
     """bool `[H, W]`: numbers that stand for no data. `stages`: the file's numbers, scaled, and in the unit of `of`."""
     numbers, scaled, values = stages
     void = (np.abs(numbers) >= HUGE) & (np.abs(numbers) <= HUGEST)
-    fill = FILL if of is HEIGHTS else (*FILL, -999)  # a sea may be 999 m deep
+    fill = FILL if of is HEIGHTS or said.declared else (*FILL, -999)  # a sea may be 999 m deep
     for stage in {id(stage): stage for stage in (numbers, scaled, values)}.values():
         low = stage < max(fill) + NEAR
         if low.any():
@@ -197,11 +197,13 @@ def _describe(numbers: NDArray[np.float64], of: Meaning, source: str) -> str:
     many = len(which) > MOST_NAMED
     named = f"{which[0]:.7g} .. {which[-1]:.7g}" if many else ", ".join(f"{number:.7g}" for number in which)
     what = "a mark of no data" + ", or no height on Earth" * (of is HEIGHTS)
-    fix = "write nan there"
-    if source.casefold().endswith((".tif", ".tiff")):
-        fix = f"declare it: {edited(source, '--nodata', f'{which[0]:.17g}')}"
+    fix, first = "write nan there", f"{which[0]:.17g}"
+    if source.casefold().endswith((".tif", ".tiff", ".asc")):
+        is_text = source.casefold().endswith(".asc")
+        fix = f"declare it: {f'NODATA_value {first} in its header' if is_text else edited(source, '--nodata', first)}"
+        fix += " (or another, if these are values)" * (of is not HEIGHTS)
     if many and of is HEIGHTS:
-        fix += ", or the unit, if they are no metres"
+        fix = f"declare them, or their unit if they are no metres, as in {edited(source, '--units', 'cm')}"
     return f"{counted(numbers.size, 'pixel')} of {named}, {what}, count as no data though none is declared; {fix}"
 
 
