@@ -32,7 +32,7 @@ Edge = tuple[tuple[float, float], tuple[float, float]]
 
 def in_range(places: NDArray[np.float64]) -> NDArray[np.bool_]:
     """bool `[...]`: which (x, y) `[..., 2]` can be longitude and latitude."""
-    return (np.abs(places) <= RANGE).all(axis=-1)
+    return np.asarray((np.abs(places) <= RANGE).all(axis=-1))
 
 
 def fine(places: NDArray[np.float64]) -> bool:

@@ -167,9 +167,9 @@ def _in_metres(
 def _spans_a_field(corners: NDArray[np.float64]) -> bool:
     """True for (longitude, latitude) `[n, 2]` of a field; where they lie a turn apart, of one about 180 alone."""
     longitudes = corners[:, 0]
-    about = np.ptp(longitudes) <= WIDEST or bool((np.abs(longitudes) >= TURN / 2 - WIDEST).all())
+    about = np.ptp(longitudes) <= WIDEST or (np.abs(longitudes) >= TURN / 2 - WIDEST).all()
     west, east = extent(longitudes, TURN)
-    return about and east - west <= WIDEST and np.ptp(corners[:, 1]) <= WIDEST and bool(in_range(corners).all())
+    return bool(about and east - west <= WIDEST and np.ptp(corners[:, 1]) <= WIDEST and in_range(corners).all())
 
 
 def _degrees(polygons: list[Rings], path: Path) -> tuple[list[Rings], Georeference, tuple[str, ...]]:
