@@ -40,7 +40,7 @@ Fields = Sequence[tuple[int, str]]
 
 
 class Sign(NamedTuple):
-    """The decimal sign of some numbers, "." or ","; `problem`: why nobody can tell, else ""."""
+    """The decimal sign of some numbers, "." or ","; `problem`: why it cannot be told, else ""."""
 
     decimal: str = "."
     problem: str = ""
@@ -122,10 +122,11 @@ def sign_of(fields: Fields, sure: bool = False) -> Sign:
 
 def signs_of(rows: Sequence[tuple[int, Sequence[str]]]) -> list[Sign]:
     """The decimal sign of every column, of rows of one length."""
-    columns: list[Fields] = [[(line, row[at]) for line, row in rows] for at in range(len(rows[0][1]))]
     fields = [field.strip() for _, row in rows for field in row if "," in field]
+    if not fields:
+        return [Sign()] * len(rows[0][1])
     sure = any(COMMA.fullmatch(field) and not GROUPED.fullmatch(field) for field in fields)
-    return [sign_of(column, sure) for column in columns] if fields else [Sign()] * len(columns)
+    return [sign_of([(line, row[at]) for line, row in rows], sure) for at in range(len(rows[0][1]))]
 
 
 def read_rows(path: Path, holds: str) -> tuple[str, list[tuple[int, list[str]]]]:
@@ -188,14 +189,17 @@ def read_csv_grid(path: Path, most_cells: int) -> tuple[NDArray[np.float64], tup
 
 
 def _with_points(lines: list[str], separator: str, before: int, path: Path) -> tuple[list[str], str]:
-    """Lines of a grid with decimal points, and their sign, "" without any. Raises MapError where nobody can tell it."""
+    """Lines of a grid with decimal points, and their sign, "" without any. Raises MapError where it cannot be told."""
     if separator == "," or not any("," in line for line in lines):
         return lines, "." if separator != "," and any("." in line for line in lines) else ""
-    rows = enumerate(lines, start=before + 1)
-    sign = sign_of([(number, field) for number, line in rows for field in line.split(separator)])
-    if sign.problem:
-        raise MapError(sign.problem, source=path, expected="decimal points, or decimal commas")
-    return [line.replace(",", ".") for line in lines], sign.decimal
+    fields = ((n, field.strip()) for n, line in enumerate(lines, before + 1) for field in line.split(separator))
+    sure = any("," in field and not GROUPED.fullmatch(field) for _, field in fields)  # up to the first one
+    if not sure or any("." in line for line in lines):
+        rows = enumerate(lines, before + 1)
+        problem = sign_of([(n, field) for n, line in rows for field in line.split(separator)]).problem
+        if problem:
+            raise MapError(problem, source=path, expected="decimal points, or decimal commas")
+    return [line.replace(",", ".") for line in lines], ","
 
 
 def _csv_block(path: Path, before: int, lines: list[str], width: int | None, separator: str) -> NDArray[np.float64]:
