@@ -23,8 +23,11 @@ CSV_BATCH = 2**20
 SAMPLE = 64
 """Lines at the top of a grid that show its separator."""
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "spaces"}
-"""What may separate columns, in words; the first three never stand in a number."""
+"""What may separate columns, in words."""
+SIGNS = {".": "points", ",": "commas"}
+"""Decimal signs in words."""
 STRONG = (";", "\t", "|")
+"""Separators that stand in no number and between no words."""
 COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?")
 """A number with a decimal comma."""
 GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}[,.]\d{3}")
@@ -37,7 +40,7 @@ Fields = Sequence[tuple[int, str]]
 
 
 class Sign(NamedTuple):
-    """The decimal sign of some numbers, "." or ","; `problem`: why nobody can tell, else ""."""
+    """The decimal sign of some numbers, "." or ","; `problem`: why it cannot be told, else ""."""
 
     decimal: str = "."
     problem: str = ""
@@ -61,9 +64,8 @@ def layout_note(separator: str, decimal: str) -> tuple[str, ...]:
     """What a user should know of how a table was read: nothing of the usual commas and decimal points."""
     if (separator, decimal) == (",", "."):
         return ()
-    signs = {".": "points", ",": "commas"}
     return (
-        f"columns are read as separated by {SEPARATORS[separator]}, numbers as written with decimal {signs[decimal]}",
+        f"columns are read as separated by {SEPARATORS[separator]}, numbers as written with decimal {SIGNS[decimal]}",
     )
 
 
@@ -120,10 +122,11 @@ def sign_of(fields: Fields, sure: bool = False) -> Sign:
 
 def signs_of(rows: Sequence[tuple[int, Sequence[str]]]) -> list[Sign]:
     """The decimal sign of every column, of rows of one length."""
-    columns: list[Fields] = [[(line, row[at]) for line, row in rows] for at in range(len(rows[0][1]))]
     fields = [field.strip() for _, row in rows for field in row if "," in field]
+    if not fields:
+        return [Sign()] * len(rows[0][1])
     sure = any(COMMA.fullmatch(field) and not GROUPED.fullmatch(field) for field in fields)
-    return [sign_of(column, sure) for column in columns] if fields else [Sign()] * len(columns)
+    return [sign_of([(line, row[at]) for line, row in rows], sure) for at in range(len(rows[0][1]))]
 
 
 def read_rows(path: Path, holds: str) -> tuple[str, list[tuple[int, list[str]]]]:
@@ -159,14 +162,20 @@ def read_csv_grid(path: Path, most_cells: int) -> tuple[NDArray[np.float64], tup
     check_size(path, MAX_CSV_BYTES, MapError, holds, "save it as .npz or .npy, or coarsen the map")
     blocks: list[NDArray[np.float64]] = []
     number = cells = 0
-    separator, decimal = "", "."
+    separator = decimal = ""
     try:
         with path.open(encoding="utf-8-sig") as stream:
             while lines := stream.readlines(CSV_BATCH):
                 lines = lines if number else _without_sep(lines)
-                separator = separator or separator_of([line for line in lines[: 2 * SAMPLE] if line.strip()], path)
+                if not blocks and not any(map(str.strip, lines)):
+                    number += len(lines)
+                    continue
+                separator = separator or separator_of(lines[: 2 * SAMPLE], path)
                 plain, found = _with_points(lines, separator, number, path)
-                decimal = "," if "," in (found, decimal) else "."
+                if decimal and found and decimal != found:
+                    problem = f"decimal {SIGNS[decimal]} up to line {number}, decimal {SIGNS[found]} below"
+                    raise MapError(problem, source=path, expected="one decimal sign")
+                decimal = decimal or found
                 block = _csv_block(path, number, plain, blocks[0].shape[1] if blocks else None, separator)
                 number, cells = number + len(lines), cells + block.size
                 if cells > most_cells:
@@ -176,18 +185,21 @@ def read_csv_grid(path: Path, most_cells: int) -> tuple[NDArray[np.float64], tup
         raise MapError(f"cannot be read as text ({error})", source=path, expected=holds) from error
     if not blocks:
         raise MapError("is empty", source=path, expected=holds)
-    return np.concatenate(blocks), layout_note(separator, decimal)
+    return np.concatenate(blocks), layout_note(separator, decimal or ".")
 
 
 def _with_points(lines: list[str], separator: str, before: int, path: Path) -> tuple[list[str], str]:
-    """Lines of a grid with decimal points, and their sign. Raises MapError where nobody can tell it."""
+    """Lines of a grid with decimal points, and their sign, "" without any. Raises MapError where it cannot be told."""
     if separator == "," or not any("," in line for line in lines):
-        return lines, "."
-    rows = enumerate(_split(lines, separator), start=before + 1)
-    sign = sign_of([(line, field) for line, row in rows for field in row])
-    if sign.problem:
-        raise MapError(sign.problem, source=path, expected="decimal points, or decimal commas")
-    return [line.replace(",", ".") for line in lines], sign.decimal
+        return lines, "." if separator != "," and any("." in line for line in lines) else ""
+    fields = ((n, field.strip()) for n, line in enumerate(lines, before + 1) for field in line.split(separator))
+    sure = any("," in field and not GROUPED.fullmatch(field) for _, field in fields)  # up to the first one
+    if not sure or any("." in line for line in lines):
+        rows = enumerate(lines, before + 1)
+        problem = sign_of([(n, field) for n, line in rows for field in line.split(separator)]).problem
+        if problem:
+            raise MapError(problem, source=path, expected="decimal points, or decimal commas")
+    return [line.replace(",", ".") for line in lines], ","
 
 
 def _csv_block(path: Path, before: int, lines: list[str], width: int | None, separator: str) -> NDArray[np.float64]:

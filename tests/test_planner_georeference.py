@@ -313,7 +313,8 @@ def test_wide_shapes_on_a_map_in_degrees_or_mercator(tmp_path: Path, west: float
     def box(left: float, right: float) -> list[list[list[float]]]:
         return [[[left, -18.0], [right, -18.0], [right, -12.0], [left, -12.0], [left, -18.0]]]
 
-    for polygons in ([box(175, 180), box(-180, -175)], [box(175, -175)], [box(175, 185)], [box(-185, -175)]):
+    halves = [box(175, 180), box(-180, -175)]
+    for polygons in (halves, [*halves, box(178, 180)], [box(175, -175)], [box(175, 185)], [box(-185, -175)]):
         multi(tmp_path, *polygons)
         held = load_input(scenario(tmp_path, threats=[{"polygons": "a.geojson"}])).threat > 0
         assert np.flatnonzero(held.any(axis=0)).tolist() == list(range(20, 40))

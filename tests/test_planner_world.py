@@ -339,3 +339,10 @@ def test_grids_that_can_be_read_in_two_ways(tmp_path: Path, text: str, words: st
     with pytest.raises(MapError) as caught:
         load_world_file(tmp_path / "w.csv")
     assert words in str(caught.value) and "w.csv" in str(caught.value)
+
+
+def test_decimal_signs_that_change_far_below(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planner.tables, "CSV_BATCH", 5)
+    (tmp_path / "w.csv").write_text("\n\n\n0;0\n0;0,5\n0;0\n0;0.5\n")
+    with pytest.raises(MapError, match="decimal commas up to line 5, decimal points below"):
+        load_world_file(tmp_path / "w.csv")

@@ -66,9 +66,9 @@ def features(mission: Mission) -> Iterator[Feature]:
             "chance_of_loss": _rounded(1 - mission.exact.survival[number]),
         }
         cells = [stop.cell for stop in mission.stops(number)]
-        cells = np.array(cells if len(cells) > 1 else cells * 2)  # a line has two points, if it never moves too
-        lines = [[rounded(part).tolist()] for part in cut_line(mission.on_earth(world.to_xy(cells)))]
-        yield Feature(f"robot {number}", False, lines, facts, mission.lonlat(cells).tolist())
+        line = np.array(cells if len(cells) > 1 else cells * 2)  # of two points, if it never moves too
+        lines = [[rounded(part).tolist()] for part in cut_line(mission.on_earth(world.to_xy(line)))]
+        yield Feature(f"robot {number}", False, lines, facts, mission.lonlat(line).tolist())
 
 
 def _rounded(value: float) -> float | None:

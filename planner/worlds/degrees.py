@@ -1,6 +1,6 @@
 """Coordinates that come round: which order longitude and latitude are in, and shapes across longitude 180.
 
-RFC 7946, 3.1.9, cuts shapes there: the two parts of one polygon lie a whole turn apart, and are joined again here.
+RFC 7946, 3.1.9, cuts shapes there: the two parts of one polygon lie a whole turn apart, and are brought together here.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ Edge = tuple[tuple[float, float], tuple[float, float]]
 
 def in_range(places: NDArray[np.float64]) -> NDArray[np.bool_]:
     """bool `[...]`: which (x, y) `[..., 2]` can be longitude and latitude."""
-    return (np.abs(places) <= RANGE).all(axis=-1)
+    return np.asarray((np.abs(places) <= RANGE).all(axis=-1))
 
 
 def fine(places: NDArray[np.float64]) -> bool:
@@ -159,14 +160,24 @@ def extent(values: NDArray[np.float64], turn: float) -> tuple[float, float]:
     return float(low - back), float(high - back)
 
 
-def unrolled(polygons: list[Rings], low: float, high: float, turn: float) -> list[Rings]:
+class Unrolled(NamedTuple):
+    """Polygons where x comes round: `areas`, which together are the shape, and the `borders` around it.
+
+    They are the same but where the shape was cut: there areas share an edge, and borders do not have it.
+    """
+
+    areas: list[Rings]
+    borders: list[Rings]
+
+
+def unrolled(polygons: list[Rings], low: float, high: float, turn: float) -> Unrolled:
     """Polygons of one shape where they lie about x = low .. high, where x comes round after `turn` (0: never).
 
     A ring with a step of more than half a turn goes the short way if it holds their middle no other way. A polygon
-    comes as often as it lies there, at least once. Parts that were cut where x comes round are joined.
+    comes as often as it lies there, at least once.
     """
     if not turn:
-        return polygons
+        return Unrolled(polygons, polygons)
     moved: list[Rings] = []
     turns: list[int] = []
     for rings in polygons:
@@ -177,7 +188,7 @@ def unrolled(polygons: list[Rings], low: float, high: float, turn: float) -> lis
         for number in there or [nearest]:
             moved.append([np.add(ring, (number * turn, 0.0)) for ring in rings] if number else rings)
             turns.append(number)
-    return _joined(moved, turns, SEAM * turn) if len(set(turns)) > 1 else moved
+    return Unrolled(moved, _joined(moved, turns, SEAM * turn) if len(set(turns)) > 1 else moved)
 
 
 def _short_way(rings: Rings, low: float, high: float, turn: float) -> Rings:
@@ -201,10 +212,9 @@ def _short_way(rings: Rings, low: float, high: float, turn: float) -> Rings:
 
 
 def _joined(polygons: list[Rings], turns: list[int], tolerance: float) -> list[Rings]:
-    """The polygons, those as one that share a border along x after they were moved by different numbers of turns.
+    """The borders of polygons, without those that they share after they were moved by different numbers of turns.
 
-    Where an even number of edges runs along such a border it is none; what is left is walked round anew. Whether a ring
-    is a hole needs no telling: the even-odd rule holds for the rings of a polygon.
+    Where an even number of edges runs along such a border it is none; what is left is walked round anew.
     """
     owners, edges = [], []
     for number, rings in enumerate(polygons):

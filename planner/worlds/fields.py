@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.errors import MapError
 from planner.files import foreign_errors
-from planner.worlds.degrees import Rings, check_range, extent, fine, in_range, unrolled
+from planner.worlds.degrees import Rings, Unrolled, check_range, extent, fine, in_range, unrolled
 from planner.worlds.georeference import (
     TURN,
     WGS84,
@@ -49,15 +50,15 @@ def read_field(
     north of their lower-left corner, to scale on the middle latitude; in another CRS its own metres. Raises MapError.
     """
     shapes = read_shapes(path)
-    polygons, place, notes = _in_metres(shapes, path, cell_size)
+    (polygons, borders), place, notes = _in_metres(shapes, path, cell_size)
     notes = (*shapes.notes, *notes)
     blocks = 1 if swath is None else round(swath / cell_size)
     frame = _frame(polygons, cell_size, path, direction, blocks)
     held, crossed = np.zeros(frame.shape, dtype=bool), np.zeros(frame.shape, dtype=bool)
     for rings in polygons:
         held |= inside(rings, frame)
-        if boundary == "whole":
-            crossed |= touched(rings, frame)
+    for rings in borders if boundary == "whole" else ():
+        crossed |= touched(rings, frame)
     free = held & ~crossed
     if not free.any():
         raise _no_cell(polygons, place, cell_size, boundary, path)
@@ -133,9 +134,7 @@ def _frame(polygons: list[Rings], cell_size: float, path: Path, yaw: float, bloc
     return Frame((height, width), cell_size, (cos * left - sin * bottom, sin * left + cos * bottom, yaw))
 
 
-def _in_metres(
-    shapes: Shapes, path: Path, cell_size: float
-) -> tuple[list[Rings], Georeference | None, tuple[str, ...]]:
+def _in_metres(shapes: Shapes, path: Path, cell_size: float) -> tuple[Unrolled, Georeference | None, tuple[str, ...]]:
     """The polygons in metres of the map's frame, where that lies on the Earth, and notes."""
     polygons = [rings for feature in shapes.features for rings in feature.polygons]
     if not polygons:
@@ -150,7 +149,11 @@ def _in_metres(
         raise MapError("names no CRS, and looks like degrees", source=path, expected="a CRS", fix=fix)
     crs = shapes.crs or (WGS84 if shapes.crs == "" and small else "")
     if not crs:
-        return polygons, None, ("its coordinates are taken for metres of a frame of its own: it names no CRS",)
+        return (
+            Unrolled(polygons, polygons),
+            None,
+            ("its coordinates are taken for metres of a frame of its own: it names no CRS",),
+        )
     if crs == WGS84:
         return _degrees(polygons, path)
     with foreign_errors(f"its CRS is {crs[:60]!r}", path, "a CRS that PROJ knows, in degrees or metres"):
@@ -160,19 +163,27 @@ def _in_metres(
             return _degrees([[reproject(ring, crs, WGS84) for ring in rings] for rings in polygons], path)
         unit = float(known.linear_units_factor[1])
     place, turn = Georeference(crs, scale=(1 / unit, 1 / unit)), turn_of(crs)[0]
-    polygons = unrolled(polygons, *extent(corners[:, 0], turn), turn)
-    return _checked([[ring * unit for ring in rings] for rings in polygons], path), place, ()
+    shape = unrolled(polygons, *extent(corners[:, 0], turn), turn)
+    if not all(COORDINATE.accepts(float(np.abs(ring).max() * unit)) for rings in shape.areas for ring in rings):
+        raise MapError("a corner too far away", source=path, expected=COORDINATE.expected)
+    return _moved(shape, lambda ring: ring * unit), place, ()
 
 
 def _spans_a_field(corners: NDArray[np.float64]) -> bool:
     """True for (longitude, latitude) `[n, 2]` of a field; where they lie a turn apart, of one about 180 alone."""
     longitudes = corners[:, 0]
-    about = np.ptp(longitudes) <= WIDEST or bool((np.abs(longitudes) >= TURN / 2 - WIDEST).all())
+    about = np.ptp(longitudes) <= WIDEST or (np.abs(longitudes) >= TURN / 2 - WIDEST).all()
     west, east = extent(longitudes, TURN)
-    return about and east - west <= WIDEST and np.ptp(corners[:, 1]) <= WIDEST and bool(in_range(corners).all())
+    return bool(about and east - west <= WIDEST and np.ptp(corners[:, 1]) <= WIDEST and in_range(corners).all())
 
 
-def _degrees(polygons: list[Rings], path: Path) -> tuple[list[Rings], Georeference, tuple[str, ...]]:
+def _moved(shape: Unrolled, to: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Unrolled:
+    """The shape with its rings in other coordinates."""
+    areas, borders = ([[to(ring) for ring in rings] for rings in part] for part in shape)
+    return Unrolled(areas, borders)
+
+
+def _degrees(polygons: list[Rings], path: Path) -> tuple[Unrolled, Georeference, tuple[str, ...]]:
     corners = np.concatenate([ring for rings in polygons for ring in rings])
     check_range(corners, "", path)
     (west, east), (south, north) = extent(corners[:, 0], TURN), (corners[:, 1].min(), corners[:, 1].max())
@@ -185,11 +196,5 @@ def _degrees(polygons: list[Rings], path: Path) -> tuple[list[Rings], Georeferen
     off = max(abs(degree_sides(edge)[1] / across - 1) for edge in (south, north))
     note = f"degrees: worked on in metres east and north of {describe(west, float(south))}"
     note += f", {100 * off:.2g} % off at the edges" if off > 1e-3 else ""
-    polygons = unrolled(polygons, west, east, TURN)
-    return [[place.from_crs(ring, WGS84) for ring in rings] for rings in polygons], place, (note,)
-
-
-def _checked(polygons: list[Rings], path: Path) -> list[Rings]:
-    if not all(COORDINATE.accepts(float(np.abs(ring).max())) for rings in polygons for ring in rings):
-        raise MapError("a corner too far away", source=path, expected=COORDINATE.expected)
-    return polygons
+    shape = unrolled(polygons, west, east, TURN)
+    return _moved(shape, lambda ring: place.from_crs(ring, WGS84)), place, (note,)

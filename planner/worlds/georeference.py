@@ -74,7 +74,7 @@ class Georeference:
         return (found - self.origin) / self.scale
 
 
-def near(values: ArrayLike, middle: ArrayLike, turn: float) -> NDArray[np.float64]:
+def near(values: ArrayLike, middle: float | NDArray[np.float64], turn: float) -> NDArray[np.float64]:
     """The values moved by whole turns to within half a turn of `middle`; those half a turn away stay."""
     given = np.asarray(values, dtype=np.float64)
     return given - turn * np.round((given - middle) / turn)

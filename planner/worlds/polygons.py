@@ -80,7 +80,7 @@ def read_polygons(
 
 
 def _on_map(features: list[Feature], crs: str, frame: Frame, georeference: Georeference, path: Path) -> list[Feature]:
-    """Features in metres of the map's frame, joined where they were cut at longitude 180."""
+    """Features in metres of the map's frame, brought together where they were cut at longitude 180."""
     if is_degrees(crs):
         rings = rings_of(features)
         check_range(np.concatenate(rings), "", path)
@@ -91,7 +91,7 @@ def _on_map(features: list[Feature], crs: str, frame: Frame, georeference: Geore
         feature._replace(
             polygons=unrolled(
                 [[georeference.from_crs(ring, crs) for ring in rings] for rings in feature.polygons], *place
-            )
+            ).areas
         )
         for feature in features
     ]
