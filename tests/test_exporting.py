@@ -360,7 +360,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeyp
         ("export w.npz --out w.npz", "no format has the suffix '.npz'"),
         ("export w.npz --to kml --out w.csv", "--out w.csv ends in '.csv'"),
         ("export w.npz --out a.plan --speed 0", "--speed 0"),
-        ("export w.npz --out a.plan --to plan", "--to plan; expected qgc or nav2"),
+        ("export w.npz --out a.plan --to plan", "--to 'plan'; expected qgc or nav2"),
         ("plan w.npz --waypoints a.plan --altitude 1e9", "--altitude 1e+09"),
     ):
         assert run(words.split()) == 2
