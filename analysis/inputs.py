@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import FRACTION, argument, numbers_of
+from planner.arguments import FRACTION, argument, did_you_mean, numbers_of
 from planner.errors import InputError, PlanError, StateError, UsageError
 from planner.files import read_json, why_no_file
 from planner.limits import MAX_PLAN_BYTES
@@ -50,7 +50,8 @@ def input_path(name: str) -> Path:
     known = {path.stem: path for path in sorted(folder.iterdir()) if path.stem in ("terrain", "building", "paper")}
     wanted = name.removeprefix(EXAMPLE)
     if wanted not in known:
-        raise UsageError(f"no example {wanted!r}", source=name, expected=" or ".join(EXAMPLE + k for k in known))
+        expected = " or ".join(EXAMPLE + one for one in known)
+        raise UsageError(f"no example {wanted!r}", source=name, expected=expected, fix=did_you_mean(wanted, known))
     return known[wanted]
 
 

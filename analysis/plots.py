@@ -58,10 +58,11 @@ def world_figure(what: World | Evaluation, plan: Plan | None = None) -> Figure:
         return plan_figure(what, plan)
 
 
-def _picture(kind: type[Kind], shows: str, name: str = "") -> Callable[[Kind], Figure]:
+def _picture(kind: type[Kind], shows: str, name: str = "", needs: str = "") -> Callable[[Kind], Figure]:
     """What draws a picture of an answer's report, the first if none is named, in the house's style.
 
-    `shows`: its docstring. Anything but that kind of answer is an InputError.
+    `shows`: its docstring. `needs`: what an answer without the picture lacks. Anything but that kind of answer is an
+    InputError.
     """
 
     def figure(answer: Kind) -> Figure:
@@ -69,7 +70,7 @@ def _picture(kind: type[Kind], shows: str, name: str = "") -> Callable[[Kind], F
             raise UsageError(argument("answer", answer), expected=f"the answer {kind.__name__}")
         said = report_of(answer)
         if name and name not in said.pictures:
-            raise UsageError(f"the evaluation has no {name}", fix="evaluate(..., metrics='coverage')")
+            raise UsageError(f"the evaluation has no {name}", expected=needs)
         with house_style():
             return figure_of(said, name or next(iter(said.pictures)))
 
@@ -82,7 +83,10 @@ covered_figure = _picture(
 )
 losses_figure = _picture(Evaluation, "Expected robots lost in each cell, with the worst cells.", "losses.png")
 left_figure = _picture(
-    Evaluation, "The expected value left in each cell; of an evaluation that has a `value`.", "left.png"
+    Evaluation,
+    "The expected value left in each cell; of an evaluation that has a `value`.",
+    "left.png",
+    "a world with values: `value:` in its scenario, or load(..., value=...); or evaluate(..., metrics='coverage')",
 )
 distribution_figure = _picture(
     Evaluation, "The chance of so much coverage, and rollouts by coverage.", "distribution.png"

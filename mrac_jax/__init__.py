@@ -7,10 +7,12 @@ is the one file that points forward along `planner` -> `mrac_jax` -> `analysis`;
 
 from __future__ import annotations
 
+from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
+from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 from mrac_jax import forks as forks  # which has to be there before a fork
@@ -83,7 +85,21 @@ def __getattr__(name: str) -> Any:
     for neighbour in NEIGHBOURS:
         _check_is_ours(neighbour)
     home = import_module(ELSEWHERE.get(name, "analysis.api"))
-    return home if name == "plots" else getattr(home, name)
+    if name == "plots":
+        return home
+    found = getattr(home, name)
+    return (
+        import_module("analysis.kit.hints").with_hints(found, _functions) if isinstance(found, FunctionType) else found
+    )
+
+
+def _functions() -> dict[str, FunctionType]:
+    """The functions behind the door, by name: an argument that one does not have may be another's."""
+    found = {}
+    for name in __all__:
+        with suppress(ImportError):  # without an extra: one function less to name
+            found[name] = __getattr__(name)
+    return {name: one for name, one in found.items() if isinstance(one, FunctionType)}
 
 
 def __dir__() -> list[str]:

@@ -122,7 +122,14 @@ class Numbers:
     ) -> None:
         """Raise `error` unless the argument `name` is one of them; `optional`: or None."""
         if not self.accepts(value) and not (optional and value is None):
-            raise error(argument(name, value), source=source, expected=self.expected, fix=fix)
+            raise error(argument(name, value), source=source, expected=self.expected, fix=fix or self.meant(value))
+
+    def meant(self, value: object) -> str:
+        """The fix for a percentage in the place of a fraction: "did you mean 0.05?" for 5; "" for what is none."""
+        number: Any = value
+        if self.most > 1 or not is_real(value) or not 1 < number <= 100 or not self.accepts(number / 100):
+            return ""
+        return f"did you mean {number / 100:g}?"
 
 
 ANY = Numbers()
@@ -158,7 +165,21 @@ def numbers_of(name: str, text: str, expected: str) -> tuple[float, ...]:
         raise UsageError(f"{argument(name)} {text!r}", expected=expected) from None
 
 
+def nearest(given: object, words: Iterable[str], likeness: float = 0.6) -> str:
+    """The word of `words` that is probably meant by another one, "" if none is near; case, - and _ do not count.
+
+    `likeness`: of the two at least, 0 to 1.
+    """
+    plain = {_plain(word): word for word in words}
+    close = difflib.get_close_matches(_plain(str(given)[:60]), plain, n=1, cutoff=likeness)
+    return plain[close[0]] if close else ""
+
+
+def _plain(word: str) -> str:
+    return word.lower().replace("-", "").replace("_", "")
+
+
 def did_you_mean(given: object, words: Iterable[str]) -> str:
     """The fix for a word that is none of `words`: the one that is near it, "" if none is."""
-    close = difflib.get_close_matches(str(given)[:60], words, n=1)
-    return f"did you mean {close[0]!r}?" if close else ""
+    close = nearest(given, words)
+    return f"did you mean {close!r}?" if close else ""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, make_dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
-from planner.arguments import ANY, COMMAND_LINE, Numbers, argument, check_each, check_word, is_real, whole
+from planner.arguments import ANY, COMMAND_LINE, Numbers, argument, check_each, check_word, did_you_mean, is_real, whole
 from planner.errors import PlanError
 from planner.limits import LEAST_SHAPE, LEAST_SUSCEPTIBILITY, MAX_STEP, MOST_SHAPE, MOST_SUSCEPTIBILITY
 from planner.pace import TIMES, UNPACED, Pace
@@ -331,7 +331,8 @@ class Settings:
                 shown = f"{value:g}" if setting.kind == "number" and is_real(value) else repr(value)
                 shown = ",".join(map(str, value)) if typed and isinstance(value, tuple) else shown
                 expected = setting.expected("null" if source else "" if typed else "None")
-                raise PlanError(said(name, shown), source=source, expected=expected)
+                fix = did_you_mean(value, setting.words) or setting.numbers.meant(value)
+                raise PlanError(said(name, shown), source=source, expected=expected, fix=fix)
         for name in POLICY[1:]:
             if getattr(self, name) is not None and not self.rule.limited:
                 limited = " or ".join(rule.name for rule in RULES.values() if rule.limited)

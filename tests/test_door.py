@@ -124,6 +124,22 @@ WRONG = {
         lambda world, plan: mrac.evaluate(world, plan, robots=5),
         "evaluate has no argument 'robots'; expected one of policy, state, loop",
     ),
+    "robots": (lambda world, plan: mrac.evaluate(world, robots=5), "; give plan=5: how many robots to plan for"),
+    "robots of check": (lambda world, plan: mrac.check(world, robots=5), "; give plan=5: how many robots to plan for"),
+    "of front": (lambda world, plan: mrac.evaluate(world, losses=1), "; it is an argument of front"),
+    "of plan": (
+        lambda world, plan: mrac.check(world, policy="per_cell"),
+        "check has no argument 'policy'; expected one of world, plan, rollouts, seed, engine, bound, progress, "
+        "on_interrupt; give it to `plan`, and the plan to `check`",
+    ),
+    "misspelt of front": (lambda world, plan: mrac.evaluate(world, loses=1), "did you mean 'losses', an argument of"),
+    "plural": (lambda world, plan: mrac.front(world, 2, worth=3), "did you mean 'worths'? worth is an argument of"),
+    "of an environment": (lambda world, plan: mrac.env(world, 2, actionz="areas"), "did you mean 'actions'?"),
+    "of a world": (lambda world, plan: mrac.with_sense(world, ranges=2), "with_sense has no argument 'ranges'"),
+    "no value": (
+        lambda world, plan: mrac.plots.left_figure(mrac.evaluate(world, rollouts=64, advice=False)),
+        "the evaluation has no left.png; expected a world with values: `value:` in its scenario, or load(..., value=",
+    ),
     "misspelt": (lambda world, plan: mrac.evaluate(world, plan, rolouts=5), "did you mean 'rollouts'?"),
     "part": (lambda world, plan: mrac.evaluate(world, plan, rollouts=10.5), "rollouts=10.5; expected a whole number"),
     "quantile": (

@@ -7,7 +7,7 @@ import json
 import math
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 from xml.etree import ElementTree
 
 import numpy as np
@@ -18,6 +18,7 @@ from rasterio.features import rasterize
 
 import mrac_jax as mrac
 from analysis.cli.app import run
+from analysis.cli.exporting import Way
 from analysis.exporting.antimeridian import cut_area, cut_line
 from analysis.exporting.export import FORMATS
 from analysis.exporting.mission import straight_runs
@@ -457,7 +458,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeyp
         ("export w.npz --out w.npz", "no format has the suffix '.npz'"),
         ("export w.npz --to kml --out w.csv", "--out w.csv ends in '.csv'"),
         ("export w.npz --out a.plan --speed 0", "--speed 0"),
-        ("export w.npz --out a.plan --to plan", "--to plan; expected qgc or nav2"),
+        ("export w.npz --out a.plan --to plan", "--to 'plan'; expected qgc or nav2"),
         ("plan w.npz --waypoints a.plan --altitude 1e9", "--altitude 1e+09"),
     ):
         assert run(words.split()) == 2
@@ -467,3 +468,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeyp
     assert run(["export", "m.csv", "--out", "m.csv"]) == 2
     assert "m.csv is an input" in capsys.readouterr().err and Path("m.csv").read_text() == "0,0\n0,0\n"
     assert not list(tmp_path.glob("*.partial")) and not Path("a.plan").exists()
+
+
+def test_the_command_line_knows_every_format() -> None:
+    assert get_args(Way) == tuple(FORMATS)

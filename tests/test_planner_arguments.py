@@ -12,7 +12,7 @@ from analysis.design.size import make_goal
 from analysis.inputs import Asked, load_task, parse_starts
 from analysis.sampling import RolloutChoices
 from analysis.survey.survey import make_survey
-from planner.arguments import COMMAND_LINE, argument, is_real, is_whole
+from planner.arguments import COMMAND_LINE, Numbers, argument, is_real, is_whole, nearest
 from planner.errors import InputError, PlanError, UsageError, WorldError
 from planner.mrac.make_plan import make_plan
 from planner.settings import Choices, Settings
@@ -36,7 +36,8 @@ WORLD = World.create(np.zeros((2, 3)))
         ({"rollouts": 1e6 + 0.5}, "rollouts=1000000.5; expected a whole number"),
         ({"rollouts": True}, "rollouts=True"),
         ({"rollouts": "100"}, "rollouts='100'"),
-        ({"precision": 2}, "precision=2; expected"),
+        ({"precision": 2}, "precision=2; expected a fraction of the accessible cells in (0, 1); did you mean 0.02?"),
+        ({"engine": "Num-ba"}, "did you mean 'numba'?"),
         ({"precision": "0.1"}, "precision='0.1'"),
         ({"seed": -1}, "seed=-1; expected a whole number"),
         ({"deadline": 2.5}, "deadline=2.5; expected steps, as 450, or a time"),
@@ -109,3 +110,17 @@ def test_whole_and_real_numbers() -> None:
     assert not any(is_whole(value, 0, 9) for value in (True, 3.0, "3", None, 10, -1))
     assert is_real(np.float32(0.5))
     assert not any(is_real(value) for value in (True, "1", None, float("nan"), float("inf"), 10**400))
+
+
+def test_a_percentage_in_the_place_of_a_fraction_is_meant_as_one() -> None:
+    share = Numbers(0, 1)
+    assert [share.meant(value) for value in (5, 95.5, 100)] == [f"did you mean {n}?" for n in ("0.05", "0.955", "1")]
+    assert [share.meant(value) for value in (1, 0.5, -5, 101, True, "5", None)] == [""] * 7
+    assert Numbers(0, 10).meant(50) == Numbers(0, 0.1).meant(50) == ""
+
+
+def test_the_nearest_word_is_found_whatever_its_case_and_hyphens() -> None:
+    words = ("per_cell", "mrac", "every-visit")
+    assert [nearest(given, words) for given in ("percell", "PER CELL", "mrack", "every_visit", "x")] == [
+        "per_cell", "per_cell", "mrac", "every-visit", "",
+    ]  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from inspect import signature
 from pathlib import Path
@@ -13,6 +12,7 @@ from analysis.api.plans import check_world, plan, plan_of
 from analysis.api.policies import judge
 from analysis.evaluation.answer import Evaluation
 from analysis.kit.calls import OnInterrupt, ask
+from analysis.kit.hints import UnknownArgument
 from analysis.kit.notes import Doing, Progress
 from analysis.sampling import Exactness, RolloutChoices, how_much, luck_of
 from planner.arguments import argument, check_word
@@ -127,10 +127,7 @@ def _check_outputs(asked: Mapping[str, Any]) -> None:
 
     known = [name for name, one in signature(evaluate).parameters.items() if one.kind is one.KEYWORD_ONLY]
     for name in asked.keys() - OUTPUTS.keys():
-        fix = "give it to `plan`, and the plan to `evaluate`" if name in signature(plan).parameters else ""
-        for close in difflib.get_close_matches(name, [*known, *OUTPUTS], n=1):
-            fix = f"did you mean {close!r}?"
-        raise UsageError(f"evaluate has no argument {name!r}", expected=f"one of {', '.join(known)}", fix=fix)
+        raise UnknownArgument(evaluate, name, asked[name], known)
 
 
 def _judged(world: World, plan: Any, policy: Callable[..., Any], asked: dict[str, Any], **rest: Any) -> Judged:

@@ -14,7 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import App, CycloptsError, MissingArgumentError, Parameter
+from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, UnknownOptionError
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, may_replace, output_console
 from analysis.cli.decisions import attack, clear, starts
@@ -59,6 +59,7 @@ from analysis.cli.reproduce import reproduce
 from analysis.cli.studio import studio
 from analysis.cli.suite import suite
 from analysis.cli.sweeps import results, sweep
+from analysis.kit.hints import elsewhere
 from analysis.kit.notes import say
 from planner.arguments import COMMAND_LINE
 from planner.errors import InputError, UsageError
@@ -461,6 +462,19 @@ def _missing(error: MissingArgumentError) -> str:
     return f"{command} needs {wanted if name.isupper() else f'a value after {error.keyword or name}'}"
 
 
+def _unknown(error: UnknownOptionError) -> str:
+    """The line for an option that a command does not have: what is meant, if need be another command's option."""
+    given, command = (error.token.keyword or error.token.value).split("=")[0], " ".join(error.command_chain or ())
+    options = {
+        name: [one for argument in app[name].assemble_argument_collection() for one in argument.names if one[:1] == "-"]
+        for name in app
+        if name[:1] != "-"
+    }
+    own = options.pop(command, [])
+    fix = elsewhere(given, own, options, "option") or f"`mrac-jax {command} --help` lists its options"
+    return f"Unknown option: {given}; {fix}"
+
+
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command line; returns the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
@@ -476,6 +490,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return status if isinstance(status, int) else DONE
     except MissingArgumentError as error:
         line = _missing(error)
+    except UnknownOptionError as error:
+        line = _unknown(error)
     except CycloptsError as error:  # which wraps the InputError of an option's converter, a ValueError
         line = " ".join(str(error.__cause__ if isinstance(error.__cause__, InputError) else error).split())
     except InputError as error:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal, get_args
 
 from cyclopts import Group, Parameter
 
 from analysis.cli.deliver import DONE
 from analysis.cli.groups import PlanningToTheEnd, Team
-from analysis.cli.options import OUTPUT, PLANNING, Input, Number, StateFile, Text, path
+from analysis.cli.options import OUTPUT, PLANNING, Input, Number, StateFile, one_of, path
 from analysis.kit.notes import say
 
 DRIVING = Group("Driving", sort_key=3)
+Way = Literal["qgc", "nav2", "geojson", "kml", "gpx", "csv", "geotiff"]
+"""Names of `analysis.exporting.export.FORMATS`, which `--help` has no time to import."""
+To = Annotated[Way | None, Parameter(converter=one_of(*get_args(Way)))]
 Altitude = Annotated[
     Number, Parameter(group=DRIVING, help="qgc: metres above take-off, 0 for robots on the ground (default: 20).")
 ]
@@ -22,13 +25,13 @@ def export(
     source: Input,
     /,
     *,
-    out: Annotated[Path, Parameter(group=OUTPUT, converter=path)],
-    to: Annotated[Text, Parameter(group=OUTPUT)] = None,
+    to: Annotated[To, Parameter(group=OUTPUT)] = None,
     team: Team | None = None,
     planning: PlanningToTheEnd | None = None,
     plan: Annotated[Path | None, Parameter(group=PLANNING, converter=path)] = None,
     state: StateFile = None,
     altitude: Altitude = None,
+    out: Annotated[Path, Parameter(group=OUTPUT, converter=path)],
 ) -> int:
     """A plan for ground stations, nav2 and GIS: QGroundControl, poses, GeoJSON, KML, GPX, CSV, GeoTIFF.
 

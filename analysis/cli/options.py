@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter, Token
 
+from planner.arguments import did_you_mean
 from planner.errors import UsageError
 from planner.luck_names import LUCKS, LuckName
 from planner.pace import SPANS, seconds_of
@@ -126,7 +127,8 @@ def one_of(*words: str) -> Any:
 
     def choose(kind: Any, tokens: Sequence[Token]) -> str:
         if tokens[0].value not in words:
-            raise UsageError(f"{_name(tokens)} {tokens[0].value!r}", expected=" or ".join(words))
+            given = tokens[0].value
+            raise UsageError(f"{_name(tokens)} {given!r}", expected=" or ".join(words), fix=did_you_mean(given, words))
         return tokens[0].value
 
     return choose

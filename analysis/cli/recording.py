@@ -46,7 +46,6 @@ def record(
     source: Input,
     /,
     *,
-    out: Annotated[Path, Parameter(group=OUTPUT, converter=path)],
     what: Recording | None = None,
     team: Team | None = None,
     planning: PlanningToTheEnd | None = None,
@@ -57,6 +56,7 @@ def record(
     animation: OutPath = None,
     force: Force = False,
     as_json: Json = False,
+    out: Annotated[Path, Parameter(group=OUTPUT, converter=path)],
 ) -> int:
     """Record rollouts as an MCAP file for Foxglove, Lichtblick and Rerun, with all that it takes to replay them.
 

@@ -21,7 +21,6 @@ from analysis.sampling import RolloutChoices
 from analysis.statistics.coverage import TARGETS
 from analysis.statistics.estimate import Estimate, exactly, looks
 from analysis.statistics.intervals import is_at_least, share_of_doubt
-from analysis.statistics.words import meant_fraction
 from analysis.theory.longest import longest_run
 from analysis.theory.value import Worth
 from analysis.trials.measured import Measured
@@ -81,7 +80,7 @@ def make_goal(
     if target is None and not complete:
         expected = f"{argument('target')}, a fraction of the accessible cells, or {argument('complete')}"
         raise UsageError("no target", expected=expected)
-    TARGETS.check("target", target, fix=meant_fraction(target), optional=True)
+    TARGETS.check("target", target, optional=True)
     Numbers(0, 1, "a chance", above=True, below=True).check("confidence", confidence, optional=True)
     whole(1, MAX_ROBOTS).check("most", most, optional=True)
     if complete and confidence is None:

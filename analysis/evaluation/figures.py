@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from analysis.statistics.control import complete_chance, tally_mean
 from analysis.statistics.coverage import AT_LEAST, losses_shown
 from analysis.statistics.estimate import Estimate, assured, exactly, mean_estimate, proportion, quantile, quantiles
-from analysis.statistics.words import MOST_DIGITS, between, meant_fraction
+from analysis.statistics.words import MOST_DIGITS, between
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.verdicts import MEANINGS
 from analysis.trials.exact_loop import SLACK
@@ -208,12 +208,12 @@ class Coverage(Estimate):
 
     def quantile(self, q: float) -> float:
         """The least fraction that a share `q` of the runs does not exceed: 0.05 for what 95 % of runs reach."""
-        FRACTION.check("q", q, fix=meant_fraction(q))
+        FRACTION.check("q", q)
         return quantile(self.covered.counts, q) / self.covered.cells
 
     def at_least(self, fraction: float) -> Chance:
         """The chance to cover that fraction or more."""
-        FRACTION.check("fraction", fraction, fix=meant_fraction(fraction))
+        FRACTION.check("fraction", fraction)
         return self.covered.chance_of_share(fraction)
 
 

@@ -15,12 +15,6 @@ def digits_of(half: float) -> int:
     return max(0, ceil(-log10(2.0 * half) - 1e-9))
 
 
-def meant_fraction(value: object) -> str:
-    """What somebody who wrote a percentage for a fraction meant, as the fix of an error; "" for what is none."""
-    is_percent = isinstance(value, int | float) and not isinstance(value, bool) and 1 < value <= 100
-    return f"did you mean {value / 100:g}?" if is_percent else ""  # type: ignore[operator]
-
-
 def between(low: float, high: float, digits: int = 2, most: float | None = None, less: str = "less") -> str:
     """An interval as "85.60 .. 85.76", rounded outwards; "" where nothing is known.
 

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.statistics.coverage import TARGETS
-from analysis.statistics.words import meant_fraction
 from planner.arguments import Numbers, argument, exactly, numbers_of
 from planner.errors import UsageError
 from planner.pace import UNPACED, Pace
@@ -133,7 +132,7 @@ def make_goal(losses: float | None, target: float | None) -> Goal:
     if losses is not None and target is not None:
         raise UsageError(f"both {argument('losses')} and {argument('target')} are given", expected="one of them")
     Numbers(0, what="a number of robots lost on average").check("losses", losses, optional=True)
-    TARGETS.check("target", target, fix=meant_fraction(target), optional=True)
+    TARGETS.check("target", target, optional=True)
     return Goal(losses, target)
 
 

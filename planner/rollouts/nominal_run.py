@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,6 @@ from planner.plans.plan import Plan, is_certain
 from planner.tally import Outcome, RolloutResults, Tally
 from planner.trace import Trace
 from planner.worlds.world import World
-
-if TYPE_CHECKING:
-    from planner.rollouts.engine import Engine
 
 
 def is_nominal(plan: Plan, world: World) -> bool:
@@ -40,16 +37,16 @@ class NominalRun:
     name = "nominal run"
     least = BLOCK
 
-    def __init__(self, world: World, plan: Plan, loop: ClosedLoop, seed: int, make_full: Callable[[], Engine]) -> None:
+    def __init__(self, world: World, plan: Plan, loop: ClosedLoop, seed: int, make_full: Callable[[], Any]) -> None:
         """`plan`: one that `is_nominal` in this world; `loop`: the same, compiled to arrays.
 
-        `make_full`: makes the engine that rolls it out under other threats, or with other counts.
+        `make_full`: makes the `Engine` that rolls it out under other threats, or with other counts.
         """
         self.world, self.plan, self.loop, self.seed, self.accessible = world, plan, loop, seed, loop.accessible
         self._make_full = make_full
 
     @cached_property
-    def _full(self) -> Engine:
+    def _full(self) -> Any:
         return self._make_full()
 
     @cached_property
@@ -66,18 +63,20 @@ class NominalRun:
         over = Outcome[self.plan.outcome.upper()] if self.plan.time == end else Outcome.TIMEOUT
         ended = {"visited": covered, "survived": covered, "time": end, "alive": len(self.plan.robots), "outcomes": over}
         none = self.loop.empty_tally(self.seed)
-        counts = {name: np.zeros(max(len(getattr(none, name)), at + 1), dtype=np.int64) for name, at in ended.items()}
+        counts: dict[str, Any] = {
+            name: np.zeros(max(len(getattr(none, name)), at + 1), dtype=np.int64) for name, at in ended.items()
+        }
         for name, at in ended.items():
             counts[name][at] = 1
         seen = (visits > 0).astype(np.int64)
-        cells = {"visits": visits, "covered_visited": seen, "covered_survived": seen}
+        cells: dict[str, Any] = {"visits": visits, "covered_visited": seen, "covered_survived": seen}
         return replace(none, ids=((0, 1),), new_visited=new, new_survived=new, **counts, **cells)
 
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""
         if count == 0:
             return self.loop.empty_tally(self.seed)
-        times = {name: values * count for name, values in self._once.counts().items()}
+        times: dict[str, Any] = {name: values * count for name, values in self._once.counts().items()}
         return replace(self._once, ids=((start, start + count),), **times)
 
     def results(self, start: int, count: int) -> RolloutResults:
@@ -102,10 +101,10 @@ class NominalRun:
         """The same rollouts cut off at the end of `step`."""
         return NominalRun(self.world, self.plan, self.loop.until(step), self.seed, lambda: self._full.until(step))
 
-    def under(self, truth: World) -> Engine:
+    def under(self, truth: World) -> Any:
         """The same decisions under the threats of `truth`."""
         return self._full.under(truth)
 
-    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> Engine:
+    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> Any:
         """The same rollouts, survived visits counted."""
         return self._full.weighing(covered, found)

@@ -100,7 +100,7 @@ class Key:
     def number(self, of: Numbers = ANY, expected: str = "") -> Any:
         """One of these numbers, int if they are whole, else float; `expected`: where more than that is."""
         if not of.accepts(self.value):
-            raise self.wrong(expected or of.expected)
+            raise self.wrong(expected or of.expected, of.meant(self.value))
         return int(self.value) if of.whole else float(self.value)
 
     def numbers(self, of: Numbers, expected: str, count: int = 0) -> list[Any]:
@@ -117,7 +117,9 @@ class Key:
         if setting.places and isinstance(value, tuple):
             value = tuple(tuple(place) if isinstance(place, list) else place for place in value)
         if not setting.accepts(value):
-            raise self.wrong(setting.expected("null"))
+            raise self.wrong(
+                setting.expected("null"), setting.numbers.meant(value) or did_you_mean(value, setting.words)
+            )
         return setting.plain(value)
 
     def text(self, expected: str) -> str:

@@ -110,12 +110,13 @@ def _values(
     mode: str, picture: Picture, negate: bool, occupied: float, free: float
 ) -> tuple[NDArray[np.int16], tuple[str, ...]]:
     """`RosMap.values`, and notes on colours, transparency, and unknown ground that is read as something else."""
+    notes: list[str] = []
     if mode == "raw":
         raw = np.rint(picture.bright * 255)
-        values, notes = np.where(raw <= FULL, raw, NO_VALUE).astype(np.int16), []
+        values = np.where(raw <= FULL, raw, NO_VALUE).astype(np.int16)
     else:
         p = picture.bright if negate else 1 - picture.bright
-        values, notes = _by_thresholds(mode, p, occupied, free), []
+        values = _by_thresholds(mode, p, occupied, free)
         if picture.alpha is not None:
             plain, alpha = values, picture.alpha
             if mode == "trinary":

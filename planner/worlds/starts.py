@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.arguments import argument, whole
+from planner.arguments import argument, did_you_mean, whole
 from planner.errors import UsageError
 from planner.shown import counted
 from planner.worlds.world import MAX_ROBOTS, World, check_starts
@@ -51,7 +51,7 @@ def place_starts(world: World, robots: int, rule: str = "upper-left") -> tuple[N
     """
     check_robots(robots)
     if rule not in RULES:
-        raise UsageError(f"start rule {rule!r}", expected=" or ".join(RULES))
+        raise UsageError(f"start rule {rule!r}", expected=" or ".join(RULES), fix=did_you_mean(rule, RULES))
     component = _largest_component(world)
     wanted = component & (world.met == 0)
     notes: tuple[str, ...] = ()

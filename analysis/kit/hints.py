@@ -1,0 +1,84 @@
+"""Which argument of which function, or option of which command, is meant by one that is not known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache, wraps
+from inspect import Parameter, signature
+from typing import Any
+
+from planner.arguments import nearest
+from planner.errors import UsageError
+
+MOST_NAMED = 4
+"""Functions or commands that a hint lists."""
+ALMOST = 0.9
+"""Likeness from which an own name is meant although another function or command has the given one."""
+
+
+def elsewhere(given: str, own: Iterable[str], others: Mapping[str, Iterable[str]], kind: str) -> str:
+    """What is probably meant by a name that is none of `own`, as the end of an error's line; "" for no idea.
+
+    Args:
+        others: the names of other functions or commands, by function or command.
+        kind: of the names: "argument" or "option".
+    """
+    owners: dict[str, list[str]] = {}
+    for owner, names in others.items():
+        for name in names:
+            owners.setdefault(name, []).append(owner)
+
+    def of(name: str) -> str:
+        more = len(owners[name]) - MOST_NAMED
+        listed = ", ".join(owners[name][:MOST_NAMED])
+        return f"an {kind} of {listed}" + (f" and {more} more" if more > 0 else "")
+
+    own = list(own)
+    if given in owners:
+        close = nearest(given, own, ALMOST)
+        return f"did you mean {close!r}? {given} is {of(given)}" if close else f"it is {of(given)}"
+    close = nearest(given, [*owners, *own])  # of equally near ones the own name, which stands last
+    return "" if not close else f"did you mean {close!r}?" if close in own else f"did you mean {close!r}, {of(close)}?"
+
+
+class UnknownArgument(UsageError):
+    """A keyword that a function of the public API does not have."""
+
+    def __init__(
+        self, function: Callable[..., Any], name: str, value: object, known: Iterable[str], fix: str = ""
+    ) -> None:
+        self.function, self.name, self.value, self.known = function, name, value, list(known)
+        problem = f"{function.__name__} has no argument {name!r}"
+        super().__init__(problem, expected=f"one of {', '.join(self.known)}", fix=fix)
+
+    def with_fix(self, public: Mapping[str, Callable[..., Any]]) -> UnknownArgument:
+        """The same with what is probably meant; `public`: the functions of the API by name."""
+        own, fix = signature(self.function).parameters, ""
+        if "plan" in own and self.name == "robots" and isinstance(self.value, int):
+            fix = f"give plan={self.value}: how many robots to plan for"
+        elif "plan" in own and "plan" in public and self.name in signature(public["plan"]).parameters:
+            fix = f"give it to `plan`, and the plan to `{self.function.__name__}`"
+        else:
+            others = {name: signature(one).parameters for name, one in public.items() if name != self.function.__name__}
+            fix = elsewhere(self.name, self.known, others, "argument")
+        return UnknownArgument(self.function, self.name, self.value, self.known, fix)
+
+
+@cache
+def with_hints(
+    function: Callable[..., Any], public: Callable[[], Mapping[str, Callable[..., Any]]]
+) -> Callable[..., Any]:
+    """The function, whose error for a keyword that it does not have says which is meant."""
+    own = signature(function).parameters
+    takes_any = any(one.kind is Parameter.VAR_KEYWORD for one in own.values())
+
+    @wraps(function)
+    def call(*arguments: Any, **given: Any) -> Any:
+        try:
+            for name in () if takes_any else given.keys() - own.keys():
+                raise UnknownArgument(function, name, given[name], own)
+            return function(*arguments, **given)
+        except UnknownArgument as error:
+            raise error.with_fix(public()) from None
+
+    return call
