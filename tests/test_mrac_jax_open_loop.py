@@ -10,11 +10,14 @@ from collections import Counter
 from functools import cache
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from open_loop_reference import fixture, plan_of, stops_of, walk
 from rolling import rollout_results, rollouts, run_chunks
 
+from analysis.judging.rolling import roll_policy
+from mrac_jax.environment.coverage_env import CoverageEnv
 from planner.errors import UsageError
 from planner.rollouts.engine import open_loop_engine
 from planner.rollouts.open_loop.compiled import CompiledPlan, Mode, compile_plan
@@ -274,3 +277,31 @@ def test_numba_alone_does_not_import_jax() -> None:
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+FLAGS = {
+    "numpy_rank_promotion": "raise",
+    "numpy_dtype_promotion": "strict",
+    "enable_x64": True,
+    "disable_jit": True,
+    "debug_nans": True,
+    "debug_infs": True,
+    "check_tracer_leaks": True,
+    "transfer_guard": "disallow",
+    "threefry_partitionable": False,
+    "default_prng_impl": "rbg",
+}
+"""Flags of JAX's that a user may have set, and values that would stop the programs, or change what they draw."""
+
+
+@pytest.mark.parametrize("name", FLAGS)
+def test_flags_of_jax_change_no_count(name: str) -> None:
+    plan, world = waiting_plan()
+    compiled = compile_plan(plan, world)
+    with getattr(jax, name)(FLAGS[name]):
+        found = rollouts(compiled, seed=3, count=400, mode="tolerance", engine="jax")
+        walk_of = jax.jit(lambda seen: seen[:, 3].argmax().astype("int32").repeat(2) % 5)  # east, west, ...
+        judged = roll_policy(CoverageEnv(world, 2), walk_of if name != "disable_jit" else None, 1, 40)
+    assert found == rollouts(compiled, seed=3, count=400, mode="tolerance", engine="numba")
+    same = roll_policy(CoverageEnv(world, 2), walk_of if name != "disable_jit" else None, 1, 40)
+    assert all((one == other).all() for one, other in zip(judged, same, strict=True))
