@@ -40,7 +40,7 @@ def accelerator() -> str | None:
 
         platform = jax.default_backend()
     except Exception as error:  # JAX raises nearly anything: an AssertionError where CUDA has no device
-        LOG.warning("%s: engine numba is used", why_not(error))
+        LOG.warning("%s: the engine is Numba", why_not(error))
         return None
     return None if platform == "cpu" else platform
 

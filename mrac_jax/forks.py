@@ -1,4 +1,4 @@
-"""Forked processes: JAX's threads do not survive a fork, so a child of a process in which JAX had started cannot use it.
+"""Forked processes: JAX's threads do not survive a fork, so a child of a process with a started JAX cannot use it.
 
 Without this module such a child waits for those threads for ever. JAX is not imported here.
 """

@@ -14,6 +14,7 @@ from typing import Any
 import jax
 
 from mrac_jax.forks import jax_is_inherited
+from planner.arguments import argument
 from planner.errors import UsageError
 from planner.rollouts.names import why_not
 
@@ -41,7 +42,7 @@ def require_jax() -> None:
         raise UsageError(
             "JAX had started before this process was forked, and cannot run in it",
             fix="start processes by spawn, as AsyncVectorEnv(..., context='spawn') or multiprocessing.get_context"
-            "('spawn'), or use face='vector', which needs none, or engine='numba'",
+            f"('spawn'), or use face='vector', which needs none, or {argument('engine', 'numba')}",
         )
     _start()
 
@@ -51,7 +52,7 @@ def _start() -> None:
     try:
         jax.local_devices()
     except Exception as error:
-        raise UsageError(why_not(error), fix="set JAX_PLATFORMS=cpu, or use engine numba") from error
+        raise UsageError(why_not(error), fix=f"set JAX_PLATFORMS=cpu, or use {argument('engine', 'numba')}") from error
 
 
 @contextmanager

@@ -35,7 +35,7 @@ def maps(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     found = {}
     for name, threat in (("safe", np.zeros((5, 7))), ("walled", WALLED), ("door", open_door)):
         found[name] = str(folder / f"{name}.npz")
-        World.create(threat).save(found[name])
+        World.create(threat).save(found[name], force=True)
     return found
 
 

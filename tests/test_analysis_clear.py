@@ -126,7 +126,7 @@ def overlapping(folder: Path) -> str:
     """A field over the middle, a smaller one within it, a point beside both, a field where no robot gets to."""
     ground = np.zeros((6, 9))
     ground[:, 7] = np.nan
-    World.create(ground).save(folder / "map.npz")
+    World.create(ground).save(folder / "map.npz", force=True)
     fields = {"wide": (2, 1, 6, 4, 0.2), "inner": (3, 2, 5, 3, 0.5), "beyond": (8, 0, 9, 6, 0.4)}
     features = []
     for name, (west, south, east, north, p) in fields.items():

@@ -355,7 +355,7 @@ def test_threats_on_a_map_keep_its_value_and_refuse_what_they_contradict(
     assert np.array_equal(made.value, value) and (made.detect == 0.7).all()
     capsys.readouterr()
     np.save("t.npy", threat + 0.1)
-    World.create(threat + 0.05).save("v.npz")
+    World.create(threat + 0.05).save("v.npz", force=True)
     for keys, named in (
         ("hazard: {kind: consumed, h: 0.5}", "leave `hazard` and `uncertain` out"),
         ("movers: [{walk: 0.5, h: 0.2}]", "leave `movers` out"),

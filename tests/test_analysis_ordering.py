@@ -66,7 +66,7 @@ def test_cells_count_in_decisions_as_if_they_were_worth_as_much(tmp_path: Path) 
         world, plan, other = ordered(seed, ("watchful", "per_cell")[seed // 2])
         assert plan.to_json()["robots"] == other.to_json()["robots"]
         differs += plan.to_json()["robots"] != make_plan(world, plan.starts, BASE).to_json()["robots"]
-        plan.save(tmp_path / "plan.json")
+        plan.save(tmp_path / "plan.json", force=True)
         loaded = load_plan(tmp_path / "plan.json", world)
         assert loaded.settings == plan.settings
         readable, compiled = ReferenceLoop(loaded, world), closed_loop_engine(compile_closed_loop(loaded, world), 3)

@@ -185,7 +185,7 @@ def test_a_plan_is_a_plan_its_file_or_a_number_of_robots(tmp_path: Path) -> None
     for way in ways:
         same = mrac.compare((world, way), (world, plan), rollouts=100)
         assert same.difference("visited").estimate.mean == 0
-        assert mrac.export(world, way, tmp_path / "paths.csv")
+        assert mrac.export(world, way, tmp_path / "paths.csv", force=True)
     alone = tmp_path / "paths.json"
     alone.write_text("[[[0, 0], [0, 1]]]")
     assert mrac.compare((world, 1), (world, alone), rollouts=100).b.choices.loop == "open"  # as `evaluate` takes paths

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import inspect
 import io
+import json
+import math
+import pickle
 import sys
 import time
 from collections.abc import Callable
@@ -15,9 +18,12 @@ import numpy as np
 import pytest
 
 import mrac_jax as mrac
+from analysis.cli.app import app, run
 from analysis.kit import progress as shown
 from analysis.kit.calls import Interrupted, ask
 from analysis.kit.safe_console import SafeConsole
+from analysis.sampling import RolloutChoices
+from planner.settings import SETTINGS
 
 SWEEP = "base: {kind: contiguous, size: 8x11, ratio: 0.2}\nmaps: 40\nrollouts: 30\n"
 
@@ -150,3 +156,217 @@ def test_a_notebook_has_a_line_that_goes_away(monkeypatch: pytest.MonkeyPatch) -
     seen.clear()
     ask(slowly(0.0), None, "raise")
     assert not seen
+
+
+OF_THE_WORLD = {"cell_size", "step_seconds", "speed", "turn", "sense", "map"}
+"""Options that in Python are arguments of `load`, or of what makes another world."""
+OF_THE_ANSWER = {"out", "json", "theory", "csv", "plot", "picture", "animation", "plan_out", "scenario_out", "outlook"}
+"""Options that in Python are methods of the answer, or functions of it."""
+OF_THE_PLAN = {"robots", "starts", "state", "seconds", *SETTINGS} - {"priority"}
+"""Options that in Python are arguments of `plan`, where a function takes a plan."""
+OTHERWISE = {
+    "compare": {"plan", "b.plan"},  # of the sides
+    "check": {"worlds", "kind", "size", "processes"},  # a survey of random worlds: of the command alone
+    "plan": {"waypoints", "altitude", "force"},  # of `export` and `Plan.save`
+    "front": {"force"},  # of `Plan.save`
+    "record": {"state_at"},
+    "results": {"figure", "parquet", "merge"},  # of a store's own methods
+    "suite": {"policy", "actions", "plans", "rollouts", "seed", "processes"},  # of `Suite.judge`
+}
+"""What else a command has that its function has otherwise."""
+FUNCTIONS = {"plan": "plan", "drive": "mission"} | {
+    name: name
+    for name in ("evaluate", "size", "front", "starts", "clear", "attack", "compare", "check", "export", "record",
+                 "sweep", "reproduce", "results", "suite")
+}  # fmt: skip
+OF_B = {"b.loop": "loop_b", "b.threat_checks": "first_visit_b"}
+ALONE = {"generate", "graph", "inspect", "recover", "replay", "studio"}
+"""Commands that have no function."""
+TAKE_A_PLAN = {"evaluate", "compare", "check", "export", "record", "drive"}
+
+
+def options_of(command: str) -> set[str]:
+    """The options of a command, as arguments of Python are named."""
+    names = {name for one in app[command].assemble_argument_collection() for name in one.names}
+    return {
+        name[2:].replace("-", "_")
+        for name in names
+        if name.startswith("--") and not name.startswith(("--no-", "--empty-"))
+    }
+
+
+def test_functions_take_every_option_of_their_commands() -> None:
+    commands = {name for name in app if not name.startswith("-")}
+    assert commands == set(FUNCTIONS) | ALONE
+    for command, function in FUNCTIONS.items():
+        taken = set(inspect.signature(getattr(mrac, function)).parameters)
+        has = taken | ({"threat_checks"} if "first_visit" in taken else set())
+        elsewhere = OF_THE_WORLD | OF_THE_ANSWER | set(OTHERWISE.get(command, ()))
+        elsewhere |= OF_THE_PLAN if command in TAKE_A_PLAN else set()
+        missing = options_of(command) - has - elsewhere
+        missing -= {f"b.{name}" for name in OF_THE_PLAN | OF_THE_WORLD}  # of the other side of `compare`
+        missing -= {option for option in missing if OF_B.get(option) in taken}
+        assert not missing, f"mrac.{function} lacks options of `mrac-jax {command}`"
+
+
+def test_searches_pass_every_option_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is given arrives: settings in Settings, rollouts in RolloutChoices; an unknown name is refused."""
+    world = small_world()
+    settings = {"levels": 3, "density": 5.0, "risk": "log", "max_steps": 900, "range": 700, "wear": 2.0, "recharge": 4,
+                "susceptibility": 0.5, "return_to": [[0, 0]], "radio": 30.0, "in_area": "rows"}  # fmt: skip
+    policy = {"policy": "per_cell", "reserve": 0.5, "worth": 40.0}
+    rolled = {
+        "rollouts": 77,
+        "seed": 5,
+        "deadline": 300,
+        "first_visit": False,
+        "engine": "numba",
+        "luck": "tolerance",
+        "exact": "never",
+    }
+    rooms = {"starts": "depots", "clear": "removal", "attack": "adversary", "front": "tradeoff", "size": "design.size"}
+    finders = {
+        "starts": "find_starts",
+        "clear": "find_clearing",
+        "attack": "find_attack",
+        "front": "find_front",
+        "size": "find_size",
+    }
+    for name, room in rooms.items():
+        seen: list[Any] = []
+
+        def find(*given: Any, seen: list[Any] = seen, **more: Any) -> Done:
+            seen.extend(given)
+            return Done()
+
+        monkeypatch.setattr(f"analysis.{room if '.' in room else f'{room}.search'}.{finders[name]}", find)
+        asked = settings | ({} if name == "front" else policy) | ({"target": 0.5} if name in ("size", "front") else {})
+        getattr(mrac, name)(world, **({} if name == "size" else {"robots": 2}), **asked, **rolled, progress=False)
+        (made,) = [one for one in seen if isinstance(one, mrac.Settings)]
+        (choices,) = [one for one in seen if isinstance(one, RolloutChoices)]
+        for key, value in (settings | ({} if name == "front" else policy)).items():
+            assert getattr(made, key) == (((0, 0),) if key == "return_to" else value), (name, key)
+        assert (choices.rollouts, choices.seed, choices.deadline, choices.engine, choices.exact) == (
+            77,
+            5,
+            300,
+            "numba",
+            "never",
+        )
+        with pytest.raises(mrac.InputError, match=f"^{name} has no argument 'rolouts'; .* did you mean 'rollouts'"):
+            getattr(mrac, name)(world, rolouts=3)
+
+
+SAVED = {
+    "plan": lambda world, file, **how: mrac.plan(world, 2).save(file / "p.json", **how),
+    "world": lambda world, file, **how: world.save(file / "w.npz", **how),
+    "state": lambda world, file, **how: state_of(world).save(file / "s.json", **how),
+    "mission": lambda world, file, **how: mrac.mission(world, 2).save(file / "m.json", **how),
+    "answer": lambda world, file, **how: mrac.check(world, 1, rollouts=64, progress=False).save(file / "a", **how),
+    "comparison": lambda world, file, **how: mrac.compare((world, 1), (world, 2), rollouts=64, progress=False).save(
+        file / "c", **how
+    ),
+    "export": lambda world, file, **how: mrac.export(world, 2, file / "e.csv", **how),
+    "folder": lambda world, file, **how: mrac.export(world, 2, file / "nav", to="nav2", **how),
+    "record": lambda world, file, **how: mrac.record(world, 2, file / "r.mcap", ids=[0], progress=False, **how),
+}
+
+
+def state_of(world: mrac.World) -> Any:
+    mission = mrac.mission(world, 2)
+    mission.advance()
+    return mission.state
+
+
+@pytest.mark.parametrize("name", SAVED)
+def test_nothing_is_replaced_unasked(name: str, tmp_path: Path) -> None:
+    """The second call is refused, names a file and the fix, and changes no byte; `force=True` replaces."""
+    world, save = small_world(), SAVED[name]
+    save(world, tmp_path)
+    files = sorted(file for file in tmp_path.rglob("*") if file.is_file())
+    for file in files:
+        file.write_text("mine")
+    with pytest.raises(mrac.InputError, match=r"is there already; give force=True to replace it, or another name"):
+        save(world, tmp_path)
+    assert [file.read_text() for file in files] == ["mine"] * len(files)
+    assert sorted(file for file in tmp_path.rglob("*") if file.is_file()) == files
+    save(world, tmp_path, force=True)
+    assert all(file.read_bytes() != b"mine" for file in files)
+
+
+def test_a_mission_replaces_its_own_file(tmp_path: Path) -> None:
+    world, file = small_world(), tmp_path / "now.json"
+    mission = mrac.mission(world, 2)
+    for _ in range(2):
+        mission.save(file)
+        mission.advance()
+    again = mrac.mission(world, 2, state=file)
+    again.save(file)
+    with pytest.raises(mrac.InputError, match="is there already"):
+        mrac.mission(world, 2).save(file)
+
+
+@pytest.mark.parametrize(
+    "words", ["plan {world} --out {out}", "front {world} --losses 1 --rollouts 64 --plan-out {out}"]
+)
+def test_commands_replace_no_plan_unasked(words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    world, out = tmp_path / "w.npz", tmp_path / "go.json"
+    small_world().save(world)
+    out.write_text("mine")
+    given = words.format(world=world, out=out).split()
+    assert run(given) == 2
+    assert capsys.readouterr().err.endswith(
+        f"error: {out} is there already; give --force to replace it, or another name\n"
+    )
+    assert out.read_text() == "mine"
+    if given[0] == "plan":
+        assert run([*given, "--force"]) == 0
+        assert mrac.read_plan(out, small_world()).robots
+
+
+def test_an_input_error_is_a_value_error_that_nothing_swallows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where a library's ValueError is told otherwise, an InputError stays what it was; so it does between processes."""
+    with pytest.raises(ValueError, match="robots=0"):
+        mrac.plan(small_world(), 0)
+    with pytest.raises(mrac.InputError) as raised:
+        mrac.load(tmp_path / "none.yaml")
+    assert str(raised.value).endswith("none.yaml: no such file; expected a map") or "no such file" in str(raised.value)
+    error = pickle.loads(pickle.dumps(raised.value))
+    assert (type(error), str(error), error.problem) == (type(raised.value), str(raised.value), raised.value.problem)
+    assert str(type(error)(error)) == str(error)  # as libraries raise again what another process raised
+    plan = mrac.plan(small_world(), 2)
+    plan.save(tmp_path / "p.json")
+    state = json.loads(json.dumps(state_of(small_world()).to_json())) | {"checksum": 1}
+    (tmp_path / "s.json").write_text(json.dumps(state))
+    (tmp_path / "large.yaml").write_text("#" * 2**24)
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    small_world().save(tmp_path / "w.npz")
+    said = {
+        f"evaluate {tmp_path}/w.npz --levels 2.5": "error: --levels '2.5'; expected a whole number, as 100000",
+        f"evaluate {tmp_path}/w.npz --state {tmp_path}/s.json": "is damaged, or was changed: its checksum is of other",
+        f"evaluate {tmp_path}/large.yaml": "large.yaml: more than ",
+        f"inspect {tmp_path}/empty.mcap": "empty.mcap: is empty; expected an MCAP file",
+    }
+    for words, line in said.items():
+        assert run(words.split()) == 2
+        err = capsys.readouterr().err
+        assert line in err and "cannot be read" not in err, words
+
+
+def test_bounds_say_what_they_are() -> None:
+    answer = mrac.evaluate(small_world(), 2, rollouts=64, advice=False, band=False, progress=False)
+    bounds = answer.bounds
+    title, *lines = repr(bounds).splitlines()
+    assert title.startswith("Limits: upper bounds of the mean coverage")
+    assert [line.split()[0] for line in lines] == ["least", "any_strategy", "ideal", "ideal_one"]
+    for line, bound in zip(lines, (bounds.least, bounds.any_strategy, bounds.ideal, bounds.ideal_one), strict=True):
+        assert bound is not None
+        shown = float(line.split()[1])
+        assert 100 * bound.mean <= shown < 100 * bound.mean + 0.0101  # never less than the bound
+        assert f"% ({math.ceil(100 * bound.cells - 1e-9) / 100:,.2f} cells): " in line and len(line) < 140
+    assert len({line.partition(": ")[2] for line in lines}) == 4
+    unknown = mrac.evaluate(small_world(), 2, rollouts=64, bound=False, advice=False, band=False, progress=False).bounds
+    if unknown.any_strategy is None:
+        assert "not computed (bound=True" in repr(unknown) and "<table>" in unknown._repr_html_()

@@ -494,11 +494,11 @@ def test_a_plan_file_is_driven_by_itself_where_its_map_is(
         run(["drive", str(file)]) == 2 and "its map is not at" in (said := capfd.readouterr().err) and "--plan" in said
     )
     assert run(["drive", str(moved), "--plan", str(file)]) == 0
-    World.create(np.zeros((2, 4)), [[0, 0]]).save(there / "map.npz")
+    World.create(np.zeros((2, 4)), [[0, 0]]).save(there / "map.npz", force=True)
     assert run(["drive", str(file)]) == 2 and "another map" in capfd.readouterr().err
-    mrac.plan(world).save(file)  # of a world that is no file
+    mrac.plan(world).save(file, force=True)  # of a world that is no file
     assert run(["drive", str(file)]) == 2 and "does not say where" in capfd.readouterr().err
-    mrac.plan(mrac.load("example:paper"), 2).save(file)
+    mrac.plan(mrac.load("example:paper"), 2).save(file, force=True)
     capfd.readouterr()
     assert run(["drive", str(file)]) == 0 and json.loads(capfd.readouterr().out)["step"] == 0
     file.write_text("{}")

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import copy
+import os
+import pickle
+import subprocess
+import sys
 import warnings
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -139,3 +145,156 @@ def test_jaxmarl_wraps_it() -> None:
         *_, infos = env.step(jax.random.key(step), state, actions)
         state = _[1]
     assert infos["returned_episode"].all()
+
+
+OUTSIDE = (5, 9, -1, 2.7, np.nan, "north")
+
+
+def test_an_action_outside_the_space_is_refused_and_changes_nothing() -> None:
+    team, many = mrac.env(world(), ROBOTS, face="gymnasium"), mrac.env(world(), ROBOTS, face="vector", num_envs=2)
+    alike = {"pettingzoo": mrac.env(world(), ROBOTS), "gymnasium": team, "vector": many}
+    others = copy.deepcopy(alike)
+    for env in (*alike.values(), *others.values()):
+        env.reset(seed=3)
+    for wrong in OUTSIDE:
+        with pytest.raises(mrac.InputError, match=r"^action of agent_1: .*; expected a whole number, 0 to 4$"):
+            alike["pettingzoo"].step({"agent_0": 0, "agent_1": wrong, "agent_2": 0})
+        expected = r": .*; expected whole numbers, 0 to 4, of shape"
+        with pytest.raises(mrac.InputError, match=rf"^actions(\[1\]|){expected} \(3,\)$"):
+            team.step([0, wrong, 0])
+        with pytest.raises(mrac.InputError, match=rf"^actions(\[1, 2\]|){expected} \(2, 3\)$"):
+            many.step([[0, 0, 0], [0, 0, wrong]])
+    right = {"pettingzoo": dict.fromkeys(alike["pettingzoo"].agents, 4), "gymnasium": [4] * 3, "vector": [[4] * 3] * 2}
+    for face, actions in right.items():
+        assert same(alike[face].step(actions), others[face].step(actions))
+
+
+def test_areas_that_are_outside_the_space_are_refused() -> None:
+    env = mrac.env(world(), 2, actions="areas", offers=3, face="gymnasium")
+    env.reset(seed=0)
+    for wrong in (4, -1, 0.5, np.nan):
+        with pytest.raises(mrac.InputError, match="expected whole numbers, 0 to 3"):
+            env.step([0, wrong])
+
+
+def test_actions_of_another_team_are_refused() -> None:
+    parallel = mrac.env(world(), ROBOTS)
+    parallel.reset(seed=0)
+    with pytest.raises(mrac.InputError, match=r"actions of 'agent_3'; expected a dict .* did you mean 'agent_"):
+        parallel.step({"agent_3": 0})
+    with pytest.raises(mrac.InputError, match="expected a dict from names of agents, 'agent_0' to 'agent_2'"):
+        parallel.step([0, 0, 0])
+    many = mrac.env(world(), ROBOTS, face="vector", num_envs=2)
+    many.reset(seed=0)
+    for wrong in (np.zeros((2, 2), int), np.zeros(3, int), [[0, 0, 0], [0, 0]], None):
+        with pytest.raises(mrac.InputError, match=r"of shape \(2, 3\)"):
+            many.step(wrong)
+
+
+def test_jax_s_face_checks_what_it_knows() -> None:
+    """Names, shapes and types always; values where they are not traced."""
+    env = mrac.env(world(), ROBOTS, face="jax")
+    key = jax.random.key(0)
+    state = env.reset(key)[1]
+    right = dict.fromkeys(env.agents, jnp.int32(0))
+    for step in (env.step, env.step_env):
+        for wrong in (jnp.int32(5), 9, -1, 2.7, jnp.float32(jnp.nan)):
+            with pytest.raises(mrac.InputError, match=r"action of agent_1: .*; expected a whole number, 0 to 4"):
+                step(key, state, right | {"agent_1": wrong})
+        with pytest.raises(mrac.InputError, match="no action of 'agent_2'"):
+            step(key, state, {"agent_0": 0, "agent_1": 0})
+    with pytest.raises(mrac.InputError, match="action of agent_1: float32 of shape"):
+        jax.jit(env.step)(key, state, right | {"agent_1": jnp.float32(1)})
+    assert same(jax.jit(env.step)(key, state, right), env.step(key, state, right))
+
+
+def same(one: Any, other: Any) -> bool:
+    equal = jax.tree.map(lambda a, b: np.array_equal(np.asarray(a), np.asarray(b)), one, other)
+    return bool(jax.tree.all(equal))
+
+
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
+def test_a_copy_goes_on_as_the_original(again: Any) -> None:
+    """Before the first reset, and in the middle of an episode; of a copy's next episode, too."""
+    draw = np.random.default_rng(8)
+    for face, actions in (("pettingzoo", "moves"), ("vector", "moves"), ("gymnasium", "areas"), ("pymarl", "moves")):
+        env = mrac.env(world(), ROBOTS, face=face, actions=actions)
+
+        def taken(face: str = face) -> Any:
+            given = draw.integers(0, 4, (1, ROBOTS) if face == "vector" else ROBOTS)
+            given = np.full_like(given, 4) if face == "pymarl" else given
+            return {f"agent_{robot}": action for robot, action in enumerate(given)} if face == "pettingzoo" else given
+
+        before = again(env)
+        assert same(env.reset(seed=3), before.reset(seed=3))
+        for _ in range(3):
+            env.step(taken())
+        middle = again(env)
+        for _ in range(4):
+            actions_now = taken()
+            assert same(env.step(actions_now), middle.step(actions_now)), face
+        assert same(env.reset(), middle.reset())
+    whole = mrac.env(world(), ROBOTS, face="jax")
+    assert same(again(whole).reset(jax.random.key(2)), whole.reset(jax.random.key(2)))
+
+
+FORKED = """
+import multiprocessing, pickle, sys, warnings
+import gymnasium, numpy as np
+import mrac_jax as mrac
+warnings.filterwarnings("ignore")
+world = mrac.load(np.zeros((4, 4)))
+make = lambda: mrac.env(world, 2, face="gymnasium")
+
+def tried(begin):
+    try:
+        return begin()
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+
+def fresh():
+    many = gymnasium.vector.AsyncVectorEnv([make] * 2)
+    try:
+        return many.reset(seed=0)[0].sum()
+    finally:
+        many.close(terminate=True)
+
+def wrong():
+    many = gymnasium.vector.AsyncVectorEnv([make] * 2)
+    try:
+        many.reset(seed=0)
+        many.step(np.full((2, 2), 9))
+    finally:
+        many.close(terminate=True)
+
+def rolled(engine):
+    return tried(lambda: mrac.evaluate(world, 2, loop="open", rollouts=64, engine=engine, band=False).visited.mean)
+
+print(tried(fresh))
+print(tried(wrong))
+assert "jax" in sys.modules
+one = make()
+print(one.reset(seed=0)[0].sum())  # JAX starts
+print(tried(fresh))
+with multiprocessing.get_context("fork").Pool(1) as pool:
+    print(*pool.map(rolled, ["jax", "auto"]), sep="\\n")
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_after_a_fork_environments_work_or_say_why_not(tmp_path: Path) -> None:
+    """AsyncVectorEnv's default, before and after JAX had started; an engine in a forked pool."""
+    (tmp_path / "forked.py").write_text(FORKED.replace("\\\\n", "\\n"))
+    root = Path(__file__).parent.parent
+    done = subprocess.run(
+        [sys.executable, "forked.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240, check=False,
+        env=os.environ | {"PYTHONPATH": str(root)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    fresh, wrong, own, forked, rolled, auto = done.stdout.splitlines()
+    assert float(fresh) == 2 * float(own) > 0
+    assert wrong == "UsageError: actions[0]: 9; expected whole numbers, 0 to 4, of shape (2,)"
+    for said in (forked, rolled):
+        assert said.startswith("UsageError: JAX had started before this process was forked")
+        assert "context='spawn'" in said and "face='vector'" in said
+    assert float(auto) == 1.0

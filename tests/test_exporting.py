@@ -388,7 +388,7 @@ def test_missions_take_off_hold_and_drive(tmp_path: Path) -> None:
     path = np.array([0, 1, 1, 1, 2])
     plan = Plan(world.shape, world.sha256, None, (RobotPlan(path),), outcome="end_of_paths")
     for altitude, commands, vehicle in ((30.0, [178, 22, 16, 16], 2), (0.0, [178, 16, 16, 16], 10)):
-        (file,) = mrac.export(world, plan, tmp_path / "a.plan", altitude=altitude, speed=2.0)
+        (file,) = mrac.export(world, plan, tmp_path / "a.plan", altitude=altitude, speed=2.0, force=True)
         content = json.loads(file.read_text())
         check_loads(content)
         assert content["mission"]["vehicleType"] == vehicle

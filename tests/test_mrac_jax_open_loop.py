@@ -10,13 +10,17 @@ from collections import Counter
 from functools import cache
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from open_loop_reference import fixture, plan_of, stops_of, walk
 from rolling import rollout_results, rollouts, run_chunks
 
+from analysis.judging.rolling import roll_policy
+from mrac_jax import accelerator as accelerators
+from mrac_jax.environment.coverage_env import CoverageEnv
 from planner.errors import UsageError
-from planner.rollouts.engine import open_loop_engine
+from planner.rollouts.engine import choose_engine, open_loop_engine
 from planner.rollouts.open_loop.compiled import CompiledPlan, Mode, compile_plan
 from planner.tally import Outcome, Tally, tally_key
 from planner.worlds.world import World
@@ -274,3 +278,89 @@ def test_numba_alone_does_not_import_jax() -> None:
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+FLAGS = {
+    "numpy_rank_promotion": "raise",
+    "numpy_dtype_promotion": "strict",
+    "enable_x64": True,
+    "disable_jit": True,
+    "debug_nans": True,
+    "debug_infs": True,
+    "check_tracer_leaks": True,
+    "transfer_guard": "disallow",
+    "threefry_partitionable": False,
+    "default_prng_impl": "rbg",
+}
+"""Flags of JAX's that a user may have set, and values that would stop the programs, or change what they draw."""
+
+
+@pytest.mark.parametrize("name", FLAGS)
+def test_flags_of_jax_change_no_count(name: str) -> None:
+    plan, world = waiting_plan()
+    compiled = compile_plan(plan, world)
+    with getattr(jax, name)(FLAGS[name]):
+        found = rollouts(compiled, seed=3, count=400, mode="tolerance", engine="jax")
+        walk_of = jax.jit(lambda seen: seen[:, 3].argmax().astype("int32").repeat(2) % 5)  # east, west, ...
+        judged = roll_policy(CoverageEnv(world, 2), walk_of if name != "disable_jit" else None, 1, 40)
+    assert found == rollouts(compiled, seed=3, count=400, mode="tolerance", engine="numba")
+    same = roll_policy(CoverageEnv(world, 2), walk_of if name != "disable_jit" else None, 1, 40)
+    assert all((one == other).all() for one, other in zip(judged, same, strict=True))
+
+
+@pytest.mark.parametrize(("plugin", "device", "may"), [
+    ("xla_cuda13", "no-such-device", False),  # jax[cuda13] on a machine without a GPU
+    ("xla_cuda13", "null", True),
+    ("rocm", "no-such-device", True),  # whose device files are not looked for
+])  # fmt: skip
+def test_jax_is_not_started_where_its_plugin_has_no_device(
+    plugin: str, device: str, may: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "jax_plugins" / plugin).mkdir(parents=True)
+    (tmp_path / "jax_plugins" / plugin / "__init__.py").touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(accelerators, "DEVICES", (device,))
+    monkeypatch.setattr(accelerators, "entry_points", lambda group: ())
+    assert accelerators._may_be_one() is may
+
+
+@pytest.mark.parametrize(("platforms", "notes"), [("cpu", 0), ("cpu,cuda", 0), ("cuda", 1), ("tpu,cpu", 1)])
+def test_platforms_that_cannot_be_are_noted_once(
+    platforms: str, notes: int, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(accelerators, "_platforms", lambda: platforms)
+    monkeypatch.setattr(accelerators, "_may_be_one", lambda: False)
+    accelerators.accelerator.cache_clear()
+    try:
+        assert [choose_engine("auto").name for _ in range(3)] == ["numba"] * 3
+    finally:
+        accelerators.accelerator.cache_clear()
+    assert [record.getMessage().endswith("the engine is Numba") for record in caplog.records] == [True] * notes
+
+
+def test_a_jax_that_cannot_start_is_an_error_where_it_is_asked_for(tmp_path: Path) -> None:
+    """One line and status 2 on the command line; Numba, and one note, where no engine is named."""
+    np.save(tmp_path / "w.npy", np.pad(np.full((3, 3), 0.1), 1))
+    words = [sys.executable, "-m", "mrac_jax", "evaluate", "w.npy", "--rollouts", "64", "--no-advice", "--loop", "open"]
+
+    def run(*more: str, **flags: str) -> subprocess.CompletedProcess[str]:
+        root = str(Path(__file__).parent.parent)
+        given = {name: value for name, value in os.environ.items() if name != "JAX_PLATFORMS"}
+        return subprocess.run(
+            [*words, *more], cwd=tmp_path, capture_output=True, text=True, timeout=240, check=False,
+            env=given | {"PYTHONPATH": root} | flags,
+        )  # fmt: skip
+
+    for flags, said in (({"JAX_PLATFORMS": "cuda"}, "with JAX_PLATFORMS=cuda"), ({"JAX_ENABLE_X64": "maybe"}, "maybe")):
+        asked = run("--engine", "jax", **flags)
+        assert asked.returncode == 2 and not asked.stdout
+        *_, line = asked.stderr.splitlines()  # after what it was doing, on a slow machine
+        assert (
+            "Traceback" not in asked.stderr
+            and line.startswith("error: JAX cannot start")
+            and said in line
+            and line.endswith("use --engine numba")
+        )
+    auto = run(JAX_PLATFORMS="cuda")
+    assert auto.returncode == 0 and auto.stdout
+    assert auto.stderr.count("JAX cannot start with JAX_PLATFORMS=cuda") == 1

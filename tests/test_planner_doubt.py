@@ -140,7 +140,7 @@ def test_levels_are_drawn_apart_and_a_common_spread_is_one_for_all() -> None:
 def test_a_world_file_holds_what_is_in_doubt(tmp_path: Path) -> None:
     for name, make in DOUBTS.items():
         world = make()
-        world.save(tmp_path / "world.npz")
+        world.save(tmp_path / "world.npz", force=True)
         for again in (load_world_file(tmp_path / "world.npz"), load_input(tmp_path / "world.npz")):
             assert again.luck_sha256 == world.luck_sha256, name
             assert again.sha256 == world.sha256

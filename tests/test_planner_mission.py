@@ -152,7 +152,7 @@ def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], tmp_pa
                     stopped = luck.hits(order.robot, mission.step, row * world.shape[1] + col)
                     mission.report(order.robot, cell=(row, col), stopped=stopped)
                 if number == len(robots) // 2:
-                    mission.save(tmp_path / "now.json")
+                    mission.save(tmp_path / "now.json", force=True)
                     again = Mission.resume(tmp_path / "now.json", world, plan)
                     assert told(again) == told(mission) and again.step == mission.step
                     mission = again
@@ -340,7 +340,7 @@ def test_of_two_reports_in_a_step_the_fresher_one_is_where_it_is(tmp_path: Path)
             mission.advance()
         for said in ({"cell": [0, 2], "step": 2}, {"cell": [0, 3]})[:: -1 if late else 1]:
             mission.report(0, **said)
-            mission.save(tmp_path / "now.json")
+            mission.save(tmp_path / "now.json", force=True)
             mission = Mission.resume(tmp_path / "now.json", ROW, make_plan(ROW, ROW.starts))
         with pytest.raises(StateError, match=r"\[0, 3\] and \[0, 4\] in step 3"):
             mission.report(0, cell=[0, 4])
@@ -534,7 +534,7 @@ def test_what_was_visited_late_and_cut_off_since_does_not_count(tmp_path: Path) 
 
 def check_sound(mission: Mission, world: World, plan: Plan, file: Path, gain: float) -> Mission:
     """What a state file is checked for holds; and the mission that goes on from it has the same orders."""
-    mission.save(file)
+    mission.save(file, force=True)
     again = Mission.resume(file, world, plan, gain=gain)
     assert told(again) == told(mission)
     assert again.covered == mission.covered and again.lost == mission.lost

@@ -60,7 +60,7 @@ def drive(world: World, starts: list[list[int]], settings: Settings, seed: int, 
             stopped = moved and luck.hits(robot, step, row * width + col)
             mission.report(robot, (row, col), stopped=stopped)
         if file is not None and step % 3 == 1:
-            mission.save(file)
+            mission.save(file, force=True)
             mission = Mission.resume(file, world, plan, patience=None)
         mission.advance()
         places.append([robot.cell for robot in mission._fleet.robots])

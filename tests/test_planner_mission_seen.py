@@ -58,7 +58,7 @@ def drive(world, starts, settings, seed, steps, file=None):
             said = [[*divmod(int(c), height_width[1]), None if np.isnan(told[c]) else float(told[c])] for c in seen]
             mission.report(robot, divmod(at[robot], height_width[1]), seen=json.loads(json.dumps(said)))
         if file is not None and step % 3 == 1:
-            mission.save(file)
+            mission.save(file, force=True)
             mission = Mission.resume(file, known, make_plan(known, starts, settings), patience=None)
         mission.advance()
         places.append([robot.cell for robot in mission._fleet.robots])

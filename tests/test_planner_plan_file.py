@@ -97,7 +97,7 @@ def test_the_planners_plans_survive_the_round_trip(tmp_path: Path) -> None:
         threat[0, :] = 0
         world = World.create(threat)
         plan = make_plan(world, [[0, col] for col in range(count)])
-        plan.save(tmp_path / "plan.json")
+        plan.save(tmp_path / "plan.json", force=True)
         assert plans_equal(load_plan(tmp_path / "plan.json", world), plan)
         assert count_shares(plan) == plan.shares
 

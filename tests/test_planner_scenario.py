@@ -86,7 +86,7 @@ def test_starts_in_cells_and_in_metres(folder: Path) -> None:
 
 
 def test_starts_in_metres_follow_the_turned_origin(folder: Path) -> None:
-    World.create(np.zeros((3, 5)), cell_size=2.0, origin=(10, 20, math.pi / 2)).save(folder / "w.npz")
+    World.create(np.zeros((3, 5)), cell_size=2.0, origin=(10, 20, math.pi / 2)).save(folder / "w.npz", force=True)
     # turned by 90 degrees: columns run along +y, rows (upwards) along -x
     scenario = load_input(write(folder, map={"file": "w.npz"}, robots={"starts_xy": [[9, 21], [5, 29]]}))
     assert scenario.starts is not None
@@ -95,7 +95,7 @@ def test_starts_in_metres_follow_the_turned_origin(folder: Path) -> None:
 
 
 def test_world_files_bring_their_starts_along(folder: Path) -> None:
-    World.create(np.zeros((4, 6)), starts=[[1, 2], [3, 5]], cell_size=0.5).save(folder / "w.npz")
+    World.create(np.zeros((4, 6)), starts=[[1, 2], [3, 5]], cell_size=0.5).save(folder / "w.npz", force=True)
     direct = load_input(folder / "w.npz")
     assert direct.starts is not None and len(direct.starts) == 2
     assert direct.cell_size == 0.5
@@ -110,7 +110,7 @@ def test_world_files_bring_their_starts_along(folder: Path) -> None:
 
 
 def test_a_start_in_a_partial_block_is_off_the_coarsened_map(folder: Path) -> None:
-    World.create(np.zeros((5, 6)), starts=[[4, 0]]).save(folder / "w.npz")
+    World.create(np.zeros((5, 6)), starts=[[4, 0]]).save(folder / "w.npz", force=True)
     with pytest.raises(WorldError, match="outside the map"):
         load_input(write(folder, map="w.npz", cell_size=2))
 

@@ -32,7 +32,7 @@ def world_of(folder: Path, fields: list, points: list, combine: str, cell_size: 
     rng = np.random.default_rng(5)
     own = np.where(rng.random((12, 14)) < 0.1, np.nan, np.where(rng.random((12, 14)) < 0.2, 0.05, 0.0))
     own[0, 0] = 0.0
-    World.create(own).save(folder / "map.npz")
+    World.create(own).save(folder / "map.npz", force=True)
     np.save(folder / "raster.npy", rng.random((12, 14)) * (rng.random((12, 14)) < 0.3))
     features = [{"properties": {"name": name, "p": p}, "geometry": square(*at)} for name, p, at in fields]
     (folder / "fields.json").write_text(json.dumps({"type": "FeatureCollection", "features": features}))

@@ -23,7 +23,7 @@ SQUARE = [[[1, 1], [4, 1], [4, 3], [1, 3], [1, 1]]]
 
 def scenario(folder: Path, keys: dict[str, Any], polygons: Any = 5, points: str = "0.5,0.5,2\n0.5,0.5,3\n") -> Path:
     """A map of 3 x 4 metres, a raster of 0 .. 11 on it, a polygon on its upper right 2 x 3 cells, two points."""
-    World.create(THREAT).save(folder / "map.npz")
+    World.create(THREAT).save(folder / "map.npz", force=True)
     np.save(folder / "raster.npy", np.arange(12.0).reshape(3, 4))
     feature = {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": SQUARE}}
     properties = {} if polygons is None else {"value": polygons, "detect": polygons}
@@ -83,7 +83,7 @@ def test_values_of_pixels_add_up_and_chances_are_averaged(tmp_path: Path) -> Non
     assert world.value == pytest.approx(np.array([[1.4, 2.2]]))
     assert world.detect == pytest.approx(np.array([[0.35, 0.55]]))
     named = World.create(np.zeros((2, 4)), value=np.arange(8.0).reshape(2, 4), detect=0.5)
-    named.save(tmp_path / "fine.npz")
+    named.save(tmp_path / "fine.npz", force=True)
     world = load_input(scenario(tmp_path, {"map": "fine.npz", "cell_size": 2}))
     assert world.value.tolist() == [[10, 18]] and world.detect.tolist() == [[0.5, 0.5]]
 

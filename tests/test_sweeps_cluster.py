@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import shutil
 import socket
@@ -10,10 +11,12 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from test_sweeps_engine import contents, jobs_of, swept
 
+import mrac_jax as mrac
 from analysis.sweeps import cluster
 from analysis.sweeps.engine import Done, run_cases
 from analysis.sweeps.store.memory import Memory
@@ -96,9 +99,41 @@ def test_a_scheduler_and_its_worker_in_this_process() -> None:
     local = distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=None
     )
+    right = swept(jobs_of(maps=2), processes=1)
     with local, Memory() as store:
         run_cases(jobs_of(maps=2), store, scheduler=local.scheduler_address)
-        assert contents(store) == swept(jobs_of(maps=2), processes=1)
+        assert contents(store) == right
+        client = distributed.Client(local, set_as_default=False)
+        for _ in range(2):  # it stays open
+            with Memory() as store:
+                run_cases(jobs_of(maps=2), store, scheduler=client)
+                assert contents(store) == right
+        client.close()
+        for wrong in (client, 3):
+            with Memory() as store, pytest.raises(UsageError, match="expected the address of a dask scheduler, or a"):
+                run_cases(jobs_of(maps=2), store, scheduler=wrong)
+
+
+def test_a_sweep_in_python_takes_a_scheduler(tmp_path: Path) -> None:
+    """An address, in a notebook's thread with its own loop too, or a client: the same bytes as without."""
+    (tmp_path / "s.yaml").write_text(
+        "base: {kind: contiguous, size: 6x7}\nmaps: 2\nrollouts: 20\nsweep: {robots: [1, 2]}\n"
+    )
+
+    def rows(name: str, **how: Any) -> bytes:
+        files = mrac.sweep(tmp_path / "s.yaml", tmp_path / f"{name}.store", progress=False, **how).save(tmp_path / name)
+        return next(file.read_bytes() for file in files if file.suffix == ".csv")
+
+    async def in_a_loop(address: str) -> bytes:
+        return rows("loop", scheduler=address)
+
+    local = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=None
+    )
+    with local, distributed.Client(local, set_as_default=False) as client:
+        right = rows("here", processes=1)
+        assert rows("client", scheduler=client) == right
+        assert asyncio.run(in_a_loop(local.scheduler_address)) == right
 
 
 @pytest.mark.slow

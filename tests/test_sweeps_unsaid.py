@@ -32,7 +32,7 @@ ROLLOUTS = 1100
 
 
 def swept(folder: Path, text: str, rollouts: int = ROLLOUTS) -> Sweep:
-    TRUE.save(folder / "true.npz")
+    TRUE.save(folder / "true.npz", force=True)
     (folder / "dark.yaml").write_text("map: true.npz\nprior: {p: 0.04}\nsense: .inf\nrobots: {count: 2}\n")
     (folder / "try.yaml").write_text(f"{text}\nrollouts: {rollouts}\n")
     with Store.open(folder / "try.store") as store:

@@ -12,7 +12,7 @@ from planner.worlds.world import World
 
 
 def world_file(folder: Path, threat: np.ndarray, name: str = "w.npz", **more: object) -> str:
-    World.create(threat, **more).save(folder / name)  # type: ignore[arg-type]
+    World.create(threat, **more).save(folder / name, force=True)  # type: ignore[arg-type]
     return name
 
 

@@ -67,7 +67,8 @@ def reproduce(
     """The paper's experiments again, with intervals; results are kept in `store` if one is named.
 
     Args:
-        maps: of each setting; rollouts: of each map. processes, scheduler: as of `sweep`. progress, on_interrupt: as of `evaluate`; jobs are counted.
+        maps: of each setting; rollouts: of each map. processes, scheduler: as of `sweep`.
+        progress, on_interrupt: as of `evaluate`; jobs are counted.
     """
     from analysis.reproduction.reproduce import reproduce as run_experiments
     from analysis.sweeps.store.store import Store

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.statistics.coverage import Amount
+from planner.shown import Rows, html_of, text_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +42,16 @@ class Known:
     time: float | None
 
 
-@dataclass(frozen=True)
+LIMITS = {
+    "least": "the smallest of those below that hold for this team",
+    "any_strategy": "no strategy of this team exceeds it on this map (proven)",
+    "ideal": "no strategy of this team exceeds it on any map with these p: ways cost nothing",
+    "ideal_one": "the same for one robot, eq. (7) of the paper; a team may exceed it",
+}
+"""What the bounds of `Limits` mean, a line each."""
+
+
+@dataclass(frozen=True, repr=False)
 class Limits:
     """Expected coverage that no strategy exceeds; a single run may.
 
@@ -53,3 +64,22 @@ class Limits:
     any_strategy: Amount | None
     ideal: Amount
     ideal_one: Amount
+
+    def _brief(self) -> tuple[str, Rows]:
+        """A line for each bound: its name, its value rounded upwards, and what it means."""
+        rows = [(name, f"{_upwards(getattr(self, name))}: {meaning}") for name, meaning in LIMITS.items()]
+        return "Limits: upper bounds of the mean coverage; a single mission may cover more", rows
+
+    def __repr__(self) -> str:
+        return text_of(*self._brief())
+
+    def _repr_html_(self) -> str:
+        return html_of(*self._brief())
+
+
+def _upwards(bound: Amount | None) -> str:
+    """A bound from above in two decimals, never less than it is but by what a float is wrong by."""
+    if bound is None:
+        return "not computed (bound=True computes it where it applies)"
+    share, cells = (math.ceil(100 * value - 1e-9) / 100 for value in (100 * bound.mean, bound.cells))
+    return f"{share:.2f} % ({cells:,.2f} cells)"

@@ -59,8 +59,9 @@ class TeamEnv(gymnasium.Env):
 
     def step(self, action: ArrayLike) -> tuple[NDArray, float, bool, bool, dict[str, Any]]:
         """A team step with an action for each robot, `[K]`. Raises UsageError for one outside the space."""
-        each = self.action_space.nvec
-        told = self._runs.step(checked_actions(action, each.shape, int(each[0]))[None])
+        env = self._runs.env
+        given = checked_actions(action, (env.num_agents,), env.action_space(env.agents[0]).n)
+        told = self._runs.step(given[None])
         cut = bool(told.truncated[0])
         return told.seen[0], float(told.rewards[0].sum()), bool(told.done[0]) and not cut, cut, self._info(told)
 

@@ -46,9 +46,9 @@ def checked_actions(given: Any, shape: tuple[int, ...], count: int, name: str = 
     if actions.shape != shape or actions.dtype.kind not in "iu":
         shown = f"{actions.dtype} of shape {actions.shape}" if traced else reprlib.repr(given)
         raise UsageError(f"{name}: {shown}", expected=each)
-    wrong = () if traced else np.argwhere((actions < 0) | (actions >= count))
-    if len(wrong):
-        place = tuple(wrong[0].tolist())
+    if traced:
+        return actions
+    for place in map(tuple, np.argwhere((actions < 0) | (actions >= count)).tolist()):
         raise UsageError(f"{name}{list(place) if place else ''}: {actions[place]}", expected=each)
     return actions
 

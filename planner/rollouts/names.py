@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from pkgutil import resolve_name
 from typing import Any, Literal, get_args
 
+from planner.arguments import argument
 from planner.errors import UsageError
 
 EngineName = Literal["auto", "jax", "numba"]
@@ -34,12 +35,12 @@ def of_jax(what: str) -> Any:
         try:
             import_module("jax")
         except Exception as error:  # a flag with a wrong value, a jaxlib of another release, no JAX at all
-            raise UsageError(why_not(error), fix="correct that, or use engine numba") from error
+            raise UsageError(why_not(error), fix=f"correct that, or use {argument('engine', 'numba')}") from error
     return resolve_name(OF_JAX[what])
 
 
 def why_not(error: Exception) -> str:
     """Why JAX cannot run, in one line: what it raised, and the platforms that it was told to use."""
-    said = " ".join(str(error).split())[:200] or type(error).__name__
+    said = " ".join(str(error).split())[:200] or f"{type(error).__name__}: no such device"
     platforms = os.environ.get("JAX_PLATFORMS", "")
     return f"JAX cannot start{f' with JAX_PLATFORMS={platforms}' if platforms else ''} ({said})"
