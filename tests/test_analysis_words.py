@@ -17,7 +17,7 @@ from analysis.evaluation.words import cell_words, chances_words, home_words, los
 from analysis.kit.words import plan_words, span_words
 from analysis.statistics.coverage import losses_said, losses_shown, more_said
 from analysis.statistics.estimate import Estimate, exactly, proportion
-from analysis.statistics.words import between, digits_of, lost_words
+from analysis.statistics.words import between, digits_of, in_unit, lost_words
 from analysis.sweeps.report import around as sweep_around
 from analysis.sweeps.report import percent as sweep_percent
 from analysis.theory.bounds import all_bounds
@@ -364,6 +364,11 @@ def test_an_exact_share_is_whole_only_where_it_is() -> None:
 )
 def test_a_symmetric_interval_stays_in_what_is_possible(estimate: Estimate, said: str, table: str) -> None:
     assert (estimate.said(100, " %"), estimate.around(100, most=100)) == (said, table)
+
+
+def test_an_interval_has_its_unit_where_it_is_read() -> None:
+    said = [in_unit(one) for one in ("exact", "", "56.4 .. 56.6", "99.5 or more", "0.01 or fewer")]
+    assert said == ["exact", "", "56.4 .. 56.6 %", "99.5 % or more", "0.01 % or fewer"]
 
 
 def test_no_printed_share_leaves_0_to_100() -> None:

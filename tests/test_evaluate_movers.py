@@ -77,10 +77,10 @@ def test_what_is_known_of_one_robot_is_what_is_said(world: World) -> None:
 def test_what_is_known_by_a_step_is_what_is_said(world: World) -> None:
     answer = mrac.evaluate(world, 1, rollouts=200, deadline=4, advice=False)
     found, exact = answer.outputs["deadline"].as_json(), answer.closed_form
-    assert found["visited"]["mean"] * 13 == pytest.approx(exact.by_deadline(4)[0]) and found["visited"]["se"] == 0
+    assert found["visited"]["mean"] * 14 == pytest.approx(exact.by_deadline(4)[0]) and found["visited"]["se"] == 0
     assert found["losses"]["mean"] == pytest.approx(exact.losses_by(4))
     assert (
-        report(answer).findings[0].startswith(f"By step 4: {percent(exact.by_deadline(4)[0] / 13, 2)} (exact) visited")
+        report(answer).findings[0].startswith(f"By step 4: {percent(exact.by_deadline(4)[0] / 14, 2)} (exact) visited")
     )
     assert "By step" not in report(mrac.evaluate(world, 1, rollouts=200, deadline=10**4, advice=False)).findings[0]
 

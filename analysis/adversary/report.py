@@ -57,8 +57,8 @@ def headline(attack: Attack) -> str:
     if known.known is None or hidden.hidden is None:
         return f"Interrupted. Worst found so far for {KNOWN}: {_at(known.threats)}."
     return (
-        f"Worst found for {KNOWN}: {_at(known.threats)}, {_said(attack, known.known)} fewer on average; "
-        f"for {HIDDEN}: {_at(hidden.threats)}, {_said(attack, hidden.hidden)} fewer."
+        f"Worst found for {KNOWN}: {_at(known.threats)}, {_fewer(attack, known.known)} on average; "
+        f"for {HIDDEN}: {_at(hidden.threats)}, {_fewer(attack, hidden.hidden)}."
     )
 
 
@@ -68,6 +68,10 @@ def _at(threats: tuple[Threat, ...]) -> str:
 
 def _said(attack: Attack, gain: Gain) -> str:
     return gain.counted.said(unit=f" {attack.unit}")
+
+
+def _fewer(attack: Attack, gain: Gain) -> str:
+    return gain.counted.more(unit=f" {attack.unit}", words=("fewer", "more"))
 
 
 def findings(attack: Attack) -> Iterator[str]:

@@ -176,7 +176,7 @@ def too_few(last: Stage, choices: RolloutChoices) -> tuple[str, ...]:
         return ()
     ends = "the last rollout that there is" if choices.seconds is None else f"{choices.seconds:g} s"
     wanted = f"asked for was ± {100 * choices.precision:g}"
-    return (f"{ends} came before that precision: mean coverage is sure to ± {100 * half:.2g} points, {wanted}; "
+    return (f"{ends} came before that precision: mean coverage is sure to ± {100 * half:.3g} points, {wanted}; "
             f"{argument('seconds')} gives it longer",)  # fmt: skip
 
 

@@ -28,6 +28,7 @@ from analysis.kit.folder import json_text
 from analysis.kit.words import plan_words, span_words
 from analysis.report.blocks import KeyFigure, Part, Pictured, Report
 from analysis.report.words import asked, team_figure
+from analysis.statistics.words import in_unit
 from analysis.trials.exact_loop import TreeTruth
 from planner.shown import counted, floored
 from planner.worlds.world import World
@@ -127,13 +128,12 @@ def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
     found, cells, seen = evaluation.shown, evaluation.tally.accessible, evaluation.visited
     visited, between = seen.columns(100.0, 100)
     (complete, likely), (time, steps) = found.complete.columns(), evaluation.time.columns()
-    between += " %" * (seen.half_width > 0)
     sure = "with 95 % confidence" if found.visited.known is None else "exact"
     runs = KeyFigure(floored(Fraction(found.assured or 0, cells)), "or more in 95 % of runs", sure)
     return [
-        KeyFigure(f"{visited} %", "visited on average", f"{between}, of {cells:,} accessible cells"),
+        KeyFigure(f"{visited} %", "visited on average", f"{in_unit(between)}, of {cells:,} accessible cells"),
         *([] if found.assured is None else [runs]),
-        KeyFigure(f"{complete} %", "chance to visit every cell", likely),
+        KeyFigure(f"{complete} %", "chance to visit every cell", in_unit(likely)),
         team_figure(evaluation.losses, evaluation.losses.robots),
         *([] if found.home is None else [team_figure(found.home, found.home.robots, "robots home at the end")]),
         KeyFigure(

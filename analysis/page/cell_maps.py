@@ -21,6 +21,7 @@ from PIL import Image
 from analysis.page.markup import Html, block
 from analysis.page.ticks import label, ticks
 from analysis.pictures.style import OBSTACLE, SHADES, UNREACHABLE
+from planner.shown import chance
 from planner.worlds.world import World
 
 MOST_CELLS = 1_000_000
@@ -172,7 +173,8 @@ class _Blocks:
         for value in values:
             at = float(self.norm(value / scale))
             if at - last > 0.12:
-                yield at, (f"{value:.3g}" if layer.labels else label(float(value), gap)) + unit
+                given = f"{value:.3g}" if layer.unit != "%" else chance(value / scale).removesuffix(" %")
+                yield at, (given if layer.labels else label(float(value), gap)) + unit
                 last = at
 
     def packed(self) -> dict[str, object]:

@@ -36,7 +36,7 @@ LISTED = 6
 
 def report(study: Study) -> Report:
     """Points won over the team, coverage against losses, every point as CSV."""
-    finished, maps = study.finished, f"{study.maps(rivals(KINDS[0], TEAMS[0])[0]):,}"
+    finished, maps = study.finished, study.maps(rivals(KINDS[0], TEAMS[0])[0])
     fronts = {robots: [_front(study, robots, kind) for kind in KINDS] for robots in FRONT_TEAMS}
     gains, charts = [_gains(study, kind) for kind in KINDS], [one for pair in fronts.values() for one in pair]
     return Report(

@@ -45,10 +45,10 @@ def headline(clearing: Clearing) -> str:
     picks, gain = clearing.picks, clearing.gain
     first = f"Best found to clear first: {place_words(clearing, picks[0])}"
     if gain is None:
-        return f"Interrupted. {first}: {_said(clearing, clearing.turns[0].picked.known)} more, on what chose it."
+        return f"Interrupted. {first}: {_more(clearing, clearing.turns[0].picked.known)}, on what chose it."
     if len(picks) > 1:
         first = f"Best found to clear, in this order: {', '.join(threat.name for threat in picks)}"
-    return f"{first}: {_said(clearing, gain)} more on average, after replanning."
+    return f"{first}: {_more(clearing, gain)} on average, after replanning."
 
 
 def place_words(clearing: Clearing, threat: Threat) -> str:
@@ -63,6 +63,10 @@ def _said(clearing: Clearing, gain: Gain | None) -> str:
     return "" if gain is None else gain.counted.said(unit=f" {clearing.unit}")
 
 
+def _more(clearing: Clearing, gain: Gain | None) -> str:
+    return "" if gain is None else gain.counted.more(unit=f" {clearing.unit}")
+
+
 def findings(clearing: Clearing) -> Iterator[str]:
     """How sure that is, what the old plan wins, and what the picks add."""
     first, gain = clearing.turns[0], clearing.gain
@@ -74,8 +78,8 @@ def findings(clearing: Clearing) -> Iterator[str]:
     then = "" if unknown is first.picked else f"; {first.picked.threat.name} is worth {own} then"
     yield f"With the old plan {unknown.threat.name} is worth most to clear: {most}{then}."
     for turn in clearing.turns[1:]:
-        gained = _said(clearing, turn.picked.known)
-        yield f"Then {place_words(clearing, turn.picked.threat)}: {gained} more than without it."
+        gained = _more(clearing, turn.picked.known)
+        yield f"Then {place_words(clearing, turn.picked.threat)}: {gained} than without it."
 
 
 def _key_figures(clearing: Clearing) -> list[KeyFigure]:

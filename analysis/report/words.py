@@ -11,6 +11,7 @@ from analysis.report.blocks import KeyFigure
 from analysis.sampling import RolloutChoices
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate
+from analysis.statistics.words import in_unit
 from planner.files import Json
 from planner.shown import counted
 from planner.worlds.world import World
@@ -44,7 +45,7 @@ def sourced(rollouts: int, said: str) -> str:
 def share_figure(estimate: Estimate, name: str, note: str = "") -> KeyFigure:
     """A share as a key figure, with its interval."""
     mean, interval = estimate.columns(100.0, 100)
-    return KeyFigure(f"{mean} %", name, interval + " %" * (estimate.half_width > 0) + note)
+    return KeyFigure(f"{mean} %", name, in_unit(interval) + note)
 
 
 def run_again(words: Sequence[str], how: Sequence[str], choices: RolloutChoices, *, exact: bool) -> str:

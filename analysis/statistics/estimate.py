@@ -67,6 +67,10 @@ class Estimate:
         half = self._half(scale, most, digits, mean)
         return f"{mean}{unit} ± {half} (95 %)" if half else f"{mean}{unit} ({interval}, 95 %)"
 
+    def more(self, scale: float = 1.0, unit: str = "", words: tuple[str, str] = ("more", "fewer")) -> str:
+        """A difference in good words: "4.1 cells ± 0.2 (95 %) more"; below 0 "0.3 cells ± 0.2 (95 %) fewer"."""
+        return f"{(self if self.mean >= 0 else self.negated).said(scale, unit)} {words[self.mean < 0]}"
+
     def around(self, scale: float = 1.0, sign: str = "", most: int | None = None, digits: int = 1) -> str:
         """ "67.4 ± 0.1", for a table; the mean alone where nobody knows how sure it is. `sign`: "+" shows it.
 

@@ -31,6 +31,14 @@ def between(low: float, high: float, digits: int = 2, most: float | None = None,
     return f"{down} .. {up}"
 
 
+def in_unit(interval: str, unit: str = " %") -> str:
+    """An interval as of `between` with its unit: "99.5 % or more", "56.4 .. 56.6 %"; as it is where it is none."""
+    if interval in ("", "exact"):
+        return interval
+    ends, word, rest = interval.partition(" or ")
+    return f"{ends}{unit}{word}{rest}"
+
+
 def lost_words(mean: float, robots: int, digits: int = 2) -> str:
     """A mean number of robots lost: "1.87 of 5", "all 5"; what is not quite none or all of them is never said to be.
 

@@ -130,6 +130,8 @@ def _rows_part(rows: Sequence[Row], charted: bool = False) -> Part:
     if len(counts) == 1:
         maps, rollouts = counts.pop()
         notes.append(f"Each row: {counted(maps, 'map')}, {counted(rollouts, 'rollout')}.")
+    if any(row.difference("visited") is not None for row in rows[1:]):
+        notes.append("more than first: visited coverage less that of the first row, in points, on the same maps")
     if any(row.maps == 1 for row in rows):
         where = "±" if all(row.maps == 1 for row in rows) else "where there is 1 map, ±"
         notes.append(f"{where} (95 %) is the luck of the rollouts on that map; other maps are not in it")
@@ -147,7 +149,7 @@ def rows_table(rows: Sequence[Row]) -> Table:
     uneven, compared = len(set(counts)) > 1, any(row.difference("visited") is not None for row in rows[1:])
     labels = [name.replace("_", " ") for name in names]
     figures = (*(("maps", "rollouts") if uneven else ()), "visited, %", "survived, %", "open, %", "complete, %", "time")
-    columns = (*labels, *figures, *(("- first, %",) if compared else ()))
+    columns = (*labels, *figures, *(("more than first, points",) if compared else ()))
     table = make_table(columns, left=labels, dropped=("open, %", "survived, %", "complete, %"))
     for number, row in enumerate(rows):
         cells = [shown(row.labels.get(name)) for name in names]

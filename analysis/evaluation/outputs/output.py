@@ -113,7 +113,7 @@ def coverage_row(name: str, covered: Covered, of: int, exact: float) -> Row:
     """Coverage in percent of `of` cells, beside the open loop's `exact` cells."""
     unit = 100.0 / of
     runs = (in_percent(cells / of, 1) for cells in covered.quantiles.values())
-    return Row(name, in_percent(exact / of), (*covered.mean.columns(unit, 100), *runs))
+    return Row(name, in_percent(exact / of, 2), (*covered.mean.columns(unit, 100), *runs))
 
 
 def known_words(value: float, form: str = "{:.2f}") -> str:

@@ -19,6 +19,7 @@ from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.kit.tables import make_table
 from analysis.sampling import make_roll_out
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
+from analysis.theory.truth import exact_truth
 from planner.arguments import argument, is_real, numbers_of
 from planner.errors import UsageError
 from planner.files import Json
@@ -67,12 +68,14 @@ class Scaled:
         scale: times the map's p. tally: of as many rollouts as the evaluation's, the same ids.
         exact: the open loop's closed form under those threats.
         certain: nothing can happen under them, so that one rollout is every run.
+        known: `exact` is of the loop that was evaluated, so that the table has it in the place of the rollouts.
     """
 
     scale: float
     tally: Tally
     exact: OpenLoopExact
     certain: bool = False
+    known: bool = False
 
     @cached_property
     def figures(self) -> Figures:
@@ -95,6 +98,8 @@ class Scaled:
     def columns(self) -> Iterator[str]:
         """A row of the table."""
         found, unit = self.figures, 100.0 / self.tally.accessible
+        if self.known:
+            found = found.with_formulas(self.exact, None)
         yield f"{self.scale:g}"
         yield from found.visited.mean.columns(unit, 100)
         yield found.survived.mean.columns(unit, 100)[0]
@@ -127,7 +132,10 @@ class ThreatScale(Output):
             for stage in make_roll_out(run.world, run.plan, few, threats, run.kept)(few, None):
                 tally = stage.tally
                 run.progress(tally.rollouts, count, stage.seconds)
-            found = cls((*found.scaled, Scaled(scale, tally, open_loop_exact(run.plan, threats), certain)))
+            exact = open_loop_exact(run.plan, threats)
+            known = run.choices.loop == "open"
+            known = known or exact_truth(run.plan, threats, exact, run.choices.first_only) is not None
+            found = cls((*found.scaled, Scaled(scale, tally, exact, certain, known)))
             yield found
 
     def as_json(self) -> list[Json]:

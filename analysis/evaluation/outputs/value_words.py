@@ -11,6 +11,7 @@ from analysis.kit.tables import make_table
 from analysis.kit.words import percent
 from analysis.statistics.estimate import Estimate, exactly
 from analysis.statistics.mission import TAIL, times_to
+from analysis.statistics.words import in_unit
 from planner.shown import at_least_words
 
 TITLES = {"coverage": "What the cells are worth", "search": "Search", "clearance": "Clearance"}
@@ -35,7 +36,7 @@ Rows = Iterator[tuple[str, str, str]]
 def _row(name: str, estimate: Estimate, scale: float = 1.0, chance: bool = False) -> tuple[str, str, str]:
     if chance:
         mean, interval = estimate.columns(100 * scale, 100)
-        return name, f"{mean} %", interval + " %" * (interval != "exact")
+        return name, f"{mean} %", in_unit(interval)
     low, high = (amount(scale * end) for end in estimate.ci95)
     exact = estimate.ci95[0] == estimate.ci95[1]
     return name, amount(scale * estimate.mean), "exact" if exact else f"{low} .. {high}"
