@@ -62,7 +62,7 @@ def record(
         seconds = world.with_pace(step_seconds).pace.seconds or 1.0
         how: Any = {"loop": loop or given.usual_loop, "seed": seed, "step_seconds": seconds, "made": made}
         request = Request(chosen, picks, count, **how)
-        done = record_rollouts(world, given, request, path, progress=tell)
+        done = record_rollouts(world, given, request, path, progress=tell, doing=doing)
         write_layout(layout_name(done.path), world, len(given.robots))
         return done
 

@@ -19,7 +19,7 @@ from cyclopts import App, CycloptsError, MissingArgumentError, Parameter
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, output_console
 from analysis.cli.decisions import attack, clear, starts
-from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
+from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, First, deliver, print_json
 from analysis.cli.drive import drive
 from analysis.cli.exporting import Altitude, export
 from analysis.cli.graph import graph
@@ -66,6 +66,7 @@ from planner.settings import BEST
 
 if TYPE_CHECKING:
     from analysis.comparison.compare import Side
+    from analysis.evaluation.answer import Evaluation
 
 NO_CACHE_OPTION = "--no-cache"
 """Of every command, and of nothing that a command knows of."""
@@ -114,6 +115,7 @@ def evaluate(
     from analysis.cli.progress import load_or_make_plan
     from analysis.evaluation.evaluate import check_asked
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
+    from analysis.evaluation.outputs.advice import is_quick
     from analysis.evaluation.outputs.knowledge import parse_ranges
     from analysis.evaluation.outputs.threat_scale import parse_scales
     from analysis.evaluation.report import report
@@ -130,13 +132,22 @@ def evaluate(
     sought = what.seconds if planning.policy == BEST else None
     world, made, notes = load_or_make_plan(wanted, plan, state, first=partial(check_asked, **asked), seconds=sought)
     choices = what.choices(made.is_foreign, None)
+    printed: list[First] = []
+
+    def show_first(found: Evaluation) -> None:
+        printed.append(First(report(found, theory), tables=not is_quick(found)))
+        with progress.paused():
+            printed[0].show()
+
     with show_progress() as progress:
         answer = evaluate_plan(
             world, made, choices, progress=progress, doing=progress.doing, early=progress.doing, bound=bound or None,
-            band=out is not None, advice=advice, **asked,
+            band=out is not None, advice=advice, first=None if as_json else show_first, **asked,
         )  # fmt: skip
-    said, read = report(answer, theory), (plan, state)
-    return deliver(answer, said, out=out, as_json=as_json, notes=notes, source=source, beside=read)
+    said, first = report(answer, theory), printed[0] if printed else None
+    return deliver(
+        answer, said, out=out, as_json=as_json, notes=notes, source=source, beside=(plan, state), first=first
+    )
 
 
 @app.command

@@ -68,6 +68,11 @@ def bearing_words(plan: Plan, world: World) -> str:
     )
 
 
+def without_level(said: str) -> str:
+    """What `Estimate.said` says, without "(95 %)": for a sentence in which % stands for coverage alone."""
+    return said.replace(" (95 %)", "").replace(", 95 %)", ")")
+
+
 def share(count: int, of: int, digits: int = 1) -> str:
     """`count` of `of` as "62.4 %", in whole numbers: what is not quite none or all is never rounded to it."""
     return percent(Fraction(int(count), int(of)) if of else 0, digits)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -11,26 +12,43 @@ from analysis.page.tables import parted
 from planner.errors import visible
 
 
+_UNIT = re.compile(r"(?<=\d) (?=[%\w±])|(?<=[±<>]) (?=\d)")
+"""The space between a number and what it counts, or a sign and its number."""
+_OPTION = re.compile(r" (?=--)|(?<=,) ")
+"""The space before an option, or before an argument of Python's."""
+
+
 def _shown(value: Any) -> Any:
     """A value as a template puts it in, before it is escaped: invisible, unpaired and turning characters are named."""
     return value if isinstance(value, Html) else "" if value is None else visible(str(value))
 
 
+def unbroken(text: object) -> str:
+    """A text in which no line ends between a number and its unit, or between a sign and its number."""
+    return text if isinstance(text, Html) else _UNIT.sub("\N{NO-BREAK SPACE}", str(_shown(text)))
+
+
 def with_code(text: str) -> Html:
-    """A sentence; what stands between backticks is code."""
+    """A sentence; what stands between backticks is code, in which an option and its value stay on one line."""
     if isinstance(text, Html):
         return text
     parts = visible(text).split("`")
     if len(parts) % 2 == 0:  # one of them has no partner
-        return Html.escape("`".join(parts))
-    return Html().join(Html("<code>{}</code>").format(part) if at % 2 else part for at, part in enumerate(parts))
+        return Html.escape(unbroken("`".join(parts)))
+    return Html().join(_code(part) if at % 2 else unbroken(part) for at, part in enumerate(parts))
+
+
+def _code(text: str) -> Html:
+    """Its spaces stay spaces, so that it can be copied into a shell."""
+    options = (Html('<span class="whole">{}</span>').format(option) for option in _OPTION.split(text))
+    return Html("<code>{}</code>").format(Html(" ").join(options))
 
 
 TEMPLATES = Environment(
     loader=PackageLoader("analysis.page"), autoescape=True, finalize=_shown, undefined=StrictUndefined,
     trim_blocks=True, lstrip_blocks=True,
 )  # fmt: skip
-TEMPLATES.filters |= {"parted": parted, "with_code": with_code}
+TEMPLATES.filters |= {"parted": parted, "with_code": with_code, "unbroken": unbroken}
 TEMPLATES.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
 
 

@@ -188,7 +188,7 @@ async function start() {
   }));
   at("sizes").append(choices("Size", SIZES, 0, (n) => { size = +SIZES[n]; }));
   at("layers").append(choices("Layer", palettes.layers.map((layer) => layer.name), shown, (n) => { shown = n; show_all(); }));
-  at("layers").firstChild.append(pathsOption(box, rows, cols));
+  at("layers").firstChild.append(pathsOption(box));
   if (Math.max(rows, cols) > 40) zoom(box);
   const step = (way) => () => { board[way](); changed(); };
   at("undo").addEventListener("click", step("back"));
