@@ -41,7 +41,7 @@ BEGIN = "from analysis.first_answer import roll_out_readably; roll_out_readably(
 def roll_out_readably() -> None:
     """The process: plan, world and choices come by standard input; cells visited in each rollout go out, in id order.
 
-    It goes on until it is ended, or no process listens any more. It yields to the compilation that it fills the time of.
+    It goes on until it is ended, or no process listens any more. It yields to the compilation.
     """
     os.nice(19)
     plan, world, choices = pickle.load(sys.stdin.buffer)

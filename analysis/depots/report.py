@@ -82,6 +82,7 @@ def findings(starts: Starts) -> Iterator[str]:
         worth = "" if again.value is None else f"{again.value.said(100, ' %')} of the value and "
         cells = "" if again.value is None else " of the cells"
         covered = f"{worth}{again.coverage.said(100, ' %')}{cells} covered"
+        covered = covered if again.rollouts else covered.replace(" (exact)", "")
         yield f"{source_words(again.rollouts)}: {covered}, {losses_said(again.losses, len(starts.starts))} lost."
     best = starts.places[starts.best]
     if starts.gain is not None and starts.stay:

@@ -174,7 +174,9 @@ def _often(chance: Chance) -> str:
     if chance.mean >= 0.995:
         return "in almost every run"
     of = 100 if chance.mean >= 0.05 else 1_000
-    return f"in {round(chance.mean * of)} of {of:,} runs" if chance.mean >= 0.0005 else f"in fewer than 1 of {of:,} runs"
+    return (
+        f"in {round(chance.mean * of)} of {of:,} runs" if chance.mean >= 0.0005 else f"in fewer than 1 of {of:,} runs"
+    )
 
 
 def certain_headline(evaluation: Evaluation) -> str:

@@ -1,4 +1,4 @@
-"""Knows that code is being compiled, what for, and for how long so far: on a machine's first run that takes a minute."""
+"""Knows that code is being compiled, what for, and for how long so far: a minute or more in a machine's first run."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Announcer:
                 self._earlier[self._current] = self._seconds() + self._earlier.get(self._current, 0.0)
 
     def line(self) -> str:
-        """`compiling_line` of a compilation that has gone on for PATIENCE, with all earlier ones of this code; or ""."""
+        """`compiling_line` of a compilation that has gone on for PATIENCE, with earlier ones of this code; or ""."""
         with self._lock:
             if self._depth == 0 or (seconds := self._seconds()) < PATIENCE:
                 return ""
@@ -66,7 +66,7 @@ ANNOUNCER = Announcer()
 
 @cache
 def notice_compiling() -> None:
-    """From now on, in this process, Numba's compiler and JAX's tell ANNOUNCER. Code found in the cache is not compiled."""
+    """From now on Numba's compiler and JAX's tell ANNOUNCER, in this process. Code found in the cache is not compiled."""
     from numba.core import event
 
     from planner.jit import OF_JAX

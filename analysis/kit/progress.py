@@ -78,7 +78,7 @@ class Watch:
 
 
 def with_compiling(what: str) -> str:
-    """What is being done, after what is being compiled for it: "compiling mrac, first run only, 35 s so far; rollouts"."""
+    """What is being done, after what is compiled for it: "compiling mrac, first run only, 35 s so far; rollouts"."""
     return "; ".join(filter(None, (ANNOUNCER.line(), what)))
 
 

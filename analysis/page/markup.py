@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -11,11 +12,10 @@ from markupsafe import Markup as Html
 from analysis.page.tables import parted
 from planner.errors import visible
 
-
-_UNIT = re.compile(r"(?<=\d) (?=[%\w±])|(?<=[±<>]) (?=\d)")
+_UNIT = re.compile(r"(?<=\d) (?=[%\w±])|(?<=%) (?=±)|(?<=[±<>]) (?=\d)")
 """The space between a number and what it counts, or a sign and its number."""
-_OPTION = re.compile(r" (?=--)|(?<=,) ")
-"""The space before an option, or before an argument of Python's."""
+_OPTION = re.compile(r"(--[a-z][\w-]*(?: (?!-)[^\s;,()]+)?)")
+"""An option with its value, if it has one."""
 
 
 def _shown(value: Any) -> Any:
@@ -29,19 +29,24 @@ def unbroken(text: object) -> str:
 
 
 def with_code(text: str) -> Html:
-    """A sentence; what stands between backticks is code, in which an option and its value stay on one line."""
+    """A sentence; what stands between backticks is code. An option and its value stay on one line."""
     if isinstance(text, Html):
         return text
     parts = visible(text).split("`")
     if len(parts) % 2 == 0:  # one of them has no partner
-        return Html.escape(unbroken("`".join(parts)))
-    return Html().join(_code(part) if at % 2 else unbroken(part) for at, part in enumerate(parts))
+        return _with_options("`".join(parts), unbroken)
+    code = Html("<code>{}</code>")
+    return Html().join(
+        code.format(_with_options(part, str)) if at % 2 else _with_options(part, unbroken)
+        for at, part in enumerate(parts)
+    )
 
 
-def _code(text: str) -> Html:
-    """Its spaces stay spaces, so that it can be copied into a shell."""
-    options = (Html('<span class="whole">{}</span>').format(option) for option in _OPTION.split(text))
-    return Html("<code>{}</code>").format(Html(" ").join(options))
+def _with_options(text: str, rest: Callable[[str], str]) -> Html:
+    """Options keep their spaces, so that they can be copied into a shell; `rest`: of what stands between them."""
+    option = Html('<span class="whole">{}</span>')
+    pieces = enumerate(_OPTION.split(text))
+    return Html().join(option.format(piece) if at % 2 else rest(piece) for at, piece in pieces)
 
 
 TEMPLATES = Environment(

@@ -149,8 +149,8 @@ function player(group, showThreats) {
     slider.value = step;
     showThreats(step);
     slider.setAttribute("aria-valuetext", "step " + told(step) + ", " + part + " % covered, " + left + " robots left");
-    said.textContent = "Step " + told(step) + " of " + told(run.time) + ": " + written(covered, 0) + " of "
-      + written(about.accessible, 0) + " cells (" + part + " %) covered, " + left + " of " + marks.length + " robots left." + seen + lost;
+    said.textContent = unbroken("Step " + told(step) + " of " + told(run.time) + ": " + written(covered, 0) + " of "
+      + written(about.accessible, 0) + " cells (" + part + " %) covered, " + left + " of " + marks.length + " robots left." + seen + lost);
   }
   tellers.set(box, (row, col) => {
     const cell = row * cols + col;

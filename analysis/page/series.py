@@ -57,8 +57,8 @@ class Chart:
         title: its heading. series: the curves. x_name, y_name: of the axes. note: a line below.
         unit: after every value of y, "%" say. digits, x_digits: decimals of the values shown under the pointer.
         x_whole: label whole numbers alone. x_words: of 0, 1, 2, ..., in their place.
-        y_range: shown at least; None: what the curves need, from 0. fit: the y axis begins where the curves do, not at 0,
-            and `y_range` is what it never leaves.
+        y_range: shown at least; None: what the curves need, from 0. fit: the y axis begins where the curves do,
+            not at 0, and `y_range` is what it never leaves.
         at_x: (x, words) of upright lines, where they are on the axis. at_y: (y, words) of level ones.
         interval: what low and high are, in words.
     """

@@ -83,7 +83,12 @@ class Recorded(Answer):
 
 
 def record(
-    world: World, plan: Plan, request: Request, path: str | Path, *, progress: Progress | None = None,
+    world: World,
+    plan: Plan,
+    request: Request,
+    path: str | Path,
+    *,
+    progress: Progress | None = None,
     doing: Doing = quiet,
 ) -> Recorded:
     """Evaluate, choose, and write the file at `path`. Memory: one rollout in full, and a few numbers a cell.
@@ -148,7 +153,9 @@ def _write(
             done.first = trace
         done.rows.append(row)
         log.discard = False
-        doing(f"writing rollout {len(done.rows) + 1} of {len(ids)}" if len(done.rows) < len(ids) else "closing the file")
+        doing(
+            f"writing rollout {len(done.rows) + 1} of {len(ids)}" if len(done.rows) < len(ids) else "closing the file"
+        )
 
 
 def _row(trace: Trace, picks: dict[str, int], stage: Stage) -> Row:

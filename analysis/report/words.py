@@ -38,7 +38,7 @@ def luck_words(world: World, choices: RolloutChoices, engine: str, rolled: str =
 
 def source_words(rollouts: int) -> str:
     """Where the figures of what was found come from."""
-    return "Fresh rollouts" if rollouts else "Of all that can happen"
+    return "Fresh rollouts" if rollouts else "Exact expectation"
 
 
 def share_figure(estimate: Estimate, name: str, note: str = "") -> KeyFigure:

@@ -62,7 +62,7 @@ async function start() {
     placed = line.starts;
     if ("paths" in line) picture.paths(line.paths, line.thickness, rows, cols);
     problem("");
-    headline.textContent = line.headline;
+    headline.textContent = unbroken(line.headline);
     headline.dataset.stage = line.stage;
     headline.dataset.times = JSON.stringify(line.times);
     at("figures").replaceChildren(...line.figures.map(([value, name, note]) => {

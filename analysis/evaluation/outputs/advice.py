@@ -152,8 +152,8 @@ class Advice(Output):
             return Blocks(below=below)
         tried = counted(len(self.points), "other setting")
         note = (
-            f"{_as_asked(self.advised.setting)} is the best of {tried} that were tried ({self.rollouts:,} rollouts each, "
-            "common random numbers); `mrac-jax front` tries more."
+            f"{_as_asked(self.advised.setting)} is the best of {tried} that were tried ({self.rollouts:,} rollouts "
+            "each, common random numbers); `mrac-jax front` tries more."
         )
         return Blocks(alternatives=list(self._sentences()), notes=[note], below=below)
 
@@ -168,7 +168,8 @@ class Advice(Output):
         mark = Series.of(f"this plan ({setting})", [losses.mean], [coverage], kind="points", colour=3)
         return Chart(
             "What coverage costs", (curve, mark), "robots lost on average", "visited, % of the accessible cells",
-            unit="%", x_digits=2, x_whole=False, y_range=(0, 100), fit=True, note="Farther up and to the left is better.",
+            unit="%", x_digits=2, x_whole=False, y_range=(0, 100), fit=True,
+            note="Farther up and to the left is better.",
         )  # fmt: skip
 
     def _sentences(self) -> Iterator[str]:
@@ -195,7 +196,7 @@ class Advice(Output):
 
 
 def is_quick(answer: Evaluation) -> bool:
-    """Whether other settings are known within seconds of an answer: no code has to be compiled, no long run repeated."""
+    """Whether other settings are known seconds after the answer: no code is compiled, no long run repeated."""
     return answer.seconds <= SECONDS and not not_compiled(("per_cell", "mrac"))
 
 
