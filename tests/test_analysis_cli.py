@@ -146,7 +146,7 @@ def test_the_deadline_is_said_after_the_headline(capsys: pytest.CaptureFixture[s
     assert run(["evaluate", WORLD, *words]) == 0
     said = " ".join(capsys.readouterr().out.split())
     visited, lost = 100 * found["visited"]["mean"], found["losses"]["mean"]
-    assert f"% in 95 % of runs. By step 40: {visited:.1f} % visited, {lost:.1f}" in said
+    assert f". By step 40: {visited:.1f} % visited, {lost:.1f}" in said
     assert (
         " of 4 robots lost on average. " in said and "what the headline says of 95 % of runs is sure with 95 %" in said
     )

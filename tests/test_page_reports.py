@@ -101,13 +101,17 @@ def test_the_answer_losses_chances_and_the_map_stand_before_the_sections(answer:
     page = page_of(noted)
     reader = check_page_is_sound(page)
     tally = answer.tally
-    wanted = [headline(answer), losses_words(answer), chances_words(answer), limit_words(answer), "7 were cut off",
-              "The map and the plan", "mean time", "Chances in %, losses and time", "Coverage, % of",
+    wanted = [headline(answer), limit_words(answer), "7 were cut off", "The map and the plan", "mean time",
+              "Chances in %, losses and time", "Coverage, % of", losses_words(answer), chances_words(answer),
               "gains", "Expected coverage by the end", formulas_words(answer), "Theorem 3, C = ",
               "4 rows are dropped", "Versions: "]  # fmt: skip
     places = [reader.text.index(words) for words in wanted]
     assert places == sorted(places)
     assert page.index('class="paths"') < page.index("<main") and tally.rollouts == 300
+    notes = {attrs["class"] for attrs in reader.all("p") if attrs.get("class") in ("note", "warning")}
+    assert notes == {"note"}, "only what must not be overlooked is yellow"
+    boxes = [attrs["class"] for attrs in reader.all("div", "grid-box")]
+    assert boxes[0] == "grid-box bare" and "grid-box bare" not in boxes[1:], "paths are drawn on demand"
 
 
 def test_formulas_and_pictures_are_folded_away(answer: Evaluation) -> None:

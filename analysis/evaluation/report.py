@@ -13,6 +13,7 @@ from analysis.evaluation.formulas import formulas_part
 from analysis.evaluation.rest import Rest
 from analysis.evaluation.table import answer_tables, robots_table, worst_cells
 from analysis.evaluation.words import (
+    assured_words,
     cell_words,
     chances_words,
     gain_words,
@@ -127,7 +128,7 @@ def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
     (complete, likely), (time, steps) = found.complete.columns(), evaluation.time.columns()
     between += " %" * (seen.half_width > 0)
     sure = "95 % confidence" if found.visited.known is None else "exact"
-    runs = KeyFigure(f"{100 * (found.assured or 0) / cells:.1f} %", "or more in 19 of 20 runs", sure)
+    runs = KeyFigure(assured_words(evaluation), "or more in 19 of 20 runs", sure)
     return [
         KeyFigure(f"{visited} %", "visited on average", f"{between}, of {cells:,} accessible cells"),
         *([] if found.assured is None else [runs]),

@@ -126,7 +126,7 @@ def headline(evaluation: Evaluation) -> str:
     Of a policy that was searched for, with its name and what no policy exceeds; else with what 19 of 20 runs reach,
     where there are enough rollouts to tell. `losses_words` has the chances in percent.
     """
-    tally, robots, least = evaluation.tally, len(evaluation.plan.robots), evaluation.figures.assured
+    robots, least = len(evaluation.plan.robots), evaluation.figures.assured
     if evaluation.certain:
         return certain_headline(evaluation)
     shown = without_level(evaluation.visited.said(100.0, " %")) + " of the accessible cells on average"
@@ -135,8 +135,13 @@ def headline(evaluation: Evaluation) -> str:
         most = _most(evaluation)
         limit = "" if most is None else f"; no strategy exceeds {most:.2f} % on average ({proven(evaluation)})"
         return f"{who} {shown} with {policy_words(settings)}, {lost}{limit}."
-    runs = "" if least is None else f" (at least {100.0 * least / tally.accessible:.1f} % in 19 of 20 runs)"
+    runs = "" if least is None else f" (at least {assured_words(evaluation)} in 19 of 20 runs)"
     return f"{who} {shown}{runs} {lost}."
+
+
+def assured_words(evaluation: Evaluation) -> str:
+    """What 19 of 20 runs reach, rounded downwards, as it is a lower bound."""
+    return f"{math.floor(1000 * (evaluation.figures.assured or 0) / evaluation.tally.accessible) / 10:.1f} %"
 
 
 def _lost_clause(evaluation: Evaluation) -> str:

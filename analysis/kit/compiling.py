@@ -66,7 +66,7 @@ ANNOUNCER = Announcer()
 
 @cache
 def notice_compiling() -> None:
-    """From now on Numba's compiler and JAX's tell ANNOUNCER, in this process. Code found in the cache is not compiled."""
+    """From now on, in this process, ANNOUNCER hears what Numba and JAX compile; code in the cache is not compiled."""
     from numba.core import event
 
     from planner.jit import OF_JAX
