@@ -106,10 +106,10 @@ def evaluate(
         threat_scale: Also if all threats are so many times the map's, the plan as it is: "0.5,1,2".
         sense: Also if robots that are not told the map see so many cells far, on the same luck: "0,1,2,inf".
         metrics: What is found and left of what cells are worth, in the words of this field.
-        bound: Also the bound for every strategy where it is dear, above 1,000 dangerous cells; as sharp as it gets
+        bound: Also compute the upper bound where that is expensive, above 1,000 dangerous cells; as sharp as it gets
             above 500 accessible ones.
         theory: Also list the paper's formulas, each with a verdict.
-        advice: What costs no robot, and what the rest costs: a second or two more.
+        advice: Also what other settings cover and lose: a few seconds more, and on a first run a compilation.
         out: Write the page, pictures, plan and JSON to this folder.
     """
     from analysis.cli.progress import load_or_make_plan

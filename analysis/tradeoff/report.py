@@ -134,7 +134,7 @@ def pick_lines(front: Front) -> list[str]:
     """Which settings the headline speaks of, how sure their figures are, and how to have them again."""
     told, again = _told(front), front.confirmed
     source = source_words(not all(point.exact for point in told))
-    lines = [f"{_named(front, point)}: {_fresh(front, point)}." for point in told]
+    lines = [f"{_named(front, point)}: {_fresh(front, point)}{_exact([point])}." for point in told]
     if again is not None:
         lines = [f"Best setting found: {_named(front, again)}. {source}: {_fresh(front, again)}.", _kept(front, again)]
     if front.tried > 1 and again is not None:
@@ -162,9 +162,8 @@ def _kept(front: Front, again: Point) -> str:
 
 
 def _fresh(front: Front, point: Point) -> str:
-    covered = without_level(point.coverage.said(100, " %")).removesuffix(" (exact)")
-    lost = without_level(losses_said(point.losses, len(front.starts)))
-    return f"{covered} covered, {lost} lost"
+    said = f"{point.coverage.said(100, ' %')} covered, {losses_said(point.losses, len(front.starts))} lost"
+    return without_level(said).replace(" (exact)", "")
 
 
 def command_of(front: Front, point: Point) -> str:
