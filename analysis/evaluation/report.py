@@ -63,7 +63,7 @@ def report(evaluation: Evaluation, theory: bool = False) -> Report:
             *([formulas_part(evaluation, theory)] if theory or not certain else []),
         ],
         notes=evaluation.notes,
-        warnings=["Interrupted: these are the rollouts that were done until then."] * evaluation.partial,
+        warnings=["Interrupted: this is what was done until then."] * evaluation.partial,
         settings=looked_at | _settings(evaluation),
         last=_in_lines(evaluation, looked_at),
         pictures=_pictures(evaluation, rest),
