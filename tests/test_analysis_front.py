@@ -436,12 +436,12 @@ def test_the_answer_is_printed_before_its_alternatives_are_looked_for(
     assert "To cover " not in first and "2 robots visit" not in rest
     if quick:
         assert rest.index("To cover ") < rest.index("Chances in %")
-    lines = [line for line in (first + rest).splitlines() if line.strip()]
     monkeypatch.undo()
     assert run(words) == 0
-    once = [line for line in capsys.readouterr().out.splitlines() if line.strip()]
-    faster = re.compile(r"[\d,]+ a second")
-    assert sorted(faster.sub("", line) for line in lines) == sorted(faster.sub("", line) for line in once)
+    rate = re.compile(r"[\d,]+ a second")
+    whole = capsys.readouterr().out
+    in_parts, at_once = (sorted(rate.sub("", " ".join(said.split())).split()) for said in (first + rest, whole))
+    assert in_parts == at_once
 
 
 def test_files_are_written_though_the_reader_has_gone(
@@ -455,6 +455,7 @@ def test_files_are_written_though_the_reader_has_gone(
     monkeypatch.setattr(sys, "stdout", sys.stdout)  # the command puts another in its place
     monkeypatch.setattr("analysis.cli.deliver.show", gone)
     assert run(["evaluate", world_file, "--rollouts", "500", "--loop", "open", "--out", str(tmp_path / "out")]) == 0
+    sys.stdout.close()
     assert {"index.html", "evaluation.json", "plan.json"} <= {file.name for file in (tmp_path / "out").iterdir()}
 
 

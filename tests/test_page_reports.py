@@ -286,7 +286,7 @@ def test_the_front_s_curve_stands_beside_the_map_with_the_plan_marked() -> None:
 
 
 WIDER = "document.documentElement.scrollWidth > innerWidth"
-TABLES = """[...document.querySelectorAll('.scroll')].filter((box) => box.offsetParent)
+TABLES = """[...document.querySelectorAll('.scroll')].filter((box) => !box.closest('details:not([open])'))
     .map((box) => [box.scrollWidth > box.clientWidth + 1, box.classList.contains('cut'),
                    getComputedStyle(box, '::before').content.includes('Scroll')])"""
 TILES = """[...document.querySelectorAll('.figures li')].map((tile) => tile.getBoundingClientRect())

@@ -128,7 +128,7 @@ def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
     (complete, likely), (time, steps) = found.complete.columns(), evaluation.time.columns()
     between += " %" * (seen.half_width > 0)
     sure = "95 % confidence" if found.visited.known is None else "exact"
-    runs = KeyFigure(assured_words(evaluation), "or more in 19 of 20 runs", sure)
+    runs = KeyFigure(assured_words(evaluation), "reached in 19 of 20 runs", sure)
     return [
         KeyFigure(f"{visited} %", "visited on average", f"{between}, of {cells:,} accessible cells"),
         *([] if found.assured is None else [runs]),
