@@ -64,13 +64,13 @@ class Pace:
         """What stands after the name of an axis of steps: " (3 s each)"."""
         return "" if self.seconds is None else f" ({self.seconds:.3g} s each)"
 
-    def step(self, step: int) -> str:
+    def step(self, step: float) -> str:
         """ "step 450 (22 min 30 s)"."""
-        return f"step {step:,}{self.also(step)}"
+        return f"step {round(step):,}{self.also(step)}"
 
-    def steps(self, steps: int) -> str:
-        """ "450 steps (22 min 30 s)"."""
-        return f"{counted(steps, 'step')}{self.also(steps)}"
+    def steps(self, steps: float) -> str:
+        """ "450 steps (22 min 30 s)", of a mean the nearest whole number of them."""
+        return f"{counted(round(steps), 'step')}{self.also(steps)}"
 
     def last_step(self, name: str, given: Any, source: str = "") -> Any:
         """The last step that is over by a deadline, which is one or a time; anything else as it is, for a check.

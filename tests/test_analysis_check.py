@@ -15,8 +15,9 @@ from refusals import refused
 
 import analysis.survey.survey
 import analysis.theory.any_strategy
+import mrac_jax as mrac
 from analysis.checking.check_map import check_input
-from analysis.checking.report import report
+from analysis.checking.report import figure, report
 from analysis.cli.app import run
 from analysis.evaluation.formulas import WORDS
 from analysis.sampling import RolloutChoices
@@ -25,8 +26,9 @@ from analysis.survey.survey import Survey, make_survey, run_survey
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.formulas import FORMULAS, Direction
 from analysis.theory.truth import Truth
-from analysis.theory.verdicts import Check, Verdict, judge, make_check, of_formula, overall, worst_of_robots
+from analysis.theory.verdicts import Check, Verdict, badness, judge, make_check, of_formula, overall, worst_of_robots
 from analysis.trials.exact_loop import closed_truth
+from planner.errors import UsageError
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.settings import Choices, Settings
@@ -250,6 +252,42 @@ def test_out_saves_table_json_and_picture(tmp_path: Path, capsys: pytest.Capture
     assert json.loads((folder / "check.json").read_text()) == found
     assert "Theorem 3" in (folder / "check.txt").read_text()
     assert (folder / "check.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_is_next_to_nothing_is_not_said_to_be_nothing() -> None:
+    assert [figure(x, "chance") for x in (0.0, 1.04e-17, 3e-8, 0.25, 1 - 1e-9, 1.0)] == [
+        "0.0000", "1.0e-17", "3.0e-08", "0.2500", "> 0.9999", "1.0000",
+    ]  # fmt: skip
+    assert (figure(1e-6, "cells"), figure(3.456, "cells"), figure(311.0, "steps")) == ("1.0e-06", "3.46", "311")
+    world = World.create(np.concatenate([[0.0], np.full(17, 0.9)])[None].astype(np.float32))
+    checked = mrac.check(world, mrac.plan(world, starts=[[0, 0]]))
+    said = report(checked)
+    lines = [*said.findings, *said.heading]
+    assert "a robot is left with chance 1.0e-17" in " ".join(lines) and "0.0000" not in " ".join(lines)
+    left = [check for check in checked.checks if check.formula in ("eq1", "eq2_event") and check.loop == "open"]
+    assert all(check.truth.value == pytest.approx(1e-17, rel=1e-4) for check in left) and len(left) == 2
+
+
+def test_a_statement_has_a_row_and_its_readings_are_asked_for(world_of_two: World) -> None:
+    plan = mrac.plan(world_of_two, 2)
+    few, every = (mrac.check(world_of_two, plan, rollouts=64, theory=theory) for theory in ("main", "all"))
+    few_rows, rows = (report(one).parts[0].tables[0] for one in (few, every))
+    names, sources = (list(few_rows.columns[place].cells) for place in (0, 1))
+    assert len(names) == len(set(names)) and few.to_json() == every.to_json()
+    assert sources[names.index("upper bound on coverage, one robot")] == "eq. (7)"
+    assert sources[names.index("lower bound on coverage, the team")] == "Theorem 3"
+    assert sum("Theorem 3" in source for source in sources) == 1
+    assert len({(check.formula, check.meaning) for check in every.rows}) == len(rows.rows) > len(few_rows.rows)
+    worst = min((c for c in few.checks if c.formula.startswith("theorem3")), key=badness)
+    shown = list(few_rows.columns[4].cells)[names.index("lower bound on coverage, the team")]
+    assert shown == figure(worst.value, "cells"), "of its readings the one that holds least"
+    with pytest.raises(UsageError, match="'main' or 'all'"):
+        mrac.check(world_of_two, plan, theory="both")  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def world_of_two() -> World:
+    return World.create([[0.0, 0.2, 0.0, 0.1], [0.0, 0.0, 0.3, 0.0]])
 
 
 # --- surveys ---

@@ -88,7 +88,7 @@ def test_no_table_cuts_a_figure(
 def check_whole(table: FittedTable, width: int) -> None:
     """Every figure stands on one line as it is, unless its column is said to be left out; no line is too long."""
     said = as_text(lambda console: console.print(table), width)
-    body, _, note = said.partition("left out in")
+    body, _, note = said.partition("left out, as")
     left_out, words = " ".join(note.split()), set(body.split())
     lines = [" ".join(line.split()) for line in body.splitlines()]
     assert "…" not in said and max(map(len, said.splitlines())) <= width

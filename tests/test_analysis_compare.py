@@ -18,7 +18,7 @@ import analysis.comparison.compare
 import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.comparison.compare import FIGURES, Comparison, compare, differing, make_side
-from analysis.comparison.report import headline
+from analysis.comparison.report import headline, report
 from analysis.inputs import load_world
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimate import FIRST_LOOK
@@ -317,3 +317,22 @@ def test_who_comes_home_is_compared_too(capsys: pytest.CaptureFixture[str]) -> N
     alone = answer(capsys, *asked[:3], "--b.return-to", "home", "--rollouts", "256")
     assert alone["difference"].keys() == alone["a"]["mean"].keys() == set(FIGURES)
     assert "home" in alone["b"]["mean"]
+
+
+def test_what_never_happens_is_said_in_a_word() -> None:
+    found = compared((3, 4), RolloutChoices(rollouts=6000, seed=3, luck="step"))
+    runs = [replace(found, ahead=ahead, behind=behind) for ahead, behind in ((6000, 0), (1, 0), (0, 0), (5999, 1))]
+    assert [headline(one).rpartition("; ")[2] for one in runs] == [
+        "it is always ahead, never behind.",
+        "it is ahead in < 0.1 % of runs, never behind.",
+        "it is never ahead, never behind.",
+        "it is ahead in > 99.9 % of runs, behind in < 0.1 % of runs.",
+    ]
+
+
+def test_rollouts_that_are_too_few_to_tell_are_said_to_be() -> None:
+    choices = RolloutChoices(rollouts=4, seed=3, luck="step")
+    few = report(compared((3, 4), choices)).notes
+    assert any(note.startswith("too few rollouts to compare ") and "time, steps" in note for note in few)
+    many = report(compared((3, 4), RolloutChoices(rollouts=6000, seed=3, luck="step"))).notes
+    assert not any("too few" in note for note in many)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import given
 
 from analysis.theory.bounds import Theorem3, all_bounds, ideal_team
 from analysis.theory.exact import open_loop_exact, poisson_binomial
+from analysis.theory.own_bounds import reach_chances
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan, RobotPlan, entries
 from planner.settings import Settings
@@ -134,3 +136,42 @@ def test_ideal_of_a_team_counts_hits_over_the_poisson_binomial() -> None:
     for robots in (1, 2, 3):
         direct = sum(poisson_binomial(ordered[:j])[:robots].sum() for j in range(4))
         assert ideal_team(threat, robots) == pytest.approx(direct)
+
+
+def test_chances_below_what_1_minus_a_product_can_hold_are_kept() -> None:
+    """Two robots on 17 cells of p = .9 each: each survives with 1e-17, of which 1 - (1 - 1e-17)^2 keeps nothing."""
+    world = World.create(np.full((2, 18), 0.9, dtype=np.float32))
+    p = float(np.float32(0.9))
+    paths = tuple(RobotPlan(np.arange(row * 18, row * 18 + 17)) for row in (0, 1))
+    plan = replace(make_plan(world, [[0, 0], [1, 0]]), robots=paths, areas=(), areas_added=(), settings=None)
+    exact, survival = open_loop_exact(plan, world), (1 - p) ** 17
+    assert exact.some_left == pytest.approx(2 * survival, rel=1e-9)
+    assert all_bounds(plan, world).team_survival == pytest.approx(2 * survival, rel=1e-9)
+    assert exact.visited_by_cell[16] == pytest.approx((1 - p) ** 16, rel=1e-9)
+    both = replace(plan, robots=(paths[0], paths[0]))
+    assert open_loop_exact(both, world).visited_by_cell[16] == pytest.approx(2 * (1 - p) ** 16, rel=1e-9)
+    reach = reach_chances(world, [[0, 0], [0, 0]])
+    assert reach[17] == pytest.approx(2 * (1 - p) ** 17, rel=1e-9) and reach[0] == 1
+
+
+def test_losses_by_a_step_add_up_to_those_of_the_run() -> None:
+    world = World.create([[0.0, 0.2, 0.1], [0.3, 0.0, 0.4]])
+    plan = make_plan(world, [[0, 0], [1, 1]])
+    exact = open_loop_exact(plan, world)
+    assert exact.losses_by(10**6) == pytest.approx(exact.expected_losses) and exact.losses_by(0) == 0
+    first = [plan.robots[k].path[1] for k in (0, 1)]
+    assert exact.losses_by(1) == pytest.approx(sum(float(world.threat.ravel()[cell]) for cell in first))
+
+
+def test_theorem_3_counts_the_start_of_a_robot_that_never_moves() -> None:
+    """Four robots, one area of three cells: three of them stay where they start, and C (travel) has all four starts."""
+    world = World.create(np.zeros((1, 3)))
+    plan = make_plan(world, [[0, 0], [0, 0], [0, 1], [0, 2]])
+    assert sum(len(np.unique(robot.path)) == 1 for robot in plan.robots) >= 3
+    theorem = all_bounds(plan, world).theorem3_visited
+    alone = sum(len(np.unique(robot.path)) for robot in plan.robots)
+    assert theorem is not None
+    assert (theorem.travel_multiset, theorem.travel_set) == (alone - 4, alone - 3)
+    plan = make_plan(world, [[0, 0], [0, 0]])
+    theorem = all_bounds(plan, world).theorem3_survived
+    assert theorem is not None and (theorem.travel_multiset, theorem.travel_set) == (3 + 1 - 2, 3 + 1 - 1)

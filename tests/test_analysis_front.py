@@ -314,7 +314,7 @@ def test_without_danger_every_run_is_the_same() -> None:
     assert all(point.losses.ci95 == (0, 0) and point.coverage.half_width == 0 for point in answer.points)
     assert answer.picked is not None and answer.picked.coverage.mean >= 0.5
     best, kept, *_ = pick_lines(answer)
-    assert ". Exact expectation: 100.00 % covered" in best or answer.picked.setting.deadline
+    assert ". Exact expectation: 100 % covered" in best or answer.picked.setting.deadline
     assert kept == "The limit is kept: these figures are exact."
     assert headline(answer).endswith("and lose no robot, on average (exact); asked for was 50 % or more covered.")
 

@@ -20,7 +20,7 @@ from test_analysis_exact import fates_of
 import mrac_jax as mrac
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.value import Units, found_chances
-from analysis.evaluation.outputs.value_words import ROWS
+from analysis.evaluation.outputs.value_words import ROWS, value_table
 from analysis.kit.words import percent
 from analysis.sampling import RolloutChoices
 from analysis.statistics.control import LEAST
@@ -338,3 +338,20 @@ def test_intervals_of_value_hold(seed: int, team: tuple[int, Kind], figure: str)
     """.925 of the samples or more hold the mean of them all."""
     *found, whole = [one[figure == "found"] for one in sampled(seed, *team)]
     assert np.mean([one.ci95[0] <= whole.mean <= one.ci95[1] for one in found]) >= 0.925
+
+
+@pytest.mark.parametrize("detect", [0.5, 1.0])
+def test_what_a_tree_knows_is_what_the_value_table_says(detect: float) -> None:
+    """Value covered, losses and robots left are exact where the closed loop is; of one robot all of it."""
+    world = GRID.with_values(VALUE, np.full(GRID.shape, detect))
+    answer = mrac.evaluate(world, mrac.plan(world, 2), rollouts=400, metrics="coverage", advice=False)
+    found, known = answer.outputs["value"], answer.to_json()["exact"]["closed_loop"]
+    assert known["how"] == "tree"
+    assert found.robots_left[0].mean == pytest.approx(known["some_left"]) and found.robots_left[0].half_width == 0
+    assert found.losses.mean == pytest.approx(known["losses"]) and found.covered.half_width == 0
+    assert (found.found.half_width == 0) == (detect == 1)
+    sampled = Units.of(Worth.of(world)).covered @ answer.tally.covered_visited / 400 * found.worth.total / 2**40
+    assert abs(found.covered.mean - sampled) < 5 * found.worth.total / 2 / np.sqrt(400)
+    rows = dict(zip(*(list(column.cells) for column in value_table(found).columns[:2]), strict=True))
+    assert rows["chance that at least 1 robot is left"] == percent(known["some_left"], 2)
+    assert {"m2 covered per robot lost", "value covered per robot lost"} <= set(rows)

@@ -14,18 +14,21 @@ from analysis.evaluation.figures import Chance, sampled_share
 from analysis.evaluation.formulas import WORDS, formula_counts, formulas_words
 from analysis.evaluation.table import answer_tables
 from analysis.evaluation.words import assured_words, cell_words, chances_words, headline, home_words, losses_words
-from analysis.kit.words import plan_words, share, span_words, without_level
-from analysis.statistics.coverage import losses_shown
-from analysis.statistics.estimate import Estimate, proportion
+from analysis.kit.words import plan_words, span_words, without_level
+from analysis.statistics.coverage import losses_said, losses_shown, more_said
+from analysis.statistics.estimate import Estimate, exactly, proportion
 from analysis.statistics.words import between, digits_of, lost_words
+from analysis.sweeps.report import around as sweep_around
+from analysis.sweeps.report import percent as sweep_percent
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import Verdict, overall
 from planner.mrac.make_plan import make_plan
+from planner.pace import UNPACED
 from planner.plans.plan import NO_MORE, NOMINAL
 from planner.plans.state import NO_CELLS, MissionState, RobotState
 from planner.settings import Settings
-from planner.shown import duration
+from planner.shown import at_least_words, ceiled, chance, counted, duration, floored, inside, percent, share
 from planner.tally import Outcome, Tally, tally_key
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
@@ -140,9 +143,9 @@ def test_the_headline_has_a_half_width_and_what_19_of_20_runs_reach(capsys: pyte
 
 def test_what_19_of_20_runs_reach_is_rounded_downwards() -> None:
     whole = evaluation_of([0, 999, 1])
-    for least, said in ((9, "100.0 %"), (8, "88.8 %"), (5, "55.5 %")):
+    for least, said in ((9, "100 %"), (8, "88.8 %"), (5, "55.5 %")):
         found = replace(whole)
-        vars(found)["figures"] = replace(whole.figures, assured=least)
+        vars(found)["shown"] = replace(whole.shown, assured=least)
         assert assured_words(found) == said and f"(at least {said} in 19 of 20 runs)" in headline(found)
 
 
@@ -205,14 +208,14 @@ def test_shares_are_never_rounded_to_none_or_all() -> None:
             if 0 <= count <= of:
                 for digits in range(5):
                     check_share(share(count, of, digits).removesuffix(" %"), count, of)
-                check_share(sampled_share(count, of).removesuffix(" %"), count, of)
+                check_share(sampled_share(count, of), count, of)
 
 
 def test_a_share_has_no_more_digits_than_its_interval_bears() -> None:
     """The last decimal is at most ten times finer than the half-width, unless fewer would claim 0 or 100 %."""
     for of in (10, 100, 5_000, 100_000):
         for count in range(1, of, max(1, of // 97)):
-            printed = sampled_share(count, of).removesuffix(" %")
+            printed = sampled_share(count, of)
             digits = len(printed.partition(".")[2])
             if digits and share(count, of, digits - 1)[0] not in "<>":
                 assert 10.0 ** -(digits - 1) > 100 * proportion(count, of).half_width
@@ -228,7 +231,7 @@ def test_means_are_never_rounded_to_none_or_all() -> None:
     ]  # fmt: skip
 
 
-def test_losses_are_shown_in_words_where_figures_would_say_less() -> None:
+def test_losses_in_a_table_are_figures_that_claim_neither_end() -> None:
     shown = [
         losses_shown(Estimate(mean, 0.001, ends), 8)
         for mean, ends in (
@@ -237,13 +240,13 @@ def test_losses_are_shown_in_words_where_figures_would_say_less() -> None:
         )
     ]  # fmt: skip
     assert shown == [
-        ("all 8", "7.98 or more"), ("almost all 8", "7.99 or more"), ("none of 8", "0.01 or fewer"),
+        ("8 of 8", "7.98 or more"), ("> 7.99 of 8", "7.99 or more"), ("0 of 8", "0.01 or fewer"),
         ("1.87 of 8", "1.86 .. 1.88"), ("2.50 of 8", "exact"),
     ]  # fmt: skip
 
 
 def test_what_was_never_seen_is_said_as_the_most_that_it_may_be() -> None:
-    assert Estimate(0.0, 0.0, (0.0, 0.0009)).said(100, " %") == "0 % (at most 0.1 %, 95 %)"
+    assert Estimate(0.0, 0.0, (0.0, 0.0009)).said(100, " %") == "0 % (0.1 or less, 95 %)"
     assert Estimate(0.0, 0.1, (-0.2, 0.2)).said() == "0.0 ± 0.2 (95 %)"
     assert Estimate(0.0, 0.0, (0.0, 0.0)).said() == "0.00 (exact)"
 
@@ -296,7 +299,7 @@ def test_one_cell_takes_and_two_take() -> None:
         ((3, 3, 2), (1, 1)): (
             "2 cells of the 3 where robots are lost take half",
             "2 cells of 9 are covered",
-            "In no cell are more robots lost than in row 0, column 0: 0.375 a run.",
+            "No cell costs more robots than row 0, column 0: 0.375 a run.",
         ),
         ((0, 4, 0), (8, 8)): ("Robots are lost in row 0, column 1 alone: 0.5 a run.",),
     }
@@ -392,3 +395,114 @@ def test_the_end_that_a_plan_names_is_that_of_its_rollouts() -> None:
         assert span_words(plan, world.pace) == said
         ended = mrac.evaluate(world, plan, rollouts=64, advice=False).tally.time
         assert plan.makespan + (2 if worth else 0) == len(ended) - 1
+
+
+# --- one rule for shares, chances and robots lost ---
+
+
+def test_no_rounding_claims_an_end_that_is_not_reached() -> None:
+    assert [percent(x, 2) for x in (0, 1e-17, 4e-5, 0.5, 0.99995, 1 - 1e-9, 1)] == [
+        "0 %", "< 0.01 %", "< 0.01 %", "50.00 %", "> 99.99 %", "> 99.99 %", "100 %",
+    ]  # fmt: skip
+    lost = [inside(x, 8, 2) for x in (0, 1e-9, 0.006, 7.994, 7.996, 8)]
+    assert lost == ["0", "< 0.01", "0.01", "7.99", "> 7.99", "8"]
+    given = [chance(p) for p in (0.05, 0.9999, 0.99999994, 1.0, 2e-7)]
+    assert given == ["5 %", "99.99 %", "99.99999 %", "100 %", "2e-05 %"]
+    assert (chance(0.29, 12), chance(0.9999999, 12)) == ("29 %", "99.99999 %")
+    assert [floored(x) for x in (0.99999, 1, 0.5, 0.29)] == ["99.9 %", "100 %", "50.0 %", "29.0 %"], "bounds from below"
+    assert [ceiled(x) for x in (0.999951, 0.12341, 0.29)] == ["99.996 %", "12.35 %", "29.00 %"], "bounds from above"
+
+
+def test_an_exact_share_is_whole_only_where_it_is() -> None:
+    assert exactly(0.99995).said(100, " %") == "> 99.99 % (exact)"
+    assert exactly(1.0).said(100, " %") == "100 % (exact)" and exactly(0.0).columns(100, 100) == ("0", "exact")
+    assert exactly(3e-5).said(100, " points") == "0.003 points (exact)", "what is known is not said to be nothing"
+
+
+@pytest.mark.parametrize(
+    ("estimate", "said", "table"),
+    [
+        (Estimate(0.0, 0.1, (0.0, 0.3)), "0 % (30 or less, 95 %)", "0 (30.0 or less)"),
+        (Estimate(0.998, 0.002, (0.995, 1.0)), "99.8 % (99.5 or more, 95 %)", "99.8 (99.5 or more)"),
+        (Estimate(0.02, 0.02, (0.0, 0.05)), "2 % (5 or less, 95 %)", "2.0 (5.0 or less)"),
+        (Estimate(0.4, 0.4, (-0.2, 1.0)), "40 % (0 .. 100, 95 %)", "40.0 (0 .. 100)"),
+        (Estimate(0.6735, 0.0007, (0.6721, 0.6749)), "67.3 % ± 0.2 (95 %)", "67.3 ± 0.2"),
+    ],
+)
+def test_a_symmetric_interval_stays_in_what_is_possible(estimate: Estimate, said: str, table: str) -> None:
+    assert (estimate.said(100, " %"), estimate.around(100, most=100)) == (said, table)
+
+
+def test_no_printed_share_leaves_0_to_100() -> None:
+    """Random estimates, parsed back: ± and intervals lie in 0 .. 100, and 0 and 100 are said of nothing else."""
+    rng = np.random.default_rng(4)
+    for _ in range(2000):
+        mean = float(rng.choice([rng.beta(0.1, 0.1), rng.random() ** 8, 1 - rng.random() ** 8]))
+        wide = float(10 ** rng.uniform(-6, 0))
+        estimate = Estimate(mean, wide / 2, (max(mean - wide, 0.0), min(mean + wide * rng.random(), 1.0)))
+        for text in (estimate.said(100, " %"), estimate.around(100, most=100, digits=int(rng.integers(1, 3)))):
+            first, *rest = re.findall(r"\d+(?:\.\d+)?", text.removesuffix("95 %)"))
+            if "±" in text:
+                assert float(first) - float(rest[0]) >= -1e-9 and float(first) + float(rest[0]) <= 100 + 1e-9, text
+            assert all(0 <= float(number) <= 100 for number in (first, *rest)), text
+            if text[0] not in "<>":
+                assert (float(first) == 100) == (mean > 1 - 1e-12) and (float(first) == 0) == (mean == 0), (text, mean)
+
+
+def test_sweeps_say_times_and_shares_by_the_same_rule() -> None:
+    assert sweep_percent(Estimate(0.0, 0.1, (0.0, 0.3))) == "0 (30.0 or less)"
+    assert sweep_percent(exactly(0.85731)) == "85.73 (exact)"
+    assert sweep_around(Estimate(3.0, 4.0, (0.0, 12.0))) == "3.0 (0.0 .. 12.0)", "no time is below 0"
+
+
+def test_almost_none_is_said_only_of_what_rounds_to_it() -> None:
+    """Five rollouts that lose 0.2 of 2 on average: their interval allows no decimal, and it is said."""
+    assert (lost_words(0.2, 2, 0), lost_words(1.7, 2, 0), lost_words(0.0049, 2, 0)) == (
+        "0.2 of 2", "1.7 of 2", "almost none of 2",
+    )  # fmt: skip
+    said = losses_words(evaluation_of([0, 1, 4]))
+    assert re.fullmatch(r"No robot is lost in 80 % of runs; on average 0\.2 of 2 \([\d.]+ or fewer\)\.", said)
+    assert losses_said(Estimate(0.2, 0.3, (0.0, 1.5)), 2) == "0.2 (1.5 or less, 95 %) robots"
+
+
+def test_numbers_and_their_things_agree() -> None:
+    assert (counted(1.0, "step"), counted(1.5, "step"), counted(1, "map")) == ("1 step", "1.5 steps", "1 map")
+    assert (UNPACED.steps(1.2), UNPACED.steps(13.6), UNPACED.step(12.4)) == ("1 step", "14 steps", "step 12")
+    said = [at_least_words(*of) for of in ((1, 3), (2, 3), (3, 3), (1, 1))]
+    assert said == ["at least 1 robot is", "at least 2 robots are", "every robot is", "the robot is"]
+    plan = make_plan(World.create([[0.0, 0.2, 0.0]]), [[0, 0]])
+    assert ", shared once; " in plan_words(replace(plan, shares=1))
+    two = make_plan(World.create([[0.0, 0.0]]), [[0, 0]])
+    assert span_words(two, UNPACED) == "makespan 1 step, 1 move, 0 quarter turns"
+
+
+def test_where_most_robots_are_lost_is_compared_with_the_other_cells() -> None:
+    known = evaluation_of([0, 8, 0])
+    for stops, said in (
+        ((6, 1, 1), "More robots are lost in row 0, column 0 than in any other cell: 0.75 a run. "),
+        ((3, 3, 2), "No cell costs more robots than row 0, column 0: 0.375 a run. "),
+        ((0, 8, 0), "Robots are lost in row 0, column 1 alone: 1 a run."),
+    ):
+        tally = replace(known.tally, stops=np.array([*stops, *[0] * 6]))
+        assert next(cell_words(replace(known, tally=tally))).startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("cut", "said"),
+    [
+        (1, "1 free cell cannot be reached by any robot; it counts only"),
+        (2, "2 free cells cannot be reached by any robot; they count only"),
+    ],
+)
+def test_cells_out_of_reach_are_counted_in_good_words(cut: int, said: str) -> None:
+    world = World.create([[0.0, 0.2, np.nan, *[0.0] * cut]])
+    answer = mrac.evaluate(world, mrac.plan(world, starts=[[0, 0]]), rollouts=64, advice=False)
+    assert any(line.startswith(said) for line in cell_words(answer))
+
+
+def test_what_costs_less_than_nothing_is_said_the_other_way_round() -> None:
+    words = ("not knowing it costs", "robots that are not told it visit")
+    assert more_said(exactly(0.041), *words) == "not knowing it costs 4.10 points (exact)"
+    assert more_said(exactly(-0.0049), *words) == "robots that are not told it visit 0.49 points more (exact)"
+    less = more_said(Estimate(-0.02, 0.005, (-0.03, -0.01)), "to see is worth", "robots that see visit", "less")
+    assert less == "robots that see visit 2 points less ± 1 (95 %)"

@@ -20,6 +20,7 @@ from analysis.trials.exact_loop import SLACK
 from planner.kernels.closed_loop import compile_closed_loop
 from planner.kernels.runners import Runner
 from planner.kernels.tree import WHOLE, Tree
+from planner.shown import percent
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.world import World
 
@@ -131,7 +132,7 @@ def test_how_a_mission_ends_is_said_in_words() -> None:
     for asked, row in (
         ({"deadline": 3}, "chance to end at the deadline"),
         ({"range": 3}, "chance to end stuck: no robot can go on"),
-        ({"policy": "per_cell", "worth": 10}, "chance to end as the rest is not worth a robot"),
+        ({"policy": "per_cell", "worth": 10}, "chance to stop because the rest is not worth a robot"),
     ):
         answer = mrac.evaluate(world, mrac.plan(world, 1, **asked), rollouts=64, **QUIET)
         shown = as_text(lambda console, answer=answer: print_report(report(answer), console))
@@ -163,3 +164,27 @@ def test_what_is_not_known_of_the_closed_loop_is_null() -> None:
         assert said["exact"]["closed_loop"] is None
         assert said["exact"]["open_loop"]["losses"] > 0
         assert said["losses"]["ci95"][0] < said["losses"]["ci95"][1]
+
+
+def test_by_a_step_at_which_every_run_has_ended_nothing_is_said_twice() -> None:
+    world = World.create([[0.0, 0.6, 0.0, 0.9], [0.0, 0.0, 0.1, 0.0]])
+    plan = mrac.plan(world, 2, return_to="home")
+    over, before = (mrac.evaluate(world, plan, rollouts=200, deadline=steps, advice=False) for steps in (40, 3))
+    assert not any("By step" in line for line in report(over).findings)
+    deadline, told = over.outputs["deadline"].as_json(), over.to_json()
+    assert deadline["visited"]["mean"] == pytest.approx(told["best"]["visited"]["mean"])
+    assert deadline["losses"]["mean"] == pytest.approx(told["losses"]["mean"])
+    assert told["some_left"]["ci95"][0] == pytest.approx(told["some_left"]["ci95"][1])
+    loop = mrac.evaluate(world, mrac.plan(world, 2), rollouts=200, deadline=3, loop="open", advice=False)
+    visited, _ = loop.closed_form.by_deadline(3)
+    assert f"By step 3: {percent(visited / 8, 2)} (exact) visited" in report(loop).findings[0]
+    assert "deadline" in before.to_json()
+
+
+def test_the_chance_that_a_robot_is_left_is_always_in_the_json() -> None:
+    world = World.create([[0.0, 0.3, 0.2, 0.1]])
+    sampled = mrac.evaluate(world, mrac.plan(world, 2), rollouts=300, exact="never", advice=False)
+    left, count = sampled.to_json()["some_left"], int(sampled.tally.alive[1:].sum())
+    assert left["mean"] == count / 300 and left["ci95"][0] < left["mean"] < left["ci95"][1]
+    known = mrac.evaluate(world, mrac.plan(world, 2), rollouts=300, loop="open", advice=False)
+    assert known.to_json()["some_left"]["mean"] == pytest.approx(1 - np.prod(1 - known.closed_form.survival))

@@ -18,6 +18,7 @@ from analysis.evaluation.report import report
 from analysis.report.html import page_of
 from planner.errors import InputError
 from planner.roaming import ways_of_movers
+from planner.shown import percent
 from planner.worlds.world import World
 
 MOVERS: list[dict[str, Any]] = [
@@ -55,6 +56,33 @@ def test_a_robot_that_waits_before_it_gives_up_is_still_met() -> None:
     assert exact["open_loop"]["visited"] == pytest.approx(1.875)
     assert abs(tally.alive[1] / 20_000 - 0.34375) < 5 * np.sqrt(0.34375 * 0.65625 / 20_000)
     assert abs(tally.time @ np.arange(len(tally.time)) / 20_000 - 2) < 5 * 1.03 / np.sqrt(20_000)
+
+
+def test_what_is_known_of_one_robot_is_what_is_said(world: World) -> None:
+    """Losses, chances and quantiles of a robot alone are the closed form's, in words, tables and JSON."""
+    answer = mrac.evaluate(world, 1, rollouts=500, seed=3, advice=False)
+    exact, told, shown = answer.closed_form, answer.to_json(), answer.shown
+    lost = exact.expected_losses
+    assert (answer.losses.mean, answer.losses.half_width) == (pytest.approx(lost), 0)
+    assert f"The robot is lost in {100 * lost:.2f} % of runs." in report(answer).findings
+    assert told["best"]["losses"]["mean"] == pytest.approx(told["losses"]["exact"]) == pytest.approx(lost)
+    assert told["some_left"]["ci95"] == [pytest.approx(1 - lost)] * 2
+    assert shown.complete.mean == pytest.approx(exact.visited_by_cell[answer.accessible.ravel()].min())
+    at_least = [shown.visited.chance(cells).mean for cells in range(1, shown.visited.cells + 1)]
+    assert sum(at_least) == pytest.approx(exact.visited), "the mean is the sum of the chances to visit 1, 2, ... cells"
+    sampled = answer.figures.visited
+    assert all(abs(sampled.chance(n).mean - at_least[n - 1]) < 5 * np.sqrt(0.25 / 500) for n in (3, 6, 9, 12))
+
+
+def test_what_is_known_by_a_step_is_what_is_said(world: World) -> None:
+    answer = mrac.evaluate(world, 1, rollouts=200, deadline=4, advice=False)
+    found, exact = answer.outputs["deadline"].as_json(), answer.closed_form
+    assert found["visited"]["mean"] * 13 == pytest.approx(exact.by_deadline(4)[0]) and found["visited"]["se"] == 0
+    assert found["losses"]["mean"] == pytest.approx(exact.losses_by(4))
+    assert (
+        report(answer).findings[0].startswith(f"By step 4: {percent(exact.by_deadline(4)[0] / 13, 2)} (exact) visited")
+    )
+    assert "By step" not in report(mrac.evaluate(world, 1, rollouts=200, deadline=10**4, advice=False)).findings[0]
 
 
 def test_one_robot_on_a_map_that_is_too_large_is_sampled(world: World, monkeypatch: pytest.MonkeyPatch) -> None:

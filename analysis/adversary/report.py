@@ -12,9 +12,9 @@ from analysis.adversary.answer import Attack, Placed
 from analysis.kit.tables import make_table
 from analysis.removal.threat import Gain, Threat, Weighed, by_cell
 from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
-from analysis.report.words import asked, luck_words, map_words, search_end, source_words
+from analysis.report.words import asked, luck_words, map_words, search_end, sourced
 from planner.files import Json
-from planner.shown import counted
+from planner.shown import chance, counted
 from planner.worlds.restart import said
 
 SHOWN = 12
@@ -25,7 +25,7 @@ KNOWN, HIDDEN = "robots that know", "robots that do not know"
 def report(attack: Attack) -> Report:
     """The worst places, with the maps of what a threat costs in each cell."""
     choices, robots, cells = attack.choices, len(attack.starts), counted(len(attack.turn.options), "cell")
-    threats = f"{counted(len(attack.known.threats), 'threat')} of {100 * attack.p:.3g} %"
+    threats = f"{counted(len(attack.known.threats), 'threat')} of {chance(attack.p)}"
     hidden = len(attack.hidden.threats) > 0  # none: it was interrupted before
     return Report(
         "attack", "attack", asked(attack.world, robots, "where would a threat cost most?"), headline(attack),
@@ -57,8 +57,8 @@ def headline(attack: Attack) -> str:
     if known.known is None or hidden.hidden is None:
         return f"Interrupted. Worst found so far for {KNOWN}: {_at(known.threats)}."
     return (
-        f"Worst found for {KNOWN}: {_at(known.threats)}, {_said(attack, known.known)} fewer on average; "
-        f"for {HIDDEN}: {_at(hidden.threats)}, {_said(attack, hidden.hidden)} fewer."
+        f"Worst found for {KNOWN}: {_at(known.threats)}, {_fewer(attack, known.known)} on average; "
+        f"for {HIDDEN}: {_at(hidden.threats)}, {_fewer(attack, hidden.hidden)}."
     )
 
 
@@ -70,11 +70,15 @@ def _said(attack: Attack, gain: Gain) -> str:
     return gain.counted.said(unit=f" {attack.unit}")
 
 
+def _fewer(attack: Attack, gain: Gain) -> str:
+    return gain.counted.more(unit=f" {attack.unit}", words=("fewer", "more"))
+
+
 def findings(attack: Attack) -> Iterator[str]:
     """What both cost in cells and robots, what it is worth to know, and how sure the worst cell is."""
     for placed, own, kind in ((attack.known, attack.known.known, KNOWN), (attack.hidden, attack.hidden.hidden, HIDDEN)):
         if own is not None:
-            yield f"{source_words(own.rollouts)}, {_at(placed.threats)} against {kind}: {own.said('fewer')}."
+            yield sourced(own.rollouts, f"{_at(placed.threats)} against {kind}: {own.said('fewer')}.")
     known, hidden = attack.known.hidden, attack.hidden.known
     if known is not None and hidden is not None:
         yield (
@@ -102,7 +106,7 @@ def _maps(attack: Attack, only: int | None = None) -> CellMaps:
     known = np.maximum(by_cell(options, shape, lambda one: one.known), 0.0)
     hidden = np.maximum(by_cell(options, shape, lambda one: one.unknown), 0.0)
     layers = [
-        CellLayer(f"{lost}, {KNOWN}", f"By one threat of {100 * attack.p:.3g} % in the cell; planned anew.", known,
+        CellLayer(f"{lost}, {KNOWN}", f"By one threat of {chance(attack.p)} in the cell; planned anew.", known,
                   LOSSES, short="Known"),
         CellLayer(f"{lost}, {HIDDEN}", "By the same threat; they do as before.", hidden, LOSSES, short="Hidden"),
     ]  # fmt: skip
@@ -121,7 +125,7 @@ def _table(attack: Attack) -> Table:
             there = float(attack.world.threat.reshape(-1)[one.threat.cells[0]])
             bound = "" if one.screen is None else f"{one.screen:.2f}"
             rolled = f"{one.known.rollouts:,}" if one.known.rollouts else ""
-            table.add_row(one.threat.name.removeprefix("cell "), f"{100 * there:.3g}", bound,
+            table.add_row(one.threat.name.removeprefix("cell "), chance(there).removesuffix(" %"), bound,
                           *one.known.counted.columns(), *one.unknown.counted.columns(), rolled)  # fmt: skip
     return table
 

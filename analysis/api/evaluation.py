@@ -14,7 +14,7 @@ from analysis.evaluation.answer import Evaluation
 from analysis.kit.calls import OnInterrupt, ask
 from analysis.kit.notes import Doing, Progress
 from analysis.sampling import Exactness, RolloutChoices, how_much, luck_of
-from planner.arguments import argument
+from planner.arguments import argument, check_word
 from planner.errors import UsageError
 from planner.luck_names import LuckName
 from planner.plans.plan import Plan
@@ -202,6 +202,7 @@ def check(
     seed: int = 0,
     engine: EngineName = "auto",
     bound: bool | None = None,
+    theory: Literal["main", "all"] = "main",
     progress: Progress | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
 ) -> MapCheck:
@@ -209,12 +210,14 @@ def check(
 
     Args:
         plan, rollouts, seed, engine, bound, progress, on_interrupt: as of `evaluate`.
+        theory: what its table lists: "main", a row for each formula; "all", every reading and meaning of each.
     """
+    check_word("theory", theory, ("main", "all"))
     from analysis.checking.check_map import check_input
 
     choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine)
 
     def work(tell: Progress, doing: Doing) -> MapCheck:
-        return check_input(world, plan_of(world, plan), choices, tell, bound)
+        return check_input(world, plan_of(world, plan), choices, tell, bound, theory)
 
     return ask(work, progress, on_interrupt)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 from analysis.kit.notes import Progress
 from analysis.report.answer import Answer
@@ -45,6 +46,7 @@ class MapCheck(Answer):
         checks: of every robot, formula, meaning and loop. left_out: what could not be checked, and why.
         doubt: chance that the interval of one sampled figure misses it. seed: of the rollouts.
         partial: True if the rollouts were interrupted.
+        theory: what the table lists: "main", a row for each formula; "all", every reading and meaning.
     """
 
     listed = "checks"
@@ -58,6 +60,7 @@ class MapCheck(Answer):
     doubt: float
     seed: int = 0
     partial: bool = False
+    theory: Literal["main", "all"] = "main"
 
     @cached_property
     def cells(self) -> int:
@@ -156,7 +159,12 @@ def _left_out(plan: Plan, checks: list[Check], closed: ClosedTruth | None) -> tu
 
 
 def check_input(
-    world: World, plan: Plan, choices: RolloutChoices, progress: Progress | None = None, bound: bool | None = None
+    world: World,
+    plan: Plan,
+    choices: RolloutChoices,
+    progress: Progress | None = None,
+    bound: bool | None = None,
+    theory: Literal["main", "all"] = "main",
 ) -> MapCheck:
     """Every formula on one map; the closed loop by `choices`, where it is not known exactly; `bound` as of `check_map`.
 
@@ -184,4 +192,4 @@ def check_input(
         return tally
 
     checked = check_map(world, plan, choices, sample, bound=bound, kept=kept)
-    return replace(checked, seed=choices.seed, partial=partial)
+    return replace(checked, seed=choices.seed, partial=partial, theory=theory)

@@ -12,10 +12,12 @@ from analysis.kit.tables import make_table
 from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
 from analysis.report.words import asked, map_words
 from analysis.statistics.intervals import ALPHA
+from analysis.statistics.words import between
 from analysis.theory.formulas import FORMULAS, Direction
 from analysis.theory.truth import Truth
-from analysis.theory.verdicts import Check, Verdict, overall
+from analysis.theory.verdicts import Check, Verdict, badness, overall
 from planner.arguments import argument
+from planner.shown import counted, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -72,41 +74,63 @@ def headline(checked: MapCheck) -> str:
 def _heading(checked: MapCheck) -> list[str]:
     world, plan, exact = checked.world, checked.plan, checked.exact
     lines = [
-        f"{map_words(world, checked.cells, len(plan.robots))}, {plan.shares} areas shared in the run without losses",
+        f"{map_words(world, checked.cells, len(plan.robots))}, {counted(plan.shares, 'area')} shared in the run "
+        "without losses",
         f"open loop, exact: {exact.visited:.2f} cells visited, {exact.survived:.2f} survived, a robot is left with "
-        f"chance {1 - exact.alive_chance[0]:.4f}",
+        f"chance {figure(exact.some_left, 'chance')}",
     ]
     closed = checked.closed
     if closed is not None:
-        how = "exact" if not closed.rollouts else f"{closed.rollouts:,} rollouts, seed {checked.seed}"
-        rolled = (f"{shown(closed.visited, 2)} cells visited", f"{shown(closed.survived, 2)} survived")
+        how = "exact" if not closed.rollouts else f"{counted(closed.rollouts, 'rollout')}, seed {checked.seed}"
+        rolled = (f"{shown(closed.visited, 'cells')} cells visited", f"{shown(closed.survived, 'cells')} survived")
         lines.append(
-            f"closed loop, {how}: {', '.join(rolled)}, a robot is left with chance {shown(closed.some_left, 4)}"
+            f"closed loop, {how}: {', '.join(rolled)}, a robot is left with chance {shown(closed.some_left, 'chance')}"
         )
     return lines
 
 
-def shown(truth: Truth, digits: int) -> str:
-    """A truth, with its interval where so many digits show one."""
-    value, low, high = (f"{one:.{digits}f}" for one in (truth.value, truth.low, truth.high))
+def figure(value: float, unit: str) -> str:
+    """A value in its unit; what is not 0, or not 1, is never rounded to it: "1.0e-17", "> 0.9999"."""
+    said = f"{value:.{DIGITS[unit]}f}"
+    if value and float(said) == 0:
+        return f"{value:.1e}"
+    return f"> {1 - 10.0 ** -DIGITS[unit]:.{DIGITS[unit]}f}" if unit == "chance" and value < 1 == float(said) else said
+
+
+def shown(truth: Truth, unit: str) -> str:
+    """A truth, with its interval where the unit's digits show one."""
+    value, low, high = (figure(one, unit) for one in (truth.value, truth.low, truth.high))
     return value if low == high else f"{value} ({low} to {high})"
 
 
-def _table(checked: MapCheck) -> Table:
-    """A row for each formula and meaning; what each loop says of it side by side."""
-    words, numbers = ("formula", "says", "of"), ("value", "open loop", "closed loop")
-    look: dict[str, Any] = {"padding": (0, 1), "pad_edge": False, "collapse_padding": True}
-    table = make_table((*words, *numbers), "Formulas against the truth", left=words, **look)
-    rows: dict[tuple[str, str], list[Check]] = {}
+def _rows(checked: MapCheck) -> list[list[Check]]:
+    """The checks of each row of the table, of both loops.
+
+    Of the readings and meanings of one statement, the one that holds least, unless all are asked for.
+    """
+    rows: dict[tuple[str, ...], list[Check]] = {}
     for check in checked.rows:
         rows.setdefault((check.formula, check.meaning), []).append(check)
-    for (formula, _), checks in rows.items():
-        about, first = FORMULAS[formula], checks[0]
-        digits = DIGITS[about.unit]
-        cells = {check.loop: f"{check.truth.value:.{digits}f} {_word(check)}" for check in checks}
+    if checked.theory == "all":
+        return list(rows.values())
+    statements: dict[str, list[list[Check]]] = {}
+    for checks in rows.values():
+        statements.setdefault(checks[0].about.plain, []).append(checks)
+    return [min(of, key=lambda checks: min(map(badness, checks))) for of in statements.values()]
+
+
+def _table(checked: MapCheck) -> Table:
+    """A row for each statement, or each formula and meaning; what each loop says of it side by side."""
+    words, numbers = ("what", "source", "says", "of"), ("value", "open loop", "closed loop")
+    look: dict[str, Any] = {"padding": (0, 1), "pad_edge": False, "collapse_padding": True}
+    table = make_table((*words, *numbers), "Formulas against the truth", left=words, **look)
+    for checks in _rows(checked):
+        about, first = checks[0].about, checks[0]
+        cells = {check.loop: f"{figure(check.truth.value, about.unit)} {_word(check)}" for check in checks}
         left = cells.get("open", cells.get("nominal", ""))
-        title = about.title + ("" if about.paper else " *")
-        table.add_row(title, _says(first), _of(first), f"{first.value:.{digits}f}", left, cells.get("closed", ""))
+        source = about.title if checked.theory == "all" else about.source
+        table.add_row(about.plain, source, _says(first), _of(first), figure(first.value, about.unit), left,
+                      cells.get("closed", ""))  # fmt: skip
     return table
 
 
@@ -130,10 +154,15 @@ def _word(check: Check) -> str:
 
 def _footnotes(checked: MapCheck) -> list[str]:
     lines = [
-        "* ours, proven. >=: the truth is at least the value; vacuous: the formula says nothing that is not plain "
+        "ours: proven. >=: the truth is at least the value; vacuous: the formula says nothing that is not plain "
         "without it. R0, R1, ...: one robot, the one for which it holds least. Bounds in cells are on the average: a "
         "single run may cover more than a bound."
     ]
+    if (hidden := len({(c.formula, c.meaning) for c in checked.rows}) - len(_rows(checked))) > 0:
+        lines.append(
+            f"Of a formula with several readings or meanings, the one that holds least; {hidden} more "
+            f"with {argument('theory', 'all')}."
+        )
     if checked.closed is not None and checked.closed.rollouts:
         lines.append(
             f"The closed loop's intervals hold together with {100 * (1 - ALPHA):g} % confidence; undecided: the value "
@@ -146,11 +175,11 @@ def _footnotes(checked: MapCheck) -> list[str]:
 
 def _key_figures(checked: MapCheck) -> tuple[KeyFigure, ...]:
     cells, exact, closed, rows = checked.cells, checked.exact, checked.closed, checked.rows
-    out = [KeyFigure(f"{100 * exact.visited / cells:.2f} %", "visited, open loop", "exact")]
+    out = [KeyFigure(percent(exact.visited / cells, 2), "visited, open loop", "exact")]
     if closed is not None:
         seen = closed.visited
-        how = f"{100 * seen.low / cells:.2f} .. {100 * seen.high / cells:.2f} %" if closed.rollouts else "exact"
-        out.append(KeyFigure(f"{100 * seen.value / cells:.2f} %", "visited, closed loop", how))
+        how = f"{between(100 * seen.low / cells, 100 * seen.high / cells)} %" if closed.rollouts else "exact"
+        out.append(KeyFigure(percent(seen.value / cells, 2), "visited, closed loop", how))
     for verdict, words in ((Verdict.FAILS, "comparisons fail"), (Verdict.HOLDS, "hold")):
         number = sum(check.verdict is verdict for check in rows)
         out.append(KeyFigure(f"{number}", words, f"of {len(rows)}: each formula, meaning and loop"))
@@ -166,12 +195,11 @@ def _warnings(checked: MapCheck) -> tuple[str, ...]:
 
 def _findings(checked: MapCheck) -> list[str]:
     out = []
-    for check in checked.rows:
+    for check in (check for checks in _rows(checked) for check in checks):
         if check.verdict is Verdict.FAILS:
             unit = "" if check.about.unit == "chance" else f" {check.about.unit}"
-            truth = shown(check.truth, 2 if unit else 4)
             said = f"{SAYS[check.about.direction]} {check.value:.4g}{unit}"
-            out.append(f"{check.named} fails: it says {said}, the truth is {truth}.")
+            out.append(f"{check.named} fails: it says {said}, the truth is {shown(check.truth, check.about.unit)}.")
     return [*out, *(f"{note[0].upper()}{note[1:]}." for note in checked.left_out)]
 
 

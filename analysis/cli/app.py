@@ -277,7 +277,7 @@ def _check_input(
     world, made, notes = load_or_make_plan(asked, plan, first=check_world)
     say(notes)
     with show_progress() as progress:
-        answer = check_input(world, made, choices, progress, what.bound or None)
+        answer = check_input(world, made, choices, progress, what.bound or None, what.theory)
     return deliver(answer, out=out, as_json=as_json, source=source, beside=(plan,))
 
 

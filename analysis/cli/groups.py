@@ -10,6 +10,7 @@ from cyclopts import Group, Parameter
 
 from analysis.cli.options import (
     GOAL,
+    OUTPUT,
     PLANNING,
     ROLLOUTS,
     SECOND,
@@ -362,6 +363,7 @@ class Checking(_Rolled):
         processes: Worlds looked at at a time; no result depends on it (default: one a core).
         bound: Also compute the upper bound where that is expensive: above 1,000 dangerous cells, or with --worlds; as
             sharp as it gets above 500 accessible ones.
+        theory: Of an INPUT: a row for each formula, or all, every reading and meaning of each.
     """
 
     robots: Annotated[Text, Parameter(group=TEAM)] = None
@@ -376,6 +378,7 @@ class Checking(_Rolled):
     size: Annotated[Text, Parameter(group=SURVEY)] = None
     processes: Annotated[Whole, Parameter(group=SURVEY)] = None
     bound: Bound = False
+    theory: Annotated[Literal["main", "all"], Parameter(group=OUTPUT)] = "main"
 
     def refuse(self, source: str | None, plan: object) -> None:
         """Raise UsageError for a contradiction between an INPUT and a survey."""
@@ -387,7 +390,8 @@ class Checking(_Rolled):
         else:
             if source is not None:
                 raise UsageError("both an INPUT and --worlds are given", expected="one of them")
-            wrong = {"--starts": self.starts, "--cell-size": self.cell_size, "--plan": plan}
+            theory = None if self.theory == "main" else self.theory
+            wrong = {"--starts": self.starts, "--cell-size": self.cell_size, "--plan": plan, "--theory": theory}
             where = "for an INPUT"
             if self.engine == "jax":
                 raise UsageError("--engine jax is for an INPUT", fix="leave it out: a survey takes numba")

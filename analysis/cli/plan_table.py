@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from rich.console import Console
 
 from analysis.kit.tables import make_table
@@ -10,7 +9,7 @@ from analysis.kit.words import bearing_words, plan_words, span_words
 from analysis.theory.exact import open_loop_exact
 from planner.plans.plan import Plan
 from planner.plans.turns import drive_of
-from planner.shown import counted
+from planner.shown import counted, in_percent
 from planner.worlds.world import World
 
 
@@ -33,7 +32,7 @@ def print_plan(made: Plan, world: World, console: Console) -> None:
     for number, (robot, chance) in enumerate(zip(made.robots, open_loop_exact(made, world).survival, strict=True)):
         start = divmod(int(robot.path[0]), made.shape[1])
         covered = "" if made.is_foreign else str(sum(leg.kind == "cover" for leg in robot.legs))
-        survival = f"{100 * chance:.2f}" if np.isfinite(chance) else ""
+        survival = in_percent(chance, 2)
         table.add_row(
             str(number), str(list(start)), str(drive.moves[number]), str(drive.turns[number]), covered, survival
         )

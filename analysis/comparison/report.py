@@ -11,11 +11,11 @@ from analysis.kit.tables import make_table
 from analysis.kit.words import bearing_words, percent, span_words
 from analysis.report.answer import json_end
 from analysis.report.blocks import KeyFigure, Part, Report
-from analysis.statistics.estimate import proportion
-from analysis.statistics.words import between
+from analysis.statistics.estimate import exactly, proportion
+from analysis.statistics.words import between, lost_words, of_all
 from planner.files import Json
 from planner.pace import UNPACED, Pace
-from planner.shown import counted
+from planner.shown import counted, in_percent, share
 
 SHOWN = {
     "visited": ("visited, %", 100.0),
@@ -27,6 +27,8 @@ SHOWN = {
     "all_home": ("chance that all are home, %", 100.0),
 }
 """Name and scale of each figure in the table."""
+NARROW = 0.1
+"""A share, robots or steps: no wider an interval says too little, however small the figures are."""
 COLUMNS = "from .. to: 95 % interval of B - A; sharper: variance of the difference on independent runs / on these"
 
 
@@ -51,8 +53,7 @@ def headline(answer: Comparison) -> str:
     if not any(answer.differing):
         return "A and B are the same in everything: no difference (exact)."
     one, other = (f"{name} ({', '.join(words)})" for name, words in zip("AB", answer.differing, strict=True))
-    ahead, behind = (f"{100 * count / answer.rollouts:.1f} %" for count in (answer.ahead, answer.behind))
-    runs = f"it is ahead in {ahead} of runs, behind in {behind}"
+    runs = f"it is {_often(answer, 'ahead')}, {_often(answer, 'behind')}"
     known = answer.exact_difference("visited")
     if known is not None:
         if known == 0:
@@ -66,6 +67,14 @@ def headline(answer: Comparison) -> str:
         return f"No difference seen between {one} and {other}: {apart}; {runs.replace('it', 'B', 1)}."
     by = f"{abs(100 * estimate.mean):.2f} points {_more(estimate.mean)} of the accessible cells than {one}"
     return f"{other} visits {by} on average (B - A: {low:.2f} .. {high:.2f}, 95 %); {runs}."
+
+
+def _often(answer: Comparison, which: str) -> str:
+    """ "ahead in 91.2 % of runs", "never ahead"."""
+    count = getattr(answer, which)
+    if count in (0, answer.rollouts):
+        return f"{'always' if count else 'never'} {which}"
+    return f"{which} in {share(count, answer.rollouts)} of runs"
 
 
 def _more(value: float) -> str:
@@ -86,11 +95,21 @@ def _notes(answer: Comparison) -> list[str]:
     for name, side in zip("AB", answer.sides, strict=True):
         if side.comes_home and "home" not in answer.figures:
             mean, every = (answer.mean(side, figure) for figure in OF_HOME)
-            said = f"{name}'s robots come home, {mean:.2f} of {len(side.plan.robots)}, all of them in {percent(every)}"
-            found.append(f"{said} of runs; the other side's need not")
+            said = f"{name}'s robots come home, {lost_words(mean, len(side.plan.robots))}"
+            found.append(f"{said}, all of them in {percent(every)} of runs; the other side's need not")
+    if vague := [SHOWN[figure][0] for figure in answer.figures if _is_vague(answer, figure)]:
+        found.append(f"too few rollouts to compare {', '.join(vague)}: the intervals are wider than the figures")
     if many:
         found.append("A and B differ in more than one thing; the difference is that of all together")
     return found
+
+
+def _is_vague(answer: Comparison, figure: str) -> bool:
+    """Whether the interval of a difference says less than the figures of both sides do."""
+    apart = answer.difference(figure).estimate
+    low, high = apart.ci95
+    largest = max(abs(answer.mean(side, figure)) for side in answer.sides)
+    return low < 0 < high and not high - low <= max(largest, NARROW)
 
 
 def _said(side: Side) -> str:
@@ -122,6 +141,8 @@ def _key_figures(answer: Comparison) -> list[KeyFigure]:
     out = []
     for figure, name, scale in _shown(answer):
         estimate = answer.difference(figure).estimate
+        if figure in FIGURES[:2] and (known := answer.exact_difference(figure)) is not None:
+            estimate = exactly(known)
         low, high = (scale * end for end in estimate.ci95)
         interval = "exact" if low == high else between(low, high)
         out.append(KeyFigure(f"{scale * estimate.mean:+.2f}", f"{name}: B - A", interval))
@@ -139,12 +160,23 @@ def _table(answer: Comparison) -> Table:
         apart, exact = answer.difference(figure), known.get(figure)
         table.add_row(
             name,
-            *(f"{scale * answer.mean(side, figure):.2f}" for side in (answer.a, answer.b)),
+            *(_mean(answer, side, figure, scale) for side in answer.sides),
             *(f"{scale * value:+.3f}" for value in (apart.estimate.mean, *apart.estimate.ci95)),
             *("" if exact is None else f"{scale * exact:+.4f}" for _ in exactly),
             f"{apart.gain:.2f}" if math.isfinite(apart.gain) else "",
         )
     return table
+
+
+def _mean(answer: Comparison, side: Side, figure: str, scale: float) -> str:
+    """A side's mean, exact where that is known."""
+    mean, known = answer.mean(side, figure), side.exact
+    if known is not None and figure in FIGURES[:2]:
+        mean = side.unit(figure) * known[FIGURES.index(figure)]
+    if scale == 100:
+        return in_percent(mean, 2)
+    robots = len(side.plan.robots)
+    return of_all(mean, robots) if figure in ("alive", "home") else f"{scale * mean:.2f}"
 
 
 def _json(answer: Comparison) -> Json:

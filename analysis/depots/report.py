@@ -19,11 +19,11 @@ from analysis.report.words import (
     run_again,
     search_end,
     share_figure,
-    source_words,
+    sourced,
     team_figure,
 )
 from analysis.statistics.coverage import losses_said
-from analysis.statistics.words import between
+from analysis.statistics.words import between, of_all
 from planner.files import Json
 from planner.shown import counted
 
@@ -82,8 +82,7 @@ def findings(starts: Starts) -> Iterator[str]:
         worth = "" if again.value is None else f"{again.value.said(100, ' %')} of the value and "
         cells = "" if again.value is None else " of the cells"
         covered = f"{worth}{again.coverage.said(100, ' %')}{cells} covered"
-        covered = covered if again.rollouts else covered.replace(" (exact)", "")
-        yield f"{source_words(again.rollouts)}: {covered}, {losses_said(again.losses, len(starts.starts))} lost."
+        yield sourced(again.rollouts, f"{covered}, {losses_said(again.losses, len(starts.starts))} lost.")
     best = starts.places[starts.best]
     if starts.gain is not None and starts.stay:
         low, high = (100 * end for end in starts.gain.ci95)
@@ -123,7 +122,7 @@ def _key_figures(starts: Starts) -> list[KeyFigure]:
         note = f"{'exact' if low == high else between(low, high)}, against {standing_words(starts)}"
         out.append(KeyFigure(f"{100 * starts.gain.mean:+.2f} points", "best found", note))
     how = "" if starts.exact else ", all together with 95 %"
-    others = f"of {len(starts.simulated) - 1} others simulated{how}"
+    others = f"of {counted(len(starts.simulated) - 1, 'other')} simulated{how}"
     return [*out, KeyFigure(f"{starts.beaten}", "surely beaten", others)]
 
 
@@ -162,8 +161,8 @@ def _table(starts: Starts) -> Table:
         alone = "" if place.one_robot is None else f"{place.one_robot:.1f}"
         figures: tuple[str, ...] = ("",) * (5 if valued else 3)
         if place.coverage is not None and place.losses is not None:
-            worth = () if place.value is None else place.value.columns(100.0)
-            figures = (*worth, *place.coverage.columns(100.0), f"{place.losses.mean:.2f}")
+            worth = () if place.value is None else place.value.columns(100.0, 100)
+            figures = (*worth, *place.coverage.columns(100.0, 100), of_all(place.losses.mean, len(starts.starts)))
         behind = ""
         if place.behind is not None:
             low, high = (100 * end for end in place.behind)
@@ -190,7 +189,7 @@ def _footnotes(starts: Starts) -> list[str]:
         f"{counts} of one robot's plan."
         + " behind: all of these intervals hold together with 95 %; places put aside early have few rollouts."
         * (not starts.exact),
-        *([f"{more} further places are in the JSON object."] if more > 0 else []),
+        *([f"The JSON object has {counted(more, 'further place')}."] if more > 0 else []),
     ]
 
 

@@ -16,9 +16,10 @@ from analysis.report.blocks import KeyFigure, Part, Report
 from analysis.report.words import luck_words, map_words, share_figure
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.intervals import ALPHA
+from analysis.statistics.words import between, of_all
 from planner.arguments import argument
 from planner.files import Json
-from planner.shown import counted
+from planner.shown import ceiled, chance, counted, in_percent
 
 
 def report(size: TeamSize) -> Report:
@@ -70,7 +71,7 @@ def _figure(size: TeamSize, point: Point) -> str:
     """The deciding figure of a team that was rolled out, with its 95 % interval."""
     estimate = _deciding(size, point)
     low, high = estimate.ci95
-    sure = "exact" if low == high else f"95 % interval {100 * low:.2f} to {100 * high:.2f}"
+    sure = "exact" if low == high else f"95 % interval {between(100 * low, 100 * high, 2, 100)}"
     sure += ", fresh rollouts" if point is size.confirmed else ""
     if size.goal.confidence is None:
         what = f"of the accessible cells {size.goal.meaning} on average"
@@ -95,7 +96,7 @@ def _by(size: TeamSize) -> str:
 def _share(size: TeamSize) -> str:
     if size.goal.target == 1:
         return "every accessible cell"
-    return f"at least {100 * size.goal.target:g} % of the accessible cells"
+    return f"at least {chance(size.goal.target, 12)} of the accessible cells"
 
 
 def _so_far(size: TeamSize) -> str:
@@ -107,14 +108,14 @@ def _so_far(size: TeamSize) -> str:
 
 
 def _of(fraction: float) -> str:
-    """A fraction in percent; one that is not 1 is not rounded to it."""
-    return f"{100 * fraction:.2f} %" if 100 * fraction >= 99.95 and fraction < 1 else f"{100 * fraction:.4g} %"
+    """A fraction in percent, in the digits that somebody gave, or four; one that is not 1 is not rounded to it."""
+    return chance(fraction, 4)
 
 
 def _after(size: TeamSize) -> str:
     """How long the undecided ones were looked at."""
     most = max(point.rollouts for point in size.points if point.verdict is TeamVerdict.UNDECIDED)
-    return f" after {most:,} rollouts"
+    return f" after {counted(most, 'rollout')}"
 
 
 def _listed(numbers: Sequence[int], last: str = "and") -> str:
@@ -142,7 +143,7 @@ def _key_figures(size: TeamSize) -> list[KeyFigure]:
 
 
 def _target(size: TeamSize) -> str:
-    return "every cell" if size.goal.target == 1 else f"{100 * size.goal.target:g} % or more"
+    return "every cell" if size.goal.target == 1 else f"{chance(size.goal.target, 12)} or more"
 
 
 def _chart(size: TeamSize) -> Chart:
@@ -158,7 +159,7 @@ def _chart(size: TeamSize) -> Chart:
                ideals, dashed=True),
         Series.of("undecided", _sizes(unsure), [_deciding(size, point) for point in unsure], kind="points"),
     ]  # fmt: skip
-    wanted = f"{'wanted chance' if by_chance else 'target'}: {100 * goal.wanted:g} %"
+    wanted = f"{'wanted chance' if by_chance else 'target'}: {chance(goal.wanted, 12)}"
     enough = () if size.robots is None else ((size.robots, f"enough: {size.robots}"),)
     return Chart(
         _title(size), tuple(curves), "robots", f"{goal.meaning}, and chance of {_target(size)}, %",
@@ -171,9 +172,9 @@ def _sizes(points: Sequence[Point]) -> list[int]:
 
 
 def _title(size: TeamSize) -> str:
-    aim = f"{100 * size.goal.target:g} % expected coverage"
+    aim = f"{chance(size.goal.target, 12)} expected coverage"
     if size.goal.confidence is not None:
-        aim = f"a {100 * size.goal.confidence:g} % chance of {_target(size)}"
+        aim = f"a {chance(size.goal.confidence, 12)} chance of {_target(size)}"
     undecided = size.of(TeamVerdict.UNDECIDED)
     if size.partial:
         return f"Interrupted: robots for {aim}"
@@ -193,14 +194,15 @@ def _table(size: TeamSize) -> Table:
     if ruled_out:
         best = ruled_out[-1]
         sizes = "1" if len(ruled_out) == 1 else f"1..{best.robots}"
-        below = (f"<= {100 * best.ideal_coverage:.2f}", "", f"<= {100 * best.ideal_chance:.2f}", "")
+        most = (f"<= {ceiled(of).removesuffix(' %')}" for of in (best.ideal_coverage, best.ideal_chance))
+        below = (next(most), "", next(most), "")
         table.add_row(sizes, *below, *("" for _ in (*value, *minutes)), "", "", str(best.verdict))
     for point in size.points:
         if point.coverage and point.chance and point.time and point.alive:
-            cells = (*point.coverage.columns(100.0), *point.chance.columns(100.0))
-            worth = [f"{100 * point.value.mean:.2f}" if point.value else "" for _ in value]
+            cells = (*point.coverage.columns(100.0, 100), *point.chance.columns(100.0, 100))
+            worth = [in_percent(point.value.mean, 2) if point.value else "" for _ in value]
             times = [f"{pace.minutes * point.time.mean:,.1f}" for _ in minutes]
-            others = (*worth, f"{point.time.mean:.0f}", *times, f"{point.alive.mean:.2f}")
+            others = (*worth, f"{point.time.mean:.0f}", *times, of_all(point.alive.mean, point.robots))
             table.add_row(str(point.robots), *cells, *others, str(point.verdict))
     return table
 
@@ -217,9 +219,9 @@ def _footnotes(size: TeamSize) -> list[str]:
             "the end."
         )
     if rolled:
-        often = f"{min(rolled):,} to {max(rolled):,}" if min(rolled) < max(rolled) else f"{rolled[0]:,}"
+        often = (f"{min(rolled):,} to " if min(rolled) < max(rolled) else "") + counted(max(rolled), "rollout")
         lines.append(
-            f"{often} rollouts a team. The verdicts are on the {figure}, and hold together "
+            f"{often} a team. The verdicts are on the {figure}, and hold together "
             f"with {100 * (1 - ALPHA):g} % confidence."
         )
     if size.of(TeamVerdict.UNDECIDED) and size.choices.precision is None and not size.partial:

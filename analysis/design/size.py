@@ -32,6 +32,7 @@ from planner.kernels.tables import AllPairs
 from planner.limits import BLOCK, MOST_ROLLOUTS
 from planner.plan_team import plan_team
 from planner.settings import Settings
+from planner.shown import counted
 from planner.worlds.starts import place_starts
 from planner.worlds.world import MAX_ROBOTS, World
 
@@ -281,7 +282,7 @@ class _Search:
 
     def look_at(self, robots: int) -> TeamVerdict:
         """Plan and roll out a team until its verdict is clear, or for as long as the choices allow."""
-        self.doing(f"{robots} robots")
+        self.doing(counted(robots, "robot"))
         trial, last = self._trial(robots), None
         try:
             for found in self._rolled(trial):

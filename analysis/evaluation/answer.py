@@ -21,7 +21,7 @@ from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, home_of, make_singles
 from analysis.statistics.control import Controlled, of_tally
 from analysis.statistics.coverage import Amount
-from analysis.statistics.estimate import Estimate, exactly
+from analysis.statistics.estimate import Estimate
 from analysis.theory.any_strategy import AnyStrategy, any_strategy
 from analysis.theory.bounds import Bounds
 from analysis.theory.exact import OpenLoopExact
@@ -119,6 +119,15 @@ class Evaluation(Answer):
         longest = longest_run(self.world, self.plan, self.loop)
         sampled = Figures.of(self.tally, self.certain, longest, home_of(self.plan, self.tally, self.loop))
         return sampled.with_tree(self.closed.tree) if isinstance(self.closed, TreeTruth) else sampled
+
+    @cached_property
+    def shown(self) -> Figures:
+        """The figures as reports say them: exact wherever that is known, of either loop."""
+        if self.loop == "open":
+            return self.figures.with_formulas(self.closed_form, self.closed_form.mean_time)
+        if self.closed is None or isinstance(self.closed, TreeTruth):
+            return self.figures
+        return self.figures.with_formulas(self.closed_form, self.closed.time)
 
     @cached_property
     def rest(self) -> Rest | None:
@@ -242,9 +251,8 @@ class Evaluation(Answer):
         return self._coverage("survived")
 
     def _coverage(self, meaning: str) -> Coverage:
-        covered, known = getattr(self.figures, meaning), getattr(self.exact, meaning)
-        mean = covered.mean.times(1.0 / covered.cells) if known is None else exactly(known.mean)
-        return Coverage(**vars(mean), covered=covered)
+        covered = getattr(self.shown, meaning)
+        return Coverage(**vars(covered.mean.times(1.0 / covered.cells)), covered=covered)
 
     @cached_property
     def control(self) -> dict[str, Controlled]:
@@ -256,13 +264,12 @@ class Evaluation(Answer):
     @property
     def losses(self) -> Losses:
         """Robots lost in a run: exact where that is known."""
-        alive, robots = self.exact.alive, self.tally.robots
-        return self.figures.losses if alive is None else Losses(**vars(exactly(robots - alive)), robots=robots)
+        return self.shown.losses
 
     @property
     def time(self) -> Estimate:
         """Steps of a run: exact where that is known."""
-        return self.figures.time if self.exact.time is None else exactly(self.exact.time)
+        return self.shown.time
 
     def singles(self, most: int | None = None) -> dict[str, NDArray]:
         """The rollouts one by one, as columns `[B]`: rollout, visited, survived (cells), time, alive, outcome.

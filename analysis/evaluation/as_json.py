@@ -43,6 +43,7 @@ def to_json(evaluation: Evaluation) -> Json:
         "complete": found.complete,
         "alive": {"mean": found.alive.mean},
         "losses": found.losses.to_json() | {"exact": lost},
+        "some_left": evaluation.shown.some_left,
         "control": _control_json(evaluation),
         "bounds": _bounds_json(evaluation),
         "verdicts": {check.key: str(check.verdict) for check in evaluation.worst_checks},

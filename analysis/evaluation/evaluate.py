@@ -23,6 +23,7 @@ from planner.arguments import argument
 from planner.errors import UsageError
 from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan, is_certain
+from planner.shown import counted
 from planner.tally import Outcome, Tally
 from planner.worlds.doubt import Uncertain
 from planner.worlds.world import World
@@ -173,7 +174,7 @@ def cut_off(world: World, tally: Tally, plan: Plan) -> tuple[str, ...]:
         return (f"the plan ends the mission at {world.pace.step(plan.settings.deadline)}: {home}",)
     if count == 0:
         return ()
-    cut = f"{count:,} of {tally.rollouts:,} rollouts were cut off at the limit of steps (timeout)"
+    cut = f"{count:,} of {counted(tally.rollouts, 'rollout')} were cut off at the limit of steps (timeout)"
     return (f"{cut}: raise {argument('max_steps')}",)
 
 
@@ -182,7 +183,8 @@ def too_few(last: Stage, choices: RolloutChoices) -> tuple[str, ...]:
     done = last.tally.rollouts
     if choices.precision is None:
         reached = done >= choices.rollouts
-        return () if reached else (f"{choices.seconds:g} s were over after {done:,} of {choices.rollouts:,} rollouts",)
+        of = counted(choices.rollouts, "rollout")
+        return () if reached else (f"{choices.seconds:g} s were over after {done:,} of {of}",)
     half = half_width(last.tally)
     if half < choices.precision:
         return ()

@@ -5,26 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property, partial
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.kit.words import percent, share
 from analysis.statistics.control import complete_chance, tally_mean
 from analysis.statistics.coverage import AT_LEAST, losses_shown
 from analysis.statistics.estimate import Estimate, assured, exactly, mean_estimate, proportion, quantile, quantiles
-from analysis.statistics.words import between, meant_fraction
+from analysis.statistics.words import MOST_DIGITS, between, meant_fraction
+from analysis.theory.exact import OpenLoopExact
 from analysis.theory.verdicts import MEANINGS
 from analysis.trials.exact_loop import SLACK
 from planner.arguments import FRACTION
 from planner.files import Json
-from planner.kernels.tree import Tree
+from planner.kernels.tree import WHOLE, Tree
 from planner.plans.plan import Plan
+from planner.shown import in_percent, inside
 from planner.tally import Outcome, Tally
 
-MOST_DIGITS = 4
 ENDED = 0.999
 """Share of a closed loop's rollouts that have ended where a time axis ends."""
 MOST_LISTED = 6
@@ -49,32 +50,27 @@ class Chance(Estimate):
         """In percent: "99.7 %"."""
         return f"{self.columns()[0]} %"
 
-    def columns(self, scale: float = 100.0) -> tuple[str, str]:
+    def columns(self, scale: float = 100.0, most: int | None = 100) -> tuple[str, str]:
         """In percent, and its interval: ("0.3", "0.0 .. 0.9"), or ("0", "0.4 or less") where none was seen."""
+        low, high = (scale * end for end in self.ci95)
         if self.rollouts == 0:
             digits, sure = min(self.digits(scale), 2), self.ci95[1] - self.ci95[0] <= SLACK
-            ends = between(scale * self.ci95[0], scale * self.ci95[1], digits)
-            return percent(self.mean, digits).removesuffix(" %"), "exact" if sure else f"{ends}, certain"
-        count = round(self.mean * self.rollouts)
-        seen = sampled_share(count, self.rollouts).removesuffix(" %")
+            ends = between(low, high, digits, most)
+            return in_percent(self.mean, digits), "exact" if sure else f"{ends}, certain"
+        seen = sampled_share(round(self.mean * self.rollouts), self.rollouts)
         if self.half_width == 0:
             return seen, "exact"
-        digits = max(self.digits(scale), len(seen.partition(".")[2]))
-        low, high = between(scale * self.ci95[0], scale * self.ci95[1], digits).split(" .. ")
-        none, all_of_them = count == 0, count == self.rollouts
-        return seen, f"{high} or less" if none else f"{low} or more" if all_of_them else f"{low} .. {high}"
+        return seen, between(low, high, max(self.digits(scale), len(seen.partition(".")[2])), most)
 
 
 def sampled_share(count: int, runs: int) -> str:
     """`count` of `runs` in percent, with the decimals that the 95 % interval bears out; never rounded to 0 or 100.
 
-    A share that these decimals cannot tell from 0 or 100 gets more of them, up to MOST_DIGITS, then "> 99.9999 %".
+    A share that these decimals cannot tell from 0 or 100 gets more of them, up to MOST_DIGITS, then "> 99.9999".
     """
     half = 100.0 * proportion(count, runs).half_width
     digits = int(np.clip(math.ceil(-math.log10(half)), 0, MOST_DIGITS))
-    while digits < MOST_DIGITS and share(count, runs, digits)[0] in "<>":
-        digits += 1
-    return share(count, runs, digits)
+    return inside(Fraction(100 * count, runs), 100, digits, MOST_DIGITS)
 
 
 @dataclass(frozen=True)
@@ -88,7 +84,7 @@ class Losses(Estimate):
         """As many as are shown, two at most."""
         return min(self.digits(), 2)
 
-    def columns(self, scale: float = 1.0) -> tuple[str, str]:
+    def columns(self, scale: float = 1.0, most: int | None = None) -> tuple[str, str]:
         """("1.87 of 5", "1.85 .. 1.89"), as of `losses_shown`."""
         return losses_shown(self, self.robots)
 
@@ -150,6 +146,12 @@ class Covered:
         counts = getattr(tree.counts, meaning) + getattr(tree.counts, f"left_{meaning}")
         low, high = tree.covered(meaning)
         return cls(counts, exactly((low + high) / 2), False, partial(tree.chance_of, meaning))
+
+    def in_order(self, chances: NDArray[np.float64]) -> Self:
+        """Of one robot, which covers its cells in the order of their `chances` `[N]`: the n-th is that of n or more."""
+        least = np.concatenate([[1.0], np.sort(chances)[::-1][: self.cells], [0.0]])
+        mass = np.rint(-np.diff(least) * WHOLE).astype(np.int64)
+        return replace(self, counts=mass, known=lambda cells: (float(least[cells]), float(least[cells])))
 
     @property
     def cells(self) -> int:
@@ -288,6 +290,33 @@ class Figures:
             robots = self.losses.robots
             known = replace(known, alive=exactly(alive), losses=Losses(**vars(exactly(robots - alive)), robots=robots))
         return known if tree.mean_time is None else replace(known, time=exactly(tree.mean_time))
+
+    def with_means(self, visited: float, survived: float, lost: float) -> Self:
+        """The same, with means that are known, NaN: not; cells, and robots lost."""
+        known = {name: getattr(self, name) for name in MEANINGS}
+        for name, cells in zip(MEANINGS, (visited, survived), strict=True):
+            if math.isfinite(cells):
+                known[name] = replace(known[name], mean=exactly(cells))
+        if not math.isfinite(lost):
+            return replace(self, **known)
+        robots = self.losses.robots
+        return replace(self, **known, alive=exactly(robots - lost), losses=Losses(**vars(exactly(lost)), robots=robots))
+
+    def with_formulas(self, exact: OpenLoopExact, time: float | None) -> Self:
+        """The same, where robots follow their own paths to the end, as far as `exact` and `time` are known."""
+        robots, lost = self.losses.robots, exact.expected_losses
+        if exact.survival.sum() > 0:  # however little it is
+            lost = min(lost, math.nextafter(robots, 0.0))
+        known = self.with_means(exact.visited, exact.survived, lost)
+        if math.isfinite(exact.some_left):
+            left = [Chance.known(chance, chance) for chance in exact.alive_chance.tolist()]
+            known = replace(known, left=left, some_left=Chance.known(exact.some_left, exact.some_left))
+        if exact.is_known and robots == 1:
+            visited = known.visited.in_order(exact.visited_by_cell)
+            survived = known.survived.in_order(exact.survived_by_cell)
+            complete, least = visited.chance(visited.cells), quantile(visited.counts, 0.05)
+            known = replace(known, visited=visited, survived=survived, complete=complete, assured=least)
+        return known if time is None or not math.isfinite(time) else replace(known, time=exactly(time))
 
     def coverage_json(self) -> Json:
         """In both meanings."""

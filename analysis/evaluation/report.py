@@ -79,7 +79,9 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
     ground = f" ({_area(cells['accessible'] * world.cell_size**2)})" if world.cell_size != 1 else ""
     loop = f"open loop, {evaluation.mode} mode" if evaluation.loop == "open" else "closed loop"
     tree = evaluation.closed.tree if isinstance(evaluation.closed, TreeTruth) else None
-    whole = "" if tree is None else f"{counted(tree.histories, 'history', 'histories')} of all that can happen; "
+    whole = ""
+    if tree is not None:
+        whole = f"exact: all that can happen, {counted(tree.histories, 'branch', 'branches')}; and "
     return {
         "map": f"{world.shape[0]} x {world.shape[1]} cells of {world.cell_size:g} m; {cells['free']} free, "
         f"{cells['accessible']} accessible{ground}, {cells['dangerous']} of these dangerous",
@@ -123,11 +125,11 @@ def _settings(evaluation: Evaluation) -> dict[str, object]:
 
 def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
     """The few to take away."""
-    found, cells, seen = evaluation.figures, evaluation.tally.accessible, evaluation.visited
-    visited, between = seen.columns(100.0)
+    found, cells, seen = evaluation.shown, evaluation.tally.accessible, evaluation.visited
+    visited, between = seen.columns(100.0, 100)
     (complete, likely), (time, steps) = found.complete.columns(), evaluation.time.columns()
     between += " %" * (seen.half_width > 0)
-    sure = "95 % confidence" if found.visited.known is None else "exact"
+    sure = "with 95 % confidence" if found.visited.known is None else "exact"
     runs = KeyFigure(assured_words(evaluation), "reached in 19 of 20 runs", sure)
     return [
         KeyFigure(f"{visited} %", "visited on average", f"{between}, of {cells:,} accessible cells"),
@@ -135,7 +137,9 @@ def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
         KeyFigure(f"{complete} %", "chance to visit every cell", likely),
         team_figure(evaluation.losses, evaluation.losses.robots),
         *([] if found.home is None else [team_figure(found.home, found.home.robots, "robots home at the end")]),
-        KeyFigure(f"{time} steps", "mean time", steps + evaluation.world.pace.also(evaluation.time.mean)),
+        KeyFigure(
+            f"{time} step{'s' * (time != '1')}", "mean time", steps + evaluation.world.pace.also(evaluation.time.mean)
+        ),
     ]
 
 

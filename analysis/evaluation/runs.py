@@ -13,7 +13,7 @@ from analysis.sampling import RolloutChoices, make_engine_for
 from planner.none import NO_STEP
 from planner.plans.plan import Plan
 from planner.roaming import ways_of_movers
-from planner.shown import counted
+from planner.shown import counted, share
 from planner.trace import Doing, Trace
 from planner.worlds.world import World
 
@@ -71,8 +71,8 @@ def picked(world: World, plan: Plan, choices: RolloutChoices, total: int) -> tup
     results, picker = engine.results(0, count), Picker(engine.accessible)
     picker.add(results)
     ids = [picker.choose(pick, choices.seed) for pick in PICKS]
-    shares = [100 * int(results.visited[number]) / engine.accessible for number in ids]
-    names = [f"{pick.name}, {share:.1f} %" for pick, share in zip(PICKS, shares, strict=True)]
+    shares = [share(int(results.visited[number]), engine.accessible) for number in ids]
+    names = [f"{pick.name}, {covered}" for pick, covered in zip(PICKS, shares, strict=True)]
     traces = zip(names, engine.traces(ids), strict=True)
     return [run_of(name, trace, world, choices) for name, trace in traces], ids, count
 

@@ -10,14 +10,16 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.figures import Figures
 from analysis.evaluation.outputs.output import Row, coverage_row, known_words
 from analysis.kit.tables import make_table
 from analysis.kit.words import percent
 from analysis.statistics.coverage import AT_LEAST, losses_shown
-from analysis.statistics.words import lost_words
+from analysis.statistics.words import of_all
 from analysis.theory.verdicts import MEANINGS
 from planner.plans.plan import NO_MORE
 from planner.plans.turns import drive_of
+from planner.shown import at_least_words, in_percent
 from planner.tally import Outcome
 
 LISTED = 10
@@ -42,11 +44,16 @@ def _add(table: Table, evaluation: Evaluation, name: str, exact: str, shown: Seq
     table.add_row(name, *((exact, *shown) if evaluation.loop == "open" else (*shown, exact)))
 
 
+def _beside(evaluation: Evaluation) -> Figures:
+    """Of the open loop what the rollouts tell, as its exact values have a column of their own."""
+    return evaluation.figures if evaluation.loop == "open" else evaluation.shown
+
+
 def _coverage_table(evaluation: Evaluation, more: Sequence[Row]) -> Table:
     """Coverage in percent, both meanings; and the outputs' rows."""
     columns = ("mean", "95 % interval", "5 %", "median", "95 %")
     table = _table(evaluation, "Coverage, % of the accessible cells", columns)
-    cells, found = evaluation.cells, evaluation.figures
+    cells, found = evaluation.cells, _beside(evaluation)
     of = {"": cells["accessible"]} | (
         {} if cells["free"] == cells["accessible"] else {", of all free cells": cells["free"]}
     )
@@ -62,7 +69,7 @@ def _coverage_table(evaluation: Evaluation, more: Sequence[Row]) -> Table:
 
 def _chances_table(evaluation: Evaluation) -> Table:
     """What a decision hangs on: chances of coverage, losses, time."""
-    found, exact, bounds = evaluation.figures, evaluation.closed_form, evaluation.formulas
+    found, exact, bounds = _beside(evaluation), evaluation.closed_form, evaluation.formulas
     named = ("sampled" if found.visited.known is None else "chance", "95 % interval")
     table = _table(evaluation, "Chances in %, losses and time", named)
     chances = {f"chance to visit {100 * x:g} % or more": found.visited.at_least[x] for x in AT_LEAST[:-1]}
@@ -72,22 +79,21 @@ def _chances_table(evaluation: Evaluation) -> Table:
     ends = {
         Outcome.STUCK: f"chance to end {NO_MORE if evaluation.plan.comes_home else 'stuck: no robot can go on'}",
         Outcome.TIMEOUT: f"chance to end at the {limit}",
-        Outcome.CALLED_OFF: "chance to end as the rest is not worth a robot",
+        Outcome.CALLED_OFF: "chance to stop because the rest is not worth a robot",
     }
     chances |= {name: found.ends[outcome] for outcome, name in ends.items() if outcome in found.ends}
     for name, chance in chances.items():
         _add(table, evaluation, name, "", chance.columns())
-    some_left = bounds.team_survival if evaluation.settled else 1.0 - float(exact.alive_chance[0])
-    known = "" if math.isnan(some_left) else percent(some_left, 2).removesuffix(" %")
+    some_left = bounds.team_survival if evaluation.settled else exact.some_left
+    known = in_percent(some_left, 2)
     _add(table, evaluation, "chance that a robot is left at the end", known, found.some_left.columns())
     robots = len(evaluation.plan.robots)
-    known = "" if math.isnan(exact.expected_losses) else lost_words(exact.expected_losses, robots)
+    known = "" if math.isnan(exact.expected_losses) else f"{of_all(exact.expected_losses, robots)} of {robots}"
     _add(table, evaluation, "robots lost", known, found.losses.columns())
     if found.home is not None:
         _add(table, evaluation, "robots home", "", losses_shown(found.home, robots))
         for least, chance in found.home.shown.items():
-            many = "every robot is" if least == robots else f"{least} or more robots are"
-            _add(table, evaluation, f"chance that {many} home", "", chance.columns())
+            _add(table, evaluation, f"chance that {at_least_words(least, robots)} home", "", chance.columns())
     _add(table, evaluation, "time, steps", known_words(exact.mean_time, "{:,.1f}"), found.time.columns())
     if pace := evaluation.world.pace:
         known = known_words(pace.minutes * exact.mean_time, "{:,.1f}")

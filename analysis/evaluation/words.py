@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
+from fractions import Fraction
 
 import numpy as np
 
@@ -12,10 +12,15 @@ from analysis.evaluation.figures import Chance
 from analysis.evaluation.rest import BEFORE, BEYOND, Rest
 from analysis.kit.words import percent, policy_words, share, without_level
 from analysis.statistics.estimate import Estimate
-from analysis.statistics.words import lost_words
+from analysis.statistics.words import between, lost_words
 from analysis.theory.reachable import moves_left
 from analysis.trials.best import is_best
-from planner.shown import counted
+from planner.mrac.executive import STUCK_AFTER
+from planner.shown import ceiled, counted, floored
+from planner.tally import Outcome
+
+ALIKE = 1e-9
+"""By so much of itself the cost of one cell may exceed that of another and be no more."""
 
 
 def losses_words(evaluation: Evaluation) -> str:
@@ -32,10 +37,10 @@ def losses_words(evaluation: Evaluation) -> str:
 
 def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
     """Of the robots that were there when the runs began."""
-    every, none = (evaluation.figures.left[number] for number in (0, robots))
+    every, none = (evaluation.shown.left[number] for number in (0, robots))
     left = (" that was left" if robots == 1 else " that were left") if some_before else ""
     nobody = "no further robot is" if some_before else "no robot is"
-    if evaluation.closed_form.expected_losses == 0:
+    if float(evaluation.closed_form.stops_by_cell.sum()) == 0:  # a sum, in which no chance is too small to count
         return f"{nobody[:1].upper()}{nobody[1:-3]} can be lost."
     all_of_them = f"All {robots} robots{left} are"
     if robots <= 2:
@@ -46,11 +51,13 @@ def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
         return f"{nobody[:1].upper()}{nobody[1:]} lost in {_any(none.rollouts)}."
     lost_before, lost = len(evaluation.plan.robots) - robots, evaluation.losses
     mean = f"on average {lost_words(lost.mean - lost_before, robots, lost.decimals)}{left}"
+    if lost.half_width > 0.5:  # a decimal more than the interval allows
+        mean += f" ({between(lost.ci95[0] - lost_before, lost.ci95[1] - lost_before, 1, robots, 'fewer')})"
     often = [(all_of_them, "both" if robots == 2 else f"all {robots}", every), (nobody, "none", none)]
     if robots == 1:
         return f"{all_of_them} lost in {every.share} of runs."
     if every.mean == none.mean == 0:
-        seen = [number for number, chance in enumerate(evaluation.figures.left) if chance.mean]
+        seen = [number for number, chance in enumerate(evaluation.shown.left) if chance.mean]
         least, most = robots - max(seen), robots - min(seen)
         some = f"{counted(least, 'robot')}" if least == most else f"{least} to {most} robots"
         return f"{some} of {robots}{left} {'is' if most == 1 else 'are'} lost in {_each(every.rollouts)}, {mean}."
@@ -63,7 +70,7 @@ def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
 
 def home_words(evaluation: Evaluation) -> str:
     """How many robots come home, and how often all of them do, in one sentence; nothing where they need not."""
-    home, robots = evaluation.figures.home, len(evaluation.plan.robots)
+    home, robots = evaluation.shown.home, len(evaluation.plan.robots)
     if home is None:
         return ""
     every = home.at_least[-1]
@@ -76,26 +83,37 @@ def home_words(evaluation: Evaluation) -> str:
 
 def chances_words(evaluation: Evaluation) -> str:
     """How often every cell is visited, and how long a run takes, in one sentence."""
-    done = evaluation.figures.complete
+    done = evaluation.shown.complete
     where = {0.0: _none(done.rollouts), 1.0: _each(done.rollouts)}.get(done.mean) or f"{done.share} of runs"
-    steps = evaluation.time.mean
-    time = f"a run takes {steps:,.0f} steps{evaluation.world.pace.also(steps)} on average"
-    return f"Every accessible cell is visited in {where}; {time}."
+    return f"Every accessible cell is visited in {where}; {_time(evaluation)} on average."
+
+
+def _time(evaluation: Evaluation) -> str:
+    """How long a run takes; where robots stop before all is visited, when they last move: then they wait for the end.
+
+    Robots that come home do not wait.
+    """
+    steps, pace, ends = evaluation.time.mean, evaluation.world.pace, evaluation.shown.ends
+    waiting = [ends[outcome].mean for outcome in (Outcome.STUCK, Outcome.CALLED_OFF) if outcome in ends]
+    if not waiting or evaluation.plan.comes_home:
+        return f"a run takes {pace.steps(steps)}"
+    paces = () if evaluation.plan.settings is None else evaluation.plan.settings.paces
+    return f"the last move is at {pace.step(steps - STUCK_AFTER * max(paces, default=1) * sum(waiting))}"
 
 
 def limit_words(evaluation: Evaluation) -> str:
     """What no strategy exceeds on average on this map, where that is proven and not plain; else nothing."""
-    if (most := _most(evaluation)) is None or is_best(evaluation.plan):
+    if not (most := _most(evaluation)) or is_best(evaluation.plan):
         return ""
-    return f"No strategy visits more than {most:.2f} % on average with this team on this map ({proven(evaluation)})."
+    return f"No strategy visits more than {most} on average with this team on this map ({proven(evaluation)})."
 
 
-def _most(evaluation: Evaluation) -> float | None:
-    """Per cent that no strategy exceeds on average, rounded upwards; None where that is not proven, or plain."""
+def _most(evaluation: Evaluation) -> str:
+    """The share that no strategy exceeds on average, rounded upwards; "" where that is not proven, or plain."""
     limit = evaluation.bounds.any_strategy
     if limit is None or limit.cells > evaluation.tally.accessible - 0.005:
-        return None
-    return math.ceil(10_000 * limit.mean) / 100
+        return ""
+    return ceiled(limit.mean)
 
 
 def proven(evaluation: Evaluation) -> str:
@@ -126,14 +144,14 @@ def headline(evaluation: Evaluation) -> str:
     Of a policy that was searched for, with its name and what no policy exceeds; else with what 19 of 20 runs reach,
     where there are enough rollouts to tell. `losses_words` has the chances in percent.
     """
-    robots, least = len(evaluation.plan.robots), evaluation.figures.assured
+    robots, least = len(evaluation.plan.robots), evaluation.shown.assured
     if evaluation.certain:
         return certain_headline(evaluation)
     shown = without_level(evaluation.visited.said(100.0, " %")) + " of the accessible cells on average"
     who, lost = counted(robots, "robot visits", "robots visit"), _lost_clause(evaluation)
     if is_best(evaluation.plan) and (settings := evaluation.plan.settings) is not None:
         most = _most(evaluation)
-        limit = "" if most is None else f"; no strategy exceeds {most:.2f} % on average ({proven(evaluation)})"
+        limit = f"; no strategy exceeds {most} on average ({proven(evaluation)})" * bool(most)
         return f"{who} {shown} with {policy_words(settings)}, {lost}{limit}."
     runs = "" if least is None else f" (at least {assured_words(evaluation)} in 19 of 20 runs)"
     return f"{who} {shown}{runs} {lost}."
@@ -141,18 +159,18 @@ def headline(evaluation: Evaluation) -> str:
 
 def assured_words(evaluation: Evaluation) -> str:
     """What 19 of 20 runs reach, rounded downwards, as it is a lower bound."""
-    return f"{math.floor(1000 * (evaluation.figures.assured or 0) / evaluation.tally.accessible) / 10:.1f} %"
+    return floored(Fraction(evaluation.shown.assured or 0, evaluation.tally.accessible))
 
 
 def _lost_clause(evaluation: Evaluation) -> str:
     """ "and lose all 8 robots in almost every run (7.99 on average)": how often without a %, which is coverage here."""
     gone = 0 if evaluation.plan.state is None else evaluation.plan.state.lost
     robots, losses = len(evaluation.plan.robots) - gone, evaluation.losses
-    every, none = (evaluation.figures.left[number] for number in (0, robots))
+    every, none = (evaluation.shown.left[number] for number in (0, robots))
     alone, left = len(evaluation.plan.robots) == 1, " that were left" if gone else ""
     if robots == 0:
         return "and none is left to lose"
-    if evaluation.closed_form.expected_losses == 0:
+    if float(evaluation.closed_form.stops_by_cell.sum()) == 0:
         return "and cannot be lost" if alone else "and no robot can be lost"
     if alone:
         return f"and is {'' if every.mean else 'not '}lost {_often(every if every.mean else none)}"
@@ -207,20 +225,22 @@ def gain_words(evaluation: Evaluation) -> str:
         return ""
     kept = evaluation.closed_form.visited / evaluation.tally.accessible
     covered = evaluation.visited
-    sign = 1 if covered.mean >= kept else -1
-    low, high = sorted(sign * (end - kept) for end in covered.ci95)
-    gain = Estimate(sign * (covered.mean - kept), covered.se, (low, high)).said(100, " points")
+    more = Estimate(covered.mean - kept, covered.se, (covered.ci95[0] - kept, covered.ci95[1] - kept))
+    gain = (more if more.mean >= 0 else more.negated).said(100, " points")
     return (
-        f"Giving the areas of lost robots to the others {'gains' if sign > 0 else 'loses'} {gain} over robots that "
-        f"follow their own plans alone ({percent(kept)}, exact)."
+        f"Giving the areas of lost robots to the others {'gains' if more.mean >= 0 else 'loses'} {gain} over robots "
+        f"that follow their own plans alone ({percent(kept)}, exact)."
     )
 
 
 def quantile_words(evaluation: Evaluation) -> str:
     """What the quantiles of the table are beside the headline's; nothing where that has none."""
-    if evaluation.figures.assured is None or evaluation.figures.visited.known:
+    if evaluation.shown.assured is None or evaluation.shown.visited.known:
         return ""
-    return "5 %, median, 95 %: of the runs that were done; what the headline says of 95 % of runs is sure with 95 %."
+    return (
+        'The table has the quantiles of the runs that were done; "in 95 % of runs" in the first line holds with 95 % '
+        "confidence."
+    )
 
 
 def cell_words(evaluation: Evaluation) -> Iterator[str]:
@@ -229,14 +249,17 @@ def cell_words(evaluation: Evaluation) -> Iterator[str]:
     order, total = np.argsort(-lost, kind="stable"), float(lost.sum())
     if total > 0:
         row, col = divmod(int(order[0]), world.shape[1])
-        cell, often, dangerous = f"row {row}, column {col}", f"{lost[order[0]]:.3g} a run", int((lost > 0).sum())
-        alike = dangerous > 1 and bool(np.isclose(lost[order[1]], lost[order[0]], rtol=1e-9))
-        most = f"More robots are lost in {cell} than in any other cell"
-        said = f"{f'In no cell are more robots lost than in {cell}' if alike else most}: {often}"
+        dangerous, where = int((lost > 0).sum()), f"row {row}, column {col}"
+        said = f"More robots are lost in {where} than in any other cell"
+        if dangerous == 1:
+            said = f"Robots are lost in {where} alone"
+        elif lost[order[1]] >= lost[order[0]] * (1 - ALIKE):
+            said = f"No cell costs more robots than {where}"
+        said += f": {lost[order[0]]:.3g} a run"
         few = int(np.searchsorted(np.cumsum(lost[order]), 0.5 * total - 1e-12)) + 1
         take = "takes" if few == 1 else "take"
         rest = f". {counted(few, 'cell')} of the {dangerous:,} where robots are lost {take} half of all losses."
-        yield said + rest if dangerous > 1 else f"Robots are lost in {cell} alone: {often}."
+        yield said + (rest if dangerous > 1 else ".")
     cells = np.flatnonzero(evaluation.accessible)
     rare, least = int((chance[cells] < 0.5).sum()), int(cells[np.argmin(chance[cells])])
     row, col = divmod(least, world.shape[1])
@@ -247,7 +270,8 @@ def cell_words(evaluation: Evaluation) -> Iterator[str]:
         some = f"{counted(rare, 'cell')} of {len(cells):,} {are} covered in fewer than half of the runs"
     yield f"{some}; least likely: row {row}, column {col} ({percent(float(chance[least]))}{of})."
     if out := int(world.free.sum()) - len(cells):
-        yield f"{counted(out, 'free cell')} cannot be reached by any robot; they count only in 'of all free cells'."
+        count = "it counts" if out == 1 else "they count"
+        yield f"{counted(out, 'free cell')} cannot be reached by any robot; {count} only in 'of all free cells'."
 
 
 def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
@@ -267,11 +291,14 @@ def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
         far = "Every accessible cell is near enough for the moves of some robot."
         if beyond:
             many = counted(beyond, "accessible cell")
-            far = f"{many} ({share(beyond, cells)}) are too far for the moves of any robot."
+            are = "is" if beyond == 1 else "are"
+            far = f"{many} ({share(beyond, cells)}) {are} too far for the moves of any robot."
         yield far
         if plan.comes_home:
             return
-        yield (
-            f"In the nominal run, in which nobody is lost, {rest.ended} of {robots} make "
-            "their last move and stay where they are."
-        )
+        ended, team = rest.ended, len(plan.robots)
+        who = f"{ended} of {robots} use" if ended > 1 else f"{ended} of {robots} uses" if ended else "no robot uses"
+        if ended == team:
+            who = {1: "the robot uses", 2: "both robots use"}.get(team, f"all {robots} use")
+        up = "up their range and stay where they are" if ended > 1 else "up its range and stays where it is"
+        yield f"In the run in which nobody is lost, {who} {up if ended else 'up its range'}."

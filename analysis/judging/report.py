@@ -9,7 +9,7 @@ from analysis.report.answer import json_end
 from analysis.report.blocks import KeyFigure, Part, Report
 from analysis.report.words import asked, map_words, share_figure
 from planner.files import Json
-from planner.shown import counted
+from planner.shown import ceiled, counted
 
 
 def report(judged: Judged) -> Report:
@@ -17,19 +17,19 @@ def report(judged: Judged) -> Report:
     robots = len(judged.starts)
     score = [] if judged.score is None else [KeyFigure(judged.score.columns(100.0)[0] + " %", "score")]
     table = make_table(("", "visited, %", "from .. to", "lost", "policy ahead, points"))
-    table.add_row("the policy", *judged.coverage.columns(100.0), judged.losses.columns()[0], "")
+    table.add_row("the policy", *judged.coverage.columns(100.0, 100), judged.losses.columns()[0], "")
     for name, plan in judged.plans.items():
         ahead = plan.ahead.said(100)
-        table.add_row(name, *plan.coverage.columns(100.0), plan.losses.columns()[0], ahead)
-    table.add_row(judged.walk, *judged.random.columns(100.0), "", "")
-    table.add_row("no strategy exceeds", f"{100 * judged.bound:.2f}", "proven", "", "")
+        table.add_row(name, *plan.coverage.columns(100.0, 100), plan.losses.columns()[0], ahead)
+    table.add_row(judged.walk, *judged.random.columns(100.0, 100), "", "")
+    table.add_row("no strategy exceeds", ceiled(judged.bound).removesuffix(" %"), "proven", "", "")
     note = f"score: (policy - {judged.walk}) / (bound - {judged.walk}); all on the same luck, ended at the same step"
     return Report(
         "policy", "judge", asked(judged.world, robots, "what is the policy worth?"), headline(judged),
         lambda: _json(judged), figures=[share_figure(judged.coverage, "visited on average"), *score],
         heading=(map_words(judged.world, judged.cells, robots),
                  f"{counted(judged.choices.rollouts, 'rollout')}, seed {judged.choices.seed}, at most "
-                 f"{judged.max_steps:,} steps{judged.world.pace.also(judged.max_steps)}"),
+                 f"{judged.world.pace.steps(judged.max_steps)}"),
         parts=[Part("On the same luck", [table], [note])], pace=judged.world.pace,
     )  # fmt: skip
 
@@ -39,7 +39,7 @@ def headline(judged: Judged) -> str:
     best = max(judged.plans.items(), key=lambda item: item[1].coverage.mean, default=None)
     beside = "" if best is None else f"; `{best[0]}`: {percent(best[1].coverage.mean)}"
     said = "a random walk" if judged.walk == "random walk" else judged.walk
-    walk, bound = percent(judged.random.mean), percent(judged.bound)
+    walk, bound = percent(judged.random.mean), ceiled(judged.bound, 1)
     return f"It covers {judged.coverage.said(100, ' %')}{beside}; {said}: {walk}, no strategy more than {bound}."
 
 

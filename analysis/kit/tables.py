@@ -39,7 +39,9 @@ class FittedTable(Table):
             yield self._part(places, self._widths(places, sizes, options.max_width), "" if number else self.title)
         if gone:
             names = ", ".join(map(self._named, sorted(gone)))
-            yield Text(f"left out in {options.max_width} columns: {names}; a wider window, --out or --json has it")
+            has = "has it" if len(gone) == 1 else "have them"
+            room = f"left out, as {options.max_width} characters have no room"
+            yield Text(f"{room}: {names}; a wider window, --out and --json {has}")
 
     def _named(self, place: int) -> str:
         """A column's header; of those that share one, with that of the column before, which it goes with."""

@@ -15,6 +15,7 @@ from analysis.report.answer import json_end
 from analysis.report.blocks import Part, Report
 from analysis.sweeps.by_map import FIGURES
 from planner.files import Json
+from planner.shown import counted
 from planner.worlds.generate import Kind
 
 NOTE = (
@@ -30,8 +31,10 @@ def report(study: Study) -> Report:
     charts = {policy: [_chart(study, kind, policy) for kind in kinds] for policy in policies}
     return Report(
         question.name, "reproduce", question.title, headline(study), partial(study_json, study),
-        heading=[f"{study.maps:,} maps a point, {study.rollouts:,} rollouts a map, first seed {study.seed}"],
-        took=[f"{finished.seconds:.0f} s: {finished.rollouts:,} rollouts run, {finished.reused:,} from the store"],
+        heading=[
+            f"{counted(study.maps, 'map')} a point, {counted(study.rollouts, 'rollout')} a map, first seed {study.seed}"
+        ],
+        took=[finished.said],
         parts=(
             Part("Coverage", [ways_table(study)], drawn=lambda: [one for pair in charts.values() for one in pair]),
             Part("What lies between", [less_table(study), gains_table(study)], [NOTE]),
@@ -64,7 +67,7 @@ def ways_table(study: Study) -> Table:
     """What every team covers, by way."""
     table = _table("Visited, %", list(study.question.ways))
     for team in study.teams:
-        table.add_row(*_named(team), *(study.estimate(team, way).around(100) for way in study.question.ways))
+        table.add_row(*_named(team), *(study.estimate(team, way).around(100, most=100) for way in study.question.ways))
     return table
 
 

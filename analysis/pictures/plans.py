@@ -18,7 +18,7 @@ from analysis.pictures.robots import MOST_LABELS, MOST_LEVELS, group_labels, lan
 from analysis.pictures.style import FAINT, INK, Key, Look, ThreatScale, cell_points, robot_style, threat_scale
 from planner.none import NO_AREA
 from planner.plans.plan import Plan
-from planner.shown import counted
+from planner.shown import chance, counted
 from planner.worlds.levels import ThreatLevels, find_levels
 from planner.worlds.world import World
 
@@ -66,7 +66,7 @@ def level_scale(levels: NDArray[np.float64], known: ThreatScale) -> Look:
     """The scale of a `Key` for a map's levels `[L]`, in steps, with its ticks and their words."""
     number = len(levels)
     every = -(-number // MOST_LABELS)
-    labels = ["safe", *(f"{100 * value:.3g} %" for value in levels[1:])]
+    labels = ["safe", *map(chance, levels[1:])]
     return {
         "scale": ScalarMappable(BoundaryNorm(np.arange(number + 1) - 0.5, number), ListedColormap(known.at_levels)),
         "ticks": np.arange(number, dtype=np.float64),

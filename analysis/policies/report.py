@@ -27,6 +27,7 @@ from analysis.report.answer import json_end
 from analysis.report.blocks import Part, Report
 from analysis.sweeps.by_map import FIGURES
 from planner.files import Json
+from planner.shown import counted, in_percent
 from planner.worlds.generate import Kind
 
 LISTED = 6
@@ -40,8 +41,10 @@ def report(study: Study) -> Report:
     gains, charts = [_gains(study, kind) for kind in KINDS], [one for pair in fronts.values() for one in pair]
     return Report(
         "policies", "reproduce", "What policies bring", headline(study), partial(study_json, study),
-        heading=[f"{maps} maps a point, {study.rollouts:,} rollouts a map, first seed {study.seed}"],
-        took=[f"{finished.seconds:.0f} s: {finished.rollouts:,} rollouts run, {finished.reused:,} from the store"],
+        heading=[
+            f"{counted(maps, 'map')} a point, {counted(study.rollouts, 'rollout')} a map, first seed {study.seed}"
+        ],
+        took=[finished.said],
         parts=(
             Part("Gains", [gains_table(study)], drawn=lambda: gains),
             Part("Coverage against losses", [front_table(study, robots) for robots in FRONT_TEAMS],
@@ -70,7 +73,7 @@ def _front(study: Study, robots: int, kind: Kind) -> Chart:
         lost = [study.estimate(setting, "losses").mean for setting in settings]
         seen = [100 * study.estimate(setting, "visited").mean for setting in settings]
         series.append(Series(name, lost[::-1], seen[::-1], dashed=name != "per_cell with a worth"))
-    title = f"Coverage against losses, {robots} robots, {kind}"
+    title = f"Coverage against losses, {counted(robots, 'robot')}, {kind}"
     return Chart(title, tuple(series), "robots lost", "covered", unit="%", y_range=(0.0, 100.0), x_digits=1)
 
 
@@ -110,10 +113,10 @@ def gains_table(study: Study) -> Table:
 def _add_gains(table: Table, study: Study, name: str, robots: int, settings: tuple[Setting, ...]) -> None:
     gains = [study.gain(setting).around(100, "+") for setting in settings[1:]]
     steps = " / ".join(f"{study.estimate(setting, 'time').mean:.0f}" for setting in settings)
-    whole = " / ".join(f"{100 * study.estimate(setting, 'complete').mean:.1f}" for setting in settings)
+    whole = " / ".join(in_percent(study.estimate(setting, "complete").mean) for setting in settings)
     gap = study.gap(best_of(study, settings)) if settings[0].side != LARGE else None
     left = "" if gap is None else gap.around(100, "+")
-    paper = f"{100 * study.estimate(settings[0], 'visited').mean:.1f}"
+    paper = in_percent(study.estimate(settings[0], "visited").mean)
     table.add_row(name, str(robots), paper, *[*gains, ""][:2], steps, whole, left)
 
 
@@ -125,14 +128,14 @@ def best_of(study: Study, settings: tuple[Setting, ...]) -> Setting:
 def front_table(study: Study, robots: int) -> Table:
     """What is covered, lost and how long it takes: `per_cell` over its worth, `mrac` cut off."""
     columns = ("policy", *(name for kind in KINDS for name in (f"{kind}, %", "lost", "steps")))
-    title = f"Coverage against losses, {robots} robots"
+    title = f"Coverage against losses, {counted(robots, 'robot')}"
     table = make_table(columns, title, left=("policy",), padding=(0, 1, 0, 0))
     for of in (ladder, cuts):
         for settings in zip(*(of(kind, robots) for kind in KINDS), strict=True):
             shown: list[str] = []
             for setting in settings:
                 losses, steps = (study.estimate(setting, figure).mean for figure in ("losses", "time"))
-                shown += [study.estimate(setting, "visited").around(100), f"{losses:.1f}", f"{steps:.0f}"]
+                shown += [study.estimate(setting, "visited").around(100, most=100), f"{losses:.1f}", f"{steps:.0f}"]
             table.add_row(settings[0].name, *shown)
     return table
 
@@ -162,8 +165,8 @@ def worse_line(study: Study, kind: Kind, robots: int) -> str:
     more = f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
     sure = sum(one.errors > 3 for one in found)
     return (
-        f"per_cell over a point worse: {kind}, k = {robots}: {len(found)} of {study.maps(setting)} maps, {sure} "
-        f"of them beyond 3 standard errors: {named}{more}"
+        f"per_cell over a point worse: {kind}, k = {robots}: {len(found)} of {counted(study.maps(setting), 'map')}, "
+        f"{sure} of them beyond 3 standard errors: {named}{more}"
     )
 
 

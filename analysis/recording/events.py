@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from planner.bearing import PLAIN
 from planner.none import NO_AREA
 from planner.plans.plan import Plan
-from planner.shown import counted
+from planner.shown import chance, counted, share
 from planner.tally import Outcome
 from planner.trace import EventKind, Trace
 from planner.worlds.world import World
@@ -84,14 +84,14 @@ def _stopped_by(robot: int, step: int, cell: NDArray, world: World, plan: Plan |
     if bearing.shape == 1 and not bearing.is_even:
         p = bearing.first_chance(p, robot)
     if world.movers is None:
-        return f"threat {100 * p:.3g} %"
-    return f"threat {100 * p:.3g} %, or a mover" if p else "by a mover"
+        return f"threat {chance(p)}"
+    return f"threat {chance(p)}, or a mover" if p else "by a mover"
 
 
 def end_text(trace: Trace, visited: int, survived: int, accessible: int, alive: int) -> str:
     """How a rollout ended."""
-    share, passed = 100 * visited / accessible, 100 * survived / accessible
+    seen, passed = share(visited, accessible), share(survived, accessible)
     return (
-        f"rollout {trace.rollout} ends: {trace.outcome.name.lower()} at step {trace.time}, {share:.1f} % visited, "
-        f"{passed:.1f} % survived, {alive} of {trace.cells.shape[1]} robots alive"
+        f"rollout {trace.rollout} ends: {trace.outcome.name.lower()} at step {trace.time}, {seen} visited, "
+        f"{passed} survived, {alive} of {trace.cells.shape[1]} robots alive"
     )

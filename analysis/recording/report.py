@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict
+from fractions import Fraction
 from pathlib import Path
 
 from rich.table import Table
@@ -16,7 +17,7 @@ from analysis.recording.replay import ENDS_EARLY, Replayed
 from analysis.report.blocks import Part, Report
 from planner.arguments import argument
 from planner.files import Json
-from planner.shown import counted
+from planner.shown import counted, in_percent
 from planner.trace import EventKind
 
 MOST_LINES = 40
@@ -44,7 +45,7 @@ def _rollouts_table(done: Recorded) -> Table:
     table = make_table(columns, left=("picked as", "ends"), dropped=("events", "survived, %"))
     for row in done.rows:
         ends = "all lost" if row.outcome == "stopped" else row.outcome.replace("_", " ")
-        shares = (f"{100 * count / cells:.1f}" for count in (row.visited, row.survived))
+        shares = (in_percent(Fraction(count, cells)) for count in (row.visited, row.survived))
         times = (str(row.time), *[f"{pace.minutes * row.time:,.1f}"] * bool(pace))
         table.add_row(str(row.rollout), ", ".join(row.picks), ends, *times, *shares, str(row.alive), str(row.events))
     return table

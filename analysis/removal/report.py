@@ -11,10 +11,10 @@ from analysis.kit.tables import make_table
 from analysis.removal.answer import Clearing
 from analysis.removal.threat import Gain, Threat, Weighed, by_cell
 from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
-from analysis.report.words import asked, luck_words, map_words, search_end, source_words
+from analysis.report.words import asked, luck_words, map_words, search_end, sourced
 from planner.arguments import exactly
 from planner.files import Json
-from planner.shown import counted
+from planner.shown import chance, counted
 
 KINDS = {"areas": "connected areas of danger", "sources": "polygons, points and sites of the scenario"}
 KINDS_OF_GAIN = {"cells": "Cells", "of value": "Value"}
@@ -45,36 +45,41 @@ def headline(clearing: Clearing) -> str:
     picks, gain = clearing.picks, clearing.gain
     first = f"Best found to clear first: {place_words(clearing, picks[0])}"
     if gain is None:
-        return f"Interrupted. {first}: {_said(clearing, clearing.turns[0].picked.known)} more, on what chose it."
+        return f"Interrupted. {first}: {_more(clearing, clearing.turns[0].picked.known)}, on what chose it."
     if len(picks) > 1:
         first = f"Best found to clear, in this order: {', '.join(threat.name for threat in picks)}"
-    return f"{first}: {_said(clearing, gain)} more on average, after replanning."
+    return f"{first}: {_more(clearing, gain)} on average, after replanning."
 
 
 def place_words(clearing: Clearing, threat: Threat) -> str:
     """A threat by name, size, chance and place."""
     row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
     most = "" if threat.thing is None else "at most "
-    return f"{threat.name} ({counted(len(threat.cells), 'cell')} of {most}{100 * threat.p:.3g} % from [{row}, {col}])"
+    at = f"{'' if len(threat.cells) == 1 else 'from '}row {row}, column {col}"
+    return f"{threat.name} ({counted(len(threat.cells), 'cell')}, {most}p = {chance(threat.p)}, {at})"
 
 
 def _said(clearing: Clearing, gain: Gain | None) -> str:
     return "" if gain is None else gain.counted.said(unit=f" {clearing.unit}")
 
 
+def _more(clearing: Clearing, gain: Gain | None) -> str:
+    return "" if gain is None else gain.counted.more(unit=f" {clearing.unit}")
+
+
 def findings(clearing: Clearing) -> Iterator[str]:
     """How sure that is, what the old plan wins, and what the picks add."""
     first, gain = clearing.turns[0], clearing.gain
     if gain is not None:
-        yield f"{source_words(gain.rollouts)}, after replanning: {gain.said('more')}."
+        yield sourced(gain.rollouts, f"after replanning, {gain.said('more')}.")
     yield first.certainty("worth more")
     unknown = first.best_unknown
     most, own = (_said(clearing, one.unknown) for one in (unknown, first.picked))
     then = "" if unknown is first.picked else f"; {first.picked.threat.name} is worth {own} then"
     yield f"With the old plan {unknown.threat.name} is worth most to clear: {most}{then}."
     for turn in clearing.turns[1:]:
-        gained = _said(clearing, turn.picked.known)
-        yield f"Then {place_words(clearing, turn.picked.threat)}: {gained} more than without it."
+        gained = _more(clearing, turn.picked.known)
+        yield f"Then {place_words(clearing, turn.picked.threat)}: {gained} than without it."
 
 
 def _key_figures(clearing: Clearing) -> list[KeyFigure]:
@@ -125,8 +130,9 @@ def _table(clearing: Clearing) -> Table:
         threat, known = one.threat, one.known
         row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
         told = ("", "", "") if known is None else (*_columns(known), f"{known.rollouts:,}" if known.rollouts else "")
-        table.add_row(threat.name, *[f"{row},{col}"] * areas, f"{len(threat.cells)}", f"{100 * threat.p:.3g}",
-                      f"{one.hits:.3f}", f"{one.screen:.2f}", *told[:2], *_columns(one.unknown), told[2])  # fmt: skip
+        table.add_row(threat.name, *[f"{row},{col}"] * areas, f"{len(threat.cells)}",
+                      chance(threat.p).removesuffix(" %"), f"{one.hits:.3f}", f"{one.screen:.2f}", *told[:2],
+                      *_columns(one.unknown), told[2])  # fmt: skip
     return table
 
 
@@ -146,7 +152,7 @@ def _footnotes(clearing: Clearing) -> list[str]:
         "bound: how much the bound for every strategy rises. lost in it: robots a run, as things are.",
     ]
     if len(clearing.options) > SHOWN:
-        lines.append(f"{len(clearing.options) - SHOWN} further threats are in the JSON object.")
+        lines.append(f"The JSON object has {counted(len(clearing.options) - SHOWN, 'further threat')}.")
     if clearing.remove == "sources":
         lines.append("p: the largest of the threat alone; where others overlap it, theirs stays.")
     return lines

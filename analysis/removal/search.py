@@ -122,4 +122,4 @@ def find_clearing(
 def _notes(threats: int, simulated: int) -> tuple[str, ...]:
     if threats <= simulated:
         return ()
-    return (f"of {threats} threats, those {simulated} by which the bound rises most were planned for anew",)
+    return (f"of {counted(threats, 'threat')}, those {simulated} by which the bound rises most were planned for anew",)

@@ -74,11 +74,13 @@ class Gain:
 
     def said(self, more: str) -> str:
         """Beside the figure that is gone by: cells that are `more` or fewer, if that is value, and robots lost."""
-        cells = "" if self.value is None else f"{self.cells.said(unit=' cells')} {more}, "
+        words = ("more", "fewer") if more == "more" else ("fewer", "more")
+        cells = "" if self.value is None else f"{self.cells.more(unit=' cells', words=words)}, "
         even = max(map(abs, self.robots.ci95))
         if even < EVEN:
             return f"{cells}as many robots lost" + (f" (± {even:.1g})" if even >= EVEN / 10 else "")
-        return f"{cells}{self.robots.said()} robots lost {'fewer' if more == 'more' else 'more'}"
+        lost = self.robots if self.robots.mean >= 0 else self.robots.negated
+        return f"{cells}{lost.said()} robots lost {words[self.robots.mean >= 0]}"
 
     def to_json(self) -> Json:
         """Cells, with value and robots beside them."""

@@ -36,14 +36,14 @@ def luck_words(world: World, choices: RolloutChoices, engine: str, rolled: str =
     return (f"{rolled}seed {choices.seed}, {engine}" if engine else EXACT) + ends
 
 
-def source_words(rollouts: int) -> str:
-    """Where the figures of what was found come from."""
-    return "Fresh rollouts" if rollouts else "Exact expectation"
+def sourced(rollouts: int, said: str) -> str:
+    """Where the figures of what was found come from, and they: "Exact expectation: 88.67 % covered"."""
+    return f"Fresh rollouts: {said}" if rollouts else f"Exact expectation: {said.replace(' (exact)', '')}"
 
 
 def share_figure(estimate: Estimate, name: str, note: str = "") -> KeyFigure:
     """A share as a key figure, with its interval."""
-    mean, interval = estimate.columns(100.0)
+    mean, interval = estimate.columns(100.0, 100)
     return KeyFigure(f"{mean} %", name, interval + " %" * (estimate.half_width > 0) + note)
 
 

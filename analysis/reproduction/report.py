@@ -16,6 +16,7 @@ from analysis.reproduction.points import FIGURE4, TIME_BIN, Point
 from analysis.reproduction.reproduce import Reproduction
 from analysis.reproduction.statements import Finding, StatementVerdict
 from planner.files import Json
+from planner.shown import counted
 
 TITLES = {
     "fig4": "Fig. 4: single runs on contiguous maps",
@@ -64,9 +65,10 @@ def report(answer: Reproduction) -> Report:
         "reproduction", "reproduce", "The paper's experiments, again", said,
         lambda: {"answer": said} | reproduction_json(answer),
         heading=[
-            f"{answer.maps:,} maps a point, {answer.rollouts:,} rollouts a map and loop, first seed {answer.seed}"
+            f"{counted(answer.maps, 'map')} a point, {counted(answer.rollouts, 'rollout')} a map and loop, "
+            f"first seed {answer.seed}"
         ],
-        took=[f"{finished.seconds:.0f} s: {finished.rollouts:,} rollouts run, {finished.reused:,} from the store"],
+        took=[finished.said],
         parts=(
             Part("Statements", [_statements(answer.findings)] if answer.findings else (), [DEVIATION]),
             Part("Points", [_points(figure, answer.of(figure)) for figure in over], [POINTS] if over else (),
@@ -106,8 +108,8 @@ def _runs(points: list[Point], what: str) -> Chart:
     for point in points:
         counts, (coverage, steps) = np.trim_zeros(point.runs[what], "b"), FIGURE4[point.robots]
         at = (1 if covered else TIME_BIN) * np.arange(len(counts))
-        series.append(Series(f"{point.robots} robots", at, 100 * counts / counts.sum(), kind="step"))
-        marks.append((100 * coverage if covered else steps, f"the paper's, {point.robots} robots"))
+        series.append(Series(counted(point.robots, "robot"), at, 100 * counts / counts.sum(), kind="step"))
+        marks.append((100 * coverage if covered else steps, f"the paper's, {counted(point.robots, 'robot')}"))
     axis = "coverage of the free cells, %" if covered else "steps"
     return Chart(f"{TITLES['fig4']}: {what}", tuple(series), axis, "runs, %", unit="%", at_x=tuple(marks))
 

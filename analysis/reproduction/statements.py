@@ -18,7 +18,7 @@ from scipy.special import ndtri
 
 from analysis.reproduction.points import FIGURE4, Point
 from analysis.statistics.estimate import over_maps
-from planner.shown import counted
+from planner.shown import counted, in_percent, percent
 
 PAPER_MAPS = 500
 """Maps a point in the paper, one run each (section 7)."""
@@ -66,12 +66,12 @@ def _figure4(points: Sequence[Point]) -> Iterator[Finding]:
         coverage, steps = FIGURE4[point.robots]
         for loop, how in LOOPS:
             shares = [float(point.columns["share", loop, name].mean()) for name in ("coverage", "time")]
-            less, faster = (f"{100 * share:.1f} %" for share in shares)
+            less, faster = map(percent, shares)
             found = f"{less} of our runs cover no more of the free cells, {faster} take no longer"
             least = 0.5 / (len(point.columns["share", loop, "time"]) * point.rollouts)
             deviation = max((float(ndtri(np.clip(share, least, 1 - least))) for share in shares), key=abs)
             verdict = StatementVerdict.REPRODUCED if abs(deviation) <= ENOUGH else StatementVerdict.NOT_REPRODUCED
-            said = f"one map, {point.robots} robots: {100 * coverage:.2f} % in {steps} steps{how}"
+            said = f"one map, {counted(point.robots, 'robot')}: {100 * coverage:.2f} % in {counted(steps, 'step')}{how}"
             yield Finding("Fig. 4", said, found, deviation, verdict)
 
 
@@ -132,7 +132,7 @@ def _number(figure: str, statement: str, point: Point, said: float, loop: str = 
     rounding = 0.01 / math.sqrt(12)
     deviation = (ours.mean - said) / math.sqrt(ours.se**2 + paper**2 + rounding**2)
     verdict = StatementVerdict.REPRODUCED if abs(deviation) <= ENOUGH else StatementVerdict.NOT_REPRODUCED
-    return Finding(figure, statement, f"{100 * ours.mean:.1f} +- {100 * ours.se:.1f} %", deviation, verdict)
+    return Finding(figure, statement, f"{in_percent(ours.mean)} +- {100 * ours.se:.1f} %", deviation, verdict)
 
 
 Gap = tuple[float, float]

@@ -16,7 +16,7 @@ from analysis.standings.standing import RANDOM, Played, Row, Standing
 from analysis.standings.worlds import suite_world
 from analysis.statistics.estimate import Estimate
 from planner.files import Json
-from planner.shown import counted
+from planner.shown import ceiled, counted, in_percent
 
 RANKS = ("rank", "", "score, %", "behind, points", "visited, %", "lost, %", "first on", "worlds")
 NOTES = (
@@ -65,18 +65,17 @@ def headline(standing: Standing) -> str:
     return f"{said}."
 
 
-def _half(estimate: Estimate | None) -> str:
+def _half(estimate: Estimate | None, most: int | None = None) -> str:
     """ "97.3 ± .2", times 100."""
     if estimate is None or not np.isfinite(estimate.mean):
         return "-"
-    half, digits = 100 * estimate.half_width, max(1, estimate.digits(100))
-    return f"{100 * estimate.mean:.{digits}f}" + (f" ± {half:.{digits}f}" if half > 0 and np.isfinite(half) else "")
+    return estimate.around(100, most=most, digits=max(1, estimate.digits(100)))
 
 
 def _ranked(row: Row) -> tuple[str, ...]:
     behind = "" if row.rank == 1 else _half(row.behind)
     rank = "-" if row.rank is None else str(row.rank)
-    shares = (f"{100 * row.coverage:.1f}", f"{100 * row.lost:.1f}")
+    shares = (in_percent(row.coverage), in_percent(row.lost))
     return rank, row.name, _half(row.score), behind, *shares, str(row.first), str(row.worlds)
 
 
@@ -88,9 +87,9 @@ def _columns(standing: Standing) -> tuple[str, ...]:
 def _worlds(standing: Standing) -> Iterator[tuple[str, ...]]:
     names = _columns(standing)[4:]
     for played in standing.worlds:
-        optimum = "" if played.optimum is None else f"{100 * played.optimum / played.cells:.2f}"
-        bound = f"{100 * played.bound / played.cells:.2f}"
-        yield played.name, f"{played.cells:,}", bound, optimum, *(_half(played.coverage(name)) for name in names)
+        optimum = "" if played.optimum is None else in_percent(played.optimum / played.cells, 2)
+        bound = ceiled(played.bound / played.cells).removesuffix(" %")
+        yield played.name, f"{played.cells:,}", bound, optimum, *(_half(played.coverage(name), 100) for name in names)
 
 
 def _table(columns: tuple[str, ...], rows: Iterator[tuple[str, ...]]) -> Table:

@@ -14,6 +14,7 @@ from analysis.standings.search import run_suite
 from analysis.standings.standing import Standing
 from analysis.standings.worlds import choose, suite_world
 from planner.policies.rule import Rule
+from planner.shown import counted
 from planner.worlds.world import World
 
 
@@ -36,7 +37,7 @@ class Suite(Mapping[str, World]):
         return len(self.names)
 
     def __repr__(self) -> str:
-        return f"Suite of {len(self)} worlds: {', '.join(self)}"
+        return f"Suite of {counted(len(self), 'world')}: {', '.join(self)}"
 
     def judge(
         self,

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from scipy.special import bdtr, bdtrik, ndtri, stdtrit
 
 from analysis.statistics.intervals import chance_interval
-from analysis.statistics.words import between, digits_of
+from analysis.statistics.words import MOST_DIGITS, between, digits_of
 from planner.files import Json
 from planner.limits import MOST_ROLLOUTS
+from planner.shown import inside
 
 Z95 = float(ndtri(0.975))
 QUANTILES = (0.05, 0.5, 0.95)
@@ -33,6 +34,8 @@ ENOUGH = 30
 """Rollouts on the thinner side of the mean around which the allowance for what was not seen fades."""
 RARE = 100
 """Rollouts of the rarer kind up to which a probability has Clopper & Pearson's interval."""
+ROUNDED = 1e-9
+"""By how much a printed end may seem to leave what is possible."""
 FEW = 5
 """Different values that are few: then the allowance does not fade."""
 
@@ -50,33 +53,73 @@ class Estimate:
         """Half the width of the interval before it was clipped to what is possible."""
         return max(self.ci95[1] - self.mean, self.mean - self.ci95[0])
 
-    def said(self, scale: float = 1.0, unit: str = "") -> str:
+    def said(self, scale: float = 1.0, unit: str = "", most: int | None = None, least: int = 0) -> str:
         """The mean, times `scale`, with the half-width of its interval: "67.35 % ± 0.14 (95 %)"; a point is exact.
 
-        Of what was never seen, and cannot be below 0, the most that it may be: "0 % (at most 0.1 %, 95 %)".
+        With the interval itself where the half-width would leave 0 .. `most`, or go below 0 where nothing does:
+        "99.8 % (99.5 or more, 95 %)". `unit`: what is said in " %" is a share, of which the most is 100. `least`: so
+        many decimals at least.
         """
-        half, digits = scale * self.half_width, self.digits(scale)
-        if not half > 0 or not math.isfinite(half):
-            return f"{scale * self.mean:.2f}{unit}" + (" (exact)" if half == 0 else "")
-        up = f"{math.ceil(half * 10**digits - 1e-9) / 10**digits:.{digits}f}"
-        if self.mean == self.ci95[0] == 0:
-            return f"0{unit} (at most {up}{unit}, 95 %)"
-        return f"{scale * self.mean:.{digits}f}{unit} ± {up} (95 %)"
+        most, digits = 100 if unit == " %" else most, max(self.digits(scale), least)
+        mean, interval = self._figures(scale, most, digits)
+        if interval in ("", "exact"):
+            return f"{mean}{unit}" + f" ({interval})" * bool(interval)
+        half = self._half(scale, most, digits, mean)
+        return f"{mean}{unit} ± {half} (95 %)" if half else f"{mean}{unit} ({interval}, 95 %)"
 
-    def around(self, scale: float = 1.0, sign: str = "") -> str:
-        """ "67.4 ± 0.1", for a table; the mean alone where nobody knows how sure it is. `sign`: "+" shows it."""
-        half = f" ± {scale * self.half_width:.1f}" if math.isfinite(self.half_width) else ""
-        return f"{scale * self.mean:{sign}.1f}{half}"
+    def more(self, scale: float = 1.0, unit: str = "", words: tuple[str, str] = ("more", "fewer")) -> str:
+        """A difference in good words: "4.1 cells ± 0.2 (95 %) more"; below 0 "0.3 cells ± 0.2 (95 %) fewer"."""
+        return f"{(self if self.mean >= 0 else self.negated).said(scale, unit)} {words[self.mean < 0]}"
+
+    def around(self, scale: float = 1.0, sign: str = "", most: int | None = None, digits: int = 1) -> str:
+        """ "67.4 ± 0.1", for a table; the mean alone where nobody knows how sure it is. `sign`: "+" shows it.
+
+        As of `said`: "0.0 (30.0 or less)" where the half-width would leave 0 .. `most`, "67.35 (exact)".
+        """
+        mean, interval = self._figures(scale, most, digits, sign)
+        if interval in ("", "exact"):
+            return mean + f" ({interval})" * bool(interval)
+        half = self._half(scale, most, digits, mean)
+        return f"{mean} ± {half}" if half else f"{mean} ({interval})"
 
     def digits(self, scale: float = 1.0) -> int:
         """The decimals that the interval allows of the mean times `scale`; two of what is known or has no interval."""
         half = scale * self.half_width
         return digits_of(half) if half > 0 and math.isfinite(half) else 2
 
-    def columns(self, scale: float = 1.0) -> tuple[str, str]:
-        """Mean and interval, times `scale`, with the decimals that the interval allows: ("56.5", "56.4 .. 56.6")."""
-        low, high, digits = *(scale * end for end in self.ci95), self.digits(scale)
-        return f"{scale * self.mean:,.{digits}f}", "exact" if low == high else between(low, high, digits)
+    def columns(self, scale: float = 1.0, most: int | None = None) -> tuple[str, str]:
+        """Mean and interval, times `scale`, with the decimals that the interval allows: ("56.5", "56.4 .. 56.6").
+
+        `most`: the figure lies in 0 .. `most`, and neither end is claimed of what is not there (`between`, `inside`).
+        """
+        return self._figures(scale, most, self.digits(scale))
+
+    def _figures(self, scale: float, most: int | None, digits: int, sign: str = "") -> tuple[str, str]:
+        mean, (low, high) = scale * self.mean, (scale * end for end in self.ci95)
+        if most is not None and 0 <= mean <= most:  # some intervals are not clipped to what is possible
+            low, high = max(low, 0.0), min(high, float(most))
+        if most is None:
+            shown = f"{mean:{sign},.{digits}f}"
+            if low == high and mean and float(shown.replace(",", "")) == 0:
+                shown = f"{mean:{sign}.2g}"  # what is known and is not 0 is not said to be
+        else:
+            shown = inside(mean, most, digits, digits if low == high else MOST_DIGITS)
+        return shown, "exact" if low == high else between(low, high, digits, most)
+
+    def _half(self, scale: float, most: int | None, digits: int, mean: str) -> str:
+        """The half-width, rounded upwards; "" where the ends would be none that the figure can have."""
+        half = math.ceil(scale * self.half_width * 10**digits - 1e-9) / 10**digits
+        if mean[0] in "<>":
+            return ""
+        about = float(mean.replace(",", ""))
+        below = (most is not None or self.ci95[0] >= 0) and about - half < -ROUNDED
+        return "" if below or (most is not None and about + half > most + ROUNDED) else f"{half:,.{digits}f}"
+
+    @property
+    def negated(self) -> Estimate:
+        """The same the other way round."""
+        low, high = self.ci95
+        return Estimate(-self.mean, self.se, (-high, -low))
 
     def times(self, unit: float) -> Estimate:
         """The same in a unit of which one of these is so many."""

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from math import ceil, floor, isfinite, log10
 
+from planner.shown import NOTHING, inside
+
+MOST_DIGITS = 4
+"""Decimals that tell a sampled figure apart from none and all."""
+
 
 def digits_of(half: float) -> int:
     """The fewest decimals with which a figure, rounded, stays within `half` of itself: what its interval allows."""
@@ -16,20 +21,35 @@ def meant_fraction(value: object) -> str:
     return f"did you mean {value / 100:g}?" if is_percent else ""  # type: ignore[operator]
 
 
-def between(low: float, high: float, digits: int = 2) -> str:
-    """An interval as "85.60 .. 85.76", rounded outwards; "" where nothing is known."""
+def between(low: float, high: float, digits: int = 2, most: float | None = None, less: str = "less") -> str:
+    """An interval as "85.60 .. 85.76", rounded outwards; "" where nothing is known.
+
+    Of a figure in 0 .. `most`: "0.40 or less" (or "fewer") where it begins at 0, "99.60 or more" where it ends at
+    `most`.
+    """
     if not (isfinite(low) and isfinite(high)):
         return ""
     ends = (floor(low * 10**digits + 1e-6), ceil(high * 10**digits - 1e-6))
-    return " .. ".join(f"{end / 10**digits:,.{digits}f}" for end in ends)
+    down, up = (f"{end / 10**digits:,.{digits}f}" for end in ends)
+    lowest, highest = low == 0, most is not None and abs(high - most) <= NOTHING * most
+    if most is not None and (lowest or highest):
+        return f"0 .. {most:g}" if lowest and highest else f"{up} or {less}" if lowest else f"{down} or more"
+    return f"{down} .. {up}"
 
 
 def lost_words(mean: float, robots: int, digits: int = 2) -> str:
-    """A mean number of robots lost: "1.87 of 5", "all 5"; what is not quite none or all of them is never said to be."""
+    """A mean number of robots lost: "1.87 of 5", "all 5"; what is not quite none or all of them is never said to be.
+
+    One decimal at least, two where fewer would say none or all; "almost" what two decimals cannot tell apart.
+    """
     all_of_them = {1: "the robot", 2: "both robots"}.get(robots, f"all {robots}")
     if mean in (0, robots):
         return all_of_them if mean else f"none of {robots}"
-    near = round(mean, digits)
-    if near >= robots or near <= 0:
+    if min(near := round(mean, 2), robots - near) <= 0:
         return f"almost {'always ' * (robots == 1)}{all_of_them}" if near else f"almost none of {robots}"
-    return f"{mean:.{digits}f} of {robots}"
+    return f"{of_all(mean, robots, digits)} of {robots}"
+
+
+def of_all(mean: float, robots: int, digits: int = 2) -> str:
+    """A mean number of so many robots in figures: "1.87", "> 4.99"; one decimal at least, two where few would lie."""
+    return inside(mean, robots, max(digits, 1), 2)

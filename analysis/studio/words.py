@@ -34,7 +34,8 @@ def headline(robots: int, mean: Estimate, losses: Estimate, alone: bool = False)
     covers = f"{counted(robots, 'robot covers', 'robots cover')} {without_level(coverage(mean))} of what can be reached"
     if alone:
         covers = f"If nobody took over, {counted(robots, 'robot')} would cover {without_level(coverage(mean))}"
-    return f"{covers}; {losses_shown(losses, robots)[0]} {'is' if robots == 1 else 'are'} lost."
+    lost = lost_words(losses.mean, robots, min(losses.digits(), 2))
+    return f"{covers}; {lost} {'is' if robots == 1 else 'are'} lost."
 
 
 def coverage(mean: Estimate) -> str:
@@ -68,12 +69,14 @@ def knowledge_figures(found: Sequence[Measured]) -> list[Figure]:
     told, learning, *blind = found
     unit = 1.0 / told.largest("visited")
 
-    def figure(more: Measured, less: Measured, name: str, known: str, team: Measured) -> Figure:
-        alone = percent(team.mean("visited", unit).mean)
-        return Figure(more.ahead(less, "visited", unit).said(100.0, " points"), name, f"{known}, they cover {alone}")
+    def figure(more: Measured, less: Measured, names: tuple[str, str], known: str, team: Measured) -> Figure:
+        alone, ahead = percent(team.mean("visited", unit).mean), more.ahead(less, "visited", unit)
+        name, ahead = (names[0], ahead) if ahead.mean >= 0 else (names[1], ahead.negated)
+        return Figure(ahead.said(100.0, " points"), name, f"{known}, they cover {alone}")
 
-    costs = figure(told, learning, "not knowing costs", "told the map", told)
-    return [costs, *(figure(learning, one, "to look is worth", "blind", one) for one in blind)]
+    costs = figure(told, learning, ("not knowing costs", "not knowing gains"), "told the map", told)
+    looking = ("to look is worth", "to look costs")
+    return [costs, *(figure(learning, one, looking, "blind", one) for one in blind)]
 
 
 def deadline_figures(

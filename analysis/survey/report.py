@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,7 @@ from analysis.survey.survey import Row, Survey, survey_starts, survey_world
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.verdicts import Verdict
 from planner.files import Json
-from planner.shown import counted
+from planner.shown import counted, in_percent, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,7 +41,7 @@ def report(survey: Survey) -> Report:
             Part("Over the size of the team", drawn=lambda: _charts(survey)),
             Part("Every formula", [_table(survey, *one) for one in TABLES.items()], _footnotes(survey), unfolded=True),
         ),
-        warnings=(f"Interrupted after {survey.worlds:,} worlds.",) if survey.partial else (),
+        warnings=(f"Interrupted after {counted(survey.worlds, 'world')}.",) if survey.partial else (),
         settings=survey.choices.settings.shown(), took=[f"{survey.seconds:.0f} s"],
         again="World number i has the seed of the first plus i: the number of processes changes nothing.",
         pictures={"bound_against_truth.png": partial(_scatter, survey), "over_robots.png": partial(_charts, survey)},
@@ -52,12 +53,12 @@ def report(survey: Survey) -> Report:
 def headline(survey: Survey) -> str:
     """The answer in one sentence: which of the paper's formulas fail somewhere, and whether anything proven does."""
     paper = {row.check.formula for row in survey.rows if row.check.about.paper}
-    worlds = f"{survey.worlds:,} {survey.choices.kind} worlds"
+    worlds = counted(survey.worlds, f"{survey.choices.kind} world")
     said = (
         f"{len(survey.failing)} of the paper's {len(paper)} formulas, every reading counted, fail on some of {worlds}"
     )
     parts = [
-        f"{FORMULAS[key].title} on up to {100 * row.fails.mean:.1f} % (k = {row.robots})"
+        f"{FORMULAS[key].title} on up to {percent(row.fails.mean)} (k = {row.robots})"
         for key, row in survey.failing.items()
     ]
     said += f": {'; '.join(parts)}" if parts else ""
@@ -75,7 +76,7 @@ def _heading(survey: Survey) -> list[str]:
     return [
         f"{survey.said}, "
         f"{', '.join(map(str, choices.teams))} robots, seeds {first} to {first + choices.worlds - 1}; closed loop: "
-        f"{survey.rollouts.rollouts:,} rollouts a world and team"
+        f"{counted(survey.rollouts.rollouts, 'rollout')} a world and team"
     ]
 
 
@@ -104,8 +105,8 @@ def _rows(survey: Survey, cell: Callable[[Row], str]) -> Iterator[tuple[str, str
 
 def _shares(row: Row) -> str:
     """ "79.2/4.2"; "-" where neither happens, "?" after it where a world is undecided."""
-    fails, vacuous = (100 * row.verdicts[verdict] / row.worlds for verdict in (Verdict.FAILS, Verdict.VACUOUS))
-    shown = f"{fails:.3g}/{vacuous:.3g}" if fails or vacuous else "-"
+    counts = [row.verdicts[verdict] for verdict in (Verdict.FAILS, Verdict.VACUOUS)]
+    shown = "/".join(in_percent(Fraction(count, row.worlds)) for count in counts) if any(counts) else "-"
     return shown + ("?" if row.verdicts[Verdict.UNDECIDED] else "")
 
 
@@ -143,7 +144,7 @@ def _key_figures(survey: Survey) -> tuple[KeyFigure, ...]:
         KeyFigure(f"{len(failing)} of {len(paper)}", "of the paper's formulas fail somewhere", "every reading counted"),
         KeyFigure(f"{len({check.formula for _, _, check in survey.faults})}", "of what is proven fails",
                   f"ours: {len(ours)} bounds"),
-        KeyFigure(f"{sum(row.worlds for row in rows):,}", "comparisons", f"on {survey.worlds:,} worlds"),
+        KeyFigure(f"{sum(row.worlds for row in rows):,}", "comparisons", f"on {counted(survey.worlds, 'world')}"),
     )  # fmt: skip
 
 

@@ -39,6 +39,7 @@ from planner.kernels.tables import AllPairs
 from planner.plan_team import plan_team
 from planner.plans.plan import Plan
 from planner.settings import Choices, Settings
+from planner.shown import counted
 from planner.tally import Tally
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts
@@ -124,7 +125,8 @@ class Survey(Answer):
     @property
     def said(self) -> str:
         """ "200 contiguous worlds of 20 x 20 cells"."""
-        return f"{self.worlds:,} {self.choices.kind} worlds of {self.choices.height} x {self.choices.width} cells"
+        worlds = counted(self.worlds, f"{self.choices.kind} world")
+        return f"{worlds} of {self.choices.height} x {self.choices.width} cells"
 
     @cached_property
     def rows(self) -> list[Row]:

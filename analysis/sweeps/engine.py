@@ -23,6 +23,7 @@ from analysis.sweeps.tasks import RunResult, Stream, Task, Wanted, run_task, run
 from planner.errors import UsageError
 from planner.limits import BLOCK, MOST_ROLLOUTS
 from planner.luck_names import LuckName
+from planner.shown import counted
 
 SHARE = 16_384
 """Rollouts of a model in one task on a map of at most 400 cells; fewer on larger ones, where each takes longer."""
@@ -89,6 +90,11 @@ class Finished:
     reused: int
     seconds: float
     partial: bool = False
+
+    @property
+    def said(self) -> str:
+        """In a line."""
+        return f"{self.seconds:.0f} s: {counted(self.rollouts, 'rollout')} run, {self.reused:,} from the store"
 
 
 class Swept(Answer):

@@ -21,7 +21,7 @@ from analysis.sweeps.rows import DIFFERENCES, EXACT, FIGURES, FRACTIONS, Row
 from analysis.sweeps.sweep import Sweep
 from planner.arguments import argument
 from planner.files import Json
-from planner.shown import counted, duration
+from planner.shown import counted, duration, in_percent
 
 NAMES = {
     "visited": "cells visited, of the accessible ones",
@@ -91,7 +91,7 @@ def done_words(sweep: Sweep) -> str:
     """How much was done, and how sure it is, in one sentence."""
     finished = sweep.finished
     on = "one map" if sweep.spec.maps is None else counted(max(row.maps for row in sweep.rows), "map")
-    ran = f"{finished.rollouts:,} rollouts run" if finished.rollouts else "nothing to run"
+    ran = f"{counted(finished.rollouts, 'rollout')} run" if finished.rollouts else "nothing to run"
     reused = f", {finished.reused:,} taken from the store" if finished.reused else ""
     begins = "Interrupted: " if sweep.partial else ""
     said = f"{begins}{counted(len(sweep.rows), 'setting')} on {on}: {ran}{reused} in {duration(finished.seconds)}"
@@ -112,7 +112,7 @@ def notes_of(sweep: Sweep) -> list[str]:
         notes.append(f"{argument('precision')} was not reached with all maps and rollouts that there are")
     cut = sum(row.timeouts for row in sweep.rows)
     if cut:
-        notes.append(f"{cut:,} rollouts ended at max_steps or a deadline (timeout), not of themselves")
+        notes.append(f"{counted(cut, 'rollout')} ended at max_steps or a deadline (timeout), not of themselves")
     return notes
 
 
@@ -122,6 +122,8 @@ def _rows_part(rows: Sequence[Row], charted: bool = False) -> Part:
     if len(counts) == 1:
         maps, rollouts = counts.pop()
         notes.append(f"Each row: {counted(maps, 'map')}, {counted(rollouts, 'rollout')}.")
+    if any(row.difference("visited") is not None for row in rows[1:]):
+        notes.append("more than first: visited coverage less that of the first row, in points, on the same maps")
     if any(row.maps == 1 for row in rows):
         where = "±" if all(row.maps == 1 for row in rows) else "where there is 1 map, ±"
         notes.append(f"{where} (95 %) is the luck of the rollouts on that map; other maps are not in it")
@@ -139,32 +141,30 @@ def rows_table(rows: Sequence[Row]) -> Table:
     uneven, compared = len(set(counts)) > 1, any(row.difference("visited") is not None for row in rows[1:])
     labels = [name.replace("_", " ") for name in names]
     figures = (*(("maps", "rollouts") if uneven else ()), "visited, %", "survived, %", "open, %", "complete, %", "time")
-    columns = (*labels, *figures, *(("- first, %",) if compared else ()))
+    columns = (*labels, *figures, *(("more than first, points",) if compared else ()))
     table = make_table(columns, left=labels, dropped=("open, %", "survived, %", "complete, %"))
     for number, row in enumerate(rows):
         cells = [shown(row.labels.get(name)) for name in names]
         cells += [f"{row.maps:,}", f"{row.rollouts:,}"] if uneven else []
         cells += [percent(row.estimate("visited")), percent(row.estimate("survived"))]
         known = row.known("exact visited")
-        cells += ["" if known is None else f"{100 * known.mean:.2f}", percent(row.estimate("complete"))]
+        cells += ["" if known is None else in_percent(known.mean, 2), percent(row.estimate("complete"))]
         cells.append(around(row.estimate("time")))
         if compared:
             change = row.difference("visited") if number else None
-            cells.append("" if change is None else f"{'+' if change.mean > 0 else ''}{percent(change)}")
+            cells.append("" if change is None else change.around(100, "+", digits=2 if change.half_width < 0.01 else 1))
         table.add_row(*cells)
     return table
 
 
 def percent(estimate: Estimate) -> str:
     """A fraction with its interval, in percent."""
-    digits = 2 if estimate.half_width < 0.01 else 1
-    return f"{100 * estimate.mean:.{digits}f} ± {100 * estimate.half_width:.{digits}f}"
+    return estimate.around(100, most=100, digits=2 if estimate.half_width < 0.01 else 1)
 
 
 def around(estimate: Estimate) -> str:
     """A mean with its interval."""
-    digits = 1 if estimate.half_width < 10 else 0
-    return f"{estimate.mean:,.{digits}f} ± {estimate.half_width:,.{digits}f}"
+    return estimate.around(digits=1 if estimate.half_width < 10 else 0)
 
 
 def _charts(rows: Sequence[Row], figures: Sequence[str]) -> list[Chart]:

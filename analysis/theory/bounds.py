@@ -123,8 +123,12 @@ def eq2_printed(robots: list[RobotChances], makespan: int) -> float:
 
 
 def team_survival(robots: list[RobotChances]) -> float:
-    """The event that eq. (2) states, some robot alive at the end; open loop `1 - prod_i (1 - Surv(R_i))`."""
-    return float(1.0 - np.prod([1.0 - robot.survival for robot in robots]))
+    """The event that eq. (2) states, some robot alive at the end; open loop `1 - prod_i (1 - Surv(R_i))`.
+
+    By logarithms: the product of many numbers next to 1 is 1 in float64.
+    """
+    with np.errstate(divide="ignore"):  # a robot that surely survives
+        return float(-np.expm1(np.log1p([-robot.survival for robot in robots]).sum()))
 
 
 def eq4(robot: RobotChances) -> Meanings[float]:

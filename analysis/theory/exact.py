@@ -131,6 +131,7 @@ class OpenLoopExact:
         survival: float64 `[K]`, eq. (1).
         alive_chance: float64 `[K + 1]`, chance that so many robots finish.
         time_chance: float64 `[T + 1]`, chance that the last move of a live robot is made at that step.
+        losses_curve: float64 `[T + 1]`, expected robots lost by the end of each step.
     """
 
     visited_by_cell: NDArray[np.float64]
@@ -141,6 +142,7 @@ class OpenLoopExact:
     survival: NDArray[np.float64]
     alive_chance: NDArray[np.float64]
     time_chance: NDArray[np.float64]
+    losses_curve: NDArray[np.float64]
 
     @property
     def is_known(self) -> bool:
@@ -158,6 +160,11 @@ class OpenLoopExact:
         return float(self.survived_by_cell.sum())
 
     @property
+    def some_left(self) -> float:
+        """Chance that some robot finishes: a sum, as 1 minus the chance that none does would lose all below 1e-16."""
+        return float(self.alive_chance[1:].sum())
+
+    @property
     def expected_losses(self) -> float:
         """Expected robots stopped before the end of their path."""
         return float((1.0 - self.survival).sum())
@@ -171,6 +178,10 @@ class OpenLoopExact:
         """Expected cells (visited, survived) by the end of step `deadline`."""
         step = min(deadline, len(self.visited_curve) - 1)
         return float(self.visited_curve[step]), float(self.survived_curve[step])
+
+    def losses_by(self, deadline: int) -> float:
+        """Expected robots lost by the end of step `deadline`."""
+        return float(self.losses_curve[min(deadline, len(self.losses_curve) - 1)])
 
 
 FIELDS = tuple(field.name for field in fields(OpenLoopExact))
@@ -238,7 +249,8 @@ def _of_each_alone(plan: Plan, world: World) -> OpenLoopExact:
     robots = [chances_along(robot, threat) for robot, threat in zip(plan.robots, alone(plan, world), strict=True)]
     found = exact_of(plan, robots, world.threat.size)
     consumed = isinstance(world.doubt, Hazard) and world.doubt.kind == "consumed"
-    kept = () if consumed or world.movers is not None or not plan.bearing.is_plain else ("stops_by_cell", "survival")
+    of_each = ("stops_by_cell", "survival", "losses_curve")
+    kept = () if consumed or world.movers is not None or not plan.bearing.is_plain else of_each
     return OpenLoopExact(
         **{
             name: getattr(found, name) if name in kept else np.full_like(getattr(found, name), np.nan)
@@ -260,6 +272,8 @@ def exact_of(plan: Plan, robots: list[RobotChances], cells: int) -> OpenLoopExac
     at = [robot.cells[first:] for robot in robots]
     stops = np.bincount(np.concatenate(at), np.concatenate(stopped), cells).astype(np.float64)
     survival = np.array([robot.survival for robot in robots])
+    steps = np.concatenate([robot.steps for robot in robots])
+    lost = np.bincount(steps, np.concatenate([robot.reach * robot.threat for robot in robots]), horizon)
     return OpenLoopExact(
         visited_by_cell=visited,
         survived_by_cell=survived,
@@ -269,6 +283,7 @@ def exact_of(plan: Plan, robots: list[RobotChances], cells: int) -> OpenLoopExac
         survival=survival,
         alive_chance=poisson_binomial(survival),
         time_chance=_time_chance(robots, horizon),
+        losses_curve=np.cumsum(lost),
     )
 
 
@@ -293,11 +308,13 @@ def _coverage(
     """(chance of each cell `[N]`, expected new cells of each step `[T + 1]`) from the robots' first entries."""
     before, of_each = turns
     chance = np.concatenate([np.ones(before), *chances])
-    missed, gain = np.ones(cells), np.zeros(horizon)
+    covered, missed, gain = np.zeros(cells), np.ones(cells), np.zeros(horizon)
     for cell, step, now in of_each:
-        np.add.at(gain, step, missed[cell] * chance[now])
+        new = missed[cell] * chance[now]
+        np.add.at(gain, step, new)
+        covered[cell] += new  # 1 - missed would lose all below 1e-16
         missed[cell] *= 1.0 - chance[now]
-    return 1.0 - missed, gain
+    return np.minimum(covered, 1.0), gain
 
 
 def _time_chance(robots: list[RobotChances], horizon: int) -> NDArray[np.float64]:

@@ -131,10 +131,11 @@ def reach_chances(world: World, starts: ArrayLike) -> NDArray[np.float64]:
     """
     checked = check_starts(starts, world.threat, world.source)
     chosen, team = np.unique(checked, axis=0, return_counts=True)
-    missed = np.ones(world.threat.size)
-    for start, robots in zip(chosen, team.tolist(), strict=True):
-        missed *= (1.0 - best_survival(world, start[None])[0]) ** robots
-    return np.where(np.isnan(world.threat.ravel()), 0.0, 1.0 - missed)
+    missed = np.zeros(world.threat.size)  # its logarithm: 1 minus a product would lose all below 1e-16
+    with np.errstate(divide="ignore"):
+        for start, robots in zip(chosen, team.tolist(), strict=True):
+            missed += robots * np.log1p(-np.minimum(best_survival(world, start[None])[0], 1.0))
+    return np.where(np.isnan(world.threat.ravel()), 0.0, -np.expm1(missed))
 
 
 def best_survival(world: World, starts: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -73,7 +73,7 @@ def exact_truth(plan: Plan, world: World, exact: OpenLoopExact, first_only: bool
     if not (alone and exact.is_known) and not is_certain(world, plan):
         return None
     stated = None if _is_cut_off(plan) else Truth.known(1.0)
-    left, alive = Truth.known(1.0 - float(exact.alive_chance[0])), float(exact.survival.sum())
+    left, alive = Truth.known(exact.some_left), float(exact.survival.sum())
     # else it waits before it gives up, which is known of one among movers alone
     ends = world.movers is not None or (plan.state is None and plan.outcome == Outcome.COMPLETE.name.lower())
     time = exact.mean_time if ends else None

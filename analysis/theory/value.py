@@ -31,6 +31,11 @@ class Worth:
         return cls(value.ravel(), detect.ravel())
 
     @property
+    def is_plain(self) -> bool:
+        """Whether one survived visit of a cell tells what more of them would: it finds all, or nothing, or no value."""
+        return bool((((self.detect == 0) | (self.detect == 1)) | (self.value == 0)).all())
+
+    @property
     def total(self) -> float:
         """Of all free cells."""
         return float(self.value.sum())
@@ -45,7 +50,7 @@ def open_loop_found(plan: Plan, world: World) -> NDArray[np.float64]:
     `E[(1 - d)^(N_i)] = 1 - sum_j s_ij ((1 - d)^(j - 1) - (1 - d)^j) = 1 - d sum_j s_ij (1 - d)^(j - 1)`.
     """
     detect = Worth.of(world).detect
-    missed = np.ones(world.threat.size)
+    total, missed = np.zeros(world.threat.size), np.ones(world.threat.size)
     for number, path in enumerate(plan.robots):
         robot = robot_chances(path, world, plan.bearing, number)
         order = np.argsort(robot.cells, kind="stable")
@@ -54,5 +59,6 @@ def open_loop_found(plan: Plan, world: World) -> NDArray[np.float64]:
         turn = np.arange(len(cells)) - np.repeat(first, np.diff(first, append=len(cells)))
         found = np.zeros(world.threat.size)
         np.add.at(found, cells, detect[cells] * robot.passed[order] * (1.0 - detect[cells]) ** turn)
+        total += missed * found  # 1 - missed would lose all below 1e-16
         missed *= 1.0 - found
-    return 1.0 - missed
+    return np.minimum(total, 1.0)

@@ -17,7 +17,7 @@ import numpy as np
 from analysis.statistics.intervals import ROUNDING, is_at_least
 from analysis.theory.any_strategy import AnyStrategy
 from analysis.theory.bounds import Bounds, Theorem3
-from analysis.theory.exact import OpenLoopExact, open_loop_exact
+from analysis.theory.exact import OpenLoopExact, open_loop_exact, robot_chances
 from analysis.theory.formulas import FORMULAS, Direction, Formula
 from analysis.theory.optimum import optimum
 from analysis.theory.own_bounds import mended_theorem3, until_first_loss
@@ -74,7 +74,7 @@ class Check:
         """The formula with its meaning and loop, to begin a sentence with."""
         run = "nominal run" if self.loop == "nominal" else f"{self.loop} loop"
         of = f"{self.meaning}, {run}" if self.meaning else run
-        return f"{self.about.title[0].upper()}{self.about.title[1:]} ({of})"
+        return f"{self.about.title[0].upper()}{self.about.title[1:]} ({self.about.plain}; {of})"
 
     @property
     def tightness(self) -> float | None:
@@ -117,9 +117,13 @@ def make_check(
 
 def worst_of_robots(checks: Iterable[Check]) -> list[Check]:
     """One check for each key, in order: of those of several robots the one that fails most, or holds most narrowly."""
-    order = list(Verdict)
     groups = groupby(sorted(checks, key=_place), key=_place)
-    return [min(group, key=lambda check: (order.index(check.verdict), check.margin)) for _, group in groups]
+    return [min(group, key=badness) for _, group in groups]
+
+
+def badness(check: Check) -> tuple[int, float]:
+    """The less, the more a check fails, or the more narrowly it holds."""
+    return list(Verdict).index(check.verdict), check.margin
 
 
 def _place(check: Check) -> tuple[int, int, int]:
@@ -159,7 +163,7 @@ def paper_checks(plan: Plan, world: World, exact: OpenLoopExact, bounds: Bounds)
 
 def _survival_checks(exact: OpenLoopExact, bounds: Bounds) -> Iterator[Check]:
     """Eq. (2) against the distribution of the number of robots left."""
-    left = Truth.known(1.0 - float(exact.alive_chance[0]))
+    left = Truth.known(exact.some_left)
     yield make_check("eq2_printed", bounds.eq2_printed, left, "open", 1.0)
     yield make_check("eq2_event", bounds.team_survival, left, "open", 1.0)
 
@@ -167,11 +171,12 @@ def _survival_checks(exact: OpenLoopExact, bounds: Bounds) -> Iterator[Check]:
 def _alone_checks(plan: Plan, world: World, bounds: Bounds, cells: float) -> Iterator[Check]:
     """Eqs. (1), (4), (5) and (7), robot by robot, against the closed form of a team of that robot alone.
 
-    Its survival is what the chances to be stopped in each cell leave.
+    Its survival is the product of the chances to pass each entry, by their logarithms.
     """
     for number, robot in enumerate(plan.robots):
         alone = open_loop_exact(replace(plan, robots=(robot,)), world)
-        left = Truth.known(1.0 - float(alone.stops_by_cell.sum()))
+        with np.errstate(divide="ignore"):  # by logarithms: 1 minus all stops would lose what is below 1e-16
+            left = Truth.known(float(np.exp(np.log1p(-robot_chances(robot, world).threat).sum())))
         yield make_check("eq1", bounds.eq1[number], left, "open", 1.0, robot=number)
         for meaning in MEANINGS:
             truth = Truth.known(getattr(alone, meaning))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import ceil
 
 from rich.table import Table
 
@@ -18,14 +19,15 @@ from analysis.report.words import (
     run_again,
     search_end,
     share_figure,
-    source_words,
+    sourced,
     team_figure,
 )
 from analysis.statistics.coverage import losses_said
+from analysis.statistics.words import of_all
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.rules import LANDMARKS, Setting
 from planner.files import Json
-from planner.shown import counted
+from planner.shown import chance, counted, floored, in_percent
 
 TITLES = {
     "mrac": "mrac, ended early",
@@ -95,7 +97,7 @@ def _exact(points: Sequence[Point]) -> str:
 def _picked(front: Front) -> str:
     goal, again = front.goal, front.confirmed
     by_losses = goal.losses is not None
-    limit = f"{100 * (goal.target or 0):g} % or more covered on average"
+    limit = f"{chance(goal.target or 0, 12)} or more covered on average"
     if by_losses:
         limit = f"at most {goal.losses:g} of {_team(front)} lost on average"
     if again is not None:
@@ -108,7 +110,8 @@ def _picked(front: Front) -> str:
         )
     if by_losses:
         least = min(front.points, key=lambda one: (one.losses.mean, -one.coverage.mean))
-        return f"No setting has {limit}: the fewest are {least.losses.mean:.2f}, with {_named(front, least)}."
+        fewest = of_all(least.losses.mean, len(front.starts))
+        return f"No setting has {limit}: the fewest are {fewest}, with {_named(front, least)}."
     most = max(front.points, key=lambda one: one.coverage.mean)
     return f"No setting has {limit}: the most is {_percent(most)}, with {_named(front, most)}."
 
@@ -133,10 +136,10 @@ def _told(front: Front) -> list[Point]:
 def pick_lines(front: Front) -> list[str]:
     """Which settings the headline speaks of, how sure their figures are, and how to have them again."""
     told, again = _told(front), front.confirmed
-    source = source_words(not all(point.exact for point in told))
     lines = [f"{_named(front, point)}: {_fresh(front, point)}{_exact([point])}." for point in told]
     if again is not None:
-        lines = [f"Best setting found: {_named(front, again)}. {source}: {_fresh(front, again)}.", _kept(front, again)]
+        found = sourced(not again.exact, f"{_fresh(front, again)}.")
+        lines = [f"Best setting found: {_named(front, again)}. {found}", _kept(front, again)]
     if front.tried > 1 and again is not None:
         place = {2: "second", 3: "third"}.get(front.tried, f"{front.tried}th")
         lines.append(f"It is the {place} that was tried there; the confidence holds with all tries.")
@@ -155,9 +158,9 @@ def _kept(front: Front, again: Point) -> str:
     """How sure it is that the pick keeps the limit."""
     if again.exact:
         return "The limit is kept: these figures are exact."
-    bound = f"{100 * again.least:.2f} % or more is covered"
+    bound = f"{floored(again.least, 2)} or more is covered"
     if front.goal.losses is not None:
-        bound = f"{again.most:.2f} robots or fewer are lost"
+        bound = f"{ceil(100 * again.most) / 100:.2f} robots or fewer are lost"
     return f"The limit is kept with confidence 0.95: on average {bound}."
 
 
@@ -184,7 +187,7 @@ def _key_figures(front: Front) -> list[KeyFigure]:
     return [
         share_figure(again.coverage, "visited on average", "" if again.exact else ", fresh rollouts"),
         team_figure(again.losses, len(front.starts)),
-        KeyFigure(f"{steps:,.0f} steps{front.world.pace.also(steps)}", "mean time", _named(front, again)),
+        KeyFigure(front.world.pace.steps(steps), "mean time", _named(front, again)),
     ]
 
 
@@ -217,7 +220,7 @@ def _chart(front: Front, which: str) -> Chart:
         y_range=(0, 100),
         fit=True,
         at_x=limit,
-        at_y=() if goal.target is None else ((100 * goal.target, f"{100 * goal.target:g} % wanted"),),
+        at_y=() if goal.target is None else ((100 * goal.target, f"{chance(goal.target, 12)} wanted"),),
         note="Farther up and to the left is better. Press a name to hide a curve.",
     )
 
@@ -235,7 +238,8 @@ def _prices(front: Front) -> Table:
 def _price(front: Front, point: Point) -> str:
     setting, step = point.setting, front.world.pace.step
     at = ", ".join(f"{name} {value:g}" for name, value in setting.limits.items())
-    return f"{point.losses.mean:.2f} ({at or ('whole' if setting.deadline is None else step(setting.deadline))})"
+    lost = of_all(point.losses.mean, len(front.starts))
+    return f"{lost} ({at or ('whole' if setting.deadline is None else step(setting.deadline))})"
 
 
 def _points(front: Front, whole: bool = False) -> Table:
@@ -251,9 +255,9 @@ def _points(front: Front, whole: bool = False) -> Table:
         point, setting = front.points[place], front.points[place].setting
         limits = ("" if value is None else f"{value:g}" for value in (setting.reserve, setting.worth))
         end = "" if setting.deadline is None else f"{setting.deadline:,}{pace.also(setting.deadline)}"
-        worth = () if point.value is None else (f"{100 * point.value.mean:.2f}",)
+        worth = () if point.value is None else (in_percent(point.value.mean, 2),)
         times = (f"{point.time.mean:,.0f}", *[f"{pace.minutes * point.time.mean:,.1f}"] * bool(pace))
-        figures = (*point.coverage.columns(100.0), *worth, *point.losses.columns(), *times)
+        figures = (*point.coverage.columns(100.0, 100), *worth, *point.losses.columns(), *times)
         mark = "pick" if place == front.pick else "efficient" if whole and front.efficient[place] else ""
         table.add_row(setting.policy, *limits, end, *figures, mark)
     return table

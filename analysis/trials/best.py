@@ -91,8 +91,9 @@ def plan_best(
         in_time = time.perf_counter() < ends
     made = make_plan(world, starts, found)
     told, plain = alike([maker(), makers[0]()], USUAL, USUAL)
-    gain = told.ahead(plain, told.counted, 1.0 / told.largest(told.counted)).said(100, " points")
-    more = f", {gain} more than {policy_words(raced[0])} on other luck" if found != raced[0] else ""
+    gain = told.ahead(plain, told.counted, 1.0 / told.largest(told.counted))
+    gained = gain.more(100, " points", ("more", "less"))
+    more = f", {gained} than {policy_words(raced[0])} on other luck" if found != raced[0] else ""
     over = "" if in_time else f"; the search ended after {seconds or SECONDS:g} s"
     note = f"{BEST_OF}{counted(len(raced), 'setting')} is {policy_words(found)}{more}{over}"
     return replace(made, notes=(*made.notes, note))

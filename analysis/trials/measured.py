@@ -62,7 +62,7 @@ class Known:
 
     def mean(self, figure: str, unit: float = 1.0, most: int | None = None) -> Estimate:
         """A mean, times `unit`."""
-        return _stated(self.between(figure), unit, self.largest(figure))
+        return stated(self.between(figure), unit, self.largest(figure))
 
     def bounds(self, figure: str, doubt: float) -> Between:
         """What the mean lies between, whatever the `doubt`."""
@@ -70,7 +70,7 @@ class Known:
 
     def chance(self, figure: str, needed: int) -> Estimate:
         """The chance that so many cells are "visited", or "survived"."""
-        return _stated(self.chance_bounds(figure, needed, 0.0), 1.0, 1.0)
+        return stated(self.chance_bounds(figure, needed, 0.0), 1.0, 1.0)
 
     def chance_bounds(self, figure: str, needed: int, doubt: float) -> Between:
         """What that chance lies between."""
@@ -83,7 +83,7 @@ class Known:
         apart = (low - most, high - least)
         if abs(sum(apart)) <= apart[1] - apart[0] + ROUNDING * reach:  # not told apart
             apart = (min(apart[0], 0.0), -min(apart[0], 0.0)) if apart[1] > apart[0] else (0.0, 0.0)
-        return _stated(apart, unit, 2 * reach)
+        return stated(apart, unit, 2 * reach)
 
     def by_step(self) -> NDArray[np.float64]:
         """Share of the cells visited by the end of each step on average, float64 `[T + 1]`."""
@@ -95,7 +95,7 @@ class Known:
         return 1.0 if axis == "value" else len(getattr(self.tree.counts, axis)) - 1.0
 
 
-def _stated(between: Between, unit: float, most: float) -> Estimate:
+def stated(between: Between, unit: float, most: float) -> Estimate:
     """Exact where it is within SLACK of the `most` there is, else with what it lies between."""
     low, high = between
     mean = (low + high) / 2 * unit

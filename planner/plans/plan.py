@@ -18,7 +18,7 @@ from planner.limits import MAX_PLAN_BYTES
 from planner.plans.state import MissionState
 from planner.policies import DEFAULT
 from planner.settings import Settings
-from planner.shown import html_of, text_of
+from planner.shown import counted, html_of, text_of
 from planner.worlds.world import EXAMPLE, World
 
 FORMAT, VERSION = "mrac-plan", 1
@@ -223,15 +223,16 @@ class Plan:
         return f"if nobody is lost, the mission {ended}"
 
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [("makespan", f"{self.makespan} steps")]
+        rows = [("makespan", counted(self.makespan, "step"))]
         if self.settings is not None and self.settings.deadline is not None:
             rows.append(("deadline", f"the mission ends at step {self.settings.deadline:,}"))
         if not self.is_foreign:
             rows += [("areas", f"{len(self.areas)}, {self.shares} of them shared in the run without losses")]
         for number, robot in enumerate(self.robots[:MOST_SHOWN]):
             covered = sum(leg.kind == "cover" for leg in robot.legs)
+            areas = f", {counted(covered, 'area')}" * bool(robot.legs)
             start, moves = [int(n) for n in divmod(robot.path[0], self.shape[1])], len(robot.entered) - 1
-            rows.append((f"robot {number}", f"from {start}, {moves} moves" + f", {covered} areas" * bool(robot.legs)))
+            rows.append((f"robot {number}", f"from {start}, {counted(moves, 'move')}" + areas))
         more = len(self.robots) - MOST_SHOWN
         return rows + [("", f"and {more} more")] * (more > 0) + [("note", note) for note in self.notes[:4]]
 

@@ -15,6 +15,7 @@ from planner.limits import MAX_STEP
 from planner.none import NO_AREA
 from planner.plans.state import NO_CELLS, MissionState, RobotState
 from planner.plans.state_file import check_state, load_state
+from planner.shown import counted, share
 from planner.worlds.georeference import WGS84
 from planner.worlds.grid import Frame
 from planner.worlds.images import SUFFIXES as IMAGES
@@ -89,8 +90,8 @@ def _state(found: Found, world: World, path: Path) -> tuple[MissionState, tuple[
     lost = len(np.unique(found.visited)) - int(reach[np.unique(found.visited)].sum())
     if lost:
         notes += (f"{lost} of its cells are obstacles or out of the robots' reach: left out",)
-    share = 100 * len(visited) / max(int(reach.sum()), 1)
-    notes += (f"{len(visited)} cells are visited ({share:.1f} % of those in reach), step {found.step}",)
+    of_all, are = share(len(visited), max(int(reach.sum()), 1)), "is" if len(visited) == 1 else "are"
+    notes += (f"{counted(len(visited), 'cell')} {are} visited ({of_all} of those in reach), step {found.step}",)
     state = MissionState(world.shape, world.sha256, found.step, visited, visited, found.robots)
     check_state(state, world, str(path))
     return state, tuple(f"{path.name}: {note}" for note in notes)

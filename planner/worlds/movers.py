@@ -71,7 +71,8 @@ class Movers:
         words = [f"{n} {one if n == 1 else many}" for n, (one, many) in zip(counts, kinds.items(), strict=True) if n]
         hits = sorted({one.hit for one in self.members})
         stop = f"{hits[0]:g}" if len(hits) == 1 else f"{hits[0]:g} to {hits[-1]:g}"
-        return f"threats that move: {' and '.join(words)}, and stop a robot that they meet with chance {stop}"
+        does = "stops a robot that it meets" if len(self.members) == 1 else "stop a robot that they meet"
+        return f"threats that move: {' and '.join(words)}, and {does} with chance {stop}"
 
     def to_json(self) -> list[dict[str, Any]]:
         """They with the keys that a scenario has."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arguments import SEED, Numbers, whole
+from planner.shown import counted
 from planner.worlds.elevation import HIGHEST, band_threat, visible
 from planner.worlds.generate import LEVEL, PAPER_LEVELS, ThreatPattern, most_areas, random_threats
 from planner.worlds.grid import Frame, Grid, Ground
@@ -306,7 +307,7 @@ def _generate(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
     count = round(ratio * int(ground.free.sum()))
     notes: tuple[str, ...] = ()
     if pattern.kind == "contiguous" and 0 < count < pattern.areas:
-        notes = (f"{count} dangerous cells make {count} areas of one cell, not {pattern.areas}",)
+        notes = (f"{counted(count, 'dangerous cell')} make {counted(count, 'area')} of one cell, not {pattern.areas}",)
     return Threat(random_threats(ground.free, count, pattern).astype(np.float64), notes)
 
 

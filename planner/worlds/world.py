@@ -18,7 +18,7 @@ from planner.arguments import Numbers, argument, check_each, exactly
 from planner.errors import MapError, PlanError, WorldError
 from planner.files import atomic_write, check_file, npz_bytes, read_csv_grid, read_npy, read_npz
 from planner.pace import TURNS, UNPACED, Pace, pace_of
-from planner.shown import html_of, text_of
+from planner.shown import chance, html_of, text_of
 from planner.tolerance import exposure_of
 from planner.worlds.doubt import Draws, Hazard, Uncertain, doubt_in
 from planner.worlds.georeference import HOW_TO_GIVE_ONE, LONGEST, Georeference
@@ -336,7 +336,7 @@ class World:
 
     def _rows(self) -> list[tuple[str, str]]:
         free, dangerous = self.free, self.threat > 0
-        worst = f", the worst {100 * float(self.threat[dangerous].max()):.3g} %" if dangerous.any() else ""
+        worst = f", the worst {chance(float(self.threat[dangerous].max()))}" if dangerous.any() else ""
         team = "" if self.team.robots is None else f"{self.team.robots}, placed by the rule {self.team.start!r}"
         rows = [
             ("cells", f"{self.shape[0]} x {self.shape[1]} of {self.cell_size:g} m, {int(free.sum()):,} of them free"),

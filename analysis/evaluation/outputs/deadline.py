@@ -10,8 +10,12 @@ from typing import Self
 from analysis.evaluation.figures import Figures
 from analysis.evaluation.outputs.output import Blocks, Output, Run, coverage_row
 from analysis.kit.words import percent
+from analysis.statistics.words import lost_words
+from analysis.theory.longest import longest_run
 from analysis.theory.verdicts import MEANINGS
+from analysis.trials.exact_loop import TreeTruth
 from planner.files import Json
+from planner.kernels.tree import Tree
 from planner.pace import UNPACED, Pace
 from planner.tally import Tally
 
@@ -23,6 +27,8 @@ class Deadline(Output):
     Attributes:
         tally: of the rollouts cut off there. exact: the open loop's expected cells visited and survived by then.
         certain: every run is the same. pace: how long a step takes, if that is known.
+        losses: expected robots lost by then, where `exact` is of the loop that was evaluated; None: it is not.
+        over: every run has ended by then: nothing is said twice. tree: then, of all that can happen; None: none grown.
     """
 
     steps: int
@@ -30,6 +36,9 @@ class Deadline(Output):
     exact: tuple[float, float]
     certain: bool = False
     pace: Pace = UNPACED
+    losses: float | None = None
+    over: bool = False
+    tree: Tree | None = None
 
     @classmethod
     def measure(cls, asked: int, run: Run) -> Iterator[Self]:
@@ -38,12 +47,19 @@ class Deadline(Output):
         for stage in run.roll_out(choices, asked):
             tally = stage.tally
             run.progress(tally.rollouts, choices.rollouts, stage.seconds)
-        yield cls(asked, tally, run.exact.by_deadline(asked), run.certain, run.world.pace)
+        own = run.choices.loop == "open" or (run.closed is not None and not isinstance(run.closed, TreeTruth))
+        over = longest_run(run.world, run.plan, run.choices.loop) <= asked
+        tree = run.closed.tree if over and isinstance(run.closed, TreeTruth) else None
+        lost = run.exact.losses_by(asked) if own else None
+        yield cls(asked, tally, run.exact.by_deadline(asked), run.certain, run.world.pace, lost, over, tree)
 
     @cached_property
     def figures(self) -> Figures:
-        """What these rollouts come to."""
-        return Figures.of(self.tally, self.certain)
+        """What these rollouts come to; exact where that is known."""
+        found = Figures.of(self.tally, self.certain)
+        if self.tree is not None:
+            return found.with_tree(self.tree)
+        return found if self.losses is None else found.with_means(*self.exact, self.losses)
 
     def as_json(self) -> Json:
         return {
@@ -54,12 +70,16 @@ class Deadline(Output):
         }
 
     def blocks(self) -> Blocks:
+        if self.over:
+            return Blocks(marks=[(self.steps, "deadline")], settings={"deadline": self.pace.step(self.steps)})
         found, cells = self.figures, self.tally.accessible
-        reached, (lost, _) = found.visited.mean.mean * (1.0 / cells), found.losses.columns()
+        mean, known = found.visited.mean.mean / cells, found.visited.mean.half_width == 0
+        reached = percent(mean, 2) + " (exact)" if known else percent(mean)
+        lost = lost_words(found.losses.mean, self.tally.robots, found.losses.decimals)
         by = f"by step {self.steps}{self.pace.also(self.steps)}"
         who = "" if "robot" in lost else " robot" + "s" * (self.tally.robots != 1)
         return Blocks(
-            opens=[f"By {self.pace.step(self.steps)}: {percent(reached)} visited, {lost}{who} lost on average."],
+            opens=[f"By {self.pace.step(self.steps)}: {reached} visited, {lost}{who} lost on average."],
             rows=[
                 coverage_row(f"{meaning} {by}", getattr(found, meaning), cells, exact)
                 for meaning, exact in zip(MEANINGS, self.exact, strict=True)

@@ -22,6 +22,7 @@ from analysis.kit.tables import make_table
 from analysis.kit.words import percent
 from analysis.page.cell_maps import CellLayer
 from analysis.pictures.style import COVERED, LOSSES
+from analysis.statistics.coverage import more_said
 from analysis.statistics.estimate import Estimate
 from analysis.trials.measured import Measured
 from analysis.trials.told import told_of_hazards
@@ -31,6 +32,7 @@ from planner.errors import UsageError
 from planner.files import Json
 from planner.kernels.closed_loop import compile_closed_loop, final_odds
 from planner.mrac.make_plan import allocated_plan
+from planner.shown import counted
 from planner.worlds.doubt import Hazard
 from planner.worlds.evidence import chance_of
 from planner.worlds.world import World
@@ -142,22 +144,25 @@ class Experience(Output):
         return {name: value.to_json() for name, value in figures.items()}
 
     def blocks(self) -> Blocks:
-        table = make_table(("robots that", "visited %", "95 %", "lost", "steps"), "What to learn is worth")
+        table = make_table(("robots that", "visited %", "95 %", "lost", "steps"), "What learning is worth")
         for (_, found), said in zip(self._teams(), ("are told", "learn", "learn nothing"), strict=True):
             time = f"{found.mean('time').mean:.1f}"
             table.add_row(
-                said, *found.mean("visited", self._unit).columns(100.0), found.mean("lost").columns()[0], time
+                said, *found.mean("visited", self._unit).columns(100.0, 100), found.mean("lost").columns()[0], time
             )
-        visited = [percent(found.mean("visited", self._unit).mean) for _, found in self._teams()]
+        blind, told = (found.mean("visited", self._unit) for found in (self.blind, self.told))
         before, after = self.bits
+        price = more_said(self.price, "not knowing it costs", "robots that are not told it visit")
+        worth = more_said(self.worth, "learning is worth", "robots that learn visit", "less")
+        sure = "" if told.half_width == 0 else f" ({told.columns(100.0, 100)[1]}, 95 %)"
         leads = [
-            f"Robots that learn nothing visit {visited[2]}: to learn is worth {self.worth.said(100, ' points')}.",
-            f"Robots that are told where hazards are visit {visited[0]}: not knowing it costs "
-            f"{self.price.said(100, ' points')}.",
+            f"Robots that learn nothing visit {percent(blind.mean)}: {worth}.",
+            f"Robots that are told where hazards are visit {told.columns(100.0, 100)[0]} % of the cells in "
+            f"{counted(self.told.rollouts, 'run')}{sure}: {price}.",
         ]
         notes = [
-            f"what to learn is worth: {self.learning.rollouts:,} rollouts of each, the same luck; told: the first "
-            f"{self.told.rollouts:,}, a plan for each",
+            f"what learning is worth: {counted(self.learning.rollouts, 'rollout')} of each, the same luck; told: the "
+            f"first {self.told.rollouts:,}, a plan for each",
             f"doubt where hazards are: {before:.3f} bits a cell at first, {after:.3f} at the end of a run "
             f"(mean of {self.ends:,})",
         ]

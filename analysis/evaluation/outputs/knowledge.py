@@ -20,6 +20,7 @@ from analysis.kit.words import percent
 from analysis.page.cell_maps import CellLayer
 from analysis.page.plan_layers import threat_layer
 from analysis.page.series import Chart, Series
+from analysis.statistics.coverage import more_said
 from analysis.statistics.estimate import Estimate
 from analysis.trials.measured import Measured, Sampled
 from analysis.trials.told import only, told_of_drawn, with_eyes
@@ -28,6 +29,7 @@ from planner.arguments import argument, numbers_of
 from planner.errors import UsageError
 from planner.files import Json
 from planner.plans.plan import Plan
+from planner.shown import counted
 from planner.worlds.doubt import Uncertain
 from planner.worlds.learning import seeing, with_sense
 from planner.worlds.sight import RANGE, Sense
@@ -149,7 +151,7 @@ class Knowledge(Output):
     def behind(self) -> str:
         """What the figures rest on."""
         found = self.told.found
-        return f"{found.rollouts:,} rollouts of each, the same luck" if isinstance(found, Sampled) else "exact"
+        return f"{counted(found.rollouts, 'rollout')} of each, the same luck" if isinstance(found, Sampled) else "exact"
 
     def as_json(self) -> Json:
         learning, blind = self.learning, self.blind
@@ -167,20 +169,19 @@ class Knowledge(Output):
         }
 
     def blocks(self) -> Blocks:
-        table = make_table(
-            ("robots that are", "visited %", "95 %", "told visit more", "lost", "steps"), "What to know is worth"
-        )
+        columns = ("robots that are", "visited %", "95 %", "told visit more", "lost", "steps")
+        table = make_table(columns, "What knowing the map is worth")
         for team in self.teams:
             behind = "" if team is self.told else self.told.ahead(team).said(100, " points")
             lost, time = team.found.mean("lost"), team.found.mean("time")
             table.add_row(
                 "told the map" if team is self.told else _sees(team.range),
-                *team.coverage.columns(100.0),
+                *team.coverage.columns(100.0, 100),
                 behind,
                 lost.columns()[0],
                 f"{time.mean:.1f}",
             )
-        note = f"what to know is worth: {self.behind}"
+        note = f"what knowing the map is worth: {self.behind}"
         pictures = {} if len(self.teams) < 4 else {"sense.png": lambda: [self.chart()]}
         return Blocks(
             leads=list(self._leads()), tables=[table], notes=[note], pictures=pictures,
@@ -191,12 +192,11 @@ class Knowledge(Output):
     def _leads(self) -> Iterator[str]:
         learning, blind = self.learning, self.blind
         if learning is not self.told:
-            price = self.told.ahead(learning).said(100, " points")
-            told = percent(self.told.coverage.mean)
-            yield f"Robots that are told the map visit {told}: not knowing it costs {price}."
+            price = more_said(self.told.ahead(learning), "not knowing it costs", "robots that are not told it visit")
+            yield f"Robots that are told the map visit {percent(self.told.coverage.mean)}: {price}."
         if blind is not None and blind is not learning:
-            worth = learning.ahead(blind).said(100, " points")
-            yield f"Robots that do not look visit {percent(blind.coverage.mean)}: to see is worth {worth}."
+            worth = more_said(learning.ahead(blind), "to see is worth", "robots that see visit", "less")
+            yield f"Robots that do not look visit {percent(blind.coverage.mean)}: {worth}."
         if steps := [
             f"{more.said(100, ' points')} from {near.range:g} to {far.range:g}" for near, far, more in self.steps
         ]:

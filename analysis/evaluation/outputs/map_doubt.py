@@ -26,7 +26,7 @@ from analysis.theory.exact import open_loop_exact
 from planner.files import Json
 from planner.luck import rows_met, true_map
 from planner.rollouts.blocks import run_ranges
-from planner.shown import counted
+from planner.shown import counted, in_percent
 from planner.worlds.doubt import Uncertain
 
 ENOUGH = 8
@@ -103,8 +103,9 @@ class MapDoubt(Output):
     def blocks(self) -> Blocks:
         columns = ("maps", "mean of means", "5 % of maps", "median", "95 % of maps", "sd of maps", "sd of luck")
         table = make_table(columns, "Mean coverage by map, % visited: doubt about the map, apart from luck on it")
-        shown = (self.means.mean(), *self.quantiles.values(), self.parts.between.mean, self.luck)
-        table.add_row(str(len(self.means)), *(f"{100 * value:.2f}" for value in shown))
+        means = (in_percent(value, 2) for value in (float(self.means.mean()), *self.quantiles.values()))
+        scatter = (f"{100 * value:.2f}" for value in (self.parts.between.mean, self.luck))
+        table.add_row(str(len(self.means)), *means, *scatter)
         note = (
             f"doubt about the map: {self.behind}; standard deviation of maps {_points(self.parts.between)}, "
             f"of luck {_points(self.parts.within)} points"

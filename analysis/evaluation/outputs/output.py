@@ -19,6 +19,7 @@ from analysis.theory.exact import OpenLoopExact
 from analysis.theory.truth import ClosedTruth
 from planner.kernels.tables import AllPairs
 from planner.plans.plan import Plan
+from planner.shown import in_percent
 from planner.worlds.world import World
 
 if TYPE_CHECKING:
@@ -114,8 +115,8 @@ class Output(ABC):
 def coverage_row(name: str, covered: Covered, of: int, exact: float) -> Row:
     """Coverage in percent of `of` cells, beside the open loop's `exact` cells."""
     unit = 100.0 / of
-    runs = (known_words(cells * unit, "{:.1f}") for cells in covered.quantiles.values())
-    return Row(name, known_words(100 * exact / of), (*covered.mean.columns(unit), *runs))
+    runs = (in_percent(cells / of, 1) for cells in covered.quantiles.values())
+    return Row(name, in_percent(exact / of), (*covered.mean.columns(unit, 100), *runs))
 
 
 def known_words(value: float, form: str = "{:.2f}") -> str:

@@ -16,6 +16,7 @@ from planner.files import Json
 from planner.mrac.make_plan import allocated_plan
 from planner.plans.plan import Plan
 from planner.settings import Settings
+from planner.shown import counted
 
 MOST, FEW = 8192, 1024
 """Rollouts of each team, at most; and where every run of this team is the same."""
@@ -87,15 +88,15 @@ class Mates(Output):
         return {name: value.to_json() for name, value in (figures | {"time": found.mean("time")}).items()}
 
     def blocks(self) -> Blocks:
-        table = make_table(("robots", "visited %", "95 %", "lost", "steps"), "What it comes to that they differ")
+        table = make_table(("robots", "visited %", "95 %", "lost", "steps"), "What their differences cost")
         leads = []
         for said, found in (("as they are", self.team), *self.others):
             visited, time = found.mean("visited", self._unit), f"{found.mean('time').mean:.1f}"
-            table.add_row(said, *visited.columns(100.0), found.mean("lost").columns()[0], time)
+            table.add_row(said, *visited.columns(100.0, 100), found.mean("lost").columns()[0], time)
         for said, found in self.others:
             share, less = percent(found.mean("visited", self._unit).mean), self.ahead(Other(said, found))
             apart = less if less.mean > 0 else found.ahead(self.team, "visited", self._unit)
             words = f"{apart.said(100, ' points')} {'less' if less.mean > 0 else 'more'}"
             leads.append(f"Robots {said} would visit {share}: {words}.")
-        notes = [f"robots that differ: {self.team.rollouts:,} rollouts of each team, the same luck"]
+        notes = [f"robots that differ: {counted(self.team.rollouts, 'rollout')} of each team, the same luck"]
         return Blocks(leads=leads, tables=[table], notes=notes)

@@ -17,14 +17,13 @@ import numpy as np
 from analysis.evaluation.figures import Figures
 from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.kit.tables import make_table
-from analysis.kit.words import share
 from analysis.sampling import make_roll_out
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from planner.arguments import argument, is_real, numbers_of
 from planner.errors import UsageError
 from planner.files import Json
 from planner.plans.plan import is_certain
-from planner.tally import Outcome, Tally
+from planner.tally import Tally
 from planner.worlds.world import World
 
 MOST_SCALES = 100
@@ -95,11 +94,11 @@ class Scaled:
 
     def columns(self) -> Iterator[str]:
         """A row of the table."""
-        tally, found, unit = self.tally, self.figures, 100.0 / self.tally.accessible
+        found, unit = self.figures, 100.0 / self.tally.accessible
         yield f"{self.scale:g}"
-        yield from found.visited.mean.columns(unit)
-        yield f"{found.survived.mean.mean * unit:.2f}"
-        yield share(int(tally.outcomes[Outcome.COMPLETE]), tally.rollouts, 2).removesuffix(" %")
+        yield from found.visited.mean.columns(unit, 100)
+        yield found.survived.mean.columns(unit, 100)[0]
+        yield found.complete.columns()[0]
         yield found.losses.columns()[0]
         yield f"{found.time.mean:.1f}"
 

@@ -89,7 +89,7 @@ class Turning(Output):
     def blocks(self) -> Blocks:
         """A row for what is driven, one for what it takes."""
         table = make_table(("", "mean", "95 % interval", "nobody lost"), "What the robots drive")
-        nominal, pace = self.nominal, self.pace
+        nominal, pace, cost = self.nominal, self.pace, counted(float(self.turn), "step")
         for name, found, known in (
             ("moves", self.moves, f"{int(nominal.moves.sum()):,}"),
             ("quarter turns", self.turns, f"{int(nominal.turns.sum()):,}"),
@@ -100,7 +100,7 @@ class Turning(Output):
             known = f"{pace.minutes * nominal.time(self.turn):,.1f}"
             table.add_row("time with turns, minutes", *self.time.columns(pace.minutes), known)
         note = (
-            f"A quarter turn costs {self.turn:g} steps; the mean is of the first {counted(self.rollouts, 'rollout')}. "
+            f"A quarter turn costs {cost}; the mean is of the first {counted(self.rollouts, 'rollout')}. "
             "Turns lengthen the time that is said here, and nothing else."
         )
-        return Blocks(tables=[table], notes=[note], settings={"a quarter turn": f"{self.turn:g} steps"})
+        return Blocks(tables=[table], notes=[note], settings={"a quarter turn": cost})

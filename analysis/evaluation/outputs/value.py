@@ -27,11 +27,14 @@ from analysis.statistics.mission import at_least, robots_left
 from analysis.theory.any_strategy import MOST_CELLS, value_bound
 from analysis.theory.reachable import trimmed
 from analysis.theory.value import Worth, open_loop_found
+from analysis.trials.exact_loop import TreeTruth
+from analysis.trials.measured import stated
 from analysis.trials.valuing import mean_value, units_of
 from planner.arguments import argument, check_word
 from planner.errors import UsageError
 from planner.files import Json
 from planner.kernels.state import MOST_PASSES
+from planner.kernels.tree import Tree
 from planner.rollouts.blocks import run_ranges
 from planner.rollouts.by_luck import luck_classes
 from planner.tally import Tally
@@ -58,7 +61,8 @@ class Value(ValueFigures, Output):
         bounded = bounded and run.plan.bearing.is_plain
         if bounded and tally.accessible <= MOST_CELLS:
             most = value_bound(trimmed(run.world, run.plan), run.plan.starts)
-        if run.choices.loop == "open":
+        tree = run.closed if isinstance(run.closed, TreeTruth) else None
+        if run.choices.loop == "open" or (run.closed is not None and tree is None and not run.certain):
             if run.world.doubt is not None:
                 problem = "what is found in the open loop of a map in doubt is not known exactly"
                 raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
@@ -67,6 +71,13 @@ class Value(ValueFigures, Output):
             lost = exactly(run.exact.expected_losses)
             alive = [exactly(float(chance)) for chance in at_least(run.exact.alive_chance)]
             yield cls(asked, run.world, worth, covered, known, visited, found, 0.0, most, tally, lost, alive)
+            return
+        if tree is not None and tree.masses is not None and worth.is_plain:
+            n, chances = tree.masses.rollouts, (tree.masses.covered_visited, tree.masses.covered_survived)
+            visited, found = (of / n for of in chances)
+            found = worth.detect * found
+            covered, known = (exactly(float(worth.value @ chance)) for chance in (visited, found))
+            yield cls(asked, run.world, worth, covered, known, visited, found, 0.0, most, tally, *_left(tree.tree))
             return
         run.doing("value covered and found")
         units = Units.of(worth)
@@ -81,6 +92,11 @@ class Value(ValueFigures, Output):
             covered = exactly(float(worth.value @ (counted.covered_visited / counted.rollouts)))
         visited, lost = counted.covered_visited / counted.rollouts, tally_mean(tally, "lost", certain=run.certain)
         alive = robots_left(tally, run.certain)
+        if tree is not None:
+            lost, alive = _left(tree.tree)
+            if tree.masses is not None:
+                visited = tree.masses.covered_visited / tree.masses.rollouts
+                covered = exactly(float(worth.value @ visited))
         yield cls(asked, run.world, worth, covered, known, visited, found, rest, most, tally, lost, alive)
 
     def as_json(self) -> Json:
@@ -104,6 +120,13 @@ class Value(ValueFigures, Output):
         about = f"Value times the chance that it is not found. {self.left.mean:.4g} of {self.worth.total:.4g} in all."
         left = self.left_by_cell.reshape(self.world.shape)
         return CellLayer("Value left", about, left, LOSSES, root=True, blocks="sum", short="Left")
+
+
+def _left(tree: Tree) -> tuple[Estimate, list[Estimate]]:
+    """Robots lost, and the chances that at least 1, ..., K are left, of all that can happen."""
+    robots, (least, most) = len(tree.counts.alive) - 1, tree.alive()
+    chances = (stated(tree.chance(int(mass)), 1.0, 1.0) for mass in at_least(tree.counts.alive))
+    return stated((robots - most, robots - least), 1.0, robots), list(chances)
 
 
 @dataclass(frozen=True, eq=False)

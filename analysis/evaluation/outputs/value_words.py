@@ -11,7 +11,7 @@ from analysis.kit.tables import make_table
 from analysis.kit.words import percent
 from analysis.statistics.estimate import Estimate, exactly
 from analysis.statistics.mission import TAIL, times_to
-from planner.shown import counted
+from planner.shown import at_least_words
 
 TITLES = {"coverage": "What the cells are worth", "search": "Search", "clearance": "Clearance"}
 
@@ -33,10 +33,12 @@ Rows = Iterator[tuple[str, str, str]]
 
 
 def _row(name: str, estimate: Estimate, scale: float = 1.0, chance: bool = False) -> tuple[str, str, str]:
-    say = (lambda x: percent(min(x, 1.0), 2)) if chance else amount
-    low, high = (say(scale * end) for end in estimate.ci95)
+    if chance:
+        mean, interval = estimate.columns(100 * scale, 100)
+        return name, f"{mean} %", interval + " %" * (interval != "exact")
+    low, high = (amount(scale * end) for end in estimate.ci95)
     exact = estimate.ci95[0] == estimate.ci95[1]
-    return name, say(scale * estimate.mean), "exact" if exact else f"{low} .. {high}"
+    return name, amount(scale * estimate.mean), "exact" if exact else f"{low} .. {high}"
 
 
 def _coverage(value: ValueFigures) -> Rows:
@@ -76,11 +78,11 @@ def _common(value: ValueFigures) -> Rows:
         yield "no strategy covers more on average (proven)", amount(value.most), ""
     yield "ground visited, m2", amount(value.square_metres), ""
     each = [value.per_robot_lost(of) for of in (value.square_metres, value.covered.mean)]
-    for name, ratio in zip(("m2 a robot lost", "value covered a robot lost"), each, strict=True):
+    for name, ratio in zip(("m2 covered per robot lost", "value covered per robot lost"), each, strict=True):
         yield name, "no robot is lost" if ratio is None else amount(ratio), ""
     for robots, chance in enumerate(value.robots_left, 1):
         if robots in _shown(value.tally.robots):
-            yield _row(f"chance that {counted(robots, 'robot')} or more are left", chance, chance=True)
+            yield _row(f"chance that {at_least_words(robots, value.tally.robots)} left", chance, chance=True)
     for share, step in times_to(value.tally).items():
         when = "never" if step is None else f"{step:,}{value.world.pace.also(step)}"
         yield f"steps to {100 * share:g} % of the cells, on average", when, ""
