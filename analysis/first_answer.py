@@ -7,6 +7,7 @@ of so few.
 
 from __future__ import annotations
 
+import os
 import pickle
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from contextlib import contextmanager, suppress
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.kit.compiling import not_compiled
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimate import mean_estimate
 from planner.mrac.reference import ReferenceLoop
@@ -29,6 +31,8 @@ FEWEST = 8
 """Rollouts before which nothing is said."""
 PAUSE = 0.5
 """Seconds between two answers."""
+ENOUGH, LONGEST = 0.01, 20.0
+"""Half-width of the interval, a fraction of the cells, and seconds after either of which it ends by itself."""
 WHAT = "rollouts"
 """What is going on."""
 BEGIN = "from analysis.first_answer import roll_out_readably; roll_out_readably()"
@@ -37,8 +41,9 @@ BEGIN = "from analysis.first_answer import roll_out_readably; roll_out_readably(
 def roll_out_readably() -> None:
     """The process: plan, world and choices come by standard input; cells visited in each rollout go out, in id order.
 
-    It goes on until it is ended, or nobody listens any more.
+    It goes on until it is ended, or no process listens any more. It yields to the compilation.
     """
+    os.nice(19)
     plan, world, choices = pickle.load(sys.stdin.buffer)
     loop = ReferenceLoop(plan, world, first_only=choices.first_only, luck=choices.luck)
     for rollout in range(2**32):
@@ -72,14 +77,16 @@ def first_answers(
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,  # Ctrl-C of a terminal is ours alone
+        process_group=0,  # Ctrl-C of a terminal is ours alone; in a session of its own `nice` would have no effect
     )
     cells = int(world.accessible(plan.starts).sum())
     listener = threading.Thread(target=_listen, args=(process, given, cells, say), daemon=True)
     listener.start()
+    over = threading.Event()
 
     def end() -> None:
-        if listener.is_alive():
+        if not over.is_set():
+            over.set()
             process.kill()
             listener.join()
             say(WHAT)
@@ -91,19 +98,13 @@ def first_answers(
 
 
 def _is_compiled(plan: Plan) -> bool:
-    from planner.jit import is_kept
-    from planner.kernels.attentive import run_attentive
-    from planner.kernels.rollouts import run_set
-    from planner.policies import rule_of
-
-    rule = None if plan.settings is None else rule_of(plan.settings.policy)
-    return is_kept(run_attentive if rule is not None and rule.attentive else run_set)
+    return not not_compiled(["mrac" if plan.settings is None else plan.settings.policy])
 
 
 def _listen(process: subprocess.Popen[bytes], given: bytes, cells: int, say: Callable[[str], None]) -> None:
     """Until the process ends. A team has `cells` to visit."""
     assert process.stdin is not None and process.stdout is not None
-    counts, said = np.zeros(cells + 1, dtype=np.int64), 0.0
+    counts, said, began = np.zeros(cells + 1, dtype=np.int64), 0.0, time.monotonic()
     with suppress(BrokenPipeError), process:  # it may be ended before it has heard all
         process.stdin.write(given)
         process.stdin.close()
@@ -112,6 +113,9 @@ def _listen(process: subprocess.Popen[bytes], given: bytes, cells: int, say: Cal
             if counts.sum() >= FEWEST and time.monotonic() - said >= PAUSE:
                 said = time.monotonic()
                 say(first_words(counts))
+                if mean_estimate(counts, 1 / cells).half_width <= ENOUGH or said - began >= LONGEST:
+                    process.kill()
+                    break
 
 
 def first_words(counts: NDArray[np.int64]) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import NDArray
 
+from analysis.kit.compiling import compiles_for
 from analysis.statistics.control import LEAST
 from analysis.statistics.estimate import looks
 from planner.arguments import POSITIVE, SEED, Numbers, argument, as_whole, check_word, whole
@@ -217,6 +218,7 @@ def make_engine_for(
     """
     from planner.rollouts.engine import Rolling, make_engine
 
+    compiles_for(plan, choices.loop)
     how = Rolling(choices.loop, choices.mode or "fast", choices.first_only, choices.seed, choices.luck)
     engine = make_engine(plan, world, how, choices.engine, kept)
     return engine if threats is None else engine.under(threats)

@@ -61,7 +61,7 @@ class Reader(HTMLParser):
         elif inside == "style":
             self.styles.append(words)
         else:
-            self.text += words
+            self.text += words.replace("\N{NO-BREAK SPACE}", " ")
             if self.open and self.headings and any(tag in ("h1", "h2", "h3") for tag in self.open):
                 level, heading = self.headings[-1]
                 self.headings[-1] = (level, heading + words)

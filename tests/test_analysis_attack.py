@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from page_reader import Reader
 
 import mrac_jax as mrac
 from analysis.adversary import search
@@ -177,7 +178,7 @@ def test_the_command_says_it_as_json_and_writes_both_maps(
     team = mrac.load(tmp_path / "out" / "known.yaml")
     assert team.starts is not None and team.starts.tolist() == attacked.starts.tolist()
     assert team.sha256 == attacked.known_world.sha256
-    page = (tmp_path / "out" / "index.html").read_text()
+    page = Reader((tmp_path / "out" / "index.html").read_text()).text
     assert headline(attacked) in page and all(said in page for said in findings(attacked))
     assert 2 <= len(repr(attacked).splitlines()) <= 24
 

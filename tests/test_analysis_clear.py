@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from page_reader import Reader
 
 import mrac_jax as mrac
 from analysis.cli.app import run
@@ -244,6 +245,6 @@ def test_an_interruption_leaves_the_picks_so_far() -> None:
 def test_the_answer_prints_and_saves_itself(small: Clearing, tmp_path: Path) -> None:
     files = {file.name for file in small.save(tmp_path / "out")}
     assert files == {"index.html", "clear.png", "clear.txt", "risk_paid.png", "clear.json"}
-    page = (tmp_path / "out" / "index.html").read_text()
+    page = Reader((tmp_path / "out" / "index.html").read_text()).text
     assert headline(small) in page and all(said in page for said in findings(small))
     assert "Where risk is paid" in page and 2 <= len(repr(small).splitlines()) <= 24

@@ -146,7 +146,7 @@ def test_the_deadline_is_said_after_the_headline(capsys: pytest.CaptureFixture[s
     assert run(["evaluate", WORLD, *words]) == 0
     said = " ".join(capsys.readouterr().out.split())
     visited, lost = 100 * found["visited"]["mean"], found["losses"]["mean"]
-    assert f"% in 95 % of runs. By step 40: {visited:.1f} % visited, {lost:.1f}" in said
+    assert f". By step 40: {visited:.1f} % visited, {lost:.1f}" in said
     assert " of 4 robots lost on average. " in said and "holds with 95 % confidence" in said
     assert run(["evaluate", WORLD, *words[:-1], "20"]) == 0
     assert "95 % confidence" not in capsys.readouterr().out, "the headline says nothing of 95 % of runs then"

@@ -58,6 +58,34 @@ def test_it_is_that_of_the_engines_after_so_few(monkeypatch: MonkeyPatch, luck: 
     assert len(set(told)) > 10 and f"by {FEWEST} of" in told[0]
 
 
+@pytest.mark.parametrize(("enough", "longest"), [(0.5, 99.0), (0.0, 0.0)])
+def test_it_is_polite_and_ends_by_itself(monkeypatch: pytest.MonkeyPatch, enough: float, longest: float) -> None:
+    """With the interval that it needs, or when its time is over; in our session, so that `nice` counts."""
+    nothing_compiled(monkeypatch)
+    monkeypatch.setattr(first_answer, "ENOUGH", enough)
+    monkeypatch.setattr(first_answer, "LONGEST", longest)
+    started: list[subprocess.Popen[bytes]] = []
+    nice, popen, told, said = [], subprocess.Popen, list[str](), threading.Event()
+
+    def start(*given: Any, **named: Any) -> subprocess.Popen[bytes]:
+        started.append(popen(*given, **named))
+        assert os.getsid(started[0].pid) == os.getsid(0) and os.getpgid(started[0].pid) != os.getpgid(0)
+        return started[0]
+
+    def say(words: str) -> None:
+        if not told:
+            nice.append(os.getpriority(os.PRIO_PROCESS, started[0].pid))
+        told.append(words)
+        said.set()
+
+    monkeypatch.setattr(first_answer.subprocess, "Popen", start)
+    with first_answers(WORLD, PLAN, RolloutChoices(), say):
+        assert said.wait(120)
+        assert started[0].wait(60) == -signal.SIGKILL
+        assert len(told) == 1 and nice == [19]
+    assert told[1:] == [WHAT]
+
+
 def test_it_stays_away_where_it_is_of_no_use(monkeypatch: MonkeyPatch) -> None:
     def refuse(*given: object, **named: object) -> None:
         raise AssertionError("a process was started")

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
+import sys
 from dataclasses import replace
+from html import escape
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,6 +16,7 @@ import numpy as np
 import pytest
 from conftest import load_fixture
 from numpy.typing import NDArray
+from page_reader import Reader
 
 import mrac_jax as mrac
 from analysis.cli.app import run
@@ -229,7 +233,10 @@ def test_the_pick_is_the_best_that_is_sure_to_keep_the_limit_on_other_rollouts()
     assert near.coverage.mean > picked.coverage.mean and near.losses.mean > picked.losses.mean
     sure = sorted((p for p in answer.points if p.most <= limit), key=lambda p: -p.coverage.mean)
     assert sure.index(picked) == answer.tried - 1
-    assert "the limit is kept (95 %: at most" in headline(answer)
+    assert headline(answer).endswith(f"; asked for was at most {limit:g} of 2 robots lost.")
+    assert f"The limit is kept with confidence 0.95: on average {again.most:.2f} robots or fewer are lost." in [
+        *pick_lines(answer)
+    ]
 
 
 def test_the_chance_of_error_is_shared_among_tries(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -306,8 +313,10 @@ def test_without_danger_every_run_is_the_same() -> None:
     assert {point.setting.family for point in answer.points} == {"mrac", "per_cell"}
     assert all(point.losses.ci95 == (0, 0) and point.coverage.half_width == 0 for point in answer.points)
     assert answer.picked is not None and answer.picked.coverage.mean >= 0.5
-    assert pick_lines(answer)[0].startswith("Exact expectation: 100 % covered") or answer.picked.setting.deadline
-    assert headline(answer).endswith("the limit is kept (exact).")
+    best, kept, *_ = pick_lines(answer)
+    assert ". Exact expectation: 100 % covered" in best or answer.picked.setting.deadline
+    assert kept == "The limit is kept: these figures are exact."
+    assert headline(answer).endswith("and lose no robot, on average (exact); asked for was 50 % or more covered.")
 
 
 def test_an_interruption_leaves_what_was_done() -> None:
@@ -330,12 +339,15 @@ def test_the_front_prints_and_saves_itself(small: Front, tmp_path: Path) -> None
     files = {file.name for file in small.save(tmp_path / "out")}
     assert files == {"index.html", "front.png", "front.txt", "front.json", "plan.json"}
     page = (tmp_path / "out" / "index.html").read_text()
-    assert headline(small) in page and page_of(report(small), "", {}, ()) == page_of(report(small), "", {}, ())
+    assert headline(small) in Reader(page).text and page_of(report(small), "", {}, ()) == page_of(
+        report(small), "", {}, ()
+    )
     *curves, mark = _chart(small, "time").series
     assert small.picked is not None and (mark.name, mark.x) == ("the pick", [small.picked.time.mean])
     for curve in curves:  # through the settings as they rise, whatever they take
         of = [point for point in small.points if TITLES[point.setting.family] == curve.name]
-        assert list(curve.x) == [point.time.mean for point in of]
+        cheap = min(one.coverage.mean for one, is_cheap in zip(small.points, small.cheap, strict=True) if is_cheap)
+        assert list(curve.x) == [point.time.mean for point in of if point.coverage.mean >= cheap]
     assert 2 <= len(repr(small).splitlines()) <= 24 and small._repr_html_().startswith("<b>")
     told = json.loads((tmp_path / "out" / "front.json").read_text())
     assert told["points"][told["pick"]]["losses"]["mean"] <= told["confirmed"]["bound"] <= 0.8
@@ -398,8 +410,53 @@ def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
     line = f"`--policy per_cell --worth {advice['worth']:g}`"
     assert line in " ".join(shown.split()) and shown.index("--worth") < shown.index("Chances in %")
     told = mrac.evaluate(world, rollouts=8192, band=False)
-    (lead,) = told.outputs["advice"].blocks().leads
-    assert "policy='per_cell', worth=" in lead and " costs " in lead
+    (lead,) = told.outputs["advice"].blocks().alternatives
+    assert re.match(r"To cover [\d.]+ % and lose .*: `policy='per_cell', worth=\d+`[;.]", lead)
+    assert lead in str(told).splitlines() and str(told).index(lead) < str(told).index("visited on average")
+    assert escape(lead) in told._repr_html_()
+
+
+@pytest.mark.parametrize("quick", [True, False])
+def test_the_answer_is_printed_before_its_alternatives_are_looked_for(
+    quick: bool, capsys: pytest.CaptureFixture[str], world_file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At least the headline; where they take long, all but them. Nothing is printed twice."""
+    words, measure, before = ["evaluate", world_file, "--rollouts", "2048"], Advice.measure, list[str]()
+
+    def watched(*given: Any) -> Any:
+        before.append(capsys.readouterr().out)
+        return measure(*given)
+
+    monkeypatch.setattr("analysis.evaluation.outputs.advice.is_quick", lambda found: quick)
+    monkeypatch.setattr(Advice, "measure", watched)
+    assert run(words) == 0
+    first, rest = before[0], capsys.readouterr().out
+    assert first.startswith("2 robots visit ") and rest.count("To cover ") == 1
+    assert ("Chances in %" in first, "Chances in %" in rest) == (not quick, quick)
+    assert "To cover " not in first and "2 robots visit" not in rest
+    if quick:
+        assert rest.index("To cover ") < rest.index("Chances in %")
+    monkeypatch.undo()
+    assert run(words) == 0
+    rate = re.compile(r"[\d,]+ a second")
+    whole = capsys.readouterr().out
+    in_parts, at_once = (sorted(rate.sub("", " ".join(said.split())).split()) for said in (first + rest, whole))
+    assert in_parts == at_once
+
+
+def test_files_are_written_though_the_reader_has_gone(
+    world_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`mrac-jax evaluate ... --out answer | head -1`."""
+
+    def gone(*given: Any, **named: Any) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(sys, "stdout", sys.stdout)  # the command puts another in its place
+    monkeypatch.setattr("analysis.cli.deliver.show", gone)
+    assert run(["evaluate", world_file, "--rollouts", "500", "--loop", "open", "--out", str(tmp_path / "out")]) == 0
+    sys.stdout.close()
+    assert {"index.html", "evaluation.json", "plan.json"} <= {file.name for file in (tmp_path / "out").iterdir()}
 
 
 def test_a_setting_that_covers_more_for_no_more_robots_is_advised() -> None:
@@ -408,12 +465,12 @@ def test_a_setting_that_covers_more_for_no_more_robots_is_advised() -> None:
     point = Point(cheap, exactly(0.9), exactly(0.1), exactly(20.0), None, 0.9, 0.1)
     found = Advice((now, exactly(0.8), exactly(0.2)), 5, (point,), 64, point, exactly(0.1))
     assert not found.saves(point) and found.better() is point
-    (said,) = found.blocks().leads
-    assert said.endswith("more are covered, for no more robots lost, with `policy='per_cell', worth=40`.")
+    (said,) = found.blocks().alternatives
+    assert said == ("To cover 90.0 % (10.00 points more) without losing more robots: `policy='per_cell', worth=40`.")
     assert Advice((now, exactly(0.95), exactly(0.2)), 5, (point,), 64).better() is None
     costly = Advice((now, exactly(0.95), exactly(5.0)), 5, (point,), 64, point, exactly(-0.05))
-    assert list(costly.blocks().leads) == [
-        "90.0 % costs 0.10 robots: `policy='per_cell', worth=40`; 95.0 % costs all 5 robots."
+    assert list(costly.blocks().alternatives) == [
+        "To cover 90.0 % and lose 0.10 robots on average: `policy='per_cell', worth=40`."
     ]
 
 
@@ -431,11 +488,14 @@ def test_what_hardly_covers_anything_is_not_advised_because_it_is_free() -> None
     assert Advice(now, 3, straight, 64).better() is None, "every cell costs about as much"
     best = priced(None, 0.7, 3.0)
     whole = replace(found, points=(*points, best), advised=points[1], difference=exactly(-0.1))
-    (said,) = whole.blocks().leads
+    (said,) = whole.blocks().alternatives
     assert said == (
-        "50.0 % costs 1.00 robots: `policy='per_cell', worth=20`; "
-        "60.0 % costs all 3 robots, and 70.0 % costs no more: `policy='per_cell'`."
+        "To cover 50.0 % and lose 1.00 robots on average: `policy='per_cell', worth=20`; "
+        "to cover 70.0 % with the same losses: `policy='per_cell'`."
     )
+    fewer = replace(best, losses=exactly(2.5))
+    (said,) = replace(whole, points=(*points, fewer)).blocks().alternatives
+    assert said.endswith("; to cover 70.0 % and lose 2.50 robots on average: `policy='per_cell'`.")
 
 
 def test_the_knee_is_the_best_bargain_between_two_settings() -> None:
@@ -451,9 +511,10 @@ def test_the_knee_is_the_best_bargain_between_two_settings() -> None:
     bent = replace(front, points=(free, middle, most), priced=(free, middle, most), words=("map.npy",))
     assert bent.corners() == (free, middle, most)
     assert headline(bent) == (
-        "30.0 % covered on average costs no robot (per_cell, worth 9); 99.0 % costs 0.05 robots (per_cell, worth 7); "
-        "100 % costs both robots (mrac)."
+        "2 robots can cover 30.0 % and lose no robot, 99.0 % and lose 0.05 robots, or 100 % and lose both robots, "
+        "on average."
     )
+    assert pick_lines(bent)[1] == "per_cell, worth 7: 99.00 % covered, 0.05 robots lost."
     assert any(line.startswith("run it: ") and "--worth 7 " in line for line in pick_lines(bent)), "the bargain"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -14,13 +15,15 @@ import pytest
 
 from analysis.evaluation.evaluate import evaluate
 from analysis.kit import compiling, progress
-from analysis.kit.compiling import Announcer, compiling_line
+from analysis.kit.compiling import Announcer
 from analysis.kit.notes import of_things
 from analysis.kit.safe_console import SafeConsole
 from analysis.sampling import RolloutChoices
 from planner import jit
 from planner.kernels.rollouts import run_set
 from planner.mrac.make_plan import make_plan
+from planner.sealed import NO_CACHE
+from planner.settings import Settings
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
@@ -102,25 +105,61 @@ def test_a_pipe_is_told_where_a_long_run_is(
     assert capsys.readouterr().err == ""
 
 
-def test_a_compilation_that_takes_long_is_said_once(
+def test_a_compilation_is_named_with_the_seconds_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of one code all compilations together, the inner ones once; of another code from the start again."""
+    now = 0.0
+    monkeypatch.setattr(compiling.time, "monotonic", lambda: now)
+    announcer = Announcer()
+    compiles, parts = announcer.line, ((announcer.begins, 0), (announcer.begins, 5), (announcer.ends, 0))
+    announcer.what = "per_cell"
+    for part, seconds in parts:
+        part()
+        now += seconds
+    assert compiles() == "compiling per_cell, first run only, 5 s so far"
+    now += 65.0
+    announcer.ends()
+    assert compiles() == ""
+    announcer.begins()
+    assert compiles() == "", "so short that nobody needs to know"
+    now += 2.0
+    assert compiles() == "compiling per_cell, first run only, 1 min 12 s so far"
+    announcer.ends()
+    announcer.what = "mrac"
+    announcer.begins()
+    now += 3.0
+    monkeypatch.setenv(NO_CACHE, "1")
+    assert compiles() == "compiling mrac, in every run, as compiled code is not kept, 3 s so far"
+
+
+def test_a_progress_line_says_what_is_compiled_for_what(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(compiling, "PATIENCE", 0.05)
-    announcer = Announcer()
-    announcer.begins()
-    announcer.begins()
-    announcer.ends()
-    time.sleep(0.3)
-    announcer.ends()
-    announcer.begins()
-    time.sleep(0.15)
-    announcer.ends()
-    assert capsys.readouterr().err == compiling_line() + "\n"
-    quick = Announcer()
-    quick.begins()
-    quick.ends()
-    time.sleep(0.15)
-    assert capsys.readouterr().err == ""
+    """On a pipe and on a terminal; what is compiled is the simulator of the plan that was made ready last."""
+    announcer, now = Announcer(), 0.0
+    monkeypatch.setattr(compiling.time, "monotonic", lambda: now)
+    for module in (compiling, progress):
+        monkeypatch.setattr(module, "ANNOUNCER", announcer)
+    world = World.create([[0, 0.1]])
+    plan = make_plan(world, [[0, 0]], Settings(policy="per_cell"))
+    with progress.show_progress(asked=False) as watch:
+        watch.doing("alternatives")
+        assert watch.line_after(8) == "alternatives ... (8 s)"
+        for loop, name in (("closed", "per_cell"), ("open", "the open loop")):
+            compiling.compiles_for(plan, loop)
+            announcer.begins()
+            now += 35.0
+            assert watch.line_after(37) == f"compiling {name}, first run only, 35 s so far; alternatives"
+            announcer.ends()
+    screen = io.StringIO()
+    monkeypatch.setattr(progress, "SafeConsole", lambda **_: SafeConsole(file=screen, force_terminal=True, width=120))
+    with progress.show_progress() as watch:
+        announcer.begins()
+        now += 2.0
+        watch._bar.refresh()
+        assert "compiling the open loop, first run only, 37 s so far; rollouts" in screen.getvalue()
+        with watch.paused():
+            print("the answer")  # noqa: T201 - where the bar was
+    assert capsys.readouterr().out == "the answer\n"
 
 
 def test_processes_that_will_compile_are_known_by_their_policies(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,7 +173,7 @@ def test_processes_that_will_compile_are_known_by_their_policies(monkeypatch: py
 
 @pytest.mark.parametrize("jax", [False, True], ids=["numba", "jax"])
 def test_both_compilers_report_to_the_announcer_and_a_cache_does_not(tmp_path: Path, jax: bool) -> None:
-    """A process of its own, for Numba twice: the second finds all in the cache. What is said on a pipe is one line."""
+    """A process of its own, for Numba twice: the second finds all in the cache."""
     numba_code = (
         "import numba\nfrom pathlib import Path\nnumba.config.CACHE_DIR = {folder!r}\n"
         "from tests_small import double\n"
@@ -151,11 +190,11 @@ def test_both_compilers_report_to_the_announcer_and_a_cache_does_not(tmp_path: P
         "import numba\n@numba.njit(cache=True)\ndef double(x):\n    return 2 * x\n"
     )
     code = (
-        "from analysis.kit import compiling\ncompiling.say_when_compiling()\n"
-        "compiling.PATIENCE, seen, begins = 0.005, [], compiling.ANNOUNCER.begins\n"
-        "compiling.ANNOUNCER.begins = lambda: (seen.append(1), begins())\n"
+        "from analysis.kit import compiling\ncompiling.notice_compiling()\n"
+        "compiling.PATIENCE, seen, ends = 0.0, [], compiling.ANNOUNCER.ends\n"
+        "compiling.ANNOUNCER.ends = lambda: (seen.append(compiling.ANNOUNCER.line()), ends())\n"
         + (jax_code if jax else numba_code).format(folder=str(tmp_path / "cache"))
-        + "print(len(seen))\n"
+        + "assert all('so far' in line for line in seen)\nprint(len(seen))\n"
     )
     paths = os.pathsep.join([str(tmp_path), str(Path(__file__).parent.parent)])
     environment = os.environ | {"PYTHONPATH": paths}
@@ -166,8 +205,8 @@ def test_both_compilers_report_to_the_announcer_and_a_cache_does_not(tmp_path: P
         )
         assert done.returncode == 0, done.stderr
         counts.append(int(done.stdout))
-        assert done.stderr == ("" if counts[1:] else compiling_line() + "\n")
-    assert counts[0] > jax  # several programs, and yet one line
+        assert done.stderr == ""
+    assert counts[0] > jax  # several programs
     if not jax:  # JAX says that it begins before it looks into the cache; what it finds there is there in no time
         assert counts[1] == 0
     else:
@@ -184,5 +223,5 @@ def test_a_first_run_says_that_it_compiles_and_prints_one_json_object(tmp_path: 
     for _ in range(2):
         done = subprocess.run(words, capture_output=True, text=True, env=environment, check=True, timeout=600)
         assert json.loads(done.stdout)["rollouts"] == 50
-        said.append(compiling_line() in done.stderr)
+        said.append(bool(re.search(r"compiling mrac, first run only, \d+ s so far", done.stderr)))
     assert said == [True, False]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from page_reader import Reader
 
 import mrac_jax as mrac
 from analysis.cli.app import run
@@ -321,7 +322,7 @@ def test_the_answer_prints_and_saves_itself(tmp_path: Path) -> None:
         answer = mrac.starts(WORLD, 2, depot=depot, rollouts=32)
         files = {file.name for file in answer.save(tmp_path / str(depot))}
         assert files == {"index.html", "starts.png", "starts.txt", "starts.json", "plan.json"}
-        page = (tmp_path / str(depot) / "index.html").read_text()
+        page = Reader((tmp_path / str(depot) / "index.html").read_text()).text
         assert headline(answer) in page and all(said in page for said in findings(answer))
         assert 2 <= len(repr(answer).splitlines()) <= 24
         assert (answer.world_with_starts.starts == answer.starts).all()

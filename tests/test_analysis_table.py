@@ -53,7 +53,7 @@ def shown(evaluation: Evaluation, width: int, theory: bool = False) -> str:
 def test_the_answer_losses_chances_and_time_come_first(loop: str, answers: dict[str, Evaluation]) -> None:
     answer = answers[loop]
     said = shown(answer, 200)
-    wanted = [headline(answer), losses_words(answer), "Chances in %", "time, steps", "Coverage, %",
+    wanted = [headline(answer), "Chances in %", "time, steps", "Coverage, %", losses_words(answer),
               "accessible,", "makespan", "rollouts,"]  # fmt: skip
     places = [said.index(words) for words in wanted]
     assert places == sorted(places) and places[0] == 0

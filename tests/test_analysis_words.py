@@ -13,8 +13,8 @@ from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.figures import Chance, sampled_share
 from analysis.evaluation.formulas import WORDS, formula_counts, formulas_words
 from analysis.evaluation.table import answer_tables
-from analysis.evaluation.words import cell_words, chances_words, home_words, losses_words
-from analysis.kit.words import plan_words, span_words
+from analysis.evaluation.words import assured_words, cell_words, chances_words, headline, home_words, losses_words
+from analysis.kit.words import plan_words, span_words, without_level
 from analysis.statistics.coverage import losses_said, losses_shown, more_said
 from analysis.statistics.estimate import Estimate, exactly, proportion
 from analysis.statistics.words import between, digits_of, in_unit, lost_words
@@ -98,7 +98,67 @@ def test_a_robot_lost_before_the_runs_is_told_apart(alive: tuple[int, ...], said
     assert losses_words(rest) == f"{said} 1 robot was lost before."
 
 
+HEADLINES = {
+    (20, 0): "of the accessible cells on average and is lost in each of the 20 runs.",
+    (0, 20): "and is not lost in each of the 20 runs.",
+    (5, 15): "and is lost in 5 of the 20 runs.",
+    (3722, 6278): "and is lost in 37 of 100 runs.",
+    (37, 9963): "and is lost in 4 of 1,000 runs.",
+    (9990, 10): "and is lost in almost every run.",
+    (20000, 0, 0): "and lose both robots in each of the 20,000 runs.",
+    (600, 300, 100): "and lose both robots in 60 of 100 runs (1.50 on average).",
+    (1022, 2, *[0] * 7): "and lose all 8 robots in almost every run.",
+    (0, 0, 9000, 1000): "and lose 0.90 of 3 robots on average.",
+    (0, 0, 1000, 9000): "and lose no robot in 90 of 100 runs (0.10 on average).",
+    (0, 0, 0, 50): "and lose no robot in any of the 50 runs.",
+    (0, 40, 60, 0): "and lose 1.4 of 3 robots on average.",
+}
+"""How the headline ends, by the runs that left 0, 1, ... robots."""
+
+
+@pytest.mark.parametrize("alive", HEADLINES)
+def test_the_headline_says_what_is_achieved_and_lost_in_one_sentence(alive: tuple[int, ...]) -> None:
+    said = headline(evaluation_of(list(alive)))
+    assert said.endswith(HEADLINES[alive]) and said.count(". ") == 0
+    check_one_meaning(said)
+
+
+def check_one_meaning(said: str) -> None:
+    """Every % of the sentence is a share of the accessible cells: none is of runs, none is a confidence."""
+    assert "of the accessible cells" in said and not re.search(
+        r"95 %|% (of|in) (the )?(\d|all )*runs|% confidence", said
+    )
+
+
+def test_the_headline_has_a_half_width_and_what_19_of_20_runs_reach(capsys: pytest.CaptureFixture[str]) -> None:
+    world = mrac.load([[0, 0.1, 0, 0.2], [0, 0, 0.1, 0]])
+    answer = mrac.evaluate(world, 2, rollouts=2000, exact="never", advice=False, band=False)
+    said, mean = headline(answer), without_level(answer.visited.said(100, " %"))
+    assert "±" in mean and said.startswith(f"2 robots visit {mean} of the accessible cells on average (at least ")
+    assert " % in 19 of 20 runs) and lose " in said
+    check_one_meaning(said)
+    few = headline(mrac.evaluate(world, 2, rollouts=20, exact="never", advice=False, band=False))
+    assert "19 of 20" not in few
+
+
+def test_what_19_of_20_runs_reach_is_rounded_downwards() -> None:
+    whole = evaluation_of([0, 999, 1])
+    for least, said in ((9, "100 %"), (8, "88.8 %"), (5, "55.5 %")):
+        found = replace(whole)
+        vars(found)["shown"] = replace(whole.shown, assured=least)
+        assert assured_words(found) == said and f"(at least {said} in 19 of 20 runs)" in headline(found)
+
+
+def test_the_headline_of_what_is_left_of_a_mission_speaks_of_the_robots_that_were_left() -> None:
+    whole = evaluation_of([60, 30, 10, 0])
+    robots = tuple(RobotState(0, status, -1, NO_CELLS, NO_CELLS, 0, False) for status in ("dead", "idle", "idle"))
+    state = MissionState(whole.world.shape, whole.world.sha256, 0, np.array([0]), np.array([0]), robots)
+    rest = replace(whole, plan=replace(whole.plan, state=state))
+    assert headline(rest).endswith(" and lose both robots that were left in 60 of the 100 runs (1.5 on average).")
+
+
 def test_no_robot_can_be_lost_without_danger() -> None:
+    assert headline(evaluation_of([0, 0, 9], threat=0.0)).endswith(" on average and no robot can be lost.")
     assert losses_words(evaluation_of([0, 0, 9], threat=0.0)) == "No robot can be lost."
 
 
@@ -231,8 +291,17 @@ def test_one_cell_takes_and_two_take() -> None:
     """Of stops in three cells one or two take half; of nine cells one or two are covered rarely."""
     known = evaluation_of([0, 8, 0])
     cases = {
-        ((6, 1, 1), (1, 8)): ("1 cell of the 3 where robots are lost takes half", "1 cell of 9 is covered"),
-        ((3, 3, 2), (1, 1)): ("2 cells of the 3 where robots are lost take half", "2 cells of 9 are covered"),
+        ((6, 1, 1), (1, 8)): (
+            "1 cell of the 3 where robots are lost takes half",
+            "1 cell of 9 is covered",
+            "More robots are lost in row 0, column 0 than in any other cell: 0.75 a run.",
+        ),
+        ((3, 3, 2), (1, 1)): (
+            "2 cells of the 3 where robots are lost take half",
+            "2 cells of 9 are covered",
+            "No cell costs more robots than row 0, column 0: 0.375 a run.",
+        ),
+        ((0, 4, 0), (8, 8)): ("Robots are lost in row 0, column 1 alone: 0.5 a run.",),
     }
     for (stops, covered), said in cases.items():
         tally = replace(known.tally, stops=np.array([*stops, *[0] * 6]), covered_visited=np.array([*covered, *[8] * 7]))

@@ -180,7 +180,7 @@ def test_words_and_page(answer: Evaluation, tmp_path: Path) -> None:
     ):
         assert words in text and words in page
     assert (tmp_path / "believed.png").exists() and (tmp_path / "sense.png").exists()
-    assert "Theorem 3" not in text and "Lines: the plan" not in page
+    assert "Theorem 3" not in text and "Paths: the plan" not in page
 
 
 def test_no_range_is_no_list_of_ranges() -> None:

@@ -16,7 +16,7 @@ from rich.table import Table
 from analysis.page.cell_maps import NOT_FREE, OUT_OF_REACH, STEPS, CellLayer, cell_maps_html
 from analysis.page.curves import Chart, Series, curves_html
 from analysis.page.document import asset, whole_script
-from analysis.page.markup import TEMPLATES, Html, block, with_code
+from analysis.page.markup import TEMPLATES, Html, block, unbroken, with_code
 from analysis.page.tables import FOLDED_FROM, MOST_ROWS, TableData, from_rich
 from analysis.page.ticks import label, ticks
 from analysis.pictures.style import COVERED
@@ -47,9 +47,24 @@ def test_text_is_shown_and_never_obeyed(text: str) -> None:
 
 
 def test_what_stands_between_backticks_is_code() -> None:
-    assert with_code("take `--worth <4>` & go") == "take <code>--worth &lt;4&gt;</code> &amp; go"
+    assert with_code("take `x <4>` & go") == "take <code>x &lt;4&gt;</code> &amp; go"
     assert with_code("an odd ` one") == "an odd ` one"
     assert with_code(Html("<b>`as it is`</b>")) == "<b>`as it is`</b>"
+
+
+def test_no_line_ends_between_a_number_and_its_unit_or_an_option_and_its_value() -> None:
+    """Options keep their plain spaces: they are copied into a shell."""
+    tied = {
+        "85.73 % ± 0.05 of 3,451 cells": "85.73~%~±~0.05~of 3,451~cells",
+        "a 95 % interval, < 0.1 %": "a 95~% interval, <~0.1~%",
+        "no number here": "no number here",
+    }
+    for text, shown in tied.items():
+        assert unbroken(text) == shown.replace("~", "\N{NO-BREAK SPACE}")
+    assert with_code("lose 0.6: `--policy per_cell --worth 4`") == (
+        'lose 0.6: <code><span class="whole">--policy per_cell</span> <span class="whole">--worth 4</span></code>'
+    )
+    assert with_code("run it: x --seed 1 <") == 'run it: x <span class="whole">--seed 1</span> &lt;'
 
 
 def test_html_stands_as_it_is_and_data_is_inert() -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import Browser, browser_path
 from conftest import FOLDER
 from page_reader import PNG, Reader, check_page_is_sound
 from PIL import Image
@@ -101,13 +102,17 @@ def test_the_answer_losses_chances_and_the_map_stand_before_the_sections(answer:
     page = page_of(noted)
     reader = check_page_is_sound(page)
     tally = answer.tally
-    wanted = [headline(answer), losses_words(answer), chances_words(answer), limit_words(answer), "7 were cut off",
-              "The map and the plan", "mean time", "Chances in %, losses and time", "Coverage, % of",
+    wanted = [headline(answer), limit_words(answer), "7 were cut off", "The map and the plan", "mean time",
+              "Chances in %, losses and time", "Coverage, % of", losses_words(answer), chances_words(answer),
               "gains", "Expected coverage by the end", formulas_words(answer), "Theorem 3, C = ",
               "4 rows are dropped", "Versions: "]  # fmt: skip
     places = [reader.text.index(words) for words in wanted]
     assert places == sorted(places)
     assert page.index('class="paths"') < page.index("<main") and tally.rollouts == 300
+    notes = {attrs["class"] for attrs in reader.all("p") if attrs.get("class") in ("note", "warning")}
+    assert notes == {"note"}, "only what must not be overlooked is yellow"
+    boxes = [attrs["class"] for attrs in reader.all("div", "grid-box")]
+    assert boxes[0] == "grid-box bare" and "grid-box bare" not in boxes[1:], "paths are drawn on demand"
 
 
 def test_formulas_and_pictures_are_folded_away(answer: Evaluation) -> None:
@@ -278,3 +283,33 @@ def test_the_front_s_curve_stands_beside_the_map_with_the_plan_marked() -> None:
     assert "What coverage costs" in header and "this plan (mrac)" in header
     without = evaluation_page(mrac.evaluate(mrac.load(threat), 2, rollouts=64, band=False, advice=False), "", {})
     assert "What coverage costs" not in without
+
+
+WIDER = "document.documentElement.scrollWidth > innerWidth"
+TABLES = """[...document.querySelectorAll('.scroll')].filter((box) => !box.closest('details:not([open])'))
+    .map((box) => [box.scrollWidth > box.clientWidth + 1, box.classList.contains('cut'),
+                   getComputedStyle(box, '::before').content.includes('Scroll')])"""
+TILES = """[...document.querySelectorAll('.figures li')].map((tile) => tile.getBoundingClientRect())
+    .map((box) => [Math.round(box.top), Math.round(box.right)])"""
+BAR = "(() => { const bar = document.querySelector('nav ul'); return bar.scrollWidth <= bar.clientWidth; })()"
+DRAWN = "getComputedStyle(document.querySelector('.plan-map .paths')).display"
+
+
+@pytest.mark.skipif(browser_path() is None, reason="no browser here")
+@pytest.mark.parametrize("width", [390, 768, 1280])
+def test_nothing_is_cut_in_a_browser(answer: Evaluation, tmp_path: Path, width: int) -> None:
+    """Tables that are wider than a phone say so, tiles leave no hole, paths are drawn when somebody asks for them."""
+    (tmp_path / "page.html").write_text(page_of(answer), encoding="utf-8")
+    with Browser(tmp_path / "profile") as browser:
+        browser.open(tmp_path / "page.html", width=width)
+        browser.until(f"{TABLES}.every(([wide, cut]) => wide === cut)")
+        tables = browser.run(TABLES)
+        assert not browser.run(WIDER) and len(tables) > 2 and all(cut == hint for _, cut, hint in tables)
+        assert any(cut for _, cut, _ in tables) == (width == 390)
+        assert browser.run(BAR) == (width > 390)
+        tiles = browser.run(TILES)
+        ends = {max(right for top, right in tiles if top == row) for row, _ in tiles}
+        assert len(tiles) > 4 and len(ends) == 1
+        assert browser.run(DRAWN) == "none"
+        browser.run("document.querySelector('.plan-map input[type=checkbox]').click()")
+        assert browser.run(DRAWN) != "none" and not browser.noticed

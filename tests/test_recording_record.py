@@ -138,6 +138,13 @@ def test_the_open_loop(tmp_path: Path, foreign: bool) -> None:
     assert one.loop == "open"
 
 
+def test_it_says_that_it_writes(tmp_path: Path) -> None:
+    world, plan = small_task()
+    told: list[str] = []
+    record(world, plan, Request(ids=(3, 4), seed=SEED), tmp_path / "r.mcap", doing=told.append)
+    assert told == ["writing rollout 1 of 2", "writing rollout 2 of 2", "closing the file"]
+
+
 def test_an_interruption_before_a_rollout_is_complete_leaves_what_was_there(tmp_path: Path) -> None:
     world, plan = small_task()
     path = tmp_path / "r.mcap"

@@ -84,7 +84,7 @@ def evaluate(
         sense: also if robots that are not told the map see so many cells far, on the same luck; 0: blind.
         bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
         band: also sample how coverage grows over time, for `plots`.
-        advice: also a quick front: what of the coverage costs no robot, and what the rest costs.
+        advice: also a quick front: what other settings cover and lose.
         metrics: in whose words value covered, found and left are told; default: as the world says, if it says
             anything of values.
         asked: any further output of `analysis.evaluation.outputs`, by its key.

@@ -74,7 +74,7 @@ def record(
         how: Any = {"loop": loop or given.usual_loop, "seed": seed, "step_seconds": seconds, "made": made}
         how |= {"outcomes": outcomes, "engine": engine, "luck": luck, "first_only": first_visit}
         request = Request(chosen, picks, count, **how)
-        done = record_rollouts(of, given, request, path, progress=tell)
+        done = record_rollouts(of, given, request, path, progress=tell, doing=doing)
         write_layout(layout_name(done.path), of, len(given.robots))
         return done
 

@@ -18,7 +18,7 @@ from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, Unknow
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, may_replace, output_console
 from analysis.cli.decisions import attack, clear, starts
-from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json
+from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, First, deliver, print_json
 from analysis.cli.drive import drive
 from analysis.cli.exporting import Altitude, export
 from analysis.cli.graph import graph
@@ -67,6 +67,7 @@ from planner.settings import BEST
 
 if TYPE_CHECKING:
     from analysis.comparison.compare import Side
+    from analysis.evaluation.answer import Evaluation
     from planner.worlds.world import World
 
 NO_CACHE_OPTION = "--no-cache"
@@ -107,15 +108,16 @@ def evaluate(
         threat_scale: Also if all threats are so many times the map's, the plan as it is: "0.5,1,2".
         sense: Also if robots that are not told the map see so many cells far, on the same luck: "0,1,2,inf".
         metrics: What is found and left of what cells are worth, in the words of this field.
-        bound: Also the bound for every strategy where it is dear, above 1,000 dangerous cells; as sharp as it gets
+        bound: Also compute the upper bound where that is expensive, above 1,000 dangerous cells; as sharp as it gets
             above 500 accessible ones.
         theory: Also list the paper's formulas, each with a verdict.
-        advice: What costs no robot, and what the rest costs: a second or two more.
+        advice: Also what other settings cover and lose: a few seconds more, and on a first run a compilation.
         out: Write the page, pictures, plan and JSON to this folder.
     """
     from analysis.cli.progress import load_or_make_plan
     from analysis.evaluation.evaluate import check_asked
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
+    from analysis.evaluation.outputs.advice import is_quick
     from analysis.evaluation.outputs.knowledge import parse_ranges
     from analysis.evaluation.outputs.threat_scale import parse_scales
     from analysis.evaluation.report import report
@@ -141,13 +143,22 @@ def evaluate(
     world, made, notes = load_or_make_plan(wanted, plan, state, first=first, seconds=sought)
     notes = tuple(note for note in notes if note not in told)
     choices = what.choices(made.is_foreign, None)
+    printed: list[First] = []
+
+    def show_first(found: Evaluation) -> None:
+        printed.append(First(report(found, theory), tables=not is_quick(found)))
+        with progress.paused():
+            printed[0].show()
+
     with show_progress() as progress:
         answer = evaluate_plan(
             world, made, choices, progress=progress, doing=progress.doing, early=progress.doing, bound=bound or None,
-            band=out is not None, advice=advice, **asked,
+            band=out is not None, advice=advice, first=None if as_json else show_first, **asked,
         )  # fmt: skip
-    said, read = report(answer, theory), (plan, state)
-    return deliver(answer, said, out=out, as_json=as_json, notes=notes, source=source, beside=read)
+    said, first = report(answer, theory), printed[0] if printed else None
+    return deliver(
+        answer, said, out=out, as_json=as_json, notes=notes, source=source, beside=(plan, state), first=first
+    )
 
 
 @app.command

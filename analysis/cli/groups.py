@@ -361,7 +361,7 @@ class Checking(_Rolled):
         kind: Of their threats (default: contiguous).
         size: Of each, HxW in cells (default: 20x20).
         processes: Worlds looked at at a time; no result depends on it (default: one a core).
-        bound: Also the bound for every strategy where it is dear: above 1,000 dangerous cells, or with --worlds; as
+        bound: Also compute the upper bound where that is expensive: above 1,000 dangerous cells, or with --worlds; as
             sharp as it gets above 500 accessible ones.
         theory: Of an INPUT: a row for each formula, or all, every reading and meaning of each.
     """

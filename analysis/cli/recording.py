@@ -92,7 +92,7 @@ def record(
     say(notes)
     try:
         with show_progress() as progress:
-            done = record_rollouts(world, made, request, out, progress=progress)
+            done = record_rollouts(world, made, request, out, progress=progress, doing=progress.doing)
     except KeyboardInterrupt:
         say([nothing_recorded(out)])
         return INTERRUPTED

@@ -40,8 +40,9 @@ def studio(
     except ImportError:
         raise UsageError("tornado is not installed", fix='pip install "mrac-jax[studio]"') from None
     from analysis.inputs import input_path, load_task
-    from analysis.kit.compiling import say_when_compiling
+    from analysis.kit.compiling import ANNOUNCER, notice_compiling
     from analysis.kit.loops import run_loop
+    from analysis.kit.progress import lines_now_and_then
     from analysis.sampling import RolloutChoices
     from analysis.studio.server import Studio, serve
     from analysis.studio.sketch import Sketch, raster_of
@@ -59,9 +60,10 @@ def studio(
     say(task.notes)
     first = Sketch.of(task.world, len(task.starts), task.settings)
     room = Studio(first, PurePath(source).name, target, seed or 0)
-    say_when_compiling()
+    notice_compiling()
     try:
-        run_loop(serve(room, port or 0, lambda address: say([f"open {address}", "Ctrl-C ends it"])))
+        with lines_now_and_then(lambda _: ANNOUNCER.line()):
+            run_loop(serve(room, port or 0, lambda address: say([f"open {address}", "Ctrl-C ends it"])))
     except KeyboardInterrupt:
         say(["studio ended"])
     return DONE

@@ -81,6 +81,13 @@ class Evaluation(Answer):
     choices: RolloutChoices = field(default_factory=RolloutChoices)
     bound: bool | None = None
 
+    def with_outputs(self, more: Mapping[str, Output], partial: bool) -> Evaluation:
+        """The same with further outputs; what was worked out already is kept."""
+        whole = replace(self, outputs={**self.outputs, **more}, partial=partial)
+        kept = {name: value for name, value in vars(self).items() if name not in vars(whole) and name != "blocks"}
+        vars(whole).update(kept)
+        return whole
+
     @cached_property
     def blocks(self) -> list[Blocks]:
         """What the outputs add to the report, in order."""

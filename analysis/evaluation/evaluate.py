@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -42,6 +42,7 @@ def evaluate(
     progress: Progress | None = None,
     doing: Doing | None = None,
     early: Doing | None = None,
+    first: Callable[[Evaluation], None] | None = None,
     bound: bool | None = None,
     **asked: Any,
 ) -> Evaluation:
@@ -54,6 +55,7 @@ def evaluate(
     Args:
         progress, doing: told how far it has come, and in words what begins.
         early: told a first answer, in words, again and again while code is compiled (`analysis.first_answer`).
+        first: given the answer before `late` outputs are measured, where there are any.
         bound: whether the bound for every strategy is worked out, as `flow` of `analysis.theory.any_strategy`.
         asked: further outputs by their key in `OUTPUTS`, with what its `measure` takes: `threat_scale=(0.5, 2)`.
     """
@@ -87,15 +89,8 @@ def evaluate(
     if last is None:
         raise KeyboardInterrupt
     run = Run(world, plan, choices, last, roll_out, exact, closed, certain, kept, tell, begin)
-    outputs: dict[str, Output] = {}
-    for key, value in wanted.items():
-        if OUTPUTS[key].own_rollouts and partial:
-            continue
-        try:
-            for found in OUTPUTS[key].measure(value, run):
-                outputs[key] = found
-        except KeyboardInterrupt:
-            partial = True
+    soon, late = ({key: v for key, v in wanted.items() if OUTPUTS[key].late == is_late} for is_late in (False, True))
+    outputs, partial = _measured(soon, run, partial)
     answer = Evaluation(
         world=world,
         plan=plan,
@@ -119,7 +114,26 @@ def evaluate(
     if bound:
         begin("the bound for every strategy")
         answer.limit  # noqa: B018 - worked out here, where progress is told
-    return answer
+    if not late:
+        return answer
+    if first is not None:
+        first(answer)
+    more, partial = _measured(late, run, partial)
+    return answer.with_outputs(more, partial)
+
+
+def _measured(wanted: dict[str, Any], run: Run, partial: bool) -> tuple[dict[str, Output], bool]:
+    """The outputs by key, and whether it was interrupted, then or before."""
+    outputs: dict[str, Output] = {}
+    for key, value in wanted.items():
+        if OUTPUTS[key].own_rollouts and partial:
+            continue
+        try:
+            for found in OUTPUTS[key].measure(value, run):
+                outputs[key] = found
+        except KeyboardInterrupt:
+            partial = True
+    return outputs, partial
 
 
 def check_asked(world: World, **asked: Any) -> None:

@@ -45,7 +45,7 @@ def layers_of(
     world: World, plan: Plan, accessible: NDArray[np.bool_], expected: Expected, how_known: str, rest: Rest | None,
     lines: str = "the plan",
 ) -> Layers:  # fmt: skip
-    """Of expected values; `how_known`, and what the `lines` over the map are: in words.
+    """Of expected values; `how_known`, and what the `lines` over the map are, which a page draws on demand: in words.
 
     `rest`: of the mission, where that is not all of it.
     """
@@ -55,7 +55,7 @@ def layers_of(
     covered = f" {percent(expected.visited / accessible.sum())} of the cells on average; {rare} below 50 %."
     left = CellLayer("Residual risk", "Threat times the chance that the cell is not covered.",
                      threat.values * (1 - chance.values), LOSSES, "%", root=True, digits=2)  # fmt: skip
-    about = f"Colour: {p_words(plan, world)}. Lines: {lines}."
+    about = f"Colour: {p_words(plan, world)}. Paths: {lines}."
     return Layers(
         replace(threat, name="The map and the plan", about=about),
         threat,

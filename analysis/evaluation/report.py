@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from fractions import Fraction
 from functools import partial
 
 from analysis.evaluation import maps
@@ -14,11 +13,13 @@ from analysis.evaluation.formulas import formulas_part
 from analysis.evaluation.rest import Rest
 from analysis.evaluation.table import answer_tables, robots_table, worst_cells
 from analysis.evaluation.words import (
+    assured_words,
     cell_words,
     chances_words,
     gain_words,
     headline,
     home_words,
+    interval_words,
     limit_words,
     losses_words,
     quantile_words,
@@ -30,7 +31,7 @@ from analysis.report.blocks import KeyFigure, Part, Pictured, Report
 from analysis.report.words import asked, team_figure
 from analysis.statistics.words import in_unit
 from analysis.trials.exact_loop import TreeTruth
-from planner.shown import counted, floored
+from planner.shown import counted
 from planner.worlds.world import World
 
 
@@ -38,21 +39,21 @@ def report(evaluation: Evaluation, theory: bool = False) -> Report:
     """The answer beside the map and the plan, the figures behind it, then why; `theory`: formulas, unfolded."""
     world, plan, certain, outputs = evaluation.world, evaluation.plan, evaluation.certain, evaluation.blocks
     rest, looked_at = evaluation.rest, _looked_at(evaluation)
-    words = losses_words, home_words, chances_words, limit_words
-    own = () if certain else [say(evaluation) for say in words]
-    notes = [gain_words(evaluation), quantile_words(evaluation), *(note for found in outputs for note in found.notes)]
+    said = losses_words, chances_words, gain_words, interval_words, quantile_words
+    own = () if certain else (*(say(evaluation) for say in said), *(note for found in outputs for note in found.notes))
+    home, limit = ("", "") if certain else (home_words(evaluation), limit_words(evaluation))
     return Report(
         "evaluation", "evaluate", asked(world, len(plan.robots), "how much is covered?"), headline(evaluation),
         lambda: to_json(evaluation),
         findings=[
-            *(line for found in outputs for line in found.opens),
-            *filter(None, own),
-            *(line for found in outputs for line in found.leads),
+            *filter(None, (*(line for found in outputs for line in found.opens), home)),
+            *(line for found in outputs for line in found.alternatives),
+            *filter(None, (limit, *(line for found in outputs for line in found.leads))),
         ],
         figures=_key_figures(evaluation), picture=lambda: maps.plan_map(evaluation),
         below=lambda: [chart for found in outputs for chart in found.below],
         parts=[
-            Part("Chances and coverage", answer_tables(evaluation), () if certain else list(filter(None, notes))),
+            Part("Chances and coverage", answer_tables(evaluation), list(filter(None, own))),
             *([] if rest is None else [Part(rest.title, notes=list(rest_words(evaluation, rest)),
                                             drawn=lambda: [maps.rest_map(evaluation, rest)])]),
             Part("Coverage over time", drawn=lambda: [over_time(evaluation)], lead=over_time_words(evaluation)),
@@ -63,7 +64,7 @@ def report(evaluation: Evaluation, theory: bool = False) -> Report:
             *([formulas_part(evaluation, theory)] if theory or not certain else []),
         ],
         notes=evaluation.notes,
-        warnings=["Interrupted: these are the rollouts that were done until then."] * evaluation.partial,
+        warnings=["Interrupted: this is what was done until then."] * evaluation.partial,
         settings=looked_at | _settings(evaluation),
         last=_in_lines(evaluation, looked_at),
         pictures=_pictures(evaluation, rest),
@@ -129,7 +130,7 @@ def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
     visited, between = seen.columns(100.0, 100)
     (complete, likely), (time, steps) = found.complete.columns(), evaluation.time.columns()
     sure = "with 95 % confidence" if found.visited.known is None else "exact"
-    runs = KeyFigure(floored(Fraction(found.assured or 0, cells)), "or more in 95 % of runs", sure)
+    runs = KeyFigure(assured_words(evaluation), "reached in 19 of 20 runs", sure)
     return [
         KeyFigure(f"{visited} %", "visited on average", f"{in_unit(between)}, of {cells:,} accessible cells"),
         *([] if found.assured is None else [runs]),

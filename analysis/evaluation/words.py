@@ -8,8 +8,9 @@ from fractions import Fraction
 import numpy as np
 
 from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.figures import Chance
 from analysis.evaluation.rest import BEFORE, BEYOND, Rest
-from analysis.kit.words import percent, policy_words, share
+from analysis.kit.words import percent, policy_words, share, without_level
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.words import between, lost_words
 from analysis.theory.reachable import moves_left
@@ -138,21 +139,67 @@ def _none(runs: int) -> str:
 
 
 def headline(evaluation: Evaluation) -> str:
-    """The answer in one sentence: of a policy that was searched for, with its name and what none exceeds.
+    """What the plan achieves and what it loses, in one sentence; % is a share of the accessible cells throughout it.
 
-    Else with what 95 % of runs reach, which is sure with 95 %, or left out.
+    Of a policy that was searched for, with its name and what no policy exceeds; else with what 19 of 20 runs reach,
+    where there are enough rollouts to tell. `losses_words` has the chances in percent.
     """
-    tally, robots, least = evaluation.tally, len(evaluation.plan.robots), evaluation.shown.assured
+    robots, least = len(evaluation.plan.robots), evaluation.shown.assured
     if evaluation.certain:
         return certain_headline(evaluation)
-    shown = evaluation.visited.said(100.0, " %") + " of the accessible cells on average"
-    who = counted(robots, "robot visits", "robots visit")
+    shown = without_level(evaluation.visited.said(100.0, " %")) + " of the accessible cells on average"
+    who, lost = counted(robots, "robot visits", "robots visit"), _lost_clause(evaluation)
     if is_best(evaluation.plan) and (settings := evaluation.plan.settings) is not None:
         most = _most(evaluation)
         limit = f"; no strategy exceeds {most} on average ({proven(evaluation)})" * bool(most)
-        return f"{who} {shown} with {policy_words(settings)}{limit}."
-    runs = "" if least is None else f", and at least {floored(Fraction(least, tally.accessible))} in 95 % of runs"
-    return f"{who} {shown}{runs}."
+        return f"{who} {shown} with {policy_words(settings)}, {lost}{limit}."
+    runs = "" if least is None else f" (at least {assured_words(evaluation)} in 19 of 20 runs)"
+    return f"{who} {shown}{runs} {lost}."
+
+
+def assured_words(evaluation: Evaluation) -> str:
+    """What 19 of 20 runs reach, rounded downwards, as it is a lower bound."""
+    return floored(Fraction(evaluation.shown.assured or 0, evaluation.tally.accessible))
+
+
+def _lost_clause(evaluation: Evaluation) -> str:
+    """ "and lose all 8 robots in almost every run (7.99 on average)": how often without a %, which is coverage here."""
+    gone = 0 if evaluation.plan.state is None else evaluation.plan.state.lost
+    robots, losses = len(evaluation.plan.robots) - gone, evaluation.losses
+    every, none = (evaluation.shown.left[number] for number in (0, robots))
+    alone, left = len(evaluation.plan.robots) == 1, " that were left" if gone else ""
+    if robots == 0:
+        return "and none is left to lose"
+    if float(evaluation.closed_form.stops_by_cell.sum()) == 0:
+        return "and cannot be lost" if alone else "and no robot can be lost"
+    if alone:
+        return f"and is {'' if every.mean else 'not '}lost {_often(every if every.mean else none)}"
+    verb, words = "loses" if alone else "lose", lost_words(losses.mean - gone, robots, losses.decimals)
+    mean = f" ({words.split()[0]} on average)" if words[0].isdigit() else ""
+    if every.mean >= 0.5:
+        team = {1: "the robot", 2: "both robots"}.get(robots, f"all {robots} robots")
+        return f"and {verb} {team}{left.replace('were', 'was') if robots == 1 else left} {_often(every)}" + (
+            mean if every.mean < 1 else ""
+        )
+    if none.mean == 1:
+        return f"and {verb} no robot in {_any(none.rollouts)}"
+    if none.mean >= 0.5:
+        return f"and {verb} no robot {_often(none)}{mean}"
+    return f"and {verb} {words}{'' if words.endswith(('robot', 'robots')) else ' robots'}{left} on average"
+
+
+def _often(chance: Chance) -> str:
+    """A chance as a count of runs: "in 45 of 100 runs", "in almost every run", "in each of the 20 runs"."""
+    if chance.mean == 1:
+        return f"in {_each(chance.rollouts)}"
+    if 0 < chance.rollouts <= 100:
+        return f"in {round(chance.mean * chance.rollouts)} of the {chance.rollouts} runs"
+    if chance.mean >= 0.995:
+        return "in almost every run"
+    of = 100 if chance.mean >= 0.05 else 1_000
+    return (
+        f"in {round(chance.mean * of)} of {of:,} runs" if chance.mean >= 0.0005 else f"in fewer than 1 of {of:,} runs"
+    )
 
 
 def certain_headline(evaluation: Evaluation) -> str:
@@ -164,6 +211,11 @@ def certain_headline(evaluation: Evaluation) -> str:
         f"{who} {percent(covered, 2)} of the accessible cells in {long} and none is lost: no cell on the "
         "way is dangerous, so every run is the same and 1 rollout is enough."
     )
+
+
+def interval_words(evaluation: Evaluation) -> str:
+    """How sure the figures of the headline are; nothing where it has no "±"."""
+    return "± is half the width of a 95 % interval." if "±" in headline(evaluation) else ""
 
 
 def gain_words(evaluation: Evaluation) -> str:

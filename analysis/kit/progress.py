@@ -10,9 +10,10 @@ from importlib import import_module
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.text import Text
 
-from analysis.kit.compiling import say_when_compiling
+from analysis.kit.compiling import ANNOUNCER, notice_compiling
 from analysis.kit.notes import say
 from analysis.kit.safe_console import SafeConsole
 from planner.shown import duration
@@ -62,6 +63,31 @@ class Watch:
         left = f", {duration(self._left)} left" if self._left > 0 else ""
         return f"{self._what} ..." + (f" {self._count()}{left}" if self._done else "")
 
+    def line_after(self, seconds: float) -> str:
+        """The same after so many seconds; while something is compiled, that and for how long so far."""
+        return with_compiling(self._what) if ANNOUNCER.line() else f"{self.line()} ({duration(seconds)})"
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Nothing is shown on a terminal meanwhile, so that the answer can be printed there."""
+        self._bar.stop()
+        try:
+            yield
+        finally:
+            self._bar.start()
+
+
+def with_compiling(what: str) -> str:
+    """What is being done, after what is compiled for it: "compiling mrac, first run only, 35 s so far; rollouts"."""
+    return "; ".join(filter(None, (ANNOUNCER.line(), what)))
+
+
+class _What(ProgressColumn):
+    """What is being done, looked up at every refresh, as seconds of compiling are counted in it."""
+
+    def render(self, task: Task) -> Text:
+        return Text(with_compiling(task.description))
+
 
 @contextmanager
 def show_progress(things: str = "rollouts", *, asked: bool = True) -> Iterator[Watch]:
@@ -69,9 +95,9 @@ def show_progress(things: str = "rollouts", *, asked: bool = True) -> Iterator[W
     console = SafeConsole(stderr=True)
     notebook, terminal = console.is_jupyter, console.is_terminal and not console.is_jupyter
     if terminal or notebook or asked:
-        say_when_compiling()
+        notice_compiling()
     columns = (
-        TextColumn("{task.description}"),
+        _What(),
         BarColumn(),
         TextColumn("{task.fields[count]}"),
         TextColumn("{task.fields[rate]}"),
@@ -83,25 +109,28 @@ def show_progress(things: str = "rollouts", *, asked: bool = True) -> Iterator[W
         if terminal or not (notebook or asked):
             yield watch
         else:
-            with notebook_line(watch.line) if notebook else lines_now_and_then(watch.line):
+            with notebook_line(watch.line_after) if notebook else lines_now_and_then(watch.line_after):
                 yield watch
 
 
 @contextmanager
-def lines_now_and_then(line: Callable[[], str]) -> Iterator[None]:
-    """Says `line()` on standard error after FIRST seconds, and then every EVERY, for as long as it takes."""
-    with _repeated(lambda seconds: say([f"{line()} ({duration(seconds)})"]), FIRST, EVERY):
+def lines_now_and_then(line: Callable[[float], str]) -> Iterator[None]:
+    """Says `line(seconds)` on standard error after FIRST seconds, and then every EVERY, for as long as it takes.
+
+    Where there is no line nothing is said.
+    """
+    with _repeated(lambda seconds: say([*filter(None, [line(seconds)])]), FIRST, EVERY):
         yield
 
 
 @contextmanager
-def notebook_line(line: Callable[[], str]) -> Iterator[None]:
-    """Shows `line()` below a notebook's cell while it runs, and nothing there afterwards."""
+def notebook_line(line: Callable[[float], str]) -> Iterator[None]:
+    """Shows `line(seconds)` below a notebook's cell while it runs, and nothing there afterwards."""
     display = import_module("IPython.display").display
     shown: list[Any] = []
 
     def show(seconds: float) -> None:
-        text = {"text/plain": f"{line()} ({duration(seconds)})"}
+        text = {"text/plain": line(seconds)}
         if shown:
             shown[0].update(text, raw=True)
         else:

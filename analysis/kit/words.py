@@ -69,3 +69,8 @@ def bearing_words(plan: Plan, world: World) -> str:
         f"{bearing.said}: p is a dose, of which a visit adds -ln(1 - p); the first visit of the worst cell, "
         f"p = {chance(worst)}, stops a fresh robot with {fresh}"
     )
+
+
+def without_level(said: str) -> str:
+    """What `Estimate.said` says, without "(95 %)": for a sentence in which % stands for coverage alone."""
+    return said.replace(" (95 %)", "").replace(", 95 %)", ")")

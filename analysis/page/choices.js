@@ -12,9 +12,9 @@ function option(type, name, text, chosen, pick) {
   label.append(input, make("span", "", text));
   return label;
 }
-// The planned paths, shown or not; on a large map they would hide it.
-function pathsOption(box, rows, cols) {
-  const shown = Math.max(rows, cols) <= 128, turn = (on) => box.classList.toggle("bare", !on);
-  turn(shown);
-  return option("checkbox", "Paths", "Paths", shown, turn);
+// The robots' paths, which hide the map: drawn when they are asked for.
+function pathsOption(box) {
+  const turn = (on) => box.classList.toggle("bare", !on);
+  turn(false);
+  return option("checkbox", "Paths", "Paths", false, turn);
 }

@@ -2,8 +2,12 @@
 // The pictures are those of the section cell by cell: they are in the page once. Gives what shows, at a step, the
 // threats that hold then, if threats are shown.
 function layers(group) {
-  const head = group.querySelector(".map"), source = document.getElementById(dataOf(group).from);
-  if (!source) return () => {};
+  const head = group.querySelector(".map"), box = head.querySelector(".grid-box"), source = document.getElementById(dataOf(group).from);
+  const paths = box.querySelector(".paths") ? [pathsOption(box)] : [];
+  if (!source) {
+    head.querySelector(".about").after(...paths);
+    return () => {};
+  }
   const maps = [...source.querySelectorAll(".map")], titles = maps.map((map) => map.dataset.short);
   const since = maps.map((map) => ("since" in map.dataset ? +map.dataset.since : Infinity));
   let shown = 0;
@@ -15,8 +19,7 @@ function layers(group) {
     head.querySelector(".about").textContent = maps[number].querySelector(".about").textContent;
     head.querySelector(".bar-box").replaceWith(maps[number].querySelector(".bar-box").cloneNode(true));
   });
-  const box = head.querySelector(".grid-box");
-  if (box.querySelector(".paths")) field.append(pathsOption(box, ...dataOf(group).shape));
+  field.append(...paths);
   head.querySelector(".about").after(field);
   return (step) => {
     const now = since.findLastIndex((begin) => begin <= step);
@@ -146,8 +149,8 @@ function player(group, showThreats) {
     slider.value = step;
     showThreats(step);
     slider.setAttribute("aria-valuetext", "step " + told(step) + ", " + part + " % covered, " + left + " robots left");
-    said.textContent = "Step " + told(step) + " of " + told(run.time) + ": " + written(covered, 0) + " of "
-      + written(about.accessible, 0) + " cells (" + part + " %) covered, " + left + " of " + marks.length + " robots left." + seen + lost;
+    said.textContent = unbroken("Step " + told(step) + " of " + told(run.time) + ": " + written(covered, 0) + " of "
+      + written(about.accessible, 0) + " cells (" + part + " %) covered, " + left + " of " + marks.length + " robots left." + seen + lost);
   }
   tellers.set(box, (row, col) => {
     const cell = row * cols + col;

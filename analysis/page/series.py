@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -56,7 +57,8 @@ class Chart:
         title: its heading. series: the curves. x_name, y_name: of the axes. note: a line below.
         unit: after every value of y, "%" say. digits, x_digits: decimals of the values shown under the pointer.
         x_whole: label whole numbers alone. x_words: of 0, 1, 2, ..., in their place.
-        y_range: shown at least; None: what the curves need, from 0.
+        y_range: shown at least; None: what the curves need, from 0. fit: the y axis begins where the curves do,
+            not at 0, and `y_range` is what it never leaves.
         at_x: (x, words) of upright lines, where they are on the axis. at_y: (y, words) of level ones.
         interval: what low and high are, in words.
     """
@@ -72,6 +74,7 @@ class Chart:
     x_whole: bool = True
     x_words: Sequence[str] = ()
     y_range: tuple[float, float] | None = None
+    fit: bool = False
     at_x: tuple[tuple[float, str], ...] = ()
     at_y: tuple[tuple[float, str], ...] = ()
     interval: str = "95 % interval"
@@ -132,6 +135,10 @@ def y_range_of(chart: Chart, points: Sequence[Points]) -> tuple[float, float]:
     """What the y axis shows."""
     every = np.concatenate([end for one in points for end in one.ends])
     low, high = min(float(every.min()), 0.0), max(float(every.max()), *(y for y, _ in chart.at_y), 0.0)
+    if chart.fit:
+        low = min([float(every.min()), *(y for y, _ in chart.at_y)])
+        more, (least, most) = 0.05 * (high - low) or 1.0, chart.y_range or (-math.inf, math.inf)
+        return max(low - more, least), min(high + more, most)
     high += 0.04 * (high - low)
     if chart.y_range is not None:
         low, high = min(low, chart.y_range[0]), max(float(every.max()), chart.y_range[1])

@@ -4,6 +4,9 @@ for (const group of document.querySelectorAll(".cell-maps")) maps(group);
 for (const group of document.querySelectorAll(".plan-map")) {
   player(group, layers(group));
 }
+for (const box of document.querySelectorAll(".scroll")) { // a table that is cut at the edge says so
+  new ResizeObserver(() => box.classList.toggle("cut", box.scrollWidth > box.clientWidth + 1)).observe(box);
+}
 for (const button of document.querySelectorAll(".copy")) {
   if (!navigator.clipboard) continue;
   button.hidden = false;

@@ -1,9 +1,11 @@
 // The box with the values under the pointer, the finger or the arrow keys; the same is said to screen readers.
 const tip = document.getElementById("tip"), live = document.getElementById("live");
+// No line ends between a number and its unit, as on the rest of the page.
+const unbroken = (text) => String(text).replace(/(?<=\d) (?=[%\w\u00b1])|(?<=%) (?=\u00b1)|(?<=[\u00b1<>]) (?=\d)/g, "\u00a0");
 const make = (name, look, text) => {
   const made = document.createElement(name);
   if (look) made.className = look;
-  if (text !== undefined) made.textContent = text;
+  if (text !== undefined) made.textContent = unbroken(text);
   return made;
 };
 const written = (value, digits) =>

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from analysis.inputs import input_path
-from analysis.kit.notes import Progress
+from analysis.kit.notes import Doing, Progress, quiet
 from analysis.recording import contents
 from analysis.recording.frames import make_frames
 from analysis.recording.mcap.container import CHUNK_SIZE, LogWriter
@@ -83,7 +83,13 @@ class Recorded(Answer):
 
 
 def record(
-    world: World, plan: Plan, request: Request, path: str | Path, *, progress: Progress | None = None
+    world: World,
+    plan: Plan,
+    request: Request,
+    path: str | Path,
+    *,
+    progress: Progress | None = None,
+    doing: Doing = quiet,
 ) -> Recorded:
     """Evaluate, choose, and write the file at `path`. Memory: one rollout in full, and a few numbers a cell.
 
@@ -100,7 +106,7 @@ def record(
     log = LogWriter(path, chunk_size=CHUNK_SIZE, discard=True)
     try:
         with log:
-            _write(log, done, world, plan, request, engine, progress)
+            _write(log, done, world, plan, request, engine, progress, doing)
     except KeyboardInterrupt:
         if log.placed is None:
             raise
@@ -119,8 +125,9 @@ def _write(
     request: Request,
     engine: Engine,
     progress: Progress | None,
+    doing: Doing,
 ) -> None:
-    """The whole log; it is worth keeping once a rollout is complete."""
+    """The whole log; it is worth keeping once a rollout is complete. `doing`: told which rollout is written."""
     began = time.perf_counter()
 
     def write(message: Message) -> None:
@@ -136,6 +143,7 @@ def _write(
     done.settings = request.settings(ids, picks)
     _describe(log, done.settings, done.tally, world, plan)
     stage = Stage(world, plan, request.loop, request.seed, request.first_only, request.luck)
+    doing(f"writing rollout 1 of {len(ids)}")
     for trace, messages in recorded_messages(stage, engine.traces(ids), request.step_seconds):
         row = _row(trace, picks, stage)
         for message in messages:
@@ -145,6 +153,9 @@ def _write(
             done.first = trace
         done.rows.append(row)
         log.discard = False
+        doing(
+            f"writing rollout {len(done.rows) + 1} of {len(ids)}" if len(done.rows) < len(ids) else "closing the file"
+        )
 
 
 def _row(trace: Trace, picks: dict[str, int], stage: Stage) -> Row:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.kit.compiling import compiles_for
 from analysis.kit.notes import Progress
 from analysis.recording import contents
 from analysis.recording.comparison import Difference, compare, compare_outcomes, may_be_lost, seconds_text
@@ -121,6 +122,7 @@ class _Comparison:
         self._descriptions(world, plan)
         first_only, luck = self.settings.threat_checks == "first_visit", self.settings.luck
         how = Rolling(self.settings.loop, "step", first_only, self.settings.seed, luck)
+        compiles_for(plan, self.settings.loop)
         engine = make_engine(plan, world, how, self.found.engine)
         self._rollouts(Stage(world, plan, self.settings.loop, self.settings.seed, first_only, luck), engine)
         if self.found.everything:

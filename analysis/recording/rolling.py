@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from analysis.kit.compiling import compiles_for
 from analysis.kit.notes import Progress
 from analysis.recording import contents
 from analysis.recording.pick import Pick, Picker
@@ -85,6 +86,7 @@ def engine_of(world: World, plan: Plan, request: Request) -> Engine:
     """Rolls out as the request says. Raises InputError."""
     from planner.rollouts.engine import Rolling, make_engine
 
+    compiles_for(plan, request.loop)
     how = Rolling(request.loop, "step", request.first_only, request.seed, request.luck)
     return make_engine(plan, world, how, request.engine)
 

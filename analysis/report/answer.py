@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from html import escape
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -15,6 +16,10 @@ from planner.shown import Rows, html_of, text_of
 if TYPE_CHECKING:  # NumPy comes with it, and `--help` with this file
     from analysis.report.blocks import Report
     from planner.files import Json
+
+
+MOST_SENTENCES = 6
+"""Of a report's findings that a console or a notebook shows."""
 
 
 class Answer:
@@ -43,16 +48,19 @@ class Answer:
         """
         return save_report(report_of(self), Path(folder), "", force=force)
 
-    def _brief(self) -> tuple[str, Rows]:
-        """What a console or a notebook shows of an answer: a screen at most."""
+    def _brief(self) -> tuple[str, Sequence[str], Rows]:
+        """What a console or a notebook shows of an answer, a screen at most: the answer, sentences, key figures."""
         said = report_of(self)
-        return f"{type(self).__name__}: {said.headline}", rows_of(said)
+        return f"{type(self).__name__}: {said.headline}", said.findings[:MOST_SENTENCES], rows_of(said)
 
     def __repr__(self) -> str:
-        return text_of(*self._brief())
+        title, sentences, rows = self._brief()
+        return text_of("\n".join([title, *sentences]), rows)
 
     def _repr_html_(self) -> str:
-        return html_of(*self._brief())
+        title, sentences, rows = self._brief()
+        said = "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
+        return html_of(title, rows).replace("<table>", f"{said}<table>", 1)
 
 
 def report_of(answer: Answer) -> Report:

@@ -49,16 +49,31 @@ def rows_of(report: Report) -> Rows:
     return [*figures, *(("note", note) for note in report.notes)]
 
 
-def print_report(report: Report, console: Console) -> None:
-    """For a person at a terminal: the answer, how sure it is, what was looked at, tables and how to read them."""
+def print_report(report: Report, console: Console, headline: bool = True) -> None:
+    """For a person at a terminal: the answer, how sure it is, what was looked at, tables and how to read them.
+
+    `headline`: whether the answer itself is printed; it may stand there already.
+    """
     above = [""] if report.last else [*report.heading, *report.took]
-    print_lines(console, (report.headline, *report.findings, *above))
+    print_lines(console, (*[report.headline] * headline, *report.findings, *above))
     for part in report.parts:
         if not part.aside:
             for table in part.tables:
                 console.print(table)
             print_lines(console, part.notes)
     print_lines(console, [*report.last, *(f"note: {note}" for note in report.notes), *report.warnings])
+
+
+def print_more(report: Report, first: Report, console: Console) -> None:
+    """The lines that a report has beyond those of a first one, which was printed; tables are the same."""
+    printed = set(_lines(first))
+    more = [line for line in _lines(report) if line not in printed]
+    print_lines(console, ["", *more] if more else [])
+
+
+def _lines(report: Report) -> list[str]:
+    notes = (note for part in report.parts if not part.aside for note in part.notes)
+    return [report.headline, *report.findings, *notes, *(f"note: {note}" for note in report.notes), *report.warnings]
 
 
 def save_report(

@@ -28,7 +28,8 @@ def page_of(report: Report, command: str, pictures: Mapping[str, bytes], files: 
     shown = None if report.picture is None else report.picture()
     height, width = shown.world.shape if isinstance(shown, CellMaps) else (1, 1)
     said, notes = report.findings, [f"Note: {note}" for note in report.notes]
-    words, warnings, findings = (said, notes, ()) if shown is not None else ((), (), (*said, *report.notes))
+    findings = [] if shown is not None else [*said, *report.notes]
+    words, notes = (said, notes) if shown is not None else ([], [])
     sections = (
         Section("Findings", block("findings", findings)),
         *map(_section, report.parts),
@@ -37,7 +38,7 @@ def page_of(report: Report, command: str, pictures: Mapping[str, bytes], files: 
         reproduce_section(command, files, report.again),
     )
     return document(
-        sections, report=report, words=words, warnings=[*report.warnings, *warnings],
+        sections, report=report, words=words, notes=notes, warnings=report.warnings,
         below=_charts(report.below(), "h2"), picture=None if shown is None else _html(shown),
         broad=width > BROAD * height,
     )  # fmt: skip

@@ -62,7 +62,7 @@ async function start() {
     placed = line.starts;
     if ("paths" in line) picture.paths(line.paths, line.thickness, rows, cols);
     problem("");
-    headline.textContent = line.headline;
+    headline.textContent = unbroken(line.headline);
     headline.dataset.stage = line.stage;
     headline.dataset.times = JSON.stringify(line.times);
     at("figures").replaceChildren(...line.figures.map(([value, name, note]) => {
@@ -188,7 +188,7 @@ async function start() {
   }));
   at("sizes").append(choices("Size", SIZES, 0, (n) => { size = +SIZES[n]; }));
   at("layers").append(choices("Layer", palettes.layers.map((layer) => layer.name), shown, (n) => { shown = n; show_all(); }));
-  at("layers").firstChild.append(pathsOption(box, rows, cols));
+  at("layers").firstChild.append(pathsOption(box));
   if (Math.max(rows, cols) > 40) zoom(box);
   const step = (way) => () => { board[way](); changed(); };
   at("undo").addEventListener("click", step("back"));

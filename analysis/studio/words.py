@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from analysis.kit.words import percent
+from analysis.kit.words import percent, without_level
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.words import lost_words
@@ -31,9 +31,9 @@ class Figure(NamedTuple):
 
 def headline(robots: int, mean: Estimate, losses: Estimate, alone: bool = False) -> str:
     """The closed loop's answer in a sentence; `alone`: the open loop's, in which nobody takes over."""
-    covers = f"{counted(robots, 'robot covers', 'robots cover')} {coverage(mean)} of what can be reached"
+    covers = f"{counted(robots, 'robot covers', 'robots cover')} {without_level(coverage(mean))} of what can be reached"
     if alone:
-        covers = f"If nobody took over, {counted(robots, 'robot')} would cover {coverage(mean)}"
+        covers = f"If nobody took over, {counted(robots, 'robot')} would cover {without_level(coverage(mean))}"
     lost = lost_words(losses.mean, robots, min(losses.digits(), 2))
     return f"{covers}; {lost} {'is' if robots == 1 else 'are'} lost."
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import ceil
 
 from rich.table import Table
 
 from analysis.kit.folder import json_text
 from analysis.kit.tables import make_table
-from analysis.kit.words import percent
+from analysis.kit.words import percent, without_level
 from analysis.page.series import Chart, Series
 from analysis.report.blocks import KeyFigure, Part, Report
 from analysis.report.words import (
@@ -72,15 +73,25 @@ def report(front: Front) -> Report:
 
 
 def headline(front: Front) -> str:
-    """The pick; or what costs next to no robot, the best bargain, and all that can be covered: by fresh rollouts."""
+    """Coverage and losses in one sentence, by fresh rollouts; `pick_lines` names the settings.
+
+    Of the pick; or of the settings that cost next to no robot, are the best bargain, and cover most.
+    """
     if front.partial:
         return f"Interrupted after {counted(len(front.points), 'setting')}."
     if front.goal:
         return _picked(front)
-    first, *most = front.priced
-    said = f"{_percent(first)} covered on average costs {_lost(front, first)} ({_named(front, first)})"
-    said += "".join(f"; {_percent(point)} costs {_lost(front, point)} ({_named(front, point)})" for point in most) + "."
-    return said + " Exact." * all(point.exact for point in front.priced)
+    said = [f"{_percent(point)} and lose {_lost(front, point)}" for point in front.priced]
+    listed = said[0] if len(said) == 1 else f"{', '.join(said[:-1])}{',' * (len(said) > 2)} or {said[-1]}"
+    return f"{_team(front)} can cover {listed}, on average{_exact(front.priced)}."
+
+
+def _team(front: Front) -> str:
+    return counted(len(front.starts), "robot")
+
+
+def _exact(points: Sequence[Point]) -> str:
+    return " (exact)" * all(point.exact for point in points)
 
 
 def _picked(front: Front) -> str:
@@ -88,17 +99,15 @@ def _picked(front: Front) -> str:
     by_losses = goal.losses is not None
     limit = f"{chance(goal.target or 0, 12)} or more covered on average"
     if by_losses:
-        limit = f"at most {goal.losses:g} of {counted(len(front.starts), 'robot')} lost on average"
+        limit = f"at most {goal.losses:g} of {_team(front)} lost on average"
     if again is not None:
-        bound = f"at least {floored(again.least, 2)} covered"
-        if by_losses:
-            bound = f"at most {ceil(100 * again.most) / 100:.2f} lost"
-        sure = "exact" if again.exact else f"95 %: {bound}"
-        said = f"{_percent(again)} covered, {_lost(front, again)} lost on average"
-        return f"Best found with {limit}: {_named(front, again)}. {said}; the limit is kept ({sure})."
+        can = f"{_team(front)} can cover {_percent(again)} and lose {_lost(front, again)}, on average"
+        return f"{can}{_exact([again])}; asked for was {limit.removesuffix(' on average')}."
     if goal.pick([point.figures for point in front.points]) is not None:
         other = "more" if by_losses else "less"
-        return f"No setting is sure to have {limit} (95 %): ask for a little {other}, or --rollouts for more."
+        return (
+            f"No setting is sure to have {limit} (confidence 0.95): ask for a little {other}, or --rollouts for more."
+        )
     if by_losses:
         least = min(front.points, key=lambda one: (one.losses.mean, -one.coverage.mean))
         fewest = of_all(least.losses.mean, len(front.starts))
@@ -125,14 +134,15 @@ def _told(front: Front) -> list[Point]:
 
 
 def pick_lines(front: Front) -> list[str]:
-    """How sure the figures of the headline are, and how to have them again."""
+    """Which settings the headline speaks of, how sure their figures are, and how to have them again."""
     told, again = _told(front), front.confirmed
-    lines = [f"{_named(front, point)}: {_fresh(front, point)}." for point in told]
-    if len(told) == 1:
-        lines = [sourced(not told[0].exact, f"{_fresh(front, told[0])}.")]
+    lines = [f"{_named(front, point)}: {_fresh(front, point)}{_exact([point])}." for point in told]
+    if again is not None:
+        found = sourced(not again.exact, f"{_fresh(front, again)}.")
+        lines = [f"Best setting found: {_named(front, again)}. {found}", _kept(front, again)]
     if front.tried > 1 and again is not None:
         place = {2: "second", 3: "third"}.get(front.tried, f"{front.tried}th")
-        lines.append(f"It is the {place} that was tried there; the 95 % holds with all tries.")
+        lines.append(f"It is the {place} that was tried there; the confidence holds with all tries.")
     home = front.settings.return_to is not None
     if front.words and told:
         point = told[(len(told) - 1) // 2]
@@ -144,8 +154,19 @@ def pick_lines(front: Front) -> list[str]:
     return lines
 
 
+def _kept(front: Front, again: Point) -> str:
+    """How sure it is that the pick keeps the limit."""
+    if again.exact:
+        return "The limit is kept: these figures are exact."
+    bound = f"{floored(again.least, 2)} or more is covered"
+    if front.goal.losses is not None:
+        bound = f"{ceil(100 * again.most) / 100:.2f} robots or fewer are lost"
+    return f"The limit is kept with confidence 0.95: on average {bound}."
+
+
 def _fresh(front: Front, point: Point) -> str:
-    return f"{point.coverage.said(100, ' %')} covered, {losses_said(point.losses, len(front.starts))} lost"
+    said = f"{point.coverage.said(100, ' %')} covered, {losses_said(point.losses, len(front.starts))} lost"
+    return without_level(said).replace(" (exact)", "")
 
 
 def command_of(front: Front, point: Point) -> str:
@@ -173,7 +194,9 @@ def _key_figures(front: Front) -> list[KeyFigure]:
 def _chart(front: Front, which: str) -> Chart:
     """Coverage over robots lost, or over steps: a curve for each family through its settings, the pick as a mark."""
     goal, robots = front.goal, which == "losses"
-    shown = [(name, [p for p in front.points if p.setting.family == family]) for family, name in TITLES.items()]
+    least = min(front.points[place].coverage.mean for place in _cheap(front))  # below it nothing is worth a look
+    seen = [point for point in front.points if point.coverage.mean >= least]
+    shown = [(name, [p for p in seen if p.setting.family == family]) for family, name in TITLES.items()]
     shown.append((PICK, [] if front.picked is None else [front.picked]))
     limit = ((goal.losses, f"at most {goal.losses:g} lost"),) if robots and goal.losses is not None else ()
     return Chart(
@@ -195,6 +218,7 @@ def _chart(front: Front, which: str) -> Chart:
         x_digits=2 if robots else 0,
         x_whole=not robots,
         y_range=(0, 100),
+        fit=True,
         at_x=limit,
         at_y=() if goal.target is None else ((100 * goal.target, f"{chance(goal.target, 12)} wanted"),),
         note="Farther up and to the left is better. Press a name to hide a curve.",
@@ -245,7 +269,7 @@ def _cheap(front: Front) -> list[int]:
 
 
 def _footnote(front: Front) -> str:
-    settings, luck = counted(len(front.points), "setting"), ", on the same luck" if front.engine else ""
+    settings, luck = counted(len(front.points), "setting"), ", common random numbers" if front.engine else ""
     if front.goal:
         of = f"{len(_cheap(front))} of {settings}"
         return f"{of}: no other covers as much with as few lost{luck}. --out and --json have all."

@@ -229,8 +229,7 @@ class _Search:
             if values and self.cells > RESERVED_CELLS:
                 values = ()
                 self.notes.append(
-                    f"no reserve was looked at, which takes long on more than {RESERVED_CELLS:,} accessible cells: "
-                    f"{argument('reserves')} names those to look at"
+                    f"Reserves were skipped (slow above {RESERVED_CELLS:,} cells); add {argument('reserves')}"
                 )
         _check_ladder("reserve", values)
         return [Setting("per_cell", reserve=value) for value in values]
@@ -326,7 +325,7 @@ class _Search:
 
     def _measured(self, setting: Setting, start: int) -> Measured:
         """What a setting comes to: exactly, or by as many rollouts as were asked for, ids from `start` on."""
-        self.doing(f"{setting}" + (" on fresh rollouts" if start else ""))
+        self.doing(f"{setting} on fresh rollouts" if start else f"setting {len(self.points) + 1}, {setting}")
         began, count = time.perf_counter(), self.choices.rollouts
         if self.settings.return_to is None:
             trial = self._trial(setting._replace(deadline=None)).until(setting.deadline)

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.kit.compiling import compiles_for
 from analysis.sampling import RolloutChoices, knowing_deadline, make_engine_for
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.value import Worth
@@ -50,6 +51,7 @@ class Trial:
         self.loop = None
         if choices.loop == "closed":
             how = choices
+            compiles_for(plan)
             self.loop = loop or compile_closed_loop(plan, world, first_only=how.first_only, kept=kept, luck=how.luck)
             whole: Engine = closed_loop_engine(self.loop, choices.seed, choices.engine)
         else:

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
 from analysis.comparison.compare import Side, compare
 from analysis.evaluation.outputs.output import Blocks, Output, Run
-from analysis.kit.words import percent
+from analysis.kit.compiling import not_compiled
+from analysis.kit.words import percent, without_level
 from analysis.page.series import Chart, Series
 from analysis.statistics.control import tally_mean
 from analysis.statistics.coverage import losses_said
@@ -29,6 +30,10 @@ from planner.errors import PlanError, WorldError
 from planner.files import Json
 from planner.plans.plan import Plan
 from planner.policies import RULES
+from planner.shown import counted
+
+if TYPE_CHECKING:
+    from analysis.evaluation.answer import Evaluation
 
 FEWEST = 64
 """Rollouts of a plan below which nobody asks what would be better."""
@@ -61,13 +66,14 @@ class Advice(Output):
     rollouts: int
     advised: Point | None = None
     difference: Estimate | None = None
+    late = True
 
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
         done = run.last.tally.rollouts
         if not _has_another(run) or run.certain or done < FEWEST:
             return
-        run.doing("what would cost fewer robots?")
+        run.doing("alternatives")
         settings, robots, tally = run.plan.require(run.world), len(run.plan.robots), run.last.tally
         rollouts = int(np.clip(min(done // SHARE, CELLS // tally.accessible), LEAST, MOST))
         choices = replace(run.choices, rollouts=rollouts, precision=None, deadline=None, engine="numba")
@@ -78,7 +84,7 @@ class Advice(Output):
         try:
             points = quick_points(
                 run.world, run.plan.starts, settings, choices, losses=losses.mean, kept=run.kept,
-                seconds=max(SECONDS, run.last.seconds), doing=lambda what: run.doing(f"other settings: {what}"),
+                seconds=max(SECONDS, run.last.seconds), doing=lambda what: run.doing(f"alternatives: {what}"),
             )  # fmt: skip
         except (PlanError, WorldError):  # costs, or an engine, that have no room for the other policy
             return
@@ -144,9 +150,12 @@ class Advice(Output):
         below = [self.chart()] if self.points else []
         if self.advised is None:
             return Blocks(below=below)
-        looked = f"the best of {len(self.points)} other settings, {self.rollouts:,} rollouts each on the same luck"
-        note = f"{_as_asked(self.advised.setting)}: {looked}; `mrac-jax front` looks closer."
-        return Blocks(leads=list(self._leads()), notes=[note], below=below)
+        tried = counted(len(self.points), "other setting")
+        note = (
+            f"{_as_asked(self.advised.setting)} is the best of {tried} that were tried ({self.rollouts:,} rollouts "
+            "each, common random numbers); `mrac-jax front` tries more."
+        )
+        return Blocks(alternatives=list(self._sentences()), notes=[note], below=below)
 
     def chart(self) -> Chart:
         """The settings that nothing beats as a curve over robots lost, and the plan as a mark."""
@@ -159,26 +168,36 @@ class Advice(Output):
         mark = Series.of(f"this plan ({setting})", [losses.mean], [coverage], kind="points", colour=3)
         return Chart(
             "What coverage costs", (curve, mark), "robots lost on average", "visited, % of the accessible cells",
-            unit="%", x_digits=2, x_whole=False, y_range=(0, 100), note="Farther up and to the left is better.",
+            unit="%", x_digits=2, x_whole=False, y_range=(0, 100), fit=True,
+            note="Farther up and to the left is better.",
         )  # fmt: skip
 
-    def _leads(self) -> Iterator[str]:
+    def _sentences(self) -> Iterator[str]:
+        """What the alternatives achieve: coverage and losses of each, and what asks for it."""
         if self.advised is None or self.difference is None:
             return
-        _, coverage, losses = self.now
-        how, cost = _as_asked(self.advised.setting), self._cost(self.advised.losses)
-        if self.saves(self.advised):
-            rest, more = f"{_covered(coverage)} costs {self._cost(losses)}", self.more()
-            if more is not None:
-                rest += f", and {_covered(more.coverage)} costs no more: {_as_asked(more.setting)}"
-            yield f"{_covered(self.advised.coverage)} costs {cost}: {how}; {rest}."
-        else:
-            yield f"{self.difference.said(100, ' points')} more are covered, for no more robots lost, with {how}."
+        advised, how, more = self.advised, _as_asked(self.advised.setting), self.more()
+        if not self.saves(advised):
+            gain = without_level(self.difference.said(100, " points")).removesuffix(" (exact)")
+            yield f"To cover {_covered(advised.coverage)} ({gain} more) without losing more robots: {how}."
+            return
+        said = f"To cover {_covered(advised.coverage)} and lose {self._lost(advised.losses)}: {how}"
+        if more is not None:
+            fewer = more.losses.ci95[1] < self.now[2].mean
+            losses = f"and lose {self._lost(more.losses)}" if fewer else "with the same losses"
+            said += f"; to cover {_covered(more.coverage)} {losses}: {_as_asked(more.setting)}"
+        yield f"{said}."
 
-    def _cost(self, losses: Estimate) -> str:
+    def _lost(self, losses: Estimate) -> str:
         if losses.mean == 0:
             return "no robot" if losses.ci95[1] == 0 else f"no robot in {self.rollouts:,} runs"
-        return losses_said(losses, self.robots, mean_only=True)
+        said = losses_said(losses, self.robots, mean_only=True)
+        return f"{said} on average" if said[0].isdigit() else said
+
+
+def is_quick(answer: Evaluation) -> bool:
+    """Whether other settings are known seconds after the answer: no code is compiled, no long run repeated."""
+    return answer.seconds <= SECONDS and not not_compiled(("per_cell", "mrac"))
 
 
 def _covered(coverage: Estimate) -> str:

@@ -63,7 +63,7 @@ class Blocks:
     """What an output adds to the report of an evaluation, which every medium shows.
 
     Attributes:
-        opens: sentences right after the headline. leads: after the answer's own sentences.
+        opens: sentences right after the headline. alternatives: what other settings achieve, after them. leads: then.
         rows: of the table of coverage. tables: below it. notes: below all of them.
         curves, marks: of the chart of coverage over time, in percent of the accessible cells, and its upright lines.
         below: charts below the answer. layers: of the maps cell by cell, each a picture by this name.
@@ -71,6 +71,7 @@ class Blocks:
     """
 
     opens: Sequence[str] = ()
+    alternatives: Sequence[str] = ()
     leads: Sequence[str] = ()
     rows: Sequence[Row] = ()
     tables: Sequence[Table] = ()
@@ -89,6 +90,8 @@ class Output(ABC):
 
     own_rollouts = True
     """It rolls out more, so that it is left out after an interruption."""
+    late = False
+    """It adds nothing to the tables and takes a while: the answer is shown before it is measured."""
 
     @classmethod
     def check(cls, asked: Any, world: World) -> None:
