@@ -47,6 +47,7 @@ class MapCheck(Answer):
         partial: True if the rollouts were interrupted.
     """
 
+    reported_by = "analysis.checking.report:report"
     listed = "checks"
 
     world: World
