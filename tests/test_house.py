@@ -18,7 +18,7 @@ ROOMS = ("planner", "analysis", "mrac_jax")
 DOOR = re.compile(r"mrac_jax|mrac_jax\.__main__|analysis\.api(\.\w+)?")
 ANSWERS = (
     "evaluation", "comparison", "checking", "survey", "design", "reproduction", "policies", "sweeps", "recording",
-    "tradeoff", "depots", "removal", "adversary", "judging", "standings", "knowing", "graphs",
+    "tradeoff", "depots", "removal", "adversary", "judging", "standings", "knowing",
 )  # fmt: skip
 KITS = ("statistics", "theory", "page", "pictures", "kit", "report", "exporting")
 

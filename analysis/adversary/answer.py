@@ -31,6 +31,8 @@ class Attack(Weighing):
         known, hidden: the worst found for robots that know of them, and for robots that do not.
     """
 
+    reported_by = "analysis.adversary.report:report"
+
     p: float
     turn: Turn
     known: Placed

@@ -49,6 +49,7 @@ class MapCheck(Answer):
         theory: what the table lists: "main", a row for each formula; "all", every reading and meaning.
     """
 
+    reported_by = "analysis.checking.report:report"
     listed = "checks"
 
     world: World

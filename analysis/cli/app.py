@@ -21,7 +21,6 @@ from analysis.cli.decisions import attack, clear, starts
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, First, deliver, print_json
 from analysis.cli.drive import drive
 from analysis.cli.exporting import Altitude, export
-from analysis.cli.graph import graph
 from analysis.cli.groups import (
     Checking,
     OfAnyPolicy,
@@ -459,11 +458,15 @@ def generate(
 
 
 PLANS, MISSIONS = (
-    (attack, clear, graph, starts, studio, suite, sweep),
+    (attack, clear, starts, studio, suite, sweep),
     (drive, export, inspect, record, recover, replay),
 )
 for command in (*PLANS, *MISSIONS, reproduce, results):
     app.command(command)
+
+
+LEFT = {"graph": "orienteering on graphs left with release 0.4; use release 0.3"}
+"""Commands of older releases, and where they are."""
 
 
 def _missing(error: MissingArgumentError) -> str:
@@ -494,6 +497,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         from planner.sealed import NO_CACHE
 
         os.environ[NO_CACHE] = "1"
+    if words and words[0] in LEFT:
+        say([f"error: {words[0]}: {LEFT[words[0]]}"])
+        return BAD_INPUT
     told, named = COMMAND.set(tuple(words)), COMMAND_LINE.set(True)
     try:
         check_streams()

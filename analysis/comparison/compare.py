@@ -85,6 +85,7 @@ class Comparison(Answer):
         certain: nothing can happen to either side: every run is the one that was compared.
     """
 
+    reported_by = "analysis.comparison.report:report"
     listed = "difference"
 
     a: Side

@@ -73,6 +73,7 @@ class Starts(Searched):
         confirmed: `chosen` on fresh rollouts, ids from `choices.rollouts` on.
     """
 
+    reported_by = "analysis.depots.report:report"
     listed = "candidates"
 
     depot: bool

@@ -130,6 +130,7 @@ class TeamSize(Answer):
         engine: that rolled out; "" if nothing was. partial: True if it was interrupted. notes: what a user should know.
     """
 
+    reported_by = "analysis.design.report:report"
     listed = "curve"
 
     world: World

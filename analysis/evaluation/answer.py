@@ -62,6 +62,8 @@ class Evaluation(Answer):
         certain: no robot's way leads through danger: every run is the one rollout of the tally, in both loops.
     """
 
+    reported_by = "analysis.evaluation.report:report"
+
     world: World
     plan: Plan
     closed_form: OpenLoopExact

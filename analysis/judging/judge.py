@@ -50,6 +50,8 @@ class Judged(Answer):
         plans: by policy, those of the planner on the same luck, ended at the same step.
     """
 
+    reported_by = "analysis.judging.report:report"
+
     world: World
     starts: NDArray[np.int64]
     cells: int

@@ -24,6 +24,8 @@ class Study(Swept):
         rollouts: of each map and setting. seed: of the first map. finished: how the run ended.
     """
 
+    reported_by = "analysis.knowing.report:report"
+
     question: Question
     teams: tuple[Team, ...]
     columns: dict[Setting, Columns]

@@ -46,6 +46,8 @@ class Study(Swept):
         rollouts: of each map and setting. finished: how the run ended.
     """
 
+    reported_by = "analysis.policies.report:report"
+
     columns: dict[Setting, Columns]
     bounds: dict[tuple[Kind, int], NDArray[np.float64]]
     rollouts: int

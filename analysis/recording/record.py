@@ -64,6 +64,8 @@ class Recorded(Answer):
         pace: how long a step takes, if the world knows.
     """
 
+    reported_by = "analysis.recording.report:report"
+
     listed: ClassVar[str] = "rollouts"
     path: Path
     settings: contents.Settings = field(init=False)

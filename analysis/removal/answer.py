@@ -43,6 +43,8 @@ class Clearing(Weighing):
         gain: of clearing all picks, on rollouts that had no part in the choice, ids from `choices.rollouts` on.
     """
 
+    reported_by = "analysis.removal.report:report"
+
     remove: Remove
     turns: tuple[Turn, ...]
     gain: Gain | None = None

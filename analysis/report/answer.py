@@ -23,7 +23,10 @@ MOST_SENTENCES = 6
 
 
 class Answer:
-    """What every answer is: stated by `report` in `report.py` of its room."""
+    """What every answer is: stated by the function that `reported_by` names."""
+
+    reported_by: ClassVar[str]
+    """The function that makes its `Report`, as "module:function": reports load what answers do without."""
 
     partial: bool
     """It was interrupted, and holds what was done."""
@@ -64,8 +67,9 @@ class Answer:
 
 
 def report_of(answer: Answer) -> Report:
-    """What the room that the answer's type comes from says of it."""
-    said: Report = import_module(f"{type(answer).__module__.rpartition('.')[0]}.report").report(answer)
+    """The report of an answer, by the function that its type names."""
+    module, _, function = answer.reported_by.partition(":")
+    said: Report = getattr(import_module(module), function)(answer)
     return said
 
 

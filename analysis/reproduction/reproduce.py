@@ -67,6 +67,8 @@ class Reproduction(Swept):
         seed: of the first map. finished: how the run ended.
     """
 
+    reported_by = "analysis.reproduction.report:report"
+
     figures: tuple[str, ...]
     points: dict[Setting, Point]
     maps: int

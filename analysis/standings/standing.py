@@ -99,6 +99,7 @@ class Standing(Answer):
         seconds: that it took. partial: it was interrupted: not all worlds that were asked for.
     """
 
+    reported_by = "analysis.standings.report:report"
     listed = "entries"
 
     worlds: tuple[Played, ...]

@@ -106,6 +106,8 @@ class Row:
 class Survey(Answer):
     """A survey's answer; `entries` in order of (seed, robots). partial: interrupted."""
 
+    reported_by = "analysis.survey.report:report"
+
     choices: SurveyChoices
     rollouts: RolloutChoices
     entries: tuple[Entry, ...]

@@ -29,6 +29,7 @@ class Results(Answer):
     `store`: its file. `runs`: how many the rows are made of. `pooled`: labels that vary within rows.
     """
 
+    reported_by = "analysis.sweeps.report:report"
     listed, partial = "settings", False
 
     store: str

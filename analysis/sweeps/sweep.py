@@ -35,6 +35,7 @@ Watch = Callable[[int, int, float, str], None]
 class Sweep(Swept):
     """A sweep's answer. `rows` in the order of the settings; partial: interrupted."""
 
+    reported_by = "analysis.sweeps.report:report"
     listed = "settings"
 
     spec: Spec

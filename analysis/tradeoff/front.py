@@ -61,6 +61,7 @@ class Front(Searched):
         plan_file: that the plan of the pick is written to; "" for none.
     """
 
+    reported_by = "analysis.tradeoff.report:report"
     listed = "points"
 
     starts: NDArray[np.int64]
