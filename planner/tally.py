@@ -28,7 +28,7 @@ class Outcome(IntEnum):
     clause: str
     """What users read beside the word, after "the mission"."""
 
-    def __new__(cls, code: int, clause: str) -> Self:
+    def __new__(cls, code: int, clause: str = "") -> Self:
         """The member with this code."""
         member = int.__new__(cls, code)
         member._value_, member.clause = code, clause

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from analysis.statistics.estimate import mean_estimate
 from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
-from planner.tally import WORDS_OF_0_3, Outcome, Tally
+from planner.tally import Outcome, Tally
 
 EXACT = [name for name in NAMES if "closed_loop_exact" in load_fixture(name).answers]
 SAMPLED = [name for name in NAMES if "closed_loop_sampled" in load_fixture(name).answers]
@@ -25,9 +25,9 @@ SIGMAS = 5
 def histograms(tally: Tally) -> dict[str, NDArray[np.int64]]:
     """Rollouts by value, of everything whose mean a fixture may give."""
     counts = {name: getattr(tally, name) for name in ("visited", "survived", "time", "alive")}
-    for name in ("complete", "stopped", "stuck"):
-        count = int(tally.outcomes[Outcome[WORDS_OF_0_3.get(name, name).upper()]])
-        counts[name] = np.array([tally.rollouts - count, count])
+    for outcome in (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.NO_PROGRESS):
+        count = int(tally.outcomes[outcome])
+        counts[outcome.word] = np.array([tally.rollouts - count, count])
     return counts
 
 
