@@ -122,7 +122,7 @@ def load_task(asked: Asked) -> Task:
         notes += more
     settings = asked.choices.settings(team.settings, world.pace, by=world.source)
     notes += _cut_off(world, placed)
-    if not (world.by_phase > 0).any():
+    if world.movers is None and not (world.by_phase > 0).any():
         notes += ("no cell is dangerous, so every robot survives: put threats on the map (a scenario's `threats`)",)
     return Task(world, placed, settings, notes)
 

@@ -11,7 +11,7 @@ from planner.arguments import POSITIVE, argument
 from planner.errors import PlanError, UsageError
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plans.plan import FORMAT, Plan
-from planner.plans.plan_file import parse_plan, read_plan_json
+from planner.plans.plan_file import load_plan, read_plan_json
 from planner.rules import BEFORE, rules_of
 from planner.settings import Settings
 from planner.worlds.moving import as_before
@@ -40,26 +40,28 @@ def read_plan_on(path: str | Path, world: World) -> tuple[World, Plan]:
     So a plan of such a release keeps its reading of a scenario that does not say what robots plan on among moving
     threats; its notes say so. Raises PlanError.
     """
-    data, source = read_plan_json(path), str(path)
-    earlier = isinstance(data, dict) and data.get("format") == FORMAT and data.get("version") == 1
-    before = as_before(world) if earlier else world
-    if _sha256_in(data) == before.sha256 != world.sha256:
-        plan = confirm_plan(parse_plan(data, before, source), before, source)
+    source, before = str(path), as_before(world)
+    if before is not world and _of_version_1(path, before.sha256):
+        plan = confirm_plan(load_plan(path, before), before, source)
         return before, replace(plan, notes=(*plan.notes, f"{source}: {KEPT_READING}"))
-    plan = parse_plan(data, world, source)
+    plan = load_plan(path, world)
     try:
         return world, confirm_plan(plan, world, source)
     except PlanError as error:
-        if not earlier or plan.settings is None or rules_of(world, plan.settings, closed=False) == BEFORE:
+        same = plan.settings is None or rules_of(world, plan.settings, closed=False) == BEFORE
+        if same or not _of_version_1(path, world.sha256):
             raise
         expected = f"{error.expected}; release 0.4 changed the rules for phases and for several types of robots"
         raise PlanError(error.problem, source=source, expected=expected, fix=error.fix) from error
 
 
-def _sha256_in(data: object) -> object:
-    """The hash of the map that a plan file says it was made for."""
-    named = data.get("world") if isinstance(data, dict) else None
-    return named.get("sha256") if isinstance(named, dict) else None
+def _of_version_1(path: str | Path, sha256: str) -> bool:
+    """Whether the file is a plan by a release before 0.4, for the map with this hash. Raises PlanError."""
+    data = read_plan_json(path)
+    if not isinstance(data, dict) or data.get("format") != FORMAT or data.get("version") != 1:
+        return False
+    named = data.get("world")
+    return isinstance(named, dict) and named.get("sha256") == sha256
 
 
 def plan_team(world: World, starts: ArrayLike, settings: Settings | None = None, seconds: float | None = None) -> Plan:

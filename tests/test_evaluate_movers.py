@@ -15,9 +15,11 @@ from test_recording_topics import decoded
 
 import mrac_jax as mrac
 from analysis.evaluation.report import report
+from analysis.inputs import Asked, load_task
 from analysis.report.html import page_of
 from planner.errors import InputError
 from planner.roaming import ways_of_movers
+from planner.settings import Choices
 from planner.shown import percent
 from planner.worlds.world import World
 
@@ -133,3 +135,13 @@ def decoded_topics(world: World, path: Path) -> set[str]:
 def test_what_presumes_threats_that_stand_says_so(ask: Callable[[World], Any], world: World) -> None:
     with pytest.raises(InputError, match=r"here: threats that move: .*; leave `movers` out"):
         ask(world)
+
+
+def test_a_scenario_says_what_robots_plan_on_and_not_that_all_survive(tmp_path: Path) -> None:
+    """Where nothing but walkers is dangerous; one line where `plan_on` is left out, none where it is given."""
+    np.save(tmp_path / "m.npy", np.zeros((3, 3)))
+    for more, notes in (("", 1), ("plan_on: patrols\n", 0), ("plan_on: joined\n", 0)):
+        (tmp_path / "s.yaml").write_text(f"map: m.npy\nmovers: [{{walk: 0.5, h: 0.2}}]\n{more}")
+        task = load_task(Asked(str(tmp_path / "s.yaml"), Choices()))
+        assert sum("`plan_on` is not given" in note for note in task.notes) == notes
+        assert not any("every robot survives" in note for note in task.notes)

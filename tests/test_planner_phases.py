@@ -114,15 +114,17 @@ def test_a_team_ends_once_nothing_that_is_announced_changes_the_map() -> None:
     def ends(phases: list[tuple[int, list[float]]], **more: Any) -> tuple[str, int]:
         maps = [(at, np.array([p])) for at, p in phases]
         plan = make_plan(
-            with_phases(World.create(base), maps), [[0, 0]], Settings(policy="per_cell", worth=1.0, **more)
+            with_phases(World.create(base), maps), [[0, 0]], Settings(policy="per_cell", worth=4.0, **more)
         )
         return plan.outcome, plan.time
 
     assert ends([(9, [0, 0.5, 0, N, 0.3])]) == ("called_off", 2)  # out of reach
     assert ends([(4, [0, 0.4, 0, N, 0]), (9, [0, 0.4, 0, N, 0.3])]) == ("called_off", 5)  # the last that counts: 4
     assert ends([(4, [0, 0.4, 0, N, 0]), (9, [0, 0, 0, N, 0])]) == ("complete", 11)
-    assert ends([(9, [0, 0, 0, N, 0])], range=0) == ("stuck", 2)  # nobody can move any more
     assert ends([(3, [0, 0, 0, N, 0]), (9, [0, 0.5, 0, N, 0])]) == ("complete", 5)
+    timed = with_phases(World.create([[0, 0, 0.5]]), [(9, np.zeros((1, 3)))])
+    spent = make_plan(timed, [[0, 0]], Settings(policy="per_cell", range=1))
+    assert (spent.outcome, spent.time) == ("stuck", 3)  # nobody can move any more
 
 
 def test_robots_that_come_home_wait_for_it_too() -> None:
