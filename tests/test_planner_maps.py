@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import mrac_jax as mrac
 from planner.errors import InputError, MapError, WorldError
 from planner.worlds.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, coarsen
 from planner.worlds.maps import load_map, read_movingai
@@ -240,7 +241,7 @@ def test_pixels_smaller_than_robots_are_told(tmp_path: Path) -> None:
         assert not size_note(quiet)
 
 
-def test_many_cells_are_told_with_the_robot_that_they_mean(tmp_path: Path) -> None:
+def test_many_cells_are_told_with_the_robot_that_they_mean(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The cell size that is suggested is a whole number of pixels, and is taken."""
     np.save(tmp_path / "large.npy", np.zeros((101, 100)))
     assert size_note(load_input(tmp_path / "large.npy")) == (
@@ -250,6 +251,11 @@ def test_many_cells_are_told_with_the_robot_that_they_mean(tmp_path: Path) -> No
     assert load_input(tmp_path / "large.npy", 2.0).shape == (50, 50)
     np.save(tmp_path / "enough.npy", np.zeros((100, 100)))
     assert not size_note(load_input(tmp_path / "enough.npy"))
+    mrac.load(tmp_path / "large.npy")
+    assert capsys.readouterr().err.startswith(f"{tmp_path / 'large.npy'}: 101 x 100 = 10,100 cells: a cell is a pixel")
+    mrac.load(tmp_path / "large.npy", cell_size=2.0)
+    mrac.load(tmp_path / "enough.npy")
+    assert not capsys.readouterr().err
     fine = load_input(ros(tmp_path, np.full((120, 90), 255, dtype=np.uint8), resolution=0.03))
     assert "usually cell_size=0.51 (35 cells)" in size_note(fine)
     assert load_input(tmp_path / "m.yaml", 0.51).shape == (7, 5)

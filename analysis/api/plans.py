@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from analysis.api.options import Loop, ReturnTo
 from analysis.inputs import load_world, plan_from_state
+from analysis.kit.notes import say
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.plan_team import plan_team, read_plan_on
@@ -52,6 +53,7 @@ def load(
     """
     if isinstance(source, str | Path):
         world = load_world(str(source), cell_size)
+        _say_if_large(world)
     else:
         world = World.create(source, cell_size=1.0 if cell_size is None else cell_size, source="array")
         world = replace(world, measured=cell_size is not None)
@@ -59,6 +61,14 @@ def load(
     if value is not None or detect is not None:
         world = world.with_values(world.value if value is None else value, world.detect if detect is None else detect)
     return world if route is None else with_route(world, route)
+
+
+def _say_if_large(world: World) -> None:
+    """Say before anything takes long that a map has many cells, where nobody said how large they are."""
+    from planner.worlds.scenario import MANY_CELLS, size_note
+
+    if world.threat.size > MANY_CELLS and (note := size_note(world)) in world.notes:
+        say([f"{world.source}: {note}"])
 
 
 def plan(

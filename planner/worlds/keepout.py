@@ -27,7 +27,9 @@ def keep_out(key: Key, grid: Grid) -> Grid:
             raise item.wrong("one of polygons and layer")
         (kind,) = keys
         if kind == "layer":
-            held = values_over(read_ros_map(keys[kind].file("a map_server YAML file")), grid.frame) >= FULL
+            layer = read_ros_map(keys[kind].file("a map_server YAML file"))
+            held = values_over(layer, grid.frame) >= FULL
+            notes.extend(f"{item.path}: {note}" for note in layer.notes)
         else:
             path = keys[kind].file("a file of polygons")
             shapes = read_polygons(path, 0.0, grid.frame, grid.georeference)

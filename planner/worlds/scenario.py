@@ -82,7 +82,8 @@ def load_input(path: str | Path, cell_size: float | None = None) -> World:
     if top is None or _is_map(top):
         keys = Key({}, "", path).mapping(defaults=DEFAULTS)
         world = _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
-        return world if cell_size is not None or path.suffix.lower() == ".npz" else _told_size(world)
+        note = "" if cell_size is not None or path.suffix.lower() == ".npz" else size_note(world)
+        return replace(world, notes=(*world.notes, note)) if note else world
     if cell_size is not None:
         raise ScenarioError(
             "the scenario says what its cell_size is", source=path, fix=f"leave {argument('cell_size')} out"
@@ -90,20 +91,19 @@ def load_input(path: str | Path, cell_size: float | None = None) -> World:
     return read_scenario(top, path)
 
 
-def _told_size(world: World) -> World:
-    """With a note where the pixels of a bare map are smaller than most robots, or many: what they take a robot for."""
+def size_note(world: World) -> str:
+    """What the pixels of a bare map take a robot for, where they are smaller than most robots, or many; else ""."""
     (height, width), side, count = world.shape, world.cell_size, world.threat.size
     if side >= SMALL_ROBOT and count <= MANY_CELLS:
-        return world
+        return ""
     many = math.ceil((count / MANY_CELLS) ** 0.5) if side >= SMALL_ROBOT else math.ceil(USUAL_CELL / side - WHOLE)
     ratio = max(1, min(many, height, width))
     usual = argument("cell_size", round(ratio * side, 9))
     pixel = f"{side:g} m" if world.measured else f"{side:g} m (presumed)"
-    note = (
+    return (
         f"{height} x {width} = {count:,} cells: a cell is a pixel of {pixel}, so a robot is {side:g} m wide; give its "
         f"footprint, {'usually ' * (side < SMALL_ROBOT)}{usual} ({(height // ratio) * (width // ratio):,} cells)"
     )
-    return replace(world, notes=(*world.notes, note))
 
 
 def read_scenario(top: Key, path: Path) -> World:
