@@ -66,7 +66,7 @@ LONG = {
     "sweep": "sweep sweep.yaml --store a.store --processes 1 --out new",
     "reproduce": "reproduce fig4 --maps 2 --rollouts 20 --processes 1 --store r.store --out new",
     "record": "record world.npz --ids 1-20 --out a.mcap --force",
-    "front": "front world.npz --losses 1 --rollouts 256 --plan-out plan.json --out new",
+    "front": "front world.npz --losses 1 --rollouts 256 --plan-out plan.json --out new --force",
     "size": "size world.npz --target 0.8 --rollouts 512 --exact never --out new",
     "clear": "clear world.npz --rollouts 256 --exact never --out new",
     "attack": "attack world.npz --rollouts 256 --exact never --out new",

@@ -399,7 +399,7 @@ def test_a_plan_made_for_other_robots_than_the_scenario_s_is_noted(
     other = "wear and susceptibility and return_to"
     said = f"{file} was made for another {other} than {scenario} says: its own count"
     for made_for, note in (("w.npz", said), ("s.yaml", "")):
-        assert run(["plan", str(tmp_path / made_for), "--robots", "1", "--out", str(file)]) == 0
+        assert run(["plan", str(tmp_path / made_for), "--robots", "1", "--out", str(file), "--force"]) == 0
         capsys.readouterr()
         assert run(["evaluate", str(scenario), "--plan", str(file), "--rollouts", "16"]) == 0
         err = capsys.readouterr().err

@@ -450,7 +450,7 @@ def test_a_mission_that_has_ended_says_so_again(tmp_path: Path, capfd: pytest.Ca
         (said,) = say(dialogue, type="report", robot=0, cell=said["orders"][0]["cell"])
     command = ["drive", str(tmp_path / "map.npz"), "--state", str(file)]
     assert run(command) == 0 and json.loads(capfd.readouterr().out) == said and said["outcome"] == "complete"
-    World.create(np.zeros((2, 4)), [[0, 0]]).save(tmp_path / "map.npz")
+    World.create(np.zeros((2, 4)), [[0, 0]]).save(tmp_path / "map.npz", force=True)
     assert run(command) == 2 and "another map" in capfd.readouterr().err
 
 

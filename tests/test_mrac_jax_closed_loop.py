@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from closed_loop_compare import assert_same_results, assert_same_tally, assert_s
 from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_world, survey_worlds
 from conftest import LANES
 from rolling import run_closed_chunks
+from test_mrac_jax_open_loop import FLAGS
 
 from mrac_jax.closed_loop import jax_engine as engine_module
 from mrac_jax.closed_loop import program as lane_program
@@ -336,3 +338,12 @@ def test_what_the_lanes_cannot_do_is_a_clear_error(loop: ClosedLoop) -> None:
     with pytest.raises(UsageError, match=r"engine='jax' with transit='area'; expected .*; use engine='numba'"):
         closed_loop_engine(inside, 5, "jax")
     assert closed_loop_engine(inside, 5).name == "numba"
+
+
+def test_flags_of_jax_change_no_count() -> None:
+    """All flags that would stop the program, or change what it means, at once."""
+    with ExitStack() as flags:
+        for name, value in FLAGS.items():
+            flags.enter_context(getattr(jax, name)(value))
+        results = compare(first_worlds(1)[0], 100)
+    assert len(results.visited) == 100

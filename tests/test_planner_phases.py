@@ -266,7 +266,7 @@ def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
         assert world.phases is not None and world.phases.begins.tolist() == [0, 4]
         shown = world.threat[[0, 1, 1], [0, 1, 2]]
         np.testing.assert_allclose(shown, planned, rtol=1e-6)
-        world.save(tmp_path / "w.npz")
+        world.save(tmp_path / "w.npz", force=True)
         again = load_world_file(tmp_path / "w.npz")
         assert again.luck_sha256 == world.luck_sha256 == load_input(tmp_path / "w.npz").luck_sha256
         assert "threats that change at step 4; " in repr(again)

@@ -36,13 +36,17 @@ class CoverageJumanji(Environment):
         self.env = env
         super().__init__()
 
+    def __reduce__(self) -> tuple[type, tuple[CoverageEnv]]:
+        """Made anew from the environment: what Jumanji caches need not be such as can be pickled."""
+        return type(self), (self.env,)
+
     def reset(self, key: jax.Array) -> tuple[Keyed, TimeStep]:
         """The state at t = 0, with the luck of the key."""
         state = self.env.reset(key)[1]
         return Keyed(state, key), restart(self._observation(state), self.env.infos(state))
 
     def step(self, state: Keyed, action: jax.Array) -> tuple[Keyed, TimeStep]:
-        """A team step with an action for each robot, int32 `[K]`."""
+        """A team step with an action for each robot, int32 `[K]`; `CoverageEnv.step_env` says what is checked."""
         after, rewards = self.env.advance(state.state, action)
         infos, seen, gained = self.env.infos(after), self._observation(after), rewards.sum()
         kind = after.done.astype(jnp.int32) + infos["truncated"].astype(jnp.int32)
