@@ -245,7 +245,9 @@ class Evaluation(Answer):
 
     def _coverage(self, meaning: str) -> Coverage:
         covered = getattr(self.shown, meaning)
-        return Coverage(**vars(covered.mean.times(1.0 / covered.cells)), covered=covered)
+        mean = covered.mean
+        mean = mean.times(1.0 / covered.cells) if mean.half_width else exactly(mean.mean / covered.cells)
+        return Coverage(**vars(mean), covered=covered)
 
     @cached_property
     def control(self) -> dict[str, Controlled]:
