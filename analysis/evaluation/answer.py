@@ -21,7 +21,7 @@ from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, home_of, make_singles
 from analysis.statistics.control import Controlled, of_tally
 from analysis.statistics.coverage import Amount
-from analysis.statistics.estimate import Estimate
+from analysis.statistics.estimate import Estimate, exactly
 from analysis.theory.any_strategy import AnyStrategy, any_strategy
 from analysis.theory.bounds import Bounds
 from analysis.theory.exact import OpenLoopExact
