@@ -436,8 +436,8 @@ def test_a_symmetric_interval_stays_in_what_is_possible(estimate: Estimate, said
 
 
 def test_an_interval_has_its_unit_where_it_is_read() -> None:
-    said = [in_unit(one) for one in ("exact", "", "56.4 .. 56.6", "99.5 or more", "0.01 or fewer")]
-    assert said == ["exact", "", "56.4 .. 56.6 %", "99.5 % or more", "0.01 % or fewer"]
+    said = [in_unit(one) for one in ("exact", "", "56.4 .. 56.6", "99.5 or more", "9 .. 12, certain")]
+    assert said == ["exact", "", "56.4 .. 56.6 %", "99.5 % or more", "9 .. 12 %, certain"]
 
 
 def test_no_printed_share_leaves_0_to_100() -> None:

@@ -21,7 +21,7 @@ from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, home_of, make_singles
 from analysis.statistics.control import Controlled, of_tally
 from analysis.statistics.coverage import Amount
-from analysis.statistics.estimate import Estimate
+from analysis.statistics.estimate import Estimate, exactly
 from analysis.theory.any_strategy import AnyStrategy, any_strategy
 from analysis.theory.bounds import Bounds
 from analysis.theory.exact import OpenLoopExact
@@ -254,7 +254,9 @@ class Evaluation(Answer):
 
     def _coverage(self, meaning: str) -> Coverage:
         covered = getattr(self.shown, meaning)
-        return Coverage(**vars(covered.mean.times(1.0 / covered.cells)), covered=covered)
+        mean = covered.mean
+        mean = mean.times(1.0 / covered.cells) if mean.half_width else exactly(mean.mean / covered.cells)
+        return Coverage(**vars(mean), covered=covered)
 
     @cached_property
     def control(self) -> dict[str, Controlled]:

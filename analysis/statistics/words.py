@@ -35,8 +35,9 @@ def in_unit(interval: str, unit: str = " %") -> str:
     """An interval as of `between` with its unit: "99.5 % or more", "56.4 .. 56.6 %"; as it is where it is none."""
     if interval in ("", "exact"):
         return interval
-    ends, word, rest = interval.partition(" or ")
-    return f"{ends}{unit}{word}{rest}"
+    ends, comma, how = interval.partition(", ")
+    ends, word, rest = ends.partition(" or ")
+    return f"{ends}{unit}{word}{rest}{comma}{how}"
 
 
 def lost_words(mean: float, robots: int, digits: int = 2) -> str:
