@@ -57,7 +57,7 @@ class Advice(Output):
         now: what the plan itself comes to. robots: of the team.
         points: other settings, by family, the most coverage first. rollouts: of each.
         advised: one of `points`; None: nothing that was looked at is better.
-        difference: its mean coverage minus the plan's, a fraction of the accessible cells, on the same luck.
+        difference: its mean coverage minus the plan's, a fraction of the accessible cells, on common random numbers.
     """
 
     now: tuple[Setting, Estimate, Estimate]
