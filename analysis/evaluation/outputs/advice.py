@@ -84,7 +84,8 @@ class Advice(Output):
         try:
             points = quick_points(
                 run.world, run.plan.starts, settings, choices, losses=losses.mean, kept=run.kept,
-                seconds=max(SECONDS, run.last.seconds), doing=lambda what: run.doing(f"alternatives: {what.partition(',')[0]}"),
+                seconds=max(SECONDS, run.last.seconds),
+                doing=lambda what: run.doing(f"alternatives: {what.partition(',')[0]}"),
             )  # fmt: skip
         except (PlanError, WorldError):  # costs, or an engine, that have no room for the other policy
             return
