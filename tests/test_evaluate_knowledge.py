@@ -170,7 +170,7 @@ def test_fog_is_what_nobody_has_seen(answer: Evaluation) -> None:
 def test_words_and_page(answer: Evaluation, tmp_path: Path) -> None:
     answer.save(tmp_path)
     page, text = (tmp_path / "index.html").read_text(), (tmp_path / "evaluation.txt").read_text()
-    check_page_is_sound(page)
+    page = check_page_is_sound(page).text
     for words in (
         "not knowing it costs",
         "to see is worth",

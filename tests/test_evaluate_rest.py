@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from page_reader import Reader
 
 import mrac_jax as mrac
 from analysis.evaluation.report import report
@@ -97,7 +98,7 @@ def test_a_state_is_told_and_drawn_and_whole_missions_are_as_they_were(tmp_path:
     )
     assert f"Of the {cells - 5} left {left:,.1f} are visited" in said
     answer.save(tmp_path / "out")
-    page = (tmp_path / "out" / "index.html").read_text()
+    page = Reader((tmp_path / "out" / "index.html").read_text()).text
     assert said in page and "rest.png" in page and (tmp_path / "out" / "rest.png").stat().st_size > 10_000
     whole = mrac.evaluate(WORLD, 2, **QUIET)  # type: ignore[arg-type]
     assert rest_of(WORLD, whole.plan) is None and "rest.png" not in report(whole).pictures

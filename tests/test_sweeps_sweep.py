@@ -410,7 +410,7 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     again = json.loads((out / "sweep.json").read_text())
     assert again["settings"] == first["settings"]
     page = (out / "index.html").read_text()
-    assert "a mean over 5 maps: from" in page and "<svg" in page
+    assert "a mean over 5\N{NO-BREAK SPACE}maps: from" in page and "<svg" in page
     assert "https://" not in page and "http://" not in page.replace("http://www.w3.org", "")
     assert run(["results", store, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

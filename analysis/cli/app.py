@@ -105,7 +105,7 @@ def evaluate(
     Args:
         plan: Evaluate this plan file instead of planning.
         threat_scale: Also if all threats are so many times the map's, the plan as it is: "0.5,1,2".
-        sense: Also if robots that are not told the map see so many cells far, on the same luck: "0,1,2,inf".
+        sense: Also if robots that are not told the map see so many cells far, on common random numbers: "0,1,2,inf".
         metrics: What is found and left of what cells are worth, in the words of this field.
         bound: Also compute the upper bound where that is expensive, above 1,000 dangerous cells; as sharp as it gets
             above 500 accessible ones.
@@ -208,7 +208,7 @@ def front(
     force: Force = False,
     as_json: Json = False,
 ) -> int:
-    """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
+    """What more coverage costs in robots: policies, missions ended early, reserves and worths on common random numbers.
 
     With --losses or --target one of them is picked, checked on other rollouts, and named as a command.
 

@@ -50,9 +50,10 @@ def starts(
 ) -> int:
     """The best starts: one for each robot, or one depot for all.
 
-    Candidates are screened by a bound and by eq. (4) of one robot, the best simulated on the same luck, the better half
-    of them with twice the rollouts, and so on, with the best depot and where the team stands now. The best found is
-    compared with that on fresh rollouts, and named as a command; if it is not surely better, the answer is: stay.
+    Candidates are screened by a bound and by eq. (4) of one robot, the best simulated on common random numbers, the
+    better half of them with twice the rollouts, and so on, with the best depot and where the team stands now. The best
+    found is compared with that on fresh rollouts, and named as a command; if it is not surely better, the answer is:
+    stay.
 
     Args:
         depot: One place for all robots, not one each.
@@ -106,7 +107,7 @@ def clear(
     """Which threat to remove first: after replanning, and with the old plan.
 
     Threats are screened by the bound for every strategy; the best are planned
-    for anew and simulated on the same luck, and the pick is told on fresh rollouts.
+    for anew and simulated on common random numbers, and the pick is told on fresh rollouts.
 
     Args:
         count: How many threats to clear, one after the other (default: 1).
@@ -134,8 +135,8 @@ def attack(
 ) -> int:
     """Where threats would cost the team most: if robots know of them and plan anew, and if they do not.
 
-    A threat is placed in the cell where fewest are visited on the same luck, one after the other; then each is moved
-    while that costs more. What they cost is told on fresh rollouts.
+    A threat is placed in the cell where fewest are visited on common random numbers, one after the other; then each is
+    moved while that costs more. What they cost is told on fresh rollouts.
 
     Args:
         count: How many threats are placed (default: 1).

@@ -85,8 +85,8 @@ def deliver(
             line = command_line() if command is None else command
             written = save_report(report, out, line, read_files(source, *beside))
     say([*notes, *(f"wrote {file}" for file in written)])
-    for error in unread:
-        raise error
+    if unread:
+        raise unread[0]
     return INTERRUPTED if answer.partial else CHECK_FAILED if report.faults else DONE
 
 

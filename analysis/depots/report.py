@@ -154,7 +154,7 @@ def _table(starts: Starts) -> Table:
     columns = ("starts", "bound", "one robot", *["value, %", "from .. to"] * valued, "visited, %", "from .. to", "lost",
                "behind, points", "rollouts", "")  # fmt: skip
     dropped = ("one robot", "bound", "rollouts", "lost")
-    title = "Simulated on the same luck, the best first"
+    title = "Simulated on common random numbers, the best first"
     table = make_table(columns, title, left=("starts", ""), dropped=dropped, padding=(0, 1, 0, 0))
     now = [place for place in starts.simulated[SHOWN:] if place.now]
     for place in (*starts.simulated[:SHOWN], *now):

@@ -1,4 +1,4 @@
-"""What `mrac.judge` says: what the policy covers, its score, and the planner's policies on the same luck."""
+"""What `mrac.judge` says: what the policy covers, its score, and the planner's policies on common random numbers."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ def report(judged: Judged) -> Report:
         table.add_row(name, *plan.coverage.columns(100.0, 100), plan.losses.columns()[0], ahead)
     table.add_row(judged.walk, *judged.random.columns(100.0, 100), "", "")
     table.add_row("no strategy exceeds", ceiled(judged.bound).removesuffix(" %"), "proven", "", "")
-    note = f"score: (policy - {judged.walk}) / (bound - {judged.walk}); all on the same luck, ended at the same step"
+    score_is = f"score: (policy - {judged.walk}) / (bound - {judged.walk})"
+    note = f"{score_is}; all on common random numbers, ended at the same step"
     return Report(
         "policy", "judge", asked(judged.world, robots, "what is the policy worth?"), headline(judged),
         lambda: _json(judged), figures=[share_figure(judged.coverage, "visited on average"), *score],
         heading=(map_words(judged.world, judged.cells, robots),
                  f"{counted(judged.choices.rollouts, 'rollout')}, seed {judged.choices.seed}, at most "
                  f"{judged.world.pace.steps(judged.max_steps)}"),
-        parts=[Part("On the same luck", [table], [note])], pace=judged.world.pace,
+        parts=[Part("Common random numbers", [table], [note])], pace=judged.world.pace,
     )  # fmt: skip
 
 

@@ -16,5 +16,5 @@ function option(type, name, text, chosen, pick) {
 function pathsOption(box) {
   const turn = (on) => box.classList.toggle("bare", !on);
   turn(false);
-  return option("checkbox", "Paths", "Paths", false, turn);
+  return option("checkbox", "Paths", "Show paths", false, turn);
 }

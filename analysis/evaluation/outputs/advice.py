@@ -57,7 +57,7 @@ class Advice(Output):
         now: what the plan itself comes to. robots: of the team.
         points: other settings, by family, the most coverage first. rollouts: of each.
         advised: one of `points`; None: nothing that was looked at is better.
-        difference: its mean coverage minus the plan's, a fraction of the accessible cells, on the same luck.
+        difference: its mean coverage minus the plan's, a fraction of the accessible cells, on common random numbers.
     """
 
     now: tuple[Setting, Estimate, Estimate]
@@ -84,7 +84,8 @@ class Advice(Output):
         try:
             points = quick_points(
                 run.world, run.plan.starts, settings, choices, losses=losses.mean, kept=run.kept,
-                seconds=max(SECONDS, run.last.seconds), doing=lambda what: run.doing(f"alternatives: {what}"),
+                seconds=max(SECONDS, run.last.seconds),
+                doing=lambda what: run.doing(f"alternatives: {what.partition(',')[0]}"),
             )  # fmt: skip
         except (PlanError, WorldError):  # costs, or an engine, that have no room for the other policy
             return

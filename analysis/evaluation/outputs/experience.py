@@ -161,8 +161,8 @@ class Experience(Output):
             f"{counted(self.told.rollouts, 'run')}{sure}: {price}.",
         ]
         notes = [
-            f"what learning is worth: {counted(self.learning.rollouts, 'rollout')} of each, the same luck; told: the "
-            f"first {self.told.rollouts:,}, a plan for each",
+            f"what learning is worth: {counted(self.learning.rollouts, 'rollout')} of each, common random numbers; "
+            f"told: the first {self.told.rollouts:,}, a plan for each",
             f"doubt where hazards are: {before:.3f} bits a cell at first, {after:.3f} at the end of a run "
             f"(mean of {self.ends:,})",
         ]

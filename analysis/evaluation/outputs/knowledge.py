@@ -53,7 +53,7 @@ def parse_ranges(text: str | None) -> tuple[float, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Team:
-    """What the team comes to if it sees so many cells far; `found`: on the same luck as the others."""
+    """What the team comes to if it sees so many cells far; `found`: on common random numbers as the others."""
 
     range: float
     found: Measured
@@ -151,7 +151,11 @@ class Knowledge(Output):
     def behind(self) -> str:
         """What the figures rest on."""
         found = self.told.found
-        return f"{counted(found.rollouts, 'rollout')} of each, the same luck" if isinstance(found, Sampled) else "exact"
+        return (
+            f"{counted(found.rollouts, 'rollout')} of each, common random numbers"
+            if isinstance(found, Sampled)
+            else "exact"
+        )
 
     def as_json(self) -> Json:
         learning, blind = self.learning, self.blind

@@ -98,5 +98,5 @@ class Mates(Output):
             apart = less if less.mean > 0 else found.ahead(self.team, "visited", self._unit)
             words = f"{apart.said(100, ' points')} {'less' if less.mean > 0 else 'more'}"
             leads.append(f"Robots {said} would visit {share}: {words}.")
-        notes = [f"robots that differ: {counted(self.team.rollouts, 'rollout')} of each team, the same luck"]
+        notes = [f"robots that differ: {counted(self.team.rollouts, 'rollout')} of each team, common random numbers"]
         return Blocks(leads=leads, tables=[table], notes=notes)
