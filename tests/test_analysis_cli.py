@@ -127,17 +127,15 @@ def test_time_ends_a_run_that_is_not_precise_yet(monkeypatch: pytest.MonkeyPatch
     assert answer.tally.rollouts < 10**6 and not answer.partial and "were over after" in answer.notes[0]
 
 
-def test_deadline_is_exact_and_sampled(capsys: pytest.CaptureFixture[str]) -> None:
+def test_deadline_is_exact_where_it_is_known(capsys: pytest.CaptureFixture[str]) -> None:
     for loop in ("open", "closed"):
         found = answer(capsys, WORLD, "--robots", "4", "--loop", loop, "--deadline", "40", "--rollouts", "8192")
         deadline, cells = found["deadline"], found["cells"]["accessible"]
         assert deadline["steps"] == 40
         assert deadline["visited"]["mean"] < found["coverage"]["visited"]["mean"]
         if loop == "open":
-            assert (
-                abs(deadline["visited"]["mean"] - deadline["exact"]["open_loop"]["visited"] / cells)
-                <= 5 * deadline["visited"]["se"]
-            )
+            assert deadline["visited"]["mean"] == pytest.approx(deadline["exact"]["open_loop"]["visited"] / cells)
+            assert deadline["visited"]["se"] == 0, "what is known is not sampled"
 
 
 def test_the_deadline_is_said_after_the_headline(capsys: pytest.CaptureFixture[str]) -> None:

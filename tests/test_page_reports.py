@@ -244,7 +244,7 @@ def test_check_page(checked: MapCheck) -> None:
     assert len(page) < 300_000 and page == page_of_report(check_report(checked), COMMAND, {"check.png": PNG}, ())
     assert check_headline(checked) in reader.text and COMMAND in reader.text
     for check in checked.rows:
-        assert check.about.title in reader.text
+        assert check.about.plain in reader.text and check.about.source in reader.text
     assert f"{checked.exact.visited:.2f}" in reader.text
     named = replace(checked, world=replace(checked.world, source=HOSTILE))
     check_page_is_sound(page_of_report(check_report(named), HOSTILE, {HOSTILE: PNG}, ()))

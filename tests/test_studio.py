@@ -155,7 +155,7 @@ def test_the_saved_board_gives_the_same_figures_on_the_command_line(
     assert (answer["rollouts"], answer["seed"]) == (done["rollouts"], 5)
     said = done["headline"].partition("cover ")[2].partition(" % ±")[0]
     assert said == f"{100 * answer['coverage']['visited']['mean']:.{len(said.partition('.')[2])}f}"
-    assert answer["losses"]["mean"] == 4 and done["figures"][1][0] == "all 4"
+    assert answer["losses"]["mean"] == 4 and done["figures"][1][0] == "4 of 4"
     by_then = done["figures"][3][0].partition(" % ±")[0]
     assert by_then == f"{100 * answer['deadline']['visited']['mean']:.{len(by_then.partition('.')[2])}f}"
 
