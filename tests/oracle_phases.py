@@ -46,7 +46,7 @@ class Timed(Twin):
         """No team is stuck while a robot that can act waits for a change that is still to come."""
         waits = self.step + 1 < self.last_change and any(map(self.can_act, range(len(self.team))))
         end = super().ended()
-        return "" if end == "stuck" and waits else end
+        return "" if end == "no_progress" and waits else end
 
     def look_about(self) -> None:
         self.true = getattr(self, "levels", {}).get(self.step + 1, self.true)

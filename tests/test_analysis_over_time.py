@@ -123,7 +123,10 @@ def test_the_page_s_table_shows_the_band_only_where_it_was_looked_at(world: Worl
     assert band is not None
     assert len(band.steps) < band.steps[-1]
     rows = re.findall(r"<tr>(.*?)</tr>", curves_html(over_time(answer)), re.DOTALL)
-    table = [[html.unescape(cell) for cell in re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", row)] for row in rows]
+    table = [
+        [html.unescape(cell).replace("\xa0", " ") for cell in re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", row)]
+        for row in rows
+    ]
     name = next(place for place, words in enumerate(table[0]) if words.startswith("median of 100 rollouts"))
     cells = answer.tally.accessible
     said = {}

@@ -27,7 +27,6 @@ from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.band import Band, last_shown
 from analysis.evaluation.outputs.deadline import Deadline
 from analysis.evaluation.report import report
-from analysis.kit.words import percent
 from analysis.pictures import style as plots_style
 from analysis.pictures.robots import group_labels, label_width, ranges
 from analysis.pictures.style import house_style, map_layout, new_figure, png_bytes
@@ -36,6 +35,7 @@ from analysis.report.picture import figure_of
 from analysis.sampling import RolloutChoices
 from planner.mrac.make_plan import make_plan
 from planner.plans.plan import Plan, RobotPlan
+from planner.shown import percent
 from planner.tally import Outcome
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World, load_world_file

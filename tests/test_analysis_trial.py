@@ -58,7 +58,7 @@ def test_a_front_is_everything_that_can_happen() -> None:
     found = find_front(TINY, TINY.starts, Settings(), AUTO, ladders=Ladders((0.5,), (3.0, 8.0), (0.4, 0.7)))
     assert not found.engine
     assert found.to_json()["exact"] is True
-    assert front_said(found).endswith(" Exact.")
+    assert front_said(found).endswith("on average (exact).")
     assert len(found.points) > 5
     for point in found.points:
         settings = settings_of(Settings(), point.setting)

@@ -21,7 +21,6 @@ import mrac_jax as mrac
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.value import Units, found_chances
 from analysis.evaluation.outputs.value_words import ROWS, value_table
-from analysis.kit.words import percent
 from analysis.sampling import RolloutChoices
 from analysis.statistics.control import LEAST
 from analysis.statistics.differences import CommonLuck
@@ -39,6 +38,7 @@ from planner.plans.plan import Plan
 from planner.rollouts.by_luck import CLASSES_A_NAT, luck_classes
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
+from planner.shown import percent
 from planner.tally import Tally
 from planner.worlds.generate import Kind, ThreatPattern, random_world
 from planner.worlds.starts import place_starts

@@ -129,8 +129,8 @@ WRONG = {
     "of front": (lambda world, plan: mrac.evaluate(world, losses=1), "; it is an argument of front"),
     "of plan": (
         lambda world, plan: mrac.check(world, policy="per_cell"),
-        "check has no argument 'policy'; expected one of world, plan, rollouts, seed, engine, bound, progress, "
-        "on_interrupt; give it to `plan`, and the plan to `check`",
+        "check has no argument 'policy'; expected one of world, plan, rollouts, seed, engine, first_visit, "
+        "bound, theory, progress, on_interrupt; give it to `plan`, and the plan to `check`",
     ),
     "misspelt of front": (lambda world, plan: mrac.evaluate(world, loses=1), "did you mean 'losses', an argument of"),
     "plural": (lambda world, plan: mrac.front(world, 2, worth=3), "did you mean 'worths'? worth is an argument of"),

@@ -180,7 +180,7 @@ FUNCTIONS = {"plan": "plan", "drive": "mission"} | {
                  "sweep", "reproduce", "results", "suite")
 }  # fmt: skip
 OF_B = {"b.loop": "loop_b", "b.threat_checks": "first_visit_b"}
-ALONE = {"generate", "graph", "inspect", "recover", "replay", "studio"}
+ALONE = {"generate", "inspect", "recover", "replay", "studio"}
 """Commands that have no function."""
 TAKE_A_PLAN = {"evaluate", "compare", "check", "export", "record", "drive"}
 

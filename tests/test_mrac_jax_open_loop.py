@@ -270,9 +270,10 @@ def test_two_devices_equal_one() -> None:
 
 def test_numba_alone_does_not_import_jax() -> None:
     program = (
-        "import sys; from test_mrac_jax_open_loop import compiled_fixture;"
-        "from rolling import rollouts;"
-        "rollouts(compiled_fixture('tiny-4x8-12', 2), seed=0, count=10, engine='numba');"
+        "import sys; from open_loop_reference import fixture; from rolling import rollouts;"
+        "from planner.rollouts.open_loop.compiled import compile_plan;"
+        "plan, world, _ = fixture('tiny-4x8-12', 2);"
+        "rollouts(compile_plan(plan, world), seed=0, count=10, engine='numba');"
         "assert 'jax' not in sys.modules"
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}

@@ -129,7 +129,7 @@ def test_a_detector_that_changes_the_map_keeps_a_waiting_team_up(detect, false_a
     """
     world = taught([[0, 0.5, 0, 0]], np.full((1, 4), 0.9), "persistent", (1, detect, false_alarm))
     plan = make_plan(world, [[0, 0]], Settings(policy="per_cell", worth=worth))
-    assert (plan.outcome, plan.time) == ("called_off", 2)  # in the nominal run nobody learns
+    assert (plan.outcome, plan.time) == ("not_worth_the_risk", 2)  # in the nominal run nobody learns
     problem = prepare(world, [[0, 0]], plan.settings)
     team = make_team(problem, plan.areas, truth=0, readings=lambda robot, step, cells: np.zeros(len(cells), bool))
     while (outcome := team.outcome(problem.max_steps)) is None:

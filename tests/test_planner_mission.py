@@ -96,8 +96,9 @@ def assert_driven_is_the_closed_loop(world: World, plan: Plan, seed: int, rollou
     while mission.outcome is None:
         step_by_luck(mission, luck, doubled=rollout % 2 == 1)
     assert mission.orders() == {}
-    trace = recorder.trace(rollout, mission._fleet.area_of, mission.outcome)
-    assert_same_trace(trace, loop.trace(seed, rollout))
+    there = loop.trace(seed, rollout)
+    assert mission.outcome is plan.ending(there.outcome)
+    assert_same_trace(recorder.trace(rollout, mission._fleet.area_of, there.outcome), there)
     return mission.outcome
 
 
@@ -157,7 +158,7 @@ def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], tmp_pa
                     assert told(again) == told(mission) and again.step == mission.step
                     mission = again
             mission.advance()
-        assert (mission.outcome, mission.step - 1) == (whole.outcome, whole.time)
+        assert (mission.outcome, mission.step - 1) == (plan.ending(whole.outcome), whole.time)
         np.testing.assert_array_equal(mission._fleet.visited, whole.visited)
         assert mission.lost == tuple(np.flatnonzero(~whole.alive))
         if plan.bearing.shape > 1:

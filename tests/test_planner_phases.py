@@ -97,7 +97,7 @@ def test_a_team_waits_for_a_danger_that_is_announced_to_end(policy: str) -> None
         timed = with_phases(world, [(f, np.zeros((1, 4)))])
         plan = make_plan(timed, [[0, 0]], Settings(policy=policy, worth=4.0))
         done = f + 3 <= 128  # it is allocated the area in step f, and moves in the three steps after it
-        assert (plan.outcome, plan.time) == (("complete", f + 3) if done else ("timeout", 128)), f
+        assert (plan.outcome, plan.time) == (("complete", f + 3) if done else ("step_limit", 128)), f
         loop = compile_closed_loop(plan, timed)
         tally = run_range(loop, f, 0, 64, threads=1)[0]
         assert tally.alive.tolist() == [0, 64]
@@ -118,20 +118,23 @@ def test_a_team_ends_once_nothing_that_is_announced_changes_the_map() -> None:
         )
         return plan.outcome, plan.time
 
-    assert ends([(9, [0, 0.5, 0, N, 0.3])]) == ("called_off", 2)  # out of reach
-    assert ends([(4, [0, 0.4, 0, N, 0]), (9, [0, 0.4, 0, N, 0.3])]) == ("called_off", 5)  # the last that counts: 4
+    assert ends([(9, [0, 0.5, 0, N, 0.3])]) == ("not_worth_the_risk", 2)  # out of reach
+    assert ends([(4, [0, 0.4, 0, N, 0]), (9, [0, 0.4, 0, N, 0.3])]) == (
+        "not_worth_the_risk",
+        5,
+    )  # the last that counts: 4
     assert ends([(4, [0, 0.4, 0, N, 0]), (9, [0, 0, 0, N, 0])]) == ("complete", 11)
     assert ends([(3, [0, 0, 0, N, 0]), (9, [0, 0.5, 0, N, 0])]) == ("complete", 5)
     timed = with_phases(World.create([[0, 0, 0.5]]), [(9, np.zeros((1, 3)))])
     spent = make_plan(timed, [[0, 0]], Settings(policy="per_cell", range=1))
-    assert (spent.outcome, spent.time) == ("stuck", 3)  # nobody can move any more
+    assert (spent.outcome, spent.time) == ("no_progress", 3)  # nobody can move any more
 
 
 def test_robots_that_come_home_wait_for_it_too() -> None:
     """As above, and then home: B, C, D at f + 1 to f + 3, back at f + 6; by a deadline that is before f nothing."""
     world = World.create([[0, 0.5, 0, 0]])
     for f, deadline, end in (
-        (5, None, ("complete", 11)), (4, 10, ("complete", 10)), (4, 9, ("timeout", 9)), (20, 10, ("timeout", 10)),
+        (5, None, ("complete", 11)), (4, 10, ("complete", 10)), (4, 9, ("deadline", 9)), (20, 10, ("deadline", 10)),
     ):  # fmt: skip
         timed = with_phases(world, [(f, np.zeros((1, 4)))])
         settings = Settings(policy="per_cell", worth=4.0, return_to="home", deadline=deadline)

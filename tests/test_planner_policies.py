@@ -292,7 +292,7 @@ def mrac_twin(areas: list[tuple[int, Offer]]) -> list[int]:
 
 def per_cell_twin(areas: list[tuple[int, Offer]]) -> list[int]:
     def key(item: tuple[int, Offer]) -> tuple[bool, Fraction, int, int]:
-        number, (_, cost, unvisited, entry, value, _, _) = item
+        number, (_, cost, unvisited, entry, value, *_) = item
         price = cost + (unvisited - 1) * entry
         return value == 0, Fraction(price, value) if value else Fraction(price), cost, number
 
@@ -301,7 +301,7 @@ def per_cell_twin(areas: list[tuple[int, Offer]]) -> list[int]:
 
 def frontier_twin(areas: list[tuple[int, Offer]]) -> list[int]:
     def key(item: tuple[int, Offer]) -> tuple[bool, Fraction, int, int]:
-        number, (_, cost, unvisited, entry, value, _, shown) = item
+        number, (_, cost, unvisited, entry, value, _, shown, _) = item
         price, gain = Fraction(cost + (unvisited - 1) * entry), value + Fraction(shown, 4)
         return gain == 0, price / gain if gain else price, cost, number
 

@@ -113,7 +113,11 @@ def test_data_topics_hold_the_trace(recorded: tuple) -> None:
     names = {"Doing": Doing, "EventKind": EventKind, "Outcome": Outcome}
     file = type(steps[0]).DESCRIPTOR.file
     for name, members in names.items():
-        assert {v.name: v.number for v in file.enum_types_by_name[name].values} == {m.name: m.value for m in members}
+        assert {v.name: v.number for v in file.enum_types_by_name[name].values} == {
+            m.name: m.value
+            for m in members
+            if m is not Outcome.DEADLINE  # recordings hold the step limit in its place
+        }
 
 
 def test_rollouts_follow_each_other_with_a_gap(recorded: tuple) -> None:

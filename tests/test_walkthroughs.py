@@ -17,7 +17,6 @@ from closed_loop_compare import assert_same_results, assert_same_tally
 import mrac_jax as mrac
 from analysis.evaluation.report import report
 from analysis.kit.folder import as_text
-from analysis.kit.words import percent
 from analysis.report.answer import report_of
 from analysis.report.face import print_report
 from analysis.sampling import RolloutChoices, make_singles
@@ -26,6 +25,7 @@ from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan_file import load_plan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import SETTINGS
+from planner.shown import percent
 from planner.worlds.scenario import load_input
 
 GUIDE = (Path(__file__).parent.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -109,7 +109,7 @@ def test_an_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (answer.to_json()["home"]["robots"], answer.to_json()["home"]["mean"]) == (2, share)
     said = f"2 robots or more left: {percent(share)} of runs"
     assert said in as_text(lambda console: print_report(report(answer), console))
-    assert said in (answer.save(tmp_path)[0]).read_text(encoding="utf-8")
+    assert said in (answer.save(tmp_path)[0]).read_text(encoding="utf-8").replace("\xa0", " ")
     assert "home" not in mrac.evaluate(world, plan, rollouts=64).to_json()
 
 
@@ -128,7 +128,11 @@ def test_a_question(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said = f"Nobody is lost in {percent(share)} of runs."
     assert answer.to_json()["chance"]["mean"] == share and said in repr(answer)
     assert said in as_text(lambda console: print_report(report_of(answer), console))
-    pages = [path.read_text(encoding="utf-8") for path in answer.save(tmp_path) if path.suffix == ".html"]
+    pages = [
+        path.read_text(encoding="utf-8").replace("\xa0", " ")
+        for path in answer.save(tmp_path)
+        if path.suffix == ".html"
+    ]
     assert len(pages) == 1 and said in pages[0]
 
 

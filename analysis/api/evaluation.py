@@ -81,7 +81,7 @@ def evaluate(
         deadline: a step at which coverage is reported too; robots that come home know it, and are home by then.
         first_visit: only the first visit of a cell by anybody can stop a robot.
         threat_scale: also if all threats are so many times the map's.
-        sense: also if robots that are not told the map see so many cells far, on the same luck; 0: blind.
+        sense: also if robots that are not told the map see so many cells far, on the same random numbers; 0: blind.
         bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
         band: also sample how coverage grows over time, for `plots`.
         advice: also a quick front: what other settings cover and lose.
@@ -167,7 +167,7 @@ def compare(
     progress: Progress | bool | None = None,
     on_interrupt: OnInterrupt = "raise",
 ) -> Comparison:
-    """How far apart are two plans, teams or maps? Both meet the same luck, so the difference is sharp.
+    """How far apart are two plans, teams or maps? Both meet the same random numbers, so the difference is sharp.
 
     Args:
         a, b: a world and a plan for it: a Plan, a plan file, how many robots to plan for, or None, as of `evaluate`.

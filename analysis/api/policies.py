@@ -48,7 +48,7 @@ def judge(
             It is asked for many rollouts in turn, and is to remember none.
         robots, starts, actions, view, rule, offers, max_steps: as of `env`.
         rollouts, seed: rollout r of the seed has the luck that it has in `evaluate`.
-        against: policies of the planner that are rolled out on the same luck, and ended at the same step.
+        against: policies of the planner that are rolled out on the same random numbers, and ended at the same step.
         processes: that ask a policy in Python; the figures are the same. None: one a core, where it can be imported.
         progress, on_interrupt: as of `evaluate`.
     """

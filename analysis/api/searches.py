@@ -99,7 +99,7 @@ def front(
     rollouts: int | None = None,
     **options: Unpack[FrontOptions],
 ) -> Front:
-    """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same luck.
+    """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same random numbers.
 
     Args:
         robots, starts: the team, as of `plan`.
@@ -138,7 +138,7 @@ def starts(
         robots: how many; default: as many as the world's own team.
         candidates: "border", the safe cells on the border of the map; a mask `[H, W]`; or cells `[[row, col], ...]`.
         rollouts: of the last two places that are left, the same for all.
-        options: as of `front`, and policy, reserve, worth, as of `plan`.
+        options: as of `front` (progress, on_interrupt too), and policy, reserve, worth, as of `plan`.
     """
     from analysis.depots.search import find_starts, team_size
 
@@ -167,7 +167,7 @@ def clear(
             threats; None: these where there are several.
         robots, starts: the team, as of `plan`.
         rollouts: of the last two threats that are left, the same for all.
-        options: as of `front`, and policy, reserve, worth, as of `plan`.
+        options: as of `front` (progress, on_interrupt too), and policy, reserve, worth, as of `plan`.
     """
     from analysis.removal.search import find_clearing
 
@@ -195,7 +195,7 @@ def attack(
         p: the chance that a visit of one stops a robot, beside what else is there.
         robots, starts: the team, as of `plan`.
         rollouts: of the last two places that are left, the same for all.
-        options: as of `front`, and policy, reserve, worth, as of `plan`.
+        options: as of `front` (progress, on_interrupt too), and policy, reserve, worth, as of `plan`.
     """
     from analysis.adversary.search import find_attack
 

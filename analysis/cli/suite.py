@@ -30,7 +30,7 @@ def suite(
     """Thirty named worlds, the same for everybody: who covers most, and how much is left to gain?
 
     The planner's policies, its open loop, a random walk, a policy of your own and plans of other planners, all on the
-    same luck, with the proven bound for every strategy.
+    same random numbers, with the proven bound for every strategy.
 
     Args:
         policy: A Python file that defines `policy`: a function of what the robots observe, as `mrac.judge` takes it,

@@ -32,7 +32,7 @@ def sweep(
 ) -> int:
     """Cross any scenario with lists of settings, on many maps; what the store has is not run again.
 
-    Every setting meets the same maps and the same luck, so that differences between settings are sharp.
+    Every setting meets the same maps and the same random numbers, so that differences between settings are sharp.
 
     Args:
         spec: Sweep file (YAML).

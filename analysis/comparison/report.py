@@ -8,14 +8,14 @@ from rich.table import Table
 
 from analysis.comparison.compare import FIGURES, OF_HOME, Comparison, Side
 from analysis.kit.tables import make_table
-from analysis.kit.words import bearing_words, percent, span_words
+from analysis.kit.words import bearing_words, span_words
 from analysis.report.answer import json_end
 from analysis.report.blocks import KeyFigure, Part, Report
 from analysis.statistics.estimate import exactly, proportion
 from analysis.statistics.words import between, lost_words, of_all
 from planner.files import Json
 from planner.pace import UNPACED, Pace
-from planner.shown import counted, in_percent, share
+from planner.shown import counted, in_percent, percent, share
 
 SHOWN = {
     "visited": ("visited, %", 100.0),

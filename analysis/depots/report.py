@@ -10,7 +10,6 @@ from rich.table import Table
 from analysis.depots.answer import Place, Starts
 from analysis.kit.folder import json_text
 from analysis.kit.tables import make_table
-from analysis.kit.words import percent
 from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
 from analysis.report.words import (
     asked,
@@ -25,7 +24,7 @@ from analysis.report.words import (
 from analysis.statistics.coverage import losses_said
 from analysis.statistics.words import between, of_all
 from planner.files import Json
-from planner.shown import counted
+from planner.shown import counted, percent
 
 SHOWN = 10
 """Places in the table; the JSON object holds all."""

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.evaluation.answer import Evaluation
-from analysis.kit.words import percent
 from analysis.page.series import Chart, Series
-from planner.shown import counted
+from planner.shown import counted, percent
 
 MOST_BINS = 60
 STEPS = 301

@@ -6,11 +6,11 @@ from rich.table import Table
 
 from analysis.evaluation.answer import Evaluation
 from analysis.kit.tables import make_table
-from analysis.kit.words import percent
 from analysis.report.blocks import Part
 from analysis.theory.bounds import Theorem3
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.verdicts import MEANINGS, Verdict
+from planner.shown import percent
 
 FORMULA_WORDS = {
     Verdict.HOLDS: ("holds", "hold"),

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from analysis.evaluation.expected import Expected
 from analysis.evaluation.rest import NAMES, Rest
-from analysis.kit.words import percent
 from analysis.page.cell_maps import CellLayer
 from analysis.page.plan_layers import area_layers, chance_layers, p_words
 from analysis.pictures.style import LOSSES
 from planner.plans.plan import Plan
-from planner.shown import counted
+from planner.shown import counted, percent
 from planner.worlds.world import World
 
 KINDS = ListedColormap(["#cfe3c3", "#8f96a3", "#b98fb5"])

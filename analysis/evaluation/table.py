@@ -13,12 +13,11 @@ from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.figures import Figures
 from analysis.evaluation.outputs.output import Row, coverage_row, known_words
 from analysis.kit.tables import make_table
-from analysis.kit.words import percent
 from analysis.statistics.coverage import AT_LEAST, losses_shown
 from analysis.statistics.words import of_all
 from analysis.theory.verdicts import MEANINGS
 from planner.plans.turns import drive_of
-from planner.shown import at_least_words, in_percent
+from planner.shown import at_least_words, in_percent, percent
 from planner.tally import Outcome
 
 LISTED = 10

@@ -10,13 +10,13 @@ import numpy as np
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.figures import Chance
 from analysis.evaluation.rest import BEFORE, BEYOND, Rest
-from analysis.kit.words import percent, policy_words, share, without_level
+from analysis.kit.words import policy_words, without_level
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.words import between, lost_words
 from analysis.theory.reachable import moves_left
 from analysis.trials.best import is_best
 from planner.mrac.executive import STUCK_AFTER
-from planner.shown import ceiled, counted, floored
+from planner.shown import ceiled, counted, floored, percent, share
 from planner.tally import Outcome
 
 ALIKE = 1e-9
@@ -94,7 +94,7 @@ def _time(evaluation: Evaluation) -> str:
     Robots that come home do not wait.
     """
     steps, pace, ends = evaluation.time.mean, evaluation.world.pace, evaluation.shown.ends
-    waiting = [ends[outcome].mean for outcome in (Outcome.STUCK, Outcome.CALLED_OFF) if outcome in ends]
+    waiting = [ends[outcome].mean for outcome in (Outcome.NO_PROGRESS, Outcome.NOT_WORTH_THE_RISK) if outcome in ends]
     if not waiting or evaluation.plan.comes_home:
         return f"a run takes {pace.steps(steps)}"
     paces = () if evaluation.plan.settings is None else evaluation.plan.settings.paces

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from analysis.judging.judge import Judged
 from analysis.kit.tables import make_table
-from analysis.kit.words import percent
 from analysis.report.answer import json_end
 from analysis.report.blocks import KeyFigure, Part, Report
 from analysis.report.words import asked, map_words, share_figure
 from planner.files import Json
-from planner.shown import ceiled, counted
+from planner.shown import ceiled, counted, percent
 
 
 def report(judged: Judged) -> Report:

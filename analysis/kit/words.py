@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from planner.shown import chance, counted
-from planner.shown import percent as percent
-from planner.shown import share as share
 
 if TYPE_CHECKING:
     from planner.pace import Pace

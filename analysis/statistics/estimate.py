@@ -104,6 +104,8 @@ class Estimate:
                 shown = f"{mean:{sign}.2g}"  # what is known and is not 0 is not said to be
         else:
             shown = inside(mean, most, digits, digits if low == high else MOST_DIGITS)
+        if not math.isfinite(self.half_width):  # one map says nothing of how far maps lie apart
+            return shown, ""
         return shown, "exact" if low == high else between(low, high, digits, most)
 
     def _half(self, scale: float, most: int | None, digits: int, mean: str) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from analysis.kit.words import percent, without_level
+from analysis.kit.words import without_level
 from analysis.statistics.coverage import losses_shown
 from analysis.statistics.estimate import Estimate
 from analysis.statistics.words import lost_words
@@ -15,7 +15,7 @@ from analysis.theory.exact import OpenLoopExact
 from analysis.trials.measured import Measured
 from planner.arguments import exactly
 from planner.pace import Pace
-from planner.shown import counted
+from planner.shown import counted, percent
 
 WAITING = "..."
 """In the place of a figure that is not known yet."""

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from analysis.kit.folder import json_text
 from analysis.kit.tables import make_table
-from analysis.kit.words import percent, without_level
+from analysis.kit.words import without_level
 from analysis.page.series import Chart, Series
 from analysis.report.blocks import KeyFigure, Part, Report
 from analysis.report.words import (
@@ -27,7 +27,7 @@ from analysis.statistics.words import of_all
 from analysis.tradeoff.front import Front, Point, settings_of
 from analysis.tradeoff.rules import LANDMARKS, Setting
 from planner.files import Json
-from planner.shown import chance, counted, floored, in_percent
+from planner.shown import chance, counted, floored, in_percent, percent
 
 TITLES = {
     "mrac": "mrac, ended early",

@@ -60,13 +60,15 @@ class NominalRun:
             visits += np.bincount(robot.path[steps], minlength=size)
         new = np.bincount(first[visits > 0], minlength=end + 1)
         covered = int(new.sum())
-        over = Outcome[self.plan.outcome.upper()] if self.plan.time == end else Outcome.TIMEOUT
-        ended = {"visited": covered, "survived": covered, "time": end, "alive": len(self.plan.robots), "outcomes": over}
+        ended = Outcome[self.plan.outcome.upper()]
+        # Counts hold one code for the deadline and the step limit.
+        over = Outcome.STEP_LIMIT if ended is Outcome.DEADLINE or self.plan.time != end else ended
+        once = {"visited": covered, "survived": covered, "time": end, "alive": len(self.plan.robots), "outcomes": over}
         none = self.loop.empty_tally(self.seed)
         counts: dict[str, Any] = {
-            name: np.zeros(max(len(getattr(none, name)), at + 1), dtype=np.int64) for name, at in ended.items()
+            name: np.zeros(max(len(getattr(none, name)), at + 1), dtype=np.int64) for name, at in once.items()
         }
-        for name, at in ended.items():
+        for name, at in once.items():
             counts[name][at] = 1
         seen = (visits > 0).astype(np.int64)
         cells: dict[str, Any] = {"visits": visits, "covered_visited": seen, "covered_survived": seen}

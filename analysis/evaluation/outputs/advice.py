@@ -17,7 +17,7 @@ import numpy as np
 from analysis.comparison.compare import Side, compare
 from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.kit.compiling import not_compiled
-from analysis.kit.words import percent, without_level
+from analysis.kit.words import without_level
 from analysis.page.series import Chart, Series
 from analysis.statistics.control import tally_mean
 from analysis.statistics.coverage import losses_said
@@ -30,7 +30,7 @@ from planner.errors import PlanError, WorldError
 from planner.files import Json
 from planner.plans.plan import Plan
 from planner.policies import RULES
-from planner.shown import counted
+from planner.shown import counted, percent
 
 if TYPE_CHECKING:
     from analysis.evaluation.answer import Evaluation

@@ -9,7 +9,6 @@ from typing import Self
 
 from analysis.evaluation.figures import Figures
 from analysis.evaluation.outputs.output import Blocks, Output, Run, coverage_row
-from analysis.kit.words import percent
 from analysis.statistics.words import lost_words
 from analysis.theory.longest import longest_run
 from analysis.theory.verdicts import MEANINGS
@@ -17,6 +16,7 @@ from analysis.trials.exact_loop import TreeTruth
 from planner.files import Json
 from planner.kernels.tree import Tree
 from planner.pace import UNPACED, Pace
+from planner.shown import percent
 from planner.tally import Tally
 
 

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.exporting.geotiff import raster
 from analysis.kit.tables import make_table
-from analysis.kit.words import percent
 from analysis.page.cell_maps import CellLayer
 from analysis.pictures.style import COVERED, LOSSES
 from analysis.statistics.coverage import more_said
@@ -32,7 +31,7 @@ from planner.errors import UsageError
 from planner.files import Json
 from planner.kernels.closed_loop import compile_closed_loop, final_odds
 from planner.mrac.make_plan import allocated_plan
-from planner.shown import counted
+from planner.shown import counted, percent
 from planner.worlds.doubt import Hazard
 from planner.worlds.evidence import chance_of
 from planner.worlds.world import World

@@ -16,7 +16,6 @@ import numpy as np
 
 from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.kit.tables import make_table
-from analysis.kit.words import percent
 from analysis.page.cell_maps import CellLayer
 from analysis.page.plan_layers import threat_layer
 from analysis.page.series import Chart, Series
@@ -29,7 +28,7 @@ from planner.arguments import argument, numbers_of
 from planner.errors import UsageError
 from planner.files import Json
 from planner.plans.plan import Plan
-from planner.shown import counted
+from planner.shown import counted, percent
 from planner.worlds.doubt import Uncertain
 from planner.worlds.learning import seeing, with_sense
 from planner.worlds.sight import RANGE, Sense

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.kit.notes import of_things
 from analysis.kit.tables import make_table
-from analysis.kit.words import percent
 from analysis.page.series import Chart, Series
 from analysis.sampling import make_engine_for
 from analysis.statistics.components import Components, known_between, of_means, of_values
@@ -26,7 +25,7 @@ from analysis.theory.exact import open_loop_exact
 from planner.files import Json
 from planner.luck import rows_met, true_map
 from planner.rollouts.blocks import run_ranges
-from planner.shown import counted, in_percent
+from planner.shown import counted, in_percent, percent
 from planner.worlds.doubt import Uncertain
 
 ENOUGH = 8

@@ -8,7 +8,6 @@ from typing import NamedTuple, Self
 
 from analysis.evaluation.outputs.output import Blocks, Output, Run
 from analysis.kit.tables import make_table
-from analysis.kit.words import percent
 from analysis.statistics.estimate import Estimate
 from analysis.trials.measured import Sampled
 from analysis.trials.trial import Trial
@@ -16,7 +15,7 @@ from planner.files import Json
 from planner.mrac.make_plan import allocated_plan
 from planner.plans.plan import Plan
 from planner.settings import Settings
-from planner.shown import counted
+from planner.shown import counted, percent
 
 MOST, FEW = 8192, 1024
 """Rollouts of each team, at most; and where every run of this team is the same."""

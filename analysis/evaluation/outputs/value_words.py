@@ -8,11 +8,10 @@ from rich.table import Table
 
 from analysis.evaluation.outputs.value_figures import ValueFigures
 from analysis.kit.tables import make_table
-from analysis.kit.words import percent
 from analysis.statistics.estimate import Estimate, exactly
 from analysis.statistics.mission import TAIL, times_to
 from analysis.statistics.words import in_unit
-from planner.shown import at_least_words
+from planner.shown import at_least_words, percent
 
 TITLES = {"coverage": "What the cells are worth", "search": "Search", "clearance": "Clearance"}
 

@@ -17,7 +17,6 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from numpy.typing import NDArray
 
-from analysis.kit.words import percent
 from analysis.pictures.robots import lane
 from analysis.pictures.style import (
     FAINT,
@@ -49,7 +48,7 @@ from analysis.recording.pictures.parts import (
 from analysis.recording.viewers.topics import Stage
 from planner.none import NO_ROBOT, NO_STEP
 from planner.roaming import ways_of_movers
-from planner.shown import counted
+from planner.shown import counted, percent
 from planner.trace import EventKind, Trace
 
 NUMBERED = 40
