@@ -31,7 +31,8 @@ GROUND = World.create([[0, 0, 0, 0.1, 0], [0, 0, np.nan, 0, 0], [0, 0.1, 0, 0, 0
 
 
 def notes_of(answer: Any) -> list[str]:
-    return [note for part in report(answer).parts for note in part.notes]
+    said = report(answer)
+    return [*said.findings, *said.last, *(note for part in said.parts for note in part.notes)]
 
 
 @pytest.fixture(scope="module")
