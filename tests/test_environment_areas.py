@@ -229,7 +229,7 @@ def test_many_are_single_ones_side_by_side() -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    for wrong in ({"view": 2}, {"offers": 0}, {"face": "jax"}, {"face": "pymarl"}, {"worth": -1}):
+    for wrong in ({"view": 2}, {"offers": 0}, {"face": "jax"}, {"worth": -1}):
         with pytest.raises(mrac.InputError):
             mrac.env(world(), 2, actions="areas", **wrong)
     for also in ({"rule": "mrac"}, {"offers": 3}, {"actions": "area"}):

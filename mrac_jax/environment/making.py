@@ -14,10 +14,11 @@ from planner.errors import UsageError
 from planner.settings import Policy
 from planner.worlds.world import World
 
-Face = Literal["pettingzoo", "gymnasium", "vector", "jax", "jumanji", "pymarl"]
+Face = Literal["pettingzoo", "gymnasium", "vector", "jax"]
 FACES: tuple[Face, ...] = get_args(Face)
+LEFT = ("jumanji", "pymarl")
 RENDERED = ("pettingzoo", "gymnasium")
-EXTRA = {"pettingzoo": "mrac-jax[env]", "gymnasium": "mrac-jax[env]", "jumanji": "jumanji"}
+EXTRA = {"pettingzoo": "mrac-jax[env]", "gymnasium": "mrac-jax[env]"}
 """What brings the package of a face."""
 
 
@@ -53,10 +54,11 @@ def env(
         worth: what a lost robot takes off its reward, in cells.
         max_steps: at which an episode is cut off; None: twice the accessible cells, with areas the planner's own end.
         face: "pettingzoo": a `ParallelEnv`; "gymnasium": an `Env`, "vector": a `VectorEnv` of `num_envs`, the team as
-            one agent; "jax": the class that all stand on, by JaxMARL's conventions; "jumanji": by Jumanji's;
-            "pymarl": by PyMARL's, with the state of MAPS. The last three have moves alone.
+            one agent; "jax": the class that all stand on, by JaxMARL's conventions, with moves alone.
         render_mode: "rgb_array": `render()` of PettingZoo's or Gymnasium's face draws a picture.
     """
+    if face in LEFT:
+        raise UsageError(f"{argument('face', face)} left with release 0.4", fix="use release 0.3, or face='jax'")
     check_word("face", face, FACES)
     whole(1).check("num_envs", num_envs)
     if render_mode is not None:
@@ -83,12 +85,4 @@ def env(
     if isinstance(made, AreaEnv):
         problem = f"{argument('face', face)}, with {argument('actions', actions)}"
         raise UsageError(problem, expected="'pettingzoo', 'gymnasium' or 'vector'")
-    if face == "jumanji":
-        from mrac_jax.environment.jumanji_env import CoverageJumanji
-
-        return CoverageJumanji(made)
-    if face == "pymarl":
-        from mrac_jax.environment.pymarl_env import PymarlEnv
-
-        return PymarlEnv(made)
     return made
