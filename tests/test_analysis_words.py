@@ -413,6 +413,9 @@ def test_no_rounding_claims_an_end_that_is_not_reached() -> None:
     assert (chance(0.29, 12), chance(0.9999999, 12)) == ("29 %", "99.99999 %")
     assert [floored(x) for x in (0.99999, 1, 0.5, 0.29)] == ["99.9 %", "100 %", "50.0 %", "29.0 %"], "bounds from below"
     assert [ceiled(x) for x in (0.999951, 0.12341, 0.29)] == ["99.996 %", "12.35 %", "29.00 %"], "bounds from above"
+    assert [ceiled(x) for x in (1 - 1e-10, 1.0, 1 - 2e-8)] == ["100 %", "100 %", "99.999998 %"], "100 is whole"
+    assert (ceiled(0.999951, unit=""), chance(0.9999999, unit="")) == ("99.996", "99.99999"), "columns that say %"
+    assert [percent(x) for x in (-1e-17, -0.0)] == ["0 %", "0 %"], "sums lose so much; nothing is -0.0"
 
 
 def test_an_exact_share_is_whole_only_where_it_is() -> None:

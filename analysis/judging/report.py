@@ -21,7 +21,7 @@ def report(judged: Judged) -> Report:
         ahead = plan.ahead.said(100)
         table.add_row(name, *plan.coverage.columns(100.0, 100), plan.losses.columns()[0], ahead)
     table.add_row(judged.walk, *judged.random.columns(100.0, 100), "", "")
-    table.add_row("no strategy exceeds", ceiled(judged.bound).removesuffix(" %"), "proven", "", "")
+    table.add_row("no strategy exceeds", ceiled(judged.bound, unit=""), "proven", "", "")
     score_is = f"score: (policy - {judged.walk}) / (bound - {judged.walk})"
     note = f"{score_is}; all on common random numbers, ended at the same step"
     return Report(

@@ -88,7 +88,7 @@ def _worlds(standing: Standing) -> Iterator[tuple[str, ...]]:
     names = _columns(standing)[4:]
     for played in standing.worlds:
         optimum = "" if played.optimum is None else in_percent(played.optimum / played.cells, 2)
-        bound = ceiled(played.bound / played.cells).removesuffix(" %")
+        bound = ceiled(played.bound / played.cells, unit="")
         yield played.name, f"{played.cells:,}", bound, optimum, *(_half(played.coverage(name), 100) for name in names)
 
 
