@@ -73,16 +73,19 @@ class Estimate:
         """A difference in good words: "4.1 cells ± 0.2 (95 %) more"; below 0 "0.3 cells ± 0.2 (95 %) fewer"."""
         return f"{(self if self.mean >= 0 else self.negated).said(scale, unit)} {words[self.mean < 0]}"
 
-    def around(self, scale: float = 1.0, sign: str = "", most: int | None = None, digits: int = 1) -> str:
+    def around(
+        self, scale: float = 1.0, sign: str = "", most: int | None = None, digits: int = 1, unit: str = ""
+    ) -> str:
         """ "67.4 ± 0.1", for a table; the mean alone where nobody knows how sure it is. `sign`: "+" shows it.
 
-        As of `said`: "0.0 (30.0 or less)" where the half-width would leave 0 .. `most`, "67.35 (exact)".
+        As of `said`: "0.0 (30.0 or less)" where the half-width would leave 0 .. `most`, "67.35 (exact)". `unit`:
+        "67.4 ± 0.1 %", "67.35 % (exact)".
         """
         mean, interval = self._figures(scale, most, digits, sign)
         if interval in ("", "exact"):
-            return mean + f" ({interval})" * bool(interval)
+            return f"{mean}{unit}" + f" ({interval})" * bool(interval)
         half = self._half(scale, most, digits, mean)
-        return f"{mean} ± {half}" if half else f"{mean} ({interval})"
+        return f"{mean} ± {half}{unit}" if half else f"{mean}{unit} ({interval})"
 
     def digits(self, scale: float = 1.0) -> int:
         """The decimals that the interval allows of the mean times `scale`; two of what is known or has no interval."""
