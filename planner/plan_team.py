@@ -11,7 +11,7 @@ from planner.arguments import POSITIVE, argument
 from planner.errors import PlanError, UsageError
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plans.plan import FORMAT, Plan
-from planner.plans.plan_file import load_plan, read_plan_json
+from planner.plans.plan_file import parse_plan, read_plan_json
 from planner.rules import BEFORE, rules_of
 from planner.settings import Settings
 from planner.worlds.moving import as_before
@@ -40,24 +40,23 @@ def read_plan_on(path: str | Path, world: World) -> tuple[World, Plan]:
     So a plan of such a release keeps its reading of a scenario that does not say what robots plan on among moving
     threats; its notes say so. Raises PlanError.
     """
-    source, before = str(path), as_before(world)
-    if before is not world and _of_version_1(path, before.sha256):
-        plan = confirm_plan(load_plan(path, before), before, source)
+    source, before, data = str(path), as_before(world), read_plan_json(path)
+    if before is not world and _of_version_1(data, before.sha256):
+        plan = confirm_plan(parse_plan(data, before, source), before, source)
         return before, replace(plan, notes=(*plan.notes, f"{source}: {KEPT_READING}"))
-    plan = load_plan(path, world)
+    plan = parse_plan(data, world, source)
     try:
         return world, confirm_plan(plan, world, source)
     except PlanError as error:
         same = plan.settings is None or rules_of(world, plan.settings, closed=False) == BEFORE
-        if same or not _of_version_1(path, world.sha256):
+        if same or not _of_version_1(data, world.sha256):
             raise
         expected = f"{error.expected}; release 0.4 changed the rules for phases and for several types of robots"
         raise PlanError(error.problem, source=source, expected=expected, fix=error.fix) from error
 
 
-def _of_version_1(path: str | Path, sha256: str) -> bool:
-    """Whether the file is a plan by a release before 0.4, for the map with this hash. Raises PlanError."""
-    data = read_plan_json(path)
+def _of_version_1(data: object, sha256: str) -> bool:
+    """Whether a file's JSON is a plan by a release before 0.4, for the map with this hash."""
     if not isinstance(data, dict) or data.get("format") != FORMAT or data.get("version") != 1:
         return False
     named = data.get("world")

@@ -71,8 +71,8 @@ def inside(value: float | Fraction, most: int, digits: int, finest: int = 0) -> 
 
     It gets further decimals, up to `finest`, until it is told apart from the end: "99.97"; then "> 99.9".
     """
-    if value == 0 or abs(most - value) <= NOTHING * most:
-        return "0" if value == 0 else f"{most}"
+    if -NOTHING * most <= value <= 0 or abs(most - value) <= NOTHING * most:
+        return "0" if value <= 0 else f"{most}"
     shown = f"{float(value):,.{digits}f}"
     if 0 < float(shown.replace(",", "")) < most or not 0 < value < most:
         return shown
@@ -100,14 +100,21 @@ def floored(fraction: float | Fraction, digits: int = 1) -> str:
     return f"{float(floor(_scaled(fraction, digits)) / Fraction(10**digits)):.{digits}f} %"
 
 
-def ceiled(fraction: float | Fraction, digits: int = 2) -> str:
-    """A bound that a share does not exceed, in percent, rounded upwards; with further decimals rather than as 100."""
-    if fraction < 1 and ceil(_scaled(fraction, digits)) >= 10 ** (digits + 2) and digits < FINEST:
-        return ceiled(fraction, digits + 1)
-    return f"{float(ceil(_scaled(fraction, digits)) / Fraction(10**digits)):.{digits}f} %"
+def ceiled(fraction: float | Fraction, digits: int = 2, unit: str = " %") -> str:
+    """A bound that a share does not exceed, in percent, rounded upwards; with further decimals rather than as 100.
+
+    `unit`: "" for a column that says so.
+    """
+    bound = ceil(_scaled(fraction, digits)) / Fraction(10**digits)
+    if fraction < 1 <= bound / 100 and digits < FINEST:
+        return ceiled(fraction, digits + 1, unit)
+    return ("100" if bound == 100 else f"{float(bound):.{digits}f}") + unit
 
 
-def chance(p: float, digits: int = 3) -> str:
-    """A chance that somebody gave, as "5 %", in so many digits that count, and more where these would say 100 %."""
+def chance(p: float, digits: int = 3, unit: str = " %") -> str:
+    """A chance that somebody gave, as "5 %", in so many digits that count, and more where these would say 100 %.
+
+    `unit`: as of `ceiled`.
+    """
     shown = f"{100 * p:.{digits}g}"
-    return chance(p, digits + 1) if float(shown) >= 100 > 100 * p else f"{shown} %"
+    return chance(p, digits + 1, unit) if float(shown) >= 100 > 100 * p else shown + unit

@@ -1,7 +1,11 @@
-"""The smallest worlds known on which each of the paper's formulas fails: one row of cells, to be followed by hand."""
+"""The smallest worlds known on which each of the paper's formulas fails: one row of cells, to be followed by hand.
+
+And one in which a robot is shut in, on which the readings of Theorem 3 differ.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from planner.worlds.world import World
@@ -97,3 +101,11 @@ COUNTEREXAMPLES = (
         "The areas fall to the robots so that one drives there and back: slower than alone.",
     ),
 )  # fmt: skip
+
+SHUT_IN = World.create(
+    [[0.0, 0.0, 0.3], [math.nan] * 3, [0.0, math.nan, 0.0]], starts=[(0, 0), (2, 0)], source="shut in"
+)
+"""A robot that cannot move, by itself on one cell: there Theorem 3 holds, by far, where C is what is travelled.
+
+Eq. (4): 3 + 1 = 4, which is the coverage too. C = {0, 6, 2}, cell 6 being the start of the robot that never moves.
+"""

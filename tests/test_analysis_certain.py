@@ -19,6 +19,7 @@ from planner.mrac.make_plan import make_plan
 from planner.plans.plan import is_certain
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Policy, Settings
+from planner.tally import Outcome
 from planner.worlds.starts import place_starts
 from planner.worlds.world import World
 
@@ -108,15 +109,18 @@ def test_more_rollouts_are_indeed_the_same(loop: str) -> None:
 
 
 @pytest.mark.parametrize("robots", [1, 3])
-@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
-def test_the_nominal_run_is_counted_as_an_engine_counts_it(robots: int, policy: Policy) -> None:
+@pytest.mark.parametrize(("policy", "deadline"), [("mrac", None), ("per_cell", None), ("mrac", 2), ("per_cell", 2)])
+def test_the_nominal_run_is_counted_as_an_engine_counts_it(robots: int, policy: Policy, deadline: int | None) -> None:
     """Count for count, key and all, whole and cut off: before its end, at it, and after it."""
     world = World.create(WALLED)
-    plan = make_plan(world, place_starts(world, robots)[0], Settings(policy=policy))
+    plan = make_plan(world, place_starts(world, robots)[0], Settings(policy=policy, deadline=deadline))
+    assert plan.outcome == ("complete" if deadline is None else "deadline")
     how = Rolling(seed=5)
     nominal, numba = make_engine(plan, world, how), make_engine(plan, world, how, "numba")
     assert (nominal.name, numba.name) == ("nominal run", "numba")
     assert nominal.tally(3, 40) == numba.tally(3, 40)
+    ended = Outcome.COMPLETE if deadline is None else Outcome.STEP_LIMIT
+    assert nominal.tally(3, 40).outcomes[ended] == 40
     for step in (1, plan.time - 1, plan.time, plan.time + 5):
         assert nominal.until(step).tally(0, 7) == numba.until(step).tally(0, 7)
     assert nominal.tally(0, 3) + nominal.tally(3, 2) == numba.tally(0, 5)

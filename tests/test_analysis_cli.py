@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from conftest import FOLDER, load_fixture
 from PIL import Image
+from plan_files import load_plan
 from refusals import refused
 
 import mrac_jax as mrac
@@ -22,7 +23,6 @@ from analysis.evaluation.evaluate import evaluate, too_few, until_enough
 from analysis.evaluation.outputs.deadline import Deadline
 from analysis.sampling import PRECISION, RolloutChoices, how_much, make_roll_out
 from analysis.statistics.estimate import looks
-from planner.plans.plan_file import load_plan
 from planner.worlds.world import World, load_world_file
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")

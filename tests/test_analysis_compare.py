@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from functools import cache
 from math import inf
@@ -328,6 +329,17 @@ def test_what_never_happens_is_said_in_a_word() -> None:
         "it is never ahead, never behind.",
         "it is ahead in > 99.9 % of runs, behind in < 0.1 % of runs.",
     ]
+
+
+def test_a_share_of_runs_is_the_only_percentage_of_the_sentence() -> None:
+    for rollouts, between in (
+        (4, r"points of coverage \(.* \.\. .*"),
+        (6000, r"on average \(B - A: [\d.]+ \.\. [\d.]+"),
+    ):
+        found = compared((3, 4), RolloutChoices(rollouts=rollouts, seed=3, luck="step"))
+        vars(found)["exact_difference"] = lambda figure: None
+        said = headline(found)
+        assert re.search(rf"{between}, confidence 0\.95\); (it|B) is ahead in ", said) and "95 %" not in said
 
 
 def test_rollouts_that_are_too_few_to_tell_are_said_to_be() -> None:

@@ -6,11 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
-from counterexamples import COUNTEREXAMPLES, Counterexample
+from counterexamples import COUNTEREXAMPLES, SHUT_IN, Counterexample
 
 from analysis.cli.app import run
 from analysis.theory.any_strategy import any_strategy
-from analysis.theory.bounds import all_bounds
+from analysis.theory.bounds import Theorem3, all_bounds, connecting_cells
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.truth import Truth
@@ -59,3 +59,15 @@ def test_what_is_proven_holds_there(example: Counterexample) -> None:
     assert {check.verdict for check in proven} <= {Verdict.HOLDS, Verdict.VACUOUS}
     spread = [check for check in proven if check.formula == "mended_spread"]
     assert all(check.margin >= -1e-9 for check in spread)
+
+
+def test_a_robot_that_is_shut_in_starts_on_a_cell_of_c() -> None:
+    """By the reading of C as what is travelled, starts included; what a robot enters on its way has no such cell."""
+    plan = make_plan(SHUT_IN, SHUT_IN.starts)
+    assert [robot.path.tolist() for robot in plan.robots][1] == [6]
+    bounds, exact, found = all_bounds(plan, SHUT_IN), open_loop_exact(plan, SHUT_IN), connecting_cells(plan)
+    assert sorted(found.travel.tolist()) == [0, 2, 6] and not len(found.interior)
+    assert bounds.theorem3_visited == Theorem3(4.0, 4.0, 4.0 - 3.0, 4.0 - 3.0)
+    assert exact.visited == 4.0
+    survived = pytest.approx([3.7, 3.7, 0.7, 0.7])
+    assert bounds.theorem3_survived is not None and list(vars(bounds.theorem3_survived).values()) == survived

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import jax
@@ -12,6 +13,7 @@ from own_policies import mostly_east
 
 import mrac_jax as mrac
 from analysis.judging.judge import estimate_of, scores_of
+from analysis.judging.report import headline
 from analysis.judging.rolling import roll_policy
 from analysis.sampling import RolloutChoices, make_singles
 from mrac_jax.environment.coverage_env import ACTIONS, CoverageEnv
@@ -33,6 +35,7 @@ def test_a_policy_meets_the_luck_of_plans() -> None:
     assert (
         judged.score is not None and judged.random.mean < judged.coverage.mean < judged.bound + 4 * judged.coverage.se
     )
+    assert re.search(r"It covers [\d.]+ % ± [\d.]+; ", repr(judged)) and "95 %" not in headline(judged)
     assert "no strategy more than" in repr(judged) and judged.to_json()["score"]["mean"] == judged.score.mean
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from closed_loop_compare import assert_same_tally, assert_same_trace
 from oracle_tree import closed_loop_exact
+from plan_files import load_plan
 
 from analysis.sampling import RolloutChoices
 from analysis.theory.optimum import optimum
@@ -20,7 +21,6 @@ from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
 from planner.plans.plan import Plan
-from planner.plans.plan_file import load_plan
 from planner.rollouts.engine import closed_loop_engine
 from planner.settings import Settings
 from planner.worlds.generate import ThreatPattern, random_world

@@ -13,7 +13,7 @@ from page_reader import Reader
 import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.depots.candidates import border, candidate_cells, read_candidates, sites_of, spread_out
-from analysis.depots.report import findings, headline
+from analysis.depots.report import findings, headline, report
 from analysis.depots.search import find_starts
 from analysis.inputs import Asked, load_task
 from analysis.sampling import RolloutChoices
@@ -145,7 +145,14 @@ def test_where_the_team_stands_and_the_best_depot_are_in_the_race_to_the_end() -
     mine, theirs = told[answer.starts.tobytes()], told[now.starts.tobytes()]
     assert answer.gain.mean == pytest.approx(mine - theirs) and answer.gain.ci95[0] > 0
     assert answer.confirmed.coverage.mean == pytest.approx(mine)  # type: ignore[union-attr]
-    assert "more than from the starts of the input" in headline(answer) and answer.to_json()["gain"]["mean"] > 0
+    assert " more than from the starts of the input" in headline(answer) and answer.to_json()["gain"]["mean"] > 0
+    for said in (headline(answer), next(findings(answer))):
+        assert " % " in said and " ± " in said and "95 %" not in said, "% is a share of the cells"
+    assert any(
+        " ±: half the 95 % interval, in brackets its ends;" in note
+        for part in report(answer).parts
+        for note in part.notes
+    )
 
 
 def test_nothing_worse_is_recommended() -> None:

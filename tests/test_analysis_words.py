@@ -10,14 +10,25 @@ import pytest
 
 import mrac_jax as mrac
 from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.evaluate import cut_off
 from analysis.evaluation.figures import Chance, sampled_share
 from analysis.evaluation.formulas import WORDS, formula_counts, formulas_words
 from analysis.evaluation.table import answer_tables
-from analysis.evaluation.words import assured_words, cell_words, chances_words, headline, home_words, losses_words
+from analysis.evaluation.words import (
+    assured_words,
+    cell_words,
+    chances_words,
+    gain_words,
+    headline,
+    home_words,
+    interval_words,
+    losses_words,
+    quantile_words,
+)
 from analysis.kit.words import plan_words, span_words, without_level
 from analysis.statistics.coverage import losses_said, losses_shown, more_said
 from analysis.statistics.estimate import Estimate, exactly, proportion
-from analysis.statistics.words import between, digits_of, in_unit, lost_words
+from analysis.statistics.words import between, digits_of, in_unit, lost_words, robots_words
 from analysis.sweeps.report import around as sweep_around
 from analysis.sweeps.report import percent as sweep_percent
 from analysis.theory.bounds import all_bounds
@@ -147,6 +158,52 @@ def test_what_19_of_20_runs_reach_is_rounded_downwards() -> None:
         found = replace(whole)
         vars(found)["shown"] = replace(whole.shown, assured=least)
         assert assured_words(found) == said and f"(at least {said} in 19 of 20 runs)" in headline(found)
+        assert '"in 19 of 20 runs" in the first line' in quantile_words(found)
+
+
+def test_nothing_is_added_to_a_mean_that_every_run_reaches() -> None:
+    """The one danger is in the last cell, which is visited before it stops the robot."""
+    for world in ([[0, 0, 0, 0, 0.3]], [[0, 0], [np.nan, 0.2]]):
+        answer = mrac.evaluate(mrac.load(world), 1, rollouts=500, advice=False, band=False)
+        assert headline(answer).startswith("1 robot visits 100 % (exact) of the accessible cells on average and is ")
+        assert quantile_words(answer) == "", "the first line says nothing of 19 of 20 runs"
+
+
+def test_the_level_of_every_interval_is_said() -> None:
+    """A half-width and a range, in the headline or in what taking over gains, each in a sentence without a level."""
+    half, ends = "± is half the width of a 95 % interval.", "A range in brackets is a 95 % interval."
+    whole = evaluation_of([1, 999])
+    for estimate, said, notes in (
+        (Estimate(0.6735, 0.0007, (0.6721, 0.6749)), "67.3 % ± 0.2 of", half),
+        (Estimate(0.97, 0.03, (0.88, 0.98)), "97 % (88 .. 98) of", ends),
+        (Estimate(0.998, 0.002, (0.995, 1.0)), "99.8 % (99.5 or more) of", ends),
+        (Estimate(0.02, 0.02, (0.0, 0.05)), "2 % (5 or less) of", ends),
+        (exactly(0.94), "94.00 % (exact) of", ""),
+    ):
+        found = replace(whole)
+        mean = estimate.times(whole.tally.accessible)
+        vars(found)["shown"] = replace(whole.shown, visited=replace(whole.shown.visited, mean=mean))
+        assert f" {said} the accessible cells" in headline(found) and interval_words(found) == notes
+    found = mrac.evaluate(mrac.load([[0, 0, 0, 0.3, 0]]), 2, rollouts=12, advice=False, band=False, exact="never")
+    assert re.search(r"gains \d+ points ± \d+ over .* \(94\.0 %, exact\)\.$", gain_words(found))
+    assert " or more) of" in headline(found) and interval_words(found) == f"{half} {ends}"
+
+
+def test_the_last_move_is_told_only_where_nobody_waits_for_news() -> None:
+    """The robot is stopped in the second cell in 0.1 of runs, at step 1; else it refuses the fourth cell at step 2.
+
+    With an announced phase it waits for it, until step 50 or 9, and the run ends at the next one:
+    0.9 of 51 or of 10, and 0.1 of 1.
+    """
+    world, later = mrac.load([[0, 0.1, 0, 0.9, 0]]), np.array([[0, 0.1, 0, 0.95, 0]])
+    for asked, said in (
+        (world, "the last move is at step 2"),
+        (mrac.with_phases(world, [(50, later)], plan_on="first"), "the last move is at step 2"),
+        (mrac.with_phases(world, [(50, later)]), "a run takes 46 steps"),
+        (mrac.with_phases(world, [(9, later)]), "a run takes 9 steps"),
+    ):
+        answer = mrac.evaluate(asked, mrac.plan(asked, 1, policy="per_cell", worth=4), rollouts=64, advice=False)
+        assert chances_words(answer) == f"Every accessible cell is visited in no run; {said} on average."
 
 
 def test_the_headline_of_what_is_left_of_a_mission_speaks_of_the_robots_that_were_left() -> None:
@@ -248,6 +305,7 @@ def test_losses_in_a_table_are_figures_that_claim_neither_end() -> None:
 def test_what_was_never_seen_is_said_as_the_most_that_it_may_be() -> None:
     assert Estimate(0.0, 0.0, (0.0, 0.0009)).said(100, " %") == "0 % (0.1 or less, 95 %)"
     assert Estimate(0.0, 0.1, (-0.2, 0.2)).said() == "0.0 ± 0.2 (95 %)"
+    assert Estimate(-1e-17, 0.1, (-0.2, 0.2)).said() == "0.0 ± 0.2 (95 %)", "not -0.0"
     assert Estimate(0.0, 0.0, (0.0, 0.0)).said() == "0.00 (exact)"
 
 
@@ -413,6 +471,9 @@ def test_no_rounding_claims_an_end_that_is_not_reached() -> None:
     assert (chance(0.29, 12), chance(0.9999999, 12)) == ("29 %", "99.99999 %")
     assert [floored(x) for x in (0.99999, 1, 0.5, 0.29)] == ["99.9 %", "100 %", "50.0 %", "29.0 %"], "bounds from below"
     assert [ceiled(x) for x in (0.999951, 0.12341, 0.29)] == ["99.996 %", "12.35 %", "29.00 %"], "bounds from above"
+    assert [ceiled(x) for x in (1 - 1e-10, 1.0, 1 - 2e-8)] == ["100 %", "100 %", "99.999998 %"], "100 is whole"
+    assert (ceiled(0.999951, unit=""), chance(0.9999999, unit="")) == ("99.996", "99.99999"), "columns that say %"
+    assert [percent(x) for x in (-1e-17, -0.0)] == ["0 %", "0 %"], "sums lose so much; nothing is -0.0"
 
 
 def test_an_exact_share_is_whole_only_where_it_is() -> None:
@@ -469,7 +530,30 @@ def test_almost_none_is_said_only_of_what_rounds_to_it() -> None:
     )  # fmt: skip
     said = losses_words(evaluation_of([0, 1, 4]))
     assert re.fullmatch(r"No robot is lost in 80 % of runs; on average 0\.2 of 2 \([\d.]+ or fewer\)\.", said)
-    assert losses_said(Estimate(0.2, 0.3, (0.0, 1.5)), 2) == "0.2 (1.5 or less, 95 %) robots"
+    assert losses_said(Estimate(0.2, 0.3, (0.0, 1.5)), 2) == "0.2 (1.5 or fewer, 95 %) robots"
+    assert losses_said(Estimate(0.01, 0.01, (0.0, 0.03)), 1) == "0.01 (0.03 or fewer, 95 %) robots"
+    assert losses_said(Estimate(0.0, 0.0, (0.0, 0.03)), 1) == robots_words(0.0, 1) == "no robot"
+    assert (robots_words(0.2, 1), robots_words(1.87, 5), robots_words(5.0, 5), robots_words(2.0, 2)) == (
+        "0.20 of 1 robot", "1.87 of 5 robots", "all 5 robots", "both robots",
+    )  # fmt: skip
+
+
+def test_what_was_cut_off_and_lost_agrees_with_its_number() -> None:
+    whole, limit = evaluation_of([0, 1]), "cut off at the step limit: raise max_steps"
+    for runs, cut, said in (
+        (1, 1, "1 of 1 rollout was"),
+        (20, 1, "1 of 20 rollouts was"),
+        (20, 7, "7 of 20 rollouts were"),
+    ):
+        outcomes = np.zeros_like(whole.tally.outcomes)
+        outcomes[[Outcome.COMPLETE, Outcome.STEP_LIMIT]] = runs - cut, cut
+        tally = replace(whole.tally, outcomes=outcomes, ids=((0, runs),))
+        assert cut_off(whole.world, tally, whole.plan) == (f"{said} {limit}",)
+    world = mrac.load([[0, 0, 0, 0.3, 0]])
+    for step, said in ((1, "40.00 % (exact) visited, no robot lost."), (3, "0.30 of 1 robot lost on average.")):
+        answer = mrac.evaluate(world, 1, rollouts=64, deadline=step, advice=False, band=False, loop="open")
+        (line,) = (line for found in answer.blocks for line in found.opens)
+        assert line.startswith(f"By step {step}: ") and line.endswith(said)
 
 
 def test_numbers_and_their_things_agree() -> None:

@@ -18,6 +18,8 @@ import numpy as np
 import pytest
 
 import mrac_jax as mrac
+from analysis.api import evaluation as api_evaluation
+from analysis.api import searches
 from analysis.cli.app import app, run
 from analysis.kit import progress as shown
 from analysis.kit.calls import Interrupted, ask
@@ -336,6 +338,13 @@ def test_an_input_error_is_a_value_error_that_nothing_swallows(
     error = pickle.loads(pickle.dumps(raised.value))
     assert (type(error), str(error), error.problem) == (type(raised.value), str(raised.value), raised.value.problem)
     assert str(type(error)(error)) == str(error)  # as libraries raise again what another process raised
+    for call in (mrac.size, searches.size, mrac.evaluate, api_evaluation.evaluate):  # with hints, and without
+        with pytest.raises(mrac.InputError, match="has no argument 'rolouts'") as raised:
+            call(small_world(), rolouts=lambda: 3)
+        error = pickle.loads(pickle.dumps(raised.value))
+        assert (str(error), error.expected, error.fix) == (str(raised.value), raised.value.expected, raised.value.fix)
+        assert str(type(error)(error)) == str(error)
+        assert ("did you mean 'rollouts'" in error.fix) == (call in (mrac.size, mrac.evaluate))
     plan = mrac.plan(small_world(), 2)
     plan.save(tmp_path / "p.json")
     state = json.loads(json.dumps(state_of(small_world()).to_json())) | {"checksum": 1}

@@ -12,6 +12,7 @@ from closed_loop_compare import assert_same_trace
 from movers import moving_world
 from numpy.typing import NDArray
 from oracle_tree import Tree as ReadableTree
+from plan_files import load_plan
 
 from analysis.comparison.compare import compare, make_side
 from analysis.evaluation.evaluate import evaluate
@@ -28,7 +29,6 @@ from planner.mrac.problem import prepare
 from planner.mrac.reference import ReferenceLoop
 from planner.plan_team import plan_team
 from planner.plans.plan import Plan
-from planner.plans.plan_file import load_plan
 from planner.plans.state_file import parse_state
 from planner.settings import Settings
 from planner.tally import Outcome

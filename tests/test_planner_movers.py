@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from planner.mrac.make_plan import make_plan
 from planner.mrac.reference import ReferenceLoop
 from planner.plan_team import read_plan, read_plan_on
 from planner.plans.plan import Plan, RobotPlan
+from planner.plans.plan_file import read_plan_json
 from planner.roaming import Roaming, first_places, ways_of_movers
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
@@ -312,7 +314,9 @@ def test_a_plan_of_an_earlier_release_keeps_its_reading(tmp_path: Path) -> None:
     world, file = scenario(tmp_path, BOTH), tmp_path / "plan.json"
     made = make_plan(as_before(world), [[0, 0], [2, 1]])
     file.write_text(json.dumps(made.to_json() | {"version": 1}))
-    of, plan = read_plan_on(file, world)
+    with patch("planner.plan_team.read_plan_json", wraps=read_plan_json) as read:
+        of, plan = read_plan_on(file, world)
+    assert read.call_count == 1
     assert of.sha256 == as_before(world).sha256 == plan.sha256 != world.sha256
     assert [robot.path.tolist() for robot in plan.robots] == [robot.path.tolist() for robot in made.robots]
     assert plan.notes[-1].startswith(f"{file}: made by a release before 0.4 without `plan_on`")
@@ -325,7 +329,9 @@ def test_a_plan_of_an_earlier_release_keeps_its_reading(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="plan for another map"):
         read_plan_on(file, world)
     file.write_text(json.dumps(make_plan(world, [[0, 0], [2, 1]]).to_json()))
-    assert read_plan_on(file, world)[0] is world
+    with patch("planner.plan_team.read_plan_json", wraps=read_plan_json) as read:
+        assert read_plan_on(file, world)[0] is world
+    assert read.call_count == 1
 
 
 @pytest.mark.parametrize(

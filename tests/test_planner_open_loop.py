@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from oracle_strategy import best_of_one_robot
+from plan_files import load_plan
 from validate import validate
 
 import mrac_jax as mrac
@@ -20,7 +21,6 @@ from planner.mrac.make_plan import make_plan
 from planner.open_loop.make_plan import make_open_loop_plan
 from planner.plan_team import plan_team
 from planner.plans.plan import Plan
-from planner.plans.plan_file import load_plan
 from planner.settings import Settings
 from planner.worlds.generate import ThreatPattern, random_world
 from planner.worlds.starts import place_starts

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOLDER
+from plan_files import load_plan
 from validate import validate
 
 from analysis.cli.app import run
@@ -24,7 +25,6 @@ from analysis.sweeps.store.store import Store
 from planner.errors import PlanError, UsageError
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plans.plan import Plan
-from planner.plans.plan_file import load_plan
 from planner.settings import Settings
 from planner.tally import Outcome
 from planner.worlds.starts import place_starts

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plan_files import load_plan
 
 import planner.plans.plan_file
 from planner.errors import MapError, PlanError
@@ -18,7 +19,7 @@ from planner.files import LONG_BYTES
 from planner.mrac.make_plan import make_plan
 from planner.plan_team import plan_team, read_plan
 from planner.plans.plan import Area, Leg, Plan, RobotPlan
-from planner.plans.plan_file import count_shares, load_plan
+from planner.plans.plan_file import count_shares
 from planner.settings import Settings
 from planner.tables import read_csv_grid
 from planner.worlds.changing import with_phases

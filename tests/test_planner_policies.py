@@ -18,6 +18,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from oracle_markov import closed_loop_chain, solve_chain
 from oracle_tree import closed_loop_exact
+from plan_files import load_plan
 from validate import validate
 
 import mrac_jax as mrac
@@ -32,7 +33,7 @@ from planner.mrac.problem import prepare
 from planner.mrac.reference import ReferenceLoop
 from planner.mrac.simulate import never_hit, play_step
 from planner.plans.plan import Plan
-from planner.plans.plan_file import load_plan, parse_plan
+from planner.plans.plan_file import parse_plan
 from planner.policies import RULES
 from planner.policies.in_area import CellOffer
 from planner.policies.limits import NO_REFUSAL, is_refused, most_at_risk, refusal_threshold

@@ -6,13 +6,13 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import pytest
+from plan_files import load_plan
 
 from analysis.cli.groups import Planning, PlanningToTheEnd, Second
 from analysis.sweeps.spec_settings import PLANNER
 from planner.arguments import COMMAND_LINE
 from planner.errors import PlanError
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan_file import load_plan
 from planner.settings import SETTINGS, Choices, Settings
 from planner.worlds.world import World
 

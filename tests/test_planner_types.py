@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from mixed_teams import assert_as_enumerated, assert_engines_agree, drawn
 from oracle_rows import everything
+from plan_files import load_plan
 from test_planner_home import check_rules, ways
 
 from analysis.theory.exact import open_loop_exact
@@ -18,7 +19,7 @@ from planner.errors import InputError
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.plan_team import plan_team, read_plan
-from planner.plans.plan_file import load_plan, parse_plan
+from planner.plans.plan_file import parse_plan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
 from planner.worlds.changing import with_phases

@@ -15,6 +15,7 @@ import pytest
 from closed_loop_compare import assert_same_trace
 from conftest import FOLDER
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from plan_files import load_plan
 from recordings import nth, rewrite, small_task
 from refusals import refused
 
@@ -23,7 +24,6 @@ from analysis.cli.app import run
 from analysis.recording.mcap.reading import open_log
 from analysis.recording.rollouts import read_outcomes, read_rollouts
 from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
-from planner.plans.plan_file import load_plan
 from planner.worlds.world import load_world_file
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")

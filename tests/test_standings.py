@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +89,9 @@ def test_the_figures_are_those_of_the_worlds(standing: Standing, tmp_path: Path)
     ranked = [name for name, row in said["entries"].items() if row["rank"] is not None]
     assert ranked == sorted(ranked, key=lambda name: -np.mean(scores[name])) and len(ranked) == 6
     assert said["entries"][ranked[0]]["behind"]["mean"] == 0 and "mostly_east" in said["answer"]
+    assert re.search(r" % (± |\()\d", said["answer"]) and "95 %" not in said["answer"], (
+        "% is a share of what lies between"
+    )
     standing.save(tmp_path)
     saved = mrac.load(tmp_path / "worlds" / f"{standing.worlds[1].name}.npz")
     assert saved.sha256 == mrac.suite()[standing.worlds[1].name].sha256 and saved.starts is not None

@@ -158,6 +158,21 @@ def test_bad_input_names_the_case() -> None:
         Job(generated_case(), MODELS, 0)
 
 
+def test_a_team_is_made_once_a_job_and_as_before_where_the_rules_differ(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, make = list[str](), Places._team
+
+    def counted_team(self: Places, case: Case, of: Any) -> Any:
+        made.append(of.__name__)
+        return make(self, case, of)
+
+    monkeypatch.setattr(Places, "_team", counted_team)
+    for choices, names in ((Choices(), ["<lambda>"]), (Choices(return_to="home"), ["<lambda>", *["as_before"] * 2])):
+        made.clear()
+        with Memory() as store:
+            run_cases([Job(generated_case(ratio=0.3, size=(4, 4), choices=choices), MODELS[:2], 2)], store, processes=1)
+        assert made == names
+
+
 def test_interrupted_and_gone_on_with() -> None:
     def stop(step: Done) -> None:
         if step.jobs == 3:

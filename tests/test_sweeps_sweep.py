@@ -19,6 +19,7 @@ from analysis.cli import sweeps as commands
 from analysis.cli.app import run
 from analysis.sampling import RolloutChoices
 from analysis.statistics.control import expected_pieces, pieces
+from analysis.statistics.estimate import Estimate
 from analysis.sweeps import report, rows
 from analysis.sweeps.cases import Places
 from analysis.sweeps.engine import Done, Job, run_cases
@@ -252,6 +253,38 @@ def test_precision_on_one_map_takes_more_rollouts(tmp_path: Path) -> None:
         (found, _) = store.runs()
         tally = store.tally(found.key)
         assert tally is not None and answer.rows[0].estimate("visited") == single_map(found, tally)["visited"]
+
+
+@pytest.mark.parametrize("rollouts", [1, 20])
+def test_one_generated_map_says_as_much_as_a_map_that_is_given(tmp_path: Path, rollouts: int) -> None:
+    """What was sampled is not said to be exact; `precision` takes more maps, whatever the first one says."""
+    text = f"base: {{size: 6x6, robots: 1, ratio: 0.3}}\nmaps: 1\nrollouts: {rollouts}\n"
+    spec = read_spec(spec_file(tmp_path, text))
+    with Memory() as store:
+        answer = run_sweep(spec, store, processes=1)
+        (row,), (found,) = answer.rows, store.runs()
+        tally = store.tally(found.key)
+        assert tally is not None and str(row.single) == str(single_map(found, tally))  # se is NaN of one rollout
+        for name in ("visited", "time", "complete"):
+            low, high = row.estimate(name).ci95
+            assert low < high and row.estimate(name) is row.single[name]
+        assert answer.widest == row.single["visited"].half_width
+        assert "exact" not in report.headline(answer)
+        more = run_sweep(spec, store, processes=1, precision=0.99)
+        (row,) = more.rows
+        assert row.maps == 2 and not row.single and more.widest < 0.99
+        assert row.estimate("visited") == row.moments.estimate(KEPT["visited"], 0.0, 1.0)
+
+
+def test_the_unit_stands_with_the_mean() -> None:
+    for estimate, said in (
+        (Estimate(7 / 9, 0.0, (7 / 9, 7 / 9)), "77.78 % (exact)"),
+        (Estimate(0.674, 0.01, (0.654, 0.694)), "67.4 ± 2.0 %"),
+        (Estimate(0.0, 0.0, (0.0, 0.3)), "0 % (30.0 or less)"),
+        (Estimate(0.5, math.nan, (-math.inf, math.inf)), "50.0 %"),
+    ):
+        assert report.percent(estimate, " %") == said
+        assert report.percent(estimate) == said.replace(" %", "")
 
 
 def test_no_collapse_on_one_map_where_every_rollout_is_the_same(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from closed_loop_compare import assert_same_results, assert_same_tally
+from plan_files import load_plan
 
 import mrac_jax as mrac
 from analysis.evaluation.report import report
@@ -22,7 +23,6 @@ from analysis.report.face import print_report
 from analysis.sampling import RolloutChoices, make_singles
 from planner.errors import InputError
 from planner.mrac.reference import ReferenceLoop
-from planner.plans.plan_file import load_plan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import SETTINGS
 from planner.shown import percent

@@ -125,7 +125,7 @@ def _table(attack: Attack) -> Table:
             there = float(attack.world.threat.reshape(-1)[one.threat.cells[0]])
             bound = "" if one.screen is None else f"{one.screen:.2f}"
             rolled = f"{one.known.rollouts:,}" if one.known.rollouts else ""
-            table.add_row(one.threat.name.removeprefix("cell "), chance(there).removesuffix(" %"), bound,
+            table.add_row(one.threat.name.removeprefix("cell "), chance(there, unit=""), bound,
                           *one.known.counted.columns(), *one.unknown.counted.columns(), rolled)  # fmt: skip
     return table
 

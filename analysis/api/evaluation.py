@@ -127,7 +127,7 @@ def _check_outputs(asked: Mapping[str, Any]) -> None:
 
     known = [name for name, one in signature(evaluate).parameters.items() if one.kind is one.KEYWORD_ONLY]
     for name in asked.keys() - OUTPUTS.keys():
-        raise UnknownArgument(evaluate, name, asked[name], known)
+        raise UnknownArgument.of(evaluate, name, asked[name], known)
 
 
 def _judged(world: World, plan: Any, policy: Callable[..., Any], asked: dict[str, Any], **rest: Any) -> Judged:

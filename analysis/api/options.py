@@ -12,10 +12,9 @@ from inspect import Parameter, signature
 from typing import Any, Literal, TypedDict, TypeVar
 
 from analysis.kit.calls import OnInterrupt
+from analysis.kit.hints import UnknownArgument
 from analysis.kit.notes import Progress
 from analysis.sampling import Exactness
-from planner.arguments import did_you_mean
-from planner.errors import UsageError
 from planner.luck_names import LuckName
 from planner.policies.in_area import InAreaOrder
 from planner.rollouts.names import EngineName
@@ -91,7 +90,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 def takes(options: type) -> Callable[[Function], Function]:
     """A decorator: the function's `**options` are these, each keyword-only and with its default.
 
-    The function is called with all of them. An argument that it does not have is a UsageError.
+    The function is called with all of them. An argument that it does not have is an UnknownArgument.
     """
     more = {
         name: Parameter(name, Parameter.KEYWORD_ONLY, default=DEFAULTS.get(name), annotation=kind.__forward_arg__)
@@ -106,8 +105,7 @@ def takes(options: type) -> Callable[[Function], Function]:
         @wraps(function)
         def call(*args: Any, **given: Any) -> Any:
             for name in given.keys() - set(known):
-                problem, fix = f"{function.__name__} has no argument {name!r}", did_you_mean(name, known)
-                raise UsageError(problem, expected=f"one of {', '.join(known)}", fix=fix)
+                raise UnknownArgument.of(function, name, given[name], known)
             return function(*args, **{name: one.default for name, one in more.items()} | given)
 
         call.__signature__ = own.replace(parameters=[*first, *more.values()])  # type: ignore[attr-defined]

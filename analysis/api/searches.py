@@ -99,7 +99,7 @@ def front(
     rollouts: int | None = None,
     **options: Unpack[FrontOptions],
 ) -> Front:
-    """What more coverage costs in robots: policies, missions ended early, reserves and worths on the same random numbers.
+    """What more coverage costs in robots: policies, missions ended early, reserves and worths on common random numbers.
 
     Args:
         robots, starts: the team, as of `plan`.

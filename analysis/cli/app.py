@@ -154,9 +154,9 @@ def evaluate(
             world, made, choices, progress=progress, doing=progress.doing, early=progress.doing, bound=bound or None,
             band=out is not None, advice=advice, first=None if as_json else show_first, **asked,
         )  # fmt: skip
-    said, first = report(answer, theory), printed[0] if printed else None
+    said, shown = report(answer, theory), printed[0] if printed else None
     return deliver(
-        answer, said, out=out, as_json=as_json, notes=notes, source=source, beside=(plan, state), first=first
+        answer, said, out=out, as_json=as_json, notes=notes, source=source, beside=(plan, state), first=shown
     )
 
 

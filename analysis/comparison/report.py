@@ -63,10 +63,10 @@ def headline(answer: Comparison) -> str:
     estimate = answer.difference("visited").estimate
     low, high = (100 * bound for bound in estimate.ci95)
     if low <= 0 <= high:
-        apart = f"B - A = {100 * estimate.mean:.2g} points of coverage ({low:.2g} .. {high:.2g}, 95 %)"
+        apart = f"B - A = {100 * estimate.mean:.2g} points of coverage ({low:.2g} .. {high:.2g}, confidence 0.95)"
         return f"No difference seen between {one} and {other}: {apart}; {runs.replace('it', 'B', 1)}."
     by = f"{abs(100 * estimate.mean):.2f} points {_more(estimate.mean)} of the accessible cells than {one}"
-    return f"{other} visits {by} on average (B - A: {low:.2f} .. {high:.2f}, 95 %); {runs}."
+    return f"{other} visits {by} on average (B - A: {low:.2f} .. {high:.2f}, confidence 0.95); {runs}."
 
 
 def _often(answer: Comparison, which: str) -> str:

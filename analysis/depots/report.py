@@ -10,6 +10,7 @@ from rich.table import Table
 from analysis.depots.answer import Place, Starts
 from analysis.kit.folder import json_text
 from analysis.kit.tables import make_table
+from analysis.kit.words import without_level
 from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
 from analysis.report.words import (
     asked,
@@ -65,7 +66,7 @@ def headline(starts: Starts) -> str:
         return f"{what}.{where}"
     if starts.stay:
         return f"{what}; that is not surely better than {standing_words(starts)}: stay, unless it has to be a depot."
-    return f"{what}, {starts.gain.said(100, ' points')} more than from {standing_words(starts)}."
+    return f"{what}, {without_level(starts.gain.said(100, ' points'))} more than from {standing_words(starts)}."
 
 
 def standing_words(starts: Starts) -> str:
@@ -81,7 +82,9 @@ def findings(starts: Starts) -> Iterator[str]:
         worth = "" if again.value is None else f"{again.value.said(100, ' %')} of the value and "
         cells = "" if again.value is None else " of the cells"
         covered = f"{worth}{again.coverage.said(100, ' %')}{cells} covered"
-        yield sourced(again.rollouts, f"{covered}, {losses_said(again.losses, len(starts.starts))} lost.")
+        yield sourced(
+            again.rollouts, without_level(f"{covered}, {losses_said(again.losses, len(starts.starts))} lost.")
+        )
     best = starts.places[starts.best]
     if starts.gain is not None and starts.stay:
         low, high = (100 * end for end in starts.gain.ci95)
@@ -186,8 +189,8 @@ def _footnotes(starts: Starts) -> list[str]:
     return [
         f"bound: {counts} that no strategy exceeds on average, by the chance to reach each; one robot: eq. (4), "
         f"{counts} of one robot's plan."
-        + " behind: all of these intervals hold together with 95 %; places put aside early have few rollouts."
-        * (not starts.exact),
+        + " ±: half the 95 % interval, in brackets its ends; behind: all of these intervals hold together with 95 %; "
+        "places put aside early have few rollouts." * (not starts.exact),
         *([f"The JSON object has {counted(more, 'further place')}."] if more > 0 else []),
     ]
 

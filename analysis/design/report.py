@@ -194,7 +194,7 @@ def _table(size: TeamSize) -> Table:
     if ruled_out:
         best = ruled_out[-1]
         sizes = "1" if len(ruled_out) == 1 else f"1..{best.robots}"
-        most = (f"<= {ceiled(of).removesuffix(' %')}" for of in (best.ideal_coverage, best.ideal_chance))
+        most = (f"<= {ceiled(of, unit='')}" for of in (best.ideal_coverage, best.ideal_chance))
         below = (next(most), "", next(most), "")
         table.add_row(sizes, *below, *("" for _ in (*value, *minutes)), "", "", str(best.verdict))
     for point in size.points:

@@ -174,7 +174,9 @@ def cut_off(world: World, tally: Tally, plan: Plan) -> tuple[str, ...]:
         return (f"the plan ends the mission at {world.pace.step(plan.settings.deadline)}: {home}",)
     if count == 0:
         return ()
-    cut = f"{count:,} of {counted(tally.rollouts, 'rollout')} were cut off at the step limit"
+    cut = (
+        f"{count:,} of {counted(tally.rollouts, 'rollout')} {'was' if count == 1 else 'were'} cut off at the step limit"
+    )
     return (f"{cut}: raise {argument('max_steps')}",)
 
 

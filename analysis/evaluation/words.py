@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from fractions import Fraction
 
@@ -91,14 +92,16 @@ def chances_words(evaluation: Evaluation) -> str:
 def _time(evaluation: Evaluation) -> str:
     """How long a run takes; where robots stop before all is visited, when they last move: then they wait for the end.
 
-    Robots that come home do not wait.
+    Robots that come home do not wait. Robots that come to believe another map may wait for it first: nobody counts how
+    long.
     """
-    steps, pace, ends = evaluation.time.mean, evaluation.world.pace, evaluation.shown.ends
+    world, steps, ends = evaluation.world, evaluation.time.mean, evaluation.shown.ends
     waiting = [ends[outcome].mean for outcome in (Outcome.NO_PROGRESS, Outcome.NOT_WORTH_THE_RISK) if outcome in ends]
-    if not waiting or evaluation.plan.comes_home:
-        return f"a run takes {pace.steps(steps)}"
+    changes = world.is_learned or (world.phases is not None and world.phases.told)
+    if not waiting or evaluation.plan.comes_home or changes:
+        return f"a run takes {world.pace.steps(steps)}"
     paces = () if evaluation.plan.settings is None else evaluation.plan.settings.paces
-    return f"the last move is at {pace.step(steps - STUCK_AFTER * max(paces, default=1) * sum(waiting))}"
+    return f"the last move is at {world.pace.step(steps - STUCK_AFTER * max(paces, default=1) * sum(waiting))}"
 
 
 def limit_words(evaluation: Evaluation) -> str:
@@ -153,7 +156,8 @@ def headline(evaluation: Evaluation) -> str:
         most = _most(evaluation)
         limit = f"; no strategy exceeds {most} on average ({proven(evaluation)})" * bool(most)
         return f"{who} {shown} with {policy_words(settings)}, {lost}{limit}."
-    runs = "" if least is None else f" (at least {assured_words(evaluation)} in 19 of 20 runs)"
+    adds = least is not None and not shown.startswith("100 % (exact)")
+    runs = f" (at least {assured_words(evaluation)} in 19 of 20 runs)" * adds
     return f"{who} {shown}{runs} {lost}."
 
 
@@ -214,8 +218,11 @@ def certain_headline(evaluation: Evaluation) -> str:
 
 
 def interval_words(evaluation: Evaluation) -> str:
-    """How sure the figures of the headline are; nothing where it has no "±"."""
-    return "± is half the width of a 95 % interval." if "±" in headline(evaluation) else ""
+    """How sure the figures are that are said without their level; nothing where none is."""
+    said = headline(evaluation) + gain_words(evaluation)
+    half = "± is half the width of a 95 % interval." * ("±" in said)
+    ends = re.search(r"\([\d.,]+ (\.\. [\d.,]+|or more|or less)\)", said) is not None
+    return " ".join(filter(None, (half, "A range in brackets is a 95 % interval." * ends)))
 
 
 def gain_words(evaluation: Evaluation) -> str:
@@ -226,7 +233,7 @@ def gain_words(evaluation: Evaluation) -> str:
     kept = evaluation.closed_form.visited / evaluation.tally.accessible
     covered = evaluation.visited
     more = Estimate(covered.mean - kept, covered.se, (covered.ci95[0] - kept, covered.ci95[1] - kept))
-    gain = (more if more.mean >= 0 else more.negated).said(100, " points")
+    gain = without_level((more if more.mean >= 0 else more.negated).said(100, " points"))
     return (
         f"Giving the areas of lost robots to the others {'gains' if more.mean >= 0 else 'loses'} {gain} over robots "
         f"that follow their own plans alone ({percent(kept)}, exact)."
@@ -235,7 +242,7 @@ def gain_words(evaluation: Evaluation) -> str:
 
 def quantile_words(evaluation: Evaluation) -> str:
     """What the quantiles of the table are beside the headline's; nothing where that has none."""
-    if evaluation.shown.assured is None or evaluation.shown.visited.known:
+    if " in 19 of 20 runs" not in headline(evaluation) or evaluation.shown.visited.known:
         return ""
     return (
         'The table has the quantiles of the runs that were done; "in 19 of 20 runs" in the first line holds with 95 % '
@@ -283,8 +290,8 @@ def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
         more = evaluation.visited.mean * cells - before
         yield (
             f"By {evaluation.world.pace.step(plan.state.step)}, where this goes on, {before:,} of {cells:,} accessible "
-            f"cells ({share(before, cells)}) were visited and {plan.state.lost} of {robots} lost. Of the "
-            f"{cells - before:,} left {more:,.1f} are visited on average."
+            f"cells ({share(before, cells)}) {'was' if before == 1 else 'were'} visited and {plan.state.lost} of "
+            f"{robots} lost. Of the {cells - before:,} left {more:,.1f} are visited on average."
         )
     if rest.limited:
         beyond = int((kinds == BEYOND).sum())

@@ -42,26 +42,35 @@ def elsewhere(given: str, own: Iterable[str], others: Mapping[str, Iterable[str]
 
 
 class UnknownArgument(UsageError):
-    """A keyword that a function of the public API does not have."""
+    """A keyword that a function of the public API does not have. Another process can raise it again.
 
-    def __init__(
-        self, function: Callable[..., Any], name: str, value: object, known: Iterable[str], fix: str = ""
-    ) -> None:
-        self.function, self.name, self.value, self.known = function, name, value, list(known)
-        problem = f"{function.__name__} has no argument {name!r}"
-        super().__init__(problem, expected=f"one of {', '.join(self.known)}", fix=fix)
+    Attributes:
+        name: of the keyword. number: its value if that is a whole number. known: the names that there are.
+    """
 
-    def with_fix(self, public: Mapping[str, Callable[..., Any]]) -> UnknownArgument:
-        """The same with what is probably meant; `public`: the functions of the API by name."""
-        own, fix = signature(self.function).parameters, ""
-        if "plan" in own and self.name == "robots" and isinstance(self.value, int):
-            fix = f"give plan={self.value}: how many robots to plan for"
+    name: str
+    number: int | None
+    known: list[str]
+
+    @classmethod
+    def of(cls, function: Callable[..., Any], name: str, value: object, known: Iterable[str]) -> UnknownArgument:
+        """The error for a call of the function with `name=value`."""
+        known = list(known)
+        error = cls(f"{function.__name__} has no argument {name!r}", expected=f"one of {', '.join(known)}")
+        error.name, error.number, error.known = name, value if isinstance(value, int) else None, known
+        return error
+
+    def with_fix(self, function: Callable[..., Any], public: Mapping[str, Callable[..., Any]]) -> UsageError:
+        """The same with what is probably meant; `function`: that was called; `public`: those of the API by name."""
+        own, here = signature(function).parameters, function.__name__
+        if "plan" in own and self.name == "robots" and self.number is not None:
+            fix = f"give plan={self.number}: how many robots to plan for"
         elif "plan" in own and "plan" in public and self.name in signature(public["plan"]).parameters:
-            fix = f"give it to `plan`, and the plan to `{self.function.__name__}`"
+            fix = f"give it to `plan`, and the plan to `{here}`"
         else:
-            others = {name: signature(one).parameters for name, one in public.items() if name != self.function.__name__}
+            others = {name: signature(one).parameters for name, one in public.items() if name != here}
             fix = elsewhere(self.name, self.known, others, "argument")
-        return UnknownArgument(self.function, self.name, self.value, self.known, fix)
+        return UsageError(self.problem, expected=self.expected, fix=fix)
 
 
 @cache
@@ -76,9 +85,9 @@ def with_hints(
     def call(*arguments: Any, **given: Any) -> Any:
         try:
             for name in () if takes_any else given.keys() - own.keys():
-                raise UnknownArgument(function, name, given[name], own)
+                raise UnknownArgument.of(function, name, given[name], own)
             return function(*arguments, **given)
         except UnknownArgument as error:
-            raise error.with_fix(public()) from None
+            raise error.with_fix(function, public()) from None
 
     return call

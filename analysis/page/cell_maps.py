@@ -173,7 +173,7 @@ class _Blocks:
         for value in values:
             at = float(self.norm(value / scale))
             if at - last > 0.12:
-                given = f"{value:.3g}" if layer.unit != "%" else chance(value / scale).removesuffix(" %")
+                given = f"{value:.3g}" if layer.unit != "%" else chance(value / scale, unit="")
                 yield at, (given if layer.labels else label(float(value), gap)) + unit
                 last = at
 

@@ -131,7 +131,7 @@ def _table(clearing: Clearing) -> Table:
         row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
         told = ("", "", "") if known is None else (*_columns(known), f"{known.rollouts:,}" if known.rollouts else "")
         table.add_row(threat.name, *[f"{row},{col}"] * areas, f"{len(threat.cells)}",
-                      chance(threat.p).removesuffix(" %"), f"{one.hits:.3f}", f"{one.screen:.2f}", *told[:2],
+                      chance(threat.p, unit=""), f"{one.hits:.3f}", f"{one.screen:.2f}", *told[:2],
                       *_columns(one.unknown), told[2])  # fmt: skip
     return table
 

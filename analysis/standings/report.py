@@ -10,6 +10,7 @@ from rich.table import Table
 
 from analysis.kit.folder import csv_text
 from analysis.kit.tables import make_table
+from analysis.kit.words import without_level
 from analysis.report.answer import json_end
 from analysis.report.blocks import KeyFigure, Part, Report
 from analysis.standings.standing import RANDOM, Played, Row, Standing
@@ -21,7 +22,7 @@ from planner.shown import ceiled, counted, in_percent
 RANKS = ("rank", "", "score, %", "behind, points", "visited, %", "lost, %", "first on", "worlds")
 NOTES = (
     "score: (J - random walk) / (bound - random walk) of mean coverage J, averaged over worlds; ± half the 95 % "
-    "interval over rollouts",
+    "interval over rollouts, in brackets its ends",
     "behind: of the first in score, on common luck; first on: worlds where nobody is surely ahead",
     "bound: what no strategy exceeds on average, proven; optimum: what the best one reaches, on tiny worlds",
 )
@@ -57,7 +58,7 @@ def headline(standing: Standing) -> str:
     if not ranked:
         return "Nobody has a score: it takes two rollouts, and room between the random walk and the bound."
     first, mine = ranked[0], [row for row in ranked if row.name == standing.own and row.rank != 1]
-    gained = first.score.said(100, " %")
+    gained = without_level(first.score.said(100, " %"))
     said = f"{first.name} is first: it gains {gained} of what lies between a random walk and the bound"
     said += "".join(
         f"; {row.name} is number {row.rank} of {len(ranked)}, {_half(row.behind)} points behind" for row in mine
@@ -88,7 +89,7 @@ def _worlds(standing: Standing) -> Iterator[tuple[str, ...]]:
     names = _columns(standing)[4:]
     for played in standing.worlds:
         optimum = "" if played.optimum is None else in_percent(played.optimum / played.cells, 2)
-        bound = ceiled(played.bound / played.cells).removesuffix(" %")
+        bound = ceiled(played.bound / played.cells, unit="")
         yield played.name, f"{played.cells:,}", bound, optimum, *(_half(played.coverage(name), 100) for name in names)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from analysis.statistics.estimate import Estimate
-from analysis.statistics.words import between, lost_words, of_all
+from analysis.statistics.words import between, of_all, robots_words
 from planner.arguments import Numbers
 from planner.shown import percent
 
@@ -45,12 +45,11 @@ def losses_said(losses: Estimate, robots: int, *, mean_only: bool = False) -> st
 
     `mean_only`: "0.67 robots", with the decimals that the interval allows, one at least.
     """
-    if losses.mean == 0 == losses.half_width:
-        return "no robot"
-    words = lost_words(losses.mean, robots, digits := min(losses.digits(), 2))
-    if words[0].isdigit():
-        return f"{of_all(losses.mean, robots, digits) if mean_only else losses.said(most=robots, least=1)} robots"
-    return words if words.endswith(("robot", "robots")) else f"{words} robots"
+    words = robots_words(losses.mean, robots, digits := min(losses.digits(), 2))
+    if not words[0].isdigit():
+        return words
+    mean = of_all(losses.mean, robots, digits) if mean_only else losses.said(most=robots, least=1, less="fewer")
+    return f"{mean} robots"
 
 
 def losses_shown(losses: Estimate, robots: int) -> tuple[str, str]:

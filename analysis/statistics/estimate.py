@@ -53,15 +53,17 @@ class Estimate:
         """Half the width of the interval before it was clipped to what is possible."""
         return max(self.ci95[1] - self.mean, self.mean - self.ci95[0])
 
-    def said(self, scale: float = 1.0, unit: str = "", most: int | None = None, least: int = 0) -> str:
+    def said(
+        self, scale: float = 1.0, unit: str = "", most: int | None = None, least: int = 0, less: str = "less"
+    ) -> str:
         """The mean, times `scale`, with the half-width of its interval: "67.35 % ± 0.14 (95 %)"; a point is exact.
 
         With the interval itself where the half-width would leave 0 .. `most`, or go below 0 where nothing does:
         "99.8 % (99.5 or more, 95 %)". `unit`: what is said in " %" is a share, of which the most is 100. `least`: so
-        many decimals at least.
+        many decimals at least. `less`: "fewer" of what is counted.
         """
         most, digits = 100 if unit == " %" else most, max(self.digits(scale), least)
-        mean, interval = self._figures(scale, most, digits)
+        mean, interval = self._figures(scale, most, digits, less=less)
         if interval in ("", "exact"):
             return f"{mean}{unit}" + f" ({interval})" * bool(interval)
         half = self._half(scale, most, digits, mean)
@@ -71,16 +73,19 @@ class Estimate:
         """A difference in good words: "4.1 cells ± 0.2 (95 %) more"; below 0 "0.3 cells ± 0.2 (95 %) fewer"."""
         return f"{(self if self.mean >= 0 else self.negated).said(scale, unit)} {words[self.mean < 0]}"
 
-    def around(self, scale: float = 1.0, sign: str = "", most: int | None = None, digits: int = 1) -> str:
+    def around(
+        self, scale: float = 1.0, sign: str = "", most: int | None = None, digits: int = 1, unit: str = ""
+    ) -> str:
         """ "67.4 ± 0.1", for a table; the mean alone where nobody knows how sure it is. `sign`: "+" shows it.
 
-        As of `said`: "0.0 (30.0 or less)" where the half-width would leave 0 .. `most`, "67.35 (exact)".
+        As of `said`: "0.0 (30.0 or less)" where the half-width would leave 0 .. `most`, "67.35 (exact)". `unit`:
+        "67.4 ± 0.1 %", "67.35 % (exact)".
         """
         mean, interval = self._figures(scale, most, digits, sign)
         if interval in ("", "exact"):
-            return mean + f" ({interval})" * bool(interval)
+            return f"{mean}{unit}" + f" ({interval})" * bool(interval)
         half = self._half(scale, most, digits, mean)
-        return f"{mean} ± {half}" if half else f"{mean} ({interval})"
+        return f"{mean} ± {half}{unit}" if half else f"{mean}{unit} ({interval})"
 
     def digits(self, scale: float = 1.0) -> int:
         """The decimals that the interval allows of the mean times `scale`; two of what is known or has no interval."""
@@ -94,19 +99,21 @@ class Estimate:
         """
         return self._figures(scale, most, self.digits(scale))
 
-    def _figures(self, scale: float, most: int | None, digits: int, sign: str = "") -> tuple[str, str]:
+    def _figures(
+        self, scale: float, most: int | None, digits: int, sign: str = "", less: str = "less"
+    ) -> tuple[str, str]:
         mean, (low, high) = scale * self.mean, (scale * end for end in self.ci95)
         if most is not None and 0 <= mean <= most:  # some intervals are not clipped to what is possible
             low, high = max(low, 0.0), min(high, float(most))
         if most is None:
-            shown = f"{mean:{sign},.{digits}f}"
+            shown = f"{mean:{sign}z,.{digits}f}"
             if low == high and mean and float(shown.replace(",", "")) == 0:
                 shown = f"{mean:{sign}.2g}"  # what is known and is not 0 is not said to be
         else:
             shown = inside(mean, most, digits, digits if low == high else MOST_DIGITS)
         if not math.isfinite(self.half_width):  # one map says nothing of how far maps lie apart
             return shown, ""
-        return shown, "exact" if low == high else between(low, high, digits, most)
+        return shown, "exact" if low == high else between(low, high, digits, most, less)
 
     def _half(self, scale: float, most: int | None, digits: int, mean: str) -> str:
         """The half-width, rounded upwards; "" where the ends would be none that the figure can have."""

@@ -53,6 +53,12 @@ def lost_words(mean: float, robots: int, digits: int = 2) -> str:
     return f"{of_all(mean, robots, digits)} of {robots}"
 
 
+def robots_words(mean: float, robots: int, digits: int = 2) -> str:
+    """`lost_words` with what they count: "no robot", "both robots", "all 5 robots", "1.87 of 5 robots"."""
+    words = lost_words(mean, robots, digits) if mean else "no robot"
+    return words if words.endswith(("robot", "robots")) else f"{words} robot{'s' * (robots != 1)}"
+
+
 def of_all(mean: float, robots: int, digits: int = 2) -> str:
     """A mean number of so many robots in figures: "1.87", "> 4.99"; one decimal at least, two where few would lie."""
     return inside(mean, robots, max(digits, 1), 2)

@@ -118,9 +118,11 @@ class Places:
         """The case's world, starts and settings. Raises InputError naming the case."""
         return self._checked(case, lambda world: world)
 
-    def earlier_key(self, case: Case, model: RolloutChoices) -> str | None:
-        """The key of the run as releases before 0.4 made it; None where their rules for it are today's."""
-        team = self.team(case)
+    def earlier_key(self, case: Case, team: Team, model: RolloutChoices) -> str | None:
+        """The key of the run as releases before 0.4 made it; None where their rules for it are today's.
+
+        `team`: the case's.
+        """
         if _rules(team, model) == BEFORE:
             return None
         return run_key(self._checked(case, as_before), model, BEFORE)

@@ -232,7 +232,7 @@ class _Run:
                 yield Task(job.case, team, part, ticket)
 
     def _wanted(self, job: Job, team: Team, model: RolloutChoices) -> Wanted:
-        key, before = run_key(team, model), self.places.earlier_key(job.case, model)
+        key, before = run_key(team, model), self.places.earlier_key(job.case, team, model)
         if before is not None and self.store.held(before):
             self.earlier += 1
             self.store.label(before, {RULES: RELEASES[BEFORE]})

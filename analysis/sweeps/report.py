@@ -74,8 +74,8 @@ def headline(sweep: Sweep) -> str:
     low, high = (pick(sweep.rows, key=lambda row: row.estimate("visited").mean) for pick in (min, max))
     on = "one map" if sweep.spec.maps is None else f"a mean over {counted(high.maps, 'map')}"
     if low is high:
-        return f"{percent(high.estimate('visited'))} % of the accessible cells visited, {on}."
-    ends = (f"{percent(row.estimate('visited'))} % ({named(row)})" for row in (low, high))
+        return f"{percent(high.estimate('visited'), ' %')} of the accessible cells visited, {on}."
+    ends = (f"{percent(row.estimate('visited'), ' %')} ({named(row)})" for row in (low, high))
     return f"Visited of the accessible cells, {on}: from {' to '.join(ends)}."
 
 
@@ -165,9 +165,9 @@ def rows_table(rows: Sequence[Row]) -> Table:
     return table
 
 
-def percent(estimate: Estimate) -> str:
-    """A fraction with its interval, in percent."""
-    return estimate.around(100, most=100, digits=2 if estimate.half_width < 0.01 else 1)
+def percent(estimate: Estimate, unit: str = "") -> str:
+    """A fraction with its interval, in percent; `unit`: said after the mean, or after the half-width."""
+    return estimate.around(100, most=100, digits=2 if estimate.half_width < 0.01 else 1, unit=unit)
 
 
 def around(estimate: Estimate) -> str:

@@ -101,13 +101,12 @@ class _Table:
             row.add(means, errors, run.rollouts - 1, self.first[1] if self.first[0] == number else None)
             row.rollouts += run.rollouts
             row.outcomes.update(outcomes_of(run))
-            tally = self.store.tally(key) if self.spec.maps is None else None
-            if tally is not None:
-                row.single = single_map(run, tally)
+            tally = self.store.tally(key) if row.maps == 1 else None
+            row.single = {} if tally is None else single_map(run, tally)
 
     def widest(self) -> float:
         """Half the width of the widest interval of mean visited coverage; NaN where there is none yet."""
-        known = (row for row in self.found.values() if row.maps > 1 or row.single)
+        known = (row for row in self.found.values() if row.maps > 1 or self.spec.maps is None)
         return max((row.estimate("visited").half_width for row in known), default=math.nan)
 
 

@@ -70,7 +70,7 @@ class Tables(NamedTuple):
         limits: int64 `[LIMITS]`. NEAR: cells that a search passes before it is one for what is far; WIDE: as of
             `SafeParts`; PATIENCE: searches from a cell before its costs to all are kept. GOAL: cells that count.
             LAST_STEP: by which robots that come home are to be there; RECHARGE: steps until they have their range
-            again, 0: they do not. QUIET_STEPS: steps in a row without progress after which a run is stuck, unless an
+            again, 0: they do not. QUIET_STEPS: steps in a row without progress after which a run ends, unless an
             announced phase that changes the map begins later: LAST_UPDATE is the step of the last one, 0: none.
         truths: int16 `[M, A]`, level of each cell in each map that may be true, NONE of an obstacle, of robots that
             learn it; belief: int16 `[A]`, what they believe before the first step; price: int64 `[L]`, cost of entering

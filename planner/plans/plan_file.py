@@ -38,27 +38,23 @@ BORNE = (*BEARING, "types")
 """Keys of paths alone: what their robots bear."""
 
 
-def load_plan(path: str | Path, world: World) -> Plan:
-    """The plan in a JSON file, checked against `world`: SPEC's plan file, or `{"paths": [[[row, col], ...], ...]}`.
-
-    The second form, which may be the bare list of paths, is the plan of another planner: `settings` None, no areas,
-    outcome "end_of_paths", time = makespan; cells that it leaves out are counted in `notes`. Unknown keys are ignored.
-
-    Raises:
-        PlanError: the file cannot be read, is no plan, belongs to another map, or its paths cannot be driven.
-
-    Source: SPEC section 9. Cost: linear in the file and the map.
-    """
-    return parse_plan(read_plan_json(path), world, str(path))
-
-
 def read_plan_json(path: str | Path) -> object:
     """The JSON of a plan file. Raises PlanError."""
     return read_json(Path(path), MAX_PLAN_BYTES, PlanError, "a plan file (JSON)")
 
 
 def parse_plan(data: object, world: World, source: str) -> Plan:
-    """`load_plan` of a file's JSON; `source` names it in errors. Raises PlanError."""
+    """The plan in a file's JSON, checked against `world`: SPEC's, or `{"paths": [[[row, col], ...], ...]}`.
+
+    The second form, which may be the bare list of paths, is the plan of another planner: `settings` None, no areas,
+    outcome "end_of_paths", time = makespan; cells that it leaves out are counted in `notes`. Unknown keys are ignored.
+    `source` names the file in errors.
+
+    Raises:
+        PlanError: it is no plan, belongs to another map, or its paths cannot be driven.
+
+    Source: SPEC section 9. Cost: linear in the file and the map.
+    """
     top = Key(data, "", source, PlanError, REMAKE)
     if isinstance(data, list) and data:
         return _bare_paths(top, world)

@@ -67,6 +67,8 @@ def read_xml(path: Path, most_bytes: int, root: str) -> Element:
         parser.Parse(path.read_bytes(), True)
     except expat.ExpatError as error:
         raise MapError(f"no XML ({error})", source=path, expected=f"{root.upper()}, whole") from error
+    except MapError:  # refused
+        raise
     except (OSError, ValueError, LookupError) as error:  # not readable; an encoding that nobody knows
         raise MapError(f"cannot be read as XML ({error})", source=path, expected=root.upper()) from error
     top = builder.close()

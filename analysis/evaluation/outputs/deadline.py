@@ -9,7 +9,7 @@ from typing import Self
 
 from analysis.evaluation.figures import Figures
 from analysis.evaluation.outputs.output import Blocks, Output, Run, coverage_row
-from analysis.statistics.words import lost_words
+from analysis.statistics.words import robots_words
 from analysis.theory.longest import longest_run
 from analysis.theory.verdicts import MEANINGS
 from analysis.trials.exact_loop import TreeTruth
@@ -75,11 +75,11 @@ class Deadline(Output):
         found, cells = self.figures, self.tally.accessible
         mean, known = found.visited.mean.mean / cells, found.visited.mean.half_width == 0
         reached = percent(mean, 2) + " (exact)" if known else percent(mean)
-        lost = lost_words(found.losses.mean, self.tally.robots, found.losses.decimals)
+        lost = robots_words(found.losses.mean, self.tally.robots, found.losses.decimals) + " lost"
+        lost += " on average" * (found.losses.mean > 0)
         by = f"by step {self.steps}{self.pace.also(self.steps)}"
-        who = "" if "robot" in lost else " robot" + "s" * (self.tally.robots != 1)
         return Blocks(
-            opens=[f"By {self.pace.step(self.steps)}: {reached} visited, {lost}{who} lost on average."],
+            opens=[f"By {self.pace.step(self.steps)}: {reached} visited, {lost}."],
             rows=[
                 coverage_row(f"{meaning} {by}", getattr(found, meaning), cells, exact)
                 for meaning, exact in zip(MEANINGS, self.exact, strict=True)

@@ -1,0 +1,14 @@
+"""The plan in a file, for a world, before its nominal run is compared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from planner.plans.plan import Plan
+from planner.plans.plan_file import parse_plan, read_plan_json
+from planner.worlds.world import World
+
+
+def load_plan(path: str | Path, world: World) -> Plan:
+    """As `planner.plan_team.read_plan`, but a plan of today's rules alone, and nothing is planned. Raises PlanError."""
+    return parse_plan(read_plan_json(path), world, str(path))
