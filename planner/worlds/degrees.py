@@ -160,6 +160,28 @@ def extent(values: NDArray[np.float64], turn: float) -> tuple[float, float]:
     return float(low - back), float(high - back)
 
 
+def closed(polygons: list[Rings], turn: float, tolerance: float) -> tuple[list[Rings], float]:
+    """The polygons with the sides of a cut that stop short of where x comes round moved there; how wide the cut was.
+
+    A cut has corners within `tolerance` on both sides of that x: at half a turn, or at 0 where x counts to a whole one.
+    """
+    x = np.concatenate([ring[:, 0] for rings in polygons for ring in rings])
+    for west, east in ((-turn / 2, turn / 2), (0.0, turn)):
+        off = [np.abs(x - side) for side in (west, east)]
+        if not turn or not all((apart <= tolerance).any() for apart in off):
+            continue
+        width = sum(float(apart[apart <= tolerance].max()) for apart in off)
+        for side in (west, east):
+            polygons = [[_moved_to(side, ring, tolerance) for ring in rings] for rings in polygons]
+        return polygons, width
+    return polygons, 0.0
+
+
+def _moved_to(side: float, ring: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
+    x = np.where(np.abs(ring[:, 0] - side) <= tolerance, side, ring[:, 0])
+    return np.column_stack([x, ring[:, 1]])
+
+
 class Unrolled(NamedTuple):
     """Polygons where x comes round: `areas`, which together are the shape, and the `borders` around it.
 
