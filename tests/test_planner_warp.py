@@ -201,6 +201,11 @@ def test_control_points_across_longitude_180(tmp_path: Path, crs: str, turned: b
     assert np.nanmean(across.values) == pytest.approx(np.nanmean(west.values), rel=0.01)
     middle = across.georeference.to_lonlat(across.frame.at(*np.array(across.frame.shape) / 2))
     assert abs(abs(middle[0]) - 180) < 2e-5
+    tif(tmp_path / "m.tif", np.zeros((4, 8), np.float32), (10, 0, 833_938, 0, -10, 34), "EPSG:32660")
+    p = np.full(SHAPE, 0.4, np.float32)
+    placed(tmp_path / "p.tif", p, lambda row, col: at(row * 4, col * 4), crs)
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump({"map": "m.tif", "threats": [{"raster": "p.tif"}]}))
+    assert load_input(tmp_path / "s.yaml").threat == pytest.approx(0.4)
 
 
 @pytest.mark.parametrize(

@@ -88,10 +88,10 @@ def _unit(data: Any, tags: dict[str, str], of: Meaning, path: Path) -> str:
     remark = last[1] if last and plain(last[1]) in {**LENGTHS, **(of.units or {})} else ""
     named = [data.units[0] or "", *(tags.get(tag, "") for tag in UNIT_TAGS[: None if of is HEIGHTS else 2]), remark]
     said = [unit for unit in named if plain(unit) not in NO_UNIT]
-    sizes = [(of.units or {}).get(plain(unit)) for unit in said]
-    for unit, size in zip(said, sizes, strict=True):
-        if None not in (size, sizes[0]) and abs(size / sizes[0] - 1) > SAME_UNIT:
-            problem = f"it names two units, {said[0]!r} and {unit!r}"
+    known = [(unit, of.units[plain(unit)]) for unit in said if of.units and plain(unit) in of.units]
+    for unit, size in known[1:]:
+        if abs(size / known[0][1] - 1) > SAME_UNIT:
+            problem = f"it names two units, {known[0][0]!r} and {unit!r}"
             raise MapError(problem, source=path, expected="the same twice", fix=edited(str(path), "--units", unit))
     return next(iter(said), next(filter(None, named), ""))
 
