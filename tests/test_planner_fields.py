@@ -223,17 +223,18 @@ def test_a_field_across_longitude_180(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:3857"])
 def test_a_cut_at_longitude_180_that_stops_short_of_it(tmp_path: Path, crs: str) -> None:
-    """1 m on either side: no wall of obstacles, and a note; two fields that lie 30 m apart stay two."""
+    """1 m on either side: no wall of obstacles, and a note; fields that lie 30 or 300 m apart stay two."""
     pytest.importorskip("rasterio")
     places = {"type": "name", "properties": {"name": crs}}
-    for short, joined in ((1, True), (15, False)):
+    for short, joined, said in ((1, True, True), (15, False, True), (150, False, False)):
         fields = []
         for side in (1, -1):
             ring = [[0, -60], [100, -60], [100, 60], [0, 60], [0, -60]]
             about = [[side * (180 - (x + short) / 106_470), -17 + y / 110_650] for x, y in ring]
             fields.append([reproject(about, "EPSG:4326", crs).tolist()])
         world = load_input(geojson(tmp_path / "f.geojson", *fields, crs=places), 10)
-        assert any("m apart at longitude 180, are joined there" in note for note in world.notes) == joined
+        notes = [note for note in world.notes if "m apart where longitudes come round, " in note]
+        assert len(notes) == said and all(("are joined there" in note) == joined for note in notes)
         walls = ~world.free[1:-2].any(axis=0)
         assert walls[2:-2].any() != joined
 

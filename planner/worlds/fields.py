@@ -166,11 +166,11 @@ def _in_metres(shapes: Shapes, path: Path, cell_size: float) -> tuple[Unrolled, 
             return _degrees(moved, path, cell_size)
         unit = float(known.linear_units_factor[1])
     place, turn = Georeference(crs, scale=(1 / unit, 1 / unit)), turn_of(crs)[0]
-    polygons, width = closed(polygons, turn, cell_size / unit / 2)
+    polygons, width = closed(polygons, turn, cell_size / unit)
     shape = unrolled(polygons, *extent(corners[:, 0], turn), turn)
     if not all(COORDINATE.accepts(float(np.abs(ring).max() * unit)) for rings in shape.areas for ring in rings):
         raise MapError("a corner too far away", source=path, expected=COORDINATE.expected)
-    return _moved(shape, lambda ring: ring * unit), place, _of_the_cut(width * unit)
+    return _moved(shape, lambda ring: ring * unit), place, _of_the_cut(width * unit, cell_size)
 
 
 def _spans_a_field(corners: NDArray[np.float64]) -> bool:
@@ -187,9 +187,12 @@ def _moved(shape: Unrolled, to: Callable[[NDArray[np.float64]], NDArray[np.float
     return Unrolled(areas, borders)
 
 
-def _of_the_cut(width: float) -> tuple[str, ...]:
-    """A note on parts that were joined though they do not touch; from 1 cm on."""
-    return (f"its parts, {width:.2g} m apart at longitude 180, are joined there",) if width >= 0.01 else ()
+def _of_the_cut(width: float, cell_size: float) -> tuple[str, ...]:
+    """A note on parts that do not touch where longitudes come round, from 1 cm on."""
+    if width < 0.01:
+        return ()
+    what = "are joined there" if width <= cell_size else "stay apart: what lies between, more than a cell, is obstacle"
+    return (f"its parts, {width:.2g} m apart where longitudes come round, {what}",)
 
 
 def _degrees(polygons: list[Rings], path: Path, cell_size: float) -> tuple[Unrolled, Georeference, tuple[str, ...]]:
@@ -205,6 +208,10 @@ def _degrees(polygons: list[Rings], path: Path, cell_size: float) -> tuple[Unrol
     off = max(abs(degree_sides(edge)[1] / across - 1) for edge in (south, north))
     note = f"degrees: worked on in metres east and north of {describe(west, float(south))}"
     note += f", {100 * off:.2g} % off at the edges" if off > 1e-3 else ""
-    polygons, width = closed(polygons, TURN, cell_size / across / 2)
+    polygons, width = closed(polygons, TURN, cell_size / across)
     shape = unrolled(polygons, west, east, TURN)
-    return _moved(shape, lambda ring: place.from_crs(ring, WGS84)), place, (note, *_of_the_cut(width * across))
+    return (
+        _moved(shape, lambda ring: place.from_crs(ring, WGS84)),
+        place,
+        (note, *_of_the_cut(width * across, cell_size)),
+    )
