@@ -53,6 +53,8 @@ class UnknownArgument(UsageError):
 
     def with_fix(self, public: Mapping[str, Callable[..., Any]]) -> UnknownArgument:
         """The same with what is probably meant; `public`: the functions of the API by name."""
+        from planner.worlds.scenario import place_of
+
         own, fix = signature(self.function).parameters, ""
         if "plan" in own and self.name == "robots" and isinstance(self.value, int):
             fix = f"give plan={self.value}: how many robots to plan for"
@@ -61,6 +63,8 @@ class UnknownArgument(UsageError):
         else:
             others = {name: signature(one).parameters for name, one in public.items() if name != self.function.__name__}
             fix = elsewhere(self.name, self.known, others, "argument")
+            said = place_of(self.name) if self.function.__name__ == "load" else ""
+            fix = fix if not said or self.name in set().union(*others.values()) else f"say it in a scenario: {said}"
         return UnknownArgument(self.function, self.name, self.value, self.known, fix)
 
 

@@ -57,6 +57,8 @@ OPTIONAL = (
 """Keys that may be there."""
 OF_FIELDS = ("boundary", "direction", "swath")
 """What may stand beside the polygons of a field."""
+OF_MAP = ("file", "elevation", "max_slope_deg", "resolution", "topic", "polygons", *OF_FIELDS)
+"""Keys that may stand under `map`."""
 DEGREES_ROUND = Numbers(-180, 180, "degrees")
 SMALL_ROBOT = 0.2
 """Metres: a cell is a robot's footprint, and few are smaller."""
@@ -117,6 +119,13 @@ def _size_note(world: World, bare: bool) -> str:
     )
 
 
+def place_of(name: str) -> str:
+    """How a scenario says what this key of one does, "" for no key of one."""
+    if name in OF_MAP:
+        return f"`map: {{file: ..., {name}: ...}}`"
+    return f"`{name}: ...` beside `map: ...`" if name in (*OPTIONAL, *DEFAULTS) else ""
+
+
 def read_scenario(top: Key, path: Path) -> World:
     """What the keys of a scenario file say; relative paths start from its folder. Raises InputError."""
     if isinstance(top.value, dict) and "map" not in top.value:
@@ -159,7 +168,7 @@ def _map(key: Key, cell_size: float | None) -> Grid:
     """The map of a scenario: `{file: ...}` (or just the name), or `{elevation: ..., max_slope_deg: ...}`."""
     if isinstance(key.value, str):
         key = Key({"file": key.value}, key.path, key.source)
-    keys = key.mapping(optional=("file", "elevation", "max_slope_deg", "resolution", "topic", "polygons", *OF_FIELDS))
+    keys = key.mapping(optional=OF_MAP)
     kind = one_source(key, ("file", "elevation", "polygons"))
     if kind == "elevation":
         return _elevation(key.mapping(optional=("elevation", "max_slope_deg", "resolution")), cell_size)
