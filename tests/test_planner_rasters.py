@@ -66,6 +66,19 @@ def test_south_up_is_turned_and_feet_become_metres(tmp_path: Path) -> None:
     assert raster.frame.origin[1] == pytest.approx(850 * 1200 / 3937)
 
 
+@pytest.mark.parametrize("key", ["threats: [{raster: a.tif}]", "value: [{raster: a.tif}]", "detect: [{raster: a.tif}]"])
+def test_a_raster_without_a_place_is_laid_cell_on_cell_with_a_note(tmp_path: Path, key: str) -> None:
+    tif(tmp_path / "map.tif", VALUES * 0, (10, 0, 0, 0, -10, 50), "EPSG:32633")
+    note = "a.tif gives no place: it is laid on the map cell on cell, its row 0 on the map's"
+    for transform, crs in (((), None), ((10, 0, 0, 0, -10, 50), "EPSG:32633")):
+        tif(tmp_path / "a.tif", VALUES, transform, crs)
+        (tmp_path / "s.yaml").write_text(f"map: map.tif\n{key}\n")
+        world = load_input(tmp_path / "s.yaml")
+        assert sum(one.endswith(f"]: {note}") for one in world.notes) == (not transform)
+        if "threats" in key:
+            assert world.threat[4].tolist() == VALUES[4].tolist()
+
+
 def test_no_data_is_an_obstacle_and_an_error_under_a_free_cell(tmp_path: Path) -> None:
     values = VALUES.copy()
     values[1, 2] = -9999

@@ -29,6 +29,7 @@ TRUE = 0.01
 """Relative difference of a CRS's metre from one on the ground up to which nobody is told."""
 
 NO_PLACE = "gives no place: a pixel is 1 m, unless `resolution:` in `map:` says otherwise"
+CELL_ON_CELL = "{} gives no place: it is laid on the map cell on cell, its row 0 on the map's"
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +78,7 @@ def read_raster(
     if suffix in GEO_SUFFIXES:
         band = read_band(path, of)
         raster = _placed(band, str(path), cell_size, how, over)
-        placeless = NO_PLACE if raster.frame is None and over is None else ""
+        placeless = "" if raster.frame is not None else NO_PLACE if over is None else CELL_ON_CELL.format(path.name)
         notes = (*band.notes, *raster.notes, *filter(None, [placeless, band.voids]))
         return replace(raster, notes=notes, voids=band.voids)
     values, said = (read_npy(path, MAX_CELLS), ()) if suffix == ".npy" else read_csv_grid(path, MAX_CELLS)
