@@ -158,6 +158,11 @@ WRONG = {
         lambda world, plan: mrac.evaluate(world, rollouts=9).save(__file__),
         f"folder {__file__} cannot be written",
     ),
+    "of a log": (lambda world, plan: mrac.load("a.mcap", topic="/map"), "`map: {file: ..., topic: ...}`"),
+    "of a scenario": (
+        lambda world, plan: mrac.load(WORLD, unknown="free"),
+        "scenario: `unknown: ...` beside `map: ...",
+    ),
     "scenario": (lambda world, plan: mrac.load("example:terrain", cell_size=1), "leave cell_size out"),
 }
 

@@ -178,6 +178,9 @@ def test_actions_of_another_team_are_refused() -> None:
         parallel.step({"agent_3": 0})
     with pytest.raises(mrac.InputError, match="expected a dict from names of agents, 'agent_0' to 'agent_2'"):
         parallel.step([0, 0, 0])
+    for given, missing in (({}, "'agent_0', 'agent_1', 'agent_2'"), ({"agent_1": 4}, "'agent_0', 'agent_2'")):
+        with pytest.raises(mrac.InputError, match=f"no action of {missing}; expected a dict"):
+            parallel.step(given)
     many = mrac.env(world(), ROBOTS, face="vector", num_envs=2)
     many.reset(seed=0)
     for wrong in (np.zeros((2, 2), int), np.zeros(3, int), [[0, 0, 0], [0, 0]], None):

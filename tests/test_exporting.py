@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args
@@ -413,6 +414,27 @@ def test_a_map_that_nobody_put_on_the_earth(tmp_path: Path) -> None:
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.csv", "a.tif", "a.yaml"]
     with rasterio.open(tmp_path / "a.tif") as data:
         assert data.crs is None and data.transform[:6] == (1, 0, 0, 0, -1, 3)
+
+
+@pytest.mark.parametrize(("crs", "pole"), [("EPSG:3413", 1), ("EPSG:3031", -1)])
+def test_areas_over_a_pole_have_no_longitudes(tmp_path: Path, crs: str, pole: int) -> None:
+    """Around it, with a corner at it, with a side through it; 20 m beside it they are written, as routes are always."""
+    threat = np.zeros((6, 8))
+    threat[1:5, 2:6] = 0.1
+    for x, y in ((-40, -30), (-20, -20), (-20, -30), (-80, -80)):
+        world = World.create(threat, cell_size=10.0, origin=(x, y, 0.0), georeference=Georeference(crs))
+        plan = mrac.plan(world, 2)
+        for name in ("a.geojson", "a.kml"):
+            if x > -80:
+                with pytest.raises(MapError, match=r"area \d lies over a pole, .* export \.tif or \.csv"):
+                    mrac.export(world, plan, tmp_path / name)
+            else:
+                mrac.export(world, plan, tmp_path / name)
+            assert (tmp_path / name).exists() == (x == -80)
+        for name in ("a.gpx", "a.csv", "a.tif"):
+            mrac.export(world, plan, tmp_path / name, force=True)
+        latitudes = [float(text) for text in re.findall(r'lat="(\S+)"', (tmp_path / "a.gpx").read_text())]
+        assert latitudes and all(pole * latitude > 89.99 for latitude in latitudes)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planner.errors import InputError
 from planner.worlds.fields import touched
+from planner.worlds.georeference import reproject
 from planner.worlds.grid import Frame
 from planner.worlds.scenario import load_input
 from planner.worlds.world import World
@@ -218,6 +219,47 @@ def test_a_field_across_longitude_180(tmp_path: Path) -> None:
     )
     found = load_input(path, 10)  # a metre of Mercator is 0.956 m there
     assert found.shape[1] == 27 and not found.free[:5, 7:14].any() and found.free[8:11, 1:25].all()
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:3857"])
+def test_a_cut_at_longitude_180_that_stops_short_of_it(tmp_path: Path, crs: str) -> None:
+    """1 m on either side: no wall of obstacles, and a note; fields that lie 30 or 300 m apart stay two."""
+    pytest.importorskip("rasterio")
+    places = {"type": "name", "properties": {"name": crs}}
+    for short, joined, said in ((1, True, True), (15, False, True), (150, False, False)):
+        fields = []
+        for side in (1, -1):
+            ring = [[0, -60], [100, -60], [100, 60], [0, 60], [0, -60]]
+            about = [[side * (180 - (x + short) / 106_470), -17 + y / 110_650] for x, y in ring]
+            fields.append([reproject(about, "EPSG:4326", crs).tolist()])
+        world = load_input(geojson(tmp_path / "f.geojson", *fields, crs=places), 10)
+        notes = [note for note in world.notes if "m apart where longitudes come round, " in note]
+        assert len(notes) == said and all(("are joined there" in note) == joined for note in notes)
+        walls = ~world.free[1:-2].any(axis=0)
+        assert walls[2:-2].any() != joined
+
+
+def test_metres_of_a_field_that_are_none_are_said(tmp_path: Path) -> None:
+    """100 x 100 m at 60 N are 200 x 200 of Mercator's, and UTM's own metres need no note."""
+    pytest.importorskip("rasterio")
+    vectors = pytest.importorskip("test_planner_vectors")
+    square = [
+        [500_000, 6_651_400],
+        [500_100, 6_651_400],
+        [500_100, 6_651_500],
+        [500_000, 6_651_500],
+        [500_000, 6_651_400],
+    ]
+    for crs, words in (("EPSG:3857", "a metre of EPSG:3857 is 0.501 m"), ("EPSG:32632", "")):
+        ring = reproject(square, "EPSG:32632", crs).tolist()
+        files = [geojson(tmp_path / "f.geojson", [ring], crs={"type": "name", "properties": {"name": crs}})]
+        for kind in ("gpkg", "shp"):
+            files.append(tmp_path / f"f.{kind}")
+            vectors.write(files[-1], [vectors.polygon(np.array(ring))], [0.5], crs, geometry_type="Polygon")
+        for path in files:
+            notes = [note for note in load_input(path, 10).notes if "a metre of" in note]
+            assert len(notes) == bool(words) and all(note.startswith(words) for note in notes)
+            assert all(note.endswith("(ogr2ogr -t_srs)") for note in notes)
 
 
 def test_a_field_whose_latitude_stands_first(tmp_path: Path) -> None:

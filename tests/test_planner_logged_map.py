@@ -160,7 +160,7 @@ def test_a_topic_of_several_is_chosen_in_a_scenario(tmp_path: Path) -> None:
     for topic, cell in (("/map", [2, 0]), ("/costmap", [0, 3])):
         scenario.write_text(f"map: {{file: a.mcap, topic: {topic}}}\n")
         world = load_input(scenario)
-        assert obstacle(world) == [cell] and not world.notes
+        assert obstacle(world) == [cell] and not any("is taken" in note for note in world.notes)
     scenario.write_text("map: {file: a.mcap, topic: /costmaps}\n")
     with pytest.raises(
         MapError, match=r"a\.mcap: holds no map on /costmaps; expected one of /costmap \(.*mean '/costmap'"
@@ -211,6 +211,35 @@ def test_other_storage_is_named_with_what_to_do(tmp_path: Path) -> None:
     (tmp_path / "none").mkdir()
     with pytest.raises(MapError, match="is a folder"):
         load_input(tmp_path / "none")
+
+
+def test_other_storage_beside_mcap_is_not_left_out(tmp_path: Path) -> None:
+    """A newer map may be in it; a packed log that lies unpacked beside itself holds nothing more."""
+    timed(tmp_path / "x_0.mcap", (100, "/map", LAST))
+    for name, fix in (("x_1.mcap.zstd", "unzstd"), ("x_1.db3", "ros2 bag convert"), ("x_0.db3", "ros2 bag convert")):
+        (tmp_path / name).write_bytes(b"x")
+        with pytest.raises(MapError, match=rf"not MCAP: {name}; expected .*; .*`{fix}"):
+            load_input(tmp_path)
+        (tmp_path / name).unlink()
+    (tmp_path / "x_0.mcap.zstd").write_bytes(b"x")
+    assert obstacle(load_input(tmp_path)) == [[0, 3]]
+
+
+def test_what_was_recovered_is_read_in_place_of_the_damaged_log(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    timed(bag / "x_0.mcap", (1, "/map", FIRST))
+    path = timed(bag / "x_1.mcap", *[(2 + time, "/map", LAST) for time in range(200)], chunk_size=2000)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(MapError, match="truncated or damaged"):
+        load_input(bag)
+    recover(path, bag / "x_1.recovered.mcap")
+    world, note = load_input(bag), "x_1.recovered.mcap is read in place of x_1.mcap"
+    assert obstacle(world) == [[0, 3]] and note in world.notes
+    assert f"bag: {note}" in read_state(bag, world, [[1, 1]])[1]
+    (bag / "x_1.mcap").unlink()
+    world = load_input(bag)
+    assert obstacle(world) == [[0, 3]] and note not in world.notes
 
 
 def test_a_cut_log_names_what_saves_its_maps(tmp_path: Path) -> None:

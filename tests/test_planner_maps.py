@@ -160,7 +160,33 @@ def test_greys_of_unknown_ground_elsewhere(tmp_path: Path) -> None:
     assert read_ros_map(ros(tmp_path, other, free_thresh=0.498)).values.tolist() == [[100, -1, -1, 0]]
     notes = load_input(ros(tmp_path, other, free_thresh=0.1, occupied_thresh=0.4)).notes
     assert "is an obstacle in 2 pixels; with `occupied_thresh: 0.65`" in notes[0]
-    assert not read_ros_map(ros(tmp_path, other, free_thresh=0.5, mode="scale")).notes
+    assert not read_ros_map(ros(tmp_path, other, free_thresh=0.5, mode="raw")).notes
+
+
+@pytest.mark.parametrize(("grey", "free", "fix"), [(205, 0.25, "0.196"), (128, 0.5, "0.498")])
+def test_greys_of_unknown_ground_in_a_scale_map(tmp_path: Path, grey: int, free: float, fix: str) -> None:
+    """As in a trinary one, which it has to become for them to be unknown."""
+    image = np.array([[0, 255] + [grey] * 6], dtype=np.uint8)
+    (note,) = (one for one in load_input(ros(tmp_path, image, free_thresh=free, mode="scale")).notes if "mode" in one)
+    assert note.startswith(f"grey {grey}, which ") and "is free in 6 pixels" in note
+    assert f"with `mode: trinary` and `free_thresh: {fix}`" in note
+    assert (read_ros_map(ros(tmp_path, image, free_thresh=float(fix))).values == -1).sum() == 6
+
+
+@pytest.mark.parametrize("name", ["m.jpg", "m.tif", "m.png"])
+def test_greys_of_unknown_ground_under_lossy_compression(tmp_path: Path, name: str) -> None:
+    """JPEG stores 205 as something near it; nothing else does, where 206 is no grey of unknown ground."""
+    image = np.full((16, 16), 206, dtype=np.uint8)
+    image[:8, :8], image[8:, 8:] = 203, 0
+    options = {"m.jpg": {"quality": 100}, "m.tif": {"compression": "jpeg", "quality": 100}}.get(name, {})
+    Image.fromarray(image).save(tmp_path / name, **options)
+    path = ros(tmp_path, image, free_thresh=0.25, image=name)
+    notes = [note for note in load_input(path).notes if "writes for unknown" in note]
+    if name == "m.png":
+        assert not notes
+    else:
+        assert notes[0].startswith("grey 205 (203 to 207 under lossy compression), which map_saver writes")
+        assert "is free in 192 pixels; with `free_thresh: 0.192`" in notes[0]
 
 
 def test_colour_counts_by_its_mean_and_16_bits_as_well(tmp_path: Path) -> None:
@@ -228,7 +254,7 @@ def size_note(world: World) -> str:
 
 
 def test_pixels_smaller_than_robots_are_told(tmp_path: Path) -> None:
-    """Of a bare map without cell_size alone: a scenario and a world file mean the cells that they have."""
+    """Whatever the way in, where nobody said how large a cell is: a map, a world file, a scenario."""
     path = ros(tmp_path, np.full((20, 20), 255, dtype=np.uint8))
     world = load_input(path)
     assert size_note(world) == (
@@ -236,9 +262,16 @@ def test_pixels_smaller_than_robots_are_told(tmp_path: Path) -> None:
         "cell_size=0.5 (4 cells)"
     )
     world.save(tmp_path / "w.npz")
-    (tmp_path / "s.yaml").write_text("map: m.yaml\n")
-    for quiet in (load_input(path, 0.5), load_input(tmp_path / "w.npz"), load_input(tmp_path / "s.yaml")):
-        assert not size_note(quiet)
+    assert size_note(load_input(tmp_path / "w.npz")) == size_note(world)
+    for form in ("map: {}\n", "map: {{file: {}}}\nrobots: {{count: 2}}\n"):
+        for name in ("m.yaml", "w.npz"):
+            (tmp_path / "s.yaml").write_text(form.format(name))
+            assert size_note(load_input(tmp_path / "s.yaml")) == size_note(world).replace(
+                "cell_size=0.5", "`cell_size: 0.5` in the scenario"
+            )
+    (tmp_path / "s.yaml").write_text("map: m.yaml\ncell_size: 0.5\n")
+    for quiet in (load_input(path, 0.5), load_input(tmp_path / "w.npz", 0.5), load_input(tmp_path / "s.yaml")):
+        assert quiet.shape == (2, 2) and not size_note(quiet)
 
 
 def test_many_cells_are_told_with_the_robot_that_they_mean(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -253,6 +286,9 @@ def test_many_cells_are_told_with_the_robot_that_they_mean(tmp_path: Path, capsy
     assert not size_note(load_input(tmp_path / "enough.npy"))
     mrac.load(tmp_path / "large.npy")
     assert capsys.readouterr().err.startswith(f"{tmp_path / 'large.npy'}: 101 x 100 = 10,100 cells: a cell is a pixel")
+    (tmp_path / "large.yaml").write_text("map: large.npy\n")
+    mrac.load(tmp_path / "large.yaml")
+    assert "`cell_size: 2` in the scenario (2,500 cells)" in capsys.readouterr().err
     mrac.load(tmp_path / "large.npy", cell_size=2.0)
     mrac.load(tmp_path / "enough.npy")
     assert not capsys.readouterr().err

@@ -66,6 +66,19 @@ def test_south_up_is_turned_and_feet_become_metres(tmp_path: Path) -> None:
     assert raster.frame.origin[1] == pytest.approx(850 * 1200 / 3937)
 
 
+@pytest.mark.parametrize("key", ["threats: [{raster: a.tif}]", "value: [{raster: a.tif}]", "detect: [{raster: a.tif}]"])
+def test_a_raster_without_a_place_is_laid_cell_on_cell_with_a_note(tmp_path: Path, key: str) -> None:
+    tif(tmp_path / "map.tif", VALUES * 0, (10, 0, 0, 0, -10, 50), "EPSG:32633")
+    note = "a.tif gives no place: it is laid on the map cell on cell, its row 0 on the map's"
+    for transform, crs in (((), None), ((10, 0, 0, 0, -10, 50), "EPSG:32633")):
+        tif(tmp_path / "a.tif", VALUES, transform, crs)
+        (tmp_path / "s.yaml").write_text(f"map: map.tif\n{key}\n")
+        world = load_input(tmp_path / "s.yaml")
+        assert sum(one.endswith(f"]: {note}") for one in world.notes) == (not transform)
+        if "threats" in key:
+            assert world.threat[4].tolist() == VALUES[4].tolist()
+
+
 def test_no_data_is_an_obstacle_and_an_error_under_a_free_cell(tmp_path: Path) -> None:
     values = VALUES.copy()
     values[1, 2] = -9999
@@ -178,13 +191,15 @@ US_FOOT = 1200 / 3937
 
 
 def says(path: Path, values: np.ndarray, **said: Any) -> Path:
-    """A GeoTIFF on GRID that says `scale`, `offset`, `units` or `tags` of its numbers; the rest as of `tif`."""
-    own = {name: said.pop(name) for name in ("scale", "offset", "units", "tags") if name in said}
+    """A GeoTIFF on GRID that says `names` of its numbers; the rest as of `tif`."""
+    names = ("scale", "offset", "units", "tags", "description")
+    own = {name: said.pop(name) for name in names if name in said}
 
     def edit(out: Any) -> None:
         out.scales, out.offsets = (own.get("scale", 1.0),), (own.get("offset", 0.0),)
         out.units = (own.get("units", ""),)
         out.update_tags(1, **own.get("tags", {}))
+        out.descriptions = (own.get("description", ""),)
 
     return tif(path, values, GRID, said.pop("crs", "EPSG:32632"), edit, **said)
 
@@ -325,6 +340,37 @@ def test_units_of_heights_that_contradict_each_other_or_are_presumed(tmp_path: P
     assert any("CRS is in US survey foot" in note for note in read_elevation(tmp_path / "dem.tif").notes)
 
 
+@pytest.mark.parametrize(
+    ("tags", "description", "unit"),
+    [
+        ({}, "Elevation (feet)", 0.3048),
+        ({}, "Height [US survey foot]", US_FOOT),
+        ({}, "DEM (m)", 1.0),
+        ({}, "Elevation (NAVD88)", 1.0),
+        ({"VERTICAL_UNITS": "feet"}, "", 0.3048),
+        ({"VERTICAL_UNITS": "centimeters"}, "Heights", 0.01),
+    ],
+)
+def test_units_of_heights_in_words(tmp_path: Path, tags: dict, description: str, unit: float) -> None:
+    says(tmp_path / "dem.tif", ramp(20), tags=tags, description=description)
+    assert read_elevation(tmp_path / "dem.tif").values == pytest.approx(ramp(20) * unit)
+
+
+def test_units_of_probabilities_in_words(tmp_path: Path) -> None:
+    """And heights are no probabilities; what contradicts itself is refused."""
+    for description, p in (("probability (%)", 0.0025), ("risk [per mille]", 0.00025), ("risk (2024)", 0.25)):
+        path = says(tmp_path / "p.tif", np.full((4, 6), 0.25, np.float32), description=description)
+        assert load_input(path).threat == pytest.approx(p)
+    says(tmp_path / "p.tif", np.full((4, 6), 0.25, np.float32), tags={"VERTICAL_UNITS": "feet"})
+    assert load_input(tmp_path / "p.tif").threat == pytest.approx(0.25)
+    says(tmp_path / "p.tif", np.full((4, 6), 0.25, np.float32), description="Elevation (feet)")
+    with pytest.raises(MapError, match="values are in 'feet', taken for probabilities"):
+        load_input(tmp_path / "p.tif")
+    says(tmp_path / "dem.tif", ramp(20), units="m", description="Elevation (feet)")
+    with pytest.raises(MapError, match="names two units, 'm' and 'feet'"):
+        read_elevation(tmp_path / "dem.tif")
+
+
 @pytest.mark.parametrize(("zunits", "unit"), [("FEET", 0.3048), ("METERS", 1.0), ("100", 0.01), ("NO", 1.0)])
 def test_units_of_heights_in_an_old_prj(tmp_path: Path, zunits: str, unit: float) -> None:
     pytest.importorskip("rasterio")
@@ -347,6 +393,8 @@ def test_units_of_heights_in_an_old_prj(tmp_path: Path, zunits: str, unit: float
         (-9999, np.int16, {"scale": 0.1}),
         (-9999 / 0.3048, np.float32, {"units": "ft"}),
         (-3.4028234663852886e38, np.float32, {}),
+        (-1.7976931348623157e308, np.float64, {}),
+        (-10_000, np.int16, {}),
         (30_000, np.float32, {"units": "ft"}),  # 9,144 m
         (9_001, np.float32, {}),
         (-12_001, np.float32, {}),
@@ -383,6 +431,14 @@ def test_heights_that_are_none_of_these_stay(tmp_path: Path) -> None:
     assert read_elevation(tmp_path / "dem.tif").values.tolist() == numbers[:, :3].tolist()
 
 
+def test_voids_of_amounts_are_unknown(tmp_path: Path) -> None:
+    """Whatever the size of the mark: a value of 1e10 is one, and -10000 may be."""
+    for void in (-1.7976931348623157e308, 1.7976931348623157e308, 1e39):
+        says(tmp_path / "v.tif", np.array([[void, 1e10, -10_000.0]]))
+        values = read_raster(tmp_path / "v.tif", of=AMOUNTS).values[0]
+        assert np.isnan(values[0]) and values[1:].tolist() == [1e10, -10_000]
+
+
 def test_voids_of_arrays(tmp_path: Path) -> None:
     np.save(tmp_path / "dem.npy", np.where(np.eye(4), -9999.0, 5.0))
     world = load_input(scenario(tmp_path, map={"elevation": "dem.npy"}))
@@ -391,7 +447,14 @@ def test_voids_of_arrays(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("void", "dtype"), [(-9999, np.float32), (-32768, np.int16), (1e20, np.float64), (255, np.uint8)]
+    ("void", "dtype"),
+    [
+        (-9999, np.float32),
+        (-32768, np.int16),
+        (1e20, np.float64),
+        (-1.7976931348623157e308, np.float64),
+        (255, np.uint8),
+    ],
 )
 def test_voids_of_probabilities_are_unknown(tmp_path: Path, void: float, dtype: type) -> None:
     """As a map they are obstacles; under a free cell of another map they are an error that counts them."""

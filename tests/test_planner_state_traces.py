@@ -53,6 +53,15 @@ def test_a_mask_of_pixels_marks_cells_that_are_half_done(tmp_path: Path) -> None
     assert cells_of(read_state(tmp_path / "m.png", WORLD, STARTS)[0].visited) == [*DONE, [3, 0]]
 
 
+@pytest.mark.parametrize("value", [-1, -9999, np.nan, np.inf])
+def test_a_mask_with_what_is_unknown_is_refused(tmp_path: Path, value: float) -> None:
+    given = mask(DONE).astype(np.float32 if not np.isfinite(value) else np.int16)
+    given[3, 2] = value
+    np.save(tmp_path / "m.npy", given)
+    with pytest.raises(InputError, match=rf"m\.npy: {value} at row 3, col 2 \(1 such value\); expected .* above 0"):
+        read_state(tmp_path / "m.npy", WORLD, STARTS)
+
+
 def test_obstacles_and_cells_out_of_reach_are_left_out_of_a_mask(tmp_path: Path) -> None:
     np.save(tmp_path / "m.npy", mask([*DONE, [0, 3]]))
     state, notes = read_state(tmp_path / "m.npy", WORLD, STARTS)
@@ -97,6 +106,28 @@ def test_driven_tracks(tmp_path: Path, text: str, step: int) -> None:
     assert cells_of(state.visited) == [*DONE, [3, 3], [3, 4]] and state.starts.tolist() == [[2, 1], [3, 4]]
     assert [robot.moves for robot in state.robots] == [2, 1] and state.step == step
     assert ("900" in text) == any("1 of 8 places lie off the map" in note for note in notes)
+
+
+@pytest.mark.parametrize("name", ["step", "time", "t", "Timestamp", "datetime"])
+@pytest.mark.parametrize("form", ["{}", "{}.5", "2026-05-01T12:00:0{}", "2026-05-01 12:00:0{}.5Z", "17{}0123456789"])
+def test_tracks_lie_in_the_order_of_their_times(tmp_path: Path, name: str, form: str) -> None:
+    """The step is that of the lines, or as many moves as the robot that moved most made."""
+    if name == "step" and form != "{}":
+        form = "{}"
+    lines = [f"0,{form.format(2)},2,1", f"0,{form.format(0)},1,0", f"0,{form.format(1)},1,1"]
+    (tmp_path / "t.csv").write_text("\n".join([f"robot,{name},row,col", *lines]))
+    state, _ = read_state(tmp_path / "t.csv", WORLD)
+    assert state.starts.tolist() == [[2, 1]] and state.step == 2 and state.robots[0].moves == 2
+
+
+def test_times_of_several_zones_and_times_that_are_none(tmp_path: Path) -> None:
+    head = "robot,timestamp,row,col\n0,2026-05-01T12:00:00+02:00,1,0\n"
+    (tmp_path / "t.csv").write_text(head + "0,2026-05-01T10:00:02Z,2,1\n0,2026-05-01T11:00:01+01:00,1,1\n")
+    assert read_state(tmp_path / "t.csv", WORLD)[0].starts.tolist() == [[2, 1]]
+    for wrong in ("noon", "", "17"):
+        (tmp_path / "t.csv").write_text(head + f"0,{wrong},1,1\n")
+        with pytest.raises(InputError, match=r"t\.csv: line \d: timestamp is '"):
+            read_state(tmp_path / "t.csv", WORLD)
 
 
 def test_tracks_on_a_georeferenced_map_may_be_in_degrees(tmp_path: Path) -> None:

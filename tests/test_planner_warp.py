@@ -13,7 +13,7 @@ from PIL import Image
 from test_planner_rasters import tif
 
 from planner.errors import MapError, ScenarioError
-from planner.worlds.georeference import utm_zone
+from planner.worlds.georeference import reproject, utm_zone
 from planner.worlds.grid import Frame
 from planner.worlds.rasters import Raster, read_raster
 from planner.worlds.scenario import load_input
@@ -177,6 +177,35 @@ def test_control_points_on_a_north_up_grid_are_its_place(tmp_path: Path) -> None
     raster = read_raster(by_points, None, "bilinear")
     assert raster.frame is not None and there.frame is not None and raster.frame.size == pytest.approx(there.frame.size)
     np.testing.assert_allclose(raster.values, there.values, atol=0.5)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:3857"])
+def test_control_points_across_longitude_180(tmp_path: Path, crs: str, turned: bool) -> None:
+    """They place a raster as those of the same pixels 5 degrees to the west do, north-up or turned."""
+    field = np.arange(60 * 80, dtype=np.float32).reshape(SHAPE)
+    found = []
+    for middle in (175.0, 180.0):
+
+        def at(row: float, col: float, middle: float = middle) -> tuple[float, float]:
+            east, north = 1e-5 * (col - 40), 1e-5 * (30 - row)
+            east, north = (east + north / 2, north - east / 2) if turned else (east, north)
+            x = middle + east
+            return tuple(reproject([x - 360 * (x > 180), 1e-4 + north], "EPSG:4326", crs).tolist())
+
+        found.append(read_raster(placed(tmp_path / "a.tif", field, at, crs), None, "bilinear"))
+    west, across = found
+    assert west.frame is not None and across.frame is not None and across.georeference is not None
+    assert across.frame.size == pytest.approx(west.frame.size, rel=0.01)
+    assert np.abs(np.subtract(across.values.shape, west.values.shape)).max() <= 2
+    assert np.nanmean(across.values) == pytest.approx(np.nanmean(west.values), rel=0.01)
+    middle = across.georeference.to_lonlat(across.frame.at(*np.array(across.frame.shape) / 2))
+    assert abs(abs(middle[0]) - 180) < 2e-5
+    tif(tmp_path / "m.tif", np.zeros((4, 8), np.float32), (10, 0, 833_938, 0, -10, 34), "EPSG:32660")
+    p = np.full(SHAPE, 0.4, np.float32)
+    placed(tmp_path / "p.tif", p, lambda row, col: at(row * 4, col * 4), crs)
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump({"map": "m.tif", "threats": [{"raster": "p.tif"}]}))
+    assert load_input(tmp_path / "s.yaml").threat == pytest.approx(0.4)
 
 
 @pytest.mark.parametrize(

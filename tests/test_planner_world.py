@@ -77,6 +77,20 @@ def test_masked_cells_are_obstacles() -> None:
         World.create(np.zeros((2, 2)), starts=np.ma.masked_array([[0, 1]], mask=[[False, True]]))
 
 
+def test_masked_values_are_missing_under_free_cells_alone() -> None:
+    """As pixels of a raster without data are."""
+    given = np.ma.masked_array([[1.0, 0.25], [0.5, 0.75]], mask=[[True, False], [False, True]])
+    obstacles = np.array([[np.nan, 0], [0, np.nan]])
+    world = World.create(obstacles).with_values(given, given)
+    for layer in (world.value, world.detect):
+        assert layer is not None and layer.tolist() == [[0, 0.25], [0.5, 0]]
+    for name in ("value", "detect"):
+        with pytest.raises(WorldError, match=rf"{name} is masked at \[0, 0\] \(2 such cells\)"):
+            World.create(np.zeros((2, 2))).with_values(**{name: given})
+    with pytest.raises(WorldError, match="value is masked"):
+        World.create(np.zeros((2, 2)), value=np.ma.masked)
+
+
 def test_csv_is_read_in_batches_and_a_wrong_line_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planner.tables, "CSV_BATCH", 40)
     file, rows = tmp_path / "w.csv", [f"0.{n:03d}, nan,{' ' * (n % 3)}-1,0.5e-3" for n in range(200)]

@@ -7,7 +7,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -428,6 +428,27 @@ def test_bad_sweep_files(tmp_path: Path, text: str, capsys: pytest.CaptureFixtur
     assert not list(tmp_path.glob("a.store*"))
     with pytest.raises(InputError, match=BAD[text]):
         read_spec(path)
+
+
+@pytest.mark.parametrize(
+    "how",
+    [{"scheduler": "nonsense"}, {"processes": 0}, {"processes": 2, "scheduler": "x"}, {"precision": 5}, {"maps": 0}],
+)
+def test_no_store_is_made_for_a_run_that_cannot_begin(
+    tmp_path: Path, how: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, store = spec_file(tmp_path), tmp_path / "a.store"
+    words = [word for name, value in how.items() for word in (f"--{name}", str(value))]
+    said = next(reversed(how))
+    if said != "maps":
+        with pytest.raises(InputError, match=said):
+            mrac.sweep(path, store, progress=False, **how)
+        assert said in refused(capsys, "sweep", str(path), "--store", str(store), *words)
+    if said != "precision":
+        with pytest.raises(InputError, match=said):
+            mrac.reproduce("fig4", store=store, progress=False, **how)
+        assert said in refused(capsys, "reproduce", "fig4", "--store", str(store), *words)
+    assert [one.name for one in tmp_path.iterdir()] == [path.name]
 
 
 def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -38,13 +38,16 @@ def sweep(
             No result depends on it.
         progress, on_interrupt: as of `evaluate`; jobs are counted.
     """
+    from analysis.sweeps.engine import check_where
     from analysis.sweeps.spec import read_spec
     from analysis.sweeps.store.store import Store
-    from analysis.sweeps.sweep import run_sweep
+    from analysis.sweeps.sweep import check_precision, run_sweep
 
     asked = read_spec(Path(spec))
+    check_precision(precision)
 
     def work(tell: Progress, doing: Doing) -> Sweep:
+        check_where(processes, scheduler)
         with Store.open(Path(f"{asked.source.stem}.store") if store is None else Path(store)) as opened:
             how: Any = {"precision": precision, "processes": processes, "scheduler": scheduler}
             return run_sweep(asked, opened, watch=lambda *now: tell(*now[:3]), **how)
@@ -71,9 +74,14 @@ def reproduce(
         progress, on_interrupt: as of `evaluate`; jobs are counted.
     """
     from analysis.reproduction.reproduce import reproduce as run_experiments
+    from analysis.sweeps.engine import check_where
     from analysis.sweeps.store.store import Store
+    from analysis.sweeps.worlds import check_maps
+
+    check_maps(maps, seed)
 
     def work(tell: Progress, doing: Doing) -> Reproduction:
+        check_where(processes, scheduler)
         with nullcontext() if store is None else Store.open(Path(store)) as kept:
             how: Any = {"maps": maps, "rollouts": rollouts, "seed": seed, "store": kept, "processes": processes}
             return run_experiments(figure, **how, scheduler=scheduler, progress=tell)

@@ -65,10 +65,10 @@ def load(
 
 def _say_if_large(world: World) -> None:
     """Say before anything takes long that a map has many cells, where nobody said how large they are."""
-    from planner.worlds.scenario import MANY_CELLS, size_note
+    from planner.worlds.scenario import MANY_CELLS, ROBOT_IS
 
-    if world.threat.size > MANY_CELLS and (note := size_note(world)) in world.notes:
-        say([f"{world.source}: {note}"])
+    if world.threat.size > MANY_CELLS:
+        say([f"{world.source}: {note}" for note in world.notes if ROBOT_IS in note])
 
 
 def plan(

@@ -55,13 +55,17 @@ def reproduce(
     from analysis.knowing.study import study_knowing
     from analysis.policies.study import study_policies
     from analysis.reproduction.reproduce import reproduce as run_experiments
+    from analysis.sweeps.engine import check_where
     from analysis.sweeps.store.store import Store
+    from analysis.sweeps.worlds import check_maps
     from planner.policies import DEFAULT, RULES
 
     check_folder(out)
     count = USUAL.get(figure, ROLLOUTS) if rollouts is None else rollouts
     if not 1 <= count <= 2**32:
         raise UsageError(f"--rollouts {count}", expected="1 to 4294967296")
+    check_maps(MAPS if maps is None else maps, seed or 0)
+    check_where(processes, scheduler)
     kept = nullcontext() if store is None else Store.open(store)
     how: Any = {
         "maps": MAPS if maps is None else maps, "rollouts": count, "seed": seed or 0, "processes": processes,

@@ -43,12 +43,15 @@ def sweep(
         out: Write the page, pictures, CSV and JSON to this folder.
     """
     from analysis.cli.progress import show_pool_progress
+    from analysis.sweeps.engine import check_where
     from analysis.sweeps.spec import read_spec
     from analysis.sweeps.store.store import Store
-    from analysis.sweeps.sweep import run_sweep
+    from analysis.sweeps.sweep import check_precision, run_sweep
 
     check_folder(out)
     asked = read_spec(spec)
+    check_precision(precision)
+    check_where(processes, scheduler)
     kept = Path(f"{spec.stem}.store") if store is None else store
     with Store.open(kept) as opened, show_pool_progress("jobs", asked.policies) as watch:
         answer = run_sweep(asked, opened, precision=precision, watch=watch, processes=processes, scheduler=scheduler)

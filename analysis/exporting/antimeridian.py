@@ -8,11 +8,20 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.worlds.georeference import TURN
+from planner.worlds.georeference import TURN, near
 
 Ring = NDArray[np.float64]
 """Corners (longitude, latitude) `[points, 2]`, the last one the first; longitudes go on across 180."""
 HALF = TURN / 2
+POLE = 90 - 1e-9
+"""Latitude from which a corner is at the pole (0.1 mm)."""
+
+
+def over_a_pole(ring: Ring) -> bool:
+    """True for a closed ring around a pole, or through one: every step goes the short way round."""
+    steps = near(np.diff(ring[:, 0]), 0.0, TURN)
+    through = np.abs(np.abs(steps) - HALF) < 1e-6
+    return bool(abs(steps.sum()) > HALF or through.any() or (np.abs(ring[:, 1]) >= POLE).any())
 
 
 def cut_line(line: Ring) -> list[Ring]:

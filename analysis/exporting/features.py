@@ -9,9 +9,10 @@ from math import isfinite
 
 import numpy as np
 
-from analysis.exporting.antimeridian import cut_area, cut_line
+from analysis.exporting.antimeridian import cut_area, cut_line, over_a_pole
 from analysis.exporting.mission import Mission, rounded
 from analysis.exporting.outlines import outline
+from planner.errors import MapError
 from planner.files import Json
 
 Position = list[float]
@@ -37,11 +38,17 @@ class Feature:
 
 
 def features(mission: Mission) -> Iterator[Feature]:
-    """Every area of t = 0, then every robot's path. Raises MapError for a map that nobody has put on the Earth.
+    """Every area of t = 0, then every robot's path. Raises MapError for a map that nobody has put on the Earth."""
+    yield from _areas(mission)
+    yield from paths(mission)
 
-    Of an area: `level`, `robot` (that has it at t = 0), `threat` (its largest), and, open loop, exact: `covered` (the
-    mean chance of its cells to be visited), `losses` (robots expected to be lost in it). Of a path: `robot`, `steps`,
-    `chance_of_loss` before its end. None: not known exactly. `believed_threat`: of robots that are not told the map.
+
+def _areas(mission: Mission) -> Iterator[Feature]:
+    """Every area of t = 0. Raises MapError also for one over a pole: it has no ring of longitudes and latitudes.
+
+    Of each: `level`, `robot` (that has it at t = 0), `threat` (its largest), and, open loop, exact: `covered` (the
+    mean chance of its cells to be visited), `losses` (robots expected to be lost in it).
+    None: not known exactly. `believed_threat`: of robots that are not told the map.
     """
     world, width = mission.world, mission.world.shape[1]
     threat = world.threat.ravel()
@@ -56,8 +63,17 @@ def features(mission: Mission) -> Iterator[Feature]:
             "losses": _rounded(mission.exact.stops_by_cell[area.cells].sum()),
         }
         rings = [mission.on_earth(world.at(*np.array(ring).T)) for ring in outline(area.cells, width)]
+        if any(over_a_pole(ring) for ring in rings):
+            problem = f"area {number} lies over a pole, and cannot be written in longitude and latitude"
+            fix = "export .tif or .csv, in the map's metres, or .gpx, which holds no areas"
+            raise MapError(problem, source=world.source, expected="areas beside the poles", fix=fix)
         parts = [[rounded(ring).tolist() for ring in part] for part in cut_area(rings)]
         yield Feature(f"area {number}", True, parts, facts)
+
+
+def paths(mission: Mission) -> Iterator[Feature]:
+    """Every robot's path: `robot`, `steps`, `chance_of_loss` before its end (None: not known exactly)."""
+    world = mission.world
     for number, robot in enumerate(mission.plan.robots):
         facts = {
             "robot": number,

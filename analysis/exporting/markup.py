@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from analysis.exporting.features import Feature, Position, features
+from analysis.exporting.features import Feature, Position, features, paths
 from analysis.exporting.mission import Mission
 from analysis.pictures.style import ROBOT_COLOURS
 from planner.files import printable
@@ -62,15 +62,14 @@ def _coordinates(parent: Element, points: list[Position]) -> None:
 def gpx(mission: Mission) -> str:
     """A route for every robot, a point at the end of each straight run."""
     top = Element("gpx", xmlns=GPX, version="1.1", creator="mrac-jax")
-    for feature in features(mission):
-        if not feature.is_area:
-            route = SubElement(top, "rte")
-            _text(route, "name", feature.name)
-            if (chance := feature.facts["chance_of_loss"]) is not None:
-                _text(route, "desc", f"chance of loss {chance:.6f}")
-            for east, north in feature.points:
-                east = -180.0 if east == 180 else east  # GPX has longitudes below 180 alone
-                SubElement(route, "rtept", lat=f"{north:.9f}", lon=f"{east:.9f}")
+    for feature in paths(mission):
+        route = SubElement(top, "rte")
+        _text(route, "name", feature.name)
+        if (chance := feature.facts["chance_of_loss"]) is not None:
+            _text(route, "desc", f"chance of loss {chance:.6f}")
+        for east, north in feature.points:
+            east = -180.0 if east == 180 else east  # GPX has longitudes below 180 alone
+            SubElement(route, "rtept", lat=f"{north:.9f}", lon=f"{east:.9f}")
     return _document(top)
 
 

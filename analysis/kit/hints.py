@@ -62,6 +62,8 @@ class UnknownArgument(UsageError):
 
     def with_fix(self, function: Callable[..., Any], public: Mapping[str, Callable[..., Any]]) -> UsageError:
         """The same with what is probably meant; `function`: that was called; `public`: those of the API by name."""
+        from planner.worlds.scenario import place_of
+
         own, here = signature(function).parameters, function.__name__
         if "plan" in own and self.name == "robots" and self.number is not None:
             fix = f"give plan={self.number}: how many robots to plan for"
@@ -70,6 +72,8 @@ class UnknownArgument(UsageError):
         else:
             others = {name: signature(one).parameters for name, one in public.items() if name != here}
             fix = elsewhere(self.name, self.known, others, "argument")
+            said = place_of(self.name) if here == "load" else ""
+            fix = fix if not said or self.name in set().union(*others.values()) else f"say it in a scenario: {said}"
         return UsageError(self.problem, expected=self.expected, fix=fix)
 
 

@@ -152,6 +152,14 @@ def run_cases(
     return run.finished()
 
 
+def check_where(processes: int | None, scheduler: str | Client | None) -> None:
+    """Raise UsageError where `run_cases` cannot run: for whoever makes a store for what it gives."""
+    wanted_processes(processes, 0)
+    if scheduler is not None:
+        with _stream(processes, scheduler, 0):
+            pass
+
+
 @contextmanager
 def _stream(processes: int | None, scheduler: str | Client | None, total: int) -> Iterator[Stream]:
     """What runs tasks: a cluster, this process, or so many of this machine."""

@@ -129,8 +129,7 @@ def run_sweep(
     An interruption ends it with what was done so far, `partial`; if that is nothing, KeyboardInterrupt is raised.
     Raises InputError.
     """
-    if precision is not None and not 0 < precision < 1:
-        raise UsageError(argument("precision", precision), expected="a fraction of the accessible cells in (0, 1)")
+    check_precision(precision)
     spec = as_stored(spec, store)
     clock, sums = time.perf_counter(), Finished(0, 0, 0, 0.0)
     for asked, maps in _stretches(spec):
@@ -152,6 +151,12 @@ def run_sweep(
     if sums.partial and not rows:
         raise KeyboardInterrupt
     return Sweep(asked, rows, sums, precision, narrow)
+
+
+def check_precision(precision: float | None) -> None:
+    """Raise UsageError for what is no precision that can be asked for."""
+    if precision is not None and not 0 < precision < 1:
+        raise UsageError(argument("precision", precision), expected="a fraction of the accessible cells in (0, 1)")
 
 
 def as_stored(spec: Spec, store: Store) -> Spec:

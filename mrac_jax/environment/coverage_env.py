@@ -174,7 +174,7 @@ class CoverageEnv:
 
     def _given(self, actions: dict[str, jax.Array]) -> jax.Array:
         """The actions by agent as an array, int32 `[K]`."""
-        check_agents(actions, self.agents, complete=True)
+        check_agents(actions, self.agents, self.agents)
         each = [checked_actions(actions[name], (), len(ACTIONS), f"action of {name}") for name in self.agents]
         return jnp.stack([jnp.asarray(one, jnp.int32) for one in each])
 

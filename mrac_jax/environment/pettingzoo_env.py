@@ -49,11 +49,12 @@ class CoverageParallelEnv(ParallelEnv):
         return self._of_agents(told.seen[0]), self._infos(told)
 
     def step(self, actions: dict[str, Any]) -> Dicts:
-        """Observations, rewards, terminations, truncations, infos of the agents there were; who is left out stays.
+        """Observations, rewards, terminations, truncations, infos of the agents there were.
 
-        Raises UsageError for an agent that there is not, and for an action outside the space.
+        Raises UsageError for an agent that there is not, for one of `agents` without an action, and for an action
+        outside the space.
         """
-        check_agents(actions, self.possible_agents, complete=False)
+        check_agents(actions, self.possible_agents, self.agents)
         spaces = ((name, int(space.n)) for name, space in self.action_spaces.items())
         given = [checked_actions(actions.get(name, 0), (), count, f"action of {name}") for name, count in spaces]
         told = self._runs.step([given])

@@ -53,14 +53,14 @@ def checked_actions(given: Any, shape: tuple[int, ...], count: int, name: str = 
     return actions
 
 
-def check_agents(given: Any, agents: Sequence[str], *, complete: bool) -> None:
-    """Raise UsageError unless `given` is a mapping from names of agents; `complete`: from each of them."""
+def check_agents(given: Any, agents: Sequence[str], needed: Sequence[str]) -> None:
+    """Raise UsageError unless `given` is a mapping from names of agents, from all that are `needed` among them."""
     expected = f"a dict from names of agents, {agents[0]!r} to {agents[-1]!r}, to actions"
     if not isinstance(given, Mapping):
         raise UsageError(f"actions: {reprlib.repr(given)}", expected=expected)
     for name in given:
         if name not in agents:
             raise UsageError(f"actions of {name!r}", expected=expected, fix=did_you_mean(name, agents))
-    missing = [name for name in agents if name not in given]
-    if complete and missing:
-        raise UsageError(f"no action of {missing[0]!r}", expected=expected)
+    missing = [repr(name) for name in needed if name not in given]
+    if missing:
+        raise UsageError(f"no action of {', '.join(missing)}", expected=expected)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from planner.none import NO_AREA
 from planner.plans.state import NO_CELLS, MissionState, RobotState
 from planner.plans.state_file import check_state, load_state
 from planner.shown import counted, share
+from planner.tables import is_header
 from planner.worlds.degrees import on_map
 from planner.worlds.grid import Frame
 from planner.worlds.images import SUFFIXES as IMAGES
@@ -29,6 +31,8 @@ HALF = 0.5
 """Share of a cell's pixels that must be marked for the cell to count as visited."""
 SUFFIXES = (".json", ".csv", ".npy", ".yaml", ".yml", ".mcap", *IMAGES)
 """Files that a state is read from."""
+TIMES = ("time", "t", "time_s", "t_s", "timestamp", "stamp", "datetime")
+"""Columns of tracks that say when a robot was where, in numbers or ISO 8601; a column `step` comes before them."""
 KEEP_ONE = "keep one of them: `mcap filter LOG -y TOPIC -o OUT.mcap`"
 """How to choose a topic of a log."""
 
@@ -46,9 +50,9 @@ def read_state(path: str | Path, world: World, starts: ArrayLike | None = None) 
     """The state of a mission on `world` in any file, checked, and notes.
 
     Args:
-        path: a state file (JSON); driven tracks (.csv: robot and row, col, or x, y in metres, or lon, lat; also step,
-            status); visited cells (.csv: row, col, with or without a header); a mask of the map's cells or pixels
-            (.npy: not 0; a picture: bright), or an OccupancyGrid (.yaml of map_server, .mcap or a rosbag2 folder:
+        path: a state file (JSON); driven tracks (.csv: robot and row, col, or x, y in metres, or lon, lat; also step or
+            time, status); visited cells (.csv: row, col, with or without a header); a mask of the map's cells or pixels
+            (.npy: above 0; a picture: bright), or an OccupancyGrid (.yaml of map_server, .mcap or a rosbag2 folder:
             occupied), in which what is marked is visited.
         starts: (row, col) `[K, 2]` of the robots now, for files that do not say where they are: all but the first two.
 
@@ -112,7 +116,7 @@ def _marked(path: Path, world: World) -> Found:
     suffix, frame = _suffix(path), world.frame
     if suffix in (".yaml", ".yml", ".mcap"):
         grid = read_logged_map(path, choose=KEEP_ONE) if suffix == ".mcap" else read_ros_map(path)
-        return Found(np.flatnonzero(_under(grid, frame)))
+        return Found(np.flatnonzero(_under(grid, frame)), notes=grid.notes)
     mask = _mask(path)
     ratio = _ratio(mask.shape, world.shape)
     if not ratio:
@@ -128,9 +132,15 @@ def _mask(path: Path) -> NDArray[np.bool_]:
         picture = read_image(path)
         return (picture.bright >= HALF) & (True if picture.alpha is None else picture.alpha >= HALF)
     array = read_npy(path, MAX_CELLS)
+    expected = "a mask [H, W]: True or above 0 where visited, 0 elsewhere"
     if array.ndim != 2 or array.size == 0 or array.dtype.kind not in "biuf":
-        raise StateError(f"holds {array.dtype} {array.shape}", source=path, expected="a mask [H, W]: not 0 is visited")
-    return np.nan_to_num(array.astype(np.float64)) != 0
+        raise StateError(f"holds {array.dtype} {array.shape}", source=path, expected=expected)
+    wrong = ~(np.isfinite(array) & (array >= 0))
+    if wrong.any():
+        row, col = np.argwhere(wrong)[0]
+        problem = f"{array[row, col]} at row {row}, col {col} ({counted(int(wrong.sum()), 'such value')})"
+        raise StateError(problem, source=path, expected=expected, fix="write 0 where it is unknown")
+    return array > 0
 
 
 def _ratio(pixels: tuple[int, ...], cells: tuple[int, ...]) -> int:
@@ -219,14 +229,12 @@ def _tracks(table: Table, world: World) -> Found:
         raise MapError(f"{len(names)} robots", source=path, expected=f"at most {MAX_ROBOTS}")
     cells, on = _cells(table, world)
     step_at, status_at = table.column("step"), table.column("status")
-    steps = np.zeros(len(cells), dtype=np.int64)
-    if step_at is not None:
-        steps = np.array([_step(table, row, step_at) for row in table.rows], dtype=np.int64)
+    order = _order(table, step_at)
     owner = np.array([names.index(row[which].strip()) for _, row in table.rows])
     robots = []
     for number, name in enumerate(names):
         lines = np.flatnonzero(owner == number)
-        lines = lines[np.argsort(steps[lines], kind="stable")]
+        lines = lines[np.argsort(order[lines], kind="stable")]
         if not on[lines[-1]]:
             problem = f"line {table.rows[lines[-1]][0]}: robot {name[:40]} ends off the map or on an obstacle"
             raise MapError(problem, source=path, expected="its last place on a free cell")
@@ -241,8 +249,32 @@ def _tracks(table: Table, world: World) -> Found:
     notes = table.notes
     if off:
         notes += (f"{off} of {len(on)} places lie off the map or on obstacles: left out",)
-    step = int(steps.max()) if step_at is not None else max(robot.moves for robot in robots)
+    step = int(order.max()) if step_at is not None else max(robot.moves for robot in robots)
     return Found(np.unique(cells[on]), tuple(robots), step, notes)
+
+
+def _order(table: Table, step_at: int | None) -> NDArray[np.float64]:
+    """What the lines of a robot are put in order by: steps, else times, else nothing, as they stand in the file."""
+    if step_at is not None:
+        return np.array([_step(table, row, step_at) for row in table.rows], dtype=np.float64)
+    at = table.column(*TIMES)
+    if at is None:
+        return np.zeros(len(table.rows))
+    if is_header(row[at] for _, row in table.rows):
+        return np.array([_moment(table, row, at) for row in table.rows])
+    return np.array([table.number(row, at, table.names[at]) for row in table.rows])
+
+
+def _moment(table: Table, row: tuple[int, list[str]], column: int) -> float:
+    """Seconds of a time in ISO 8601; one that names no zone is one of UTC, as all of a file that names none are."""
+    text = row[1][column].strip()
+    try:
+        moment = datetime.fromisoformat(text)
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError) as error:
+        problem = f"line {row[0]}: {table.names[column]} is {text[:40]!r}"
+        expected = "numbers or times in ISO 8601, as 2026-05-01T12:00:00.5Z, in all of its lines"
+        raise MapError(problem, source=table.path, expected=expected) from error
 
 
 def _step(table: Table, row: tuple[int, list[str]], column: int) -> int:

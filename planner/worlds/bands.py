@@ -13,10 +13,10 @@ import numpy as np
 from planner.errors import MapError
 from planner.files import foreign_errors
 from planner.shown import counted
-from planner.worlds.georeference import rasterio_for
+from planner.worlds.georeference import near, rasterio_for, turn_of
 from planner.worlds.grid import Bounds
 from planner.worlds.images import plausible
-from planner.worlds.physical import HEIGHTS, NO_UNIT, Meaning, Said, Unit, edited, physical, plain
+from planner.worlds.physical import HEIGHTS, LENGTHS, NO_UNIT, SAME_UNIT, Meaning, Said, Unit, edited, physical, plain
 from planner.worlds.warp import Band, span
 
 EXACT = 0.1
@@ -25,6 +25,8 @@ PACKED = {"scale_factor": "scale", "add_offset": "offset"}
 """Items of metadata that NetCDF packs numbers by, and what a band calls them."""
 FILL_TAGS = ("_fillvalue", "missing_value")
 """Items of metadata that name a number for no data."""
+UNIT_TAGS = ("units", "unit", "vertical_units", "vertical_unit", "z_units")
+"""Items of metadata that name the unit; from the third on, of heights alone."""
 UNPLACED = {
     "RPC": ("rational polynomials (RPCs)", "gdalwarp -rpc -to RPC_DEM=dem.tif"),
     "GEOLOCATION": ("a geolocation array", "gdalwarp -geoloc"),
@@ -46,7 +48,7 @@ def read_band(path: Path, of: Meaning) -> Band:
             problem = f"{data.count} bands of {data.dtypes[0]}"
             raise MapError(problem, source=path, expected="one band of real numbers")
         crs, vertical = _split(data.crs or data.gcps[1] or _crs_beside(path, data, rasterio), path, rasterio)
-        said = _said(data, vertical, path)
+        said = _said(data, vertical, of, path)
         numbers = data.read(1, masked=True)
         bounds, points, notes = _place(data, crs, path)
         if not data.transform.is_identity and data.transform.e > 0:  # stored south-up
@@ -61,7 +63,7 @@ def read_band(path: Path, of: Meaning) -> Band:
     return Band(values, bounds, crs, points, (*notes, *more), voids)
 
 
-def _said(data: Any, vertical: Unit | None, path: Path) -> Said:
+def _said(data: Any, vertical: Unit | None, of: Meaning, path: Path) -> Said:
     """What the file says about its numbers. Raises MapError where the band and its metadata contradict each other."""
     tags = {name.casefold(): text for name, text in {**data.tags(), **data.tags(1)}.items()}
     own = {"scale": data.scales[0], "offset": data.offsets[0]}
@@ -72,9 +74,26 @@ def _said(data: Any, vertical: Unit | None, path: Path) -> Said:
             fix = f"set the band's {name} (gdal_edit.py -{name} {packed:g}), or take the item out"
             raise MapError(problem, source=path, expected="the same twice", fix=fix)
     fill = tuple(_number(tags[tag], math.nan) for tag in FILL_TAGS if tag in tags)
-    unit = data.units[0] or tags.get("units") or tags.get("unit") or ""
+    unit = _unit(data, tags, of, path)
     declared = "all_valid" not in [flag.name for flag in data.mask_flag_enums[0]]
     return Said(own["scale"], own["offset"], unit, vertical, fill, declared)
+
+
+def _unit(data: Any, tags: dict[str, str], of: Meaning, path: Path) -> str:
+    """The unit that a band, its metadata or its description name; "": none. Raises MapError where two of them differ.
+
+    A description ends in it, in brackets: `Elevation (feet)`. What is no unit there is a remark.
+    """
+    last = re.search(r"[(\[]([^()\[\]]+)[)\]]\s*$", data.descriptions[0] or "")
+    remark = last[1] if last and plain(last[1]) in {**LENGTHS, **(of.units or {})} else ""
+    named = [data.units[0] or "", *(tags.get(tag, "") for tag in UNIT_TAGS[: None if of is HEIGHTS else 2]), remark]
+    said = [unit for unit in named if plain(unit) not in NO_UNIT]
+    known = [(unit, of.units[plain(unit)]) for unit in said if of.units and plain(unit) in of.units]
+    for unit, size in known[1:]:
+        if abs(size / known[0][1] - 1) > SAME_UNIT:
+            problem = f"it names two units, {known[0][0]!r} and {unit!r}"
+            raise MapError(problem, source=path, expected="the same twice", fix=edited(str(path), "--units", unit))
+    return next(iter(said), next(filter(None, named), ""))
 
 
 def _number(text: str, otherwise: float) -> float:
@@ -173,6 +192,11 @@ def _without_crs(bounds: Bounds, side: float, path: Path) -> tuple[str, ...]:
 def _by_points(points: list[Any], crs: Any, shape: tuple[int, int], path: Path) -> Place:
     """The place that ground control points give: a north-up grid if they lie on one, else they are warped by."""
     at = np.array([[point.col, point.row, 1.0] for point in points])
+    if crs is not None and (turn := turn_of(crs.to_string())[0]):
+        x = near([point.x for point in points], points[0].x, turn)  # across 180 neighbours stay neighbours
+        points = [
+            type(point)(point.row, point.col, float(to), point.y, point.z) for point, to in zip(points, x, strict=True)
+        ]
     found = np.array([[point.x, point.y] for point in points])
     given = counted(len(points), "ground control point")
     if np.linalg.matrix_rank(at) < 3:

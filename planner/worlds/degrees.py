@@ -26,6 +26,8 @@ NEAR = 0.01
 """Degrees around a map, or the map's own size, within which shapes are taken to be meant for it."""
 SEAM = 1e-9
 """Of a turn: edges that lie so near each other on both sides of a cut are one (4 cm at the equator)."""
+WIDE = 10
+"""Cells that the sides of a cut at longitude 180 lie apart at most to be told of."""
 SAMPLES = 9
 """Places along each side of a map whose longitudes and latitudes are looked at."""
 Edge = tuple[tuple[float, float], tuple[float, float]]
@@ -158,6 +160,28 @@ def extent(values: NDArray[np.float64], turn: float) -> tuple[float, float]:
     low = high - (turn - float(gaps[last]))
     back = turn * np.floor(low / turn + 0.5)
     return float(low - back), float(high - back)
+
+
+def closed(polygons: list[Rings], turn: float, cell: float) -> tuple[list[Rings], float]:
+    """The polygons with the sides of a cut, at most a cell apart, moved to where x comes round; how far apart they lie.
+
+    That is at half a turn, or at 0 where x counts to a whole one. Sides up to WIDE cells apart are told of; beyond: 0.
+    """
+    x = np.concatenate([ring[:, 0] for rings in polygons for ring in rings])
+    for west, east in ((-turn / 2, turn / 2), (0.0, turn)):
+        short = float(np.abs(x - west).min()), float(np.abs(x - east).min())
+        width = sum(short)
+        if not turn or width > WIDE * cell:
+            continue
+        for side, other in ((west, short[1]), (east, short[0])) if width <= cell else ():
+            polygons = [[_moved_to(side, ring, cell - other) for ring in rings] for rings in polygons]
+        return polygons, width
+    return polygons, 0.0
+
+
+def _moved_to(side: float, ring: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
+    x = np.where(np.abs(ring[:, 0] - side) <= tolerance, side, ring[:, 0])
+    return np.column_stack([x, ring[:, 1]])
 
 
 class Unrolled(NamedTuple):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.errors import MapError
 from planner.files import foreign_errors
-from planner.worlds.degrees import Rings, Unrolled, check_range, extent, fine, in_range, unrolled
+from planner.worlds.degrees import Rings, Unrolled, check_range, closed, extent, fine, in_range, unrolled
 from planner.worlds.georeference import (
     TURN,
     WGS84,
@@ -25,7 +25,7 @@ from planner.worlds.georeference import (
 from planner.worlds.grid import FREE, OCCUPIED, WHOLE, Frame, Grid
 from planner.worlds.polygons import Shapes, read_shapes
 from planner.worlds.quantities import COORDINATE
-from planner.worlds.rasters import describe
+from planner.worlds.rasters import describe, true_metres
 from planner.worlds.shapes import inside
 from planner.worlds.world import MAX_CELLS
 
@@ -54,6 +54,8 @@ def read_field(
     notes = (*shapes.notes, *notes)
     blocks = 1 if swath is None else round(swath / cell_size)
     frame = _frame(polygons, cell_size, path, direction, blocks)
+    if place is not None:
+        notes += true_metres(frame, place, str(path), "ogr2ogr -t_srs")
     held, crossed = np.zeros(frame.shape, dtype=bool), np.zeros(frame.shape, dtype=bool)
     for rings in polygons:
         held |= inside(rings, frame)
@@ -155,18 +157,20 @@ def _in_metres(shapes: Shapes, path: Path, cell_size: float) -> tuple[Unrolled, 
             ("its coordinates are taken for metres of a frame of its own: it names no CRS",),
         )
     if crs == WGS84:
-        return _degrees(polygons, path)
+        return _degrees(polygons, path, cell_size)
     with foreign_errors(f"its CRS is {crs[:60]!r}", path, "a CRS that PROJ knows, in degrees or metres"):
         known = rasterio_for("another coordinate reference system", path).crs.CRS.from_user_input(crs)
         if known.is_geographic:
             check_range(corners, "", path)
-            return _degrees([[reproject(ring, crs, WGS84) for ring in rings] for rings in polygons], path)
+            moved = [[reproject(ring, crs, WGS84) for ring in rings] for rings in polygons]
+            return _degrees(moved, path, cell_size)
         unit = float(known.linear_units_factor[1])
     place, turn = Georeference(crs, scale=(1 / unit, 1 / unit)), turn_of(crs)[0]
+    polygons, width = closed(polygons, turn, cell_size / unit)
     shape = unrolled(polygons, *extent(corners[:, 0], turn), turn)
     if not all(COORDINATE.accepts(float(np.abs(ring).max() * unit)) for rings in shape.areas for ring in rings):
         raise MapError("a corner too far away", source=path, expected=COORDINATE.expected)
-    return _moved(shape, lambda ring: ring * unit), place, ()
+    return _moved(shape, lambda ring: ring * unit), place, _of_the_cut(width * unit, cell_size)
 
 
 def _spans_a_field(corners: NDArray[np.float64]) -> bool:
@@ -183,7 +187,15 @@ def _moved(shape: Unrolled, to: Callable[[NDArray[np.float64]], NDArray[np.float
     return Unrolled(areas, borders)
 
 
-def _degrees(polygons: list[Rings], path: Path) -> tuple[Unrolled, Georeference, tuple[str, ...]]:
+def _of_the_cut(width: float, cell_size: float) -> tuple[str, ...]:
+    """A note on parts that do not touch where longitudes come round, from 1 cm on."""
+    if width < 0.01:
+        return ()
+    what = "are joined there" if width <= cell_size else "stay apart: what lies between, more than a cell, is obstacle"
+    return (f"its parts, {width:.2g} m apart where longitudes come round, {what}",)
+
+
+def _degrees(polygons: list[Rings], path: Path, cell_size: float) -> tuple[Unrolled, Georeference, tuple[str, ...]]:
     corners = np.concatenate([ring for rings in polygons for ring in rings])
     check_range(corners, "", path)
     (west, east), (south, north) = extent(corners[:, 0], TURN), (corners[:, 1].min(), corners[:, 1].max())
@@ -196,5 +208,10 @@ def _degrees(polygons: list[Rings], path: Path) -> tuple[Unrolled, Georeference,
     off = max(abs(degree_sides(edge)[1] / across - 1) for edge in (south, north))
     note = f"degrees: worked on in metres east and north of {describe(west, float(south))}"
     note += f", {100 * off:.2g} % off at the edges" if off > 1e-3 else ""
+    polygons, width = closed(polygons, TURN, cell_size / across)
     shape = unrolled(polygons, west, east, TURN)
-    return _moved(shape, lambda ring: place.from_crs(ring, WGS84)), place, (note,)
+    return (
+        _moved(shape, lambda ring: place.from_crs(ring, WGS84)),
+        place,
+        (note, *_of_the_cut(width * across, cell_size)),
+    )

@@ -41,11 +41,13 @@ class Picture:
         bright: float64 `[H, W]`, 0 black .. 1 white, mean of red, green, blue.
         alpha: float64 `[H, W]`, 0 transparent .. 1 opaque; None: the picture has no transparency.
         coloured: bool `[H, W]`, neither black, grey, white nor wholly transparent.
+        lossy: its values are not exactly those that were written.
     """
 
     bright: NDArray[np.float64]
     alpha: NDArray[np.float64] | None
     coloured: NDArray[np.bool_]
+    lossy: bool = False
 
     @property
     def grey(self) -> NDArray[np.int64]:
@@ -94,4 +96,5 @@ def _picture(image: Image.Image) -> Picture:
     pixels = np.asarray(image.convert("RGBA"))
     bright = pixels[..., :3].sum(axis=2, dtype=np.float64) / (3 * 255)
     coloured = (pixels[..., 3] > 0) & (np.ptp(pixels[..., :3], axis=2) > COLOURED)
-    return Picture(bright, pixels[..., 3] / 255 if image.has_transparency_data else None, coloured)
+    lossy = image.format == "JPEG" or image.info.get("compression") == "jpeg"  # of TIFF
+    return Picture(bright, pixels[..., 3] / 255 if image.has_transparency_data else None, coloured, lossy)

@@ -26,6 +26,8 @@ OCCUPIED, FREE = 65, 25
 """Values from and up to which a pixel is occupied and free: nav2's map_saver cuts there when it saves such a map."""
 LEVEL = 1e-3
 """Largest x and y of a quaternion that still only turns a map about the vertical."""
+RECOVERED = ".recovered.mcap"
+"""End of the name that `recover` gives what it saved of a log."""
 MOST_LISTED, MOST_TOPICS = 12, 1000
 """Topics that an error lists, and that are kept for it."""
 OTHER_STORAGE = {
@@ -46,14 +48,22 @@ def _logs_in(folder: Path) -> list[Path]:
     return sorted(one for one in folder.glob("*") if one.name.endswith((".mcap", *OTHER_STORAGE)))
 
 
-def log_files(path: Path) -> list[Path]:
-    """The MCAP file itself, or those of a rosbag2 folder. Raises MapError for a folder of another storage."""
+def log_files(path: Path) -> tuple[list[Path], tuple[str, ...]]:
+    """The MCAP file itself, or those of a rosbag2 folder, and notes on those that others stand for.
+
+    Where what `recover` saved of a log lies beside it, that is read in its place; so is the log that a packed one was
+    unpacked to. Raises MapError for a log of another storage: the latest map may be in it.
+    """
     if not is_bag(path):
-        return [path]
-    logs = [one for one in _logs_in(path) if one.suffix == ".mcap"]
-    if not logs:
-        raise other_storage(path, _logs_in(path)[0])
-    return logs
+        return [path], ()
+    logs = {one.name: one for one in _logs_in(path)}
+    packed = {f"{name}.zstd" for name in logs}
+    other = [one for name, one in logs.items() if one.suffix != ".mcap" and name not in packed]
+    if other:
+        raise other_storage(path, other[0])
+    saved = {name: name.removesuffix(".mcap") + RECOVERED for name in logs}
+    notes = tuple(f"{saved[name]} is read in place of {name}" for name in logs if saved[name] in logs)
+    return [one for name, one in logs.items() if one.suffix == ".mcap" and saved[name] not in logs], notes
 
 
 def other_storage(path: Path, log: Path) -> MapError:
@@ -75,7 +85,8 @@ def read_logged_map(path: Path, topic: str | None = None, choose: str = "") -> R
     """
     grids: dict[str, tuple[int, bytes]] = {}
     others: dict[str, str] = {}
-    for file in log_files(path):
+    files, notes = log_files(path)
+    for file in files:
         _add_grids(file, grids, others)
     if not grids:
         problem = f"holds no map, but {_listed(others)}" if others else "holds no map"
@@ -90,8 +101,8 @@ def read_logged_map(path: Path, topic: str | None = None, choose: str = "") -> R
     with foreign_errors(f"the map on {taken} is cut short", path, SCHEMA):
         found = _decode(grids[taken][1], path)
     if topic is None and len(grids) > 1:
-        found = replace(found, notes=(*found.notes, f"{taken} is taken of the maps {maps}; {choose}".rstrip("; ")))
-    return found
+        notes += (f"{taken} is taken of the maps {maps}; {choose}".rstrip("; "),)
+    return replace(found, notes=(*found.notes, *notes))
 
 
 def _listed(topics: dict[str, str]) -> str:

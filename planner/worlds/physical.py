@@ -17,10 +17,12 @@ LOWEST, HIGHEST = -12_000.0, 9_000.0
 """Metres: no ground on Earth lies below or above."""
 FILL = (-9999, -99999, -999999, -32767, -32768, -(2**31), -(2**63))
 """Numbers that files hold where nothing is known, whatever the type of their numbers."""
+OWN_FILL = {True: -10_000, False: -999}
+"""One more where none is declared: of heights (True), and of all else; a sea may be 999 m deep."""
 NEAR = 1.0
 """How far from the first of FILL a number may be: -9999.9 and -9999.25 are in use."""
-HUGE, HUGEST = 1e20, 3.5e38
-"""Magnitudes between which a number stands for no data: 1e20, 9.97e36 and 3.4e38, the largest float32, are in use."""
+HUGE = 1e20
+"""Magnitude from which a finite number stands for no data: 1e20, 9.97e36, and the largest float32 and float64."""
 MOST_NAMED = 2
 """Different numbers that a note names one by one."""
 SAME_UNIT = 1e-5
@@ -174,8 +176,8 @@ def _unit_note(unit: str, size: float) -> tuple[str, ...]:
 def _voids(raw: NDArray, stages: tuple[NDArray[np.float64], ...], said: Said, of: Meaning) -> NDArray[np.bool_]:
     """bool `[H, W]`: numbers that stand for no data. `stages`: the file's numbers, scaled, and in the unit of `of`."""
     numbers, scaled, values = stages
-    void = (np.abs(numbers) >= HUGE) & (np.abs(numbers) <= HUGEST)
-    fill = FILL if of is HEIGHTS or said.declared else (*FILL, -999)  # a sea may be 999 m deep
+    void = (np.abs(numbers) >= HUGE) & np.isfinite(numbers)
+    fill = FILL if said.declared else (*FILL, OWN_FILL[of is HEIGHTS])
     for stage in {id(stage): stage for stage in (numbers, scaled, values)}.values():
         low = stage < max(fill) + NEAR
         if low.any():

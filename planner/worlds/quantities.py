@@ -71,6 +71,13 @@ def checked_layer(
     if array.ndim and array.shape != free.shape:
         expected = f"the map's, {list(free.shape)}"
         raise WorldError(f"{of.name} has shape {list(array.shape)}", source=source, expected=expected)
+    unsaid = free & np.ma.getmaskarray(given) if isinstance(given, np.ma.MaskedArray) else np.zeros_like(free)
+    if unsaid.any():
+        where = first_of(unsaid)[1]
+        problem = f"{of.name} is masked {where}"
+        raise WorldError(
+            problem, source=source, expected="a number in every free cell", fix="fill it, as by .filled(1)"
+        )
     layer = np.where(free, array.astype(np.float64), 0.0)
     wrong = ~((layer >= 0) & (layer <= of.numbers.most))
     if wrong.any():

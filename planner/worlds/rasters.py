@@ -29,6 +29,7 @@ TRUE = 0.01
 """Relative difference of a CRS's metre from one on the ground up to which nobody is told."""
 
 NO_PLACE = "gives no place: a pixel is 1 m, unless `resolution:` in `map:` says otherwise"
+CELL_ON_CELL = "{} gives no place: it is laid on the map cell on cell, its row 0 on the map's"
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +78,7 @@ def read_raster(
     if suffix in GEO_SUFFIXES:
         band = read_band(path, of)
         raster = _placed(band, str(path), cell_size, how, over)
-        placeless = NO_PLACE if raster.frame is None and over is None else ""
+        placeless = "" if raster.frame is not None else NO_PLACE if over is None else CELL_ON_CELL.format(path.name)
         notes = (*band.notes, *raster.notes, *filter(None, [placeless, band.voids]))
         return replace(raster, notes=notes, voids=band.voids)
     values, said = (read_npy(path, MAX_CELLS), ()) if suffix == ".npy" else read_csv_grid(path, MAX_CELLS)
@@ -168,7 +169,10 @@ def _on_the_ground(band: Band, source: str, cell_size: float | None, how: How) -
         (height, width), (left, bottom, right, top) = band.values.shape, np.multiply(bounds, unit).tolist()
         sides = ((top - bottom) / height, (right - left) / width)
         raster = ground_raster(band.values, sides, (left, bottom), bounds, source, cell_size, how, place)
-    return raster if place is None else replace(raster, notes=(*raster.notes, *_true_metres(raster, place)))
+    if place is None:
+        return raster
+    assert raster.frame is not None
+    return replace(raster, notes=(*raster.notes, *true_metres(raster.frame, place, source, "gdalwarp -t_srs")))
 
 
 def _utm_raster(
@@ -223,18 +227,18 @@ def _size(values: NDArray) -> str:
     return " x ".join(map(str, values.shape))
 
 
-def _true_metres(raster: Raster, place: Georeference) -> tuple[str, ...]:
-    """A note where a metre of the CRS is more than 1 % off on the ground in the middle of the map, as in EPSG:3857."""
-    assert raster.frame is not None
-    rows, cols = np.array(raster.frame.shape) / 2
-    (west, south), (east, north) = place.to_lonlat(
-        raster.frame.at([rows, rows], [cols - 0.5, cols + 0.5]), raster.source
-    )
+def true_metres(frame: Frame, place: Georeference, source: str, command: str) -> tuple[str, ...]:
+    """A note where a metre of the CRS is more than 1 % off on the ground in the middle of the map, as in EPSG:3857.
+
+    `command`: the one that brings a file of this kind into another CRS.
+    """
+    rows, cols = np.array(frame.shape) / 2
+    (west, south), (east, north) = place.to_lonlat(frame.at([rows, rows], [cols - 0.5, cols + 0.5]), source)
     up, across = degree_sides((south + north) / 2)
-    ratio = math.hypot((east - west) * across, (north - south) * up) / raster.frame.size
+    ratio = math.hypot((east - west) * across, (north - south) * up) / frame.size
     if abs(ratio - 1) <= TRUE:
         return ()
-    return (f"a metre of {place.crs[:40]} is {ratio:.3g} m on the ground here: warp it to UTM (gdalwarp -t_srs)",)
+    return (f"a metre of {place.crs[:40]} is {ratio:.3g} m on the ground here: warp it to UTM ({command})",)
 
 
 def degree_raster(

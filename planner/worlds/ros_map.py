@@ -29,6 +29,8 @@ FULL, NO_VALUE = 100, -1
 """Value of an occupied pixel, and of an unknown one."""
 UNKNOWN_GREYS = {205: "map_saver", 128: "cartographer"}
 """Greys that programs write for unknown ground, of black = occupied."""
+LOSSY = 2
+"""How far from that grey a pixel of a picture under lossy compression may be."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,7 @@ class RosMap:
         state[self.values == NO_VALUE] = UNKNOWN
         notes = self.notes
         between = int(((self.values > 0) & (self.values < FULL)).sum())
-        if between or self.mode == "scale":
+        if between:
             notes += (
                 f"mode: {self.mode} is meant for threats (`layer:` in a scenario): as a map, its {between} pixels "
                 "between free and occupied are free and without threat",
@@ -153,15 +155,17 @@ def _unknown_greys(
 ) -> list[str]:
     """A note for every grey of unknown ground that the thresholds make free or an obstacle."""
     notes = []
-    for unknown, writer in UNKNOWN_GREYS.items() if mode == "trinary" else ():
-        grey = 255 - unknown if negate else unknown
+    for unknown, writer in UNKNOWN_GREYS.items():
+        grey, off = 255 - unknown if negate else unknown, LOSSY if picture.lossy else 0
+        said = f"grey {grey}" + (f" ({grey - off} to {grey + off} under lossy compression)" if off else "")
         for taken, value in (("free", 0), ("an obstacle", FULL)):
-            held = (picture.grey == grey) & (values == value)
+            held = (np.abs(picture.grey - grey) <= off) & (values == value)
             if held.any():
                 below = math.floor(1000 * p[held].min()) / 1000
                 fix = f"free_thresh: {below:g}" if value == 0 else "occupied_thresh: 0.65"
+                fix = fix if mode == "trinary" else f"mode: trinary` and `{fix}"  # scale grades what is in between
                 notes.append(
-                    f"grey {grey}, which {writer} writes for unknown ground, is {taken} in "
+                    f"{said}, which {writer} writes for unknown ground, is {taken} in "
                     f"{counted(int(held.sum()), 'pixel')}; with `{fix}` in a map_server YAML file it is unknown"
                 )
     return notes

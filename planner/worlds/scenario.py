@@ -57,13 +57,17 @@ OPTIONAL = (
 """Keys that may be there."""
 OF_FIELDS = ("boundary", "direction", "swath")
 """What may stand beside the polygons of a field."""
+OF_MAP = ("file", "elevation", "max_slope_deg", "resolution", "topic", "polygons", *OF_FIELDS)
+"""Keys that may stand under `map`."""
 DEGREES_ROUND = Numbers(-180, 180, "degrees")
 SMALL_ROBOT = 0.2
 """Metres: a cell is a robot's footprint, and few are smaller."""
 USUAL_CELL = 0.5
 """Metres: the side of a cell that is suggested where pixels are smaller than SMALL_ROBOT."""
 MANY_CELLS = 10_000
-"""Cells of a bare map above which a note suggests larger ones."""
+"""Cells of a map, of a size that nobody gave, above which a note suggests larger ones."""
+ROBOT_IS = "so a robot is"
+"""Words of that note, and of no other."""
 CELLS_OF_A_MAP = "give `cell_size:` beside `map:`, the side of a cell in metres"
 
 
@@ -82,28 +86,44 @@ def load_input(path: str | Path, cell_size: float | None = None) -> World:
     if top is None or _is_map(top):
         keys = Key({}, "", path).mapping(defaults=DEFAULTS)
         world = _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
-        note = "" if cell_size is not None or path.suffix.lower() == ".npz" else size_note(world)
-        return replace(world, notes=(*world.notes, note)) if note else world
+        return world if cell_size is not None else _with_size_note(world, bare=True)
     if cell_size is not None:
         raise ScenarioError(
             "the scenario says what its cell_size is", source=path, fix=f"leave {argument('cell_size')} out"
         )
-    return read_scenario(top, path)
+    world = read_scenario(top, path)
+    return world if "cell_size" in top.value else _with_size_note(world, bare=False)
 
 
-def size_note(world: World) -> str:
-    """What the pixels of a bare map take a robot for, where they are smaller than most robots, or many; else ""."""
+def _with_size_note(world: World, bare: bool) -> World:
+    note = _size_note(world, bare)
+    return replace(world, notes=(*world.notes, note)) if note else world
+
+
+def _size_note(world: World, bare: bool) -> str:
+    """What the cells of a map take a robot for, where they are smaller than most robots, or many; else "".
+
+    `bare`: the map is no part of a scenario, which would say how large its cells are.
+    """
     (height, width), side, count = world.shape, world.cell_size, world.threat.size
     if side >= SMALL_ROBOT and count <= MANY_CELLS:
         return ""
     many = math.ceil((count / MANY_CELLS) ** 0.5) if side >= SMALL_ROBOT else math.ceil(USUAL_CELL / side - WHOLE)
     ratio = max(1, min(many, height, width))
-    usual = argument("cell_size", round(ratio * side, 9))
+    larger = round(ratio * side, 9)
+    usual = argument("cell_size", larger) if bare else f"`cell_size: {larger:g}` in the scenario"
     pixel = f"{side:g} m" if world.measured else f"{side:g} m (presumed)"
     return (
-        f"{height} x {width} = {count:,} cells: a cell is a pixel of {pixel}, so a robot is {side:g} m wide; give its "
+        f"{height} x {width} = {count:,} cells: a cell is a pixel of {pixel}, {ROBOT_IS} {side:g} m wide; give its "
         f"footprint, {'usually ' * (side < SMALL_ROBOT)}{usual} ({(height // ratio) * (width // ratio):,} cells)"
     )
+
+
+def place_of(name: str) -> str:
+    """How a scenario says what this key of one does, "" for no key of one."""
+    if name in OF_MAP:
+        return f"`map: {{file: ..., {name}: ...}}`"
+    return f"`{name}: ...` beside `map: ...`" if name in (*OPTIONAL, *DEFAULTS) else ""
 
 
 def read_scenario(top: Key, path: Path) -> World:
@@ -148,7 +168,7 @@ def _map(key: Key, cell_size: float | None) -> Grid:
     """The map of a scenario: `{file: ...}` (or just the name), or `{elevation: ..., max_slope_deg: ...}`."""
     if isinstance(key.value, str):
         key = Key({"file": key.value}, key.path, key.source)
-    keys = key.mapping(optional=("file", "elevation", "max_slope_deg", "resolution", "topic", "polygons", *OF_FIELDS))
+    keys = key.mapping(optional=OF_MAP)
     kind = one_source(key, ("file", "elevation", "polygons"))
     if kind == "elevation":
         return _elevation(key.mapping(optional=("elevation", "max_slope_deg", "resolution")), cell_size)

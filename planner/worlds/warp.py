@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
@@ -9,7 +10,17 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.worlds.georeference import Georeference, no_way, rasterio_for, reproject
+from planner.worlds.georeference import (
+    TURN,
+    WGS84,
+    Georeference,
+    near,
+    no_way,
+    rasterio_for,
+    reproject,
+    same_crs,
+    turn_of,
+)
 from planner.worlds.grid import Bounds, Frame
 
 How = Literal["average", "sum", "bilinear", "nearest"]
@@ -84,6 +95,43 @@ def span(
     return (left, bottom, east, top), (float(np.hypot(*down)), float(np.hypot(*right)))
 
 
+def _off_the_seam(band: Band, place: Georeference, source: str) -> Band:
+    """A raster whose x goes on where that of its CRS comes round, in a CRS that comes round elsewhere; else itself.
+
+    GDAL asks such a raster for places on the other side alone, but where it is one of degrees without control points.
+    """
+    assert band.bounds is not None
+    crs, points = band.crs, band.points
+    turn = turn_of(crs.to_string())[0]
+    if not turn or same_crs(crs.to_string(), place.crs) or (crs.is_geographic and not points):
+        return band
+    text = crs.to_dict(projjson=True)
+    text = text.get("source_crs", text)
+    origins = [item for item in text.get("conversion", {}).get("parameters", []) if "ongitude" in item["name"]]
+    middle = 0.0 if crs.is_geographic else sum(item["value"] for item in origins)
+    middle = float(reproject([middle, 0.0], WGS84, crs.to_string(), source)[0])
+    if max(abs(band.bounds[0] - middle), abs(band.bounds[2] - middle)) <= turn / 2 or len(origins) > 1:
+        return band
+    rasterio, moved = rasterio_for("another coordinate reference system", source), -turn / 2
+    if crs.is_geographic:
+        about = (band.bounds[0] + band.bounds[2]) / 2
+        crs = rasterio.crs.CRS.from_string(f"+proj=longlat +datum=WGS84 +lon_wrap={about:.6f} +no_defs +type=crs")
+        found = reproject([[point.x, point.y] for point in points], band.crs.to_string(), WGS84, source)
+        found[:, 0] = near(found[:, 0], about, TURN)
+    else:
+        for item in origins:
+            item["value"] = float(near(item["value"] + TURN / 2, 0.0, TURN))
+        text.pop("id", None)
+        text["name"] = "about its own middle"  # else GDAL takes it for the CRS of the old name
+        crs = rasterio.crs.CRS.from_user_input(json.dumps(text))
+        found = np.array([[point.x + moved, point.y] for point in points])
+    points = tuple(
+        type(point)(point.row, point.col, *xy, point.z) for point, xy in zip(points, found.tolist(), strict=True)
+    )
+    left, bottom, right, top = band.bounds
+    return band._replace(crs=crs, points=points, bounds=(left + moved, bottom, right + moved, top))
+
+
 def lay_over(band: Band, frame: Frame, place: Georeference, how: How, source: str) -> NDArray[np.float64]:
     """The raster on the pixels of `frame`, float64 `[H, W]`; NaN where it does not reach, or has no data.
 
@@ -91,6 +139,7 @@ def lay_over(band: Band, frame: Frame, place: Georeference, how: How, source: st
     guess how much coarser the new pixels are, strip by strip, and blur. Raises MapError for a CRS with no way from it.
     """
     rasterio = rasterio_for("another coordinate reference system", source)
+    band = _off_the_seam(band, place, source)
     assert band.bounds is not None
     left, bottom, right, top = band.bounds
     rows, cols = band.values.shape
