@@ -7,7 +7,7 @@ DOCS := .venv/.docs
 # Some machines' setting: hundreds of processes of the tests would each compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo test test-slow fuzz faults determinism calibration style types suite lint format bench bench-gpu docs release-check
+.PHONY: install demo size test test-slow fuzz faults determinism calibration style types suite lint format bench bench-gpu docs release-check
 
 install: $(READY)
 
@@ -21,7 +21,7 @@ demo: $(READY)
 	$(BIN)/mrac-jax evaluate example:terrain --rollouts 20000 --deadline 400 --out out/demo
 	@echo "Open the page, one file with everything in it: $(CURDIR)/out/demo/index.html"
 
-test: style
+test: style size
 	$(MAKE) --no-print-directory -j 2 types suite
 
 suite: $(READY)
@@ -51,7 +51,11 @@ SEEDS ?= 500
 calibration: $(READY)
 	$(BIN)/python tests/calibration.py --seeds $(SEEDS)
 
-lint: style types
+lint: style types size
+
+# Code lines and files, below the ceiling in tests/size.json.
+size: $(READY)
+	$(BIN)/python tests/size.py
 
 style: $(READY)
 	$(BIN)/ruff format --check .

@@ -19,13 +19,13 @@ from contextlib import contextmanager, suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.kit.compiling import not_compiled
 from analysis.sampling import RolloutChoices
-from analysis.statistics.estimate import mean_estimate
-from planner.mrac.reference import ReferenceLoop
-from planner.plans.plan import Plan
-from planner.rollouts.open_loop.counts import available_cores
-from planner.worlds.world import World
+from analysis.statistics.estimates import mean_estimate
+from analysis.utils.compiling import not_compiled
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
+from planner.rollouts.open_loop import available_cores
+from planner.world.world import World
 
 FEWEST = 8
 """Rollouts before which nothing is said."""

@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from planner.arguments import FRACTION, argument, did_you_mean, numbers_of
 from planner.errors import InputError, PlanError, StateError, UsageError
 from planner.files import read_json, why_no_file
-from planner.limits import MAX_PLAN_BYTES
-from planner.plans.plan import FORMAT, Plan
-from planner.plans.state import MissionState
-from planner.policies.per_cell import PER_CELL
+from planner.formatting import counted
+from planner.ids import MAX_PLAN_BYTES
+from planner.plan.plan import FORMAT, Plan
+from planner.plan.state import MissionState
+from planner.policies.rules import PER_CELL
 from planner.settings import BEARING, BEST, KEPT, Choices, Settings
-from planner.shown import counted
-from planner.worlds.keys import named_files, read_yaml
-from planner.worlds.learning import seeing
-from planner.worlds.maps import YAML
-from planner.worlds.world import EXAMPLE, World, check_starts
+from planner.world.features import seeing
+from planner.world.keys import named_files, read_yaml
+from planner.world.map_files import YAML
+from planner.world.world import EXAMPLE, World, check_starts
 
 REACHED = 0.5
 """Share of the free cells up to which a note says how few can be reached."""
@@ -67,7 +67,7 @@ def read_files(name: str | None, *others: Path | None) -> list[Path]:
 
 def load_world(name: str, cell_size: float | None = None) -> World:
     """The world of an INPUT. Raises InputError."""
-    from planner.worlds.scenario import load_input
+    from planner.world.scenario import load_input
 
     world = load_input(input_path(name), cell_size)
     return replace(world, source=name) if name.startswith(EXAMPLE) else world
@@ -105,7 +105,7 @@ def load_task(asked: Asked) -> Task:
     Robots come from `--starts`, else from the input's starts, else `--robots` (else the input's count, else 1) placed
     by the start rule. Raises InputError when they contradict each other.
     """
-    from planner.worlds.starts import check_robots, check_same_team, place_starts
+    from planner.world.levels import check_robots, check_same_team, place_starts
 
     robots, starts = asked.robots, asked.starts
     check_robots(robots)
@@ -168,7 +168,8 @@ def load_or_make_plan(
 ) -> Found:
     """The plan in `plan_file` or of the INPUT, or a new one; `doing` hears of it. Raises InputError.
 
-    `find_best`: the search for the best policy (`analysis.trials.best.plan_best`). `seconds`: of it, or of the search
+    `find_best`: the search for the best policy (`analysis.estimators.racing.plan_best`). `seconds`: of it, or of the
+    search
     for a plan for the open loop, at most. `state`: file of the mission that it is the rest of.
     `first`: raises InputError for a world that is not to be planned for.
     """
@@ -221,7 +222,7 @@ def check_team(asked: Asked, robots: int, file: Path) -> None:
 
 def _plan_the_rest(asked: Asked, file: Path, plan_file: Path | None) -> Found:
     """The plan of the rest of a mission whose state is in `file`; options that contradict it are errors."""
-    from planner.plans.state_traces import read_state
+    from planner.plan.state_file import read_state
 
     if plan_file is not None:
         other = argument("plan")
@@ -294,9 +295,9 @@ def generate_world(
     cell_size: float | None = None,
 ) -> tuple[World, tuple[str, ...]]:
     """(world, notes): a random world of SPEC section 8, or such threats on the free cells of the INPUT `on`."""
-    from planner.worlds.generate import PAPER_LEVELS, ThreatPattern, check_pattern, random_threats, random_world
-    from planner.worlds.sources import independent
-    from planner.worlds.starts import check_robots, place_starts
+    from planner.world.generate import PAPER_LEVELS, ThreatPattern, check_pattern, random_threats, random_world
+    from planner.world.levels import check_robots, place_starts
+    from planner.world.robot_types import independent
 
     if on is not None and (size is not None or obstacles is not None):
         raise UsageError(

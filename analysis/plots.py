@@ -10,21 +10,21 @@ from typing import TypeVar
 
 from matplotlib.figure import Figure
 
-from analysis.adversary.answer import Attack
-from analysis.checking.check_map import MapCheck
-from analysis.depots.answer import Starts
-from analysis.design.size import TeamSize
+from analysis.checking.check import MapCheck
 from analysis.evaluation.answer import Evaluation
-from analysis.pictures.plans import plan_figure
+from analysis.pictures.maps import plan_figure
 from analysis.pictures.style import house_style
-from analysis.removal.answer import Clearing
 from analysis.report.answer import Answer, report_of
 from analysis.report.picture import figure_of
-from analysis.tradeoff.front import Front
+from analysis.search.pareto import Front
+from analysis.search.start_positions import Starts
+from analysis.search.team_size import TeamSize
+from analysis.search.threat_placement import Attack
+from analysis.search.threat_removal import Clearing
 from planner.arguments import argument
 from planner.errors import UsageError
-from planner.plans.plan import Plan
-from planner.worlds.world import World
+from planner.plan.plan import Plan
+from planner.world.world import World
 
 __all__ = [
     "attack_figure", "check_figure", "clear_figure", "covered_figure", "distribution_figure", "front_figure",

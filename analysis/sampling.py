@@ -9,23 +9,22 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import NDArray
 
-from analysis.kit.compiling import compiles_for
-from analysis.statistics.control import LEAST
-from analysis.statistics.estimate import looks
+from analysis.statistics.control_variate import LEAST
+from analysis.statistics.estimates import looks
+from analysis.utils.compiling import compiles_for
 from planner.arguments import POSITIVE, SEED, Numbers, argument, as_whole, check_word, whole
 from planner.errors import UsageError
-from planner.limits import MAX_STEP, MOST_ROLLOUTS
-from planner.luck_names import LUCKS, LuckName
-from planner.pace import SPANS, Pace, seconds_of
-from planner.plans.plan import Plan
+from planner.formatting import SPANS, Pace, seconds_of
+from planner.ids import LUCKS, MAX_STEP, MOST_ROLLOUTS, LuckName
+from planner.plan.plan import Plan
 from planner.rollouts.names import ENGINES, EngineName, check_jax
 from planner.tally import RolloutResults, Tally
-from planner.worlds.world import World
+from planner.world.world import World
 
 if TYPE_CHECKING:
-    from planner.kernels.tables import AllPairs
     from planner.rollouts.engine import Engine
-    from planner.rollouts.open_loop.compiled import Mode
+    from planner.rollouts.open_loop import Mode
+    from planner.simulator.tables import AllPairs
 
 PRECISION = 0.001
 """Half the width of the 95 % interval of mean visited coverage that is enough where nobody asks for more."""
@@ -53,7 +52,7 @@ class RolloutChoices:
         seed: of the rollouts.
         deadline: a step at which coverage is reported too, or None; before it is `timed` also a time, as "45min".
         first_only: only the first visit of a cell by anybody can stop a robot; closed loop.
-        luck: how it is decided who is stopped (`planner.tolerance`).
+        luck: how it is decided who is stopped (`planner.failure_model`).
         exact: whether the closed loop's exact values are looked for: "auto" for EXACT_SECONDS, "never", or the seconds.
     """
 
@@ -153,7 +152,7 @@ def how_much(
 class Stage:
     """Where a run of rollouts stands: its tally, the engine's name, seconds of running and of compiling.
 
-    The closed loop's tally by tolerance has its sums by luck too (`analysis.statistics.control`).
+    The closed loop's tally by tolerance has its sums by luck too (`analysis.statistics.control_variate`).
     """
 
     tally: Tally

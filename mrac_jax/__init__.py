@@ -43,15 +43,13 @@ if TYPE_CHECKING:
     )
     from mrac_jax.environment.making import env
     from planner.errors import InputError
-    from planner.mrac.graph import to_networkx
+    from planner.mrac.paths import to_networkx
+    from planner.plan.plan import Plan
     from planner.plan_team import read_plan
-    from planner.plans.plan import Plan
     from planner.settings import Settings
-    from planner.worlds.changing import with_phases
-    from planner.worlds.learning import with_prior, with_sense, with_truth
-    from planner.worlds.moving import with_movers
-    from planner.worlds.world import World
-    from planner.worlds.wrong_maps import with_hazard, with_maps, with_spread
+    from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
+    from planner.world.features import with_movers, with_prior, with_sense, with_truth
+    from planner.world.world import World
 
 __version__ = version("mrac-jax")
 __all__ = [
@@ -62,17 +60,17 @@ __all__ = [
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",
-    "Plan": "planner.plans.plan",
+    "Plan": "planner.plan.plan",
     "Settings": "planner.settings",
-    "World": "planner.worlds.world",
+    "World": "planner.world.world",
     "env": "mrac_jax.environment.making",
     "plots": "analysis.plots",
     "read_plan": "planner.plan_team",
-    "to_networkx": "planner.mrac.graph",
-    "with_movers": "planner.worlds.moving",
-    "with_phases": "planner.worlds.changing",
-    **dict.fromkeys(("with_hazard", "with_maps", "with_spread"), "planner.worlds.wrong_maps"),
-    **dict.fromkeys(("with_prior", "with_sense", "with_truth"), "planner.worlds.learning"),
+    "to_networkx": "planner.mrac.paths",
+    "with_movers": "planner.world.features",
+    "with_phases": "planner.world.changing_maps",
+    **dict.fromkeys(("with_hazard", "with_maps", "with_spread"), "planner.world.changing_maps"),
+    **dict.fromkeys(("with_prior", "with_sense", "with_truth"), "planner.world.features"),
 }
 """Where a name lives, if not in `analysis.api`; `plots` is a module itself."""
 NEIGHBOURS = ("planner", "analysis")
@@ -89,7 +87,9 @@ def __getattr__(name: str) -> Any:
         return home
     found = getattr(home, name)
     return (
-        import_module("analysis.kit.hints").with_hints(found, _functions) if isinstance(found, FunctionType) else found
+        import_module("analysis.utils.notes").with_hints(found, _functions)
+        if isinstance(found, FunctionType)
+        else found
     )
 
 

@@ -5,7 +5,7 @@ before anything else is imported: a `planner.py` or `analysis/` of the user's ow
 the first moment to the last an interrupt is one line and status 130; so is SIGTERM, with which schedulers of jobs
 begin.
 
-SIGTERM is blocked in all threads, and waited for in one of its own (`analysis.cli.interrupts`): METIS, while it runs,
+SIGTERM is blocked in all threads, and waited for in one of its own (`analysis.cli.console`): METIS, while it runs,
 takes it for an error of its own and jumps, in whatever thread got it; most such processes crashed.
 """
 
@@ -31,7 +31,7 @@ def main() -> None:
     if hasattr(signal, "pthread_sigmask"):  # not on Windows
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
     try:
-        from analysis.cli.interrupts import keep_interrupts
+        from analysis.cli.console import keep_interrupts
 
         came = keep_interrupts(OWN)
         from analysis.cli.app import run

@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike
 from planner.arguments import POSITIVE, argument
 from planner.errors import PlanError, UsageError
 from planner.mrac.make_plan import confirm_plan, make_plan
-from planner.plans.plan import FORMAT, Plan
-from planner.plans.plan_file import parse_plan, read_plan_json
-from planner.rules import BEFORE, rules_of
+from planner.plan.plan import FORMAT, Plan
+from planner.plan.plan_file import parse_plan, read_plan_json
+from planner.rule_versions import BEFORE, rules_of
 from planner.settings import Settings
-from planner.worlds.moving import as_before
-from planner.worlds.world import World
+from planner.world.features import as_before
+from planner.world.world import World
 
 KEPT_READING = (
     "made by a release before 0.4 without `plan_on`, so robots plan on all moving threats here (`plan_on: joined`)"

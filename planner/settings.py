@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from planner.arguments import ANY, COMMAND_LINE, Numbers, argument, check_each, check_word, did_you_mean, is_real, whole
 from planner.errors import PlanError
-from planner.limits import LEAST_SHAPE, LEAST_SUSCEPTIBILITY, MAX_STEP, MOST_SHAPE, MOST_SUSCEPTIBILITY
-from planner.pace import TIMES, UNPACED, Pace
+from planner.formatting import TIMES, UNPACED, Pace
+from planner.ids import LEAST_SHAPE, LEAST_SUSCEPTIBILITY, MAX_STEP, MOST_SHAPE, MOST_SUSCEPTIBILITY
 from planner.policies import DEFAULT, RULES, Rule, rule_of
-from planner.policies.in_area import NEAREST, ORDERS, InAreaOrder
-from planner.policies.offer import Offer
+from planner.policies.rule import Offer
+from planner.policies.rules import NEAREST, ORDERS, InAreaOrder
 
 if TYPE_CHECKING:
-    from planner.bearing import Bearing
+    from planner.failure_model import Bearing
 
 Policy = str | Rule | Callable[[Offer], Any]
 """A rule by its name, or a user's own: a `Rule`, or a function to order areas by (`planner.policies.own_rule`)."""
@@ -51,7 +51,7 @@ class Setting:
         found: by a search, a number for each cell of the map: it has no option.
         places: it is one of the words, or cells, a tuple of (row, col).
         unset: what None means, on pages; "": it is never None.
-        time: it is a step, and may be given as a time (`planner.pace`).
+        time: it is a step, and may be given as a time (`planner.formatting`).
         later: a plan with its default is the plan that it was before there was the setting.
     """
 
@@ -149,7 +149,7 @@ class Settings:
             count: reduced to whole numbers without a common factor. None: 1 each.
         radio: cells over which robots hear each other, and a start or base (SPEC section 22): who is in no chain from
             one of these takes no area and shares none, but drives back. None: any distance.
-        in_area: which cell of an area is next: one of `planner.policies.in_area.ORDERS`; or a user's own, a function of
+        in_area: which cell of an area is next: one of `planner.policies.rules.ORDERS`; or a user's own, a function of
             a `CellOffer`, which is not saved.
         priority: by how much each cell counts when areas are compared, one number a cell of the map, row by row; as
             `--policy best` finds it. None: alike. With `per_cell`, without `worth`.
@@ -253,7 +253,7 @@ class Settings:
 
     def bearing(self, begun: tuple[int, ...] = ()) -> Bearing:
         """What the robots bear; `begun`: what each is known to have borne, in units of 2**-32 nat."""
-        from planner.bearing import Bearing
+        from planner.failure_model import Bearing
 
         return Bearing(self.wear, self.susceptibility, begun, self.types)
 

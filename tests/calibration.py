@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import mrac_jax as mrac
-from analysis.statistics.estimate import Estimate
-from planner.plans.plan import Plan
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from analysis.statistics.estimates import Estimate
+from planner.plan.plan import Plan
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 WORLDS, LEAST = 10, 0.93
 QUIET: dict[str, Any] = {"bound": False, "advice": False, "band": False}

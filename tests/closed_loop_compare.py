@@ -6,11 +6,9 @@ from dataclasses import fields
 
 import numpy as np
 
-from planner.mrac.recorder import Recorder
-from planner.mrac.reference import ReferenceLoop
-from planner.mrac.simulate import Run
-from planner.tally import RolloutResults, Tally
-from planner.trace import Trace
+from planner.mrac.board import Recorder
+from planner.mrac.simulate import ReferenceLoop, Run
+from planner.tally import RolloutResults, Tally, Trace
 
 
 def followed(readable: ReferenceLoop, seed: int, rollout: int) -> tuple[Run, Trace]:

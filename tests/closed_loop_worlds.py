@@ -1,6 +1,6 @@
 """The worlds on which closed-loop engines are compared: some 220, of many kinds, in few compiled shapes.
 
-Everything is drawn with Threefry (`planner.worlds.generate.Stream`) from numbers written here, so that the set is the
+Everything is drawn with Threefry (`planner.world.generate.Stream`) from numbers written here, so that the set is the
 same everywhere; a test pins its hash. Axis letters: `K` robots.
 """
 
@@ -15,16 +15,15 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.kernels.closed_loop import compile_closed_loop
-from planner.kernels.loop import ClosedLoop
-from planner.luck_names import LuckName
+from planner.ids import NO_ROBOT, LuckName
 from planner.mrac.make_plan import make_plan
-from planner.none import NO_ROBOT
-from planner.plans.plan import Plan
+from planner.plan.plan import Plan
 from planner.settings import Settings
-from planner.worlds.generate import PAPER_LEVELS, Stream, ThreatPattern, random_threats, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop
+from planner.simulator.loop import ClosedLoop
+from planner.world.generate import PAPER_LEVELS, Stream, ThreatPattern, random_threats, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 CELL_BUCKETS = (64, 160, 448)
 ROBOT_BUCKETS = (4, 8, 20)

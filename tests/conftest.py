@@ -18,9 +18,9 @@ import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from planner.plans.plan import Area
+from planner.plan.plan import Area
 from planner.tally import WORDS_OF_0_3
-from planner.worlds.world import World, load_world_file
+from planner.world.world import World, load_world_file
 
 FOLDER = Path(__file__).parent / "fixtures"
 NAMES = sorted(path.stem for path in FOLDER.glob("*.json"))
@@ -80,14 +80,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture
 def few_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
     """JAX's closed loop takes the program that the comparisons of engines have compiled."""
-    monkeypatch.setattr("mrac_jax.closed_loop.jax_engine.MOST_LANES", {"cpu": LANES, "gpu": LANES})
+    monkeypatch.setattr("mrac_jax.closed_loop.engine.MOST_LANES", {"cpu": LANES, "gpu": LANES})
 
 
 @pytest.fixture
 def small_traces(monkeypatch: pytest.MonkeyPatch) -> None:
     """The program that traces has room for the quick worlds and no more, and is one for all of them."""
     for name, room in (("CELLS", 150), ("ROBOTS", 8), ("STEPS", 256), ("EVENTS", 128)):
-        monkeypatch.setattr(f"mrac_jax.closed_loop.jax_engine.TRACE_{name}", room)
+        monkeypatch.setattr(f"mrac_jax.closed_loop.engine.TRACE_{name}", room)
 
 
 @pytest.fixture

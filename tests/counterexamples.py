@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from planner.worlds.world import World
+from planner.world.world import World
 
 
 @dataclass(frozen=True)

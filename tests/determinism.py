@@ -23,24 +23,24 @@ import numpy as np
 from movers import moving_world
 
 from planner.errors import InputError
-from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
 from planner.mrac.make_plan import make_plan
-from planner.mrac.reference import ReferenceLoop
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
+from planner.plan.plan_file import parse_plan
+from planner.plan.state_file import parse_state
 from planner.plan_team import plan_team
-from planner.plans.plan import Plan
-from planner.plans.plan_file import parse_plan
-from planner.plans.state_file import parse_state
 from planner.policies import RULES
-from planner.policies.in_area import ORDERS
+from planner.policies.rules import ORDERS
 from planner.rollouts.engine import Engine, Rolling, closed_loop_engine, make_engine, open_loop_engine
-from planner.rollouts.open_loop.compiled import MODES, compile_plan
+from planner.rollouts.open_loop import MODES, compile_plan
 from planner.settings import Settings
-from planner.worlds.doubt import SHARED
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.learning import with_prior, with_sense, with_truth
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
-from planner.worlds.wrong_maps import with_hazard, with_maps, with_spread
+from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
+from planner.world.changing_maps import with_hazard, with_maps, with_spread
+from planner.world.features import with_prior, with_sense, with_truth
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.uncertain_maps import SHARED
+from planner.world.world import World
 
 ROLLOUTS, TRACED = 200, 3
 LANES = 64
@@ -204,8 +204,8 @@ def unlike_readable(world: World, plan: Plan, how: Rolling) -> Iterator[str]:
 
 def check(numbers: range, refused: Counter[str], *, jax: Callable[[int], bool] = lambda number: False) -> Iterator[str]:
     """What is not equal under these settings; few rollouts are shared out to threads too. `jax`: asked too?"""
-    lanes = mock.patch("mrac_jax.closed_loop.jax_engine.MOST_LANES", {"cpu": LANES, "gpu": LANES})
-    with mock.patch("planner.kernels.runners.LEAST_SHARED", 1), lanes:
+    lanes = mock.patch("mrac_jax.closed_loop.engine.MOST_LANES", {"cpu": LANES, "gpu": LANES})
+    with mock.patch("planner.simulator.runners.LEAST_SHARED", 1), lanes:
         for number in numbers:
             try:
                 for what in unequal(number, jax=jax(number), refused=refused):

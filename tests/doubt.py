@@ -8,10 +8,10 @@ import numpy as np
 
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
-from planner.plans.plan import Plan
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.world import World
-from planner.worlds.wrong_maps import with_hazard, with_maps, with_spread
+from planner.plan.plan import Plan
+from planner.world.changing_maps import with_hazard, with_maps, with_spread
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.world import World
 
 BASE = random_world(9, 9, ThreatPattern("scattered", 4, (0.04, 0.12, 0.2), 5), obstacles=0.2, threats=0.3)
 DANGER = np.where(BASE.threat > 0, 1.0, 0.0)

@@ -15,14 +15,16 @@ import numpy as np
 from closed_loop_worlds import limited, survey_worlds
 from numba import config
 
-from planner.kernels import closed_loop, runners
-from planner.luck_names import LUCKS
+from planner.ids import LUCKS
 from planner.mrac.make_plan import make_plan
-from planner.rollouts.open_loop import numba_draws, numba_engine, numba_scores
-from planner.rollouts.open_loop.compiled import Mode, compile_plan
+from planner.rollouts import open_loop_numba as numba_draws
+from planner.rollouts import open_loop_numba as numba_engine
+from planner.rollouts import open_loop_numba as numba_scores
+from planner.rollouts.open_loop import Mode, compile_plan
 from planner.settings import Settings
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.simulator import closed_loop, runners
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 POLICIES: tuple[dict[str, Any], ...] = (
     {}, {"policy": "per_cell"}, {"policy": "per_cell", "reserve": 0.5, "worth": 9.0},

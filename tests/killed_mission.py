@@ -9,13 +9,13 @@ import time
 from pathlib import Path
 
 from planner.errors import StateError
-from planner.luck import Luck
-from planner.missions.mission import Mission
+from planner.mission.mission import Mission
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.plan.plan import Plan
+from planner.rollout_sampling import Luck
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 
 def small_case(seed: int) -> tuple[World, Plan]:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.files import atomic_write
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.world import World
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.world import World
 
 PIXELS_PER_METRE = 20
 FLOOR = (16.0, 24.0)

@@ -11,16 +11,15 @@ import pytest
 from closed_loop_compare import assert_same_trace, followed
 from numpy.typing import NDArray
 
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.kernels.tree import WHOLE, grow_tree
-from planner.mrac.reference import ReferenceLoop
-from planner.plans.plan import Plan
-from planner.tally import Outcome
-from planner.trace import Trace
-from planner.worlds.generate import PAPER_LEVELS, ThreatPattern, random_world
-from planner.worlds.robot_types import checked_types
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.simulator.exact_tree import WHOLE, grow_tree
+from planner.tally import Outcome, Trace
+from planner.world.generate import PAPER_LEVELS, ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.robot_types import checked_types
+from planner.world.world import World
 
 
 def drawn(seed: int, robots: int = 3) -> tuple[World, NDArray[np.int64], tuple[str, ...]]:

@@ -9,10 +9,10 @@ import numpy as np
 from oracle_movers import Threat
 
 import mrac_jax as mrac
-from planner.worlds.generate import PAPER_LEVELS, ThreatPattern, random_world
-from planner.worlds.movers import ANYWHERE, Mover
-from planner.worlds.moving import PlannedOn, with_movers
-from planner.worlds.world import World
+from planner.world.features import PlannedOn, with_movers
+from planner.world.generate import PAPER_LEVELS, ThreatPattern, random_world
+from planner.world.moving_threats import ANYWHERE, Mover
+from planner.world.world import World
 
 PRESUME_THREATS_THAT_STAY: list[Callable[[World], Any]] = [
     lambda world: mrac.check(world, 2),

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.plans.plan import Plan, RobotPlan
+from planner.failure_model import key_of, threefry2x32, uniform
+from planner.plan.plan import Plan, RobotPlan
 from planner.tally import Outcome, Tally
-from planner.threefry import key_of, threefry2x32, uniform
-from planner.worlds.world import World, load_world_file
+from planner.world.world import World, load_world_file
 
 FIXTURES = Path(__file__).parent / "fixtures"
 Stop = Callable[[int, int, int, int], bool]

@@ -21,9 +21,9 @@ from scipy.sparse.linalg import spsolve
 from planner.errors import PlanError
 from planner.files import atomic_write
 from planner.mrac.executive import NOT_BEGUN
-from planner.plans.plan import Plan
+from planner.plan.plan import Plan
 from planner.tally import Outcome
-from planner.worlds.world import World
+from planner.world.world import World
 
 REWARDS = ("visited", "survived", "time", "lost")
 """Columns of `Chain.rewards`: cells covered for the first time in the two meanings, steps, robots stopped."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.worlds.world import World
+from planner.world.world import World
 
 
 def best_of_one_robot(world: World) -> float:

@@ -3,7 +3,7 @@
 A run is decided by which of its checked visits stop a robot. So all runs begin as one branch, and at each dangerous
 visit a branch parts in two: one in which the robot is stopped, and one in which it goes on. Branches are played step by
 step side by side, and those that come to equal states are joined. The cost grows like (dangerous visits of a robot) **
-(robots - 1) steps. The oracle of the rollouts and of `planner.kernels.tree`; it shares no code with them.
+(robots - 1) steps. The oracle of the rollouts and of `planner.simulator.exact_tree`; it shares no code with them.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from planner.mrac.board import State
 from planner.mrac.executive import Executive
+from planner.mrac.problem import ready_loop
 from planner.mrac.simulate import play_step, take_turns
-from planner.mrac.takeover import ready_loop
-from planner.plans.plan import Plan
+from planner.plan.plan import Plan
 from planner.tally import OF_CLOSED_LOOP, Outcome
-from planner.worlds.world import World
+from planner.world.world import World
 
 Chance = Any
 """float, or what else counts chances, as Fraction (no union: nobody mixes them)."""

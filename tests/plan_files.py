@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from planner.plans.plan import Plan
-from planner.plans.plan_file import parse_plan, read_plan_json
-from planner.worlds.world import World
+from planner.plan.plan import Plan
+from planner.plan.plan_file import parse_plan, read_plan_json
+from planner.world.world import World
 
 
 def load_plan(path: str | Path, world: World) -> Plan:

@@ -14,7 +14,7 @@ from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from analysis.recording.mcap.container import LogSchema, LogWriter
+from analysis.recording.log_writer import LogSchema, LogWriter
 
 POSE = LogSchema("mrac.Pose", "jsonschema", b'{"type": "object"}', "json")
 GRID = LogSchema("mrac.Grid", "protobuf", bytes(range(200)), "protobuf")

@@ -8,17 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from analysis.recording.mcap.container import LogSchema, LogWriter
-from analysis.recording.mcap.reading import open_log
-from analysis.recording.record import record
-from analysis.recording.rolling import Request
+from analysis.recording.log_reader import open_log
+from analysis.recording.log_writer import LogSchema, LogWriter
+from analysis.recording.record import Request, record
 from planner.mcap import LogMessage
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan, RobotPlan
+from planner.plan.plan import Plan, RobotPlan
 from planner.settings import Settings
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 SEED = 5
 

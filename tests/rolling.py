@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from planner.kernels.loop import ClosedLoop
 from planner.rollouts import engine as engines
 from planner.rollouts.engine import Chunk, closed_loop_engine, open_loop_engine
 from planner.rollouts.names import EngineName
-from planner.rollouts.open_loop.compiled import CompiledPlan, Mode
+from planner.rollouts.open_loop import CompiledPlan, Mode
+from planner.simulator.loop import ClosedLoop
 from planner.tally import RolloutResults, Tally
 
 

@@ -7,9 +7,9 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from analysis.statistics.control import LEAST
-from planner.rollouts.by_luck import sums_by_luck
+from analysis.statistics.control_variate import LEAST
 from planner.rollouts.engine import Engine
+from planner.rollouts.threshold_classes import sums_by_luck
 from planner.tally import RolloutResults, Tally
 
 AT_ONCE = 128

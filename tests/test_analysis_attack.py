@@ -12,14 +12,14 @@ import pytest
 from page_reader import Reader
 
 import mrac_jax as mrac
-from analysis.adversary import search
-from analysis.adversary.answer import Attack
-from analysis.adversary.report import findings, headline, report
 from analysis.cli.app import run
 from analysis.sampling import make_singles
+from analysis.search import threat_placement as search
+from analysis.search.place_reports import attack_findings, attack_headline, attack_report
+from analysis.search.threat_placement import Attack
 from planner.errors import InputError
 from planner.policies import RULES
-from planner.worlds.world import World
+from planner.world.world import World
 
 P, RUNS = 0.4, 64
 
@@ -135,7 +135,7 @@ def test_what_a_scenario_says_of_combining_is_kept(tmp_path: Path) -> None:
 def test_of_large_maps_some_cells_are_looked_at_and_fewer_planned_for(monkeypatch: pytest.MonkeyPatch) -> None:
     world, best = small_world(0, 6, 6), mrac.attack(small_world(0, 6, 6), p=P)
     monkeypatch.setattr(search, "MOST_PLACES", 12)
-    monkeypatch.setattr("analysis.removal.turns.TABLES", 0)
+    monkeypatch.setattr("analysis.search.threat_removal.TABLES", 0)
     few = mrac.attack(world, p=P)
     assert len(few.turn.options) == 12 and len(few.turn.simulated) == 8
     assert all(one.screen is not None for one in few.turn.options)
@@ -153,8 +153,8 @@ def test_an_interruption_leaves_the_threats_so_far() -> None:
 
     answer = mrac.attack(world, count=2, p=P, progress=stop, on_interrupt="return")
     assert answer.partial and len(answer.known.threats) >= 1 and answer.known.known is None
-    assert headline(answer).startswith("Interrupted.") and answer.to_json()["known"]["loss"]["known"] is None
-    assert not answer.hidden.threats and {*report(answer).files} == {"known.npz", "known.yaml"}
+    assert attack_headline(answer).startswith("Interrupted.") and answer.to_json()["known"]["loss"]["known"] is None
+    assert not answer.hidden.threats and {*attack_report(answer).files} == {"known.npz", "known.yaml"}
 
 
 def test_an_answer_by_a_rule_of_one_s_own_has_no_scenario(tmp_path: Path) -> None:
@@ -179,7 +179,7 @@ def test_the_command_says_it_as_json_and_writes_both_maps(
     assert team.starts is not None and team.starts.tolist() == attacked.starts.tolist()
     assert team.sha256 == attacked.known_world.sha256
     page = Reader((tmp_path / "out" / "index.html").read_text()).text
-    assert headline(attacked) in page and all(said in page for said in findings(attacked))
+    assert attack_headline(attacked) in page and all(said in page for said in attack_findings(attacked))
     assert 2 <= len(repr(attacked).splitlines()) <= 24
 
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from open_loop_reference import fixture
 
-from analysis.bench import engines, race
-from analysis.bench.engines import naive_rollouts
-from analysis.bench.race import Contender
+from analysis.bench import engines
+from analysis.bench import engines as race
+from analysis.bench.engines import Contender, naive_rollouts
 from planner.errors import MracError
 from planner.mrac.make_plan import make_plan
-from planner.rollouts.open_loop.compiled import compile_plan
+from planner.rollouts.open_loop import compile_plan
 from planner.tally import Tally
-from planner.worlds.generate import random_world
-from planner.worlds.starts import place_starts
+from planner.world.generate import random_world
+from planner.world.levels import place_starts
 
 
 @pytest.mark.parametrize(

@@ -11,16 +11,16 @@ from oracle_tree import closed_loop_exact
 
 import mrac_jax as mrac
 from analysis.cli.app import run
+from analysis.estimators import racing as best
+from analysis.estimators.racing import contenders
 from analysis.evaluation.report import report
-from analysis.kit.words import policy_words
-from analysis.trials import best
-from analysis.trials.best import contenders
-from planner.kernels.closed_loop import compile_closed_loop, run_range
+from analysis.utils.tables import policy_words
 from planner.mrac.make_plan import make_plan
 from planner.policies import RULES
 from planner.settings import Settings
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
+from planner.simulator.closed_loop import compile_closed_loop, run_range
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
 
 
 def test_what_is_given_stays_and_no_setting_comes_twice() -> None:

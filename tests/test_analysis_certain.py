@@ -10,18 +10,18 @@ import pytest
 
 from analysis import sampling as roll_out
 from analysis.cli.app import run
-from analysis.comparison.compare import compare, make_side
-from analysis.evaluation.as_json import to_json
+from analysis.comparison import compare, make_side
 from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.report import to_json
 from analysis.sampling import RolloutChoices
-from planner.kernels import closed_loop
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import is_certain
+from planner.plan.plan import is_certain
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Policy, Settings
+from planner.simulator import closed_loop
 from planner.tally import Outcome
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 BOTH = pytest.mark.parametrize("loop", ["open", "closed"])
 WALLED = np.array([[0, 0, 0, 0, np.nan, 0.5], [0, np.nan, 0, 0, np.nan, 0.5], [0, 0, 0, 0, np.nan, 0.5]])

@@ -13,28 +13,37 @@ import pytest
 from conftest import FOLDER, load_fixture
 from refusals import refused
 
-import analysis.survey.survey
-import analysis.theory.any_strategy
+import analysis.checking.survey
+import analysis.theory.upper_bound
 import mrac_jax as mrac
-from analysis.checking.check_map import check_input
-from analysis.checking.report import figure, report
+from analysis.checking.check import check_input
+from analysis.checking.pictures import PANELS
+from analysis.checking.report import check_report, figure
+from analysis.checking.survey import Survey, make_survey, run_survey
 from analysis.cli.app import run
-from analysis.evaluation.formulas import WORDS
+from analysis.estimators.trial import closed_truth
+from analysis.evaluation.table import WORDS
 from analysis.sampling import RolloutChoices
-from analysis.survey.picture import PANELS
-from analysis.survey.survey import Survey, make_survey, run_survey
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.formulas import FORMULAS, Direction
-from analysis.theory.truth import Truth
-from analysis.theory.verdicts import Check, Verdict, badness, judge, make_check, of_formula, overall, worst_of_robots
-from analysis.trials.exact_loop import closed_truth
+from analysis.theory.verdicts import (
+    Check,
+    Truth,
+    Verdict,
+    badness,
+    judge,
+    make_check,
+    of_formula,
+    overall,
+    worst_of_robots,
+)
 from planner.errors import UsageError
-from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.settings import Choices, Settings
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, run_range
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 TINY_MAP = str(FOLDER / "tiny-3x7-01.npz")  # with three robots
@@ -211,15 +220,15 @@ def test_what_depends_on_histories_that_were_left_is_undecided() -> None:
     assert {check.verdict for check in of_formula(checked.checks, "ideal_team")} == {Verdict.HOLDS}
     for direction in (LOWER, UPPER, EQUAL):
         assert judge(closed.visited.value, closed.visited, direction, 0.0, 400.0) is Verdict.UNDECIDED
-    assert "undecided: it depends on them" not in " ".join(report(checked).parts[0].notes)
+    assert "undecided: it depends on them" not in " ".join(check_report(checked).parts[0].notes)
 
 
 def test_a_wrong_bound_that_is_marked_as_proven_is_a_fault(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    right = analysis.theory.any_strategy.ideal_connected
+    right = analysis.theory.upper_bound.ideal_connected
     monkeypatch.setattr(
-        analysis.theory.any_strategy, "ideal_connected", lambda world, starts: 0.5 * right(world, starts)
+        analysis.theory.upper_bound, "ideal_connected", lambda world, starts: 0.5 * right(world, starts)
     )
     found = answer(capsys, WORLD, "--robots", "1", "--rollouts", "512", status=1)
     assert found["faults"] == ["ideal_connected/visited/closed", "ideal_connected/visited/open"]
@@ -230,9 +239,9 @@ def test_a_wrong_bound_that_is_marked_as_proven_is_a_fault(
 
 def test_every_mark_of_theorem_2_counts(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """One rollout in 4,096 that ends stuck on a map of one part is a failure."""
-    import analysis.theory.truth
+    import analysis.theory.verdicts
 
-    sampled = analysis.theory.truth.sampled_truth
+    sampled = analysis.theory.verdicts.sampled_truth
 
     def one_stuck(plan, world, tally, doubt):  # type: ignore[no-untyped-def]
         outcomes = tally.outcomes.copy()
@@ -240,7 +249,7 @@ def test_every_mark_of_theorem_2_counts(monkeypatch: pytest.MonkeyPatch, capsys:
         outcomes[2] += 1
         return sampled(plan, world, replace(tally, outcomes=outcomes), doubt)
 
-    monkeypatch.setattr("analysis.checking.check_map.sampled_truth", one_stuck)
+    monkeypatch.setattr("analysis.checking.check.sampled_truth", one_stuck)
     found = answer(capsys, WORLD, "--robots", "8", "--rollouts", "4096", status=1)
     assert found["faults"] == ["theorem2/closed"]
 
@@ -261,7 +270,7 @@ def test_what_is_next_to_nothing_is_not_said_to_be_nothing() -> None:
     assert (figure(1e-6, "cells"), figure(3.456, "cells"), figure(311.0, "steps")) == ("1.0e-06", "3.46", "311")
     world = World.create(np.concatenate([[0.0], np.full(17, 0.9)])[None].astype(np.float32))
     checked = mrac.check(world, mrac.plan(world, starts=[[0, 0]]))
-    said = report(checked)
+    said = check_report(checked)
     lines = [*said.findings, *said.heading]
     assert "a robot is left with chance 1.0e-17" in " ".join(lines) and "0.0000" not in " ".join(lines)
     left = [check for check in checked.checks if check.formula in ("eq1", "eq2_event") and check.loop == "open"]
@@ -271,7 +280,7 @@ def test_what_is_next_to_nothing_is_not_said_to_be_nothing() -> None:
 def test_a_statement_has_a_row_and_its_readings_are_asked_for(world_of_two: World) -> None:
     plan = mrac.plan(world_of_two, 2)
     few, every = (mrac.check(world_of_two, plan, rollouts=64, theory=theory) for theory in ("main", "all"))
-    few_rows, rows = (report(one).parts[0].tables[0] for one in (few, every))
+    few_rows, rows = (check_report(one).parts[0].tables[0] for one in (few, every))
     names, sources = (list(few_rows.columns[place].cells) for place in (0, 1))
     assert len(names) == len(set(names)) and few.to_json() == every.to_json()
     assert sources[names.index("upper bound on coverage, one robot")] == "eq. (7)"
@@ -353,9 +362,9 @@ def test_the_worst_world_is_saved_and_fails_again(tmp_path: Path, capsys: pytest
 
 
 def test_a_sampled_failure_counts_only_beyond_the_shared_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(analysis.survey.survey, "EXACT", "never")
+    monkeypatch.setattr(analysis.checking.survey, "EXACT", "never")
     few, many = small_survey.__wrapped__(1, worlds=1), make_survey(100, "scattered", "7x8", (1, 8), Choices())
-    wider = analysis.survey.survey.look_at(many, few.rollouts, 40)
+    wider = analysis.checking.survey.look_at(many, few.rollouts, 40)
     widths = [
         [check.truth.high - check.truth.low for entry in entries for check in entry.checks if check.loop == "closed"]
         for entries in (few.entries, wider)
@@ -368,14 +377,14 @@ def test_a_sampled_failure_counts_only_beyond_the_shared_doubt(monkeypatch: pyte
 def test_an_interrupted_survey_prints_what_is_there(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = analysis.survey.survey.look_at
+    whole = analysis.checking.survey.look_at
 
     def interrupted(choices: object, rollouts: object, seed: int) -> list:
         if seed == 42:
             raise KeyboardInterrupt
         return whole(choices, rollouts, seed)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(analysis.survey.survey, "look_at", interrupted)
+    monkeypatch.setattr(analysis.checking.survey, "look_at", interrupted)
     found = answer(capsys, *TINY, "--processes", "1", status=130)
     assert (found["partial"], found["worlds"]) == (True, 2)
 

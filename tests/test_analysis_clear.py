@@ -13,19 +13,17 @@ from page_reader import Reader
 
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.removal.answer import Clearing
-from analysis.removal.report import findings, headline
-from analysis.removal.search import find_clearing, threats_of
-from analysis.removal.threat import by_cell
 from analysis.sampling import RolloutChoices
+from analysis.search.place_reports import clear_findings, clear_headline
+from analysis.search.threat_removal import Clearing, by_cell, find_clearing, threats_of
 from analysis.theory.exact import coverage_gradient, open_loop_exact
 from planner.errors import UsageError
-from planner.luck import Luck
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import simulate
+from planner.rollout_sampling import Luck
 from planner.settings import Settings
-from planner.worlds.world import World
+from planner.world.world import World
 
 RISKS = np.zeros((6, 9))
 RISKS[1:3, 3:7], RISKS[4:, 6:], RISKS[0, 8], RISKS[3, 2], RISKS[5, 0] = 0.2, 0.05, np.nan, np.nan, 0.2
@@ -99,9 +97,11 @@ def test_where_cells_are_worth_something_gains_are_in_value() -> None:
     assert best is not None and best.counted.mean == max(through) and answer.unit == "of value"
     found = answer.to_json()
     assert found["value_gain"] == answer.gain.value.to_json() and found["threats"][0]["unknown"]["value"]  # type: ignore[union-attr]
-    assert " of value " in headline(answer)
-    assert answer.gain is not None and answer.gain.counted.said(unit=" of value") in headline(answer)  # fresh rollouts
-    assert best.counted.said(unit=" of value") not in headline(answer)
+    assert " of value " in clear_headline(answer)
+    assert answer.gain is not None and answer.gain.counted.said(unit=" of value") in clear_headline(
+        answer
+    )  # fresh rollouts
+    assert best.counted.said(unit=" of value") not in clear_headline(answer)
 
 
 def test_the_gradient_is_that_of_the_closed_form() -> None:
@@ -237,7 +237,7 @@ def test_an_interruption_leaves_the_picks_so_far() -> None:
 
     answer = mrac.clear(WORLD, count=3, rollouts=RUNS, exact="never", progress=stop, on_interrupt="return")
     assert answer.partial and len(answer.picks) == 1 and answer.gain is None
-    assert headline(answer).startswith("Interrupted.") and answer.to_json()["gain"] is None
+    assert clear_headline(answer).startswith("Interrupted.") and answer.to_json()["gain"] is None
     with pytest.raises(KeyboardInterrupt):
         mrac.clear(WORLD, rollouts=RUNS, exact="never", progress=stop)
 
@@ -246,5 +246,5 @@ def test_the_answer_prints_and_saves_itself(small: Clearing, tmp_path: Path) -> 
     files = {file.name for file in small.save(tmp_path / "out")}
     assert files == {"index.html", "clear.png", "clear.txt", "risk_paid.png", "clear.json"}
     page = Reader((tmp_path / "out" / "index.html").read_text()).text
-    assert headline(small) in page and all(said in page for said in findings(small))
+    assert clear_headline(small) in page and all(said in page for said in clear_findings(small))
     assert "Where risk is paid" in page and 2 <= len(repr(small).splitlines()) <= 24

@@ -20,10 +20,10 @@ import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.cli.options import parse_whole
 from analysis.evaluation.evaluate import evaluate, too_few, until_enough
-from analysis.evaluation.outputs.deadline import Deadline
+from analysis.evaluation.outputs.over_time import Deadline
 from analysis.sampling import PRECISION, RolloutChoices, how_much, make_roll_out
-from analysis.statistics.estimate import looks
-from planner.worlds.world import World, load_world_file
+from analysis.statistics.estimates import looks
+from planner.world.world import World, load_world_file
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 KEYS = {
@@ -567,9 +567,9 @@ def test_interrupted_in_the_deadline_still_prints(
 
 
 def test_interrupted_prints_what_was_done(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    import planner.kernels.closed_loop
+    import planner.simulator.closed_loop
 
-    whole = planner.kernels.closed_loop.run_range
+    whole = planner.simulator.closed_loop.run_range
     calls = []
 
     def interrupted(*given: object, **options: object) -> object:
@@ -578,7 +578,7 @@ def test_interrupted_prints_what_was_done(capsys: pytest.CaptureFixture[str], mo
             raise KeyboardInterrupt
         return whole(*given, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(planner.kernels.closed_loop, "run_range", interrupted)
+    monkeypatch.setattr(planner.simulator.closed_loop, "run_range", interrupted)
     assert run(["evaluate", WORLD, "--robots", "3", "--rollouts", "10000000", "--json"]) == 130
     found = json.loads(capsys.readouterr().out)
     assert found["partial"] is True

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from analysis.cli.app import run
-from analysis.kit.folder import as_text
-from analysis.kit.tables import FittedTable
-from planner.worlds.world import World
+from analysis.utils.folder import as_text
+from analysis.utils.tables import FittedTable
+from planner.world.world import World
 
 WIDTHS = (80, 100, 120)
 THREAT = np.zeros((6, 9))

@@ -15,21 +15,20 @@ import pytest
 from conftest import FOLDER, load_fixture
 from refusals import refused
 
-import analysis.comparison.compare
+import analysis.comparison
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.comparison.compare import FIGURES, Comparison, compare, differing, make_side
-from analysis.comparison.report import headline, report
+from analysis.comparison import FIGURES, Comparison, compare, differing, headline, make_side, report
 from analysis.inputs import load_world
 from analysis.sampling import RolloutChoices, make_singles
-from analysis.statistics.estimate import FIRST_LOOK
+from analysis.statistics.estimates import FIRST_LOOK
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan
+from planner.plan.plan import Plan
 from planner.settings import Settings
-from planner.worlds.learning import with_prior, with_sense
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.world.features import with_prior, with_sense
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 
@@ -236,7 +235,7 @@ def test_sides_of_other_rollouts_are_refused(other: dict[str, Any], said: str) -
 
 
 def test_interrupted_leaves_what_was_done(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    real, calls = analysis.comparison.compare._add, []
+    real, calls = analysis.comparison._add, []
 
     def stop_later(*words):  # type: ignore[no-untyped-def]
         calls.append(words)
@@ -244,7 +243,7 @@ def test_interrupted_leaves_what_was_done(monkeypatch: pytest.MonkeyPatch, capsy
             raise KeyboardInterrupt
         return real(*words)
 
-    monkeypatch.setattr(analysis.comparison.compare, "_add", stop_later)
+    monkeypatch.setattr(analysis.comparison, "_add", stop_later)
     assert run(["compare", WORLD, "--robots", "3", "--b.robots", "4", "--rollouts", "50000", "--json"]) == 130
     found = json.loads(capsys.readouterr().out)
     assert found["partial"] is True and found["rollouts"] == FIRST_LOOK

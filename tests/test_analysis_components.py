@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.statistics.components import known_between, of_means, of_values
-from analysis.statistics.estimate import Estimate
+from analysis.statistics.differences import known_between, of_means, of_values
+from analysis.statistics.estimates import Estimate
 
 
 def jackknife(figure: Callable[[np.ndarray], float], kept: int) -> tuple[float, float]:

@@ -14,10 +14,10 @@ from rich.text import Text
 
 from analysis.cli.app import run
 from analysis.cli.console import output_console
-from analysis.kit.notes import say
-from analysis.kit.safe_console import SafeConsole
+from analysis.utils.notes import say
+from analysis.utils.tables import SafeConsole
 from planner.errors import InputError, visible
-from planner.worlds.world import World
+from planner.world.world import World
 
 HOSTILE = "a\x1b]0;title\x07b\x9b2Jc\u202etxt\u2066d\x08e\u200bf"
 SHOWN = r"a\x1b]0;title\x07b\x9b2Jc\u202etxt\u2066d\x08e\u200bf"

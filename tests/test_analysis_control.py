@@ -15,10 +15,10 @@ from samples import samples
 from scipy import stats
 
 from analysis.cli.app import run
-from analysis.comparison.compare import compare, make_side
+from analysis.comparison import compare, make_side
 from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
-from analysis.statistics.control import (
+from analysis.statistics.control_variate import (
     LEAST,
     complete_chance,
     controlled,
@@ -26,15 +26,15 @@ from analysis.statistics.control import (
     of_tally,
     tally_mean,
 )
-from analysis.statistics.estimate import Estimate, mean_estimate, proportion, sample_of
+from analysis.statistics.estimates import Estimate, mean_estimate, proportion, sample_of
+from planner.failure_model import UNIT, tolerances
 from planner.mrac.make_plan import make_plan
-from planner.rollouts.by_luck import CLASSES_A_NAT, COLUMNS, luck_classes, sums_by_luck
 from planner.rollouts.engine import Engine, Rolling, make_engine, run_by_luck, run_chunks
+from planner.rollouts.threshold_classes import CLASSES_A_NAT, COLUMNS, luck_classes, sums_by_luck
 from planner.settings import Settings
 from planner.tally import Tally
-from planner.tolerance import UNIT, tolerances
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World, load_world_file
+from planner.world.levels import place_starts
+from planner.world.world import World, load_world_file
 
 CONTIGUOUS, SCATTERED = (FOLDER / f"{kind}-20x20-1000.npz" for kind in ("contiguous", "scattered"))
 FIGURES = ("visited", "survived", "time", "alive", "complete")

@@ -9,12 +9,11 @@ import pytest
 from counterexamples import COUNTEREXAMPLES, SHUT_IN, Counterexample
 
 from analysis.cli.app import run
-from analysis.theory.any_strategy import any_strategy
 from analysis.theory.bounds import Theorem3, all_bounds, connecting_cells
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.formulas import FORMULAS
-from analysis.theory.truth import Truth
-from analysis.theory.verdicts import Verdict, own_bounds, own_checks, paper_checks
+from analysis.theory.upper_bound import any_strategy
+from analysis.theory.verdicts import Truth, Verdict, own_bounds, own_checks, paper_checks
 from planner.mrac.make_plan import make_plan
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from analysis.statistics.differences import Paired, difference
-from planner.threefry import uniform
+from planner.failure_model import uniform
 
 
 def draws(rollouts: int) -> tuple[np.ndarray, np.ndarray]:

@@ -16,8 +16,8 @@ import mrac_jax as mrac
 from analysis.evaluation.evaluate import half_width, until_enough
 from analysis.evaluation.figures import Coverage, Covered
 from analysis.sampling import RolloutChoices, Stage, make_engine_for, make_roll_out
-from analysis.statistics.control import tally_mean
-from analysis.statistics.estimate import (
+from analysis.statistics.control_variate import tally_mean
+from analysis.statistics.estimates import (
     FEW,
     FIRST_LOOK,
     Z95,
@@ -31,10 +31,10 @@ from analysis.statistics.estimate import (
 )
 from analysis.theory.exact import open_loop_exact
 from planner.errors import UsageError
-from planner.luck_names import LuckName
+from planner.failure_model import uniform
+from planner.ids import LuckName
 from planner.mrac.make_plan import make_plan
-from planner.threefry import uniform
-from planner.worlds.world import World
+from planner.world.world import World
 
 
 def test_mean_and_standard_error_are_scipy_s() -> None:

@@ -14,9 +14,9 @@ from analysis.theory.bounds import Theorem3, all_bounds, ideal_team
 from analysis.theory.exact import open_loop_exact, poisson_binomial
 from analysis.theory.own_bounds import reach_chances
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan, RobotPlan, entries
+from planner.plan.plan import Plan, RobotPlan, entries
 from planner.settings import Settings
-from planner.worlds.world import World
+from planner.world.world import World
 
 
 def plans_of(fixture: Fixture) -> list[Plan]:

@@ -9,8 +9,8 @@ import pytest
 from make_examples import main, office_floor, paper_world
 
 import analysis.examples
-from planner.worlds.scenario import load_input
-from planner.worlds.starts import place_starts
+from planner.world.levels import place_starts
+from planner.world.scenario import load_input
 
 FOLDER = Path(analysis.examples.__file__).parent
 

@@ -20,8 +20,8 @@ from analysis.first_answer import FEWEST, WHAT, first_answers, first_words
 from analysis.sampling import RolloutChoices, make_singles
 from planner.mrac.make_plan import make_plan
 from planner.settings import Settings
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
 
 WORLD = random_world(8, 8, ThreatPattern("contiguous", 4, seed=5), threats=0.3)
 STARTS = place_starts(WORLD, 3)[0]

@@ -23,29 +23,33 @@ from analysis.cli.app import run
 from analysis.evaluation.outputs.advice import Advice
 from analysis.report.html import page_of
 from analysis.sampling import RolloutChoices
-from analysis.statistics.estimate import exactly
-from analysis.theory.bounds import ideal_team
-from analysis.tradeoff import search
-from analysis.tradeoff.front import Front, Point, settings_of
-from analysis.tradeoff.report import TITLES, _chart, headline, pick_lines, report
-from analysis.tradeoff.rules import (
+from analysis.search import pareto as search
+from analysis.search.pareto import (
     Figures,
+    Front,
     Goal,
+    Ladders,
+    Point,
     Setting,
     between,
     efficient,
+    find_front,
     first_worth,
     knee,
     make_goal,
+    quick_points,
+    settings_of,
     usual_rollouts,
 )
-from analysis.tradeoff.search import Ladders, find_front, quick_points
+from analysis.search.reports import TITLES, _front_chart, front_headline, front_report, pick_lines
+from analysis.statistics.estimates import exactly
+from analysis.theory.bounds import ideal_team
 from planner.errors import InputError, UsageError
-from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
-from planner.mrac.reference import ReferenceLoop
+from planner.mrac.simulate import ReferenceLoop
 from planner.settings import Settings
-from planner.worlds.world import World
+from planner.simulator.tables import AllPairs
+from planner.world.world import World
 
 THREAT = np.zeros((6, 9))
 THREAT[1:3, 3:7], THREAT[4:, 6:], THREAT[0, 8], THREAT[3, 2] = 0.2, 0.05, np.nan, np.nan
@@ -233,7 +237,7 @@ def test_the_pick_is_the_best_that_is_sure_to_keep_the_limit_on_other_rollouts()
     assert near.coverage.mean > picked.coverage.mean and near.losses.mean > picked.losses.mean
     sure = sorted((p for p in answer.points if p.most <= limit), key=lambda p: -p.coverage.mean)
     assert sure.index(picked) == answer.tried - 1
-    assert headline(answer).endswith(f"; asked for was at most {limit:g} of 2 robots lost.")
+    assert front_headline(answer).endswith(f"; asked for was at most {limit:g} of 2 robots lost.")
     assert f"The limit is kept with confidence 0.95: on average {again.most:.2f} robots or fewer are lost." in [
         *pick_lines(answer)
     ]
@@ -258,7 +262,7 @@ def test_the_chance_of_error_is_shared_among_tries(monkeypatch: pytest.MonkeyPat
         assert asked_for == [0.05 / 2**n for n in range(1, len(asked_for) + 1)] and sum(asked_for) < 0.05
         if tried is None:
             assert answer.pick is None and len(asked_for) == 6 == answer.tried
-            assert headline(answer).startswith("No setting is sure to have at most 1.5 of 2 robots lost")
+            assert front_headline(answer).startswith("No setting is sure to have at most 1.5 of 2 robots lost")
         else:
             assert answer.tried == tried and "It is the third that was tried" in " ".join(pick_lines(answer))
 
@@ -268,7 +272,7 @@ def test_without_a_goal_the_headline_is_of_fresh_rollouts(capsys: pytest.Capture
     assert [point.setting for point in front.priced] == [point.setting for point in front.corners()]
     for point in front.priced:
         own = next(one for one in front.points if one.setting == point.setting)
-        assert f"{100 * point.coverage.mean:.1f} %" in headline(front)
+        assert f"{100 * point.coverage.mean:.1f} %" in front_headline(front)
         assert own.coverage.mean != point.coverage.mean or not own.coverage.half_width
     assert run(["front", world_file, "--rollouts", "300", "--exact", "never"]) == 0
     said = capsys.readouterr().out
@@ -316,7 +320,7 @@ def test_without_danger_every_run_is_the_same() -> None:
     best, kept, *_ = pick_lines(answer)
     assert ". Exact expectation: 100 % covered" in best or answer.picked.setting.deadline
     assert kept == "The limit is kept: these figures are exact."
-    assert headline(answer).endswith("and lose no robot, on average (exact); asked for was 50 % or more covered.")
+    assert front_headline(answer).endswith("and lose no robot, on average (exact); asked for was 50 % or more covered.")
 
 
 def test_an_interruption_leaves_what_was_done() -> None:
@@ -329,7 +333,7 @@ def test_an_interruption_leaves_what_was_done() -> None:
 
     answer = mrac.front(WORLD, rollouts=50, losses=1, progress=stop, on_interrupt="return")
     assert answer.partial and len(answer.points) == 2 and answer.pick is None and answer.confirmed is None
-    assert answer.to_json()["partial"] is True and headline(answer) == "Interrupted after 2 settings."
+    assert answer.to_json()["partial"] is True and front_headline(answer) == "Interrupted after 2 settings."
     seen[:] = [0, 0]
     with pytest.raises(KeyboardInterrupt):
         mrac.front(WORLD, rollouts=50, progress=stop)
@@ -339,10 +343,10 @@ def test_the_front_prints_and_saves_itself(small: Front, tmp_path: Path) -> None
     files = {file.name for file in small.save(tmp_path / "out")}
     assert files == {"index.html", "front.png", "front.txt", "front.json", "plan.json"}
     page = (tmp_path / "out" / "index.html").read_text()
-    assert headline(small) in Reader(page).text and page_of(report(small), "", {}, ()) == page_of(
-        report(small), "", {}, ()
+    assert front_headline(small) in Reader(page).text and page_of(front_report(small), "", {}, ()) == page_of(
+        front_report(small), "", {}, ()
     )
-    *curves, mark = _chart(small, "time").series
+    *curves, mark = _front_chart(small, "time").series
     assert small.picked is not None and (mark.name, mark.x) == ("the pick", [small.picked.time.mean])
     for curve in curves:  # through the settings as they rise, whatever they take
         of = [point for point in small.points if TITLES[point.setting.family] == curve.name]
@@ -510,7 +514,7 @@ def test_the_knee_is_the_best_bargain_between_two_settings() -> None:
     free = replace(middle, setting=Setting("per_cell", worth=9.0), coverage=exactly(0.3), losses=exactly(0.0))
     bent = replace(front, points=(free, middle, most), priced=(free, middle, most), words=("map.npy",))
     assert bent.corners() == (free, middle, most)
-    assert headline(bent) == (
+    assert front_headline(bent) == (
         "2 robots can cover 30.0 % and lose no robot, 99.0 % and lose 0.05 robots, or 100 % and lose both robots, "
         "on average."
     )

@@ -8,11 +8,11 @@ from functools import partial
 import numpy as np
 import pytest
 
-from analysis.statistics.intervals import bet_interval
-from analysis.trials.halving import Halving, schedule
-from analysis.trials.measured import Known, Sampled
-from planner.kernels.state import make_counts
-from planner.kernels.tree import WHOLE, Tree
+from analysis.estimators.racing import Halving, schedule
+from analysis.estimators.trial import Known, Sampled
+from analysis.statistics.estimates import bet_interval
+from planner.simulator.exact_tree import WHOLE, Tree
+from planner.simulator.state import make_counts
 from planner.tally import RolloutResults, Tally
 
 CELLS = 100

@@ -9,7 +9,7 @@ import pytest
 
 from analysis.cli.app import run
 from planner.settings import SETTINGS
-from planner.worlds.maps import FORMATS
+from planner.world.map_files import FORMATS
 
 
 def help_of(command: str, capsys: pytest.CaptureFixture[str]) -> str:

@@ -12,12 +12,10 @@ import pytest
 from own_policies import mostly_east
 
 import mrac_jax as mrac
-from analysis.judging.judge import estimate_of, scores_of
-from analysis.judging.report import headline
-from analysis.judging.rolling import roll_policy
+from analysis.policy_evaluation.policy_evaluation import estimate_of, headline, roll_policy, scores_of
 from analysis.sampling import RolloutChoices, make_singles
 from mrac_jax.environment.coverage_env import ACTIONS, CoverageEnv
-from planner.worlds.generate import random_world
+from planner.world.generate import random_world
 
 CORRIDOR = mrac.World.create(np.array([[0.0, 0.0, *[0.1] * 10]]))
 EAST = ACTIONS.index("east")

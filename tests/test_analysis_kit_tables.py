@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from analysis.kit.folder import as_text
-from analysis.kit.tables import FittedTable, make_table
+from analysis.utils.folder import as_text
+from analysis.utils.tables import FittedTable, make_table
 
 COLUMNS = ("place", "bound", "visited, %", "from .. to", "robots lost", "from .. to", "rollouts")
 ROW = ("the old depot behind the hall", "1234.5", "91.53", "91.501..91.557", "3.21", "3.1987..3.2213", "1,004,096")

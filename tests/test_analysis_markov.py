@@ -15,9 +15,9 @@ from oracle_tree import OUTCOMES, ClosedLoopExact, closed_loop_exact
 
 from planner.errors import PlanError
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan
+from planner.plan.plan import Plan
 from planner.settings import Settings
-from planner.worlds.world import World
+from planner.world.world import World
 
 TINY = [name for name in NAMES if name.startswith("tiny")]
 DEAR = pytest.param("contiguous-14x23-1001-k2", marks=pytest.mark.slow)

@@ -12,20 +12,20 @@ from closed_loop_compare import assert_same_tally, assert_same_trace
 from oracle_tree import closed_loop_exact
 from plan_files import load_plan
 
+from analysis.estimators.racing import order_areas
 from analysis.sampling import RolloutChoices
-from analysis.theory.optimum import optimum
-from analysis.trials.ordering import order_areas
+from analysis.theory.flow_programme import optimum
 from planner.errors import PlanError
-from planner.kernels.closed_loop import compile_closed_loop
-from planner.kernels.tables import AllPairs
 from planner.mrac.make_plan import make_plan
-from planner.mrac.reference import ReferenceLoop
-from planner.plans.plan import Plan
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
 from planner.rollouts.engine import closed_loop_engine
 from planner.settings import Settings
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop
+from planner.simulator.tables import AllPairs
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 BASE = Settings(policy="watchful")
 

@@ -12,16 +12,16 @@ from conftest import FOLDER
 
 from analysis.evaluation.charts import over_time
 from analysis.evaluation.evaluate import evaluate
-from analysis.evaluation.outputs.band import LEAST, MOST, SHARE, STEPS, Band
-from analysis.page.curves import curves_html
+from analysis.evaluation.outputs.over_time import BAND_LEAST, BAND_MOST, SHARE, STEPS, Band
+from analysis.page.charts import curves_html
 from analysis.sampling import RolloutChoices, make_roll_out
-from analysis.statistics.estimate import QUANTILES, quantile
+from analysis.statistics.estimates import QUANTILES, quantile
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan, RobotPlan
+from planner.plan.plan import Plan, RobotPlan
 from planner.settings import Settings
 from planner.tally import Tally
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World, load_world_file
+from planner.world.levels import place_starts
+from planner.world.world import World, load_world_file
 
 CHOICES = [
     RolloutChoices(loop="closed", rollouts=120),
@@ -58,8 +58,8 @@ def test_the_band_is_that_of_the_same_ids_cut_off_at_every_step(
 ) -> None:
     """Brute force: the first ids again for every step of the band, by the engines, and the quantiles of their tally."""
     band = band_of(world, plan, choices)
-    assert band.rollouts == LEAST
-    roll_out, few = make_roll_out(world, plan, choices), replace(choices, rollouts=LEAST)
+    assert band.rollouts == BAND_LEAST
+    roll_out, few = make_roll_out(world, plan, choices), replace(choices, rollouts=BAND_LEAST)
     for place in [*range(0, len(band.steps), 7), len(band.steps) - 1]:
         cut = list(roll_out(few, int(band.steps[place])))[-1].tally
         shown = tuple(int(values[place]) for values in (band.low, band.median, band.high))
@@ -71,7 +71,7 @@ def test_the_band_of_robots_that_wear_is_that_of_robots_that_wear(world: World) 
     choices = RolloutChoices(loop="open", rollouts=120, luck="tolerance")
     band, roll_out = band_of(world, plan, choices), make_roll_out(world, plan, choices)
     for place in range(0, len(band.steps), 25):
-        cut = list(roll_out(replace(choices, rollouts=LEAST), int(band.steps[place])))[-1].tally
+        cut = list(roll_out(replace(choices, rollouts=BAND_LEAST), int(band.steps[place])))[-1].tally
         shown = tuple(int(values[place]) for values in (band.low, band.median, band.high))
         assert shown == tuple(quantile(cut.visited, q) for q in QUANTILES)
 
@@ -89,7 +89,7 @@ def test_every_step_of_a_short_run_is_looked_at_and_the_end_of_the_longest(world
 
 def test_no_more_rollouts_than_were_asked_for_and_few_of_many(world: World, plan: Plan) -> None:
     """Counted where they are run: the calls of the compiled simulator."""
-    for asked, again in ((1, 1), (60, 60), (500, LEAST), (3000, 3000 // SHARE), (100_000, MOST)):
+    for asked, again in ((1, 1), (60, 60), (500, BAND_LEAST), (3000, 3000 // SHARE), (100_000, BAND_MOST)):
         choices = RolloutChoices(loop="open", rollouts=asked)
         assert band_of(world, plan, choices).rollouts == again
 

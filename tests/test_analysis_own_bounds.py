@@ -14,8 +14,8 @@ from analysis.theory.bounds import all_bounds, ideal_team
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.own_bounds import MendedTheorem3, ideal_connected, mended_theorem3, reach_chances, until_first_loss
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan, RobotPlan
-from planner.worlds.world import World
+from planner.plan.plan import Plan, RobotPlan
+from planner.world.world import World
 
 ENUMERATED = [name for name in NAMES if "closed_loop_exact" in load_fixture(name).answers]
 NEAR = 1e-9

@@ -14,31 +14,27 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from analysis.depots.search import find_starts
-from analysis.design.rules import TeamVerdict
-from analysis.design.size import Goal as SizeGoal
-from analysis.design.size import find_size
-from analysis.removal.search import find_clearing
+from analysis.estimators.trial import Known, Trial
 from analysis.sampling import RolloutChoices
-from analysis.statistics.control import LEAST
-from analysis.statistics.estimate import Estimate
-from analysis.tradeoff.front import settings_of
-from analysis.tradeoff.rules import Goal
-from analysis.tradeoff.search import find_front
-from analysis.trials.measured import Known
-from analysis.trials.trial import Trial
-from planner.kernels.tables import AllPairs
+from analysis.search.pareto import Goal, find_front, settings_of
+from analysis.search.start_positions import find_starts
+from analysis.search.team_size import Goal as SizeGoal
+from analysis.search.team_size import TeamVerdict, find_size
+from analysis.search.threat_removal import find_clearing
+from analysis.statistics.control_variate import LEAST
+from analysis.statistics.estimates import Estimate
 from planner.mrac.make_plan import make_plan
 from planner.settings import Settings
-from planner.worlds.generate import Kind, ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.simulator.tables import AllPairs
+from planner.world.generate import Kind, ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 SEARCHES = 300
 BEFORE_LUCK = (
-    "depots.search._places", "depots.search.allocated_plan", "removal.turns.any_strategy",
-    "removal.turns.allocated_plan", "tradeoff.search.allocated_plan", "tradeoff.search.longest_mission",
-    "design.size.plan_team", "design.size.team_ideals", "trials.trial.compile_closed_loop",
+    "search.start_positions._places", "search.start_positions.allocated_plan", "search.threat_removal.any_strategy",
+    "search.threat_removal.allocated_plan", "search.pareto.allocated_plan", "search.pareto.longest_mission",
+    "search.team_size.plan_team", "search.team_size.team_ideals", "estimators.trial.compile_closed_loop",
 )  # fmt: skip
 """What searches make of a map before any luck comes in."""
 SLACK = 3 * np.sqrt(0.05 * 0.95 / SEARCHES)

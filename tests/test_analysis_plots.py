@@ -24,21 +24,20 @@ from PIL import Image
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.charts import bin_counts, histogram_bins, marks
 from analysis.evaluation.evaluate import evaluate
-from analysis.evaluation.outputs.band import Band, last_shown
-from analysis.evaluation.outputs.deadline import Deadline
+from analysis.evaluation.outputs.over_time import Band, Deadline, last_shown
 from analysis.evaluation.report import report
 from analysis.pictures import style as plots_style
-from analysis.pictures.robots import group_labels, label_width, ranges
+from analysis.pictures.maps import group_labels, label_width, ranges
 from analysis.pictures.style import house_style, map_layout, new_figure, png_bytes
-from analysis.report.face import save_report
+from analysis.report.answer import save_report
 from analysis.report.picture import figure_of
 from analysis.sampling import RolloutChoices
+from planner.formatting import percent
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan, RobotPlan
-from planner.shown import percent
+from planner.plan.plan import Plan, RobotPlan
 from planner.tally import Outcome
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World, load_world_file
+from planner.world.levels import place_starts
+from planner.world.world import World, load_world_file
 
 NAN = float("nan")
 PICTURES = ("world.png", "covered.png", "losses.png", "distribution.png", "over_time.png")

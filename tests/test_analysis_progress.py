@@ -14,18 +14,18 @@ from pathlib import Path
 import pytest
 
 from analysis.evaluation.evaluate import evaluate
-from analysis.kit import compiling, progress
-from analysis.kit.compiling import Announcer
-from analysis.kit.notes import of_things
-from analysis.kit.safe_console import SafeConsole
 from analysis.sampling import RolloutChoices
+from analysis.utils import compiling, progress
+from analysis.utils.compiling import Announcer
+from analysis.utils.notes import of_things
+from analysis.utils.tables import SafeConsole
 from planner import jit
-from planner.kernels.rollouts import run_set
+from planner.jit import NO_CACHE
 from planner.mrac.make_plan import make_plan
-from planner.sealed import NO_CACHE
 from planner.settings import Settings
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.simulator.rollouts import run_set
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 
 def test_every_part_of_an_evaluation_is_announced_and_none_claims_to_be_over_early() -> None:
@@ -181,7 +181,7 @@ def test_both_compilers_report_to_the_announcer_and_a_cache_does_not(tmp_path: P
     )
     jax_code = (
         "import jax, os\nos.environ['XDG_CACHE_HOME'] = {folder!r}\n"
-        "import mrac_jax.caches\nmrac_jax.caches.keep_jax_programs()\n"
+        "import mrac_jax.runtime\nmrac_jax.runtime.keep_jax_programs()\n"
         "jax.config.update('jax_persistent_cache_min_compile_time_secs', 0.0)\n"
         "for axis in (0, 1):\n"
         "    jax.jit(lambda x: jax.numpy.sort(x, axis))(jax.numpy.zeros((9, 9))).block_until_ready()\n"
@@ -190,7 +190,7 @@ def test_both_compilers_report_to_the_announcer_and_a_cache_does_not(tmp_path: P
         "import numba\n@numba.njit(cache=True)\ndef double(x):\n    return 2 * x\n"
     )
     code = (
-        "from analysis.kit import compiling\ncompiling.notice_compiling()\n"
+        "from analysis.utils import compiling\ncompiling.notice_compiling()\n"
         "compiling.PATIENCE, seen, ends = 0.0, [], compiling.ANNOUNCER.ends\n"
         "compiling.ANNOUNCER.ends = lambda: (seen.append(compiling.ANNOUNCER.line()), ends())\n"
         + (jax_code if jax else numba_code).format(folder=str(tmp_path / "cache"))

@@ -17,24 +17,34 @@ from scipy.stats import binom
 
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.design.report import headline, report
-from analysis.design.rules import FEW, TeamVerdict, ideals_of, judge_team, smallest_enough, team_ideals
-from analysis.design.size import Goal, TeamSize, find_size, make_goal
 from analysis.evaluation.evaluate import evaluate
-from analysis.report.face import print_report
+from analysis.report.answer import print_report
 from analysis.sampling import RolloutChoices, make_engine_for
-from analysis.statistics.control import tally_mean
-from analysis.statistics.intervals import chance_interval, mean_interval, share_of_doubt
+from analysis.search.reports import size_headline, size_report
+from analysis.search.team_size import (
+    FEW,
+    Goal,
+    TeamSize,
+    TeamVerdict,
+    find_size,
+    ideals_of,
+    judge_team,
+    make_goal,
+    smallest_enough,
+    team_ideals,
+)
+from analysis.statistics.control_variate import tally_mean
+from analysis.statistics.estimates import chance_interval, mean_interval, share_of_doubt
 from analysis.theory.bounds import ideal_team
 from analysis.theory.exact import poisson_binomial
 from planner.errors import UsageError
-from planner.kernels import tables
 from planner.mrac.make_plan import make_plan
 from planner.plan_team import plan_team
 from planner.rollouts.engine import run_by_luck
 from planner.settings import Settings
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World, load_world_file
+from planner.simulator import tables
+from planner.world.levels import place_starts
+from planner.world.world import World, load_world_file
 
 NAN = float("nan")
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
@@ -230,15 +240,17 @@ def test_what_lies_on_the_line_is_undecided() -> None:
     assert size.robots == 2
     assert size.of(TeamVerdict.UNDECIDED) == (1,)
     assert size.point(1).rollouts == 10_000
-    assert headline(size).startswith("1 or 2 robots: with 2, ")
-    assert "1 is undecided after 10,000 rollouts" in headline(size)
+    assert size_headline(size).startswith("1 or 2 robots: with 2, ")
+    assert "1 is undecided after 10,000 rollouts" in size_headline(size)
     alone = sized(HALF, make_goal(None, 0.5, True, most=1), rollouts=10_000)
     assert alone.robots is None
     assert alone.to_json()["undecided"] == [1]
-    assert headline(alone).startswith("No team of up to 1 robot is shown to be enough")
+    assert size_headline(alone).startswith("No team of up to 1 robot is shown to be enough")
     short = sized(HALF, make_goal(None, 0.9, True, most=2))
-    assert headline(short).startswith("No team of up to 2 robots is enough for a chance of 90 % for every accessible ")
-    assert "with 2, 7" in headline(short)
+    assert size_headline(short).startswith(
+        "No team of up to 2 robots is enough for a chance of 90 % for every accessible "
+    )
+    assert "with 2, 7" in size_headline(short)
 
 
 def test_without_threats_one_robot_is_enough_for_certain() -> None:
@@ -374,14 +386,14 @@ def test_the_headline_is_of_rollouts_that_had_no_part_in_the_choice() -> None:
     engine = make_engine_for(world, plan, choices)
     runs = tally_mean(run_by_luck(engine, 3, start, own.rollouts)[0], "visited", 1.0 / found.cells)
     assert fresh.coverage == runs and fresh.coverage.mean != own.coverage.mean
-    assert f"{100 * fresh.coverage.mean:.4g} %" in headline(found) and "fresh rollouts" in headline(found)
+    assert f"{100 * fresh.coverage.mean:.4g} %" in size_headline(found) and "fresh rollouts" in size_headline(found)
     assert found.to_json()["confirmed"]["coverage"] == fresh.coverage.to_json()
 
 
 def test_tables_fit_eighty_columns() -> None:
     for goal in (make_goal(0.9, 0.9, False), make_goal(None, None, True, most=40)):
         out = io.StringIO()
-        print_report(report(sized(load_world_file(WORLD), goal, rollouts=256)), Console(file=out, width=80))
+        print_report(size_report(sized(load_world_file(WORLD), goal, rollouts=256)), Console(file=out, width=80))
         rows = [line for line in out.getvalue().splitlines() if line.rstrip().endswith(("enough", "impossible"))]
         assert len(rows) > 3
         assert all(".." in row or "<=" in row for row in rows)  # nothing was cut off
@@ -418,9 +430,9 @@ def test_the_picture_shows_the_answer() -> None:
 
 
 def test_interrupted_prints_what_is_there(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    import planner.kernels.closed_loop
+    import planner.simulator.closed_loop
 
-    whole, calls = planner.kernels.closed_loop.run_range, []
+    whole, calls = planner.simulator.closed_loop.run_range, []
 
     def interrupted(*given: object, **options: object) -> object:
         calls.append(given)
@@ -428,7 +440,7 @@ def test_interrupted_prints_what_is_there(capsys: pytest.CaptureFixture[str], mo
             raise KeyboardInterrupt
         return whole(*given, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(planner.kernels.closed_loop, "run_range", interrupted)
+    monkeypatch.setattr(planner.simulator.closed_loop, "run_range", interrupted)
     found = answer(capsys, WORLD, "--target", "0.95", status=130)
     assert found["partial"] is True
     assert found["robots"] is None
@@ -442,9 +454,9 @@ def test_interrupted_prints_what_is_there(capsys: pytest.CaptureFixture[str], mo
 
 
 def test_interrupted_while_a_team_is_rolled_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    import planner.kernels.closed_loop
+    import planner.simulator.closed_loop
 
-    whole, calls = planner.kernels.closed_loop.run_range, []
+    whole, calls = planner.simulator.closed_loop.run_range, []
 
     def interrupted(*given: object, **options: object) -> object:
         calls.append(given)
@@ -452,13 +464,13 @@ def test_interrupted_while_a_team_is_rolled_out(monkeypatch: pytest.MonkeyPatch)
             raise KeyboardInterrupt
         return whole(*given, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(planner.kernels.closed_loop, "run_range", interrupted)
+    monkeypatch.setattr(planner.simulator.closed_loop, "run_range", interrupted)
     size = sized(HALF, make_goal(None, 0.5, True))
     assert size.partial
     assert size.robots is None
     assert size.to_json()["undecided"] == [1]
     assert size.point(1).rollouts == 8192
-    assert headline(size).startswith("Interrupted before the answer: nothing is decided yet")
+    assert size_headline(size).startswith("Interrupted before the answer: nothing is decided yet")
 
 
 @pytest.mark.parametrize(

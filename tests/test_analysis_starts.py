@@ -12,17 +12,16 @@ from page_reader import Reader
 
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.depots.candidates import border, candidate_cells, read_candidates, sites_of, spread_out
-from analysis.depots.report import findings, headline, report
-from analysis.depots.search import find_starts
 from analysis.inputs import Asked, load_task
 from analysis.sampling import RolloutChoices
+from analysis.search.place_reports import starts_findings, starts_headline, starts_report
+from analysis.search.start_positions import border, candidate_cells, find_starts, read_candidates, sites_of, spread_out
 from planner.errors import InputError, PlanError
 from planner.mrac.make_plan import make_plan
-from planner.mrac.reference import ReferenceLoop
+from planner.mrac.simulate import ReferenceLoop
 from planner.settings import Choices, Settings
-from planner.worlds.scenario import load_input
-from planner.worlds.world import World
+from planner.world.scenario import load_input
+from planner.world.world import World
 
 LAKE = np.zeros((6, 8))
 LAKE[2:4, 2:4] = np.nan  # no border: the edge cannot be reached from it over obstacles
@@ -87,7 +86,7 @@ def test_where_cells_are_worth_something_it_goes_by_value(depot: bool) -> None:
     assert answer.places[answer.best].value == max((p.value for p in able if p.value), key=lambda one: one.mean)
     found, fresh = answer.to_json(), answer.confirmed
     assert fresh is not None and fresh.value is not None and found["value"] == fresh.value.to_json()
-    assert "% of the value covered on average" in headline(answer) and not answer.notes
+    assert "% of the value covered on average" in starts_headline(answer) and not answer.notes
     assert answer.gain is None or found["gain"] == answer.gain.to_json()
     plain = find_starts(WORLD, 2, Settings(), choices, depot=depot, candidates=given).to_json()
     assert "value" not in plain and all("value" not in one for one in plain["candidates"])
@@ -145,12 +144,12 @@ def test_where_the_team_stands_and_the_best_depot_are_in_the_race_to_the_end() -
     mine, theirs = told[answer.starts.tobytes()], told[now.starts.tobytes()]
     assert answer.gain.mean == pytest.approx(mine - theirs) and answer.gain.ci95[0] > 0
     assert answer.confirmed.coverage.mean == pytest.approx(mine)  # type: ignore[union-attr]
-    assert " more than from the starts of the input" in headline(answer) and answer.to_json()["gain"]["mean"] > 0
-    for said in (headline(answer), next(findings(answer))):
+    assert " more than from the starts of the input" in starts_headline(answer) and answer.to_json()["gain"]["mean"] > 0
+    for said in (starts_headline(answer), next(starts_findings(answer))):
         assert " % " in said and " ± " in said and "95 %" not in said, "% is a share of the cells"
     assert any(
         " ±: half the 95 % interval, in brackets its ends;" in note
-        for part in report(answer).parts
+        for part in starts_report(answer).parts
         for note in part.notes
     )
 
@@ -161,9 +160,9 @@ def test_nothing_worse_is_recommended() -> None:
     world = World.create(ISLANDS, starts=best)
     answer = mrac.starts(world, 3, candidates=[[0, 0], [2, 0]], rollouts=200)
     assert answer.stay and answer.starts.tolist() == best and answer.to_json()["stay"] is True
-    assert headline(answer).startswith("Stay: nothing found is surely better than the starts of the input: ")
+    assert starts_headline(answer).startswith("Stay: nothing found is surely better than the starts of the input: ")
     depot = mrac.starts(world, 3, depot=True, candidates=[[0, 0], [2, 0]], rollouts=200)
-    assert depot.stay and depot.chosen.is_depot and "stay, unless it has to be a depot" in headline(depot)
+    assert depot.stay and depot.chosen.is_depot and "stay, unless it has to be a depot" in starts_headline(depot)
     assert depot.gain is not None and depot.gain.ci95[1] < 0
 
 
@@ -320,7 +319,7 @@ def test_an_interruption_leaves_the_best_so_far() -> None:
         raise KeyboardInterrupt
 
     answer = mrac.starts(WORLD, 2, depot=True, rollouts=32, progress=stop, on_interrupt="return")
-    assert answer.partial and answer.confirmed is None and headline(answer).startswith("Interrupted.")
+    assert answer.partial and answer.confirmed is None and starts_headline(answer).startswith("Interrupted.")
     assert answer.to_json()["partial"] is True and sum(p.coverage is not None for p in answer.places) == 1
 
 
@@ -330,6 +329,6 @@ def test_the_answer_prints_and_saves_itself(tmp_path: Path) -> None:
         files = {file.name for file in answer.save(tmp_path / str(depot))}
         assert files == {"index.html", "starts.png", "starts.txt", "starts.json", "plan.json"}
         page = Reader((tmp_path / str(depot) / "index.html").read_text()).text
-        assert headline(answer) in page and all(said in page for said in findings(answer))
+        assert starts_headline(answer) in page and all(said in page for said in starts_findings(answer))
         assert 2 <= len(repr(answer).splitlines()) <= 24
         assert (answer.world_with_starts.starts == answer.starts).all()

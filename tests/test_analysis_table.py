@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from conftest import FOLDER
 
-from analysis.checking.check_map import check_input
-from analysis.checking.report import report
+from analysis.checking.check import check_input
+from analysis.checking.report import check_report
 from analysis.cli.app import run
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.evaluate import evaluate
-from analysis.evaluation.formulas import formulas_words
+from analysis.evaluation.report import headline, losses_words
 from analysis.evaluation.report import report as evaluation_report
-from analysis.evaluation.words import headline, losses_words
-from analysis.kit.folder import as_text
-from analysis.report.face import print_report
+from analysis.evaluation.table import formulas_words
+from analysis.report.answer import print_report
 from analysis.sampling import RolloutChoices
+from analysis.utils.folder import as_text
 from planner.mrac.make_plan import make_plan
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World, load_world_file
+from planner.world.levels import place_starts
+from planner.world.world import World, load_world_file
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 MOST_LINES = 4
@@ -80,7 +80,7 @@ def test_tables_fit_and_no_label_is_over_four_lines(loop: str, width: int, answe
 def test_check_can_be_read_at_80_columns(world: World) -> None:
     plan = make_plan(world, place_starts(world, 2)[0])
     checked = check_input(world, plan, RolloutChoices(rollouts=200))
-    said = as_text(lambda console: print_report(report(checked), console), 80)
+    said = as_text(lambda console: print_report(check_report(checked), console), 80)
     assert max(map(len, said.splitlines())) <= 80
     assert most_lines(said) <= MOST_LINES, said
     assert "\u2026" not in said
@@ -113,7 +113,7 @@ def test_notes_come_last_and_the_width_of_a_pipe_can_be_set(
     World.create(np.full((4, 6), 0.05), source="m").save(tmp_path / "m.npz")
     events: list[str] = []
     monkeypatch.setattr("analysis.cli.deliver.say", lambda lines: events.extend(lines))
-    monkeypatch.setattr("analysis.report.face.print_report", lambda *_, **__: events.append("the answer"))
+    monkeypatch.setattr("analysis.report.answer.print_report", lambda *_, **__: events.append("the answer"))
     words = ["evaluate", str(tmp_path / "m.npz"), "--robots", "25", "--rollouts", "64"]
     assert run(words) == 0
     assert events[0] == "the answer"

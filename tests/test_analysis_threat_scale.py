@@ -11,14 +11,14 @@ from oracle_tree import closed_loop_exact
 
 from analysis.cli.app import run
 from analysis.evaluation.evaluate import evaluate
-from analysis.evaluation.outputs.threat_scale import parse_scales, scaled_threats
+from analysis.evaluation.outputs.what_if import parse_scales, scaled_threats
 from analysis.sampling import RolloutChoices
 from analysis.theory.exact import open_loop_exact
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
 from planner.tally import Outcome
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 COUNTS = ("visited", "survived", "time", "alive", "outcomes", "stops", "visits")

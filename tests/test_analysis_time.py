@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import mrac_jax as mrac
-from analysis.statistics.estimate import Estimate, mean_estimate
-from analysis.theory.longest import longest_mission, longest_run
+from analysis.statistics.estimates import Estimate, mean_estimate
+from analysis.theory.verdicts import longest_mission, longest_run
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
-from planner.worlds.world import World
+from planner.world.world import World
 
 QUICK, ALL = 30, pytest.param(300, marks=pytest.mark.slow)
 ENDS = [(0, 0), (0, 30)]

@@ -12,24 +12,23 @@ from oracle_tree import ClosedLoopExact, closed_loop_exact
 
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.depots.report import headline as starts_said
-from analysis.depots.search import find_starts
-from analysis.design.report import headline as size_said
-from analysis.design.size import find_size, make_goal
-from analysis.removal.report import headline as clear_said
-from analysis.removal.search import find_clearing
+from analysis.estimators.trial import Trial
 from analysis.sampling import RolloutChoices
-from analysis.statistics.estimate import Estimate
-from analysis.theory.value import Worth
-from analysis.tradeoff.front import settings_of
-from analysis.tradeoff.report import headline as front_said
-from analysis.tradeoff.search import Ladders, find_front
-from analysis.trials.trial import Trial
+from analysis.search.pareto import Ladders, find_front, settings_of
+from analysis.search.place_reports import clear_headline as clear_said
+from analysis.search.place_reports import starts_headline as starts_said
+from analysis.search.reports import front_headline as front_said
+from analysis.search.reports import size_headline as size_said
+from analysis.search.start_positions import find_starts
+from analysis.search.team_size import find_size, make_goal
+from analysis.search.threat_removal import find_clearing
+from analysis.statistics.estimates import Estimate
+from analysis.theory.exact import Worth
 from planner.mrac.make_plan import make_plan
 from planner.settings import Settings
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 RISKS = np.zeros((4, 6))
 RISKS[1:3, 2:4], RISKS[3, 4:], RISKS[0, 5], RISKS[3, 1] = 0.3, 0.1, np.nan, 0.2

@@ -18,31 +18,29 @@ from test_analysis_control import fitted
 from test_analysis_exact import fates_of
 
 import mrac_jax as mrac
+from analysis.estimators.trial import mean_value
 from analysis.evaluation.evaluate import evaluate
-from analysis.evaluation.outputs.value import Units, found_chances
-from analysis.evaluation.outputs.value_words import ROWS, value_table
+from analysis.evaluation.outputs.value import ROWS, Units, found_chances, value_table
 from analysis.sampling import RolloutChoices
-from analysis.statistics.control import LEAST
+from analysis.statistics.control_variate import LEAST
 from analysis.statistics.differences import CommonLuck
-from analysis.statistics.estimate import Estimate
-from analysis.statistics.mission import tail_mean, times_to
-from analysis.theory.value import Worth, open_loop_found
-from analysis.trials.valuing import mean_value
+from analysis.statistics.estimates import Estimate, tail_mean, times_to
+from analysis.theory.exact import Worth, open_loop_found
 from planner.errors import UsageError
-from planner.kernels.state import MOST_PASSES
-from planner.luck import Luck
+from planner.formatting import percent
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import simulate
-from planner.plans.plan import Plan
-from planner.rollouts.by_luck import CLASSES_A_NAT, luck_classes
+from planner.plan.plan import Plan
+from planner.rollout_sampling import Luck
 from planner.rollouts.engine import Rolling, make_engine
+from planner.rollouts.threshold_classes import CLASSES_A_NAT, luck_classes
 from planner.settings import Settings
-from planner.shown import percent
+from planner.simulator.state import MOST_PASSES
 from planner.tally import Tally
-from planner.worlds.generate import Kind, ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.world.generate import Kind, ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 GRID = World.create([[0, 0.3, 0, 0.2], [0.4, np.nan, 0.1, 0], [0, 0.2, 0, 0.3]])
 VALUE = np.array([[1, 5, 0, 2], [3, 9, 1, 1], [0.5, 4, 2, 7]])

@@ -12,9 +12,7 @@ import mrac_jax as mrac
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.evaluate import cut_off
 from analysis.evaluation.figures import Chance, sampled_share
-from analysis.evaluation.formulas import WORDS, formula_counts, formulas_words
-from analysis.evaluation.table import answer_tables
-from analysis.evaluation.words import (
+from analysis.evaluation.report import (
     assured_words,
     cell_words,
     chances_words,
@@ -25,24 +23,45 @@ from analysis.evaluation.words import (
     losses_words,
     quantile_words,
 )
-from analysis.kit.words import plan_words, span_words, without_level
-from analysis.statistics.coverage import losses_said, losses_shown, more_said
-from analysis.statistics.estimate import Estimate, exactly, proportion
-from analysis.statistics.words import between, digits_of, in_unit, lost_words, robots_words
+from analysis.evaluation.table import WORDS, answer_tables, formula_counts, formulas_words
+from analysis.statistics.estimates import (
+    Estimate,
+    between,
+    digits_of,
+    exactly,
+    in_unit,
+    losses_said,
+    losses_shown,
+    lost_words,
+    more_said,
+    proportion,
+    robots_words,
+)
 from analysis.sweeps.report import around as sweep_around
 from analysis.sweeps.report import percent as sweep_percent
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import Verdict, overall
+from analysis.utils.tables import plan_words, span_words, without_level
+from planner.formatting import (
+    UNPACED,
+    at_least_words,
+    ceiled,
+    chance,
+    counted,
+    duration,
+    floored,
+    inside,
+    percent,
+    share,
+)
 from planner.mrac.make_plan import make_plan
-from planner.pace import UNPACED
-from planner.plans.plan import NO_MORE
-from planner.plans.state import NO_CELLS, MissionState, RobotState
+from planner.plan.plan import NO_MORE
+from planner.plan.state import NO_CELLS, MissionState, RobotState
 from planner.settings import Settings
-from planner.shown import at_least_words, ceiled, chance, counted, duration, floored, inside, percent, share
 from planner.tally import Outcome, Tally, tally_key
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 
 def evaluation_of(alive: list[int], threat: float = 0.3) -> Evaluation:

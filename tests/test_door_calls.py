@@ -18,13 +18,13 @@ import numpy as np
 import pytest
 
 import mrac_jax as mrac
-from analysis.api import evaluation as api_evaluation
-from analysis.api import searches
+from analysis.api import questions as api_evaluation
+from analysis.api import questions as searches
 from analysis.cli.app import app, run
-from analysis.kit import progress as shown
-from analysis.kit.calls import Interrupted, ask
-from analysis.kit.safe_console import SafeConsole
 from analysis.sampling import RolloutChoices
+from analysis.utils import progress as shown
+from analysis.utils.progress import Interrupted, ask
+from analysis.utils.tables import SafeConsole
 from planner.settings import SETTINGS
 
 SWEEP = "base: {kind: contiguous, size: 8x11, ratio: 0.2}\nmaps: 40\nrollouts: 30\n"
@@ -226,7 +226,13 @@ def test_searches_pass_every_option_on(monkeypatch: pytest.MonkeyPatch) -> None:
         "luck": "tolerance",
         "exact": "never",
     }
-    rooms = {"starts": "depots", "clear": "removal", "attack": "adversary", "front": "tradeoff", "size": "design.size"}
+    rooms = {
+        "starts": "start_positions",
+        "clear": "threat_removal",
+        "attack": "threat_placement",
+        "front": "pareto",
+        "size": "team_size",
+    }
     finders = {
         "starts": "find_starts",
         "clear": "find_clearing",
@@ -241,7 +247,7 @@ def test_searches_pass_every_option_on(monkeypatch: pytest.MonkeyPatch) -> None:
             seen.extend(given)
             return Done()
 
-        monkeypatch.setattr(f"analysis.{room if '.' in room else f'{room}.search'}.{finders[name]}", find)
+        monkeypatch.setattr(f"analysis.search.{room}.{finders[name]}", find)
         asked = settings | ({} if name == "front" else policy) | ({"target": 0.5} if name in ("size", "front") else {})
         getattr(mrac, name)(world, **({} if name == "size" else {"robots": 2}), **asked, **rolled, progress=False)
         (made,) = [one for one in seen if isinstance(one, mrac.Settings)]

@@ -22,18 +22,17 @@ from test_planner_mission import obey
 
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.driving.dialogue import LONGEST, Dialogue
-from analysis.driving.outlook import DrivenMission
+from analysis.mission_protocol import LONGEST, Dialogue, DrivenMission
 from analysis.sampling import RolloutChoices, make_singles
 from planner.errors import InputError, StateError, UsageError, WorldError
 from planner.files import CHECKSUM
-from planner.missions.saved import ended
-from planner.mrac.reference import ReferenceLoop
-from planner.plans.plan import Plan
+from planner.mission.map_updates import ended
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
 from planner.tally import Outcome
-from planner.worlds.generate import Stream, ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.world.generate import Stream, ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 ROOT = Path(__file__).parent.parent
 

@@ -13,23 +13,23 @@ import pytest
 from closed_loop_compare import assert_same_trace
 
 import mrac_jax as mrac
-from analysis.judging.rolling import roll_policy
+from analysis.policy_evaluation.policy_evaluation import roll_policy
 from analysis.sampling import RolloutChoices, make_singles
 from mrac_jax.environment.area_env import COLUMNS, AreaEnv
-from planner.luck import Luck
-from planner.missions.chosen import ChosenRun
+from planner.mission.team_control import ChosenRun
+from planner.mrac.board import Recorder
 from planner.mrac.make_plan import make_plan
-from planner.mrac.recorder import Recorder
-from planner.mrac.reference import ReferenceLoop
-from planner.mrac.takeover import ready_loop
+from planner.mrac.problem import ready_loop
+from planner.mrac.simulate import ReferenceLoop
 from planner.policies import RULES, Rule
-from planner.policies.offer import Offer
+from planner.policies.rule import Offer
+from planner.rollout_sampling import Luck
 from planner.settings import Policy, Settings
 from planner.tally import Outcome
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import Team, World
-from planner.worlds.wrong_maps import with_hazard
+from planner.world.changing_maps import with_hazard
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import Team, World
 
 BY_SIZE = Rule("by_size", lambda offer: ((offer.level, 1), (-offer.unvisited, 1)))
 POLICIES: dict[str, Policy] = {

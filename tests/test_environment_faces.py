@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 import mrac_jax as mrac
-from planner.worlds.generate import random_world
-from planner.worlds.world import World
+from planner.world.generate import random_world
+from planner.world.world import World
 
 gymnasium = pytest.importorskip("gymnasium")
 pettingzoo = pytest.importorskip("pettingzoo")

@@ -10,10 +10,10 @@ from doubt import expected, one_of, open_loop
 
 import mrac_jax as mrac
 from analysis.evaluation.report import report
-from analysis.report.face import print_report
+from analysis.report.answer import print_report
 from analysis.report.picture import figure_of
 from planner.errors import InputError
-from planner.worlds.world import World
+from planner.world.world import World
 
 BASE = World.create([[0.0, 0.2, 0.0], [0.0, np.nan, 0.1], [0.0, 0.0, 0.3]])
 MAPS = [BASE.threat, 0 * BASE.threat, np.where(BASE.threat > 0.15, np.float32(0.7), BASE.threat)]

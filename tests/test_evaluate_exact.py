@@ -10,19 +10,18 @@ from doubt import closed_loop, expected, one_of, open_loop
 from oracle_tree import closed_loop_exact
 
 import mrac_jax as mrac
+from analysis.estimators.trial import SLACK
 from analysis.evaluation.charts import distribution, histogram_bins
 from analysis.evaluation.evaluate import TO_LOOK_AT
-from analysis.evaluation.report import report
-from analysis.evaluation.words import chances_words, losses_words
-from analysis.kit.folder import as_text
-from analysis.report.face import print_report
-from analysis.trials.exact_loop import SLACK
-from planner.kernels.closed_loop import compile_closed_loop
-from planner.kernels.runners import Runner
-from planner.kernels.tree import WHOLE, Tree
-from planner.shown import percent
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.world import World
+from analysis.evaluation.report import chances_words, losses_words, report
+from analysis.report.answer import print_report
+from analysis.utils.folder import as_text
+from planner.formatting import percent
+from planner.simulator.closed_loop import compile_closed_loop
+from planner.simulator.exact_tree import WHOLE, Tree
+from planner.simulator.runners import Runner
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.world import World
 
 WORLD = World.create([[0, 0, 0.05, 0, np.nan], [0.3, 0, 0, 0, 0.5], [0, 0, 0, 0, 0.1]])
 STARTS = [(2, 2), (1, 1), (1, 4)]

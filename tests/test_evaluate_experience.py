@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import mrac_jax as mrac
-from analysis.evaluation.outputs.experience import entropy_of
+from analysis.estimators.racing import told_of_hazards
+from analysis.evaluation.outputs.information import entropy_of
 from analysis.evaluation.report import report
-from analysis.trials.told import told_of_hazards
 from planner.errors import UsageError
-from planner.luck import hazards_met
-from planner.mrac.reference import ReferenceLoop
-from planner.plans.plan import is_certain
-from planner.worlds.generate import ThreatPattern, random_world
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import is_certain
+from planner.rollout_sampling import hazards_met
+from planner.world.generate import ThreatPattern, random_world
 
 SITE = random_world(7, 7, ThreatPattern("scattered", 3, (0.1, 0.3), 5), obstacles=0.1, threats=0.4)
 Q = np.nan_to_num(np.array(SITE.threat)) * 2

@@ -12,21 +12,21 @@ import pytest
 from page_reader import check_page_is_sound
 
 import mrac_jax as mrac
+from analysis.estimators.racing import MOST_MAPS
 from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.outputs.knowledge import Knowledge, parse_ranges
-from analysis.evaluation.runs import run_of, runs
+from analysis.evaluation.layers import run_of, runs
+from analysis.evaluation.outputs.information import Knowledge, parse_ranges
 from analysis.recording.replay import replay
 from analysis.sampling import RolloutChoices
-from analysis.theory.longest import longest_run
-from analysis.trials.told import MOST_MAPS
+from analysis.theory.verdicts import longest_run
 from planner.errors import InputError
-from planner.luck import rows_met
-from planner.none import NO_STEP
-from planner.plans.plan import Plan
+from planner.ids import NO_STEP
+from planner.plan.plan import Plan
+from planner.rollout_sampling import rows_met
 from planner.rollouts.engine import Rolling, make_engine
-from planner.trace import Doing
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.world import World
+from planner.tally import Doing
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.world import World
 
 TOLD = random_world(10, 10, ThreatPattern(seed=3)).with_starts([[0, 0], [0, 1]])
 DARK = mrac.with_prior(TOLD, 0.04, "known", sense=2)

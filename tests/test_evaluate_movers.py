@@ -18,10 +18,10 @@ from analysis.evaluation.report import report
 from analysis.inputs import Asked, load_task
 from analysis.report.html import page_of
 from planner.errors import InputError
-from planner.roaming import ways_of_movers
+from planner.formatting import percent
+from planner.rollout_sampling import ways_of_movers
 from planner.settings import Choices
-from planner.shown import percent
-from planner.worlds.world import World
+from planner.world.world import World
 
 MOVERS: list[dict[str, Any]] = [
     {"walk": 0.5, "h": 0.1, "count": 2},
@@ -93,7 +93,7 @@ def test_what_is_known_by_a_step_is_what_is_said(world: World) -> None:
 
 
 def test_one_robot_on_a_map_that_is_too_large_is_sampled(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.theory.moving.MOST_WORK", 20)
+    monkeypatch.setattr("analysis.theory.exact.MOST_WORK", 20)
     answer = mrac.evaluate(world, 1, rollouts=50)
     assert not answer.is_exact and answer.to_json()["exact"]["open_loop"]["visited"] is None
 

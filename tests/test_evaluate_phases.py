@@ -12,15 +12,15 @@ from movers import PRESUME_THREATS_THAT_STAY
 from test_recording_topics import decoded
 
 import mrac_jax as mrac
-from analysis.evaluation.maps import threats
+from analysis.evaluation.charts import threats
 from analysis.evaluation.report import report
 from analysis.pictures.style import house_style
-from analysis.recording.pictures.picture import RolloutPicture
+from analysis.recording.pictures import RolloutPicture
 from analysis.recording.viewers.topics import Stage
 from planner.errors import InputError
-from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.world import World
 
 DAY = np.array([[0, 0, 0.2, 0, 0], [0, 0, np.nan, 0, 0], [0, 0.2, 0, 0, 0]])
 NIGHT = np.array([[0, 0.3, 0, 0, 0], [0, 0, np.nan, 0.3, 0], [0, 0, 0, 0.3, 0]])

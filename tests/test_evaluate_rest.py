@@ -10,12 +10,11 @@ import pytest
 from page_reader import Reader
 
 import mrac_jax as mrac
-from analysis.evaluation.report import report
-from analysis.evaluation.rest import BEFORE, BEYOND, TO_DO, rest_of
-from analysis.evaluation.words import rest_words
-from planner.plans.state import MissionState
-from planner.plans.state_file import load_state
-from planner.worlds.world import World
+from analysis.evaluation.figures import BEFORE, BEYOND, TO_DO, rest_of
+from analysis.evaluation.report import report, rest_words
+from planner.plan.state import MissionState
+from planner.plan.state_file import load_state
+from planner.world.world import World
 
 QUIET = {"rollouts": 200, "bound": False, "advice": False, "engine": "numba"}
 LAND = np.zeros((5, 9))

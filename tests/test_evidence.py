@@ -46,7 +46,11 @@ def test_the_page_keeps_what_it_is_told() -> None:
 
 def test_covered_is_what_is_imported_to_the_last() -> None:
     paths = covered("test_analysis_picks")
-    assert {"tests/test_analysis_picks.py", "analysis/depots/search.py", "planner/kernels/tree.py"} <= paths
+    assert {
+        "tests/test_analysis_picks.py",
+        "analysis/search/start_positions.py",
+        "planner/simulator/exact_tree.py",
+    } <= paths
     assert "tests/test_analysis_control.py" in covered("test_analysis_value")
     assert "analysis/studio/server.py" not in paths and "mrac_jax/__init__.py" not in paths
 

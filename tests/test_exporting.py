@@ -19,15 +19,12 @@ from rasterio.features import rasterize
 
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.cli.exporting import Way
-from analysis.exporting.antimeridian import cut_area, cut_line
-from analysis.exporting.export import FORMATS
-from analysis.exporting.mission import straight_runs
-from analysis.exporting.outlines import outline
+from analysis.cli.decisions import Way
+from analysis.exporting import FORMATS, cut_area, cut_line, outline, straight_runs
 from planner.errors import InputError, MapError, PlanError, UsageError
-from planner.plans.plan import Plan, RobotPlan
-from planner.worlds.georeference import Georeference
-from planner.worlds.world import World
+from planner.plan.plan import Plan, RobotPlan
+from planner.world.grid import Georeference
+from planner.world.world import World
 
 rasterio = pytest.importorskip("rasterio")
 KML, GPX = "{http://www.opengis.net/kml/2.2}", "{http://www.topografix.com/GPX/1/1}"

@@ -16,11 +16,8 @@ import networkx as nx
 ROOT = Path(__file__).parent.parent
 ROOMS = ("planner", "analysis", "mrac_jax")
 DOOR = re.compile(r"mrac_jax|mrac_jax\.__main__|analysis\.api(\.\w+)?")
-ANSWERS = (
-    "evaluation", "comparison", "checking", "survey", "design", "reproduction", "policies", "sweeps", "recording",
-    "tradeoff", "depots", "removal", "adversary", "judging", "standings", "knowing",
-)  # fmt: skip
-KITS = ("statistics", "theory", "page", "pictures", "kit", "report", "exporting")
+ANSWERS = ("evaluation", "comparison", "checking", "experiments", "sweeps", "recording", "search", "policy_evaluation")
+KITS = ("statistics", "theory", "page", "pictures", "utils", "report", "exporting")
 
 
 @cache
@@ -92,7 +89,7 @@ def test_no_file_and_no_room_imports_in_a_circle() -> None:
     for of in (str, room_of):
         circles = [sorted(found) for found in nx.strongly_connected_components(arrows(of)) if len(found) > 1]
         assert not circles, of
-    assert len(arrows(str)) > 200
+    assert len(arrows(str)) > 150
 
 
 def test_seven_floors_carry_the_door() -> None:
@@ -129,7 +126,7 @@ def test_oracles_never_see_an_engine() -> None:
 
 def test_only_one_file_imports_metis() -> None:
     users = [path.name for path in (ROOT / "planner").rglob("*.py") if "pymetis" in imports_of(path)]
-    assert users == ["partition.py"]
+    assert users == ["areas.py"]
 
 
 def test_constraints_name_no_host() -> None:
@@ -156,15 +153,20 @@ def test_every_package_module_says_what_it_is_for() -> None:
 def test_a_report_loads_no_pictures() -> None:
     """Tables and JSON come without matplotlib: a third of a second of every command."""
     code = "import sys\n"
-    for room in sorted({*ANSWERS} - {"recording"}):
-        code += f"import analysis.{room}.report\nassert 'matplotlib' not in sys.modules, '{room}'\n"
+    reports = {module for module in sources() if re.fullmatch(r"analysis\..*reports?|analysis\.comparison", module)}
+    assert len(reports) > 6
+    for module in sorted(reports - {"analysis.report"}):
+        code += f"import {module}\nassert 'matplotlib' not in sys.modules, '{module}'\n"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 
 FACES = ("cli", "studio", "bench", "page")
 """Rooms whose words are those of the command line, or of style sheets."""
-PRINTED = re.compile(r"tables?|report|page\w*|words|\w*_report")
+PRINTED = re.compile(
+    r"tables?|\w*reports?|page|comparison|threat_placement|leaderboard|policy_evaluation|policies|information_value"
+    r"|reproduction|replay|model|answer|document"
+)
 """Files that say what a command prints."""
 
 

@@ -13,7 +13,7 @@ import pytest
 from pool_tasks import ENDS_WITH_US
 from test_pool import below, none_left
 
-from analysis.sweeps.store.store import Store
+from analysis.sweeps.store import Store
 
 SWALLOWED = """
 import gc, os, signal, sys, time
@@ -108,7 +108,7 @@ from mrac_jax.__main__ import main
 
 def run():
     import numpy as np  # of which some builds begin threads: so after `main` blocked SIGTERM
-    from planner.mrac.partition import metis_parts
+    from planner.mrac.areas import metis_parts
 
     print("splits", flush=True)
     while True:

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from analysis.kit.loops import run_loop
+from analysis.utils.progress import run_loop
 
 EVERYWHERE = """
 import asyncio, signal, sys
-from analysis.kit.loops import run_loop
+from analysis.utils.progress import run_loop
 
 def handler(number, frame):  # as the command line has it: not Python's own
     raise KeyboardInterrupt

@@ -20,24 +20,23 @@ from conftest import LANES
 from rolling import run_closed_chunks
 from test_mrac_jax_open_loop import FLAGS
 
-from mrac_jax.closed_loop import jax_engine as engine_module
-from mrac_jax.closed_loop import program as lane_program
-from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
-from mrac_jax.closed_loop.nominal import NO_HIT, nominal_of
+from mrac_jax.closed_loop import engine as engine_module
+from mrac_jax.closed_loop import engine as lane_program
+from mrac_jax.closed_loop.beginning import NO_HIT, nominal_of
+from mrac_jax.closed_loop.engine import JaxClosedLoop
 from mrac_jax.closed_loop.state import Sums
 from mrac_jax.closed_loop.tables import lane_tables
 from planner.errors import UsageError, WorldError
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.kernels.loop import ClosedLoop
-from planner.kernels.state import MOST_PASSES
+from planner.failure_model import tolerances
 from planner.mrac.make_plan import make_plan
 from planner.rollouts.engine import closed_loop_engine
-from planner.tally import Outcome, RolloutResults
-from planner.tolerance import tolerances
-from planner.trace import EventKind
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.simulator.loop import ClosedLoop
+from planner.simulator.state import MOST_PASSES
+from planner.tally import EventKind, Outcome, RolloutResults
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 MOST_SHAPES = 12
 TRACED = range(16)

@@ -10,17 +10,15 @@ import pytest
 from open_loop_reference import fixture, plan_of, walk
 from rolling import rollouts, run_chunks
 
-from mrac_jax.open_loop.jax_engine import jitted
-from mrac_jax.open_loop.padding import pad_tables, size_bucket
+from mrac_jax.open_loop import jitted, pad_tables, size_bucket
 from planner.errors import PlanError, UsageError
-from planner.rollouts.open_loop import compiled as compiled_module
-from planner.rollouts.open_loop.compiled import CompiledPlan, ModeTables, compile_plan, survival_thresholds
-from planner.rollouts.open_loop.counts import share_out
-from planner.rollouts.open_loop.groups import make_groups
-from planner.rollouts.open_loop.guide import Guide, make_guide
-from planner.rollouts.open_loop.numba_scores import BLOCK_WORDS
-from planner.worlds.doubt import bounds_of
-from planner.worlds.world import World
+from planner.rollouts import open_loop as compiled_module
+from planner.rollouts.open_loop import CompiledPlan, ModeTables, compile_plan, share_out, survival_thresholds
+from planner.rollouts.open_loop_events import Guide, make_guide
+from planner.rollouts.open_loop_numba import BLOCK_WORDS
+from planner.rollouts.open_loop_trace import make_groups
+from planner.world.uncertain_maps import bounds_of
+from planner.world.world import World
 
 THREATS = {
     "falling": np.full(38, 0.12),
@@ -121,9 +119,9 @@ def test_single_robots_and_pairs_give_one_tally(engine: str) -> None:
     whole = rollouts(compile_plan(plan, world), seed=3, count=20_000, mode="tolerance", engine=engine)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiled_module, "make_groups", lambda depth: make_groups(depth, 0))
-        patch.setattr("mrac_jax.open_loop.joint_events.MOST_FUSED_WORDS", 0)
-        patch.setattr("mrac_jax.open_loop.jax_engine.jitted", cache(jitted.__wrapped__))
-        patch.setattr("planner.rollouts.open_loop.numba_scores.BLOCK_WORDS", BLOCK_WORDS[:1])
+        patch.setattr("mrac_jax.open_loop.MOST_FUSED_WORDS", 0)
+        patch.setattr("mrac_jax.open_loop.jitted", cache(jitted.__wrapped__))
+        patch.setattr("planner.rollouts.open_loop_numba.BLOCK_WORDS", BLOCK_WORDS[:1])
         single = compile_plan(plan, world)
         assert single.tables("tolerance").groups.members == 1
         assert rollouts(single, seed=3, count=20_000, mode="tolerance", engine=engine) == whole

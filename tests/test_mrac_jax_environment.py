@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mrac_jax.arrays import tolerance_words
 from mrac_jax.environment.coverage_env import ACTIONS, AT_ONCE, PLANES, CoverageEnv, State
-from mrac_jax.two_words import tolerance_words
 from planner.errors import InputError
-from planner.tolerance import exposure_of, tolerance_of, tolerances
-from planner.worlds.generate import random_world
-from planner.worlds.world import World
+from planner.failure_model import exposure_of, tolerance_of, tolerances
+from planner.world.generate import random_world
+from planner.world.world import World
 
 MOVES = {"stay": (0, 0), "north": (-1, 0), "west": (0, -1), "east": (0, 1), "south": (1, 0)}
 ROWS, COLS, ROBOTS, STEPS = 7, 9, 3, 150

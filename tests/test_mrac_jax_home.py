@@ -11,20 +11,20 @@ from test_mrac_jax_missions import same
 from test_planner_home import KINDS, WATCHFUL, corridor, drawn
 from test_planner_mission import obey
 
-from mrac_jax.closed_loop import jax_engine as engine_module
-from mrac_jax.closed_loop.nominal import nominal_of
+from mrac_jax.closed_loop import engine as engine_module
+from mrac_jax.closed_loop.beginning import nominal_of
 from mrac_jax.closed_loop.state import CELL_KINDS, STEP_KINDS
 from mrac_jax.closed_loop.tables import LaneTables, lane_tables
 from planner.errors import WorldError
-from planner.kernels.closed_loop import compile_closed_loop
-from planner.kernels.loop import ClosedLoop
-from planner.missions.mission import Mission
+from planner.mission.mission import Mission
 from planner.mrac.make_plan import allocated_plan, make_plan
-from planner.mrac.reference import ReferenceLoop
-from planner.plans.state_file import parse_state
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.state_file import parse_state
 from planner.settings import Settings
-from planner.trace import EventKind
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop
+from planner.simulator.loop import ClosedLoop
+from planner.tally import EventKind
+from planner.world.world import World
 
 PAPERS, LOOKING = KINDS[7] | {"deadline": 90}, KINDS[3] | {"reserve": 0.5, "worth": 60.0}
 BREAKS_OFF = [*WATCHFUL[:2], {"return_to": "home", "policy": "watchful", "worth": 20.0, "range": 35, "recharge": 3}]

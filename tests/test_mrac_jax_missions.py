@@ -22,26 +22,26 @@ from test_planner_range import small as ranged
 from test_planner_state import SETTINGS, STEPS, rest_of
 from test_planner_takeover import map_of, wanderings
 
-from mrac_jax.closed_loop import jax_engine as engine_module
-from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
+from mrac_jax.arrays import MOST_MAPS, make_doubt
+from mrac_jax.closed_loop import engine as engine_module
+from mrac_jax.closed_loop.engine import JaxClosedLoop
 from mrac_jax.closed_loop.tables import LEAST_PATHS, LaneTables, lane_tables
-from mrac_jax.doubt import MOST_MAPS, make_doubt
 from planner.errors import WorldError
-from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
-from planner.kernels.loop import ClosedLoop
-from planner.kernels.tables import luck_tables
-from planner.limits import MAX_STEP
+from planner.ids import MAX_STEP
 from planner.mrac.make_plan import make_plan
-from planner.mrac.reference import ReferenceLoop
-from planner.plans.plan import Plan
-from planner.plans.state_file import parse_state
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
+from planner.plan.state_file import parse_state
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
+from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
+from planner.simulator.loop import ClosedLoop
+from planner.simulator.tables import luck_tables
 from planner.tally import RolloutResults
-from planner.worlds.doubt import UNIT
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
-from planner.worlds.wrong_maps import with_hazard
+from planner.world.changing_maps import with_hazard
+from planner.world.levels import place_starts
+from planner.world.uncertain_maps import UNIT
+from planner.world.world import World
 
 
 def same(loop: ClosedLoop, seed: int, rollouts: int, what: object, traced: tuple[int, ...] = ()) -> RolloutResults:

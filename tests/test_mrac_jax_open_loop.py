@@ -16,14 +16,14 @@ import pytest
 from open_loop_reference import fixture, plan_of, stops_of, walk
 from rolling import rollout_results, rollouts, run_chunks
 
-from analysis.judging.rolling import roll_policy
-from mrac_jax import accelerator as accelerators
+from analysis.policy_evaluation.policy_evaluation import roll_policy
+from mrac_jax import runtime as accelerators
 from mrac_jax.environment.coverage_env import CoverageEnv
 from planner.errors import UsageError
 from planner.rollouts.engine import choose_engine, open_loop_engine
-from planner.rollouts.open_loop.compiled import CompiledPlan, Mode, compile_plan
+from planner.rollouts.open_loop import CompiledPlan, Mode, compile_plan
 from planner.tally import Outcome, Tally, tally_key
-from planner.worlds.world import World
+from planner.world.world import World
 
 MODES = ("tolerance", "fast", "step")
 ENGINES = ("numba", "jax")
@@ -216,7 +216,7 @@ def test_chunks_report_where_the_run_stands() -> None:
 
 
 def test_one_compilation_serves_plans_of_one_bucket() -> None:
-    from mrac_jax.open_loop import jax_engine as open_loop
+    from mrac_jax import open_loop
 
     compiled = [
         compiled_fixture("tiny-4x3-23", 4),
@@ -271,7 +271,7 @@ def test_two_devices_equal_one() -> None:
 def test_numba_alone_does_not_import_jax() -> None:
     program = (
         "import sys; from open_loop_reference import fixture; from rolling import rollouts;"
-        "from planner.rollouts.open_loop.compiled import compile_plan;"
+        "from planner.rollouts.open_loop import compile_plan;"
         "plan, world, _ = fixture('tiny-4x8-12', 2);"
         "rollouts(compile_plan(plan, world), seed=0, count=10, engine='numba');"
         "assert 'jax' not in sys.modules"

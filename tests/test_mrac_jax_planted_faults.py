@@ -22,10 +22,10 @@ import pytest
 from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
 from closed_loop_worlds import SurveyWorld, survey_world
 
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.mrac.make_plan import make_plan
-from planner.mrac.reference import ReferenceLoop
-from planner.plans.plan import Plan
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
 
 ROOT = Path(__file__).parent.parent
 WORLDS = ("contiguous-8", "combs-8", "crossings-0")
@@ -67,32 +67,32 @@ TELLS_HIT = """        mine = jnp.where(move.area == tables.none, NO_AREA, read(
 """
 INTERPRETED = {
     "classical tie order": Fault(
-        "planner/kernels/areas.py",
+        "planner/simulator/areas.py",
         "            if cost >= 0 and (level < best_level or cost < best_cost):\n",
         "            if cost >= 0 and (level < best_level or cost <= best_cost):\n",
     ),
     "classical survivors find the state that the others left": Fault(
-        "planner/kernels/rollouts.py",
+        "planner/simulator/rollouts.py",
         "    hit = hand(level_of(stack, top))\n",
         "    hit = hand(level_of(stack, top))._replace(movers=s.movers)\n",
     ),
     "classical set parted, and the order of the hit ones lost": Fault(
-        "planner/kernels/luck.py",
+        "planner/simulator/failure_sampling.py",
         "        ids[kept + index] = words[index]\n",
         "        ids[kept + index] = words[0]\n",
     ),
     "classical set counted once": Fault(
-        "planner/kernels/visits.py", "    c.new[step] += size\n", "    c.new[step] += 1\n"
+        "planner/simulator/visits.py", "    c.new[step] += size\n", "    c.new[step] += 1\n"
     ),
     "classical bits of another branch": Fault(
-        "planner/kernels/rollouts.py",
+        "planner/simulator/rollouts.py",
         "    copy_row(of.open, to.open, (areas + WORD - 1) // WORD)\n",
         "    stale = to.open[0] & np.uint64(0xFF)\n"
         "    copy_row(of.open, to.open, (areas + WORD - 1) // WORD)\n"
         "    to.open[0] |= stale\n",
     ),
     "jax snapshot of another step": Fault(
-        "mrac_jax/closed_loop/nominal.py",
+        "mrac_jax/closed_loop/beginning.py",
         '(np.searchsorted(begins, step[danger], side="right") - 1)',
         'np.searchsorted(begins[1:], step[danger], side="right").clip(1, len(begins) - 1)',
     ),
@@ -106,7 +106,7 @@ QUICK = (
     "jax snapshot of another step",
 )
 STALE_FLAG = Fault(
-    "planner/kernels/rollouts.py",
+    "planner/simulator/rollouts.py",
     "    copy_row(flat(of.robots), flat(to.robots), len(of.robots) * ROBOT_WORDS)\n",
     "    for robot in range(len(of.robots)):\n        for word in range(ROBOT_WORDS):\n"
     "            if word != ROBOT_WORDS - 3:\n                to.robots[robot, word] = of.robots[robot, word]\n",
@@ -114,23 +114,23 @@ STALE_FLAG = Fault(
 """Whether a robot is held is the last but two of its words."""
 COMPILED = {
     "classical hit before the cell is marked": Fault(
-        "planner/kernels/visits.py",
+        "planner/simulator/visits.py",
         "    s.marks[ALIVE] -= 1\n",
         "    s.marks[ALIVE] -= 1\n    s.marks[COVERED] -= s.home[cell] & VISITED\n"
         "    s.home[cell] = np.int64(s.home[cell]) >> 1 << 1\n",
     ),
     "classical component lost": Fault(
-        "planner/kernels/areas.py",
+        "planner/simulator/areas.py",
         "        reopen(s, new)\n",
         "        if split or new == first_new:\n            reopen(s, new)\n",
     ),
     "classical path remembered goes on in an area that was shared": Fault(
-        "planner/kernels/paths.py",
+        "planner/simulator/paths.py",
         "    robots[robot, AHEAD], robots[robot, PATH] = ahead, 0\n",
         "    if searched:\n        robots[robot, AHEAD], robots[robot, PATH] = ahead, 0\n",
     ),
     "jax prefix a step short": Fault(
-        "mrac_jax/closed_loop/nominal.py",
+        "mrac_jax/closed_loop/beginning.py",
         "            on_it[:step] += leaving\n",
         "            on_it[: max(step - 1, 0)] += leaving\n",
         seen_in="tallies",
@@ -146,7 +146,7 @@ COMPILED = {
         "    for side in range(SIDES):\n        near = read(tables.sweep, cell * SIDES + side)",
     ),
     "jax tie order of areas": Fault(
-        "mrac_jax/closed_loop/search.py",
+        "mrac_jax/closed_loop/rules.py",
         "        number = jnp.where(fits, jnp.take_along_axis(rows, label, axis=1), FAR)\n",
         "        number = jnp.where(fits, -jnp.take_along_axis(rows, label, axis=1), FAR)\n",
     ),
@@ -187,7 +187,7 @@ def rolled_out(package: str, one: SurveyWorld, traced: int) -> tuple[Any, Any, l
         return *run_range(loop, one.seed, 0, ROLLOUTS, singles=True), trace_rollouts(loop, one.seed, range(traced))
     from conftest import LANES  # not by the other engine's processes, which need neither this nor JAX
 
-    from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
+    from mrac_jax.closed_loop.engine import JaxClosedLoop
 
     engine = JaxClosedLoop(loop, one.seed, streams=1, lanes=LANES)
     return *engine.run(0, ROLLOUTS), list(engine.traces(range(traced)))

@@ -15,22 +15,19 @@ from closed_loop_worlds import CELL_BUCKETS, SurveyWorld, first_worlds, survey_w
 from conftest import LANES, load_fixture
 from test_mrac_jax_missions import same
 
-from mrac_jax.closed_loop import jax_engine as engine_module
-from mrac_jax.closed_loop.jax_engine import TRACED, JaxClosedLoop
-from mrac_jax.closed_loop.offers import Candidate, is_before
-from mrac_jax.closed_loop.policies import LARGEST_DENOMINATOR
-from mrac_jax.closed_loop.tables import LaneTables, lane_tables
+from mrac_jax.closed_loop import engine as engine_module
+from mrac_jax.closed_loop.engine import TRACED, JaxClosedLoop
+from mrac_jax.closed_loop.rules import Candidate, is_before
+from mrac_jax.closed_loop.tables import LARGEST_DENOMINATOR, LaneTables, lane_tables
 from planner.errors import WorldError
-from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
-from planner.kernels.follow import Followed
-from planner.kernels.loop import ClosedLoop
 from planner.mrac.make_plan import make_plan
-from planner.policies.offer import Offer
-from planner.policies.rule import Rule
+from planner.policies.rule import Offer, Rule
 from planner.rollouts.engine import closed_loop_engine
 from planner.settings import Settings
-from planner.tally import Outcome
-from planner.trace import EventKind
+from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
+from planner.simulator.loop import ClosedLoop
+from planner.simulator.policy import Followed
+from planner.tally import EventKind, Outcome
 
 SHAPE = (150, 8)
 """Least room for cells and robots: that of all quick worlds here."""

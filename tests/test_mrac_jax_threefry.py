@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from test_planner_threefry import KNOWN
 
-from planner.threefry import key_of, threefry2x32
+from planner.failure_model import key_of, threefry2x32
 
 
 @pytest.mark.parametrize(("counter", "key", "words"), KNOWN)
 def test_published_vectors(counter: tuple[int, int], key: tuple[int, int], words: tuple[int, int]) -> None:
     import jax.numpy as jnp
 
-    from mrac_jax.threefry import threefry2x32 as jax_threefry
-    from planner.kernels.luck import threefry
+    from mrac_jax.arrays import threefry2x32 as jax_threefry
+    from planner.simulator.failure_sampling import threefry
 
     of_jax = jax_threefry(jnp.array(key, jnp.uint32), jnp.uint32(counter[0]), jnp.uint32(counter[1]))
     of_numba = threefry(*(np.uint32(word) for word in (*key, *counter)))
@@ -26,9 +26,9 @@ def test_equal_to_numpy_on_many_counters() -> None:
     import jax
     import jax.numpy as jnp
 
-    from mrac_jax.threefry import threefry2x32 as jax_threefry
+    from mrac_jax.arrays import threefry2x32 as jax_threefry
     from planner.jit import program
-    from planner.rollouts.open_loop.numba_draws import _words
+    from planner.rollouts.open_loop_numba import _words
 
     key = key_of(0x0123456789ABCDEF)
     counters = np.arange(2**32 - 500, 2**32 + 500, dtype=np.uint64).astype(np.uint32)

@@ -10,15 +10,15 @@ from open_loop_reference import plan_of as external_plan
 
 from analysis.theory.exact import open_loop_exact
 from planner.errors import UsageError
-from planner.luck import Luck
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan
+from planner.plan.plan import Plan
+from planner.rollout_sampling import Luck
 from planner.rollouts.engine import Rolling, make_engine, open_loop_engine
-from planner.rollouts.open_loop.compiled import compile_plan
+from planner.rollouts.open_loop import compile_plan
 from planner.settings import Settings
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
-from planner.worlds.wrong_maps import with_hazard, with_maps, with_spread
+from planner.world.changing_maps import with_hazard, with_maps, with_spread
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 TINY = World.create([[0.0, 0.2, 0.0, 0.25, 0.0]])
 PATHS = [[2, 3, 4, 3, 2, 1, 0], [2, 1, 0, 1, 2, 3, 4], [1, 0, 1, 2, 3]]

@@ -13,16 +13,25 @@ from page_reader import PNG, Reader, check_page_is_sound
 from PIL import Image
 from rich.table import Table
 
-from analysis.page.cell_maps import NOT_FREE, OUT_OF_REACH, STEPS, CellLayer, cell_maps_html
-from analysis.page.curves import Chart, Series, curves_html
-from analysis.page.document import asset, whole_script
-from analysis.page.markup import TEMPLATES, Html, block, unbroken, with_code
-from analysis.page.tables import FOLDED_FROM, MOST_ROWS, TableData, from_rich
-from analysis.page.ticks import label, ticks
+from analysis.page.charts import Chart, Series, curves_html, label, ticks
+from analysis.page.document import (
+    FOLDED_FROM,
+    MOST_ROWS,
+    TEMPLATES,
+    Html,
+    TableData,
+    asset,
+    block,
+    from_rich,
+    unbroken,
+    whole_script,
+    with_code,
+)
+from analysis.page.maps import NOT_FREE, OUT_OF_REACH, STEPS, CellLayer, cell_maps_html
 from analysis.pictures.style import COVERED
-from analysis.report.blocks import KeyFigure, Part, Report
 from analysis.report.html import page_of
-from planner.worlds.world import World
+from analysis.report.model import KeyFigure, Part, Report
+from planner.world.world import World
 
 HOSTILE = (
     "</script><script>alert(1)</script><!--<img src=x onerror=alert(2)>\"'&amp;[bold]`${1}`",
@@ -245,7 +254,7 @@ def test_a_map_holds_every_cell_the_right_way_up(cells: tuple[np.ndarray, World,
 
 
 def test_large_maps_come_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.page.cell_maps.MOST_CELLS", 6)
+    monkeypatch.setattr("analysis.page.maps.MOST_CELLS", 6)
     threat = np.zeros((5, 5))
     threat[1, :2] = np.nan
     world, starts = World.create(threat), np.array([[4, 4]])

@@ -17,30 +17,26 @@ from page_reader import PNG, Reader, check_page_is_sound
 from PIL import Image
 
 import mrac_jax as mrac
-from analysis.checking.check_map import MapCheck, check_input
-from analysis.checking.report import headline as check_headline
-from analysis.checking.report import report as check_report
+from analysis.checking.check import MapCheck, check_input
+from analysis.checking.report import check_headline, check_report, survey_headline, survey_report
+from analysis.checking.survey import Survey, make_survey, run_survey
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.evaluate import evaluate
-from analysis.evaluation.formulas import formulas_words
-from analysis.evaluation.report import report
-from analysis.evaluation.words import chances_words, headline, limit_words, losses_words
-from analysis.page.cell_maps import STEPS
+from analysis.evaluation.report import chances_words, headline, limit_words, losses_words, report
+from analysis.evaluation.table import formulas_words
+from analysis.page.maps import STEPS
 from analysis.pictures.style import house_style
-from analysis.report.face import save_report
+from analysis.report.answer import save_report
 from analysis.report.html import page_of as page_of_report
 from analysis.report.picture import figure_of
 from analysis.sampling import RolloutChoices
-from analysis.survey.report import headline as survey_headline
-from analysis.survey.report import report as survey_report
-from analysis.survey.survey import Survey, make_survey, run_survey
 from analysis.theory.formulas import FORMULAS
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan, RobotPlan
+from planner.plan.plan import Plan, RobotPlan
 from planner.settings import Choices, Settings
-from planner.worlds.scenario import load_input
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World, load_world_file
+from planner.world.levels import place_starts
+from planner.world.scenario import load_input
+from planner.world.world import World, load_world_file
 
 NAN = float("nan")
 HOSTILE = "maps/</script><script>alert(1)</script>\"'&\u202e\udc80.npz"
@@ -141,7 +137,7 @@ def test_every_robot_s_path_is_drawn_over_the_map(answer: Evaluation) -> None:
 
 
 def test_paths_too_long_for_a_page_are_left_out(answer: Evaluation, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.page.plan_paths.MOST_LETTERS", 10)
+    monkeypatch.setattr("analysis.page.paths.PLAN_PATHS_MOST_LETTERS", 10)
     reader = check_page_is_sound(page_of(answer))
     assert "too long to be drawn" in reader.text and not reader.all("svg", "paths")
 

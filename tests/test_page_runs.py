@@ -15,16 +15,16 @@ from page_reader import check_page_is_sound
 
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.layers import nominal, picked
 from analysis.evaluation.report import report
-from analysis.evaluation.runs import nominal, picked
 from analysis.page.document import asset
-from analysis.page.runs import Run, pack, packed_runs
+from analysis.page.paths import Run, pack, packed_runs
 from analysis.recording.frames import make_frames
 from analysis.report.html import page_of
 from analysis.sampling import RolloutChoices, make_engine_for
 from planner.mrac.make_plan import make_plan
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World, load_world_file
+from planner.world.levels import place_starts
+from planner.world.world import World, load_world_file
 
 COLS = 23
 
@@ -86,9 +86,9 @@ def test_where_nothing_can_happen_the_plan_alone_is_played() -> None:
 def test_runs_that_have_no_room_are_left_out(answer: Evaluation, monkeypatch: pytest.MonkeyPatch) -> None:
     run, free = nominal(answer.plan), answer.world.free
     room = sum(map(len, pack(run, COLS)["moves"]))
-    monkeypatch.setattr("analysis.page.runs.MOST_LETTERS", room)
+    monkeypatch.setattr("analysis.page.paths.RUNS_MOST_LETTERS", room)
     assert packed_runs([run, run], free) == packed_runs([run], free) != {}
-    monkeypatch.setattr("analysis.page.runs.MOST_LETTERS", room - 1)
+    monkeypatch.setattr("analysis.page.paths.RUNS_MOST_LETTERS", room - 1)
     assert packed_runs([run], free) == {}
     with pytest.raises(ValueError, match="from cell to cell"):
         pack(Run("jumps", np.array([[0], [2]], dtype=np.int32), np.array([-1])), 5)

@@ -8,13 +8,12 @@ from conftest import worlds_with_starts
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner.mrac.areas import connected_parts, find_areas
+from planner.mrac.areas import bisect, connected_parts, find_areas, metis_parts, wavefront_parts
 from planner.mrac.make_plan import allocate, allocated, make_plan
-from planner.mrac.partition import bisect, metis_parts, wavefront_parts
 from planner.mrac.problem import prepare
 from planner.settings import Settings
-from planner.worlds.levels import NO_LEVEL, find_levels
-from planner.worlds.world import World
+from planner.world.levels import NO_LEVEL, find_levels
+from planner.world.world import World
 
 
 def is_connected(shape: tuple[int, int], cells: np.ndarray) -> bool:

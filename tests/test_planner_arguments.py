@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.checking.survey import make_survey
 from analysis.cli.app import run
-from analysis.design.size import make_goal
 from analysis.inputs import Asked, load_task, parse_starts
 from analysis.sampling import RolloutChoices
-from analysis.survey.survey import make_survey
+from analysis.search.team_size import make_goal
 from planner.arguments import COMMAND_LINE, Numbers, argument, is_real, is_whole, nearest
 from planner.errors import InputError, PlanError, UsageError, WorldError
 from planner.mrac.make_plan import make_plan
 from planner.settings import Choices, Settings
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 WORLD = World.create(np.zeros((2, 3)))
 

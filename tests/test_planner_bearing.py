@@ -15,24 +15,23 @@ from doubt import WORLDS
 from test_planner_luck import NAMES, known, mean, world_of
 
 from analysis.theory.exact import open_loop_exact
-from planner.bearing import PLAIN, Bearing
 from planner.errors import PlanError, ScenarioError, StateError, UsageError
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.kernels.tree import grow_tree
+from planner.failure_model import CERTAIN, MOST, PLAIN, Bearing, tolerance_of, unworn, wear_nodes, worn
+from planner.failure_model import susceptible as made_susceptible
 from planner.mrac.make_plan import make_plan
-from planner.mrac.reference import ReferenceLoop
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
+from planner.plan.state_file import parse_state
 from planner.plan_team import read_plan
-from planner.plans.plan import Plan
-from planner.plans.state_file import parse_state
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.simulator.exact_tree import grow_tree
 from planner.tally import Tally
-from planner.tolerance import CERTAIN, MOST, tolerance_of, unworn, wear_nodes, worn
-from planner.tolerance import susceptible as made_susceptible
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.scenario import load_input
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.scenario import load_input
+from planner.world.world import World
 
 FIGURES = ("visited", "survived", "time", "alive")
 ROW = World.create(np.array([[0.2, 0.3, 0.0, 0.4, 0.1, 0.3]], dtype=np.float32), [[0, 2], [0, 2]])

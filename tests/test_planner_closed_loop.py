@@ -15,24 +15,23 @@ from numba import typeof
 from rolling import run_closed_chunks
 
 from planner.errors import PlanError
-from planner.kernels import remember
-from planner.kernels.closed_loop import compile_closed_loop, new_cells, run_range
-from planner.kernels.loop import ClosedLoop
-from planner.kernels.programs import COMMON, FULL, PLAIN, program_of, typed
-from planner.kernels.runners import KNOWN, LEAST_SHARED, _in_rounds, remember_alike
-from planner.kernels.state import first_room, largest_set, make_state, make_work
-from planner.kernels.tables import most_cost
-from planner.mrac.costs import BLOCKED, neighbour_table
+from planner.failure_model import uniform
 from planner.mrac.make_plan import make_plan
+from planner.mrac.paths import BLOCKED, neighbour_table
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
-from planner.plans.plan import Plan
+from planner.plan.plan import Plan
 from planner.settings import Settings
+from planner.simulator import return_home as remember
+from planner.simulator.closed_loop import compile_closed_loop, new_cells, run_range
+from planner.simulator.loop import COMMON, FULL, PLAIN_PROGRAM, ClosedLoop, program_of, typed
+from planner.simulator.runners import KNOWN, LEAST_SHARED, _in_rounds, remember_alike
+from planner.simulator.state import first_room, largest_set, make_state, make_work
+from planner.simulator.tables import most_cost
 from planner.tally import Outcome, RolloutResults, Tally
-from planner.threefry import uniform
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 COLUMNS = ("visited", "survived", "time", "alive", "outcome", "bisected", "divided")
 
@@ -175,7 +174,7 @@ def test_chunks_threads_and_parts_do_not_matter() -> None:
 @pytest.fixture(params=[1, LEAST_SHARED], ids=["histories", "ids"])
 def shared(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """What threads share out of a few rollouts."""
-    monkeypatch.setattr("planner.kernels.runners.LEAST_SHARED", request.param)
+    monkeypatch.setattr("planner.simulator.runners.LEAST_SHARED", request.param)
 
 
 def rolled(loop: ClosedLoop, start: int = 0, count: int = 3000, threads: int = 1) -> tuple[Tally, RolloutResults]:
@@ -193,7 +192,7 @@ def test_sets_of_any_size_count_the_same(shared: None, monkeypatch: pytest.Monke
         assert_same_results(RolloutResults.join([found for _, found in parts]), singles)
         for most in (1, 2, 33, 1000):
             with monkeypatch.context() as patch:
-                patch.setattr("planner.kernels.runners.LARGEST_SET", most)
+                patch.setattr("planner.simulator.runners.LARGEST_SET", most)
                 tally, found = rolled(loop, threads=3)
             assert tally == whole
             assert_same_results(found, singles)
@@ -203,7 +202,7 @@ def test_sets_are_as_small_as_memory_for_those_who_wait(shared: None, monkeypatc
     loop = fed(load_fixture("contiguous-14x23-1000-k8"))
     whole, _ = rolled(loop)
     for room in (1, 60_000):
-        monkeypatch.setattr("planner.kernels.state.STATE_BYTES", room)
+        monkeypatch.setattr("planner.simulator.state.STATE_BYTES", room)
         state = make_state(loop.first_state(first_room(loop.tables)), 3000)
         assert largest_set(state, 3000) == len(state.marks) < loop.robots
         assert rolled(loop)[0] == rolled(loop, threads=2)[0] == whole
@@ -224,13 +223,13 @@ def test_threads_that_share_histories_count_as_one(monkeypatch: pytest.MonkeyPat
         in_rounds.append(runners is not None)
         return runners
 
-    monkeypatch.setattr("planner.kernels.runners._in_rounds", noted)
-    monkeypatch.setattr("planner.kernels.runners.LEAST_SHARED", 1)
+    monkeypatch.setattr("planner.simulator.runners._in_rounds", noted)
+    monkeypatch.setattr("planner.simulator.runners.LEAST_SHARED", 1)
     for count in (3000, 41):
         whole, singles = rolled(loop, 7, count)
         for aside, threads, most in ((1, 2, 7), (2, 3, 500), (5, 2, 900), (19, 16, 9), (256, 2, 999), (256, 13, 9999)):
-            monkeypatch.setattr("planner.kernels.runners.MOST_ASIDE", aside)
-            monkeypatch.setattr("planner.kernels.runners.LARGEST_SET", most)
+            monkeypatch.setattr("planner.simulator.runners.MOST_ASIDE", aside)
+            monkeypatch.setattr("planner.simulator.runners.LARGEST_SET", most)
             tally, found = rolled(loop, 7, count, threads)
             assert tally == whole
             assert_same_results(found, singles)
@@ -244,7 +243,7 @@ def test_no_count_depends_on_the_coverage_paths_that_are_remembered(
     loop = fed(load_fixture("contiguous-14x23-1000-k8"))
     whole, singles = rolled(loop)
     for room in (0, 2**6, 2**9, 2**11, 2**14):
-        monkeypatch.setattr("planner.kernels.state.REMEMBERED", room)
+        monkeypatch.setattr("planner.simulator.state.REMEMBERED", room)
         for threads in (1, 3):
             KNOWN.clear()
             tally, found = rolled(loop, threads=threads)
@@ -281,7 +280,7 @@ def test_a_coverage_path_is_remembered_by_all_of_its_key() -> None:
 def test_areas_get_more_room_when_it_proves_too_small(shared: None, monkeypatch: pytest.MonkeyPatch) -> None:
     loop = fed(load_fixture("contiguous-14x23-1000-k8"))
     whole, singles = rolled(loop)
-    monkeypatch.setattr("planner.kernels.runners.first_room", lambda tables: len(tables.level) + 2)
+    monkeypatch.setattr("planner.simulator.runners.first_room", lambda tables: len(tables.level) + 2)
     tally, found = rolled(loop, threads=2)
     assert tally == whole
     assert_same_results(found, singles)
@@ -293,7 +292,7 @@ def test_areas_get_more_room_when_it_proves_too_small(shared: None, monkeypatch:
 @pytest.mark.slow
 def test_a_state_of_32_bits_counts_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     whole, singles = rolled(fed(load_fixture("contiguous-14x23-1000-k8")))
-    monkeypatch.setattr("planner.kernels.state.MOST_NARROW", 10)
+    monkeypatch.setattr("planner.simulator.state.MOST_NARROW", 10)
     loop = fed(load_fixture("contiguous-14x23-1000-k8"))
     assert loop.first_state(first_room(loop.tables)).home.dtype == np.uint32
     tally, found = rolled(loop)
@@ -362,7 +361,7 @@ def test_too_large_for_tables_is_searched_in_small_chunks(monkeypatch: pytest.Mo
     world = random_world(20, 20, ThreatPattern(seed=1))
     plan = make_plan(world, place_starts(world, 4)[0])
     whole, _ = run_range(compile_closed_loop(plan, world), 1, 0, 5000)
-    monkeypatch.setattr("planner.kernels.closed_loop.MOST_TABLED", 100)
+    monkeypatch.setattr("planner.simulator.closed_loop.MOST_TABLED", 100)
     loop = compile_closed_loop(plan, world)
     assert not loop.tabled
     tallies = [chunk.tally for chunk in run_closed_chunks(loop, seed=1, count=5000, checkpoints=[4096])]
@@ -385,9 +384,9 @@ def test_the_programs_of_common_and_of_plain_missions_are_the_whole_one(
     plan = make_plan(world, place_starts(world, 4)[0], Settings(policy=policy))
     assert program_of(compile_closed_loop(plan, world).tables) == COMMON
     found = run_range(compile_closed_loop(plan, world), 7, 0, 3000, singles=True)
-    for program in (PLAIN, FULL):
+    for program in (PLAIN_PROGRAM, FULL):
         for module in ("loop", "runners"):
-            monkeypatch.setattr(f"planner.kernels.{module}.program_of", lambda tables, program=program: program)
+            monkeypatch.setattr(f"planner.simulator.{module}.program_of", lambda tables, program=program: program)
         again = run_range(compile_closed_loop(plan, world), 7, 0, 3000, singles=True)
         assert found[0] == again[0]
         assert all(map(np.array_equal, vars(found[1]).values(), vars(again[1]).values()))
@@ -397,8 +396,8 @@ def test_the_programs_of_common_and_of_plain_missions_are_the_whole_one(
     ("settings", "tabled", "program"),
     [
         (Settings(), None, COMMON),
-        (Settings(), False, PLAIN),
-        (Settings(transit="area"), None, PLAIN),
+        (Settings(), False, PLAIN_PROGRAM),
+        (Settings(transit="area"), None, PLAIN_PROGRAM),
     ],
 )
 def test_common_missions_search_for_nothing(settings: Settings, tabled: bool | None, program: int) -> None:
@@ -414,6 +413,6 @@ def test_other_missions_share_the_whole_program(settings: Settings) -> None:
     tables, bare = (compile_closed_loop(make_plan(world, starts, of), world).tables for of in (settings, Settings()))
     assert (program_of(tables), program_of(bare)) == (FULL, COMMON)
     assert typeof(typed(tables, program_of(tables))) == typeof(typed(bare))
-    assert len({typeof(typed(bare, program)) for program in (COMMON, PLAIN, FULL)}) == 3
+    assert len({typeof(typed(bare, program)) for program in (COMMON, PLAIN_PROGRAM, FULL)}) == 3
     with pytest.raises(AssertionError):  # what is there cannot be left out
-        typed(tables, PLAIN)
+        typed(tables, PLAIN_PROGRAM)

@@ -11,9 +11,9 @@ import pytest
 from conftest import NAMES, Fixture, load_fixture
 from numpy.typing import NDArray
 
-from analysis.statistics.estimate import mean_estimate
-from planner.kernels.closed_loop import compile_closed_loop, run_range
+from analysis.statistics.estimates import mean_estimate
 from planner.mrac.make_plan import make_plan
+from planner.simulator.closed_loop import compile_closed_loop, run_range
 from planner.tally import Outcome, Tally
 
 EXACT = [name for name in NAMES if "closed_loop_exact" in load_fixture(name).answers]

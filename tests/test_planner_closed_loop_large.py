@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from closed_loop_compare import assert_same_trace
 
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.mrac.make_plan import allocated_plan, make_plan
-from planner.mrac.reference import ReferenceLoop
-from planner.plans.plan import Plan
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
 from planner.settings import Settings
-from planner.trace import EventKind, Trace
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.tally import EventKind, Trace
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 SEED = 3
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_worlds
 
-from planner.kernels.closed_loop import run_range
-from planner.luck import Luck
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
-from planner.plans.plan import Plan
+from planner.plan.plan import Plan
+from planner.rollout_sampling import Luck
+from planner.simulator.closed_loop import run_range
 from planner.tally import Outcome, RolloutResults
 
 ROLLOUTS = 1000

@@ -9,13 +9,10 @@ from conftest import NAMES, load_fixture, worlds_with_starts
 from hypothesis import given
 
 from planner.errors import WorldError
-from planner.kernels.all_pairs import all_pairs, to_areas
-from planner.mrac.costs import BLOCKED, entry_costs, neighbour_table
-from planner.mrac.graph import to_networkx
-from planner.mrac.paths import SafestPaths, TabledPaths
-from planner.mrac.search import UNREACHED
-from planner.worlds.levels import find_levels
-from planner.worlds.world import World
+from planner.mrac.paths import BLOCKED, UNREACHED, SafestPaths, TabledPaths, entry_costs, neighbour_table, to_networkx
+from planner.simulator.paths import all_pairs, to_areas
+from planner.world.levels import find_levels
+from planner.world.world import World
 
 
 def both_paths(world: World, starts: np.ndarray, risk: str = "paper") -> tuple[SafestPaths, TabledPaths]:

@@ -12,21 +12,19 @@ from numba import typeof
 from scipy import stats
 
 from planner.errors import InputError
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.kernels.programs import typed
-from planner.luck import Luck
+from planner.failure_model import own_key, threefry2x32
 from planner.mrac.make_plan import make_plan
-from planner.mrac.reference import ReferenceLoop
+from planner.mrac.simulate import ReferenceLoop
+from planner.rollout_sampling import Luck
 from planner.settings import Settings
-from planner.threefry import own_key, threefry2x32
-from planner.worlds.changing import with_phases
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.learning import with_prior, with_truth
-from planner.worlds.moving import with_movers
-from planner.worlds.scenario import load_input
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World, load_world_file
-from planner.worlds.wrong_maps import with_hazard, with_maps, with_spread
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.simulator.loop import typed
+from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
+from planner.world.features import with_movers, with_prior, with_truth
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.scenario import load_input
+from planner.world.world import World, load_world_file
 
 BASE = random_world(8, 8, ThreatPattern("contiguous", 4, (0.04, 0.12, 0.2), 3), obstacles=0.2, threats=0.4)
 DANGER = np.where(BASE.threat > 0, 1.0, 0.0)
@@ -45,7 +43,7 @@ COLUMNS = ("visited", "survived", "time", "alive", "outcome")
 @pytest.mark.parametrize("policy", ["mrac", "per_cell"])
 @pytest.mark.parametrize("doubt", DOUBTS)
 def test_compiled_runs_are_the_readable_ones(doubt: str, policy: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.kernels.runners.LEAST_SHARED", 1)
+    monkeypatch.setattr("planner.simulator.runners.LEAST_SHARED", 1)
     world = DOUBTS[doubt]()
     plan = make_plan(world, place_starts(world, 3)[0], Settings(policy=policy))
     loop, readable = compile_closed_loop(plan, world), ReferenceLoop(plan, world)

@@ -11,23 +11,22 @@ from oracle_experience import Pupil
 from test_planner_unknown import POLICIES, cells_of, moves
 
 from planner.errors import InputError, WorldError
-from planner.kernels.closed_loop import compile_closed_loop, final_odds, run_range, trace_rollouts
+from planner.failure_model import own_key, threefry2x32
+from planner.ids import NO_ROBOT
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
-from planner.mrac.reference import ReferenceLoop
-from planner.mrac.simulate import make_team, play_step, simulate
-from planner.none import NO_ROBOT
+from planner.mrac.simulate import ReferenceLoop, make_team, play_step, simulate
 from planner.rollouts.engine import closed_loop_engine
 from planner.settings import Settings
-from planner.threefry import own_key, threefry2x32
-from planner.worlds.doubt import bounds_of
-from planner.worlds.evidence import ALWAYS, NAT, NEVER, chance_of
-from planner.worlds.generate import Stream, ThreatPattern, random_world
-from planner.worlds.learning import with_prior, with_sense
-from planner.worlds.scenario import load_input
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
-from planner.worlds.wrong_maps import with_hazard
+from planner.simulator.closed_loop import compile_closed_loop, final_odds, run_range, trace_rollouts
+from planner.world.changing_maps import with_hazard
+from planner.world.features import with_prior, with_sense
+from planner.world.generate import Stream, ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.map_knowledge import ALWAYS, NAT, NEVER, chance_of
+from planner.world.scenario import load_input
+from planner.world.uncertain_maps import bounds_of
+from planner.world.world import World
 
 N = np.nan
 TINY = [
@@ -265,7 +264,7 @@ def test_so_they_are_in_a_thousand_more():
 @pytest.mark.parametrize("detector", [None, (2, 0.7, 0.2)])
 @pytest.mark.parametrize("luck", ["tolerance", "step"])
 def test_no_count_depends_on_threads_or_chunks(detector, luck, monkeypatch):
-    monkeypatch.setattr("planner.kernels.runners.LEAST_SHARED", 1)
+    monkeypatch.setattr("planner.simulator.runners.LEAST_SHARED", 1)
     world = taught(np.where(np.isnan(FIELD.threat), N, Q), 0.4, "consumed", detector)
     plan = make_plan(world, place_starts(world, 3)[0], Settings(policy="per_cell"))
     loop = compile_closed_loop(plan, world, luck=luck)

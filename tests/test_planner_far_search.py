@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from planner.mrac.costs import BLOCKED, neighbour_table
-from planner.mrac.far_search import find_safe_parts
-from planner.mrac.paths import SafestPaths
-from planner.mrac.search import NOT_WANTED
+from planner.mrac.paths import BLOCKED, NOT_WANTED, SafestPaths, find_safe_parts, neighbour_table
 
 
 def random_costs(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.int64]:

@@ -12,11 +12,10 @@ import yaml
 from numpy.typing import NDArray
 
 from planner.errors import InputError
-from planner.worlds.fields import touched
-from planner.worlds.georeference import reproject
-from planner.worlds.grid import Frame
-from planner.worlds.scenario import load_input
-from planner.worlds.world import World
+from planner.world.fields import touched
+from planner.world.grid import Frame, reproject
+from planner.world.scenario import load_input
+from planner.world.world import World
 
 EAST, NORTH = 8.0, 47.5
 """Corner of the fields that are in degrees."""

@@ -9,8 +9,8 @@ import pytest
 from scipy import ndimage
 
 from planner.errors import WorldError
-from planner.threefry import key_of, threefry2x32
-from planner.worlds.generate import OBSTACLES, PAPER_LEVELS, Stream, ThreatPattern, random_threats, random_world
+from planner.failure_model import key_of, threefry2x32
+from planner.world.generate import OBSTACLES, PAPER_LEVELS, Stream, ThreatPattern, random_threats, random_world
 
 PINNED = {
     "contiguous": "02e61d25c7a3b4b4584d28b19787a6c0c4956652fd486954710e263cc87e1759",

@@ -12,12 +12,12 @@ import pytest
 import yaml
 from test_planner_rasters import tif
 
-import planner.worlds.markup
+import planner.world.vector_files
 from analysis.recording.contents import read_world
 from planner.errors import InputError, MapError, ScenarioError, WorldError
-from planner.worlds.georeference import Georeference, around, reproject
-from planner.worlds.scenario import load_input
-from planner.worlds.world import World, load_world_file
+from planner.world.grid import Georeference, around, reproject
+from planner.world.scenario import load_input
+from planner.world.world import World, load_world_file
 
 pytest.importorskip("rasterio")
 UTM = ((10, 0, 500_000, 0, -10, 5_761_038), "EPSG:32633")
@@ -232,7 +232,7 @@ def test_markup_that_is_refused(tmp_path: Path, name: str, text: str, words: str
 def test_markup_that_is_too_long(tmp_path: Path) -> None:
     (tmp_path / "a.kml").write_text("<kml>" + " " * 300 + "</kml>")
     with pytest.raises(MapError, match="at most 200"):
-        planner.worlds.markup.read_kml(tmp_path / "a.kml", 200)
+        planner.world.vector_files.read_kml(tmp_path / "a.kml", 200)
 
 
 def test_coordinates_that_contradict(tmp_path: Path) -> None:

@@ -14,28 +14,26 @@ from numpy.typing import NDArray
 from oracle_tree import Tree as ReadableTree
 from plan_files import load_plan
 
-from analysis.comparison.compare import compare, make_side
+from analysis.comparison import compare, make_side
+from analysis.estimators.trial import Trial
 from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
-from analysis.tradeoff.front import settings_of
-from analysis.tradeoff.search import Ladders, find_front
-from analysis.trials.trial import Trial
+from analysis.search.pareto import Ladders, find_front, settings_of
 from planner.errors import InputError
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.kernels.tree import WHOLE, grow_tree
-from planner.missions.mission import Mission
+from planner.mission.mission import Mission
 from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.mrac.problem import prepare
-from planner.mrac.reference import ReferenceLoop
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
+from planner.plan.state_file import parse_state
 from planner.plan_team import plan_team
-from planner.plans.plan import Plan
-from planner.plans.state_file import parse_state
 from planner.settings import Settings
-from planner.tally import Outcome
-from planner.trace import Doing, EventKind, Trace
-from planner.worlds.generate import PAPER_LEVELS, ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.simulator.exact_tree import WHOLE, grow_tree
+from planner.tally import Doing, EventKind, Outcome, Trace
+from planner.world.generate import PAPER_LEVELS, ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 KINDS: list[dict[str, Any]] = [
     {"return_to": "home"},

@@ -10,17 +10,17 @@ from oracle_home import MANY, Homing, allocation
 from oracle_phases import mean_of
 from oracle_unknown import Cell
 
-from planner.kernels.closed_loop import compile_closed_loop, run_range
-from planner.kernels.tree import WHOLE, grow_tree
+from planner.ids import NO_ROBOT
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import Problem, prepare
 from planner.mrac.simulate import simulate
-from planner.none import NO_ROBOT
-from planner.plans.plan import Plan
+from planner.plan.plan import Plan
 from planner.settings import Settings
-from planner.worlds.changing import with_phases
-from planner.worlds.generate import Stream
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, run_range
+from planner.simulator.exact_tree import WHOLE, grow_tree
+from planner.world.changing_maps import with_phases
+from planner.world.generate import Stream
+from planner.world.world import World
 
 HOMES: list[dict[str, Any]] = [
     {"return_to": "home"},

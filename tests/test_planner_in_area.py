@@ -14,8 +14,8 @@ import mrac_jax as mrac
 from planner.errors import WorldError
 from planner.mrac.make_plan import make_plan
 from planner.settings import Settings
-from planner.trace import EventKind
-from planner.worlds.world import World
+from planner.tally import EventKind
+from planner.world.world import World
 
 WIDE = [
     "......",

@@ -16,22 +16,22 @@ from forward_indices import forward
 from numpy.typing import NDArray
 
 from planner.jit import KNOWN, PROGRAM, UNCOUNTED, WITHIN
-from planner.kernels.closed_loop import compile_closed_loop
-from planner.kernels.handed import LENGTHS
-from planner.kernels.state import State, Tables, first_state
 from planner.mrac.make_plan import make_plan
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop
+from planner.simulator.state import State, Tables, first_state
+from planner.simulator.struct_pointers import LENGTHS
+from planner.world.world import World
 
 TESTS = Path(__file__).parent
 ROOT = TESTS.parent
 IN_FLOATING_POINT = """
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
-import planner.kernels.areas, planner.kernels.luck, planner.kernels.paths, planner.kernels.rollouts
-import planner.kernels.runs, planner.kernels.trace, planner.kernels.visits
-from planner.kernels.closed_loop import compile_closed_loop, run_range
+import planner.simulator.areas, planner.simulator.failure_sampling, planner.simulator.paths, planner.simulator.rollouts
+import planner.simulator.runs, planner.simulator.areas, planner.simulator.visits
+from planner.simulator.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
-from planner.worlds.world import World
+from planner.world.world import World
 
 world = World.create([[0.0, 0.1, 0.0]])
 run_range(compile_closed_loop(make_plan(world, [[0, 0]]), world), 1, 0, 2, threads=1)

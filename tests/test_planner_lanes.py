@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from planner.failure_model import threefry2x32
 from planner.jit import program
-from planner.kernels.luck import MANY, part_many
-from planner.threefry import threefry2x32
+from planner.simulator.failure_sampling import MANY, part_many
 
 Part = Callable[..., int]
 

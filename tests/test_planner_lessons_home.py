@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from test_planner_phases import POLICIES, changing
 from test_planner_unknown_home import HOMES, Believed, check_ways
 
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.mrac.make_plan import make_plan
-from planner.mrac.reference import ReferenceLoop
+from planner.mrac.simulate import ReferenceLoop
 from planner.settings import Settings
-from planner.trace import Doing, EventKind, Trace
-from planner.worlds.changing import with_phases
-from planner.worlds.generate import Stream
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.tally import Doing, EventKind, Trace
+from planner.world.changing_maps import with_phases
+from planner.world.generate import Stream
+from planner.world.world import World
 
 LEVELS = 512
 """More than a world of hazards has values: none is quantised, and what is believed can be told by its p."""

@@ -11,12 +11,12 @@ import pytest
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from analysis.recording.inspect import inspect
-from analysis.recording.recover import recover
+from analysis.recording.log_reader import recover
+from analysis.recording.replay import inspect
 from planner.errors import InputError, MapError, ScenarioError
-from planner.plans.state_traces import read_state
-from planner.worlds.scenario import load_input
-from planner.worlds.world import World
+from planner.plan.state_file import read_state
+from planner.world.scenario import load_input
+from planner.world.world import World
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 KIND = "nav_msgs/msg/OccupancyGrid"

@@ -15,22 +15,11 @@ from doubt import WORLDS
 
 import mrac_jax as mrac
 from analysis.recording import contents
-from analysis.recording.record import record
+from analysis.recording.record import Request, record
 from analysis.recording.replay import replay
-from analysis.recording.rolling import Request
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import Team, run_key
-from planner.jit import compiled
-from planner.kernels import luck as kernels
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.luck_names import LUCKS
-from planner.mrac.make_plan import make_plan
-from planner.mrac.reference import ReferenceLoop
-from planner.plans.plan import Plan
-from planner.rollouts.engine import Rolling, make_engine
-from planner.settings import Settings
-from planner.tally import WORDS_OF_0_3, Outcome, Tally
-from planner.tolerance import (
+from planner.failure_model import (
     CERTAIN,
     LEAST,
     MOST,
@@ -42,9 +31,19 @@ from planner.tolerance import (
     tolerances,
     worn,
 )
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.ids import LUCKS
+from planner.jit import compiled
+from planner.mrac.make_plan import make_plan
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
+from planner.rollouts.engine import Rolling, make_engine
+from planner.settings import Settings
+from planner.simulator import failure_sampling as kernels
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.tally import WORDS_OF_0_3, Outcome, Tally
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 FOLDER = Path(__file__).parent / "fixtures_luck"
 NAMES = sorted(path.stem for path in FOLDER.glob("tiny-*.json"))
@@ -168,7 +167,7 @@ CASES: tuple[tuple[dict[str, Any], dict[str, Any]], ...] = (
 def test_compiled_rollouts_are_the_readable_ones(
     settings: dict[str, Any], how: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("planner.kernels.runners.LEAST_SHARED", 1)
+    monkeypatch.setattr("planner.simulator.runners.LEAST_SHARED", 1)
     for seed in range(3):
         world = random_world(8, 9, ThreatPattern(("contiguous", "scattered")[seed % 2], 4, seed=seed))
         plan = make_plan(world, place_starts(world, (2, 5, 9)[seed])[0], Settings(**settings))

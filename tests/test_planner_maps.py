@@ -12,11 +12,11 @@ from PIL import Image
 
 import mrac_jax as mrac
 from planner.errors import InputError, MapError, WorldError
-from planner.worlds.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, coarsen
-from planner.worlds.maps import load_map, read_movingai
-from planner.worlds.ros_map import read_ros_map
-from planner.worlds.scenario import load_input
-from planner.worlds.world import World
+from planner.world.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, coarsen
+from planner.world.image_files import read_ros_map
+from planner.world.map_files import load_map, read_movingai
+from planner.world.scenario import load_input
+from planner.world.world import World
 
 GREYS = np.array([[0, 89, 90, 127, 205], [191, 192, 254, 255, 100]], dtype=np.uint8)
 

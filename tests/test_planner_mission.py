@@ -12,25 +12,25 @@ import numpy as np
 import pytest
 from closed_loop_compare import assert_same_trace
 
-from planner.bearing import Bearing
 from planner.errors import InputError, StateError, WorldError
-from planner.luck import Luck
-from planner.missions.mission import Mission
+from planner.failure_model import Bearing
+from planner.ids import NO_AREA
+from planner.mission.mission import Mission
+from planner.mrac.board import Recorder
 from planner.mrac.make_plan import make_plan
-from planner.mrac.recorder import Recorder
-from planner.mrac.reference import ReferenceLoop
-from planner.none import NO_AREA
-from planner.plans.plan import Plan
-from planner.plans.plan_file import parse_plan
-from planner.plans.state_file import parse_state
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
+from planner.plan.plan_file import parse_plan
+from planner.plan.state_file import parse_state
 from planner.policies.rule import Rule
+from planner.rollout_sampling import Luck
 from planner.settings import Settings
 from planner.tally import Outcome
-from planner.worlds.generate import Stream, ThreatPattern, random_world
-from planner.worlds.learning import with_sense, with_truth
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
-from planner.worlds.wrong_maps import with_hazard, with_maps
+from planner.world.changing_maps import with_hazard, with_maps
+from planner.world.features import with_sense, with_truth
+from planner.world.generate import Stream, ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 SETTINGS: dict[str, dict[str, Any]] = {
     "mrac": {},

@@ -10,18 +10,16 @@ import numpy as np
 import pytest
 
 from planner.errors import InputError
-from planner.luck import Luck
-from planner.missions.mission import Mission
+from planner.failure_model import exposure_of
+from planner.mission.mission import Mission
 from planner.mrac.make_plan import make_plan
-from planner.mrac.reference import ReferenceLoop
+from planner.mrac.simulate import ReferenceLoop
+from planner.rollout_sampling import Luck
 from planner.settings import Settings
-from planner.tally import Outcome
-from planner.tolerance import exposure_of
-from planner.trace import Doing, EventKind
-from planner.worlds.changing import with_phases
-from planner.worlds.learning import with_sense
-from planner.worlds.world import World
-from planner.worlds.wrong_maps import with_hazard
+from planner.tally import Doing, EventKind, Outcome
+from planner.world.changing_maps import with_hazard, with_phases
+from planner.world.features import with_sense
+from planner.world.world import World
 
 P = 0.3
 HOMES: list[dict[str, Any]] = [

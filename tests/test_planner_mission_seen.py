@@ -7,15 +7,15 @@ import pytest
 from test_planner_unknown import drawn
 
 from planner.errors import StateError
-from planner.luck import Luck
-from planner.missions.mission import Mission
+from planner.mission.mission import Mission
 from planner.mrac.make_plan import make_plan
-from planner.mrac.reference import ReferenceLoop
+from planner.mrac.simulate import ReferenceLoop
+from planner.rollout_sampling import Luck
 from planner.settings import Settings
-from planner.trace import Doing
-from planner.worlds.generate import Stream
-from planner.worlds.learning import as_planned, with_truth
-from planner.worlds.world import World
+from planner.tally import Doing
+from planner.world.features import as_planned, with_truth
+from planner.world.generate import Stream
+from planner.world.world import World
 
 
 def of_one_level(number):

@@ -16,24 +16,24 @@ from oracle_movers import outcomes
 
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.kernels.state import MOST_PASSES
-from planner.luck_names import LuckName
+from planner.failure_model import threefry2x32
+from planner.ids import LuckName
 from planner.mrac.make_plan import make_plan
-from planner.mrac.reference import ReferenceLoop
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan, RobotPlan
+from planner.plan.plan_file import read_plan_json
 from planner.plan_team import read_plan, read_plan_on
-from planner.plans.plan import Plan, RobotPlan
-from planner.plans.plan_file import read_plan_json
-from planner.roaming import Roaming, first_places, ways_of_movers
+from planner.rollout_sampling import Roaming, first_places, ways_of_movers
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
-from planner.threefry import threefry2x32
-from planner.trace import Doing
-from planner.worlds.movers import Mover
-from planner.worlds.moving import PLAN_ON, as_before, with_movers
-from planner.worlds.scenario import load_input
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World, load_world_file
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.simulator.state import MOST_PASSES
+from planner.tally import Doing
+from planner.world.features import PLAN_ON, as_before, with_movers
+from planner.world.levels import place_starts
+from planner.world.moving_threats import Mover
+from planner.world.scenario import load_input
+from planner.world.world import World, load_world_file
 
 KINDS: list[dict[str, Any]] = [
     {},

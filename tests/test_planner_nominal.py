@@ -9,14 +9,13 @@ import pytest
 from closed_loop_worlds import survey_worlds
 
 from planner.errors import WorldError
-from planner.kernels.closed_loop import compile_closed_loop
-from planner.kernels.nominal import with_nominal_run
 from planner.mrac.make_plan import allocated_plan, make_plan
-from planner.plans.plan import Plan
+from planner.plan.plan import Plan
 from planner.settings import Settings
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.learning import Obstacles, with_prior
-from planner.worlds.starts import place_starts
+from planner.simulator.closed_loop import compile_closed_loop, with_nominal_run
+from planner.world.features import Obstacles, with_prior
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
 
 ASKED: dict[str, dict[str, Any]] = {
     "complete": {}, "step_limit": {"max_steps": 9}, "no_progress": {"range": 7},

@@ -13,18 +13,17 @@ from validate import validate
 
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.theory.exact import open_loop_exact
-from analysis.theory.optimum import optimum
-from analysis.theory.value import Worth
+from analysis.theory.exact import Worth, open_loop_exact
+from analysis.theory.flow_programme import optimum
 from planner.errors import PlanError, UsageError
 from planner.mrac.make_plan import make_plan
 from planner.open_loop.make_plan import make_open_loop_plan
+from planner.plan.plan import Plan
 from planner.plan_team import plan_team
-from planner.plans.plan import Plan
 from planner.settings import Settings
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 
 def planned(world: World, starts: object, effort: int = 2000, **settings: object) -> Plan:

@@ -14,9 +14,9 @@ import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.report.minutes import with_minutes
 from planner.errors import InputError, UsageError
-from planner.pace import UNITS, UNPACED, Pace, seconds_of
-from planner.worlds.scenario import load_input
-from planner.worlds.world import World
+from planner.formatting import UNITS, UNPACED, Pace, seconds_of
+from planner.world.scenario import load_input
+from planner.world.world import World
 
 CELLS = np.array([[0.0, 0.0, 0.3, 0.0], [0.0, np.nan, 0.0, 0.2], [0.0, 0.0, 0.1, 0.0]])
 ONE: dict[str, Any] = {"rollouts": 256, "advice": False, "exact": "never"}

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from planner.errors import InputError
-from planner.worlds.scenario import load_input
+from planner.world.scenario import load_input
 
 MAPS = {
     "agents_placement": [[0, 2], [1, 3], [2, 0]],

@@ -13,25 +13,23 @@ from closed_loop_compare import assert_same_trace, followed
 from oracle_phases import closed_loop, mean_of, open_loop
 
 from analysis.theory.exact import open_loop_exact
-from planner.bearing import Bearing
 from planner.errors import InputError
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.kernels.nominal import with_nominal_run
-from planner.kernels.tree import grow_tree
-from planner.limits import MAX_STEP
+from planner.failure_model import Bearing
+from planner.ids import MAX_STEP, NO_ROBOT
 from planner.mrac.make_plan import allocated_plan, make_plan
-from planner.mrac.reference import ReferenceLoop
-from planner.none import NO_ROBOT
-from planner.plans.plan import Plan, RobotPlan
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan, RobotPlan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
-from planner.trace import EventKind
-from planner.worlds.changing import with_phases
-from planner.worlds.generate import Stream, ThreatPattern, random_world
-from planner.worlds.phases import PLAN_ON, Foresight
-from planner.worlds.scenario import load_input
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World, load_world_file
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts, with_nominal_run
+from planner.simulator.exact_tree import grow_tree
+from planner.tally import EventKind
+from planner.world.changing_maps import with_phases
+from planner.world.generate import Stream, ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.moving_threats import PLAN_ON, Foresight
+from planner.world.scenario import load_input
+from planner.world.world import World, load_world_file
 
 N = np.nan
 POLICIES = (

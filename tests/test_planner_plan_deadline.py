@@ -14,21 +14,20 @@ from plan_files import load_plan
 from validate import validate
 
 from analysis.cli.app import run
-from analysis.comparison.compare import compare, make_side
+from analysis.comparison import compare, make_side
 from analysis.evaluation.evaluate import evaluate
-from analysis.recording.mcap.reading import open_log
-from analysis.recording.rollouts import read_rollouts
+from analysis.recording.contents import read_rollouts
+from analysis.recording.log_reader import open_log
 from analysis.sampling import RolloutChoices
-from analysis.sweeps.results import select
-from analysis.sweeps.rows import outcomes_of
-from analysis.sweeps.store.store import Store
+from analysis.sweeps.results import outcomes_of, select
+from analysis.sweeps.store import Store
 from planner.errors import PlanError, UsageError
 from planner.mrac.make_plan import confirm_plan, make_plan
-from planner.plans.plan import Plan
+from planner.plan.plan import Plan
 from planner.settings import Settings
 from planner.tally import Outcome
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World, load_world_file
+from planner.world.levels import place_starts
+from planner.world.world import World, load_world_file
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 ENDS = 30

@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 from plan_files import load_plan
 
-import planner.plans.plan_file
+import planner.plan.plan_file
+from planner.csv_tables import read_csv_grid
 from planner.errors import MapError, PlanError
 from planner.files import LONG_BYTES
 from planner.mrac.make_plan import make_plan
+from planner.plan.plan import Area, Leg, Plan, RobotPlan
+from planner.plan.plan_file import count_shares
 from planner.plan_team import plan_team, read_plan
-from planner.plans.plan import Area, Leg, Plan, RobotPlan
-from planner.plans.plan_file import count_shares
 from planner.settings import Settings
-from planner.tables import read_csv_grid
-from planner.worlds.changing import with_phases
-from planner.worlds.scenario import load_input
-from planner.worlds.world import World
+from planner.world.changing_maps import with_phases
+from planner.world.scenario import load_input
+from planner.world.world import World
 
 # 2 x 4: column 2 is dangerous, [1, 0] an obstacle. Robot 0 covers the left part, then helps robot 1 with the middle.
 WORLD = World.create([[0.0, 0.0, 0.2, 0.0], [np.nan, 0.0, 0.2, 0.0]], source="small.npz")
@@ -223,7 +223,7 @@ def test_files_that_are_no_plan(tmp_path: Path) -> None:
 
 
 def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner.plans.plan_file, "MAX_PLAN_BYTES", 100)
+    monkeypatch.setattr(planner.plan.plan_file, "MAX_PLAN_BYTES", 100)
     message = refused(written(tmp_path, own_plan().to_json()))
     assert "bytes" in message and "at most 100" in message
 
@@ -231,7 +231,7 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: p
 def test_what_could_not_be_read_back_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     own_plan().save(tmp_path / "plan.json")
     size = (tmp_path / "plan.json").stat().st_size
-    monkeypatch.setattr(planner.plans.plan, "MAX_PLAN_BYTES", size - 1)
+    monkeypatch.setattr(planner.plan.plan, "MAX_PLAN_BYTES", size - 1)
     with pytest.raises(PlanError, match=f"would be {size} bytes.*at most {size - 1}"):
         own_plan().save(tmp_path / "other.json")
     assert not (tmp_path / "other.json").exists()
@@ -304,7 +304,7 @@ def test_paths_that_cannot_be_driven(tmp_path: Path, paths: Any, words: list[str
 def test_limits_of_the_random_number_counter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "at most 1024" in refused(written(tmp_path, {"paths": [[[0, 0]]] * 1025}))
     assert len(load_plan(written(tmp_path, {"paths": [[[0, 0]]] * 1024}), WORLD).robots) == 1024
-    monkeypatch.setattr(planner.plans.plan_file, "MAX_STEP", 5)
+    monkeypatch.setattr(planner.plan.plan_file, "MAX_STEP", 5)
     assert "robot 0: 6 steps" in refused(written(tmp_path, {"paths": [[[0, 0]] * 7]}))
     assert load_plan(written(tmp_path, {"paths": [[[0, 0]] * 6]}), WORLD).time == 0
 

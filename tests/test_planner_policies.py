@@ -23,28 +23,25 @@ from validate import validate
 
 import mrac_jax as mrac
 from planner.errors import InputError, PlanError, WorldError
-from planner.kernels import tables as tables_module
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.mrac import executive as executive_module
 from planner.mrac.choose import first_area
 from planner.mrac.executive import Executive
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
-from planner.mrac.reference import ReferenceLoop
-from planner.mrac.simulate import never_hit, play_step
-from planner.plans.plan import Plan
-from planner.plans.plan_file import parse_plan
+from planner.mrac.simulate import ReferenceLoop, never_hit, play_step
+from planner.plan.plan import Plan
+from planner.plan.plan_file import parse_plan
 from planner.policies import RULES
-from planner.policies.in_area import CellOffer
 from planner.policies.limits import NO_REFUSAL, is_refused, most_at_risk, refusal_threshold
-from planner.policies.offer import Offer
-from planner.policies.rule import Rule
+from planner.policies.rule import Offer, Rule
+from planner.policies.rules import CellOffer
 from planner.settings import Settings
-from planner.tally import WORDS_OF_0_3, Outcome
-from planner.trace import EventKind
-from planner.worlds.scenario import load_input
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.simulator import tables as tables_module
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.tally import WORDS_OF_0_3, EventKind, Outcome
+from planner.world.levels import place_starts
+from planner.world.scenario import load_input
+from planner.world.world import World
 
 CODES = (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.NO_PROGRESS, Outcome.STEP_LIMIT, Outcome.NOT_WORTH_THE_RISK)
 """What the fixtures' own codes mean."""

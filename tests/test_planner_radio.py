@@ -10,13 +10,13 @@ import pytest
 from mixed_teams import assert_as_enumerated, assert_engines_agree, drawn
 from oracle_rows import everything
 
-from planner.kernels.closed_loop import compile_closed_loop, run_range
+from planner.mrac.choose import in_contact
 from planner.mrac.make_plan import make_plan
-from planner.mrac.radio import in_contact
-from planner.plans.plan import Plan
+from planner.plan.plan import Plan
 from planner.settings import Settings
+from planner.simulator.closed_loop import compile_closed_loop, run_range
 from planner.tally import Outcome
-from planner.worlds.world import World
+from planner.world.world import World
 
 KINDS: list[dict[str, Any]] = [
     {},

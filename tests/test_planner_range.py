@@ -8,23 +8,22 @@ import numpy as np
 import pytest
 from validate import validate
 
-from analysis.design.size import find_size, make_goal
 from analysis.sampling import RolloutChoices
+from analysis.search.team_size import find_size, make_goal
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError, PlanError, ScenarioError, UsageError
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.mrac.make_plan import confirm_plan, make_plan
-from planner.mrac.reference import ReferenceLoop
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
+from planner.plan.plan_file import parse_plan
 from planner.plan_team import plan_team
-from planner.plans.plan import Plan
-from planner.plans.plan_file import parse_plan
 from planner.settings import Settings
-from planner.tally import Outcome
-from planner.trace import Doing, EventKind
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.scenario import load_input
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.tally import Doing, EventKind, Outcome
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.scenario import load_input
+from planner.world.world import World
 
 LIMITS: tuple[dict[str, Any], ...] = (
     {},

@@ -13,11 +13,10 @@ import pytest
 import yaml
 
 from planner.errors import InputError, MapError, ScenarioError
-from planner.worlds.elevation import jacksboro, read_elevation
-from planner.worlds.georeference import degree_sides
-from planner.worlds.physical import AMOUNTS
-from planner.worlds.rasters import read_raster, square_metres
-from planner.worlds.scenario import load_input
+from planner.world.grid import degree_sides
+from planner.world.raster_bands import AMOUNTS
+from planner.world.raster_files import jacksboro, read_elevation, read_raster, square_metres
+from planner.world.scenario import load_input
 
 
 def tif(

@@ -11,8 +11,8 @@ import yaml
 from numpy.typing import NDArray
 
 from planner.errors import InputError
-from planner.worlds.scenario import load_input
-from planner.worlds.world import World
+from planner.world.scenario import load_input
+from planner.world.world import World
 
 RANDOM = np.random.default_rng(3)
 SAMPLES = np.column_stack([RANDOM.uniform((0, 0), (30, 20), (40, 2)), RANDOM.uniform(1, 9, 40)])

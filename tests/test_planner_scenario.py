@@ -11,9 +11,9 @@ import pytest
 import yaml
 
 from planner.errors import InputError, MapError, ScenarioError, WorldError
-from planner.worlds.keys import read_yaml
-from planner.worlds.scenario import load_input
-from planner.worlds.world import World
+from planner.world.keys import read_yaml
+from planner.world.scenario import load_input
+from planner.world.world import World
 
 MAZE = "type octile\nheight 4\nwidth 7\nmap\n.......\n.@@....\n.......\n....@..\n"
 

@@ -22,13 +22,13 @@ import pytest
 from jax._src import compilation_cache
 from numba import typeof
 
-from mrac_jax.caches import keep_jax_programs
-from planner import jit, sealed, sources
-from planner.jit import cache_folder, is_kept, threaded
-from planner.kernels.handed import Handed
-from planner.kernels.state import How
-from planner.sealed import NO_CACHE, SealedFolder
-from planner.sources import ROOMS, sources_hash
+from mrac_jax.runtime import keep_jax_programs
+from planner import jit
+from planner import jit as sealed
+from planner import jit as sources
+from planner.jit import NO_CACHE, ROOMS, SealedFolder, cache_folder, is_kept, sources_hash, threaded
+from planner.simulator.state import How
+from planner.simulator.struct_pointers import Handed
 
 ROOT = Path(__file__).parent.parent
 WORN = re.compile(r"\n@(threaded|program|kernel|rare_kernel|spliced)\n")
@@ -106,10 +106,10 @@ def test_code_is_stale_when_a_tuple_that_it_is_handed_has_changed(home: Path, mo
         return sum(kernel.stats.cache_hits.values())
 
     assert [hits(), hits()] == [0, 1]
-    changed.add("planner.kernels.state")
+    changed.add("planner.simulator.state")
     assert [hits(), hits()] == [0, 1]
     handed = jit._sources_of([Handed(typeof(how))])
-    assert handed == {"planner.kernels.handed False", "planner.kernels.state True"}
+    assert handed == {"planner.simulator.struct_pointers False", "planner.simulator.state True"}
 
 
 def test_damaged_code_is_compiled_again(
@@ -276,7 +276,7 @@ def test_no_home_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
 WRITES = """
 import sys, numpy as np
 from pathlib import Path
-from planner.sealed import SealedFolder
+from planner.jit import SealedFolder
 folder = SealedFolder(Path(sys.argv[1]))
 for turn in range(150):
     folder.write("code", bytes([turn % 7]) * 200_000)
@@ -317,13 +317,13 @@ def test_old_files_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.fixture
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Two packages in which `planner.kernel` imports some modules and not `planner.worlds.scenario`."""
+    """Two packages in which `planner.kernel` imports some modules and not `planner.world.scenario`."""
     texts = {
         "planner/__init__.py": "",
-        "planner/kernel.py": "from planner.mrac.costs import (\n    search,  # (best)\n)\nfrom . import near\n",
-        "planner/mrac/costs.py": "def search():\n    from mrac_jax.sub import deep\n",
+        "planner/kernel.py": "from planner.mrac.paths import (\n    search,  # (best)\n)\nfrom . import near\n",
+        "planner/mrac/paths.py": "def search():\n    from mrac_jax.sub import deep\n",
         "planner/near.py": "import mrac_jax.plain as plain\n",
-        "planner/worlds/scenario.py": "import yaml\nfrom planner import kernel\n",
+        "planner/world/scenario.py": "import yaml\nfrom planner import kernel\n",
         "mrac_jax/__init__.py": "",
         "mrac_jax/plain.py": "",
         "mrac_jax/sub/__init__.py": "from .wide import everything\n",
@@ -378,11 +378,11 @@ def test_the_imports_that_the_parser_sees() -> None:
 def test_a_reader_of_files_throws_no_compiled_code_away() -> None:
     assert len(KERNELS) > 8
     readers = {
-        "planner.worlds.scenario",
-        "planner.worlds.rasters",
-        "planner.worlds.threats",
-        "planner.plans.plan_file",
-        "planner.plans.waypoints",
+        "planner.world.scenario",
+        "planner.world.raster_files",
+        "planner.world.threats",
+        "planner.plan.plan_file",
+        "planner.plan.state_file",
     }
     for path in KERNELS:
         name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
@@ -397,7 +397,7 @@ def test_a_reader_of_files_throws_no_compiled_code_away() -> None:
 
 def test_notes_reach_standard_error_once_and_without_a_traceback(tmp_path: Path) -> None:
     (tmp_path / "mrac-jax").write_text("")
-    script = "from planner.sealed import *\n"
+    script = "from planner.jit import *\n"
     script += "f = SealedFolder(Path(sys.argv[1]))\nf.write('a', b'')\nf.write('b', b'')\n"
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
     done = subprocess.run(

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from closed_loop_worlds import limited, survey_world
 
-from planner.kernels.closed_loop import compile_closed_loop, run_range
-from planner.kernels.loop import ClosedLoop
-from planner.kernels.runners import KNOWN, Runner, singles_of
-from planner.kernels.state import Work
 from planner.mrac.make_plan import allocated_plan
 from planner.settings import Settings
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, run_range
+from planner.simulator.loop import ClosedLoop
+from planner.simulator.runners import KNOWN, Runner, singles_of
+from planner.simulator.state import Work
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 WAYS = {
     "near": (10**6, 1_000, 255),
@@ -57,7 +57,7 @@ def worked(loop: ClosedLoop) -> Work:
 def test_every_way_to_find_distances_leads_to_the_same_rollouts(policy: str, monkeypatch: pytest.MonkeyPatch) -> None:
     loops = planned(policy)
     for room in (2**28, 0):
-        monkeypatch.setattr("planner.kernels.state.ROWS_BYTES", room)
+        monkeypatch.setattr("planner.simulator.state.ROWS_BYTES", room)
         for way, limits in WAYS.items():
             far = rows = paths = replaced = 0
             for world, tabled, searched in loops:
@@ -90,7 +90,7 @@ def test_what_earlier_calls_found_out_of_a_map_changes_no_rollout(policy: str) -
 
 @pytest.mark.parametrize("words", [0, 64, 512])
 def test_room_for_coverage_paths_changes_no_rollout(words: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.kernels.state.REMEMBERED", words)
+    monkeypatch.setattr("planner.simulator.state.REMEMBERED", words)
     for _, tabled, searched in planned("mrac"):
         assert run_range(searched, SEED, 0, ROLLOUTS)[0] == run_range(tabled, SEED, 0, ROLLOUTS)[0]
 
@@ -110,6 +110,6 @@ def test_a_path_of_more_moves_than_16_bits_count(monkeypatch: pytest.MonkeyPatch
     runner = Runner(loop, SEED, 1)
     tally = runner.run_one(0)
     assert runner.work.remembered[0] == 2
-    monkeypatch.setattr("planner.kernels.state.REMEMBERED", 0)
+    monkeypatch.setattr("planner.simulator.state.REMEMBERED", 0)
     assert tally.tolist() == Runner(loop, SEED, 1).run_one(0).tolist()
     assert tally[2] > 2**16

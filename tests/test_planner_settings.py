@@ -9,12 +9,12 @@ import pytest
 from plan_files import load_plan
 
 from analysis.cli.groups import Planning, PlanningToTheEnd, Second
-from analysis.sweeps.spec_settings import PLANNER
+from analysis.sweeps.spec import PLANNER
 from planner.arguments import COMMAND_LINE
 from planner.errors import PlanError
 from planner.mrac.make_plan import make_plan
 from planner.settings import SETTINGS, Choices, Settings
-from planner.worlds.world import World
+from planner.world.world import World
 
 OTHER = {
     "levels": 3, "density": 2.5, "risk": "log", "transit": "area", "max_steps": 99,

@@ -10,7 +10,7 @@ import pytest
 from threat_sources import load, raster
 
 from planner.errors import ScenarioError
-from planner.worlds.elevation import slope_degrees, visible
+from planner.world.raster_files import slope_degrees, visible
 
 
 def test_sight_over_level_ground_reaches_its_range() -> None:

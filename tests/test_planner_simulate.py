@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from conftest import NAMES, Fixture, load_fixture
 
+from planner.failure_model import uniform
 from planner.mrac.make_plan import allocate, make_plan, nominal_run
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import simulate
 from planner.settings import Settings
 from planner.tally import Outcome
-from planner.threefry import uniform
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 
 def test_nominal_run_is_the_fixtures(fixture: Fixture) -> None:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import yaml
 
-from planner.worlds.scenario import load_input
-from planner.worlds.world import World
+from planner.world.scenario import load_input
+from planner.world.world import World
 
 FIELDS = [
     ("north", 0.2, [1, 7, 6, 12]),

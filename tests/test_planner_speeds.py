@@ -13,13 +13,13 @@ from oracle_rows import everything
 
 from analysis.theory.exact import open_loop_exact
 from planner.errors import PlanError
-from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
-from planner.trace import Trace
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, run_range
+from planner.tally import Trace
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 KINDS: list[dict[str, Any]] = [
     {},

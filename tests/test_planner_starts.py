@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from planner.errors import UsageError
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts, starts_of
-from planner.worlds.world import World, load_world_file
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts, starts_of
+from planner.world.world import World, load_world_file
 
 FIXTURES = Path(__file__).parent / "fixtures"
 

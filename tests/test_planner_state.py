@@ -18,16 +18,16 @@ from analysis.recording.frames import make_frames
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError, PlanError, StateError, UsageError
-from planner.kernels.closed_loop import compile_closed_loop, new_cells, run_range, trace_rollouts
 from planner.mrac.make_plan import confirm_plan, make_plan
-from planner.mrac.reference import ReferenceLoop
-from planner.plans.plan import Plan
-from planner.plans.plan_file import parse_plan
-from planner.plans.state import MissionState
-from planner.plans.state_file import load_state, parse_state
-from planner.rollouts.open_loop.compiled import compile_plan
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
+from planner.plan.plan_file import parse_plan
+from planner.plan.state import MissionState
+from planner.plan.state_file import load_state, parse_state
+from planner.rollouts.open_loop import compile_plan
 from planner.settings import Settings
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, new_cells, run_range, trace_rollouts
+from planner.world.world import World
 
 LEFT_OUT = {"mrac, deadline", "per_cell, log", "wear", "home", "nearest, deadline", "own rule"}
 SETTINGS = {name: more for name, more in DRIVEN.items() if name not in LEFT_OUT}

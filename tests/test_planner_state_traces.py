@@ -13,8 +13,8 @@ from test_planner_logged_map import log
 
 import mrac_jax as mrac
 from planner.errors import InputError
-from planner.plans.state_traces import read_state
-from planner.worlds.world import World
+from planner.plan.state_file import read_state
+from planner.world.world import World
 
 LAND = np.zeros((4, 6))
 LAND[0, 3], LAND[2, 5] = np.nan, 0.25
@@ -132,7 +132,7 @@ def test_times_of_several_zones_and_times_that_are_none(tmp_path: Path) -> None:
 
 def test_tracks_on_a_georeferenced_map_may_be_in_degrees(tmp_path: Path) -> None:
     pytest.importorskip("rasterio")
-    from planner.worlds.georeference import around
+    from planner.world.grid import around
 
     world = World.create(LAND, cell_size=2.0, origin=(10.0, 20.0, 0.0), georeference=around(52.0, 8.0))
     assert world.georeference is not None

@@ -9,16 +9,14 @@ from numpy.typing import NDArray
 from oracle_tree import closed_loop_exact
 
 from planner.errors import PlanError
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.mrac.reference import ReferenceLoop
-from planner.mrac.simulate import Run, simulate
-from planner.mrac.takeover import ready_loop
-from planner.plans.plan import Plan, RobotPlan
+from planner.mrac.problem import ready_loop
+from planner.mrac.simulate import ReferenceLoop, Run, simulate
+from planner.plan.plan import Plan, RobotPlan
 from planner.rollouts.engine import Rolling, make_engine
-from planner.tally import Outcome
-from planner.trace import Doing, EventKind
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.tally import Doing, EventKind, Outcome
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.world import World
 
 SEED = 20261122
 

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analysis.recording.contents import read_tally, tally_bytes
-from analysis.sweeps.store.packed import pack, unpack
+from analysis.sweeps.store_files import pack, unpack
 from planner.tally import (
     ByRobots,
     Outcome,
@@ -138,7 +138,7 @@ def test_a_new_count_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (both + replace(new, ids=((9, 12),))).helped.tolist() == [0, 4, 2]
     assert both != replace(both, helped=np.array([0, 2, 2])) and both == replace(both, helped=np.array([0, 2, 1, 0]))
     assert pack(replace(old, key="k")) == pack(replace(EMPTY, key="k"))  # an empty one leaves no trace in a store
-    monkeypatch.setattr("analysis.sweeps.store.packed.Tally", WithHelp)
+    monkeypatch.setattr("analysis.sweeps.store_files.Tally", WithHelp)
     for tally in (old, new):
         assert unpack(pack(tally), tally.ids) == tally
     monkeypatch.setattr("analysis.recording.contents.Tally", WithHelp)

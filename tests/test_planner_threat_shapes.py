@@ -11,14 +11,13 @@ import pytest
 from matplotlib.path import Path as Outline
 from threat_sources import load
 
-import planner.worlds.points
-import planner.worlds.polygons
+import planner.world.points
+import planner.world.vector_files
 from planner.errors import InputError, MapError, ScenarioError
-from planner.worlds.grid import Frame
-from planner.worlds.points import read_points
-from planner.worlds.scenario import load_input
-from planner.worlds.shapes import inside, point_threat
-from planner.worlds.sources import independent
+from planner.world.grid import Frame
+from planner.world.points import inside, point_threat, read_points
+from planner.world.robot_types import independent
+from planner.world.scenario import load_input
 
 
 def test_points_at_the_centres(tmp_path: Path) -> None:
@@ -186,8 +185,8 @@ def test_points_in_one_pixel_are_noted(tmp_path: Path) -> None:
 
 
 def test_shapes_beyond_the_limits_are_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner.worlds.points, "MAX_POINTS", 3)
-    monkeypatch.setattr(planner.worlds.polygons, "MAX_CORNERS", 3)
+    monkeypatch.setattr(planner.world.points, "MAX_POINTS", 3)
+    monkeypatch.setattr(planner.world.vector_files, "MAX_CORNERS", 3)
     (tmp_path / "p.csv").write_text("1,2,0.5\n" * 4)
     for source in (
         {"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}},
@@ -195,8 +194,8 @@ def test_shapes_beyond_the_limits_are_refused_at_once(tmp_path: Path, monkeypatc
     ):
         with pytest.raises(MapError, match="at most 3"):
             load(tmp_path, [source])
-    monkeypatch.setattr(planner.worlds.points, "MAX_BYTES", 30)
-    monkeypatch.setattr(planner.worlds.polygons, "MAX_BYTES", 30)
+    monkeypatch.setattr(planner.world.points, "MAX_BYTES", 30)
+    monkeypatch.setattr(planner.world.vector_files, "MAX_BYTES", 30)
     for source in ({"points": "p.csv", "falloff": {"kind": "disc", "radius": 1}}, {"polygons": "a.geojson"}):
         with pytest.raises(MapError, match=r"bytes; expected .* of at most 30"):
             load(tmp_path, [source])

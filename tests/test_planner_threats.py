@@ -13,7 +13,7 @@ from PIL import Image
 from threat_sources import load, raster, world_file
 
 from planner.errors import InputError, ScenarioError
-from planner.worlds.scenario import load_input
+from planner.world.scenario import load_input
 
 RULE = {"kind": "linear", "scale": 0.001}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.threefry import key_of, threefry2x32, uniform
+from planner.failure_model import key_of, threefry2x32, uniform
 
 # Random123's known answers for threefry2x32, 20 rounds: (counter, key, result).
 KNOWN = [

@@ -9,20 +9,18 @@ import pytest
 from conftest import NAMES, load_fixture
 
 from planner.errors import PlanError
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.ids import NO_AREA, NO_ROBOT
+from planner.mrac.areas import bisect, metis_parts
 from planner.mrac.make_plan import make_plan
-from planner.mrac.partition import bisect, metis_parts
 from planner.mrac.problem import prepare
-from planner.mrac.reference import ReferenceLoop
-from planner.mrac.simulate import Run, Split, simulate
-from planner.none import NO_AREA, NO_ROBOT
-from planner.plans.plan import Plan
+from planner.mrac.simulate import ReferenceLoop, Run, Split, simulate
+from planner.plan.plan import Plan
 from planner.settings import Settings
-from planner.tally import Outcome
-from planner.trace import Doing, EventKind, Trace
-from planner.worlds.generate import Kind, ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.tally import Doing, EventKind, Outcome, Trace
+from planner.world.generate import Kind, ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 TEAMS = ((6, 9, 1), (9, 6, 3), (7, 7, 6), (3, 14, 4), (5, 8, 20))
 KINDS: tuple[Kind, ...] = ("contiguous", "scattered")

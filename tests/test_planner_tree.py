@@ -10,18 +10,18 @@ from oracle_tree import closed_loop_exact
 from test_planner_luck import NAMES, known, world_of
 
 import mrac_jax as mrac
-from analysis.trials.exact_loop import SLACK, closed_tree
+from analysis.estimators.trial import SLACK, closed_tree
 from planner.errors import UsageError
-from planner.kernels.closed_loop import compile_closed_loop, run_range
-from planner.kernels.tree import WHOLE, grow_tree
-from planner.luck_names import LUCKS
+from planner.ids import LUCKS
 from planner.mrac.make_plan import make_plan
 from planner.settings import Settings
+from planner.simulator.closed_loop import compile_closed_loop, run_range
+from planner.simulator.exact_tree import WHOLE, grow_tree
 from planner.tally import Outcome
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
-from planner.worlds.wrong_maps import with_hazard
+from planner.world.changing_maps import with_hazard
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 
 def mean(masses: np.ndarray) -> float:
@@ -195,7 +195,7 @@ def test_how_long_an_exact_value_is_looked_for() -> None:
 
 def test_large_teams_that_come_home_have_fewer_histories(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
-    monkeypatch.setattr("analysis.trials.exact_loop.grow_tree", lambda loop, slack, most, cheap: asked.append(most))
+    monkeypatch.setattr("analysis.estimators.trial.grow_tree", lambda loop, slack, most, cheap: asked.append(most))
     world = mrac.load("example:paper")
     for robots, home in ((8, None), (8, "home"), (32, None), (32, "home")):
         closed_tree(mrac.plan(world, robots, range=60, return_to=home), world)

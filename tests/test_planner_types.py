@@ -18,17 +18,16 @@ from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
+from planner.plan.plan_file import parse_plan
 from planner.plan_team import plan_team, read_plan
-from planner.plans.plan_file import parse_plan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
-from planner.worlds.changing import with_phases
-from planner.worlds.moving import with_movers
-from planner.worlds.robot_types import checked_types
-from planner.worlds.scenario import load_input
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World, world_of
-from planner.worlds.wrong_maps import with_hazard, with_maps, with_spread
+from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
+from planner.world.features import with_movers
+from planner.world.levels import place_starts
+from planner.world.robot_types import checked_types
+from planner.world.scenario import load_input
+from planner.world.world import World, world_of
 
 KINDS: list[dict[str, Any]] = [
     {},

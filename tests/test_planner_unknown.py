@@ -12,21 +12,19 @@ from closed_loop_worlds import survey_worlds
 from oracle_unknown import Twin
 
 from planner.errors import WorldError
+from planner.ids import NO_ROBOT
+from planner.mrac.board import Recorder
 from planner.mrac.choose import frontier
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
-from planner.mrac.recorder import Recorder
-from planner.mrac.reference import ReferenceLoop
-from planner.mrac.simulate import make_team, simulate
-from planner.none import NO_ROBOT
+from planner.mrac.simulate import ReferenceLoop, make_team, simulate
 from planner.settings import Settings
-from planner.tally import Outcome
-from planner.trace import Doing
-from planner.worlds.generate import Stream, ThreatPattern, random_world
-from planner.worlds.learning import with_prior, with_sense, with_truth
-from planner.worlds.sight import Sense
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.tally import Doing, Outcome
+from planner.world.features import with_prior, with_sense, with_truth
+from planner.world.generate import Stream, ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.map_knowledge import Sense
+from planner.world.world import World
 
 N = np.nan
 MAPS = [
@@ -273,7 +271,7 @@ def test_worlds_say_what_is_wrong_with_them(tmp_path):
 
 
 def test_a_world_file_keeps_what_robots_are_not_told(tmp_path):
-    from planner.worlds.scenario import load_input
+    from planner.world.scenario import load_input
 
     world = with_prior(random_world(6, 6, ThreatPattern(seed=2)), 0.1, sense={"range": 2, "sight": True})
     world.save(tmp_path / "w.npz")

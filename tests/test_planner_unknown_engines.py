@@ -9,19 +9,19 @@ from closed_loop_worlds import survey_worlds
 from test_planner_unknown import POLICIES, drawn, mixed_up
 
 from planner.errors import WorldError
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.kernels.tree import WHOLE, grow_tree
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
-from planner.mrac.reference import ReferenceLoop
+from planner.mrac.simulate import ReferenceLoop
 from planner.rollouts.engine import Rolling, closed_loop_engine, make_engine
 from planner.settings import Settings
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.simulator.exact_tree import WHOLE, grow_tree
 from planner.tally import Outcome
-from planner.worlds.generate import Stream, ThreatPattern, random_world
-from planner.worlds.learning import with_prior, with_sense, with_truth
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
-from planner.worlds.wrong_maps import with_maps, with_spread
+from planner.world.changing_maps import with_maps, with_spread
+from planner.world.features import with_prior, with_sense, with_truth
+from planner.world.generate import Stream, ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 
 def paper_like(policy="mrac", sense=2, side=12, robots=4, **more):

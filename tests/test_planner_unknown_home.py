@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 from test_planner_home import ways
 from test_planner_unknown import POLICIES, drawn
 
-from planner.kernels.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.kernels.tree import WHOLE, grow_tree
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
-from planner.mrac.reference import ReferenceLoop
-from planner.plans.plan import Plan
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
 from planner.settings import Settings
-from planner.trace import Doing, EventKind, Trace
-from planner.worlds.generate import Stream
-from planner.worlds.learning import with_prior, with_truth
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.simulator.exact_tree import WHOLE, grow_tree
+from planner.tally import Doing, EventKind, Trace
+from planner.world.features import with_prior, with_truth
+from planner.world.generate import Stream
+from planner.world.world import World
 
 Believed = Callable[[int], NDArray[Any]]
 """p `[N]`, NaN = obstacle, as robots believe the map at the end of a step; asked of steps in order."""

@@ -15,9 +15,9 @@ import pytest
 from validate import validate
 
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Area, Leg, Plan, RobotPlan
+from planner.plan.plan import Area, Leg, Plan, RobotPlan
 from planner.settings import Settings
-from planner.worlds.world import World, load_world_file
+from planner.world.world import World, load_world_file
 
 FIXTURES = sorted((Path(__file__).parent / "fixtures").glob("*.json"))
 NOT_OF_SPEC = {"tiny-2x3-03-k4"}
@@ -278,13 +278,13 @@ def test_only_plain_types_are_imported() -> None:
         for node in ast.walk(parsed(path)):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("planner"):
                 assert node.module in (
-                    "planner.none",
-                    "planner.plans.plan",
-                    "planner.worlds.world",
+                    "planner.ids",
+                    "planner.plan.plan",
+                    "planner.world.world",
                 )
-                if node.module == "planner.plans.plan":
+                if node.module == "planner.plan.plan":
                     assert {name.name for name in node.names} <= {"Plan", "Leg", "Area", "RobotPlan"}
-                if node.module == "planner.worlds.world":
+                if node.module == "planner.world.world":
                     assert [name.name for name in node.names] == ["World"]
 
 

@@ -12,12 +12,12 @@ from conftest import load_fixture
 from test_planner_policies import LIMITED, compare_traces
 
 from planner.errors import WorldError
-from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
-from planner.plans.plan import Plan
+from planner.plan.plan import Plan
 from planner.settings import Settings
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, run_range
+from planner.world.world import World
 
 
 def values_of(world: World, seed: int) -> np.ndarray:
@@ -101,7 +101,7 @@ def plan_by_value(world: World) -> Plan:
 @pytest.mark.slow
 @pytest.mark.parametrize("limits", LIMITED, ids=str)
 def test_the_lanes_count_the_same(limits: dict[str, Any]) -> None:
-    from mrac_jax.closed_loop.jax_engine import JaxClosedLoop
+    from mrac_jax.closed_loop.engine import JaxClosedLoop
 
     seen = 0
     for number, one in enumerate(first_worlds(12)):

@@ -13,9 +13,8 @@ from refusals import refused
 from test_planner_rasters import tif
 
 from planner.errors import WorldError
-from planner.worlds.reported import route_over
-from planner.worlds.scenario import load_input
-from planner.worlds.world import World, load_world_file
+from planner.world.scenario import load_input, route_over
+from planner.world.world import World, load_world_file
 
 THREAT = [[0, 0.1, 0, 0.2], [0, np.nan, 0.1, 0], [0, 0, 0, 0.3]]
 SQUARE = [[[1, 1], [4, 1], [4, 3], [1, 3], [1, 1]]]

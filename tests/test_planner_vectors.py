@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from test_planner_rasters import tif
 
 from planner.errors import InputError
-from planner.worlds.scenario import load_input
+from planner.world.scenario import load_input
 
 pytest.importorskip("rasterio")
 pyogrio = pytest.importorskip("pyogrio")
@@ -255,7 +255,7 @@ def test_hostile_files(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(folder / "c.gpkg", shapes, [0.25])
     write(folder / "c.gpkg", shapes, [0.25], layer="other", append=True)
     assert "its layers are c (MultiPolygon), other (MultiPolygon); expected one layer" in wrong(folder, "c.gpkg")
-    monkeypatch.setattr("planner.worlds.vectors.MAX_CORNERS", 4)
+    monkeypatch.setattr("planner.world.vector_files.MAX_CORNERS", 4)
     assert "corners; expected at most 4" in wrong(folder, "a.gpkg")
 
 

@@ -13,10 +13,9 @@ from PIL import Image
 from test_planner_rasters import tif
 
 from planner.errors import MapError, ScenarioError
-from planner.worlds.georeference import reproject, utm_zone
-from planner.worlds.grid import Frame
-from planner.worlds.rasters import Raster, read_raster
-from planner.worlds.scenario import load_input
+from planner.world.grid import Frame, reproject, utm_zone
+from planner.world.raster_files import Raster, read_raster
+from planner.world.scenario import load_input
 
 pytest.importorskip("rasterio")
 pyproj = pytest.importorskip("pyproj")

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from test_planner_takeover import paths_plan
 
-from planner.plans.plan import Plan
-from planner.plans.waypoints import headings, waypoints_csv
-from planner.worlds.world import World
+from planner.plan.plan import Plan, headings, waypoints_csv
+from planner.world.world import World
 
 TURNED = World.create(np.zeros((2, 3)), cell_size=0.5, origin=(10.0, 20.0, math.pi / 6))
 

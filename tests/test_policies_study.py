@@ -9,23 +9,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import analysis.policies.study
+import analysis.experiments.policies
 from analysis.cli.app import run
-from analysis.kit.folder import as_text
-from analysis.policies.report import headline, report, study_json
-from analysis.policies.settings import FRONT_TEAMS, KINDS, ON_LARGE, SMALL, TEAMS, Setting
-from analysis.policies.study import Study, bound_of, study_policies
-from analysis.report.face import print_report
-from analysis.statistics.estimate import mean_estimate
+from analysis.experiments.policies import (
+    FRONT_TEAMS,
+    KINDS,
+    ON_LARGE,
+    SMALL,
+    TEAMS,
+    Setting,
+    Study,
+    bound_of,
+    headline,
+    report,
+    study_json,
+    study_policies,
+)
+from analysis.report.answer import print_report
+from analysis.statistics.estimates import mean_estimate
 from analysis.sweeps.engine import Finished
-from analysis.sweeps.store.store import Store
-from analysis.theory.any_strategy import any_strategy
+from analysis.sweeps.store import Store
+from analysis.theory.upper_bound import any_strategy
+from analysis.utils.folder import as_text
 from planner.errors import UsageError
-from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.settings import Settings
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
+from planner.simulator.closed_loop import compile_closed_loop, run_range
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
 
 FEW = (
     Setting("contiguous", 2), Setting("contiguous", 2, "per_cell", 0.25), Setting("contiguous", 2, cut=20),
@@ -36,7 +47,7 @@ FEW = (
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three settings, none on large maps, bounds of one team."""
-    room = analysis.policies.study
+    room = analysis.experiments.policies
     for name, value in {"SMALL": FEW, "ON_LARGE": (), "KINDS": ("contiguous",), "TEAMS": (2,)}.items():
         monkeypatch.setattr(room, name, value)
 
@@ -124,7 +135,7 @@ def test_its_faces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "What policies bring" in page
     alone = made_up(maps=1)
     assert json.loads(json.dumps(study_json(alone)))["points"][0]["visited"]["ci95"] is None
-    monkeypatch.setattr("analysis.policies.report.FRONT_TEAMS", FRONT_TEAMS[:1])
+    monkeypatch.setattr("analysis.experiments.policies.FRONT_TEAMS", FRONT_TEAMS[:1])
     assert alone.save(tmp_path / "alone")
 
 

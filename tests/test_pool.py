@@ -16,8 +16,8 @@ from pathlib import Path
 import pool_tasks
 import pytest
 
-from analysis.kit import pool
-from analysis.kit.pool import Pool
+from analysis.utils import pool
+from analysis.utils.pool import Pool
 from planner.errors import UsageError
 
 SIZES = (3_000, 30_000, 300_000)
@@ -176,7 +176,7 @@ SCRIPT = """
 import sys
 sys.path.insert(0, {folder!r})
 import pool_tasks
-from analysis.kit.pool import Pool
+from analysis.utils.pool import Pool
 print("begun", flush=True)
 try:
     with Pool(pool_tasks.{function}, 2) as workers:

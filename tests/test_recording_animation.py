@@ -10,22 +10,20 @@ import pytest
 from PIL import Image
 from recordings import foreign_plan
 
+from analysis.estimators.racing import plan_best
 from analysis.inputs import Asked, load_or_make_plan
 from analysis.pictures.style import OBSTACLE, SAFE, house_style
-from analysis.recording.events import event_line
-from analysis.recording.pictures import animation
-from analysis.recording.pictures.animation import animation_gif, durations, picture_png, shown_steps
-from analysis.recording.pictures.parts import boxes_for
-from analysis.recording.pictures.picture import RolloutPicture
+from analysis.recording import pictures as animation
+from analysis.recording.frames import event_line
+from analysis.recording.pictures import RolloutPicture, animation_gif, boxes_for, durations, picture_png, shown_steps
 from analysis.recording.viewers.topics import Stage
-from analysis.trials.best import plan_best
 from planner.errors import UsageError
-from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan
+from planner.plan.plan import Plan
 from planner.settings import Choices
-from planner.trace import EventKind, Trace
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
+from planner.tally import EventKind, Trace
+from planner.world.world import World
 
 
 def rollout(world: World, starts: Sequence[Sequence[int]], seed: int = 0) -> tuple[Trace, Plan, World]:

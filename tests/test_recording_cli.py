@@ -21,10 +21,10 @@ from refusals import refused
 
 import analysis.recording.record
 from analysis.cli.app import run
-from analysis.recording.mcap.reading import open_log
-from analysis.recording.rollouts import read_outcomes, read_rollouts
-from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
-from planner.worlds.world import load_world_file
+from analysis.recording.contents import read_outcomes, read_rollouts
+from analysis.recording.log_reader import open_log
+from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
+from planner.world.world import load_world_file
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 TINY = str(FOLDER / "tiny-3x7-01.npz")
@@ -184,9 +184,7 @@ def test_a_saved_plan_is_recorded_too(tmp_path: Path) -> None:
 
 
 def test_pictures_go_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "analysis.recording.pictures.animation.animation_gif", lambda *given, **named: b"GIF89a"
-    )  # seconds
+    monkeypatch.setattr("analysis.recording.pictures.animation_gif", lambda *given, **named: b"GIF89a")  # seconds
     world, _ = small_task()
     world.save(tmp_path / "w.npz")
     picture, animation = tmp_path / "end.png", tmp_path / "run.gif"
@@ -258,7 +256,7 @@ def test_files_that_are_none(command: str, tmp_path: Path, capsys: pytest.Captur
 
 
 def test_a_log_of_somebody_else_is_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from analysis.recording.mcap.container import LogSchema, LogWriter
+    from analysis.recording.log_writer import LogSchema, LogWriter
 
     with LogWriter(tmp_path / "other.mcap") as log:
         log.write(log.channel("/speed", LogSchema("", "", b"", "json")), 5 * 10**9, b"{}")
@@ -395,7 +393,7 @@ def test_ctrl_c_while_drawing(
         raise KeyboardInterrupt
 
     said: list[Any] = []
-    monkeypatch.setattr("analysis.recording.pictures.animation.animation_gif", interrupt)
+    monkeypatch.setattr("analysis.recording.pictures.animation_gif", interrupt)
     world, _ = small_task()
     world.save(tmp_path / "w.npz")
     out, gif = tmp_path / "run.mcap", tmp_path / "run.gif"

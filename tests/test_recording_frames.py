@@ -9,19 +9,18 @@ from recordings import small_task
 from rolling import rollout_results
 
 from analysis.recording.frames import AreaMap, Held, area_maps, make_frames
-from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
-from planner.luck import Luck
+from planner.ids import NO_AREA, NO_ROBOT, NO_STEP
 from planner.mrac.board import State
 from planner.mrac.executive import Executive
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import play_step
-from planner.none import NO_AREA, NO_ROBOT, NO_STEP
-from planner.plans.plan import Plan
-from planner.rollouts.open_loop.compiled import compile_plan
-from planner.rollouts.open_loop.trace import open_loop_trace
-from planner.tally import Outcome
-from planner.trace import Doing, EventKind, Trace
-from planner.worlds.world import World
+from planner.plan.plan import Plan
+from planner.rollout_sampling import Luck
+from planner.rollouts.open_loop import compile_plan
+from planner.rollouts.open_loop_trace import open_loop_trace
+from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
+from planner.tally import Doing, EventKind, Outcome, Trace
+from planner.world.world import World
 
 HELD = {State.UNASSIGNED: Held.UNASSIGNED, State.ASSIGNED: Held.ASSIGNED, State.COMPLETED: Held.COMPLETED}
 SURVEY = [one for one in first_worlds(30) if not one.first_only][:14]

@@ -34,17 +34,16 @@ from mcap.records import (
 )
 from recording_logs import POSE, Said, heard, parts_of, sample
 
-from analysis.recording.mcap.container import LogWriter
-from analysis.recording.mcap.reading import open_log
-from analysis.recording.recover import recover
-from analysis.recording.report import recovered
+from analysis.recording.log_reader import open_log, recover
+from analysis.recording.log_writer import LogWriter
+from analysis.recording.replay import recovered
 from planner.errors import InputError
 from planner.mcap import MAGIC, MAX_CHUNK
 
 
 @pytest.fixture(autouse=True)
 def quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.recording.mcap.container.os.fsync", lambda number: None)
+    monkeypatch.setattr("analysis.recording.log_writer.os.fsync", lambda number: None)
 
 
 @pytest.fixture(scope="module")
@@ -294,8 +293,8 @@ LIMITED = """
 import resource, sys
 from pathlib import Path
 from planner import mcap as wire
-from analysis.recording.mcap.reading import open_log
-from analysis.recording.recover import recover
+from analysis.recording.log_reader import open_log
+from analysis.recording.log_reader import recover
 from planner.errors import InputError
 wire.MAX_CHUNK, room = map(int, sys.argv[2:])
 used = int(next(line for line in open("/proc/self/status") if line.startswith("VmSize")).split()[1]) * 1024

@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.recording.viewers.layout import MOST_STATES, layout_json, write_layout
-from analysis.recording.viewers.schemas import Stats
-from analysis.recording.viewers.topics import topic_types
+from analysis.recording.viewers.topics import MOST_STATES, Stats, layout_json, topic_types, write_layout
 from planner.errors import MapError
-from planner.worlds.world import World
+from planner.world.world import World
 
 WORLD = World.create([[0.0, 0.1, np.nan], [0.0, 0.0, 0.3]], cell_size=2.0, origin=(10.0, -5.0, 0.4))
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.recording.pick import Pick, Picker, parse_ids, parse_picks
+from analysis.recording.record import Pick, Picker, parse_ids, parse_picks
 from planner.errors import UsageError
 from planner.tally import RolloutResults
 

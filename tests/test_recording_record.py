@@ -12,18 +12,17 @@ import pytest
 from recordings import SEED, foreign_plan, small_recording, small_task
 from rolling import rollout_results
 
-from analysis.recording import contents, rolling
-from analysis.recording.mcap.reading import open_log
-from analysis.recording.pick import parse_picks
-from analysis.recording.record import record, scenario_text
-from analysis.recording.rolling import OutcomeColumns, Request
-from analysis.recording.rollouts import read_outcomes, read_rollouts
+from analysis.recording import contents
+from analysis.recording import record as rolling
+from analysis.recording.contents import read_outcomes, read_rollouts
+from analysis.recording.log_reader import open_log
+from analysis.recording.record import OutcomeColumns, Request, parse_picks, record, scenario_text
 from analysis.recording.viewers import messages as drawn
 from analysis.theory.bounds import all_bounds
 from planner.errors import InputError, UsageError
-from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.engine import closed_loop_engine
-from planner.rollouts.open_loop.compiled import compile_plan
+from planner.rollouts.open_loop import compile_plan
+from planner.simulator.closed_loop import compile_closed_loop, run_range
 from planner.tally import RolloutResults
 
 

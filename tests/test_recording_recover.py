@@ -13,10 +13,9 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 from recording_logs import Part, Said, heard, parts_of, sample, stream_of
 
-from analysis.recording.mcap.container import RECOVERED
-from analysis.recording.mcap.reading import open_log
-from analysis.recording.recover import Lost, Recovered, recover
-from analysis.recording.report import recovered as in_words
+from analysis.recording.log_reader import Lost, Recovered, open_log, recover
+from analysis.recording.log_writer import RECOVERED
+from analysis.recording.replay import recovered as in_words
 from planner.errors import InputError, UsageError
 
 ATTACHED = {"world.npz", "tally.json", "last.bin"}
@@ -25,7 +24,7 @@ METADATA = {"mrac-jax", "end"}
 
 @pytest.fixture(autouse=True)
 def quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.recording.mcap.container.os.fsync", lambda number: None)
+    monkeypatch.setattr("analysis.recording.log_writer.os.fsync", lambda number: None)
 
 
 @pytest.fixture(scope="module")
@@ -278,7 +277,7 @@ def test_what_is_there_is_replaced_only_at_the_end(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("analysis.recording.recover._save_chunk", interrupted)
+        patched.setattr("analysis.recording.log_reader._save_chunk", interrupted)
         with pytest.raises(KeyboardInterrupt):
             recover(tmp_path / "in.mcap", tmp_path / "out.mcap")
     assert (tmp_path / "out.mcap").read_bytes() == b"older"

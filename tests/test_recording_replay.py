@@ -14,29 +14,14 @@ import numpy as np
 import pytest
 from closed_loop_worlds import first_worlds
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from recordings import (
-    SEED,
-    Change,
-    edited,
-    foreign_plan,
-    keep,
-    nth,
-    rewrite,
-    small_recording,
-    small_task,
-    world_with,
-)
+from recordings import SEED, Change, edited, foreign_plan, keep, nth, rewrite, small_recording, small_task, world_with
 
 from analysis.recording import contents
-from analysis.recording.inspect import inspect
-from analysis.recording.mcap.reading import open_log
-from analysis.recording.pick import parse_picks
-from analysis.recording.record import record
-from analysis.recording.recover import recover
-from analysis.recording.replay import replay
-from analysis.recording.rolling import Request
-from analysis.recording.rollouts import read_outcomes, read_rollouts
-from analysis.recording.viewers import schemas
+from analysis.recording.contents import read_outcomes, read_rollouts
+from analysis.recording.log_reader import open_log, recover
+from analysis.recording.record import Request, parse_picks, record
+from analysis.recording.replay import inspect, replay
+from analysis.recording.viewers import topics as schemas
 from analysis.recording.viewers.topics import DATA_TOPICS
 from planner.errors import InputError
 from planner.files import npz_bytes
@@ -249,7 +234,7 @@ def test_a_recovered_recording_is_identical_as_far_as_it_goes(tmp_path: Path, mo
 
 def test_a_file_of_another_format_version_is_compared_by_its_data(good: Path, tmp_path: Path) -> None:
     """A drawn topic that this program does not know, in a file of version 1."""
-    from analysis.recording.report import replayed
+    from analysis.recording.replay import replayed
 
     def renamed(message: LogMessage) -> Iterator[tuple[str, int, bytes]]:
         topic = "/areas_of_old" if message.topic == "/areas_voxels" else message.topic

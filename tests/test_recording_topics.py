@@ -17,24 +17,20 @@ from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
 from recordings import SEED, foreign_plan, positions, small_recording, small_task
 
 from analysis.recording.frames import Held, make_frames
-from analysis.recording.record import record
-from analysis.recording.rolling import Request
-from analysis.recording.viewers import colours
-from analysis.recording.viewers.layout import layout_json
+from analysis.recording.record import Request, record
+from analysis.recording.viewers import topics as colours
 from analysis.recording.viewers.messages import rollout_messages
-from analysis.recording.viewers.ros import path as ros_path
-from analysis.recording.viewers.topics import Clock, Stage, topic_types, type_of
-from planner.kernels.closed_loop import compile_closed_loop, trace_rollouts
+from analysis.recording.viewers.topics import Clock, Stage, layout_json, topic_types, type_of
+from analysis.recording.viewers.topics import path as ros_path
 from planner.mrac.make_plan import make_plan
-from planner.plans.plan import Plan, RobotPlan
-from planner.plans.waypoints import headings
-from planner.rollouts.open_loop.trace import open_loop_trace
+from planner.plan.plan import Plan, RobotPlan, headings
+from planner.rollouts.open_loop_trace import open_loop_trace
 from planner.settings import Settings
-from planner.tally import Outcome
-from planner.trace import Doing, EventKind, Trace
-from planner.worlds.learning import with_prior, with_sense
-from planner.worlds.world import World
-from planner.worlds.wrong_maps import with_spread
+from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
+from planner.tally import Doing, EventKind, Outcome, Trace
+from planner.world.changing_maps import with_spread
+from planner.world.features import with_prior, with_sense
+from planner.world.world import World
 
 WHERE_THERE_ARE = {"/movers/markers", "/movers/points", "/map/truth", "/map/fog"}
 """Threats that move, and robots that learn."""

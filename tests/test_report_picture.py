@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.page.series import Chart, Series
+from analysis.page.charts import Chart, Series
 from analysis.pictures.style import png_of
 from analysis.report.picture import charts_figure
 

@@ -13,7 +13,7 @@ from own_policies import mostly_east
 
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.standings.standing import RANDOM, Played, Rolled, Standing
+from analysis.policy_evaluation.leaderboard import RANDOM, Played, Rolled, Standing
 from planner.policies.rule import Rule
 
 TINY = "contiguous-10-05-k1,scattered-10-05-k2"

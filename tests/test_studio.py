@@ -29,19 +29,17 @@ from page_reader import check_page_is_sound
 
 from analysis.cli.app import run
 from analysis.page.document import asset
-from analysis.studio.latest import Latest
-from analysis.studio.page import studio_page
-from analysis.studio.server import HOST, MOST_BYTES, Studio, serve
-from analysis.studio.sketch import Sketch, read_sketch
+from analysis.studio.page import Sketch, read_sketch, studio_page
+from analysis.studio.server import HOST, MOST_BYTES, Latest, Studio, serve
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
+from planner.formatting import Pace
 from planner.mrac.make_plan import make_plan
-from planner.pace import Pace
 from planner.settings import Settings
-from planner.worlds.georeference import Georeference
-from planner.worlds.learning import with_truth
-from planner.worlds.scenario import load_input
-from planner.worlds.world import World, load_world_file
+from planner.world.features import with_truth
+from planner.world.grid import Georeference
+from planner.world.scenario import load_input
+from planner.world.world import World, load_world_file
 
 ROOT = Path(__file__).parent.parent
 PATIENCE = 600.0

@@ -17,9 +17,9 @@ import pytest
 from test_sweeps_engine import contents, jobs_of, swept
 
 import mrac_jax as mrac
-from analysis.sweeps import cluster
+from analysis.sweeps import cases as cluster
 from analysis.sweeps.engine import Done, run_cases
-from analysis.sweeps.store.memory import Memory
+from analysis.sweeps.store import Memory
 from planner.errors import UsageError
 
 dask = pytest.importorskip("dask")

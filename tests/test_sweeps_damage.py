@@ -14,8 +14,7 @@ from test_sweeps_store import key_of, results_of
 from analysis.cli.app import run
 from analysis.sweeps.cases import generated_case
 from analysis.sweeps.results import collect
-from analysis.sweeps.store.memory import Memory
-from analysis.sweeps.store.store import Store, StoreError
+from analysis.sweeps.store import Memory, Store, StoreError
 from planner.tally import Tally
 
 CASES = [generated_case("scattered", 0.2, 1, seed=seed, size=(5, 6)) for seed in range(6)]

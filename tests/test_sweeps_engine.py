@@ -18,23 +18,21 @@ from pool_tasks import ENDS_WITH_US
 from test_sweeps_store import blocks_of
 
 from analysis.sampling import RolloutChoices
-from analysis.sweeps import engine, tasks
-from analysis.sweeps.cases import Case, Places, generated_case, run_key
+from analysis.sweeps import cases as tasks
+from analysis.sweeps import engine
+from analysis.sweeps.cases import Case, Generated, Places, generated_case, run_key, run_task
 from analysis.sweeps.engine import Done, Job, run_cases, share_of
-from analysis.sweeps.store.memory import Memory
-from analysis.sweeps.store.ranges import cut
-from analysis.sweeps.store.store import Store
-from analysis.sweeps.tasks import run_task
-from analysis.sweeps.worlds import Generated
+from analysis.sweeps.store import Memory, Store
+from analysis.sweeps.store_files import cut
 from planner.errors import InputError, UsageError
-from planner.kernels.closed_loop import compile_closed_loop
-from planner.kernels.loop import ClosedLoop
-from planner.limits import BLOCK
-from planner.plans.plan import Plan
+from planner.ids import BLOCK
+from planner.plan.plan import Plan
 from planner.rollouts.engine import closed_loop_engine, run_by_luck
 from planner.settings import Choices
+from planner.simulator.closed_loop import compile_closed_loop
+from planner.simulator.loop import ClosedLoop
 from planner.tally import Tally
-from planner.worlds.world import World
+from planner.world.world import World
 
 MODELS = (RolloutChoices(seed=4), RolloutChoices(first_only=True, seed=4), RolloutChoices(loop="open", seed=4))
 

@@ -12,17 +12,28 @@ import numpy as np
 import pytest
 
 from analysis.cli.app import run
-from analysis.statistics.pooled_control import BESIDE
-from analysis.sweeps.pooled import Part, Setting, complete, map_of, moments_over, single_over
-from analysis.sweeps.results import collect, select
-from analysis.sweeps.rows import DIFFERENCES, KEPT, Row, figures_of, single_map
+from analysis.statistics.control_variate import BESIDE
+from analysis.sweeps.results import (
+    DIFFERENCES,
+    KEPT,
+    Part,
+    Row,
+    Setting,
+    collect,
+    complete,
+    figures_of,
+    map_of,
+    moments_over,
+    select,
+    single_map,
+    single_over,
+)
 from analysis.sweeps.spec import read_spec
-from analysis.sweeps.store.memory import Memory
-from analysis.sweeps.store.store import Run, Store
+from analysis.sweeps.store import Memory, Run, Store
 from analysis.sweeps.sweep import run_sweep
 from planner.errors import UsageError
 from planner.tally import Tally
-from planner.worlds.generate import ThreatPattern, random_world
+from planner.world.generate import ThreatPattern, random_world
 
 SPEC = """
 base: {kind: contiguous, size: 7x9, ratio: 0.2}

@@ -11,21 +11,19 @@ from PIL import Image
 from refusals import refused
 
 from analysis.cli.app import run
-from analysis.reproduction import reproduce as reproduction
-from analysis.reproduction.points import put_right
-from analysis.reproduction.reproduce import SETTINGS, Reproduction, Setting, reproduce
-from analysis.statistics.control import expected_pieces, pieces
-from analysis.statistics.estimate import over_maps
+from analysis.experiments import reproduction
+from analysis.experiments.reproduction import SETTINGS, Reproduction, Setting, put_right, reproduce
+from analysis.statistics.control_variate import expected_pieces, pieces
+from analysis.statistics.estimates import over_maps
 from analysis.sweeps.engine import run_cases
-from analysis.sweeps.store.memory import Memory
-from analysis.sweeps.store.store import Store
+from analysis.sweeps.store import Memory, Store
 from analysis.theory.exact import open_loop_exact
 from planner.errors import UsageError
-from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
-from planner.rollouts.by_luck import luck_classes
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
+from planner.rollouts.threshold_classes import luck_classes
+from planner.simulator.closed_loop import compile_closed_loop, run_range
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
 
 
 def columns(answer: Reproduction) -> dict:
@@ -154,7 +152,7 @@ def test_the_command_prints_saves_and_is_json(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_interrupted_leaves_whole_maps(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from analysis.reproduction import reproduce as module
+    from analysis.experiments import reproduction as module
 
     real, taken = module._Collected.take, []
 

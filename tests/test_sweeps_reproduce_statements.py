@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.reproduction.points import COVERAGE, Point, columns_of, runs_of
-from analysis.reproduction.statements import Finding, StatementVerdict, findings
-from analysis.statistics.estimate import over_maps
-from analysis.sweeps.store.packed import sums_of
-from analysis.sweeps.store.store import Run
-from planner.kernels.closed_loop import compile_closed_loop, run_range
+from analysis.experiments.reproduction import COVERAGE, Finding, Point, StatementVerdict, columns_of, findings, runs_of
+from analysis.statistics.estimates import over_maps
+from analysis.sweeps.store import Run
+from analysis.sweeps.store_files import sums_of
+from planner.failure_model import uniform
 from planner.mrac.make_plan import make_plan
-from planner.threefry import uniform
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, run_range
+from planner.world.world import World
 
 MAPS = 200
 

@@ -15,18 +15,25 @@ import numpy as np
 import pytest
 
 from analysis.sampling import RolloutChoices
-from analysis.sweeps.cases import Case, Places, Team, generated_case, run_key
+from analysis.sweeps import store as store_file
+from analysis.sweeps.cases import (
+    Case,
+    Generated,
+    Places,
+    RunResult,
+    Task,
+    Team,
+    Wanted,
+    generated_case,
+    run_key,
+    run_task,
+)
 from analysis.sweeps.report import notes_of
 from analysis.sweeps.results import collect
 from analysis.sweeps.spec import read_spec
-from analysis.sweeps.store import file as store_file
-from analysis.sweeps.store.memory import Memory
-from analysis.sweeps.store.packed import add_sums, pack, sums_of, unpack
-from analysis.sweeps.store.ranges import joined, without
-from analysis.sweeps.store.store import Store, StoreError
+from analysis.sweeps.store import Memory, Store, StoreError
+from analysis.sweeps.store_files import add_sums, joined, pack, sums_of, unpack, without
 from analysis.sweeps.sweep import Sweep, run_sweep
-from analysis.sweeps.tasks import RunResult, Task, Wanted, run_task
-from analysis.sweeps.worlds import Generated
 from planner.tally import Tally
 
 CASE = generated_case("contiguous", 0.2, 2, seed=3, size=(7, 9))

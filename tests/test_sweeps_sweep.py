@@ -15,30 +15,27 @@ from refusals import refused
 from scipy import stats
 
 import mrac_jax as mrac
-from analysis.cli import sweeps as commands
+from analysis.cli import experiments as commands
 from analysis.cli.app import run
 from analysis.sampling import RolloutChoices
-from analysis.statistics.control import expected_pieces, pieces
-from analysis.statistics.estimate import Estimate
-from analysis.sweeps import report, rows
-from analysis.sweeps.cases import Places
+from analysis.statistics.control_variate import expected_pieces, pieces
+from analysis.statistics.estimates import Estimate
+from analysis.sweeps import report
+from analysis.sweeps import results as rows
+from analysis.sweeps.cases import Generated, Places, Written
 from analysis.sweeps.engine import Done, Job, run_cases
-from analysis.sweeps.results import collect
-from analysis.sweeps.rows import KEPT, figures_of, single_map
+from analysis.sweeps.results import KEPT, Moments, collect, figures_of, single_map
 from analysis.sweeps.spec import read_spec
-from analysis.sweeps.store.memory import Memory
-from analysis.sweeps.store.store import Store
-from analysis.sweeps.summary import Moments
+from analysis.sweeps.store import Memory, Store
 from analysis.sweeps.sweep import run_sweep
-from analysis.sweeps.worlds import Generated, Written
 from planner.errors import InputError
-from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
-from planner.rollouts.by_luck import luck_classes
+from planner.rollouts.threshold_classes import luck_classes
 from planner.settings import Settings
+from planner.simulator.closed_loop import compile_closed_loop, run_range
 from planner.tally import Tally
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
 
 SPEC = """
 base: {kind: contiguous, size: 7x9, ratio: 0.2}

@@ -12,18 +12,17 @@ import yaml
 
 import mrac_jax as mrac
 from analysis.evaluation.answer import Evaluation
-from analysis.knowing.questions import Team
-from analysis.knowing.study import study_knowing
-from analysis.sweeps.rows import Row
+from analysis.experiments.information_value import Team, study_knowing
+from analysis.sweeps.results import Row
 from analysis.sweeps.spec import read_spec
-from analysis.sweeps.store.store import Store
+from analysis.sweeps.store import Store
 from analysis.sweeps.sweep import Sweep, run_sweep
 from planner.errors import InputError
-from planner.kernels.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.simulator.closed_loop import compile_closed_loop, run_range
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 TRUE = random_world(7, 9, ThreatPattern(seed=4), obstacles=0.15)
 GUARD = "{patrol: [[1, 2], [1, 3], [2, 3], [2, 2]], h: 0.3}"

@@ -13,25 +13,34 @@ from oracle_strategy import best_of_one_robot, best_that_comes_home
 from oracle_tree import closed_loop_exact
 
 import mrac_jax as mrac
-from analysis.checking.report import report
+from analysis.checking.report import check_report
 from analysis.cli.app import run
 from analysis.evaluation.report import report as evaluation_report
-from analysis.evaluation.words import rest_words
-from analysis.kit.folder import as_text
-from analysis.report.face import print_report
-from analysis.theory import single
-from analysis.theory.any_strategy import any_strategy, value_bound
-from analysis.theory.flow import ROUNDS, Dual, Programme, Row, Spend, certified, flow_bound, most_stopped
-from analysis.theory.nodes import contract
-from analysis.theory.optimum import optimum
-from analysis.theory.reachable import trimmed, within
-from analysis.theory.ways import missing_ways, way_within
+from analysis.evaluation.report import rest_words
+from analysis.report.answer import print_report
+from analysis.theory import single_robot as single
+from analysis.theory.flow_programme import contract, missing_ways, optimum, way_within
+from analysis.theory.upper_bound import (
+    ROUNDS,
+    Dual,
+    Programme,
+    Row,
+    Spend,
+    any_strategy,
+    certified,
+    flow_bound,
+    most_stopped,
+    trimmed,
+    value_bound,
+    within,
+)
+from analysis.utils.folder import as_text
 from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
 
 
 def tiny_world(seed: int, height: int, width: int) -> World:
@@ -129,7 +138,7 @@ def test_whatever_the_prices_what_they_prove_is_true(monkeypatch: pytest.MonkeyP
         dual = Dual(draw.random(count) * scale, draw.random(count) * 2, draw.random(len(rows)) * scale)
         assert certified(nodes, rows, dual) >= best
         with monkeypatch.context() as careless:  # prices that were not made feasible prove no more than that
-            careless.setattr("analysis.theory.flow._feasible", lambda nodes, dual, toll: dual.flow)
+            careless.setattr("analysis.theory.upper_bound._feasible", lambda nodes, dual, toll: dual.flow)
             assert certified(nodes, rows, dual) >= best
     nothing = Dual(np.zeros(count), np.zeros(count), np.zeros(len(rows)))
     assert certified(nodes, rows, nothing) == pytest.approx(nodes.weight @ nodes.reach, abs=1e-9)
@@ -233,7 +242,7 @@ def test_most_stopped_is_the_expectation_rounded_up() -> None:
 
 def test_unasked_on_a_larger_map_in_fewer_rounds_and_not_among_many_dangers(monkeypatch: pytest.MonkeyPatch) -> None:
     rounds: list[int] = []
-    monkeypatch.setattr("analysis.theory.any_strategy.flow_bound", lambda nodes, most, ways: rounds.append(most) or 0.0)
+    monkeypatch.setattr("analysis.theory.upper_bound.flow_bound", lambda nodes, most, ways: rounds.append(most) or 0.0)
     for side, danger in ((20, 0.1), (30, 0.1), (40, 0.1), (40, 0.0)):
         for flow in (None, True):
             any_strategy(World.create(np.full((side, side), danger)), [[0, 0]] * 2, flow)
@@ -273,7 +282,7 @@ def test_the_bound_is_on_the_mean_wherever_it_is_said(tmp_path: Path) -> None:
         as_text(lambda console: print_report(evaluation_report(answer, theory=True), console)),
         str(answer),
         *(page.read_text() for page in tmp_path.rglob("*.html")),
-        as_text(lambda console: print_report(report(mrac.check(world, 1)), console)),
+        as_text(lambda console: print_report(check_report(mrac.check(world, 1)), console)),
     )
     for text in said:
         for words in text.split("trategy exceeds")[1:] + text.split("trategy visits more")[1:]:

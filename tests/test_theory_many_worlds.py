@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from test_theory_any_strategy import tiny_world
 
-from analysis.theory.flow import flow_bound
-from analysis.theory.nodes import contract
-from analysis.theory.optimum import optimum
+from analysis.theory.flow_programme import contract, optimum
+from analysis.theory.upper_bound import flow_bound
 
 
 @pytest.mark.slow

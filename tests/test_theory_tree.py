@@ -19,10 +19,10 @@ from planner.errors import PlanError
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import simulate
-from planner.plans.plan import Plan
+from planner.plan.plan import Plan
 from planner.settings import Settings
 from planner.tally import Outcome
-from planner.worlds.world import World
+from planner.world.world import World
 
 QUICK = ("tiny", "contiguous-14x23-1001", "scattered-20x20-1001-k1")
 ENUMERATED = [

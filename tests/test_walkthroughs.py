@@ -17,16 +17,15 @@ from plan_files import load_plan
 
 import mrac_jax as mrac
 from analysis.evaluation.report import report
-from analysis.kit.folder import as_text
-from analysis.report.answer import report_of
-from analysis.report.face import print_report
+from analysis.report.answer import print_report, report_of
 from analysis.sampling import RolloutChoices, make_singles
+from analysis.utils.folder import as_text
 from planner.errors import InputError
-from planner.mrac.reference import ReferenceLoop
+from planner.formatting import percent
+from planner.mrac.simulate import ReferenceLoop
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import SETTINGS
-from planner.shown import percent
-from planner.worlds.scenario import load_input
+from planner.world.scenario import load_input
 
 GUIDE = (Path(__file__).parent.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
 BLOCKS = dict(re.findall(r"```python\n# (\S+)\.py\n(.*?)```", GUIDE, re.DOTALL))
@@ -44,7 +43,7 @@ def walk_through(monkeypatch: pytest.MonkeyPatch, file: str, table: str) -> dict
 
 
 def test_every_block_is_performed() -> None:
-    threats, maps, policies = "planner/worlds/threats", "planner/worlds/maps", "planner/policies/__init__"
+    threats, maps, policies = "planner/world/threats", "planner/world/map_files", "planner/policies/__init__"
     question = {"analysis/lasting/search", "analysis/lasting/report"}
     assert set(BLOCKS) - question == {
         threats, maps, policies, "planner/rollouts/engine", "analysis/evaluation/outputs/table",
@@ -57,7 +56,7 @@ def test_a_source_of_threats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     scenario.write_text("map: m.npy\nthreats: [{stripes: {every: 3, p: 0.05}}]\n")
     with pytest.raises(InputError, match="stripes"):
         load_input(scenario)
-    walk_through(monkeypatch, "planner/worlds/threats", "SOURCES")
+    walk_through(monkeypatch, "planner/world/threats", "SOURCES")
     expected = np.full((6, 4), 0.1)
     expected[::3] = 1 - 0.9 * 0.95
     np.testing.assert_allclose(load_input(scenario).threat, expected, rtol=1e-6)
@@ -71,7 +70,7 @@ def test_a_map_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn.write_text("...#\n....\n")
     with pytest.raises(InputError, match=r"unknown map format '\.drawn'"):
         load_input(drawn)
-    walk_through(monkeypatch, "planner/worlds/maps", "FORMATS")
+    walk_through(monkeypatch, "planner/world/map_files", "FORMATS")
     assert load_input(drawn).free.tolist() == [[True, True, True, False], [True] * 4]
     (tmp_path / "s.yaml").write_text("map: yard.drawn\ncell_size: 2\n")
     assert load_input(tmp_path / "s.yaml").free.tolist() == [[True, False]]

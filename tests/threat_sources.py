@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from planner.worlds.scenario import load_input
-from planner.worlds.world import World
+from planner.world.scenario import load_input
+from planner.world.world import World
 
 
 def world_file(folder: Path, threat: np.ndarray, name: str = "w.npz", **more: object) -> str:

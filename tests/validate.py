@@ -21,8 +21,8 @@ from validate_facts import (
     row_col,
 )
 
-from planner.plans.plan import Leg, Plan
-from planner.worlds.world import World
+from planner.plan.plan import Leg, Plan
+from planner.world.world import World
 
 __all__ = ["Violation", "validate"]
 

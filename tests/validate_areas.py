@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from validate_facts import Facts, Violation, components, cut_off
 
-from planner.none import NO_AREA, NO_ROBOT, NONE
-from planner.plans.plan import Plan
+from planner.ids import NO_AREA, NO_ROBOT, NONE
+from planner.plan.plan import Plan
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from planner.none import NO_AREA
-from planner.plans.plan import Plan
-from planner.worlds.world import World
+from planner.ids import NO_AREA
+from planner.plan.plan import Plan
+from planner.world.world import World
 
 NEVER = np.iinfo(np.int64).max
 

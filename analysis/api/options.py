@@ -11,12 +11,11 @@ from functools import wraps
 from inspect import Parameter, signature
 from typing import Any, Literal, TypedDict, TypeVar
 
-from analysis.kit.calls import OnInterrupt
-from analysis.kit.hints import UnknownArgument
-from analysis.kit.notes import Progress
 from analysis.sampling import Exactness
-from planner.luck_names import LuckName
-from planner.policies.in_area import InAreaOrder
+from analysis.utils.notes import ProgressCallback, UnknownArgument
+from analysis.utils.progress import OnInterrupt
+from planner.ids import LuckName
+from planner.policies.rules import InAreaOrder
 from planner.rollouts.names import EngineName
 from planner.settings import Policy
 
@@ -61,7 +60,7 @@ class RolledOptions(TypedDict, total=False):
     engine: EngineName
     luck: LuckName | None
     exact: Exactness
-    progress: Progress | bool | None
+    progress: ProgressCallback | bool | None
     on_interrupt: OnInterrupt
 
 

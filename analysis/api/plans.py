@@ -2,27 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.api.options import Loop, ReturnTo
 from analysis.inputs import load_world, plan_from_state
-from analysis.kit.notes import say
-from planner.arguments import argument
+from analysis.sampling import RolloutChoices
+from analysis.utils.notes import Doing, ProgressCallback, say
+from analysis.utils.progress import OnInterrupt, ask
+from planner.arguments import argument, as_whole
 from planner.errors import UsageError
+from planner.files import check_new
+from planner.ids import LuckName
+from planner.mission.mission import PATIENCE
+from planner.plan.plan import Plan
+from planner.plan.state import MissionState
+from planner.plan.state_file import read_state
 from planner.plan_team import plan_team, read_plan_on
-from planner.plans.plan import Plan
-from planner.plans.state import MissionState
-from planner.plans.state_traces import read_state
-from planner.policies.in_area import InAreaOrder
+from planner.policies.rules import InAreaOrder
+from planner.rollouts.names import EngineName
 from planner.settings import BEST, SETTINGS, Choices, Policy, Settings
-from planner.worlds.reported import with_route
-from planner.worlds.starts import starts_of
-from planner.worlds.world import World
+from planner.world.levels import starts_of
+from planner.world.scenario import with_route
+from planner.world.world import World
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from analysis.experiments.reproduction import Reproduction
+    from analysis.mission_protocol import DrivenMission
+    from analysis.policy_evaluation.leaderboard import Suite
+    from analysis.policy_evaluation.policy_evaluation import Judged
+    from analysis.recording.contents import RecordedOutcomes, RecordedRollout
+    from analysis.recording.record import Pick, Recorded
+    from analysis.sweeps.results import Results
+    from analysis.sweeps.sweep import Sweep
 
 
 def load(
@@ -65,7 +85,7 @@ def load(
 
 def _say_if_large(world: World) -> None:
     """Say before anything takes long that a map has many cells, where nobody said how large they are."""
-    from planner.worlds.scenario import MANY_CELLS, ROBOT_IS
+    from planner.world.scenario import MANY_CELLS, ROBOT_IS
 
     if world.threat.size > MANY_CELLS:
         say([f"{world.source}: {note}" for note in world.notes if ROBOT_IS in note])
@@ -137,7 +157,7 @@ def plan(
 
     A rule or an order of your own cannot be saved, nor (yet) rolled out by the compiled engines.
     """
-    from analysis.trials.best import BASE, plan_best
+    from analysis.estimators.racing import BASE, plan_best
 
     given = {name: value for name, value in locals().items() if name in SETTINGS}
     check_world(world)
@@ -182,3 +202,288 @@ def plan_of(world: World, given: Plan | str | Path | int | None) -> tuple[World,
         given.require(world)
         return world, given
     return read_plan_on(given, world) if isinstance(given, str | Path) else (world, plan(world, given))
+
+
+# Files for viewers, ground stations and GIS, and recordings read back.
+
+PICKS = ("worst", "median", "best")
+
+
+def record(
+    world: World,
+    plan: Plan | str | Path | int | None,
+    path: str | Path,
+    *,
+    pick: Iterable[str] = (),
+    ids: Iterable[int] = (),
+    rollouts: int = 10_000,
+    outcomes: bool = False,
+    loop: Loop | None = None,
+    seed: int = 0,
+    engine: EngineName = "auto",
+    luck: LuckName = "tolerance",
+    first_visit: bool = False,
+    step_seconds: float | None = None,
+    force: bool = False,
+    progress: ProgressCallback | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
+) -> Recorded:
+    """Rollouts in full as an MCAP file, for Foxglove, Lichtblick and Rerun; read back with `read_rollouts`.
+
+    Args:
+        plan: as of `evaluate`. path: of the file (.mcap); a layout for Foxglove and Lichtblick is written beside it.
+        ids: rollouts to record; or `pick`: some of `rollouts` evaluated ones, of "worst", "median", "best", ...
+            (default: those three). outcomes: keep what each of the `rollouts` came to (`read_outcomes`).
+        step_seconds: how long a step takes in the viewer; None: as long as the world says, or 1.
+        force: replace a recording or layout that is there already; without it that is an InputError.
+        loop, seed, engine, luck, first_visit, progress, on_interrupt: as of `evaluate`.
+    """
+    from analysis.recording.names import SUFFIX, check_name, layout_name
+    from analysis.recording.record import Request, parse_picks
+    from analysis.recording.record import record as record_rollouts
+    from analysis.recording.viewers.topics import write_layout
+
+    check_name(Path(path), SUFFIX)
+    check_new(path, layout_name(Path(path)), force=force)
+    chosen, names = tuple(ids), tuple(pick)
+    picks: tuple[Pick, ...] = () if chosen and not names else tuple(parse_picks(",".join(names or PICKS)))
+    count = as_whole(rollouts) if picks or outcomes else 0
+
+    def work(tell: ProgressCallback, doing: Doing) -> Recorded:
+        of, given = plan_of(world, plan)
+        made = not given.is_foreign
+        seconds = of.with_pace(step_seconds).pace.seconds or 1.0
+        how: Any = {"loop": loop or given.usual_loop, "seed": seed, "step_seconds": seconds, "made": made}
+        how |= {"outcomes": outcomes, "engine": engine, "luck": luck, "first_only": first_visit}
+        request = Request(chosen, picks, count, **how)
+        done = record_rollouts(of, given, request, path, progress=tell, doing=doing)
+        write_layout(layout_name(done.path), of, len(given.robots))
+        return done
+
+    return ask(work, progress, on_interrupt)
+
+
+def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
+    """The rollouts of a recording, one after the other; one is held at a time.
+
+    Of a partial or recovered recording, rollouts that are not all there are left out.
+    """
+
+    from analysis.recording import contents as rollouts
+
+    return rollouts.read_rollouts(path)
+
+
+def read_outcomes(path: str | Path) -> RecordedOutcomes:
+    """Every outcome that `record --outcomes` wrote, none if it did not."""
+
+    from analysis.recording import contents as rollouts
+
+    return rollouts.read_outcomes(path)
+
+
+def export(
+    world: World,
+    plan: Plan | str | Path | int | None,
+    out: str | Path,
+    *,
+    to: Literal["qgc", "nav2", "geojson", "kml", "gpx", "csv", "geotiff"] | None = None,
+    altitude: float | None = None,
+    speed: float | None = None,
+    force: bool = False,
+) -> list[Path]:
+    """The plan for ground stations, nav2 and GIS; returns the files.
+
+    Args:
+        plan: as of `evaluate`. out: a file or a folder. to: the format; None: by the suffix of `out`.
+        altitude: QGroundControl: metres above take-off (default 20), 0 for robots on the ground. speed: metres a
+            second (default: as the world says, or 3).
+        force: replace files that are there already; without it that is an InputError, and nothing is written.
+    """
+    from analysis.exporting import choose_format, make_mission
+    from analysis.exporting import export as write
+
+    form = choose_format(Path(out), to)
+    return write(make_mission(*plan_of(world, plan), altitude, speed), Path(out), form, force=force)
+
+
+# A mission that is driven.
+
+
+def mission(
+    world: World,
+    plan: Plan | str | Path | int | None = None,
+    *,
+    state: MissionState | str | Path | None = None,
+    patience: int | None = PATIENCE,
+    gain: float = 1.0,
+) -> DrivenMission:
+    """A mission to be driven: it gives orders and takes reports, step by step, and goes on after a crash.
+
+    Args:
+        plan: a Plan, a plan file, how many robots to plan for, or None: the world's own team.
+        state: where it stands: what `Mission.save` wrote, or anything that `plan` takes as a state.
+        patience: steps in which a robot that was to move did not, after which others get its work; None: any number.
+        gain: a robot leaves what it is under way to for work that became free, or a nearer cell of its area after it
+            was pushed, where that saves more than this share of the cost of its way; 1: it never does.
+    """
+    from analysis.mission_protocol import DrivenMission
+
+    world, made = plan_of(world, plan)
+    if isinstance(state, str | Path) and Path(state).suffix == ".json":
+        return DrivenMission.resume(state, world, made, patience=patience, gain=gain)
+    if state is not None:
+        found = state if isinstance(state, MissionState) else read_state(state, world)[0]
+        made = plan_from_state(world, found, made.require(world))
+    return DrivenMission(world, made, patience=patience, gain=gain)
+
+
+# Many maps: sweeps, the paper's experiments, what a store holds.
+
+
+def sweep(
+    spec: str | Path,
+    store: str | Path | None = None,
+    *,
+    precision: float | None = None,
+    processes: int | None = None,
+    scheduler: str | Client | None = None,
+    progress: ProgressCallback | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
+) -> Sweep:
+    """A sweep file run, on all cores, into a store that resumes (default: NAME.store beside you).
+
+    Args:
+        precision: more maps until every interval of mean coverage is within so much of it. processes: at a time.
+        scheduler: a dask.distributed scheduler to run on instead: its address, "tcp://host:8786", or an open Client.
+            No result depends on it.
+        progress, on_interrupt: as of `evaluate`; jobs are counted.
+    """
+    from analysis.sweeps.engine import check_where
+    from analysis.sweeps.spec import read_spec
+    from analysis.sweeps.store import Store
+    from analysis.sweeps.sweep import check_precision, run_sweep
+
+    asked = read_spec(Path(spec))
+    check_precision(precision)
+
+    def work(tell: ProgressCallback, doing: Doing) -> Sweep:
+        check_where(processes, scheduler)
+        with Store.open(Path(f"{asked.source.stem}.store") if store is None else Path(store)) as opened:
+            how: Any = {"precision": precision, "processes": processes, "scheduler": scheduler}
+            return run_sweep(asked, opened, watch=lambda *now: tell(*now[:3]), **how)
+
+    return ask(work, progress, on_interrupt, "jobs")
+
+
+def reproduce(
+    figure: Literal["fig4", "fig5", "fig6", "fig7", "all"] = "all",
+    *,
+    maps: int = 500,
+    rollouts: int = 20,
+    seed: int = 0,
+    store: str | Path | None = None,
+    processes: int | None = None,
+    scheduler: str | Client | None = None,
+    progress: ProgressCallback | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
+) -> Reproduction:
+    """The paper's experiments again, with intervals; results are kept in `store` if one is named.
+
+    Args:
+        maps: of each setting; rollouts: of each map. processes, scheduler: as of `sweep`.
+        progress, on_interrupt: as of `evaluate`; jobs are counted.
+    """
+    from analysis.experiments.reproduction import reproduce as run_experiments
+    from analysis.sweeps.cases import check_maps
+    from analysis.sweeps.engine import check_where
+    from analysis.sweeps.store import Store
+
+    check_maps(maps, seed)
+
+    def work(tell: ProgressCallback, doing: Doing) -> Reproduction:
+        check_where(processes, scheduler)
+        with nullcontext() if store is None else Store.open(Path(store)) as kept:
+            how: Any = {"maps": maps, "rollouts": rollouts, "seed": seed, "store": kept, "processes": processes}
+            return run_experiments(figure, **how, scheduler=scheduler, progress=tell)
+
+    return ask(work, progress, on_interrupt, "jobs")
+
+
+def results(store: str | Path, *, by: Sequence[str] = (), where: dict[str, Any] | None = None) -> Results:
+    """What a store holds, as rows: a mean over maps for each setting.
+
+    Args:
+        by: labels that tell rows apart (default: all that vary). where: values wanted of labels, one or several each.
+    """
+    from analysis.sweeps.results import collect
+    from analysis.sweeps.store import Store
+
+    def texts(value: object) -> tuple[str, ...]:
+        several = value if isinstance(value, list | tuple | set | np.ndarray) else [value]
+        return tuple(str(one) for one in several)
+
+    wanted = {name: texts(value) for name, value in (where or {}).items()}
+    with Store.open(Path(store), write=False) as opened:
+        return collect(opened, wanted, list(by))
+
+
+# Policies of one's own, and the worlds that they are played on.
+
+
+def judge(
+    world: World,
+    policy: Callable[..., Any],
+    robots: int | None = None,
+    *,
+    starts: ArrayLike | None = None,
+    actions: Literal["moves", "areas"] = "moves",
+    view: int | None = None,
+    rule: Policy | None = None,
+    offers: int | None = None,
+    max_steps: int | None = None,
+    rollouts: int = 1000,
+    seed: int = 0,
+    against: Sequence[str] = ("mrac", "per_cell"),
+    processes: int | None = None,
+    progress: ProgressCallback | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
+) -> Judged:
+    """What is a policy of one's own worth: its coverage, and its score between a random walk and the proven bound.
+
+    Args:
+        policy: a function of what all robots observe, float32 `[K, 6, h, w]`, or of areas `[K, offers, 8]` (`env`),
+            that returns an action for each; of two arguments, then of a random key (a NumPy generator) of the rollout
+            too. Under `jax.jit` it runs inside the compiled rollouts, if its actions are moves.
+            It is asked for many rollouts in turn, and is to remember none.
+        robots, starts, actions, view, rule, offers, max_steps: as of `env`.
+        rollouts, seed: rollout r of the seed has the luck that it has in `evaluate`.
+        against: policies of the planner that are rolled out on the same random numbers, and ended at the same step.
+        processes: that ask a policy in Python; the figures are the same. None: one a core, where it can be imported.
+        progress, on_interrupt: as of `evaluate`.
+    """
+    from analysis.policy_evaluation.policy_evaluation import judge as judge_policy
+    from planner.rollouts.names import of_jax
+
+    check_world(world)
+    if not callable(policy):
+        raise UsageError(argument("policy", policy), expected="a function of what the robots observe")
+    given: dict[str, Any] = {"starts": starts, "actions": actions, "view": view, "rule": rule, "offers": offers}
+    env = of_jax("environment")(world, robots, **given, max_steps=max_steps)
+    choices = RolloutChoices(rollouts=rollouts, seed=seed)
+
+    def work(tell: ProgressCallback, doing: Doing) -> Judged:
+        return judge_policy(world, policy, env, choices, against, processes, tell)
+
+    return ask(work, progress, on_interrupt)
+
+
+def suite(only: str | Sequence[str] | None = None) -> Suite:
+    """Thirty named worlds, the same for ever, as a mapping from names to worlds; `.judge(policy)` plays them.
+
+    Args:
+        only: names, or patterns as ``contiguous-10-*``; None: all.
+    """
+    from analysis.policy_evaluation.leaderboard import Suite
+
+    return Suite(only)

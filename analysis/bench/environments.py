@@ -18,10 +18,10 @@ import jax
 import jax.numpy as jnp
 from rich.console import Console
 
-from analysis.kit.tables import make_table
+from analysis.utils.tables import make_table
 from planner.policies import RULES
 from planner.rollouts.names import of_jax
-from planner.worlds.generate import random_world
+from planner.world.generate import random_world
 
 ENVIRONMENTS, STEPS, SIDE, ROBOTS, TURNS = 1024, 200, 20, 8, 5
 SLOW = 10.0

@@ -13,12 +13,12 @@ import time
 
 from rich.console import Console
 
-from analysis.kit.tables import make_table
+from analysis.utils.tables import make_table
 from planner.mrac.make_plan import make_plan
-from planner.worlds.generate import Kind, ThreatPattern, random_world
-from planner.worlds.scenario import load_input
-from planner.worlds.starts import place_starts
-from planner.worlds.world import World
+from planner.world.generate import Kind, ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.scenario import load_input
+from planner.world.world import World
 
 SIZES = ((20, 20, 8, 9), (64, 64, 8, 5), (256, 256, 16, 3))
 """(H, W, robots, repetitions)."""

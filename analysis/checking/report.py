@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from fractions import Fraction
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from analysis.checking.as_json import check_json
-from analysis.checking.check_map import MapCheck
-from analysis.kit.tables import make_table
-from analysis.report.blocks import CellMaps, KeyFigure, Part, Report
-from analysis.report.words import asked, map_words
-from analysis.statistics.intervals import ALPHA
-from analysis.statistics.words import between
+from analysis.checking.check import MapCheck, check_head, check_json, check_row
+from analysis.checking.survey import Row, Survey, survey_starts, survey_world
+from analysis.page.charts import Chart
+from analysis.report.answer import json_end
+from analysis.report.model import CellMaps, KeyFigure, Part, Report
+from analysis.report.searched import asked, map_words
+from analysis.statistics.estimates import ALPHA, between
 from analysis.theory.formulas import FORMULAS, Direction
-from analysis.theory.truth import Truth
-from analysis.theory.verdicts import Check, Verdict, badness, overall
+from analysis.theory.verdicts import Check, Truth, Verdict, badness, overall
+from analysis.utils.folder import csv_text
+from analysis.utils.tables import make_table
 from planner.arguments import argument
-from planner.shown import counted, percent
+from planner.files import Json
+from planner.formatting import counted, in_percent, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,15 +37,15 @@ SAYS = {
 }
 
 
-def report(checked: MapCheck) -> Report:
+def check_report(checked: MapCheck) -> Report:
     """Which formulas hold, one by one; what they speak about cell by cell; on one scale in the picture."""
-    said = headline(checked)
+    said = check_headline(checked)
     return Report(
         "check", "check", asked(checked.world, len(checked.plan.robots), "which formulas hold?"), said,
         lambda: {"answer": said} | check_json(checked),
-        findings=_findings(checked), figures=_key_figures(checked), heading=_heading(checked),
+        findings=_check_findings(checked), figures=_check_key_figures(checked), heading=_check_heading(checked),
         parts=(
-            Part("Every formula", [_table(checked)], _footnotes(checked)),
+            Part("Every formula", [_check_table(checked)], _check_footnotes(checked)),
             Part("Cell by cell", drawn=lambda: [_maps(checked)],
                  lead="The open loop, exact: what the formulas speak about."),
         ),
@@ -49,7 +54,7 @@ def report(checked: MapCheck) -> Report:
     )  # fmt: skip
 
 
-def headline(checked: MapCheck) -> str:
+def check_headline(checked: MapCheck) -> str:
     """The answer in one sentence: which of the paper's formulas fail, and whether anything proven does."""
     judged = {key: overall(check for check in checked.checks if check.formula == key) for key in FORMULAS}
     paper = [key for key, verdict in judged.items() if verdict is not None and FORMULAS[key].paper]
@@ -71,7 +76,7 @@ def headline(checked: MapCheck) -> str:
     return f"{said}. Of our {len(ours)} bounds none fails."
 
 
-def _heading(checked: MapCheck) -> list[str]:
+def _check_heading(checked: MapCheck) -> list[str]:
     world, plan, exact = checked.world, checked.plan, checked.exact
     lines = [
         f"{map_words(world, checked.cells, len(plan.robots))}, {counted(plan.shares, 'area')} shared in the run "
@@ -103,7 +108,7 @@ def shown(truth: Truth, unit: str) -> str:
     return value if low == high else f"{value} ({low} to {high})"
 
 
-def _rows(checked: MapCheck) -> list[list[Check]]:
+def _check_rows(checked: MapCheck) -> list[list[Check]]:
     """The checks of each row of the table, of both loops.
 
     Of the readings and meanings of one statement, the one that holds least, unless all are asked for.
@@ -119,12 +124,12 @@ def _rows(checked: MapCheck) -> list[list[Check]]:
     return [min(of, key=lambda checks: min(map(badness, checks))) for of in statements.values()]
 
 
-def _table(checked: MapCheck) -> Table:
+def _check_table(checked: MapCheck) -> Table:
     """A row for each statement, or each formula and meaning; what each loop says of it side by side."""
     words, numbers = ("what", "source", "says", "of"), ("value", "open loop", "closed loop")
     look: dict[str, Any] = {"padding": (0, 1), "pad_edge": False, "collapse_padding": True}
     table = make_table((*words, *numbers), "Formulas against the truth", left=words, **look)
-    for checks in _rows(checked):
+    for checks in _check_rows(checked):
         about, first = checks[0].about, checks[0]
         cells = {check.loop: f"{figure(check.truth.value, about.unit)} {_word(check)}" for check in checks}
         left = cells.get("open", cells.get("nominal", ""))
@@ -152,13 +157,13 @@ def _word(check: Check) -> str:
     return f"{str(check.verdict).upper() if check.verdict is Verdict.FAILS else check.verdict:9}"
 
 
-def _footnotes(checked: MapCheck) -> list[str]:
+def _check_footnotes(checked: MapCheck) -> list[str]:
     lines = [
         "ours: proven. >=: the truth is at least the value; vacuous: the formula says nothing that is not plain "
         "without it. R0, R1, ...: one robot, the one for which it holds least. Bounds in cells are on the average: a "
         "single run may cover more than a bound."
     ]
-    if (hidden := len({(c.formula, c.meaning) for c in checked.rows}) - len(_rows(checked))) > 0:
+    if (hidden := len({(c.formula, c.meaning) for c in checked.rows}) - len(_check_rows(checked))) > 0:
         lines.append(
             f"Of a formula with several readings or meanings, the one that holds least; {hidden} more "
             f"with {argument('theory', 'all')}."
@@ -173,7 +178,7 @@ def _footnotes(checked: MapCheck) -> list[str]:
     return lines
 
 
-def _key_figures(checked: MapCheck) -> tuple[KeyFigure, ...]:
+def _check_key_figures(checked: MapCheck) -> tuple[KeyFigure, ...]:
     cells, exact, closed, rows = checked.cells, checked.exact, checked.closed, checked.rows
     out = [KeyFigure(percent(exact.visited / cells, 2), "visited, open loop", "exact")]
     if closed is not None:
@@ -193,9 +198,9 @@ def _warnings(checked: MapCheck) -> tuple[str, ...]:
     return cut
 
 
-def _findings(checked: MapCheck) -> list[str]:
+def _check_findings(checked: MapCheck) -> list[str]:
     out = []
-    for check in (check for checks in _rows(checked) for check in checks):
+    for check in (check for checks in _check_rows(checked) for check in checks):
         if check.verdict is Verdict.FAILS:
             unit = "" if check.about.unit == "chance" else f" {check.about.unit}"
             said = f"{SAYS[check.about.direction]} {check.value:.4g}{unit}"
@@ -204,7 +209,7 @@ def _findings(checked: MapCheck) -> list[str]:
 
 
 def _maps(checked: MapCheck) -> CellMaps:
-    from analysis.page.plan_layers import chance_layers
+    from analysis.page.maps import chance_layers
 
     world, plan, exact = checked.world, checked.plan, checked.exact
     layers = chance_layers(world, plan, exact.visited_by_cell, exact.stops_by_cell, "open loop, exact")
@@ -212,7 +217,7 @@ def _maps(checked: MapCheck) -> CellMaps:
 
 
 def _picture(checked: MapCheck) -> Figure:
-    from analysis.checking.picture import check_figure
+    from analysis.checking.pictures import check_figure
 
     return check_figure(checked)
 
@@ -223,3 +228,220 @@ def _settings(checked: MapCheck) -> dict[str, object]:
     if closed is not None and closed.rollouts:
         out["chance that one interval misses"] = f"{checked.doubt:.3g}"
     return out | ({} if plan.settings is None else plan.settings.shown(checked.world.pace))
+
+
+# What `mrac-jax check --worlds N` says: which formulas fail on random worlds, how often, over the size of the team.
+
+COLUMNS = (
+    "seed", "robots", "formula", "meaning", "loop", "robot", "value", "truth", "low", "high", "verdict", "margin",
+)  # fmt: skip
+
+
+def survey_report(survey: Survey) -> Report:
+    """How often each formula fails; coverage and what bounds it over the size of the team; every comparison as CSV."""
+    said = survey_headline(survey)
+    return Report(
+        "survey", "check --worlds", f"{survey.said}: which formulas hold?", said,
+        lambda: _json(survey, said),
+        findings=_survey_findings(survey), figures=_survey_key_figures(survey), heading=_survey_heading(survey),
+        parts=(
+            Part("Over the size of the team", drawn=lambda: _charts(survey)),
+            Part("Every formula", [_survey_table(survey, *one) for one in TABLES.items()], _survey_footnotes(survey),
+            unfolded=True),
+        ),
+        warnings=(f"Interrupted after {counted(survey.worlds, 'world')}.",) if survey.partial else (),
+        settings=survey.choices.settings.shown(), took=[f"{survey.seconds:.0f} s"],
+        again="World number i has the seed of the first plus i: the number of processes changes nothing.",
+        pictures={"bound_against_truth.png": partial(_scatter, survey), "over_robots.png": partial(_charts, survey)},
+        files={"survey.csv": lambda: _csv(survey), **_worst(survey)},
+        faults=survey.faults,
+    )  # fmt: skip
+
+
+def survey_headline(survey: Survey) -> str:
+    """The answer in one sentence: which of the paper's formulas fail somewhere, and whether anything proven does."""
+    paper = {row.check.formula for row in survey.rows if row.check.about.paper}
+    worlds = counted(survey.worlds, f"{survey.choices.kind} world")
+    said = (
+        f"{len(survey.failing)} of the paper's {len(paper)} formulas, every reading counted, fail on some of {worlds}"
+    )
+    parts = [
+        f"{FORMULAS[key].title} on up to {percent(row.fails.mean)} (k = {row.robots})"
+        for key, row in survey.failing.items()
+    ]
+    said += f": {'; '.join(parts)}" if parts else ""
+    if survey.faults:
+        seed, robots, check = survey.faults[0]
+        more = f", {len(survey.faults)} failures in all" if len(survey.faults) > 1 else ""
+        return (
+            f"FAULT: {check.about.title} is proven, and fails on the world of seed {seed} (k = {robots}){more}. {said}."
+        )
+    return f"{said}. Of our bounds none fails."
+
+
+def _survey_heading(survey: Survey) -> list[str]:
+    choices, first = survey.choices, survey.rollouts.seed
+    return [
+        f"{survey.said}, "
+        f"{', '.join(map(str, choices.teams))} robots, seeds {first} to {first + choices.worlds - 1}; closed loop: "
+        f"{counted(survey.rollouts.rollouts, 'rollout')} a world and team"
+    ]
+
+
+def _survey_table(survey: Survey, title: str, cell: Callable[[Row], str]) -> Table:
+    """A row for each formula, meaning and loop, a column for each size of team."""
+    teams = survey.choices.teams
+    names = ("formula", "of", *(f"k = {k}" for k in teams))
+    table = make_table(names, title, left=("formula", "of"), padding=(0, 1, 0, 0))
+    for name, of, cells in _survey_rows(survey, cell):
+        table.add_row(name, of, *cells)
+    return table
+
+
+def _survey_rows(survey: Survey, cell: Callable[[Row], str]) -> Iterator[tuple[str, str, list[str]]]:
+    """(formula, meaning and loop, a cell for each size of team)."""
+    by_key: dict[str, dict[int, Row]] = {}
+    for row in survey.rows:
+        by_key.setdefault(row.check.key, {})[row.robots] = row
+    for found in by_key.values():
+        first = next(iter(found.values())).check
+        about = FORMULAS[first.formula]
+        of = f"{first.meaning}, {first.loop}" if first.meaning else first.loop
+        cells = [cell(found[k]) if k in found else "" for k in survey.choices.teams]
+        yield about.title + ("" if about.paper else " *"), of, cells
+
+
+def _shares(row: Row) -> str:
+    """ "79.2/4.2"; "-" where neither happens, "?" after it where a world is undecided."""
+    counts = [row.verdicts[verdict] for verdict in (Verdict.FAILS, Verdict.VACUOUS)]
+    shown = "/".join(in_percent(Fraction(count, row.worlds)) for count in counts) if any(counts) else "-"
+    return shown + ("?" if row.verdicts[Verdict.UNDECIDED] else "")
+
+
+def _tightness(row: Row) -> str:
+    return "" if row.tightness is None else f"{row.tightness:.2f}" if row.tightness < 100 else "> 100"
+
+
+def _margin(row: Row) -> str:
+    least = {"chance": 1e-3, "cells": 0.01, "steps": 0.5}[row.check.about.unit]
+    return f"{row.check.margin if abs(row.check.margin) >= least else 0:.3g}"
+
+
+TABLES: dict[str, Callable[[Row], str]] = {
+    "Fails / vacuous, % of worlds": _shares,
+    "Median value / truth": _tightness,
+    "Worst margin; below 0: fails by that much": _margin,
+}
+"""Title of each table, and what stands in its cells."""
+
+
+def _survey_footnotes(survey: Survey) -> list[str]:
+    return [
+        "* ours, proven. Margins are in cells, steps or chance. ?: undecided on some worlds. Empty: undefined (eq. 5: "
+        "plans that share areas).",
+        "Sampled truths (closed loop, k > 1): a failure counts only beyond an interval that misses the truth with "
+        f"chance {ALPHA:g} / {survey.choices.figures:,}, so all counted failures hold together with "
+        f"{100 * (1 - ALPHA):g} % confidence.",
+    ]
+
+
+def _survey_key_figures(survey: Survey) -> tuple[KeyFigure, ...]:
+    rows, failing = survey.rows, survey.failing
+    paper, ours = ({row.check.formula for row in rows if row.check.about.paper is of} for of in (True, False))
+    return (
+        KeyFigure(f"{len(failing)} of {len(paper)}", "of the paper's formulas fail somewhere", "every reading counted"),
+        KeyFigure(f"{len({check.formula for _, _, check in survey.faults})}", "of what is proven fails",
+                  f"ours: {len(ours)} bounds"),
+        KeyFigure(f"{sum(row.worlds for row in rows):,}", "comparisons", f"on {counted(survey.worlds, 'world')}"),
+    )  # fmt: skip
+
+
+def _survey_findings(survey: Survey) -> list[str]:
+    worst: dict[str, tuple[str, Row]] = {}
+    for key, row in survey.worst_failures().items():
+        held = worst.get(row.check.formula)
+        if held is None or row.check.margin < held[1].check.margin:
+            worst[row.check.formula] = (key, row)
+    out = []
+    for key, row in worst.values():
+        check = row.check
+        digits, unit = (4, "") if check.about.unit == "chance" else (1, f" {check.about.unit}")
+        out.append(
+            f"{check.named}: worst on the world of seed {row.seed} with {counted(row.robots, 'robot')}, where it "
+            f"says {check.value:.{digits}f} and the truth is {check.truth.value:.{digits}f}{unit} ({_file(key)})."
+        )
+    return out or ["Nothing fails on any of these worlds."]
+
+
+def _json(survey: Survey, said: str) -> Json:
+    choices = survey.choices
+    return {
+        "answer": said,
+        "worlds": survey.worlds,
+        "kind": choices.kind,
+        "size": [choices.height, choices.width],
+        "robots": list(choices.teams),
+        "seed": survey.rollouts.seed,
+        "rollouts": survey.rollouts.rollouts,
+        "doubt": ALPHA / choices.figures,
+        "rows": [_row_json(row) for row in survey.rows],
+        "worst": {key: {"seed": row.seed, "robots": row.robots} for key, row in survey.worst_failures().items()},
+        "faults": [{"seed": seed, "robots": robots, **check_row(check)} for seed, robots, check in survey.faults],
+        "seconds": survey.seconds,
+        **json_end(survey),
+    }
+
+
+def _row_json(row: Row) -> Json:
+    return check_head(row.check) | {
+        "robots": row.robots,
+        "worlds": row.worlds,
+        **{str(verdict): count for verdict, count in row.verdicts.items()},
+        "fails_fraction": {"mean": row.fails.mean, "ci95": list(row.fails.ci95)},
+        "worst": {
+            "seed": row.seed,
+            "margin": row.check.margin,
+            "value": row.check.value,
+            "truth": row.check.truth.value,
+        },
+        "median_tightness": row.tightness,
+    }
+
+
+def _csv(survey: Survey) -> str:
+    """Every comparison, one a line."""
+    rows = []
+    for entry in survey.entries:
+        for check in entry.checks:
+            truth = check.truth
+            named = (check.formula, check.meaning, check.loop, "" if check.robot is None else check.robot)
+            values = (f"{value:.9g}" for value in (check.value, truth.value, truth.low, truth.high))
+            rows.append((entry.seed, entry.robots, *named, *values, check.verdict, f"{check.margin:.9g}"))
+    return csv_text(COLUMNS, rows)
+
+
+def _charts(survey: Survey) -> tuple[Chart, Chart]:
+    from analysis.checking.survey import coverage, failing
+
+    return failing(survey), coverage(survey)
+
+
+def _scatter(survey: Survey) -> Figure:
+    from analysis.checking.pictures import scatter_figure
+
+    return scatter_figure(survey)
+
+
+def _worst(survey: Survey) -> dict[str, Callable[[], bytes]]:
+    """The worst world of every formula that fails, as world files with the starts."""
+    failures = survey.worst_failures().items()
+    return {_file(key): partial(_world_file, survey, row) for key, row in failures}
+
+
+def _file(key: str) -> str:
+    return f"worst/{key.replace('/', '-')}.npz"
+
+
+def _world_file(survey: Survey, row: Row) -> bytes:
+    world = survey_world(survey.choices, row.seed)
+    return world.with_starts(survey_starts(world, row.robots)).to_bytes()

@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, UnknownOptionError
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, may_replace, output_console
-from analysis.cli.decisions import attack, clear, starts
+from analysis.cli.decisions import Altitude, attack, clear, drive, export, starts, studio
 from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, First, deliver, print_json
-from analysis.cli.drive import drive
-from analysis.cli.exporting import Altitude, export
+from analysis.cli.experiments import reproduce, results, suite, sweep
 from analysis.cli.groups import (
     Checking,
     OfAnyPolicy,
@@ -54,20 +53,15 @@ from analysis.cli.options import (
     verbatim,
 )
 from analysis.cli.recording import inspect, record, recover, replay
-from analysis.cli.reproduce import reproduce
-from analysis.cli.studio import studio
-from analysis.cli.suite import suite
-from analysis.cli.sweeps import results, sweep
-from analysis.kit.hints import elsewhere
-from analysis.kit.notes import say
+from analysis.utils.notes import elsewhere, say
 from planner.arguments import COMMAND_LINE
 from planner.errors import InputError, UsageError
 from planner.settings import BEST
 
 if TYPE_CHECKING:
-    from analysis.comparison.compare import Side
+    from analysis.comparison import Side
     from analysis.evaluation.answer import Evaluation
-    from planner.worlds.world import World
+    from planner.world.world import World
 
 NO_CACHE_OPTION = "--no-cache"
 """Of every command, and of nothing that a command knows of."""
@@ -117,10 +111,10 @@ def evaluate(
     from analysis.evaluation.evaluate import check_asked
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
     from analysis.evaluation.outputs.advice import is_quick
-    from analysis.evaluation.outputs.knowledge import parse_ranges
-    from analysis.evaluation.outputs.threat_scale import parse_scales
+    from analysis.evaluation.outputs.information import parse_ranges
+    from analysis.evaluation.outputs.what_if import parse_scales
     from analysis.evaluation.report import report
-    from analysis.kit.progress import show_progress
+    from analysis.utils.progress import show_progress
 
     team, planning, what = team or Team(), planning or Sought(), what or Timed()
     scales, ranges = parse_scales(threat_scale), parse_ranges(sense)
@@ -180,9 +174,9 @@ def size(
     Args:
         out: Write the page, the picture of the curve and JSON to this folder.
     """
-    from analysis.design.size import find_size, make_goal
     from analysis.inputs import load_task
-    from analysis.kit.progress import show_progress
+    from analysis.search.team_size import find_size, make_goal
+    from analysis.utils.progress import show_progress
 
     wanted, planning, what = wanted or Wanted(), planning or Planning(), what or Rollouts()
     goal = make_goal(wanted.target, wanted.confidence, wanted.complete, wanted.meaning, wanted.most)
@@ -217,9 +211,8 @@ def front(
         out: Write the page, the picture, the pick's plan and JSON to this folder.
     """
     from analysis.inputs import load_task
-    from analysis.kit.progress import show_progress
-    from analysis.tradeoff.rules import make_goal, parse_numbers, usual_rollouts
-    from analysis.tradeoff.search import Ladders, find_front
+    from analysis.search.pareto import Ladders, find_front, make_goal, parse_numbers, usual_rollouts
+    from analysis.utils.progress import show_progress
 
     team, what, planning = team or Team(), what or Traded(), planning or OfAnyPolicy()
     goal, settings = make_goal(what.losses, what.target), planning.choices()
@@ -281,9 +274,9 @@ def check(
 def _check_input(
     source: str, what: Checking, planning: Planning, plan: Path | None, out: Path | None, as_json: bool
 ) -> int:
-    from analysis.checking.check_map import check_input, check_world
+    from analysis.checking.check import check_input, check_world
     from analysis.cli.progress import load_or_make_plan
-    from analysis.kit.progress import show_progress
+    from analysis.utils.progress import show_progress
 
     choices = what.rolled(20_000)
     asked = what.team().asked(source, planning.choices())
@@ -295,8 +288,8 @@ def _check_input(
 
 
 def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json: bool) -> int:
+    from analysis.checking.survey import make_survey, run_survey
     from analysis.cli.progress import show_pool_progress
-    from analysis.survey.survey import make_survey, run_survey
 
     choices = make_survey(what.worlds or 0, what.kind, what.size, what.team_sizes(), planning.choices(), what.bound)
     rollouts = what.rolled(4096)
@@ -327,10 +320,8 @@ def plan_command(
         waypoints: Write paths to drive: .csv .plan .yaml .geojson .kml .gpx .tif, as of `export`.
         seconds: With plan-for open or policy best: end the search after so many.
     """
-    from analysis.cli.plan_table import print_plan
-    from analysis.cli.progress import load_or_make_plan
-    from analysis.exporting.export import choose_format, export
-    from analysis.exporting.mission import make_mission
+    from analysis.cli.progress import load_or_make_plan, print_plan
+    from analysis.exporting import choose_format, export, make_mission
     from analysis.inputs import read_files
 
     team, planning = team or Team(), planning or PlanningToTheEnd()
@@ -383,9 +374,9 @@ def compare(
         plan: Plan file of A.
         out: Write the page and JSON to this folder.
     """
-    from analysis.comparison.compare import compare as compare_sides
+    from analysis.comparison import compare as compare_sides
     from analysis.inputs import input_path
-    from analysis.kit.progress import show_progress
+    from analysis.utils.progress import show_progress
 
     check_folder(out)
     options, second = (team or SeeingTeam(), planning or Planning(), what or Timed()), second or Second()
@@ -409,7 +400,7 @@ def _side(
 ) -> tuple[Side, tuple[str, ...]]:
     """One of the two of `compare`, and notes; errors say which."""
     from analysis.cli.progress import load_or_make_plan
-    from analysis.comparison.compare import make_side
+    from analysis.comparison import make_side
 
     try:
         world, made, notes = load_or_make_plan(team.asked(source, planning.choices()), plan)
@@ -494,7 +485,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if NO_CACHE_OPTION in words:
         words = [word for word in words if word != NO_CACHE_OPTION]
-        from planner.sealed import NO_CACHE
+        from planner.jit import NO_CACHE
 
         os.environ[NO_CACHE] = "1"
     if words and words[0] in LEFT:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 import shlex
+import signal
 import sys
 import tempfile
+import threading
 from contextvars import ContextVar
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
-from analysis.kit.notes import say
+from analysis.utils.notes import say
 from planner.errors import UsageError
 
 COMMAND: ContextVar[tuple[str, ...]] = ContextVar("command", default=())
@@ -35,7 +38,7 @@ def check_streams() -> None:
 
 def output_console() -> Any:
     """The console on standard output."""
-    from analysis.kit.safe_console import SafeConsole
+    from analysis.utils.tables import SafeConsole
 
     terminal = sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
     return SafeConsole(width=None if terminal else PIPE_WIDTH)
@@ -98,3 +101,51 @@ def check_files(
         if out.resolve() in taken:
             raise UsageError(f"{out} is an input, or is written twice", expected="a file of its own")
         taken.append(out.resolve())
+
+
+# Interrupts that are not lost.
+#
+# Python raises KeyboardInterrupt between any two steps of the main thread. Where that is within a callback of the
+# garbage
+# collector (JAX registers one that runs at every collection), within a `__del__`, or in one that compiled code calls,
+# nobody can catch it: it goes to `sys.unraisablehook`, which prints it, and the program runs on. Here it is sent
+# again, a
+# moment later and as often as it takes, until it is raised where it ends what runs. Native code that looks for a
+# fitting
+# overload makes a TypeError of it: so whoever gets an error can ask whether an interrupt came before.
+
+AGAIN_SECONDS = 0.02
+
+
+def keep_interrupts(own: signal.Signals) -> threading.Event:
+    """From now on, send interrupts again that were raised where nothing can catch them, in place of printing them.
+
+    SIGTERM, which all threads block, is one too; SIGINT is none where the process was told to ignore it. Both are sent
+    by the signal `own`. What is returned is set once one came.
+    """
+    others, came = sys.unraisablehook, threading.Event()
+
+    def handler(number: int, frame: FrameType | None) -> None:
+        came.set()
+        signal.default_int_handler(number, frame)
+
+    def hook(lost: sys.UnraisableHookArgs) -> None:
+        if not issubclass(lost.exc_type, KeyboardInterrupt):
+            others(lost)
+            return
+        timer = threading.Timer(AGAIN_SECONDS, os.kill, (os.getpid(), own))
+        timer.daemon = True
+        timer.start()
+
+    def pass_on() -> None:
+        while True:
+            signal.sigwait({signal.SIGTERM})
+            os.kill(os.getpid(), own)
+
+    sys.unraisablehook, waits = hook, hasattr(signal, "sigwait")  # not on Windows
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, handler)
+    signal.signal(own if waits else signal.SIGTERM, handler)
+    if waits:
+        threading.Thread(target=pass_on, daemon=True).start()
+    return came

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from analysis.cli.console import command_line, output_console
-from analysis.kit.notes import say
+from analysis.utils.notes import say
 
 if TYPE_CHECKING:
     from analysis.report.answer import Answer
-    from analysis.report.blocks import Report
+    from analysis.report.model import Report
 
 DONE, CHECK_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -28,8 +28,8 @@ class First:
 
     def show(self) -> None:
         """Print it; where nobody reads it, the end of the command says so."""
-        from analysis.kit.tables import print_lines
-        from analysis.report.face import print_report
+        from analysis.report.answer import print_report
+        from analysis.utils.tables import print_lines
 
         with suppress(BrokenPipeError):
             if self.tables:
@@ -39,7 +39,7 @@ class First:
 
     def show_rest(self, report: Report) -> None:
         """Print what `report`, the whole answer, has beyond it."""
-        from analysis.report.face import print_more, print_report
+        from analysis.report.answer import print_more, print_report
 
         if self.tables:
             print_more(report, self.report, output_console())
@@ -70,9 +70,8 @@ def deliver(
         first: what was printed of it already.
     """
     from analysis.inputs import read_files
-    from analysis.kit.progress import show_progress
-    from analysis.report.answer import report_of
-    from analysis.report.face import save_report
+    from analysis.report.answer import report_of, save_report
+    from analysis.utils.progress import show_progress
 
     report, written, unread = said or report_of(answer), list[Path](), list[BrokenPipeError]()
     try:
@@ -92,7 +91,7 @@ def deliver(
 
 def show(report: Report, as_json: bool, first: First | None = None) -> None:
     """Print a report as tables or as JSON; `first`: what was printed of it already."""
-    from analysis.report.face import json_of, print_report
+    from analysis.report.answer import json_of, print_report
 
     if as_json:
         print_json(json_of(report))

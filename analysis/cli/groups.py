@@ -299,7 +299,7 @@ class CommonLuck(_Rolled):
 
     def choices(self, usual: int | None = None) -> RolloutChoices:
         """The rollouts as a plain type, checked; `usual`: how many where nobody says."""
-        from analysis.trials.halving import USUAL
+        from analysis.estimators.racing import USUAL
 
         return self.rolled(usual or USUAL)
 

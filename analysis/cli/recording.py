@@ -20,14 +20,14 @@ from analysis.cli.options import (
     Input,
     Json,
     OutPath,
+    Recording,
     StateFile,
     Whole,
     one_of,
     path,
 )
-from analysis.cli.recording_options import Recording
-from analysis.kit.notes import say
 from analysis.recording.names import SUFFIX, check_name, growing_name, layout_name, left_over, state_name
+from analysis.utils.notes import say
 from planner.errors import InputError
 
 File = Annotated[Path, Parameter(name="FILE", converter=path, help="A recording (.mcap).")]
@@ -70,13 +70,12 @@ def record(
         animation: Also an animation of the first rollout (.gif).
     """
     from analysis.cli.progress import load_or_make_plan
-    from analysis.kit.progress import show_progress
-    from analysis.recording.pictures.files import save_pictures
+    from analysis.recording.pictures import save_pictures
     from analysis.recording.record import record as record_rollouts
     from analysis.recording.record import scenario_text, state_of_rollout
-    from analysis.recording.report import interrupted_lines
-    from analysis.recording.viewers.layout import write_layout
-    from analysis.recording.viewers.topics import Stage
+    from analysis.recording.replay import interrupted_lines
+    from analysis.recording.viewers.topics import Stage, write_layout
+    from analysis.utils.progress import show_progress
 
     what, team, planning = what or Recording(), team or Team(), planning or PlanningToTheEnd()
     cut_to = None if state_at is None else state_name(out)
@@ -159,9 +158,9 @@ def replay(
         engine: Engine to run with (default: auto).
         everything: Run all evaluated rollouts: tally, outcomes, picks.
     """
-    from analysis.kit.progress import show_progress
     from analysis.recording.replay import replay as replay_file
-    from analysis.recording.report import replayed
+    from analysis.recording.replay import replayed
+    from analysis.utils.progress import show_progress
 
     with show_progress() as progress:
         found = replay_file(file, engine, everything=everything, progress=progress)
@@ -171,8 +170,8 @@ def replay(
 
 def inspect(file: File, /, *, events: Shown = "main", as_json: Json = False) -> int:
     """What is in a recording: topics, attachments, and each rollout with a timeline of its events."""
-    from analysis.recording.inspect import inspect as inspect_file
-    from analysis.recording.report import MOST_LINES, inspected
+    from analysis.recording.replay import MOST_LINES, inspected
+    from analysis.recording.replay import inspect as inspect_file
 
     most = {"main": MOST_LINES, "all": None, "none": 0}[events]
     show(inspected(inspect_file(file), most), as_json)
@@ -191,8 +190,8 @@ def recover(
     Args:
         out: File to write (default: NAME.recovered.mcap).
     """
-    from analysis.recording.recover import recover as recover_file
-    from analysis.recording.report import recovered
+    from analysis.recording.log_reader import recover as recover_file
+    from analysis.recording.replay import recovered
 
     target = default_recovered(file) if out is None else out
     check_name(target, SUFFIX)

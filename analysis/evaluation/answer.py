@@ -11,38 +11,40 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.evaluation.expected import Expected, Known, Limits
-from analysis.evaluation.figures import Coverage, Figures, Losses, last_shown
+from analysis.estimators.trial import TreeTruth
+from analysis.evaluation.figures import Coverage, Expected, Figures, Known, Limits, Losses, Rest, last_shown, rest_of
 from analysis.evaluation.outputs.output import Blocks, Output
-from analysis.evaluation.rest import Rest, rest_of
-from analysis.kit.frames import frame_of
-from analysis.kit.words import bearing_words
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, home_of, make_singles
-from analysis.statistics.control import Controlled, of_tally
-from analysis.statistics.coverage import Amount
-from analysis.statistics.estimate import Estimate, exactly
-from analysis.theory.any_strategy import AnyStrategy, any_strategy
+from analysis.statistics.control_variate import Controlled, of_tally
+from analysis.statistics.estimates import Amount, Estimate, exactly
 from analysis.theory.bounds import Bounds
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.formulas import FORMULAS
-from analysis.theory.longest import longest_run
-from analysis.theory.reachable import trimmed
-from analysis.theory.truth import ClosedTruth
-from analysis.theory.verdicts import Check, Verdict, of_formula, overall, paper_checks, worst_of_robots
-from analysis.trials.exact_loop import TreeTruth
+from analysis.theory.upper_bound import AnyStrategy, any_strategy, trimmed
+from analysis.theory.verdicts import (
+    Check,
+    ClosedTruth,
+    Verdict,
+    longest_run,
+    of_formula,
+    overall,
+    paper_checks,
+    worst_of_robots,
+)
+from analysis.utils.tables import bearing_words, frame_of
 from planner.arguments import whole
-from planner.limits import MOST_ROLLOUTS
-from planner.plans.plan import Plan
+from planner.formatting import counted
+from planner.ids import MOST_ROLLOUTS
+from planner.plan.plan import Plan
 from planner.rollouts.engine import choose_engine
-from planner.shown import counted
 from planner.tally import Outcome, Tally
-from planner.worlds.learning import as_it_is
-from planner.worlds.world import World
+from planner.world.features import as_it_is
+from planner.world.world import World
 
 if TYPE_CHECKING:  # they take matplotlib
     from analysis.evaluation.layers import Layers
-    from analysis.page.runs import Run
+    from analysis.page.paths import Run
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,7 +60,7 @@ class Evaluation(Answer):
         seconds: spent on rollouts, compilation left out. compile_seconds: spent on that.
         partial: True if it was interrupted; the tally holds what was done.
         notes: what a user should know.
-        bound: whether the bound for every strategy is worked out (`flow` of `analysis.theory.any_strategy`).
+        bound: whether the bound for every strategy is worked out (`flow` of `analysis.theory.upper_bound`).
         certain: no robot's way leads through danger: every run is the one rollout of the tally, in both loops.
     """
 
@@ -176,7 +178,7 @@ class Evaluation(Answer):
     @cached_property
     def played(self) -> tuple[list[Run], str]:
         """The runs that a page plays, and where they come from; rolled out when they are asked for."""
-        from analysis.evaluation.runs import runs
+        from analysis.evaluation.layers import runs
 
         return runs(self.world, self.plan, self.choices, self.tally.rollouts, self.certain)
 

@@ -7,26 +7,26 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
+from analysis.estimators.trial import TreeTruth, closed_truth
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.evaluation.outputs.table import OUTPUTS
-from analysis.evaluation.outputs.team import alike
+from analysis.evaluation.outputs.what_if import alike
 from analysis.first_answer import first_answers
-from analysis.kit.notes import Doing, Progress, quiet
 from analysis.sampling import RolloutChoices, Stage, check_deadline, knowing_deadline, make_roll_out
-from analysis.statistics.control import tally_mean
-from analysis.statistics.estimate import FIRST_LOOK, looks
+from analysis.statistics.control_variate import tally_mean
+from analysis.statistics.estimates import FIRST_LOOK, looks
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
-from analysis.trials.exact_loop import TreeTruth, closed_truth
+from analysis.utils.notes import Doing, ProgressCallback, quiet
 from planner.arguments import argument
 from planner.errors import UsageError
-from planner.kernels.tables import AllPairs
-from planner.plans.plan import Plan, is_certain
-from planner.shown import counted
+from planner.formatting import counted
+from planner.plan.plan import Plan, is_certain
+from planner.simulator.tables import AllPairs
 from planner.tally import Outcome, Tally
-from planner.worlds.doubt import Uncertain
-from planner.worlds.world import World
+from planner.world.uncertain_maps import Uncertain
+from planner.world.world import World
 
 FINE_SECONDS = 0.2
 """Of a tree that is grown until rollouts have nothing to add."""
@@ -39,7 +39,7 @@ def evaluate(
     plan: Plan,
     choices: RolloutChoices,
     *,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     doing: Doing | None = None,
     early: Doing | None = None,
     first: Callable[[Evaluation], None] | None = None,
@@ -56,7 +56,7 @@ def evaluate(
         progress, doing: told how far it has come, and in words what begins.
         early: told a first answer, in words, again and again while code is compiled (`analysis.first_answer`).
         first: given the answer before `late` outputs are measured, where there are any.
-        bound: whether the bound for every strategy is worked out, as `flow` of `analysis.theory.any_strategy`.
+        bound: whether the bound for every strategy is worked out, as `flow` of `analysis.theory.upper_bound`.
         asked: further outputs by their key in `OUTPUTS`, with what its `measure` takes: `threat_scale=(0.5, 2)`.
     """
     choices = choices.timed(world.pace)
@@ -196,7 +196,7 @@ def too_few(last: Stage, choices: RolloutChoices) -> tuple[str, ...]:
             f"{argument('seconds')} gives it longer",)  # fmt: skip
 
 
-def until_enough(stages: Iterator[Stage], choices: RolloutChoices, progress: Progress) -> Iterator[Stage]:
+def until_enough(stages: Iterator[Stage], choices: RolloutChoices, progress: ProgressCallback) -> Iterator[Stage]:
     """The stages up to the one that is precise enough, or with which the time is over, or all."""
     marks = set(looks())
     for stage in stages:

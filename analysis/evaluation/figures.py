@@ -12,19 +12,32 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.statistics.control import complete_chance, tally_mean
-from analysis.statistics.coverage import AT_LEAST, losses_shown
-from analysis.statistics.estimate import Estimate, assured, exactly, mean_estimate, proportion, quantile, quantiles
-from analysis.statistics.words import MOST_DIGITS, between
+from analysis.estimators.trial import SLACK
+from analysis.statistics.control_variate import complete_chance, tally_mean
+from analysis.statistics.estimates import (
+    AT_LEAST,
+    MOST_DIGITS,
+    Amount,
+    Estimate,
+    assured,
+    between,
+    exactly,
+    losses_shown,
+    mean_estimate,
+    proportion,
+    quantile,
+    quantiles,
+)
 from analysis.theory.exact import OpenLoopExact
+from analysis.theory.upper_bound import moves_left, within
 from analysis.theory.verdicts import MEANINGS
-from analysis.trials.exact_loop import SLACK
 from planner.arguments import FRACTION
 from planner.files import Json
-from planner.kernels.tree import WHOLE, Tree
-from planner.plans.plan import Plan
-from planner.shown import in_percent, inside
+from planner.formatting import Pace, Rows, html_of, in_percent, inside, text_of
+from planner.plan.plan import Plan
+from planner.simulator.exact_tree import WHOLE, Tree
 from planner.tally import Outcome, Tally
+from planner.world.world import World
 
 ENDED = 0.999
 """Share of a closed loop's rollouts that have ended where a time axis ends."""
@@ -326,3 +339,136 @@ class Figures:
 def last_shown(plan: Plan, loop: str, tally: Tally) -> int:
     """Where a time axis ends: the makespan; of a closed loop at least where 99.9 % of its rollouts have ended."""
     return plan.makespan if loop == "open" else max(plan.makespan, quantile(tally.time, ENDED))
+
+
+# Expected values and bounds of an evaluated plan, as far as they are known.
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """Expected values of the loop that was evaluated, for tables and pictures: exact ones where there are any.
+
+    Attributes:
+        visited_by_cell: float64 `[N]`, chance that each cell is visited. stops_by_cell: robots lost there.
+        visited_curve, survived_curve: float64 `[T + 1]`, expected cells covered by the end of each step.
+    """
+
+    visited_by_cell: NDArray[np.float64]
+    stops_by_cell: NDArray[np.float64]
+    visited_curve: NDArray[np.float64]
+    survived_curve: NDArray[np.float64]
+
+    @property
+    def visited(self) -> float:
+        """Expected cells visited."""
+        return float(self.visited_by_cell.sum())
+
+
+@dataclass(frozen=True)
+class Known:
+    """Expected values that are known exactly: coverage in both meanings, robots alive at the end, steps; None: not."""
+
+    visited: Amount | None
+    survived: Amount | None
+    alive: float | None
+    time: float | None
+
+
+LIMITS = {
+    "least": "the smallest of those below that hold for this team",
+    "any_strategy": "no strategy of this team exceeds it on this map (proven)",
+    "ideal": "no strategy of this team exceeds it on any map with these p: ways cost nothing",
+    "ideal_one": "the same for one robot, eq. (7) of the paper; a team may exceed it",
+}
+"""What the bounds of `Limits` mean, a line each."""
+
+
+@dataclass(frozen=True, repr=False)
+class Limits:
+    """Expected coverage that no strategy exceeds; a single run may.
+
+    Attributes:
+        least: the least of the bounds that hold. any_strategy: the certified bound of this map; None: not worked out.
+        ideal: of the team. ideal_one: of one robot, eq. (7).
+    """
+
+    least: Amount
+    any_strategy: Amount | None
+    ideal: Amount
+    ideal_one: Amount
+
+    def _brief(self) -> tuple[str, Rows]:
+        """A line for each bound: its name, its value rounded upwards, and what it means."""
+        rows = [(name, f"{_upwards(getattr(self, name))}: {meaning}") for name, meaning in LIMITS.items()]
+        return "Limits: upper bounds of the mean coverage; a single mission may cover more", rows
+
+    def __repr__(self) -> str:
+        return text_of(*self._brief())
+
+    def _repr_html_(self) -> str:
+        return html_of(*self._brief())
+
+
+def _upwards(bound: Amount | None) -> str:
+    """A bound from above in two decimals, never less than it is but by what a float is wrong by."""
+    if bound is None:
+        return "not computed (bound=True computes it where it applies)"
+    share, cells = (math.ceil(100 * value - 1e-9) / 100 for value in (100 * bound.mean, bound.cells))
+    return f"{share:.2f} % ({cells:,.2f} cells)"
+
+
+# What a range cuts off, and what a mission's state leaves: cells and robots, for the page and the picture.
+
+TO_DO, BEFORE, BEYOND = range(3)
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """Of a plan with a range, or from a state.
+
+    Attributes:
+        kinds: int64 `[H, W]`, of accessible cells: TO_DO; BEFORE, visited in the state; BEYOND, further than any robot
+            alive has moves for, there and, of robots that come home, back. returns: they come home.
+        step: of the state; None: it is the whole mission.
+        limited: there is a range. ended: robots at the end of theirs in the nominal run.
+        pace: how long a step takes, if that is known.
+    """
+
+    kinds: NDArray[np.int64]
+    returns: bool
+    step: int | None
+    limited: bool
+    ended: int
+    pace: Pace
+
+    @property
+    def title(self) -> str:
+        """Of the section and the picture."""
+        parts = [] if self.step is None else [f"Going on from {self.pace.step(self.step)}"]
+        return ", ".join([*parts, *["what the range leaves" if parts else "What the range leaves"] * self.limited])
+
+    @property
+    def too_far(self) -> str:
+        """What makes a cell too far, for sentences."""
+        return "too far for any robot to visit and come home" if self.returns else "too far for the moves of any robot"
+
+
+NAMES = ("to do", "visited before", "too far")
+"""Of the kinds, in order."""
+
+
+def rest_of(world: World, plan: Plan) -> Rest | None:
+    """What is left of a plan's mission; None for a whole one of robots that can drive without end."""
+    moves = moves_left(plan)
+    if plan.state is None and moves is None:
+        return None
+    accessible = world.accessible(plan.starts)
+    kinds = np.full(world.shape, TO_DO)
+    if moves is not None:
+        kinds[accessible & ~within(world, plan)] = BEYOND
+    if plan.state is not None:
+        kinds.reshape(-1)[plan.state.visited] = BEFORE
+    made = [int((np.diff(robot.path) != 0).sum()) for robot in plan.robots]
+    ended = 0 if moves is None else sum(own >= most for own, most in zip(made, moves, strict=True))
+    step = None if plan.state is None else plan.state.step
+    return Rest(kinds, plan.comes_home, step, moves is not None, ended, world.pace)

@@ -2,37 +2,452 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping
+from fractions import Fraction
 from functools import partial
 
-from analysis.evaluation import maps
+import numpy as np
+
+from analysis.estimators.racing import is_best
+from analysis.estimators.trial import TreeTruth
+from analysis.evaluation import charts as maps
 from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.as_json import to_json
 from analysis.evaluation.charts import distribution, over_time, over_time_words
-from analysis.evaluation.formulas import formulas_part
-from analysis.evaluation.rest import Rest
-from analysis.evaluation.table import answer_tables, robots_table, worst_cells
-from analysis.evaluation.words import (
-    assured_words,
-    cell_words,
-    chances_words,
-    gain_words,
-    headline,
-    home_words,
-    interval_words,
-    limit_words,
-    losses_words,
-    quantile_words,
-    rest_words,
-)
-from analysis.kit.folder import json_text
-from analysis.kit.words import plan_words, span_words
-from analysis.report.blocks import KeyFigure, Part, Pictured, Report
-from analysis.report.words import asked, team_figure
-from analysis.statistics.words import in_unit
-from analysis.trials.exact_loop import TreeTruth
-from planner.shown import counted
-from planner.worlds.world import World
+from analysis.evaluation.figures import BEFORE, BEYOND, Chance, Rest
+from analysis.evaluation.table import answer_tables, formulas_part, robots_table, worst_cells
+from analysis.report.answer import json_end
+from analysis.report.model import KeyFigure, Part, Pictured, Report
+from analysis.report.searched import asked, team_figure
+from analysis.statistics.estimates import Estimate, between, in_unit, lost_words
+from analysis.theory.bounds import Theorem3
+from analysis.theory.exact import OpenLoopExact
+from analysis.theory.upper_bound import moves_left
+from analysis.theory.verdicts import MEANINGS, ClosedTruth, Truth
+from analysis.utils.folder import json_text
+from analysis.utils.tables import plan_words, policy_words, span_words, without_level
+from planner.files import Json
+from planner.formatting import ceiled, counted, floored, percent, share
+from planner.mrac.executive import STUCK_AFTER
+from planner.plan.plan import Plan, drive_of
+from planner.tally import Outcome, counts_by_word
+from planner.world.world import World
+
+# What an evaluation says in whole sentences: coverage, losses, time, and what stands out.
+
+ALIKE = 1e-9
+"""By so much of itself the cost of one cell may exceed that of another and be no more."""
+
+
+def losses_words(evaluation: Evaluation) -> str:
+    """How many robots are lost, and how often all or none are, as the tally says it, in one sentence.
+
+    The more frequent of "all" and "none" leads; what was never seen is not claimed to be impossible. "No robot can be
+    lost" is said where the plan meets no danger: then nobody ever leaves the nominal run, in either loop. From a state
+    it is about the robots that are left, and a second sentence says how many were lost before.
+    """
+    gone = 0 if evaluation.plan.state is None else evaluation.plan.state.lost
+    said = _losses(evaluation, len(evaluation.plan.robots) - gone, bool(gone))
+    return f"{said} {counted(gone, 'robot')} {'was' if gone == 1 else 'were'} lost before." if gone else said
+
+
+def _losses(evaluation: Evaluation, robots: int, some_before: bool) -> str:
+    """Of the robots that were there when the runs began."""
+    every, none = (evaluation.shown.left[number] for number in (0, robots))
+    left = (" that was left" if robots == 1 else " that were left") if some_before else ""
+    nobody = "no further robot is" if some_before else "no robot is"
+    if float(evaluation.closed_form.stops_by_cell.sum()) == 0:  # a sum, in which no chance is too small to count
+        return f"{nobody[:1].upper()}{nobody[1:-3]} can be lost."
+    all_of_them = f"All {robots} robots{left} are"
+    if robots <= 2:
+        all_of_them = f"The robot{left} is" if robots == 1 else f"Both robots{left} are"
+    if every.mean == 1:
+        return f"{all_of_them} lost in {_each(every.rollouts)}."
+    if none.mean == 1:
+        return f"{nobody[:1].upper()}{nobody[1:]} lost in {_any(none.rollouts)}."
+    lost_before, lost = len(evaluation.plan.robots) - robots, evaluation.losses
+    mean = f"on average {lost_words(lost.mean - lost_before, robots, lost.decimals)}{left}"
+    if lost.half_width > 0.5:  # a decimal more than the interval allows
+        mean += f" ({between(lost.ci95[0] - lost_before, lost.ci95[1] - lost_before, 1, robots, 'fewer')})"
+    often = [(all_of_them, "both" if robots == 2 else f"all {robots}", every), (nobody, "none", none)]
+    if robots == 1:
+        return f"{all_of_them} lost in {every.share} of runs."
+    if every.mean == none.mean == 0:
+        seen = [number for number, chance in enumerate(evaluation.shown.left) if chance.mean]
+        least, most = robots - max(seen), robots - min(seen)
+        some = f"{counted(least, 'robot')}" if least == most else f"{least} to {most} robots"
+        return f"{some} of {robots}{left} {'is' if most == 1 else 'are'} lost in {_each(every.rollouts)}, {mean}."
+    (first, _, number), (_, other, rare) = sorted(often, key=lambda item: -item[2].mean)
+    said = f"{first} lost in {number.share} of runs"
+    if rare.mean and rare.share[0] != "<":
+        said += f", {other} in {rare.share}"
+    return f"{said[0].upper()}{said[1:]}; {mean}."
+
+
+def home_words(evaluation: Evaluation) -> str:
+    """How many robots come home, and how often all of them do, in one sentence; nothing where they need not."""
+    home, robots = evaluation.shown.home, len(evaluation.plan.robots)
+    if home is None:
+        return ""
+    every = home.at_least[-1]
+    if robots == 1:
+        return f"The robot comes home in {every.share} of runs."
+    mean = lost_words(home.mean, robots, min(home.digits(), 2))
+    mean += "" if mean.endswith("robots") else " robots"
+    return f"On average {mean} come home, all of them in {every.share} of runs."
+
+
+def chances_words(evaluation: Evaluation) -> str:
+    """How often every cell is visited, and how long a run takes, in one sentence."""
+    done = evaluation.shown.complete
+    where = {0.0: _none(done.rollouts), 1.0: _each(done.rollouts)}.get(done.mean) or f"{done.share} of runs"
+    return f"Every accessible cell is visited in {where}; {_time(evaluation)} on average."
+
+
+def _time(evaluation: Evaluation) -> str:
+    """How long a run takes; where robots stop before all is visited, when they last move: then they wait for the end.
+
+    Robots that come home do not wait. Robots that come to believe another map may wait for it first: nobody counts how
+    long.
+    """
+    world, steps, ends = evaluation.world, evaluation.time.mean, evaluation.shown.ends
+    waiting = [ends[outcome].mean for outcome in (Outcome.NO_PROGRESS, Outcome.NOT_WORTH_THE_RISK) if outcome in ends]
+    changes = world.is_learned or (world.phases is not None and world.phases.told)
+    if not waiting or evaluation.plan.comes_home or changes:
+        return f"a run takes {world.pace.steps(steps)}"
+    paces = () if evaluation.plan.settings is None else evaluation.plan.settings.paces
+    return f"the last move is at {world.pace.step(steps - STUCK_AFTER * max(paces, default=1) * sum(waiting))}"
+
+
+def limit_words(evaluation: Evaluation) -> str:
+    """What no strategy exceeds on average on this map, where that is proven and not plain; else nothing."""
+    if not (most := _most(evaluation)) or is_best(evaluation.plan):
+        return ""
+    return f"No strategy visits more than {most} on average with this team on this map ({proven(evaluation)})."
+
+
+def _most(evaluation: Evaluation) -> str:
+    """The share that no strategy exceeds on average, rounded upwards; "" where that is not proven, or plain."""
+    limit = evaluation.bounds.any_strategy
+    if limit is None or limit.cells > evaluation.tally.accessible - 0.005:
+        return ""
+    return ceiled(limit.mean)
+
+
+def proven(evaluation: Evaluation) -> str:
+    """That the bound for every strategy is, and what it does not know of what was asked."""
+    unknown = []
+    if moves_left(evaluation.plan) is not None:
+        unknown.append("of the range it knows only which cells are too far")
+    if evaluation.choices.deadline is not None:
+        unknown.append("it does not know the deadline")
+    return "; ".join(["proven", *unknown])
+
+
+def _each(runs: int) -> str:
+    return {0: "every run", 1: "the one run that was done"}.get(runs) or f"each of the {runs:,} runs"
+
+
+def _any(runs: int) -> str:
+    return {0: "any run", 1: _each(runs)}.get(runs) or f"any of the {runs:,} runs"
+
+
+def _none(runs: int) -> str:
+    return {0: "no run", 1: "no run of the one that was done"}.get(runs) or f"none of the {runs:,} runs"
+
+
+def headline(evaluation: Evaluation) -> str:
+    """What the plan achieves and what it loses, in one sentence; % is a share of the accessible cells throughout it.
+
+    Of a policy that was searched for, with its name and what no policy exceeds; else with what 19 of 20 runs reach,
+    where there are enough rollouts to tell. `losses_words` has the chances in percent.
+    """
+    robots, least = len(evaluation.plan.robots), evaluation.shown.assured
+    if evaluation.certain:
+        return certain_headline(evaluation)
+    shown = without_level(evaluation.visited.said(100.0, " %")) + " of the accessible cells on average"
+    who, lost = counted(robots, "robot visits", "robots visit"), _lost_clause(evaluation)
+    if is_best(evaluation.plan) and (settings := evaluation.plan.settings) is not None:
+        most = _most(evaluation)
+        limit = f"; no strategy exceeds {most} on average ({proven(evaluation)})" * bool(most)
+        return f"{who} {shown} with {policy_words(settings)}, {lost}{limit}."
+    adds = least is not None and not shown.startswith("100 % (exact)")
+    runs = f" (at least {assured_words(evaluation)} in 19 of 20 runs)" * adds
+    return f"{who} {shown}{runs} {lost}."
+
+
+def assured_words(evaluation: Evaluation) -> str:
+    """What 19 of 20 runs reach, rounded downwards, as it is a lower bound."""
+    return floored(Fraction(evaluation.shown.assured or 0, evaluation.tally.accessible))
+
+
+def _lost_clause(evaluation: Evaluation) -> str:
+    """ "and lose all 8 robots in almost every run (7.99 on average)": how often without a %, which is coverage here."""
+    gone = 0 if evaluation.plan.state is None else evaluation.plan.state.lost
+    robots, losses = len(evaluation.plan.robots) - gone, evaluation.losses
+    every, none = (evaluation.shown.left[number] for number in (0, robots))
+    alone, left = len(evaluation.plan.robots) == 1, " that were left" if gone else ""
+    if robots == 0:
+        return "and none is left to lose"
+    if float(evaluation.closed_form.stops_by_cell.sum()) == 0:
+        return "and cannot be lost" if alone else "and no robot can be lost"
+    if alone:
+        return f"and is {'' if every.mean else 'not '}lost {_often(every if every.mean else none)}"
+    verb, words = "loses" if alone else "lose", lost_words(losses.mean - gone, robots, losses.decimals)
+    mean = f" ({words.split()[0]} on average)" if words[0].isdigit() else ""
+    if every.mean >= 0.5:
+        team = {1: "the robot", 2: "both robots"}.get(robots, f"all {robots} robots")
+        return f"and {verb} {team}{left.replace('were', 'was') if robots == 1 else left} {_often(every)}" + (
+            mean if every.mean < 1 else ""
+        )
+    if none.mean == 1:
+        return f"and {verb} no robot in {_any(none.rollouts)}"
+    if none.mean >= 0.5:
+        return f"and {verb} no robot {_often(none)}{mean}"
+    return f"and {verb} {words}{'' if words.endswith(('robot', 'robots')) else ' robots'}{left} on average"
+
+
+def _often(chance: Chance) -> str:
+    """A chance as a count of runs: "in 45 of 100 runs", "in almost every run", "in each of the 20 runs"."""
+    if chance.mean == 1:
+        return f"in {_each(chance.rollouts)}"
+    if 0 < chance.rollouts <= 100:
+        return f"in {round(chance.mean * chance.rollouts)} of the {chance.rollouts} runs"
+    if chance.mean >= 0.995:
+        return "in almost every run"
+    of = 100 if chance.mean >= 0.05 else 1_000
+    return (
+        f"in {round(chance.mean * of)} of {of:,} runs" if chance.mean >= 0.0005 else f"in fewer than 1 of {of:,} runs"
+    )
+
+
+def certain_headline(evaluation: Evaluation) -> str:
+    """The answer where nothing can happen: one run is all of them."""
+    tally, robots = evaluation.tally, len(evaluation.plan.robots)
+    covered, steps = evaluation.closed_form.visited / tally.accessible, int(np.flatnonzero(tally.time)[0])
+    who, long = counted(robots, "robot visits", "robots visit"), evaluation.world.pace.steps(steps)
+    return (
+        f"{who} {percent(covered, 2)} of the accessible cells in {long} and none is lost: no cell on the "
+        "way is dangerous, so every run is the same and 1 rollout is enough."
+    )
+
+
+def interval_words(evaluation: Evaluation) -> str:
+    """How sure the figures are that are said without their level; nothing where none is."""
+    said = headline(evaluation) + gain_words(evaluation)
+    half = "± is half the width of a 95 % interval." * ("±" in said)
+    ends = re.search(r"\([\d.,]+ (\.\. [\d.,]+|or more|or less)\)", said) is not None
+    return " ".join(filter(None, (half, "A range in brackets is a 95 % interval." * ends)))
+
+
+def gain_words(evaluation: Evaluation) -> str:
+    """What taking over from the lost brings, where that is known; else nothing."""
+    alone = len(evaluation.plan.robots) == 1
+    if alone or evaluation.loop == "open" or not evaluation.closed_form.is_known:
+        return ""
+    kept = evaluation.closed_form.visited / evaluation.tally.accessible
+    covered = evaluation.visited
+    more = Estimate(covered.mean - kept, covered.se, (covered.ci95[0] - kept, covered.ci95[1] - kept))
+    gain = without_level((more if more.mean >= 0 else more.negated).said(100, " points"))
+    return (
+        f"Giving the areas of lost robots to the others {'gains' if more.mean >= 0 else 'loses'} {gain} over robots "
+        f"that follow their own plans alone ({percent(kept)}, exact)."
+    )
+
+
+def quantile_words(evaluation: Evaluation) -> str:
+    """What the quantiles of the table are beside the headline's; nothing where that has none."""
+    if " in 19 of 20 runs" not in headline(evaluation) or evaluation.shown.visited.known:
+        return ""
+    return (
+        'The table has the quantiles of the runs that were done; "in 19 of 20 runs" in the first line holds with 95 % '
+        "confidence."
+    )
+
+
+def cell_words(evaluation: Evaluation) -> Iterator[str]:
+    """Where robots are lost, and what is missed."""
+    world, lost, chance = evaluation.ground, evaluation.expected.stops_by_cell, evaluation.expected.visited_by_cell
+    order, total = np.argsort(-lost, kind="stable"), float(lost.sum())
+    if total > 0:
+        row, col = divmod(int(order[0]), world.shape[1])
+        dangerous, where = int((lost > 0).sum()), f"row {row}, column {col}"
+        said = f"More robots are lost in {where} than in any other cell"
+        if dangerous == 1:
+            said = f"Robots are lost in {where} alone"
+        elif lost[order[1]] >= lost[order[0]] * (1 - ALIKE):
+            said = f"No cell costs more robots than {where}"
+        said += f": {lost[order[0]]:.3g} a run"
+        few = int(np.searchsorted(np.cumsum(lost[order]), 0.5 * total - 1e-12)) + 1
+        take = "takes" if few == 1 else "take"
+        rest = f". {counted(few, 'cell')} of the {dangerous:,} where robots are lost {take} half of all losses."
+        yield said + (rest if dangerous > 1 else ".")
+    cells = np.flatnonzero(evaluation.accessible)
+    rare, least = int((chance[cells] < 0.5).sum()), int(cells[np.argmin(chance[cells])])
+    row, col = divmod(least, world.shape[1])
+    of = "" if evaluation.is_exact else " of the rollouts"
+    some = "Every accessible cell is covered in at least half of the runs"
+    if rare:
+        are = "is" if rare == 1 else "are"
+        some = f"{counted(rare, 'cell')} of {len(cells):,} {are} covered in fewer than half of the runs"
+    yield f"{some}; least likely: row {row}, column {col} ({percent(float(chance[least]))}{of})."
+    if out := int(world.free.sum()) - len(cells):
+        count = "it counts" if out == 1 else "they count"
+        yield f"{counted(out, 'free cell')} cannot be reached by any robot; {count} only in 'of all free cells'."
+
+
+def rest_words(evaluation: Evaluation, rest: Rest) -> Iterator[str]:
+    """What a state leaves, and what a range cuts off: a sentence on each."""
+    plan, cells = evaluation.plan, evaluation.tally.accessible
+    kinds, robots = rest.kinds[evaluation.accessible], counted(len(plan.robots), "robot")
+    if plan.state is not None:
+        before = int((kinds == BEFORE).sum())
+        more = evaluation.visited.mean * cells - before
+        yield (
+            f"By {evaluation.world.pace.step(plan.state.step)}, where this goes on, {before:,} of {cells:,} accessible "
+            f"cells ({share(before, cells)}) {'was' if before == 1 else 'were'} visited and {plan.state.lost} of "
+            f"{robots} lost. Of the {cells - before:,} left {more:,.1f} are visited on average."
+        )
+    if rest.limited:
+        beyond = int((kinds == BEYOND).sum())
+        whom = "some robot to visit and come home" if rest.returns else "the moves of some robot"
+        far = f"Every accessible cell is near enough for {whom}."
+        if beyond:
+            many = counted(beyond, "accessible cell")
+            are = "is" if beyond == 1 else "are"
+            far = f"{many} ({share(beyond, cells)}) {are} {rest.too_far}."
+        yield far
+        if plan.comes_home:
+            return
+        ended, team = rest.ended, len(plan.robots)
+        who = f"{ended} of {robots} use" if ended > 1 else f"{ended} of {robots} uses" if ended else "no robot uses"
+        if ended == team:
+            who = {1: "the robot uses", 2: "both robots use"}.get(team, f"all {robots} use")
+        up = "up their range and stay where they are" if ended > 1 else "up its range and stays where it is"
+        yield f"In the run in which nobody is lost, {who} {up if ended else 'up its range'}."
+
+
+# The answer as the JSON object that `mrac-jax evaluate` prints (SPEC section 9).
+
+
+def to_json(evaluation: Evaluation) -> Json:
+    """The JSON object of SPEC section 9; undefined values are None."""
+    tally, plan, known = evaluation.tally, evaluation.plan, evaluation.exact
+    cells, found = evaluation.cells, evaluation.figures
+    drive = drive_of(robot.path for robot in plan.robots)
+    lost = None if known.alive is None else tally.robots - known.alive
+    out: Json = {
+        "loop": evaluation.loop,
+        "mode": evaluation.mode,
+        "luck": evaluation.choices.luck,
+        "engine": evaluation.engine,
+        "robots": len(plan.robots),
+        "starts": plan.starts,
+        "cells": cells,
+        "policy": _policy_json(plan),
+        "plan_for": plan.plan_for,
+        "rollouts": tally.rollouts,
+        "seed": evaluation.seed,
+        "certain": evaluation.certain,
+        "coverage": found.coverage_json(),
+        "best": {figure: getattr(evaluation, figure) for figure in (*MEANINGS, "losses")},
+        "coverage_of_free_cells": {m: getattr(found, m).mean.mean / cells["free"] for m in MEANINGS},
+        "time": found.time.to_json() | {"max": int(np.flatnonzero(tally.time).max())},
+        "outcomes": counts_by_word(tally.outcomes, plan.ends_by_deadline),
+        "complete": found.complete,
+        "alive": {"mean": found.alive.mean},
+        "losses": found.losses.to_json() | {"exact": lost},
+        "some_left": evaluation.shown.some_left,
+        "control": _control_json(evaluation),
+        "bounds": _bounds_json(evaluation),
+        "verdicts": {check.key: str(check.verdict) for check in evaluation.worst_checks},
+        "exact": {
+            "open_loop": _open_json(evaluation.closed_form),
+            "closed_loop": _closed_json(evaluation.closed),
+            "alive": known.alive,
+            "time": known.time,
+        },
+        "plan": {
+            "settings": plan.settings,
+            "areas": len(plan.areas),
+            "levels": len({area.level for area in plan.areas}),
+            **{name: getattr(plan, name) for name in ("makespan", "outcome", "shares")},
+            "moves": int(drive.moves.sum()),
+            "quarter_turns": int(drive.turns.sum()),
+        },
+        "rollouts_per_second": tally.rollouts / evaluation.seconds if evaluation.seconds > 0 else None,
+        "compile_seconds": evaluation.compile_seconds,
+        "advice": None,
+    }
+    if found.home is not None:
+        out["home"] = found.home
+    for name in ("movers", "phases"):
+        if (of := getattr(evaluation.world, name)) is not None:
+            out[name] = of.to_json()
+    said = {key: found.as_json() for key, found in evaluation.outputs.items()}
+    out |= {key: value for key, value in said.items() if value is not None}
+    return out | json_end(evaluation, evaluation.notes)
+
+
+def _control_json(evaluation: Evaluation) -> Json | None:
+    """By figure: how many times smaller the variance is, and what a nat of S weighs where; None: no control."""
+    found = evaluation.control
+    said = {"gain": {key: one.gain for key, one in found.items()}, "weights": {k: v.weights for k, v in found.items()}}
+    return said if found else None
+
+
+def _policy_json(plan: Plan) -> Json | None:
+    if plan.settings is None:
+        return None
+    return {"name": plan.settings.rule.name, "reserve": plan.settings.reserve, "worth": plan.settings.worth} | (
+        {} if plan.settings.range is None else {"range": plan.settings.range}
+    )
+
+
+def _bounds_json(evaluation: Evaluation) -> Json:
+    """The formulas of SPEC section 7."""
+    bounds, limit = evaluation.formulas, evaluation.bounds.any_strategy
+    undefined = dict.fromkeys(Theorem3.__dataclass_fields__)
+    return {
+        **{name: getattr(bounds, name) for name in ("eq1", "eq2_printed", "team_survival", "eq4", "eq5")},
+        "theorem3": {
+            "visited": bounds.theorem3_visited or undefined,
+            "survived": bounds.theorem3_survived or undefined,
+        },
+        "ideal_eq7": bounds.ideal_eq7,
+        "ideal_team": bounds.ideal_team,
+        "any_strategy": None if limit is None else limit.cells,
+    }
+
+
+def _open_json(exact: OpenLoopExact) -> Json:
+    """The open loop's expected values, whichever loop was evaluated; NaN what is not known."""
+    return {
+        "visited": exact.visited,
+        "survived": exact.survived,
+        "alive": float(exact.survival.sum()),
+        "losses": exact.expected_losses,
+        "time": exact.mean_time,
+    }
+
+
+def _closed_json(closed: ClosedTruth | None) -> Json | None:
+    """The closed loop's expected values where they are known exactly, and how."""
+    if closed is None:
+        return None
+    return closed.further | {
+        "visited": _known_json(closed.visited),
+        "survived": _known_json(closed.survived),
+        "some_left": _known_json(closed.some_left),
+        "alive": closed.alive,
+        "time": closed.time,
+        "how": closed.visited.how,
+    }
+
+
+def _known_json(truth: Truth) -> float | list[float]:
+    """A value, or the two between which it is certain to be."""
+    return truth.value if truth.low == truth.high else [truth.low, truth.high]
 
 
 def report(evaluation: Evaluation, theory: bool = False) -> Report:

@@ -7,15 +7,131 @@ import hashlib
 import io
 import platform
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import PurePath
+from typing import Any
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup as Html
 from PIL import Image
+from rich.table import Table
 
-from analysis.page.markup import TEMPLATES, Html, block
+from planner.errors import visible
+
+# Tables of the page, of their own or as the command line prints them: both say the same because they are the same.
+
+MOST_ROWS = 400
+"""Rows of a table that are shown; the files beside the page hold all."""
+FOLDED_FROM = 40
+"""Longer tables are folded away until somebody asks for them."""
+VERDICTS = re.compile(r"\b(fails|holds|vacuous|says nothing|undecided|not reproduced|reproduced)\b", re.IGNORECASE)
+LOOKS = {
+    "fails": "fails",
+    "not reproduced": "fails",
+    "holds": "holds",
+    "reproduced": "holds",
+    "undecided": "unsure",
+    "vacuous": "empty",
+    "says nothing": "empty",
+}
+"""How each verdict is shown: a colour and a sign, so that the colour is not all."""
+
+
+@dataclass(frozen=True)
+class TableData:
+    """A table: `columns` names, `rows` of as many cells, `words` the columns that hold words, not numbers.
+
+    unfolded: a long one is shown at once.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+    words: frozenset[int] = frozenset({0})
+    unfolded: bool = False
+
+    @property
+    def shown(self) -> Sequence[tuple[str, ...]]:
+        """The rows that a page has room for."""
+        return self.rows[:MOST_ROWS]
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it is folded away."""
+        return len(self.shown) > FOLDED_FROM
+
+
+def from_rich(table: Table, unfolded: bool = False) -> TableData:
+    """A table of the command line; right-aligned columns hold numbers."""
+    columns = [[str(cell) for cell in column.cells] for column in table.columns]
+    words = frozenset(place for place, column in enumerate(table.columns) if column.justify != "right")
+    names = tuple(str(column.header) for column in table.columns)
+    return TableData(str(table.title or ""), names, tuple(zip(*columns, strict=True)), words, unfolded)
+
+
+def parted(text: str) -> tuple[str, str, str, str]:
+    """A text before its verdict, the verdict and its look, and the text after it; "" for what is not there."""
+    found = VERDICTS.search(text)
+    if found is None:
+        return text, "", "", ""
+    return text[: found.start()], found[0], LOOKS[found[0].lower()], text[found.end() :]
+
+
+# HTML that cannot be broken by what stands in it: templates escape every text that is not HTML already.
+
+_UNIT = re.compile(r"(?<=\d) (?=[%\w±])|(?<=%) (?=±)|(?<=[±<>]) (?=\d)")
+"""The space between a number and what it counts, or a sign and its number."""
+_OPTION = re.compile(r"(--[a-z][\w-]*(?: (?!-)[^\s;,()]+)?)")
+"""An option with its value, if it has one."""
+
+
+def _shown(value: Any) -> Any:
+    """A value as a template puts it in, before it is escaped: invisible, unpaired and turning characters are named."""
+    return value if isinstance(value, Html) else "" if value is None else visible(str(value))
+
+
+def unbroken(text: object) -> str:
+    """A text in which no line ends between a number and its unit, or between a sign and its number."""
+    return text if isinstance(text, Html) else _UNIT.sub("\N{NO-BREAK SPACE}", str(_shown(text)))
+
+
+def with_code(text: str) -> Html:
+    """A sentence; what stands between backticks is code. An option and its value stay on one line."""
+    if isinstance(text, Html):
+        return text
+    parts = visible(text).split("`")
+    if len(parts) % 2 == 0:  # one of them has no partner
+        return _with_options("`".join(parts), unbroken)
+    code = Html("<code>{}</code>")
+    return Html().join(
+        code.format(_with_options(part, str)) if at % 2 else _with_options(part, unbroken)
+        for at, part in enumerate(parts)
+    )
+
+
+def _with_options(text: str, rest: Callable[[str], str]) -> Html:
+    """Options keep their spaces, so that they can be copied into a shell; `rest`: of what stands between them."""
+    option = Html('<span class="whole">{}</span>')
+    pieces = enumerate(_OPTION.split(text))
+    return Html().join(option.format(piece) if at % 2 else rest(piece) for at, piece in pieces)
+
+
+TEMPLATES = Environment(
+    loader=PackageLoader("analysis.page"), autoescape=True, finalize=_shown, undefined=StrictUndefined,
+    trim_blocks=True, lstrip_blocks=True,
+)  # fmt: skip
+TEMPLATES.filters |= {"parted": parted, "with_code": with_code, "unbroken": unbroken}
+TEMPLATES.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
+
+
+def block(name: str, *values: object) -> Html:
+    """A macro of `templates/blocks.html`; nothing of one that has nothing to say."""
+    macro = getattr(TEMPLATES.get_template("blocks.html").module, name)
+    return Html(macro(*values).strip())
+
 
 LIBRARIES = ("numpy", "scipy", "numba", "jax", "pymetis")
 """What the figures depend on, beside the program itself."""

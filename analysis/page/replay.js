@@ -70,7 +70,7 @@ function trail(robot, step, cols) {
   return robot.letters.slice(0, strokes).join("") + rest;
 }
 
-// Seconds in words, as planner/pace.py says them.
+// Seconds in words, as planner/formatting.py says them.
 function spoken(seconds) {
   const whole = Math.round(seconds), [large, unit, small, rest] = whole < 3600 ? [60, " min", " s", 1] : [3600, " h", " min", 60];
   if (seconds < 9.5) return Number(seconds.toPrecision(2)) + " s";

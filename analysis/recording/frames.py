@@ -1,23 +1,31 @@
 """A rollout's trace worked out step by step: who lives, what is covered, who holds which area. Pure NumPy.
 
-Which areas robots hold that learn the map no trace tells (`analysis.recording.discovery`).
+Which areas robots hold that learn the map no trace tells (`analysis.recording.frames`).
 
 Axis letters: `T` = time + 1 steps, `K` robots, `N = H * W` cells, `A` areas, `V` entries of a cell.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from foxglove_schemas_protobuf.Log_pb2 import Log
 from numpy.typing import NDArray
 
-from planner.none import NO_AREA, NO_ROBOT, NO_STEP
-from planner.plans.plan import Area
-from planner.plans.state import MissionState
-from planner.trace import Doing, EventKind, Trace
+from planner.failure_model import PLAIN
+from planner.formatting import chance, counted, share
+from planner.ids import NO_AREA, NO_ROBOT, NO_STEP
+from planner.mrac.board import State
+from planner.mrac.executive import Executive
+from planner.plan.plan import Area, Plan
+from planner.plan.state import MissionState
+from planner.rollout_sampling import true_map
+from planner.tally import Doing, EventKind, Outcome, Trace
+from planner.world.uncertain_maps import Uncertain
+from planner.world.world import World
 
 
 class Held(IntEnum):
@@ -192,3 +200,134 @@ class AreaBook:
         held, robot = np.append(self.held, Held.UNASSIGNED), np.append(self.robot, NO_ROBOT)
         nobodys = int((self.held[: self._next] == Held.UNASSIGNED).sum())
         return AreaMap(step, area, held[area], robot[area], nobodys)
+
+
+# Events of a rollout in words.
+
+_EVENTS = {
+    EventKind.COMPLETED: (Log.INFO, "robot {robot} completes area {area}", "{short} at {cell}"),
+    EventKind.HIT: (Log.ERROR, "robot {robot} is lost at {cell}", "{short}, {threat}{its_area}"),
+    EventKind.REALLOCATED: (
+        Log.WARNING, "area {area} is free again, in {parts}", "area {area} of robot {robot} is free again, in {parts}",
+    ),
+    EventKind.ALLOCATED: (Log.INFO, "robot {robot} gets area {area}", "{short} and goes to {cell}"),
+    EventKind.SHARED: (Log.WARNING, "robot {robot} shares area {area}, in {other} parts", "{short}"),
+    EventKind.LOOKED_AGAIN: (Log.INFO, "robot {robot} looks again", "{short} before {cell} and gives area {area} back"),
+    EventKind.REFUSED: (
+        Log.WARNING, "robot {robot} refuses area {area}",
+        "robot {robot} is done: it refuses area {area}, at {cell}, and all others that it can reach",
+    ),
+    EventKind.RANGE_ENDED: (
+        Log.WARNING, "robot {robot} stays at {cell}",
+        "{short}: that was the last move of its range; its area was {area}",
+    ),
+    EventKind.TURNED_HOME: (Log.INFO, "robot {robot} turns for home", "{short}, to {cell}{its_area}"),
+    EventKind.HOME: (Log.INFO, "robot {robot} is home", "{short}, at {cell}"),
+    EventKind.CHARGED: (Log.INFO, "robot {robot} is charged", "{short}, at {cell}"),
+    EventKind.SURPRISED: (Log.INFO, "{cells} are not as believed", "robots see that {cells} are not as they believed"),
+}  # fmt: skip
+"""Of each kind foxglove.Log's level, what happened in short (on a picture there is little room), and in full."""
+ENDS_WITH_ERROR = (Outcome.ALL_ROBOTS_LOST, Outcome.NO_PROGRESS, Outcome.STEP_LIMIT)
+"""Outcomes whose line in a recording has the level of an error."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """An event in words: the step, whom it is about, foxglove.Log's level, what happened, in full and in short."""
+
+    step: int
+    robot: int
+    kind: EventKind
+    level: int
+    text: str
+    short: str
+
+
+def event_line(row: NDArray, world: World, plan: Plan | None = None) -> Line:
+    """One row of `Trace.events` in words. Raises ValueError, IndexError for one that means nothing.
+
+    `plan`: says what threats are to a robot; None: what they are on the map.
+    """
+    step, robot, number, area, other = (int(value) for value in row)
+    kind = EventKind(number)
+    level, short, full = _EVENTS[kind]
+    facts = {
+        "robot": robot,
+        "area": area,
+        "other": other,
+        "parts": counted(other, "part"),
+        "cells": counted(other, "cell"),
+        "cell": list(divmod(other, world.shape[1])),
+        "threat": _stopped_by(robot, step, row[4], world, plan) if kind == EventKind.HIT else "",
+        "its_area": "" if area == NO_AREA else f"; its area was {area}",
+    }
+    short = short.format(**facts)
+    return Line(step, robot, kind, level, full.format(short=short, **facts), short)
+
+
+def _stopped_by(robot: int, step: int, cell: NDArray, world: World, plan: Plan | None) -> str:
+    """What may have stopped a robot there: the p of its visit (of who wears, the map's), or a mover."""
+    bearing = PLAIN if plan is None else plan.bearing
+    own = world if plan is None else world.of_robots(bearing.types, len(plan.robots))[robot]
+    p = float(own.by_phase.flat[own.visits(cell, step)])
+    if bearing.shape == 1 and not bearing.is_even:
+        p = bearing.first_chance(p, robot)
+    if world.movers is None:
+        return f"threat {chance(p)}"
+    return f"threat {chance(p)}, or a mover" if p else "by a mover"
+
+
+def end_text(trace: Trace, outcome: Outcome, visited: int, survived: int, accessible: int, alive: int) -> str:
+    """How a rollout ended, which its plan tells from its outcome (`Plan.ending`)."""
+    seen, passed = share(visited, accessible), share(survived, accessible)
+    return (
+        f"rollout {trace.rollout} ends: {outcome.word} at step {trace.time}, {seen} visited, "
+        f"{passed} survived, {alive} of {trace.cells.shape[1]} robots alive"
+    )
+
+
+# Robots that learn the map: what they have seen of it at a step of a rollout, and which areas they make of that.
+
+
+@dataclass(frozen=True, eq=False)
+class Discovery:
+    """What the robots of a rollout come to know.
+
+    Attributes:
+        told: float32 `[H, W]`, what they believe at first; NaN: an obstacle.
+        truth: float32 `[H, W]`, what they meet.
+        when: int32 `[H, W]`, the step at the end of which each cell is first seen; NO_STEP.
+    """
+
+    told: NDArray[np.float32]
+    truth: NDArray[np.float32]
+    when: NDArray[np.int32]
+
+    def seen(self, step: int) -> NDArray[np.bool_]:
+        """bool `[H, W]`: cells that somebody has seen by the end of a step."""
+        return (self.when != NO_STEP) & (self.when <= step)
+
+    def believed(self, step: int) -> NDArray[np.float32]:
+        """float32 `[H, W]`, the map as robots believe it at the end of a step."""
+        return np.where(self.seen(step), self.truth, self.told)
+
+
+def discovery_of(world: World, seed: int, trace: Trace) -> Discovery:
+    """Of a rollout of the seed in a world that its robots are not told."""
+    assert world.knowledge is not None
+    when = world.knowledge.first_seen(trace.cells, trace.doing != Doing.DEAD).reshape(world.shape)
+    truth = true_map(world.doubt, seed, trace.rollout) if isinstance(world.doubt, Uncertain) else world.met
+    return Discovery(world.threat, truth, when)
+
+
+def learned_maps(teams: Iterable[Executive]) -> Iterator[AreaMap]:
+    """The areas at the end of step 0, and of every later step that changes who holds what, of a run that is played."""
+    before: tuple[NDArray[np.int32], list[tuple[State, int]]] | None = None
+    for team in teams:
+        now = team.area_of, [(area.state, area.robot) for area in team.areas]
+        if before is None or before[1] != now[1] or not np.array_equal(before[0], now[0]):
+            before = now[0].copy(), now[1]
+            held = np.array([Held[state.name] for state, _ in now[1]] + [Held.UNASSIGNED], dtype=np.int8)
+            robot = np.array([robot for _, robot in now[1]] + [NO_ROBOT], dtype=np.int32)
+            area = before[0]  # NO_AREA, -1, is the last
+            yield AreaMap(team.step, area, held[area], robot[area], len(team.unassigned))

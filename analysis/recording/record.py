@@ -2,38 +2,280 @@
 
 from __future__ import annotations
 
+import re
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from analysis.inputs import input_path
-from analysis.kit.notes import Doing, Progress, quiet
 from analysis.recording import contents
 from analysis.recording.frames import make_frames
-from analysis.recording.mcap.container import CHUNK_SIZE, LogWriter
-from analysis.recording.rolling import Request, engine_of, evaluate
-from analysis.recording.viewers.layout import layout_json
+from analysis.recording.log_writer import CHUNK_SIZE, LogWriter
+from analysis.recording.viewers import topics as schemas
 from analysis.recording.viewers.messages import rollout_messages
-from analysis.recording.viewers.topics import Clock, Message, Stage, type_of
+from analysis.recording.viewers.topics import Clock, Message, Stage, layout_json, type_of
 from analysis.report.answer import Answer
+from analysis.statistics.estimates import quantile
 from analysis.theory.bounds import all_bounds
-from planner.arguments import argument
+from analysis.utils.compiling import compiles_for
+from analysis.utils.notes import Doing, ProgressCallback, quiet
+from planner.arguments import SEED, Numbers, argument, check_word
 from planner.errors import UsageError
+from planner.failure_model import key_of, threefry2x32
 from planner.files import why_no_file
-from planner.mrac.reference import ReferenceLoop
-from planner.pace import UNPACED, Pace
-from planner.plans.plan import Plan, is_certain
-from planner.plans.state import MissionState
-from planner.tally import Tally
-from planner.trace import Trace
-from planner.worlds.keys import read_yaml
-from planner.worlds.maps import YAML
-from planner.worlds.world import World
+from planner.formatting import UNPACED, Pace
+from planner.ids import BLOCK, LUCKS, NO_ROLLOUT, LuckName
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan, is_certain
+from planner.plan.state import MissionState
+from planner.rollouts.names import ENGINES, EngineName
+from planner.tally import RolloutResults, Tally, Trace
+from planner.world.keys import read_yaml
+from planner.world.map_files import YAML
+from planner.world.world import World
 
 if TYPE_CHECKING:
     from planner.rollouts.engine import Engine
+
+# Which of many evaluated rollouts to record: found as they stream by, in memory that does not grow with them.
+
+EXPECTED = "worst, median, best, random or quantile:Q with 0 < Q < 1"
+_PURPOSE = 0x5049434B
+"""Counter of the draw of `random`: "PICK"."""
+
+
+@dataclass(frozen=True)
+class Pick:
+    """One choice: its name as given, and the quantile of visited coverage that it asks for (None: any rollout)."""
+
+    name: str
+    q: float | None
+
+
+def parse_picks(text: str) -> tuple[Pick, ...]:
+    """`"worst,median,quantile:0.05"` as picks, each name once. Raises UsageError."""
+    named = {"worst": 0.0, "median": 0.5, "best": 1.0, "random": None}
+    picks: dict[str, Pick] = {}
+    for name in text.split(","):
+        if name in named:
+            picks[name] = Pick(name, named[name])
+            continue
+        number = re.fullmatch(r"quantile:(0?\.[0-9]{1,15})", name, re.ASCII)
+        if number is None or not 0 < float(number[1]) < 1:
+            raise UsageError(f"{argument('pick')} {name!r}", expected=EXPECTED)
+        picks[name] = Pick(name, float(number[1]))
+    return tuple(picks.values())
+
+
+def parse_ids(text: str, most: int) -> tuple[int, ...]:
+    """`"0,5,7-9"` as rollout ids, each once, in the order given; at most `most`. Raises UsageError."""
+    ids: dict[int, None] = {}
+    for part in text.split(","):
+        bounds = re.fullmatch(r"([0-9]{1,1000})(?:-([0-9]{1,1000}))?", part, re.ASCII)
+        if bounds is None:
+            raise UsageError(f"{argument('ids')} {part[:60]!r}", expected='rollout ids, as "0,5,7-9"')
+        first, last = int(bounds[1]), int(bounds[2] or bounds[1])
+        if not first <= last < 2**32:
+            expected = "ids below 2**32" if last >= 2**32 or "-" not in part else "the first id not above the last"
+            raise UsageError(f"{argument('ids')} {part[:60]!r}", expected=expected)
+        if last - first + 1 + len(ids) > most:
+            raise UsageError(f"{argument('ids')} {text[:60]!r}: too many", expected=f"at most {most} rollouts in full")
+        ids.update(dict.fromkeys(range(first, last + 1)))
+    return tuple(ids)
+
+
+class Picker:
+    """Keeps, for every number of cells visited, the rollout to show for it.
+
+    A quantile of visited coverage is a number of cells (`analysis.statistics.estimates.quantile`). Of the rollouts that
+    visited just so many, the one with the most survived is taken, then the shortest, then the lowest id; for `worst`,
+    the one with the fewest survived, then the longest, then the lowest id. Memory: a few numbers for each accessible
+    cell.
+    """
+
+    def __init__(self, accessible: int) -> None:
+        self._counts = np.zeros(accessible + 1, dtype=np.int64)
+        self._top = np.full((accessible + 1, 3), NO_ROLLOUT, dtype=np.int64)  # survived, time, id
+        self._worst: tuple[int, int, int, int] | None = None  # visited, survived, -time, id
+
+    def add(self, results: RolloutResults) -> None:
+        """Look at the rollouts of the next ids."""
+        visited = results.visited.astype(np.int64)
+        if not len(visited):
+            return
+        self._counts += np.bincount(visited, minlength=len(self._counts))
+        order = np.lexsort((results.time, -results.survived, visited))  # stable: ids in order
+        firsts = order[np.flatnonzero(np.diff(visited[order], prepend=-1))]
+        new = np.stack([results.survived[firsts], results.time[firsts], results.start + firsts], axis=1)
+        old = self._top[visited[firsts]]
+        better = (old[:, 2] == NO_ROLLOUT) | _above(new, old)
+        self._top[visited[firsts][better]] = new[better]
+        low = np.flatnonzero(visited == visited.min())
+        last = low[np.lexsort((-results.time[low], results.survived[low]))[0]]
+        worst = (int(visited[last]), int(results.survived[last]), -int(results.time[last]), results.start + int(last))
+        self._worst = worst if self._worst is None else min(self._worst, worst)
+
+    def choose(self, pick: Pick, seed: int) -> int:
+        """The id of the rollout; `random`: any of those seen (ids from 0), by the seed alone."""
+        if pick.q is None:
+            total = int(self._counts.sum())
+            high, low = threefry2x32(key_of(seed), np.uint32(_PURPOSE), np.uint32(0))
+            return ((int(high) << 32 | int(low)) * total) >> 64
+        if pick.q == 0.0:
+            assert self._worst is not None
+            return self._worst[3]
+        return int(self._top[quantile(self._counts, pick.q), 2])
+
+
+def _above(new: NDArray[np.int64], old: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether each (survived, time) of `new` is better: more survived, then shorter. Equal ones keep the earlier id."""
+    return (new[:, 0] > old[:, 0]) | ((new[:, 0] == old[:, 0]) & (new[:, 1] < old[:, 1]))
+
+
+# The rollouts that a recording is about: evaluated as a stream, chosen ones in full.
+
+OUTCOME_COLUMNS = ("visited", "survived", "time", "alive", "outcome")
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to record.
+
+    Attributes:
+        ids: rollouts in full; empty: those that `picks` choose.
+        picks: out of the evaluated ones. evaluated: how many, ids from 0; 0: only those in `ids`.
+        outcomes: keep every evaluated rollout's outcome.
+        loop, seed, engine, first_only: as in `analysis.evaluation.evaluate`; no byte of the file depends on the engine.
+        luck: by which robots are stopped. step_seconds: time of a step.
+        made: the plan is the planner's own, not a given one.
+        scenario: the text of the scenario file, if there is one.
+    """
+
+    ids: tuple[int, ...] = ()
+    picks: tuple[Pick, ...] = ()
+    evaluated: int = 0
+    outcomes: bool = False
+    loop: Literal["closed", "open"] = "closed"
+    seed: int = 0
+    engine: EngineName = "auto"
+    first_only: bool = False
+    luck: LuckName = "tolerance"
+    step_seconds: float = 1.0
+    made: bool = True
+    scenario: bytes | None = None
+
+    def settings(self, ids: tuple[int, ...], picks: dict[str, int]) -> contents.Settings:
+        """What the file says of it, once it is known which rollouts it holds."""
+        return contents.Settings(
+            self.loop, "first_visit" if self.first_only else "every_visit", self.seed, ids, picks, self.evaluated,
+            self.outcomes, self.step_seconds, "made" if self.made else "given", contents.own_version(), luck=self.luck,
+        )  # fmt: skip
+
+    def check(self) -> None:
+        """Raise UsageError for what cannot be recorded."""
+        low, high = contents.STEP_SECONDS
+        check_word("loop", self.loop, ("closed", "open"))
+        check_word("engine", self.engine, ENGINES)
+        check_word("luck", self.luck, LUCKS)
+        SEED.check("seed", self.seed)
+        Numbers(low, high, "seconds").check("step_seconds", self.step_seconds)
+        if not self.ids and not self.picks:
+            raise UsageError("nothing to record", expected=f"{argument('ids')} or {argument('picks')}")
+        among = f"{argument('picks')} chooses among" if self.picks else f"{argument('outcomes')} are those of"
+        if (self.picks or self.outcomes) and not self.evaluated:
+            problem = f"{among} evaluated rollouts, and there are none"
+            raise UsageError(problem, expected=argument("evaluated"))
+        if self.first_only and self.loop == "open":
+            problem = f"{argument('first_only', True)} needs the closed loop"
+            raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
+
+
+def engine_of(world: World, plan: Plan, request: Request) -> Engine:
+    """Rolls out as the request says. Raises InputError."""
+    from planner.rollouts.engine import Rolling, make_engine
+
+    compiles_for(plan, request.loop)
+    how = Rolling(request.loop, "step", request.first_only, request.seed, request.luck)
+    return make_engine(plan, world, how, request.engine)
+
+
+def tally_of(engine: Engine, ids: Iterable[int]) -> Tally:
+    """The tally of some rollouts."""
+    known = np.sort(np.fromiter(ids, dtype=np.int64))
+    spans = np.split(known, np.flatnonzero(np.diff(known) != 1) + 1)
+    tallies = [engine.tally(int(span[0]), len(span)) for span in spans]
+    return sum(tallies[1:], start=tallies[0])
+
+
+def chunks(engine: Engine, count: int, progress: ProgressCallback | None) -> Iterator[tuple[Tally, RolloutResults]]:
+    """Rollouts 0 .. count - 1 as they come: (tally so far, results of the next ids)."""
+    from planner.rollouts.engine import run_chunks
+
+    for chunk in run_chunks(engine, count, results=True):
+        assert chunk.results is not None
+        yield chunk.tally, chunk.results
+        if progress is not None:
+            progress(chunk.tally.rollouts, count, chunk.seconds)
+
+
+def evaluate(
+    engine: Engine, request: Request, write: Callable[[Message], None], progress: ProgressCallback | None
+) -> tuple[Tally, tuple[int, ...], dict[str, int]]:
+    """(tally, ids to record, picks): everything that is evaluated, its outcomes written as they come."""
+    if not request.evaluated:
+        return tally_of(engine, request.ids), request.ids, {}
+    picker, columns = Picker(engine.accessible), OutcomeColumns()
+    for so_far, results in chunks(engine, request.evaluated, progress):
+        tally = so_far
+        if request.picks:
+            picker.add(results)
+        if request.outcomes:
+            for message in columns.add(results):
+                write(message)
+    for message in columns.rest():
+        write(message)
+    picks = {pick.name: picker.choose(pick, request.seed) for pick in request.picks}
+    return tally, request.ids or tuple(dict.fromkeys(picks.values())), picks
+
+
+class OutcomeColumns:
+    """Results as they come, as `/outcomes` messages of aligned blocks of BLOCK ids, all at time 0."""
+
+    def __init__(self) -> None:
+        self._waiting: RolloutResults | None = None
+
+    def add(self, results: RolloutResults) -> Iterator[Message]:
+        """The blocks that these results, of the next ids, complete."""
+        known = results if self._waiting is None else RolloutResults.join([self._waiting, results])
+        at = 0
+        while (stop := (known.start + at) // BLOCK * BLOCK + BLOCK - known.start) <= len(known.visited):
+            yield _outcome_message(known, at, stop)
+            at = stop
+        self._waiting = part_of(known, at, len(known.visited))
+
+    def rest(self) -> Iterator[Message]:
+        """The last block, if it is not full."""
+        if self._waiting is not None and len(self._waiting.visited):
+            yield _outcome_message(self._waiting, 0, len(self._waiting.visited))
+
+
+def part_of(results: RolloutResults, start: int, stop: int) -> RolloutResults:
+    """Rows `start .. stop - 1` of results."""
+    names = ("visited", "survived", "time", "alive", "outcome", "bisected", "divided")
+    columns = {name: getattr(results, name)[start:stop] for name in names}
+    return replace(results, start=results.start + start, **columns)
+
+
+def _outcome_message(results: RolloutResults, start: int, stop: int) -> Message:
+    part = part_of(results, start, stop)
+    columns = {name: getattr(part, name).astype(np.int64).tolist() for name in OUTCOME_COLUMNS}
+    return Message("/outcomes", 0, schemas.Outcomes(first=part.start, **columns).SerializeToString())
+
 
 MOST_SECONDS = 2.0**31 - 1
 
@@ -64,7 +306,7 @@ class Recorded(Answer):
         pace: how long a step takes, if the world knows.
     """
 
-    reported_by = "analysis.recording.report:report"
+    reported_by = "analysis.recording.replay:report"
 
     listed: ClassVar[str] = "rollouts"
     path: Path
@@ -90,7 +332,7 @@ def record(
     request: Request,
     path: str | Path,
     *,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     doing: Doing = quiet,
 ) -> Recorded:
     """Evaluate, choose, and write the file at `path`. Memory: one rollout in full, and a few numbers a cell.
@@ -126,7 +368,7 @@ def _write(
     plan: Plan,
     request: Request,
     engine: Engine,
-    progress: Progress | None,
+    progress: ProgressCallback | None,
     doing: Doing,
 ) -> None:
     """The whole log; it is worth keeping once a rollout is complete. `doing`: told which rollout is written."""

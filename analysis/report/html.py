@@ -6,14 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from analysis.page.cell_maps import cell_maps_html
-from analysis.page.curves import curves_html
-from analysis.page.document import Section, document, pictures_section, reproduce_section
-from analysis.page.markup import Html, block
-from analysis.page.plan_paths import plan_map_html
-from analysis.page.series import Chart
-from analysis.page.tables import from_rich
-from analysis.report.blocks import CellMaps, Part, Report
+from analysis.page.charts import Chart, curves_html
+from analysis.page.document import Html, Section, block, document, from_rich, pictures_section, reproduce_section
+from analysis.page.maps import cell_maps_html
+from analysis.page.paths import plan_map_html
+from analysis.report.model import CellMaps, Part, Report
 
 BROAD = 1.6
 """Times as wide as high from which a map stands below the answer."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from planner.pace import Pace
+from planner.formatting import Pace
 
 TIMES = ("time", "time_to", "makespan", "deadline", "max_steps", "step", "steps")
 """Keys whose values are times in steps."""

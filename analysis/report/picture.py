@@ -15,10 +15,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter
 from numpy.typing import NDArray
 
-from analysis.page.series import BARS_UP_TO, Chart, Points, points_of, y_range_of
-from analysis.pictures.maps import draw_borders, map_figure, paint, terrain_handles, with_key
-from analysis.pictures.plans import mark_starts, plan_figure, start_handle
-from analysis.pictures.robots import group_labels
+from analysis.page.charts import BARS_UP_TO, Chart, Points, points_of, y_range_of
+from analysis.pictures.maps import (
+    draw_borders,
+    group_labels,
+    map_figure,
+    mark_starts,
+    paint,
+    plan_figure,
+    start_handle,
+    terrain_handles,
+    with_key,
+)
 from analysis.pictures.style import (
     FAINT,
     GRID,
@@ -33,7 +41,7 @@ from analysis.pictures.style import (
     new_figure,
     plain,
 )
-from analysis.report.blocks import CellMaps, Planned, Report
+from analysis.report.model import CellMaps, Planned, Report
 
 HIGH, ABOVE, ENTRY = 2.4, 0.85, 0.19
 """Inches: a chart's height, what is above it, a line of its legend."""

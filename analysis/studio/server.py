@@ -10,28 +10,270 @@ import json
 import logging
 import secrets
 import socket
-from collections.abc import Callable
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from hmac import compare_digest
+from math import inf
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from tornado.httpserver import HTTPServer
 from tornado.iostream import StreamClosedError
 from tornado.web import Application, HTTPError, RequestHandler
 
-from analysis.studio.answering import PRECISION, answers
-from analysis.studio.latest import Latest
-from analysis.studio.page import palettes, security_headers, studio_page
-from analysis.studio.sketch import Sketch, read_sketch
-from analysis.studio.words import command_words
+from analysis.estimators.racing import with_eyes
+from analysis.estimators.trial import Measured, alike, closed_truth
+from analysis.page.maps import STEPS, CellLayer, packed_layer
+from analysis.page.paths import path_lines, thickness
+from analysis.pictures.style import COVERED, LOSSES
+from analysis.sampling import RolloutChoices, make_roll_out
+from analysis.statistics.control_variate import tally_mean
+from analysis.statistics.estimates import Estimate, exactly
+from analysis.studio import page as words
+from analysis.studio.page import Sketch, command_words, palettes, read_sketch, security_headers, studio_page
+from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from planner.arguments import whole
-from planner.errors import InputError, UsageError
+from planner.errors import InputError, MracError, UsageError
 from planner.files import Json
-from planner.kernels.tables import AllPairs
-from planner.limits import MOST_ROLLOUTS
+from planner.ids import MOST_ROLLOUTS
+from planner.plan.plan import Plan, is_certain
+from planner.plan_team import plan_team
+from planner.simulator.tables import AllPairs
+from planner.tally import Tally
+
+# One board at a time, in a thread of its own: the newest wins, older ones end where they are.
+
+LOG = logging.getLogger("mrac_jax")
+GRACE_SECONDS = 2.0
+"""How long an answer may take to end where the program ends: code that is being compiled cannot be stopped."""
+SUPERSEDED = {"superseded": True}
+"""The last line of a board in whose place another came."""
+Tell = Callable[[Json | None], None]
+"""Takes a line of the answer; None: it is over."""
+Work = Callable[[Any, Callable[[], None]], Iterator[Json]]
+"""`work(board, go_on)`: the lines; it calls `go_on`, which raises where another board has come."""
+
+
+class Superseded(Exception):
+    """Nobody waits for this answer any more."""
+
+
+class Job:
+    """A board that waits for its answer, or is being answered."""
+
+    def __init__(self, board: Any, tell: Tell) -> None:
+        self.board, self.tell, self._over = board, tell, False
+
+    def end(self) -> None:
+        """Nobody waits for it any more."""
+        self._over = True
+
+    def go_on(self) -> None:
+        """Raise Superseded if that is so."""
+        if self._over:
+            raise Superseded
+
+
+class Latest:
+    """Answers boards with `work`, at most one at a time; one more waits, and a newer one takes its place."""
+
+    def __init__(self, work: Work) -> None:
+        self._work, self._jobs = work, SimpleQueue[Job | None]()
+        self._newest: Job | None = None
+        self.begun = 0
+        self._thread = threading.Thread(target=self._run, name="studio", daemon=True)
+        self._thread.start()
+
+    def submit(self, board: Any, tell: Tell) -> Job:
+        """Answer this board next; `tell` is called from the thread. To be called from one thread alone."""
+        job = Job(board, tell)
+        old, self._newest = self._newest, job
+        if old is not None:
+            old.end()
+        with suppress(Empty):
+            waited = self._jobs.get_nowait()  # whoever takes it out answers it
+            if waited is not None:
+                waited.tell(SUPERSEDED)
+                waited.tell(None)
+        self._jobs.put(job)
+        return job
+
+    def close(self) -> None:
+        """End the thread, at its next step; a daemon, it ends with the program in any case."""
+        if self._newest is not None:
+            self._newest.end()
+        self._jobs.put(None)
+        self._thread.join(GRACE_SECONDS)
+
+    def _run(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            self._answer(job)
+
+    def _answer(self, job: Job) -> None:
+        self.begun += 1
+        try:
+            job.go_on()
+            for line in self._work(job.board, job.go_on):
+                job.tell(line)
+                job.go_on()
+        except Superseded:
+            job.tell(SUPERSEDED)
+        except MracError as error:
+            job.tell({"error": str(error)})
+        except Exception as error:  # a fault of ours: the page hears of it, and the next stroke is answered
+            LOG.exception("studio")
+            job.tell({"error": f"a fault of mrac-jax ({type(error).__name__}): please report what the terminal says"})
+        finally:
+            job.tell(None)
+
+
+# The answer to a board, line after line: the open loop's exact one, then the closed loop's until it is sure.
+
+PRECISION = 0.005
+"""Half the width of the 95 % interval of mean coverage at which the rollouts end, as `--precision` takes it."""
+MOST_PAIRS = 2048
+"""Rollouts of teams with other eyes, each: on the same luck they tell as much as several times as many."""
+SHOWN_SECONDS = 0.25
+"""Between two lines of rollouts that go on."""
+GoOn = Callable[[], None]
+"""Raises what ends the work if nobody waits for it any more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Board:
+    """A board with its plan.
+
+    Attributes:
+        accessible: bool `[H, W]`. exact: the open loop's values. certain: every run is the same.
+    """
+
+    sketch: Sketch
+    plan: Plan
+    accessible: NDArray[np.bool_]
+    exact: OpenLoopExact
+    certain: bool
+    notes: tuple[str, ...]
+
+    def open_line(self) -> Json:
+        """The open loop's line, which comes first and holds the planned paths too; null: too long to draw."""
+        exact = self.exact
+        mean, losses = exactly(exact.visited / int(self.accessible.sum())), exactly(exact.expected_losses)
+        said = words.headline(len(self.plan.robots), mean, losses, alone=True)
+        line = self._line("open", said, None, None, 0, [exact.visited_by_cell, exact.stops_by_cell])
+        return line | {"paths": path_lines(self.plan), "thickness": thickness(self.plan)}
+
+    def closed_line(
+        self,
+        stage: str,
+        tally: Tally,
+        known: Estimate | None = None,
+        by_deadline: Estimate | None = None,
+        knowing: Sequence[Measured] = (),
+    ) -> Json:
+        """The closed loop's line; `known`: its mean where that is exact; `knowing`: of `with_other_eyes`."""
+        mean, losses = known or visited_mean(tally), tally_mean(tally, "lost", certain=self.certain)
+        said = words.headline(tally.robots, mean, losses)
+        maps = [tally.covered_visited / tally.rollouts, tally.stops / tally.rollouts]
+        line = self._line(stage, said, mean, losses, tally.rollouts, maps, by_deadline)
+        if self.sketch.world.knowledge is None:
+            return line
+        figures = [*line["figures"], *words.knowledge_figures(knowing)]
+        return line | {"figures": figures, "paths": None, "thickness": 0}  # nobody drives what is planned
+
+    def _line(
+        self,
+        stage: str,
+        headline: str,
+        mean: Estimate | None,
+        losses: Estimate | None,
+        rollouts: int,
+        maps: list[NDArray[np.float64]],
+        by_deadline: Estimate | None = None,
+    ) -> Json:
+        """What the page is told; `maps`: chance covered and robots lost, `[N]` each."""
+        world, cells = self.sketch.world, int(self.accessible.sum())
+        alone = self.exact if world.knowledge is None else None
+        figures = words.figures(cells, len(self.plan.robots), mean, losses, rollouts, alone)
+        figures += words.deadline_figures(self.sketch.deadline, world.pace, by_deadline, alone, cells)
+        covered, lost = (values.reshape(world.shape) for values in maps)
+        layers = (
+            CellLayer("Coverage", "", covered, COVERED, "%", digits=2),
+            CellLayer("Losses", "", lost, LOSSES, root=True),
+        )
+        return {
+            "stage": stage,
+            "headline": headline,
+            "figures": figures,
+            "notes": self.notes,
+            "rollouts": rollouts,
+            "starts": self.plan.starts.tolist(),
+            "steps": STEPS,
+            "layers": [packed_layer(layer, ~np.isnan(world.met), self.accessible) for layer in layers],
+        }
+
+
+def visited_mean(tally: Tally) -> Estimate:
+    """Mean visited coverage, a fraction of the accessible cells."""
+    return tally_mean(tally, "visited", 1.0 / tally.accessible)
+
+
+def with_other_eyes(board: Board, choices: RolloutChoices) -> list[Measured]:
+    """The team that is told the map, the team itself, and where the obstacles are known one that is blind."""
+    world = board.sketch.world
+    assert world.knowledge is not None
+    known, sees = world.knowledge, world.knowledge.sense.range
+    ranges = [inf, sees, *[0.0] * (sees > 0 and known.may_be_blind(world.free))]
+    teams = [with_eyes(world, board.plan, far, replace(choices, exact="never")) for far in ranges]
+    return list(alike(teams, 0, choices.rollouts))
+
+
+def answers(sketch: Sketch, seed: int, kept: AllPairs, go_on: GoOn) -> Iterator[Json]:
+    """Lines for the page, each surer than the one before. Raises InputError, and what `go_on` raises.
+
+    The figures are those of `evaluate` for so many rollouts of this seed; `kept` holds tables from board to board.
+    """
+    starts, notes = sketch.starts()
+    plan = plan_team(sketch.world, starts, sketch.settings)
+    go_on()
+    exact, certain = open_loop_exact(plan, sketch.world), is_certain(sketch.world, plan)
+    board = Board(sketch, plan, sketch.world.accessible(starts), exact, certain, (*notes, *plan.notes))
+    if sketch.world.knowledge is None:
+        yield board.open_line()
+    choices = RolloutChoices(rollouts=1, precision=None if certain else PRECISION, seed=seed)
+    roll_out = make_roll_out(sketch.world, plan, choices, kept=kept)
+    looked, shown = 0, time.monotonic()
+    for stage in roll_out(choices, None):
+        go_on()
+        tally = stage.tally
+        if tally.rollouts >= 2 * looked:  # who looks more often than that stops too early
+            looked = tally.rollouts
+            if certain or visited_mean(tally).half_width < PRECISION:
+                break
+        if time.monotonic() - shown > SHOWN_SECONDS:
+            yield board.closed_line("closed", tally)
+            shown = time.monotonic()
+    yield board.closed_line("sure", tally)
+    by_deadline = None
+    if sketch.deadline is not None:
+        for cut in roll_out(replace(choices, rollouts=tally.rollouts, precision=None), sketch.deadline):
+            go_on()
+            by_deadline = tally_mean(cut.tally, "visited", 1.0 / tally.accessible, certain=certain)
+    knowing: list[Measured] = []
+    if sketch.world.knowledge is not None:
+        knowing = with_other_eyes(board, replace(choices, rollouts=min(tally.rollouts, MOST_PAIRS), precision=None))
+        yield board.closed_line("sure", tally, None, by_deadline, knowing)
+    go_on()
+    truth = closed_truth(plan, sketch.world, exact, choices, kept)
+    known = None if truth is None else exactly(truth.visited.value / tally.accessible)
+    yield board.closed_line("done", tally, known, by_deadline, knowing)
+
 
 HOST = "127.0.0.1"
 MOST_BYTES = 2 * 2**20

@@ -7,29 +7,116 @@ not in it.
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import json
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import logging
+import math
+import time
+from collections.abc import Callable, Coroutine, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.sampling import RolloutChoices
-from analysis.sweeps.worlds import Generated, Written
+from analysis.sweeps.store_files import Ranges, cut
+from analysis.utils.pool import AHEAD
+from analysis.utils.progress import run_loop
+from planner.arguments import argument, is_whole
 from planner.errors import InputError, UsageError
+from planner.files import Json
+from planner.ids import BLOCK, LuckName
+from planner.plan.plan import Plan
 from planner.plan_team import plan_team, read_plan_on
-from planner.plans.plan import Plan
-from planner.rules import BEFORE, RELEASES, rules_of
-from planner.settings import Choices, Settings
-from planner.worlds.generate import Kind
-from planner.worlds.moving import as_before
-from planner.worlds.starts import check_same_team, place_starts
-from planner.worlds.world import World, check_starts
+from planner.policies import DEFAULT
+from planner.rule_versions import BEFORE, NOW, RELEASES, rules_of
+from planner.settings import BEARING, Choices, Settings
+from planner.tally import Tally
+from planner.world.features import as_before
+from planner.world.generate import PAPER_LEVELS, Kind, ThreatPattern, random_world
+from planner.world.keys import Key
+from planner.world.levels import check_same_team, place_starts
+from planner.world.scenario import read_on, read_scenario
+from planner.world.world import World, check_starts
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+    from planner.mrac.problem import Problem
+    from planner.rollouts.engine import Engine
+    from planner.simulator.loop import ClosedLoop
+    from planner.simulator.tables import AllPairs
+
+# The worlds of a sweep: the paper's random ones, and those that a scenario describes. Hashable; made when needed.
+
+MOST_MAPS = 1_000_000
+"""Random maps of one run."""
+BESIDE = ("prior", "sense", "movers", "phases", "plan_on", "hazard", "uncertain")
+"""Keys of a scenario that a random map may have: what robots know of it, and how its threats change."""
+
+
+def check_maps(maps: int, seed: int) -> None:
+    """Raise UsageError unless the seeds `seed .. seed + maps - 1` are those of random maps."""
+    if not is_whole(maps, 1, MOST_MAPS):
+        raise UsageError(argument("maps", maps), expected=f"1 to {MOST_MAPS}")
+    if not 0 <= seed <= 2**64 - maps:
+        raise UsageError(argument("seed", seed), expected=f"0 to 2**64 - {maps}")
+
+
+@dataclass(frozen=True)
+class Generated:
+    """One of the paper's random worlds (SPEC section 8), told or not; `seed` is the world's.
+
+    Attributes:
+        kind, areas, threat_levels, seed: as of `planner.world.generate.ThreatPattern`. size: rows, columns.
+        ratio, obstacles: fractions of all cells that are dangerous, and that are obstacles.
+        unsaid: keys of a scenario, those of BESIDE, as canonical JSON.
+    """
+
+    kind: Kind = "contiguous"
+    ratio: float = 0.25
+    seed: int = 0
+    size: tuple[int, int] = (20, 20)
+    areas: int = ThreatPattern.areas
+    threat_levels: tuple[float, ...] = PAPER_LEVELS
+    obstacles: float = 0.25
+    unsaid: str = "{}"
+
+    def world(self) -> World:
+        """The world. Raises InputError."""
+        pattern = ThreatPattern(self.kind, self.areas, self.threat_levels, self.seed)
+        world = random_world(*self.size, pattern, obstacles=self.obstacles, threats=self.ratio)
+        unsaid = json.loads(self.unsaid)
+        return read_on(world, Key(unsaid, "", "random map")) if unsaid else world
+
+
+@dataclass(frozen=True)
+class Written:
+    """A world that a scenario describes.
+
+    Attributes:
+        scenario: the scenario file's keys as canonical JSON. source: the file that relative paths start from, and that
+            messages name.
+    """
+
+    scenario: str
+    source: str
+
+    def world(self) -> World:
+        """The world, with what the scenario says of its team. Raises InputError."""
+        source = Path(self.source)
+        return read_scenario(Key(json.loads(self.scenario), "", source), source)
+
 
 RULES = "rules"
-"""The label of runs whose rules an earlier release had otherwise (`planner.rules`), and of those of that release."""
+"""The label of runs whose rules an earlier release had otherwise (`planner.rule_versions`), and of those of that
+release."""
 REMEMBERED = 4
 """Worlds that `Places` keeps: the next case is mostly another team in the same one."""
 Label = str | int | float | bool | None
@@ -170,7 +257,8 @@ def _rules(team: Team, model: RolloutChoices) -> int:
 def run_key(team: Team, model: RolloutChoices, rules: int | None = None) -> str:
     """The identity of a run: sha256, as 64 hex digits, of all that its rollouts follow from. Cheap: nothing planned.
 
-    `rules`: the version that it follows; None: today's for such a team (`planner.rules.rules_of`), so that runs which
+    `rules`: the version that it follows; None: today's for such a team (`planner.rule_versions.rules_of`), so that
+    runs which
     no change of the rules concerns keep their keys.
     """
     drawn = {"loop": model.loop, "first_only": model.first_only, "seed": model.seed, "mode": model.drawn}
@@ -206,3 +294,384 @@ def naming(error: InputError, case: str) -> InputError:
         return error
     source = f"{case}: {error.source}" if error.source else case
     return type(error)(error.problem, source=source, expected=error.expected, fix=error.fix)
+
+
+# The unit of work: one team with its models and the rollout ids wanted of each; a pure function, wherever it runs.
+#
+# A task carries all that its results depend on, and no settings of the machine: run twice, in another
+# order, by another process or on another machine, it gives the same counts.
+
+ONCE_UNDER_WAY: dict[str, Any] = {
+    "policy": DEFAULT, **dict.fromkeys(("reserve", "worth", "range", "recharge", "max_steps", "deadline")),
+    **{name: getattr(Settings(), name) for name in BEARING},
+}  # fmt: skip
+"""Settings, by their defaults, that the areas at t = 0 do not depend on."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """Rollout ids of one model to run: `key` of the run (`cases.run_key`), what it is found by, and the ids.
+
+    `exact_seconds`: as of `engine.Job`.
+    """
+
+    key: str
+    model: RolloutChoices
+    ids: Ranges
+    exact_seconds: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """The team of a case, and what is wanted of it; `ticket` is for whoever sent it."""
+
+    case: Case
+    team: Team
+    wanted: tuple[Wanted, ...]
+    ticket: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult:
+    """What a task found of one run.
+
+    Attributes:
+        key: the run's. what: labels that it is found by. facts: what is known without rolling out (`facts_of`).
+        tallies: one for each aligned block of ids that was rolled out, or part of one.
+    """
+
+    key: str
+    what: dict[str, Label]
+    facts: Json
+    tallies: tuple[Tally, ...]
+
+
+Stream = Callable[[Iterable[Task]], Iterator[tuple[Task, list[RunResult]]]]
+"""Runs tasks, taken from the iterable as there is room; yields each with its results, in any order."""
+
+
+def run_task(task: Task) -> list[RunResult]:
+    """Plan once, make the tables once, roll out every model's ids on one thread. Raises InputError naming the case."""
+    try:
+        closed = any(wanted.model.loop == "closed" for wanted in task.wanted)
+        loops = _prepared(_Same(task.team.identity, task.team), closed)
+        return [_tasks_run(wanted, task, loops) for wanted in task.wanted]
+    except InputError as error:
+        raise naming(error, task.case.name) from error
+
+
+def run_tasks(tasks: list[Task]) -> list[list[RunResult]]:
+    """`run_task` of one after the other."""
+    return [run_task(task) for task in tasks]
+
+
+def _tasks_run(wanted: Wanted, task: Task, loops: _Loops) -> RunResult:
+    from planner.rollouts.engine import run_by_luck
+
+    engine = loops.of(wanted.model)
+    controlled = wanted.model.luck == "tolerance" and wanted.model.loop == "closed"
+    tallies = tuple(
+        run_by_luck(engine, wanted.model.seed, start, stop - start)[0]
+        if controlled
+        else engine.tally(start, stop - start)
+        for start, stop in cut(wanted.ids, BLOCK)
+    )
+    facts = dict(loops.facts)
+    if controlled and wanted.exact_seconds:
+        facts["closed_loop"] = exact_means(loops.closed(wanted.model), wanted.exact_seconds)
+    return RunResult(wanted.key, labels_of(task.case, task.team, wanted.model), facts, tallies)
+
+
+class _Loops:
+    """The models of one plan, ready to roll out; the closed loop's tables are made once for all of them.
+
+    Where they are made anyway, the compiled simulator makes the nominal run too.
+    """
+
+    def __init__(self, team: Team, closed: bool) -> None:
+        self._team = team
+        self._closed: ClosedLoop | None = None
+        known = team.world.draws is None  # the compiled nominal run is of one truth
+        if closed and known and team.plan is None and team.settings.plan_for == "closed":
+            from planner.simulator.closed_loop import with_nominal_run
+
+            alike = replace(team, settings=replace(team.settings, **ONCE_UNDER_WAY))
+            problem, begun = _allocated(_Same(alike.identity, alike))
+            own = problem if team.settings == alike.settings else None
+            begun = replace(begun, settings=team.settings)
+            self._closed = self._compiled(begun, "tolerance", own)
+            self._plan = with_nominal_run(begun, self._closed)
+        else:
+            self._plan = team.build()
+        self.facts = facts_of(team, self._plan, None if self._closed is None else self._closed.max_steps)
+
+    def of(self, model: RolloutChoices) -> Engine:
+        """What rolls a model out, on one thread."""
+        from planner.rollouts.engine import closed_loop_engine, open_loop_engine
+        from planner.rollouts.open_loop import compile_plan
+
+        world = self._team.world
+        if model.loop == "open":
+            drawn: Any = model.drawn
+            return open_loop_engine(compile_plan(self._plan, world), model.seed, drawn, "numba", 1)
+        return closed_loop_engine(self.closed(model), model.seed, "numba", threads=1)
+
+    def closed(self, model: RolloutChoices) -> ClosedLoop:
+        """A model's closed loop."""
+        if self._closed is None:
+            self._closed = self._compiled(self._plan, model.luck)
+        loop = self._closed
+        if model.first_only:
+            loop = loop.again(identity=f"{loop.identity}!first_visit", first_only=True)
+        return loop if model.luck == loop.luck else loop.by(model.luck, self._team.world)
+
+    def _compiled(self, plan: Plan, luck: LuckName, problem: Problem | None = None) -> ClosedLoop:
+        from planner.simulator.closed_loop import compile_closed_loop
+
+        kept = _of_world(self._team.world.sha256).pairs
+        return compile_closed_loop(plan, self._team.world, kept=kept, luck=luck, problem=problem)
+
+
+@dataclass(frozen=True)
+class _Same:
+    """A team, equal to another of the same content."""
+
+    identity: str
+    team: Team = field(compare=False)
+
+
+@lru_cache(maxsize=1)
+def _prepared(what: _Same, closed: bool) -> _Loops:
+    """Plan, facts and tables; the last team's are kept, for a run that is split into tasks by ids."""
+    return _Loops(what.team, closed)
+
+
+@lru_cache(maxsize=1)
+def _allocated(what: _Same) -> tuple[Problem, Plan]:
+    """The plan before its nominal run; the last one is kept, for other settings of a team on the same map."""
+    from planner.mrac.make_plan import allocated
+
+    kept, team = _of_world(what.team.world.sha256), what.team
+    kept.problem, plan = allocated(team.world, team.starts, team.settings, before=kept.problem)
+    return kept.problem, plan
+
+
+@dataclass
+class _Kept:
+    """What teams in one world hand on to the next: its all-pairs tables, and the problem of the last team."""
+
+    pairs: AllPairs
+    problem: Problem | None = None
+
+
+@lru_cache(maxsize=1)
+def _of_world(world: str) -> _Kept:
+    """Of a world, known by its hash; the last world's."""
+    from planner.simulator.tables import AllPairs
+
+    return _Kept(AllPairs())
+
+
+def exact_means(loop: ClosedLoop, seconds: float) -> Json | None:
+    """Means of the figures of a closed loop, cells, steps, robots and a chance; None where its tree is too dear."""
+    from analysis.estimators.trial import Known, tree_of
+
+    tree = tree_of(loop, seconds)
+    if tree is None:
+        return None
+    known = Known(tree)
+    found = {name: known.mean(name) for name in ("visited", "survived", "time", "alive")}
+    found["complete"] = known.chance("visited", len(tree.counts.visited) - 1)
+    return (
+        {name: one.mean for name, one in found.items()}
+        if all(one.se == one.half_width == 0 for one in found.values())
+        else None
+    )
+
+
+def facts_of(team: Team, plan: Plan, most: int | None = None) -> Json:
+    """What is known of a team's plan without rolling out, as JSON: cells, the open loop's exact values, the ideal.
+
+    `exact`: of the open loop, in cells, steps and robots; None what is not known. `ideal_team`: SPEC
+    section 7, cells; None where robots wear or differ, and where threats move.
+    `most`: T_max, if it is known.
+    `rules`: the latest of the release that made it; `longest`: steps that a run of either loop takes at most;
+    `deadline`: only where it, not the step limit, cuts runs off; stores of earlier releases lack all three. Where a job
+    asks for exact values, its runs' facts have `closed_loop` too (`exact_means`).
+    """
+    from analysis.theory.bounds import ideal_team
+    from analysis.theory.exact import open_loop_exact
+    from analysis.theory.verdicts import longest_run
+
+    world, robots = team.world, len(team.starts)
+    accessible = world.accessible(team.starts)
+    threat = np.sort(world.met[accessible].astype(np.float64))
+    exact = open_loop_exact(plan, world)
+    values = {
+        "visited": exact.visited, "survived": exact.survived, "time": exact.mean_time,
+        "alive": float(exact.survival.sum()),
+    }  # fmt: skip
+    ideal = plan.bearing.is_plain and world.doubt is None
+    return {
+        "shape": list(world.shape),
+        "world": world.luck_sha256,
+        "robots": robots,
+        "cells": {
+            "total": world.threat.size,
+            "free": int(world.free.sum()),
+            "accessible": len(threat),
+            "dangerous": int((threat > 0).sum()),
+        },
+        "exact": {name: value if math.isfinite(value) else None for name, value in values.items()},
+        "ideal_team": ideal_team(threat, robots) if ideal else None,
+        "makespan": plan.makespan,
+        "longest": longest_run(world, plan, "closed", most),
+        "rules": NOW,
+        "nominal": {"outcome": plan.outcome, "time": plan.time, "shares": plan.shares},
+        **({"deadline": plan.settings.deadline} if plan.settings and plan.ends_by_deadline else {}),
+    }
+
+
+# Tasks on a dask.distributed cluster that runs elsewhere: tcp:// as it is, tls:// by dask's own configuration.
+#
+# Whoever can reach a scheduler at tcp:// can run code as its workers and read what they send; at tls:// it takes a key
+# that the cluster's authority has signed (`distributed.comm.tls` in dask's configuration, docs/sweeps.md).
+#
+# Tasks are pure, so a worker that is lost costs its tasks alone: the scheduler gives them to another. Results come back
+# to the client, which writes the store; nothing is kept on the cluster.
+
+CONNECT_SECONDS = 6.0
+"""How long a scheduler has to answer."""
+WORKER_SECONDS = 60.0
+"""How long the first worker may take to come."""
+LOOK_SECONDS = 2.0
+"""How often the number of workers is asked for: they may come and go."""
+
+
+@contextmanager
+def on_cluster(scheduler: str | Client) -> Iterator[Stream]:
+    """A stream on the scheduler at this address, or of this client, which stays open. Raises UsageError."""
+    try:
+        from distributed import Client
+    except ImportError:
+        fix = 'pip install "mrac-jax[dask]", or use ' + argument("processes")
+        raise UsageError("dask.distributed is not installed", fix=fix) from None
+    named, quiet = f"{argument('scheduler')} {scheduler}", logging.root.manager.disable
+    logging.disable(logging.CRITICAL)  # workers that come and go are no news for whoever waits for a result
+    try:
+        if isinstance(scheduler, str):
+            _check_scheduler(scheduler, named)
+            opened: Any = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
+        else:
+            _check_client(scheduler, Client, named)
+            opened = nullcontext(scheduler)
+        with opened as client:
+            address = client.scheduler.address
+            try:
+                client.wait_for_workers(1, timeout=WORKER_SECONDS)
+            except TimeoutError:
+                raise UsageError(f"{named} has no workers", fix=f"start some with `dask worker {address}`") from None
+            yield lambda tasks: _stream(client, tasks, address)
+    finally:
+        logging.disable(quiet)
+
+
+def _check_client(given: object, kind: type, named: str) -> None:
+    """Raise UsageError unless `given` is an open client whose calls wait for their answer."""
+    expected = "the address of a dask scheduler, or a dask.distributed Client that is open and not asynchronous"
+    if not isinstance(given, kind):
+        raise UsageError(named, expected=expected)
+    client: Any = given
+    if client.asynchronous or client.status != "running":
+        raise UsageError(f"{named}, {'asynchronous' if client.asynchronous else client.status}", expected=expected)
+
+
+def _check_scheduler(scheduler: str, named: str) -> None:
+    """Raise UsageError unless a scheduler answers at this address."""
+    if scheduler.startswith("tls://"):
+        _check_keys(named)
+    try:
+        answers = _cluster_run(asyncio.wait_for(_identity(scheduler), CONNECT_SECONDS))
+    except Exception as error:  # whatever listens there may say anything
+        fix = f"start one with `dask scheduler`, or use {argument('processes')}"
+        expected = "an address, as tls://host:8786 or tcp://host:8786"
+        problem = f"{named}: no scheduler answers ({type(error).__name__})"
+        raise UsageError(problem, expected=expected, fix=fix) from None
+    if answers != "Scheduler":
+        raise UsageError(f"{named} is a dask {answers}", expected="the address of a scheduler")
+
+
+def _cluster_run(main: Coroutine[Any, Any, str]) -> str:
+    """`run_loop`, in another thread where this one has a loop already, as a notebook's has."""
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return run_loop(main)
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(run_loop, main).result()
+
+
+def _check_keys(named: str) -> None:
+    """Raise UsageError unless dask's configuration names files to meet a tls:// scheduler with."""
+    from distributed.security import Security
+
+    try:
+        ready, problem = Security().get_connection_args("client").get("ssl_context") is not None, "no key is named"
+    except OSError as error:  # of the files, or what is in them
+        ready, problem = False, " ".join(str(error).split())
+    if not ready:
+        raise UsageError(
+            f"{named}: {problem}",
+            expected="distributed.comm.tls.ca-file, .client.key and .client.cert in dask's configuration",
+            fix="see docs/sweeps.md",
+        )
+
+
+async def _identity(address: str) -> str:
+    """What a dask server says that it is. A Client asks too, but one that gets no answer lingers for long."""
+    from distributed.core import connect
+    from distributed.security import Security
+
+    comm = await connect(address, timeout=CONNECT_SECONDS, **Security().get_connection_args("client"))
+    try:
+        await comm.write({"op": "identity", "reply": True})
+        return str((await comm.read())["type"])
+    finally:
+        comm.abort()
+
+
+def _stream(client: Client, tasks: Iterable[Task], where: str) -> Iterator[tuple[Task, list[RunResult]]]:
+    """Tasks as there is room for them, results as they come."""
+    from distributed import CancelledError, as_completed
+    from distributed.scheduler import KilledWorker
+
+    source, done = iter(tasks), as_completed(loop=client.loop)
+    running: dict[str, tuple[Future, Task]] = {}
+    room, looked = 0, 0.0
+    try:
+        while True:
+            if time.monotonic() - looked > LOOK_SECONDS:
+                room, looked = AHEAD * max(1, sum(client.ncores().values())), time.monotonic()
+            while len(running) < room:
+                task = next(source, None)
+                if task is None:
+                    break
+                future = client.submit(run_task, task, pure=False)
+                running[future.key] = future, task
+                done.add(future)
+            if not running:
+                return
+            future = next(done)
+            _, task = running.pop(future.key)
+            try:
+                results = future.result()
+            except KilledWorker:
+                fix = "give the workers more memory, or use fewer of them"
+                raise UsageError(f"{where}: worker after worker was lost at {task.case.name}", fix=fix) from None
+            except (CancelledError, OSError) as error:
+                fix = "what was done is in the store: run the same command again to go on"
+                raise UsageError(f"{where} was lost ({type(error).__name__})", fix=fix) from None
+            future.release()
+            yield task, results
+    finally:  # of a client that stays open, too
+        client.cancel([future for future, _ in running.values()])

@@ -10,19 +10,18 @@ from typing import Any
 
 from rich.table import Table
 
-from analysis.kit.folder import csv_text
-from analysis.kit.tables import make_table
-from analysis.page.series import COLOURS, Chart, Series
-from analysis.report.blocks import Part, Report
-from analysis.statistics.estimate import Estimate
+from analysis.page.charts import COLOURS, Chart, Series
+from analysis.report.model import Part, Report
+from analysis.statistics.estimates import Estimate
 from analysis.sweeps.cases import RULES, Label, shown
-from analysis.sweeps.results import Results
-from analysis.sweeps.rows import DIFFERENCES, EXACT, FIGURES, FRACTIONS, Row
+from analysis.sweeps.results import DIFFERENCES, EXACT, FIGURES, FRACTIONS, Results, Row
 from analysis.sweeps.sweep import Sweep
+from analysis.utils.folder import csv_text
+from analysis.utils.tables import make_table
 from planner.arguments import argument
 from planner.files import Json
-from planner.rules import BEFORE, RELEASES
-from planner.shown import counted, duration, in_percent
+from planner.formatting import counted, duration, in_percent
+from planner.rule_versions import BEFORE, RELEASES
 from planner.tally import Outcome
 
 NAMES = {

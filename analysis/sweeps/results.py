@@ -2,19 +2,395 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from math import isfinite, nan
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from analysis.report.answer import Answer
+from analysis.statistics.control_variate import BESIDE, beside_luck, complete_chance, tally_mean, weights_of
+from analysis.statistics.control_variate import FIGURES as BESIDE_LUCK
+from analysis.statistics.differences import NEGLIGIBLE
+from analysis.statistics.estimates import MISSED, Z95, Estimate
 from analysis.sweeps.cases import RULES, Label, shown
-from analysis.sweeps.older import EARLIER, MAP_LABELS, Older, is_older, older_note
-from analysis.sweeps.pooled import Part, complete, map_of, moments_over, part_of, single_over
-from analysis.sweeps.rows import Row
-from analysis.sweeps.store.store import Run, Store
+from analysis.sweeps.engine import EARLIER, MAP_LABELS, Older, is_older, older_note
+from analysis.sweeps.spec import WORLD, is_path
+from analysis.sweeps.store import Run, Store
 from planner.arguments import argument, check_word
 from planner.errors import UsageError
-from planner.shown import counted
+from planner.formatting import counted
+from planner.ids import MAX_STEP, MOST_ROLLOUTS
+from planner.tally import Outcome, Tally, counts_by_word
+
+# Means over maps, with intervals from the spread between maps.
+#
+# A map's mean is one observation: the interval of the mean over maps is Student's t of the map means, so the noise of
+# the
+# rollouts within each map is in it too. That noise is taken down by the rollouts' luck, which is known
+# (`analysis.statistics.control_variate`). The share of the variance that comes from within says what is worth more of:
+# maps, or rollouts on each.
+
+
+class Moments:
+    """Map means of several figures beside their luck, added map by map; constant memory. Axes `F` figures, `L` BESIDE.
+
+    Attributes:
+        maps: how many. mean: of the map means, float64 `[F, L]`.
+        scatter, lean: sums of the products of two and of three of their distances from it, `[F, L, L]`, `[F, L, L, L]`.
+        within: sum of the covariances of the errors of the single map means, `[F, L, L]`.
+        freedom: rollouts that tell what luck is worth, of each map one less.
+        shared: squared standard error of the mean by luck that the maps share, which their spread does not show, `[F]`.
+    """
+
+    def __init__(self, figures: int, beside: int = BESIDE) -> None:
+        """`beside`: L."""
+        self.maps = self.freedom = 0
+        self.mean, self.scatter, self.lean = (np.zeros((figures, *(beside,) * power)) for power in (1, 2, 3))
+        self.within, self.shared = np.zeros_like(self.scatter), np.zeros(figures)
+
+    def add(self, means: NDArray[np.float64], errors: NDArray[np.float64] | float, freedom: int = 0) -> None:
+        """One more map: its means `[F, L]`, the covariances of their errors `[F, L, L]`, and its share of `freedom`."""
+        self.maps += 1
+        self.freedom += freedom
+        step = means - self.mean
+        share = step / self.maps
+        grows = np.einsum("fa,fb->fab", step, share) * (self.maps - 1)
+        turned = np.einsum("fa,fbc->fabc", share, self.scatter)
+        self.mean += share
+        self.lean += np.einsum("fa,fbc->fabc", share, grows) * (self.maps - 2)
+        self.lean -= turned + turned.transpose(0, 2, 1, 3) + turned.transpose(0, 2, 3, 1)
+        self.scatter += grows
+        self.within += errors
+
+    def weights(self, place: int) -> NDArray[np.float64]:
+        """(1, -b) `[L]` of the figure at `place`; no control where maps share their luck."""
+        return weights_of(self.within[place], 0 if self.shared.any() else self.freedom)
+
+    def within_share(self, place: int) -> float | None:
+        """Fraction of the variance of the map means that is noise of the rollouts within a map; None if unknown."""
+        weights = self.weights(place)
+        scatter, within = (float(weights @ of[place] @ weights) for of in (self.scatter, self.within))
+        if self.maps < 2 or scatter <= 0:
+            return None
+        return min(1.0, within / self.maps / (scatter / (self.maps - 1)))
+
+    def estimate(self, place: int, low: float, high: float, weights: NDArray[np.float64] | None = None) -> Estimate:
+        """Mean over maps of the figure at `place`, its standard error and 95 % interval, clipped to `low .. high`.
+
+        Student's t over two maps or more, widened for maps of a rare kind, by the figure with the control or without,
+        as `analysis.statistics.estimates.mean_estimate` is for rare events; where every map gave the same, the rule of
+        three. For a single map: the noise of its rollouts, and it speaks of that map alone. `weights`: in the place of
+        the figure's own.
+        """
+        if self.maps == 0:
+            raise ValueError("no maps to estimate from")
+        maps, shared = self.maps, float(self.shared[place])
+        by = self.weights(place) if weights is None else weights
+        mean, terms = float(self.mean[place] @ by), self.scatter[place] * np.outer(by, by)
+        scatter = 0.0 if terms.sum() <= NEGLIGIBLE * abs(terms).sum() else float(terms.sum())
+        if maps == 1:
+            se = math.sqrt(by @ self.within[place] @ by)
+            half = Z95 * se
+        else:
+            squared, half = scatter / (maps - 1) / maps, 3.0 * (high - low) / maps
+            if scatter > 0:
+                rare = float(np.einsum("abc,a,b,c", self.lean[place], by, by, by)) / scatter / maps
+                alone = self.lean[place, 0, 0, 0] / max(self.scatter[place, 0, 0], NEGLIGIBLE * scatter) / maps
+                missed = MISSED * max(rare**2, alone**2)  # what luck explains does not make a rare map likelier seen
+                half = float(stdtrit(maps - 1, 0.975)) * math.sqrt(squared + missed)
+            se = math.hypot(math.sqrt(squared), math.sqrt(shared))
+            half = math.hypot(half, Z95 * math.sqrt(shared))
+        mean = min(max(mean, low), high)
+        return Estimate(mean, se, (max(mean - half, low), min(mean + half, high)))
+
+
+# Rows of results: one setting each, its figures as means over maps, whoever made them (`sweep` or `results`).
+
+FRACTIONS = ("visited", "survived", "visited_of_free", "survived_of_free")
+FIGURES = (*FRACTIONS, "complete", "time", "alive")
+"""What runs are summed up in: coverage as a fraction of the accessible or of the free cells, the fraction of rollouts
+that covered everything, time in steps, robots alive at the end."""
+EXACT = ("visited", "survived")
+REACH = {"alive": "robots", "time": "longest"}
+"""What a run says of how large a figure of its may be; coverage and chances are 1 at most."""
+KEPT = {name: place for place, name in enumerate((*FIGURES, *(f"exact {n}" for n in EXACT), "ideal", *REACH.values()))}
+"""Places of what a row's moments are of. `exact`: the open loop's values; `ideal`: of the team, as coverage is."""
+DIFFERENCES = ("visited", "time")
+
+
+@dataclass(eq=False)
+class Row:
+    """One setting's answer.
+
+    Attributes:
+        labels: what it is. rollouts: how many. outcomes: rollouts by the word of each. moments: of KEPT.
+        apart: of DIFFERENCES, from the first row on the same maps, beside the luck of both. first: that row's moments.
+        single: estimates of a single map's rollouts, by name (FIGURES); empty where there are several maps.
+    """
+
+    labels: dict[str, Label]
+    rollouts: int = 0
+    outcomes: Counter[str] = field(default_factory=Counter)
+    moments: Moments = field(default_factory=lambda: Moments(len(KEPT)))
+    apart: Moments = field(default_factory=lambda: Moments(len(DIFFERENCES), 2 * BESIDE - 1))
+    first: Moments | None = None
+    single: dict[str, Estimate] = field(default_factory=dict)
+
+    def add(
+        self,
+        means: NDArray[np.float64],
+        errors: NDArray[np.float64],
+        freedom: int,
+        first: NDArray[np.float64] | None = None,
+    ) -> None:
+        """One more map, as of `Moments.add`; `first`: the first row's means on it."""
+        self.moments.add(means, errors, freedom)
+        if first is not None:
+            here, there = (of[[KEPT[name] for name in DIFFERENCES]] for of in (means, first))
+            self.apart.add(np.hstack([here[:, :1] - there[:, :1], here[:, 1:], there[:, 1:]]), 0.0)
+
+    @property
+    def maps(self) -> int:
+        """How many."""
+        return self.moments.maps
+
+    def estimate(self, name: str) -> Estimate:
+        """The mean of one of KEPT over maps, or of a figure over the rollouts of a single map."""
+        return self.single.get(name) or self.moments.estimate(KEPT[name], 0.0, self.reach(name))
+
+    def known(self, name: str) -> Estimate | None:
+        """The mean over maps of one of KEPT that is known of a plan without rolling out; None where it is not."""
+        found = self.estimate(name)
+        return found if isfinite(found.mean) else None
+
+    def reach(self, name: str) -> float:
+        """How large a figure may be on a map like these."""
+        return float(self.moments.mean[KEPT[REACH[name]], 0]) if name in REACH else 1.0
+
+    def difference(self, name: str) -> Estimate | None:
+        """What it has more of than the first row, "visited" or "time", on the maps that both have; None of that row."""
+        if self.apart.maps < 2 or self.first is None or self.first is self.moments:
+            return None
+        reach, (mine, theirs) = self.reach(name), (of.weights(KEPT[name]) for of in (self.moments, self.first))
+        weights = np.concatenate([mine, -theirs[1:]])
+        return self.apart.estimate(DIFFERENCES.index(name), -reach, reach, weights)
+
+    @property
+    def within_share(self) -> float | None:
+        """Share of the rollouts' noise in the variance of the map means of visited coverage."""
+        return self.moments.within_share(KEPT["visited"])
+
+
+def figures_of(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What a run says about its map: means of KEPT beside its luck `[KEPT, L]`, and the covariances of their errors.
+
+    Where the closed loop is known exactly, that, without an error.
+    """
+    facts, ideal = run.facts, run.facts["ideal_team"]
+    assert run.sums is not None
+    done = run.sums["outcomes"][Outcome.COMPLETE]
+    sums = [(done, done) if name == "complete" else tuple(run.sums[name]) for name in BESIDE_LUCK]
+    found = beside_luck(run.rollouts, sums, run.sums.get("luck", ()), facts["robots"])
+    if is_exact(run):
+        found = np.zeros_like(found[0]), np.zeros_like(found[1])
+        found[0][:, 0] = [facts["closed_loop"][name] for name in BESIDE_LUCK]
+    means, errors = (np.zeros((len(KEPT), *one.shape[1:])) for one in found)
+    for name in FIGURES:
+        place, unit = BESIDE_LUCK.index(name.removesuffix("_of_free")), unit_of(run, name)
+        own = np.array([unit, *(1.0,) * (BESIDE - 1)])
+        means[KEPT[name]], errors[KEPT[name]] = found[0][place] * own, found[1][place] * np.outer(own, own)
+    known = [exact_of(run, name) for name in EXACT]
+    known.append(nan if ideal is None else ideal / facts["cells"]["accessible"])
+    means[len(FIGURES) :, 0] = [*known, facts["robots"], longest_of(run)]
+    return means, errors
+
+
+def is_exact(run: Run) -> bool:
+    """Whether the means of its closed loop are known exactly."""
+    return bool(run.facts.get("closed_loop"))
+
+
+def outcomes_of(run: Run) -> Counter[str]:
+    """Rollouts by the word of each outcome.
+
+    Whether the deadline cut them off is among the run's facts; stores of 0.3 know a deadline only as a label.
+    """
+    deadline = "deadline" in run.facts or run.what.get("deadline") is not None
+    return Counter(counts_by_word(() if run.sums is None else run.sums["outcomes"], deadline))
+
+
+def figure_of(run: Run, name: str) -> tuple[float, float]:
+    """(mean over a run's rollouts, square of that mean's standard error) of a figure; 0 for a single rollout."""
+    assert run.sums is not None
+    n = run.sums["rollouts"]
+    if name == "complete":
+        p = run.sums["outcomes"][0] / n
+        return p, p * (1 - p) / max(n - 1, 1)
+    first, second = run.sums[name.removesuffix("_of_free")]
+    mean, unit = first / n, unit_of(run, name)
+    scatter = (second * n - first * first) / n  # whole numbers: exact until divided
+    return mean * unit, scatter / max(n - 1, 1) / n * unit * unit
+
+
+def exact_of(run: Run, name: str) -> float:
+    """The open loop's exact mean of a figure of a run; NaN if it is not known."""
+    value = run.facts["exact"][name.removesuffix("_of_free")]
+    return nan if value is None else float(value) * unit_of(run, name)
+
+
+def unit_of(run: Run, name: str) -> float:
+    """What one cell, step or robot of a figure counts."""
+    if name not in FRACTIONS:
+        return 1.0
+    cells = run.facts["cells"]
+    return 1.0 / float(cells["free" if name.endswith("_of_free") else "accessible"])
+
+
+def longest_of(run: Run) -> int:
+    """Steps that a rollout takes at most; T_max of as many levels as there may be where an older store does not say."""
+    facts, cells = run.facts, run.facts["cells"]
+    if "longest" in facts:
+        return int(facts["longest"])
+    return min(8 * (cells["dangerous"] + 1) * cells["accessible"] + 64 + facts["makespan"], MAX_STEP)
+
+
+def single_map(run: Run, tally: Tally) -> dict[str, Estimate]:
+    """Estimates of one run's rollouts, as `evaluate` makes them: they hold for rare events and do not collapse."""
+    found = {"complete": complete_chance(tally)}
+    for name in FIGURES:
+        if name != "complete":
+            most = longest_of(run) if name == "time" else None
+            found[name] = tally_mean(tally, name.removesuffix("_of_free"), unit_of(run, name), most)
+    return found
+
+
+# Rows that pool several runs of a map: each map is averaged first, and counts once.
+#
+# Runs of a map are pooled over settings (with equal weights) and, within a setting, over rollout seeds (by rollouts).
+# Settings meet the same luck, so their errors may be one and the same: those of one seed are added up as they are,
+# which
+# no correlation exceeds; those of different seeds are independent and add in squares.
+
+Setting = tuple[Label, ...]
+"""A run's values of the labels that are pooled."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What a row keeps of a run.
+
+    Attributes:
+        key: the run's. setting: its values of what is pooled. seed: of its rollouts.
+        rollouts: how many. outcomes: of them, by word. means, errors: of `figures_of`.
+    """
+
+    key: str
+    setting: Setting
+    seed: Label
+    rollouts: int
+    outcomes: Counter[str]
+    means: NDArray[np.float64]
+    errors: NDArray[np.float64]
+
+
+def part_of(run: Run, pooled: Sequence[str]) -> Part:
+    """The part that a run is of its row; `pooled`: names of labels that vary within rows."""
+    setting = tuple(run.what.get(name) for name in pooled if name != "input" or "map" in run.what)
+    return Part(run.key, setting, run.what.get("rollout_seed"), run.rollouts, outcomes_of(run), *figures_of(run))
+
+
+def map_of(run: Run) -> tuple[str, Label]:
+    """The map of a run, the same for all settings that a sweep tries on it.
+
+    A generated map is its seed: the worlds of one seed share their obstacles and their luck. Otherwise it is the
+    world's content; where places of the scenario are swept, so that every setting changes that, it is the input.
+    """
+    if run.what.get("map") is not None:
+        return "map", run.what["map"]
+    if any(name in WORLD or is_path(name) for name in run.what):
+        return "input", run.what.get("input")
+    return "world", run.facts["world"]
+
+
+def complete(maps: Iterable[list[Part]]) -> list[list[Part]]:
+    """The maps that have every setting that one of them has."""
+    maps = list(maps)
+    settings = {part.setting for parts in maps for part in parts}
+    return [parts for parts in maps if {part.setting for part in parts} == settings]
+
+
+def pooling_weights(parts: Sequence[tuple[Setting, int]]) -> NDArray[np.float64]:
+    """Weights of a map's (setting, rollouts), float64 that add up to 1: settings alike, within one by rollouts."""
+    totals: dict[Setting, int] = {}
+    for setting, rollouts in parts:
+        totals[setting] = totals.get(setting, 0) + rollouts
+    return np.array([rollouts / totals[setting] / len(totals) for setting, rollouts in parts])
+
+
+def moments_over(maps: Sequence[Sequence[Part]]) -> Moments:
+    """Moments of KEPT over maps, each map an average over its parts.
+
+    Where maps share a rollout seed they may share its luck, which the spread between them does not show: that error
+    of the mean is added (`Moments.shared`).
+    """
+    found = Moments(len(KEPT))
+    shared: dict[Label, list[NDArray[np.float64]]] = {}
+    for parts in maps:
+        weights = pooling_weights([(part.setting, part.rollouts) for part in parts])
+        of_seed: dict[Label, list[tuple[float, Part]]] = {}
+        for weight, part in zip(weights.tolist(), parts, strict=True):
+            of_seed.setdefault(part.seed, []).append((weight, part))
+        errors = {seed: _errors(each) for seed, each in of_seed.items()}
+        freedom = sum(max(part.rollouts for _, part in each) - 1 for each in of_seed.values())
+        means = np.tensordot(weights, [part.means for part in parts], 1)
+        found.add(means, np.sum([*errors.values()], axis=0), freedom)
+        for seed, error in errors.items():
+            shared.setdefault(seed, []).append(np.sqrt(error[:, 0, 0]) / len(maps))
+    for each in shared.values():
+        if len(each) > 1:
+            found.shared += sum(each) ** 2
+    return found
+
+
+def _errors(parts: Sequence[tuple[float, Part]]) -> NDArray[np.float64]:
+    """The covariances `[KEPT, L, L]` of a map's errors by one seed, which are added up as if they were one and the
+    same."""
+    alone = np.sum([weight**2 * part.errors for weight, part in parts], axis=0)
+    apart = np.sqrt(alone[:, 0, 0])
+    together = np.sum([weight * np.sqrt(part.errors[:, 0, 0]) for weight, part in parts], axis=0)
+    scale: NDArray[np.float64] = np.divide(together, apart, out=np.ones_like(apart), where=apart > 0) ** 2
+    return alone * scale[:, None, None]
+
+
+def single_over(found: Sequence[tuple[Setting, Run, Tally]]) -> dict[str, Estimate]:
+    """Estimates of one map's rollouts by name, as `single_map`, pooled over its runs.
+
+    Runs that differ in their seed alone are one sample. The half-widths of others are averaged: they hold whatever the
+    luck that they share.
+    """
+    samples: dict[tuple[Setting, str], tuple[Run, Tally]] = {}
+    for number, (setting, run, tally) in enumerate(found):
+        name = setting, tally.key.rpartition("/")[0]
+        apart = number * MOST_ROLLOUTS  # rollouts of other seeds are other rollouts
+        own = replace(tally, key=name[1], ids=tuple((start + apart, stop + apart) for start, stop in tally.ids))
+        samples[name] = (run, samples[name][1] + own if name in samples else own)
+    weights = pooling_weights([(setting, tally.rollouts) for (setting, _), (_, tally) in samples.items()])
+    singles = [single_map(run, tally) for run, tally in samples.values()]
+    return {name: _averaged([each[name] for each in singles], weights) for name in singles[0]}
+
+
+def _averaged(estimates: Sequence[Estimate], weights: NDArray[np.float64]) -> Estimate:
+    if len(estimates) == 1:
+        return estimates[0]
+    columns = np.array([(each.mean, each.se, *each.ci95) for each in estimates])
+    mean, se, low, high = (weights @ columns).tolist()
+    return Estimate(mean, se, (low, high))
+
 
 MOST_VALUES = 8
 
@@ -70,7 +446,7 @@ def collect(store: Store, where: Where, by: Sequence[str] = ()) -> Results:
     """The store's runs as rows. `by`: labels that tell groups apart; none: all that vary, but for the map's.
 
     A row that pools settings is a mean over the maps that have all of them, and each map counts once
-    (`analysis.sweeps.pooled`). Raises UsageError for a label that no run has, when nothing is found, or for a row of
+    (`analysis.sweeps.results`). Raises UsageError for a label that no run has, when nothing is found, or for a row of
     which no map has every setting.
     """
     seen = labels_of(store, where)

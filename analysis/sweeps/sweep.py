@@ -1,6 +1,6 @@
 """A sweep: its jobs run into a store, map by map, until all maps are done or the widest interval is narrow enough.
 
-What precision buys: the interval of a setting's mean is the spread between maps (`analysis.sweeps.summary`), of which
+What precision buys: the interval of a setting's mean is the spread between maps (`analysis.sweeps.results`), of which
 the rollouts' noise within each map is mostly a small share. So `precision` takes more maps, twice as many at each look,
 and more rollouts only where the input is a single map. The share is reported.
 """
@@ -16,15 +16,15 @@ from typing import Any
 
 import numpy as np
 
+from analysis.sweeps.cases import MOST_MAPS
 from analysis.sweeps.engine import Done, Finished, Swept, run_cases, stored_luck
-from analysis.sweeps.rows import Row, figures_of, outcomes_of, single_map
+from analysis.sweeps.results import Row, figures_of, outcomes_of, single_map
 from analysis.sweeps.spec import Spec
-from analysis.sweeps.store.store import Store, StoreError
-from analysis.sweeps.worlds import MOST_MAPS
+from analysis.sweeps.store import Store, StoreError
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.files import Json
-from planner.limits import BLOCK, MOST_ROLLOUTS
+from planner.ids import BLOCK, MOST_ROLLOUTS
 
 Watch = Callable[[int, int, float, str], None]
 """`watch(jobs, total, seconds, more)`: jobs done of so many, seconds since the start, and in words how wide the widest

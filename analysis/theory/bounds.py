@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from analysis.theory.exact import RobotChances, chances_of
 from planner.jit import compiled
-from planner.plans.plan import Leg, Plan, RobotPlan
-from planner.worlds.levels import find_levels
-from planner.worlds.world import World
+from planner.plan.plan import Leg, Plan, RobotPlan
+from planner.world.levels import find_levels
+from planner.world.world import World
 
 Value = TypeVar("Value")
 NEXT_TO_NOTHING = 1e-12

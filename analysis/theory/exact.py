@@ -6,17 +6,191 @@ cells, `T` the makespan.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.theory.doubt import alone, ways
-from analysis.theory.moving import is_worth_it, passed_movers
-from planner.bearing import PLAIN, Bearing
-from planner.plans.plan import Plan, RobotPlan
-from planner.worlds.doubt import Hazard, Uncertain
-from planner.worlds.world import World
+from planner.failure_model import PLAIN, Bearing
+from planner.plan.plan import Plan, RobotPlan
+from planner.world.moving_threats import ANYWHERE, Mover, Movers, Phases
+from planner.world.uncertain_maps import Hazard, Uncertain
+from planner.world.world import World
+
+# What stops robots on their paths where hazards are there or not, or the map is one of several (SPEC section 13).
+#
+# Given what is true the robots of an open loop are independent. So its exact values are those of a few *ways* that the
+# world may be, weighted: each is a chance for every entry of every path, given that it is made. Axis `E` = entries.
+#
+# One robot alone needs no ways. With m earlier entries of its own, survived, into a cell with the chances q and h, the
+# hazard is there with q (1 - h)**m / (1 - q + q (1 - h)**m): the entry stops it with h times that.
+
+MOST_SHARED = 10
+"""Dangerous cells on the ways of several robots up to which every pattern of hazards is looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """One way that the world may be: its chance, and per robot float64 `[E]`, what each entry stops it with."""
+
+    chance: float
+    threats: list[NDArray[np.float64]]
+
+
+def ways(plan: Plan, world: World) -> Iterator[Way] | None:
+    """Every way that matters for the plan; None where there are too many, or robots are not independent given one.
+
+    The map is one of M: M ways. Hazards: the patterns of those that several robots meet, if these are few; `consumed`,
+    none of them may be, and by level there may be one robot. Threats that move or change: none.
+    """
+    doubt = world.doubt
+    if isinstance(doubt, Movers | Phases):
+        return None
+    if doubt is None or world.draws is None or not any(world.draws.bound[robot.path].any() for robot in plan.robots):
+        return iter([Way(1.0, [_entered(world.met, robot) for robot in plan.robots])])
+    if isinstance(doubt, Uncertain):
+        if doubt.whole:
+            maps = map(doubt.threat_at, range(doubt.count))
+            return (Way(1.0 / doubt.count, [_entered(threat, robot) for robot in plan.robots]) for threat in maps)
+        return iter([Way(1.0, alone(plan, world))]) if len(plan.robots) == 1 else None
+    shared = _shared(plan, doubt)
+    if len(shared) > (MOST_SHARED if doubt.kind == "persistent" else 0):
+        return None
+    return _patterns(plan, doubt, shared)
+
+
+def alone(plan: Plan, world: World) -> list[NDArray[np.float64]]:
+    """Of each robot, as if there were no other, float64 `[E]`: what each entry stops it with, given that it is made."""
+    doubt = world.doubt
+    if isinstance(doubt, Uncertain):
+        return [_by_level(robot, doubt) for robot in plan.robots]
+    if isinstance(doubt, Hazard):
+        return [_by_hazard(robot, doubt.q, doubt.h) for robot in plan.robots]
+    return [_entered(world.met, robot) for robot in plan.robots]
+
+
+def _entered(values: NDArray[np.float32], robot: RobotPlan) -> NDArray[np.float64]:
+    """float64 `[E]`: the value of each cell entered."""
+    return values.ravel()[robot.path[robot.entered]].astype(np.float64)
+
+
+def _by_hazard(robot: RobotPlan, q: NDArray[np.float32], h: NDArray[np.float32]) -> NDArray[np.float64]:
+    """See the module's docstring."""
+    cells, there, hit = robot.path[robot.entered], _entered(q, robot), _entered(h, robot)
+    order = np.argsort(cells, kind="stable")
+    begins = np.concatenate([[True], cells[order][1:] != cells[order][:-1]])
+    place = np.arange(len(cells))
+    before = np.empty(len(cells), dtype=np.int64)
+    before[order] = place - np.maximum.accumulate(np.where(begins, place, 0))
+    still = there * (1 - hit) ** before
+    left = 1 - there + still
+    return hit * np.divide(still, left, out=np.zeros_like(still), where=left > 0)
+
+
+def _by_level(robot: RobotPlan, doubt: Uncertain) -> NDArray[np.float64]:
+    """The levels' maps are drawn apart, so a robot's chance to get so far is a product of means over each level's."""
+    cells = robot.path[robot.entered]
+    number, column = doubt.number.ravel()[cells], doubt.column.ravel()[cells]
+    reach = np.ones(len(cells) + 1)
+    for one in np.unique(number):
+        passed = np.where(number == one, 1.0 - doubt.chances[:, column].astype(np.float64), 1.0)
+        reach[1:] *= np.cumprod(passed, axis=1).mean(axis=0)
+    return 1.0 - reach[1:] / reach[:-1]
+
+
+def _shared(plan: Plan, hazard: Hazard) -> NDArray[np.int64]:
+    """Cells in which several robots may meet a hazard that may or may not be there, int64."""
+    mine = [np.unique(robot.path[robot.entered]) for robot in plan.robots]
+    cells, robots = np.unique(np.concatenate(mine), return_counts=True)
+    doubtful = hazard.q.ravel()[cells] < 1  # else every visit of a persistent one is drawn for itself
+    return cells[(robots > 1) & (hazard.threat.ravel()[cells] > 0) & (doubtful | (hazard.kind == "consumed"))]
+
+
+def _patterns(plan: Plan, hazard: Hazard, shared: NDArray[np.int64]) -> Iterator[Way]:
+    """The hazards of the shared cells there or not, in every pattern."""
+    chances = hazard.q.ravel()[shared].astype(np.float64)
+    for pattern in itertools.product((False, True), repeat=len(shared)):
+        there = np.array(pattern, dtype=bool)
+        q = hazard.q.copy()
+        q.ravel()[shared] = there
+        threats = [_by_hazard(robot, q, hazard.h) for robot in plan.robots]
+        yield Way(float(np.where(there, chances, 1 - chances).prod()), threats)
+
+
+# What a robot on a given path survives among threats that move: the forward algorithm of each (SPEC section 16).
+#
+# Given the path movers are independent, and so is what they do to the robot: its survival is the product of what it
+# survives of each. For a mover it carries the chance that the robot is not stopped by it and the mover is there; every
+# step the mover moves, and of its chance to be where the robot is h is lost. Axis `T` = steps of the path.
+
+SIDES = ((-1, 0), (0, -1), (0, 1), (1, 0))
+MOST_WORK = 3 * 10**8
+"""Cells times steps times kinds of walkers that are worth it: some seconds."""
+
+
+def is_worth_it(world: World, steps: int) -> bool:
+    """Whether `passed_movers` of a path of so many steps is."""
+    assert world.movers is not None
+    kinds = {mover for mover in world.movers.members if not mover.patrols}
+    return len(kinds) * world.threat.size * steps <= MOST_WORK
+
+
+def passed_movers(path: NDArray[np.int64], world: World) -> NDArray[np.float64]:
+    """float64 `[T]`: the chance that no mover stops a robot at a step of its path `[T]`, if none did before.
+
+    Cost O(T N) for each kind of walker, O(T L) for each kind of patrol.
+    """
+    passed, known = np.ones(len(path)), {}
+    assert world.movers is not None
+    for mover in world.movers.members:
+        if mover not in known:
+            known[mover] = _passed_patrol(path, mover) if mover.patrols else _passed_walker(path, mover, world)
+        passed *= known[mover]
+    return passed
+
+
+def _passed_patrol(path: NDArray[np.int64], mover: Mover) -> NDArray[np.float64]:
+    route = np.array(mover.route)
+    chance = np.full(len(route), 1.0 / len(route))
+    if mover.start != ANYWHERE:
+        chance = (np.arange(len(route)) == mover.place).astype(np.float64)
+    left = np.ones(len(path) + 1)
+    for step, cell in enumerate(path):
+        chance = np.roll(chance, 1)
+        chance[route == cell] *= 1.0 - mover.hit
+        left[step + 1] = chance.sum()
+    return _ratios(left)
+
+
+def _passed_walker(path: NDArray[np.int64], mover: Mover, world: World) -> NDArray[np.float64]:
+    free, (height, width) = world.free, world.shape
+    around = np.pad(free, 1)
+
+    def beside(padded: NDArray, side: tuple[int, int]) -> NDArray:
+        return padded[1 + side[0] : 1 + side[0] + height, 1 + side[1] : 1 + side[1] + width]
+
+    ways = sum(beside(around, side).astype(np.int64) for side in SIDES)
+    stays = np.where(ways == 0, 1.0, mover.stay)
+    goes = np.where(free, (1.0 - stays) / np.maximum(ways, 1), 0.0)
+    if mover.start == ANYWHERE:
+        weight = np.where(free, np.maximum(ways, 1), 0)
+        chance = weight / weight.sum()
+    else:
+        chance = (np.arange(free.size) == mover.start).astype(np.float64).reshape(free.shape)
+    left, gone = np.ones(len(path) + 1), np.zeros((height + 2, width + 2))
+    for step, cell in enumerate(path):
+        gone[1:-1, 1:-1] = chance * goes
+        chance = np.where(free, chance * stays + sum(beside(gone, side) for side in SIDES), 0.0)
+        chance.flat[cell] *= 1.0 - mover.hit
+        left[step + 1] = chance.sum()
+    return _ratios(left)
+
+
+def _ratios(left: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What is left of each step's chance, of `left` `[T + 1]`; 0 once nothing is."""
+    return np.divide(left[1:], left[:-1], out=np.zeros(len(left) - 1), where=left[:-1] > 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +200,7 @@ class RobotChances:
     Attributes:
         steps, cells: int64 `[E]`, when and which cell is entered, the start at t = 0 first.
         threat: float64 `[E]`, chance to be stopped there if it is entered: p of that cell, unless what robots bear
-            is not plain (`planner.bearing`).
+            is not plain (`planner.failure_model`).
         reach: float64 `[E]`, chance to enter it: the product of (1 - threat) over the entries before.
         first: bool `[E]`, True at the first entry of each cell.
     """
@@ -335,3 +509,58 @@ def poisson_binomial(chances: NDArray[np.float64]) -> NDArray[np.float64]:
         pmf[1:] = pmf[1:] * (1.0 - chance) + pmf[:-1] * chance
         pmf[0] *= 1.0 - chance
     return pmf
+
+
+# What cells are worth: the open loop's expected value covered and found, exactly, per cell (SPEC section 13).
+
+
+@dataclass(frozen=True, eq=False)
+class Worth:
+    """What the cells of a map are worth and show. Axis `N` = H * W cells; what nobody can reach is in them too.
+
+    Attributes:
+        value: float64 `[N]`. detect: float64 `[N]`, chance that a survived visit finds what is there.
+    """
+
+    value: NDArray[np.float64]
+    detect: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, world: World) -> Worth:
+        """1 each where nobody said; 0 on obstacles."""
+        free = world.free
+        value, detect = (layer if layer is not None else free.astype(float) for layer in (world.value, world.detect))
+        return cls(value.ravel(), detect.ravel())
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether one survived visit of a cell tells what more of them would: it finds all, or nothing, or no value."""
+        return bool((((self.detect == 0) | (self.detect == 1)) | (self.value == 0)).all())
+
+    @property
+    def total(self) -> float:
+        """Of all free cells."""
+        return float(self.value.sum())
+
+
+def open_loop_found(plan: Plan, world: World) -> NDArray[np.float64]:
+    """P(found in c) of the open loop, float64 `[N]`: the chance that what is in the cell is found, if it is there.
+
+    `P(found in c) = 1 - prod_i E[(1 - d)^(N_i)]`, N_i the survived visits of c by robot i: robots are stopped
+    independently of each other, and every survived visit detects with d on its own. N_i is j or more iff the robot
+    passes its j-th entry of c, which has chance s_ij: what it survives of its entries up to that one. So
+    `E[(1 - d)^(N_i)] = 1 - sum_j s_ij ((1 - d)^(j - 1) - (1 - d)^j) = 1 - d sum_j s_ij (1 - d)^(j - 1)`.
+    """
+    detect = Worth.of(world).detect
+    total, missed = np.zeros(world.threat.size), np.ones(world.threat.size)
+    for number, path in enumerate(plan.robots):
+        robot = robot_chances(path, world, plan.bearing, number)
+        order = np.argsort(robot.cells, kind="stable")
+        cells = robot.cells[order]
+        first = np.flatnonzero(np.diff(cells, prepend=-1))
+        turn = np.arange(len(cells)) - np.repeat(first, np.diff(first, append=len(cells)))
+        found = np.zeros(world.threat.size)
+        np.add.at(found, cells, detect[cells] * robot.passed[order] * (1.0 - detect[cells]) ** turn)
+        total += missed * found  # 1 - missed would lose all below 1e-16
+        missed *= 1.0 - found
+    return np.minimum(total, 1.0)

@@ -16,10 +16,10 @@ from scipy.sparse.csgraph import dijkstra
 
 from analysis.theory.bounds import Meanings, ideal_team
 from analysis.theory.exact import RobotChances, robot_chances
-from planner.mrac.costs import neighbour_table
-from planner.none import NO_CELL
-from planner.plans.plan import Plan
-from planner.worlds.world import World, check_starts
+from planner.ids import NO_CELL
+from planner.mrac.paths import neighbour_table
+from planner.plan.plan import Plan
+from planner.world.world import World, check_starts
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The closed loop's dear part: areas that fall apart, are bisected and shared. For a few lanes of the batch at a time.
 
 Axis letters: `S` lanes chosen; the others as in `mrac_jax.closed_loop.state`. Boards: see
-`mrac_jax.closed_loop.boards`.
+`mrac_jax.closed_loop.state`.
 """
 
 from __future__ import annotations
@@ -12,32 +12,43 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from mrac_jax.closed_loop import boards
-from mrac_jax.closed_loop.homeward import affords, further, moves_left
-from mrac_jax.closed_loop.limits import bits_at, hold, is_full
-from mrac_jax.closed_loop.offers import first_area, open_cells
-from mrac_jax.closed_loop.search import FAR, Chosen, choose, entry, first_cell
+from mrac_jax.closed_loop import state as boards
+from mrac_jax.closed_loop.rules import (
+    FAR,
+    Chosen,
+    bits_at,
+    choose,
+    entry,
+    first_area,
+    first_cell,
+    hold,
+    is_full,
+    open_cells,
+)
 from mrac_jax.closed_loop.state import (
     ACT,
     LOST,
     NEXT,
     SHARE,
     Lanes,
+    affords,
     bits_of,
+    further,
     get,
     high_half,
     low_half,
-    pack,
+    moves_left,
     put,
     put_rows,
     read,
     spread,
+    state_pack,
     write_down,
 )
 from mrac_jax.closed_loop.tables import LABEL, OPEN, UNREACHABLE, VISITED, LaneTables
 from planner.policies.limits import is_dangerous, is_refused
-from planner.policies.offer import Offer
-from planner.trace import EventKind
+from planner.policies.rule import Offer
+from planner.tally import EventKind
 
 
 @jax.tree_util.register_dataclass
@@ -94,7 +105,7 @@ def _settle(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     number, record = get(lanes, lanes.ids, chosen.lane, area), get(lanes, lanes.areas, chosen.lane, area)
     belongs = (chosen.words & LABEL) == jnp.where(area == none, LABEL, area).astype(jnp.uint32)[:, None]
     inside = belongs & ((chosen.words & VISITED) == 0)
-    unvisited = boards.pack(inside, tables.cell_at)
+    unvisited = boards.boards_pack(inside, tables.cell_at)
     halves = jax.lax.cond(
         some_share, lambda: _bisected(tables, unvisited, shared), lambda: (jnp.zeros_like(unvisited),) * 2
     )
@@ -283,9 +294,9 @@ def _hand_out(lanes: Lanes, chosen: Chosen, part: _Part, shared: jax.Array) -> L
     here, left = low_half(get(lanes, lanes.place, lane, robot)), get(lanes, lanes.areas, lane, label)
     lanes = replace(
         lanes,
-        place=put(lanes, lanes.place, lane, robot, pack(here, part.cell), shared),
+        place=put(lanes, lanes.place, lane, robot, state_pack(here, part.cell), shared),
         duty=put(lanes, lanes.duty, lane, robot, label.astype(jnp.uint32), shared),
-        areas=put(lanes, lanes.areas, lane, label, pack(left, robot + 1), shared),
+        areas=put(lanes, lanes.areas, lane, label, state_pack(left, robot + 1), shared),
     )
     return _note(lanes, chosen, shared, robot, EventKind.ALLOCATED, get(lanes, lanes.ids, lane, label), part.cell)
 

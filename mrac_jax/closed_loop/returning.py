@@ -1,6 +1,7 @@
 """When robots turn for home (SPEC section 19) in the lanes, when they are there or charged, and when all turn.
 
-The readable statement is `planner.mrac.executive`, the concise one `planner.kernels.retire`. A robot that has turned is
+The readable statement is `planner.mrac.executive`, the concise one `planner.simulator.return_home`. A robot that has
+turned is
 among those that are `done`, not among those alive. While it has still to move, to say that it is home, or to be charged
 it is `returning`. Axis letters as in `mrac_jax.closed_loop.state`.
 """
@@ -12,9 +13,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from mrac_jax.closed_loop.homeward import flags_of
-from mrac_jax.closed_loop.offers import first_area, open_cells
-from mrac_jax.closed_loop.search import FAR, choose
+from mrac_jax.closed_loop.rules import FAR, choose, first_area, open_cells
 from mrac_jax.closed_loop.state import (
     ACT,
     CHARGE,
@@ -23,6 +22,7 @@ from mrac_jax.closed_loop.state import (
     Lanes,
     any_bit,
     bits_of,
+    flags_of,
     get,
     high_half,
     lane_rows,
@@ -34,9 +34,8 @@ from mrac_jax.closed_loop.state import (
     write_down,
 )
 from mrac_jax.closed_loop.tables import UNREACHABLE, WORD_BITS, LaneTables
-from planner.none import NO_AREA, NONE
-from planner.tally import Outcome
-from planner.trace import EventKind
+from planner.ids import NO_AREA, NONE
+from planner.tally import EventKind, Outcome
 
 
 @dataclass(frozen=True)

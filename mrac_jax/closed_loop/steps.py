@@ -1,6 +1,6 @@
 """The closed loop's cheap part: in a micro-step a lane's robot acts, or looks at the next few cells for where to go.
 
-Far searches, components and sharing, which are dear, wait for `mrac_jax.closed_loop.search` and
+Far searches, components and sharing, which are dear, wait for `mrac_jax.closed_loop.rules` and
 `mrac_jax.closed_loop.areas`; no lane waits for another one. Axis letters as in `mrac_jax.closed_loop.state`.
 """
 
@@ -11,11 +11,9 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from mrac_jax.closed_loop.attentive import notice
-from mrac_jax.closed_loop.boards import word_and_bit
-from mrac_jax.closed_loop.limits import asking
+from mrac_jax.arrays import WORDS, exposure_in_doubt, is_reached, less
 from mrac_jax.closed_loop.returning import Homing, after_move, before_move, end_at_home, follow_up, tell
-from mrac_jax.closed_loop.search import FAR
+from mrac_jax.closed_loop.rules import FAR, asking, notice
 from mrac_jax.closed_loop.state import (
     ACT,
     CELL_KINDS,
@@ -45,21 +43,19 @@ from mrac_jax.closed_loop.state import (
     high_half,
     lane_rows,
     low_half,
-    pack,
     put,
     read,
     spread,
+    state_pack,
     switch,
+    word_and_bit,
     write,
     write_down,
 )
 from mrac_jax.closed_loop.tables import LABEL, NEAREST, PENDING, SIDES, SPENT, SURVIVED, VISITED, LaneTables
-from mrac_jax.doubt import exposure_in_doubt
-from mrac_jax.two_words import WORDS, is_reached, less
-from planner.kernels.state import MOST_PASSES
-from planner.none import NO_AREA, NONE
-from planner.tally import Outcome
-from planner.trace import Doing, EventKind
+from planner.ids import NO_AREA, NONE
+from planner.simulator.state import MOST_PASSES
+from planner.tally import Doing, EventKind, Outcome
 
 ACTS = 2
 """Actions of a lane between two looks."""
@@ -124,7 +120,7 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums) -> tuple[Lanes, Sums]:
     lanes = _mark(tables, lanes, move)
     lanes, sums = _count_passes(lanes, sums, move)
     mode, target, pending, left = _what_next(tables, lanes, move)
-    place = jnp.where(move.moves, pack(move.cell, target), move.place)
+    place = jnp.where(move.moves, state_pack(move.cell, target), move.place)
     if move.noticed is not None:
         assert lanes.looked is not None
         lanes = replace(lanes, looked=jnp.where(acting, move.noticed != ACT, lanes.looked))
@@ -136,7 +132,7 @@ def act(tables: LaneTables, lanes: Lanes, sums: Sums) -> tuple[Lanes, Sums]:
         lanes,
         place=write(lanes.place, move.slot, place),
         left=write(lanes.left, move.bears, move.left),
-        duty=write(lanes.duty, move.slot, pack(area, jnp.where(move.arrives, pending, high_half(move.duty)))),
+        duty=write(lanes.duty, move.slot, state_pack(area, jnp.where(move.arrives, pending, high_half(move.duty)))),
         traveling=switch(lanes.traveling, move.bit, never, ends | move.arrives),
         covering=switch(lanes.covering, move.bit, move.arrives, ends),
         alive=switch(lanes.alive, move.bit, never, ends),
@@ -326,7 +322,7 @@ def look(tables: LaneTables, lanes: Lanes, width: int) -> Lanes:
     target = jnp.where(jnp.arange(NEAREST, dtype=jnp.int32)[:, None] == first, cell, 0).max(axis=0)
     return replace(
         lanes,
-        place=put(lanes, lanes.place, lane, robot, pack(here, target), found),
+        place=put(lanes, lanes.place, lane, robot, state_pack(here, target), found),
         mode=spread(lanes.mode, slot, jnp.where(found, lanes.found_next(at), FIND_FAR)),
     )
 

@@ -1,7 +1,7 @@
-"""A closed loop compiled for lanes: `planner.kernels.loop.ClosedLoop` -> padded tables of few shapes.
+"""A closed loop compiled for lanes: `planner.simulator.loop.ClosedLoop` -> padded tables of few shapes.
 
 Lane: the place of one rollout in a batch. Cells are the accessible ones in rising index, then padding; the last number
-is a wall, visited from the start, and stands for "no cell" and "no area". Boards (`mrac_jax.closed_loop.boards`) number
+is a wall, visited from the start, and stands for "no cell" and "no area". Boards (`mrac_jax.closed_loop.state`) number
 the smallest rectangle that holds them, row by row, a wall after each row and a row of walls after the last: there a
 cell's neighbours are one, or one `stride`, away. Both orders are the map's. Axis letters: `A` cells, `P` places of a
 board, `K` robots, `W` words of robot bits, `L` levels, `T` steps.
@@ -9,25 +9,222 @@ board, `K` robots, `W` words of robot bits, `L` levels, `T` steps.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from mrac_jax.arrays import Array, on_host, padded
-from mrac_jax.closed_loop.homes import Homes, lane_homes
-from mrac_jax.closed_loop.policies import LanePolicy, check_policy, lane_policy
-from mrac_jax.doubt import Doubt, make_doubt
-from mrac_jax.two_words import two_words
+from mrac_jax.arrays import STATIC, Array, Doubt, make_doubt, on_host, padded, two_words
 from planner.arguments import argument
 from planner.errors import UsageError, WorldError
-from planner.kernels.closed_loop import MOST_TABLED
-from planner.kernels.loop import ClosedLoop
-from planner.kernels.state import MOST_PASSES
-from planner.limits import MAX_STEP
+from planner.failure_model import own_key
+from planner.ids import MAX_STEP, NONE
 from planner.mrac.problem import NO_LIMIT
-from planner.threefry import own_key
+from planner.policies.limits import NO_REFUSAL
+from planner.policies.rule import Offer, price
+from planner.simulator.closed_loop import MOST_TABLED
+from planner.simulator.loop import ClosedLoop
+from planner.simulator.state import LAST_STEP, MOST_PASSES, RECHARGE
+
+# Ways home as tables that every lane reads (SPEC section 19): `planner.mrac.home_paths` for lanes. NumPy alone.
+#
+# A leg is the safest path from cell to cell, as `hop` has it. Axis letters: `B` sets of bases; the others as in
+# `mrac_jax.closed_loop.tables`.
+
+GOALS_AT_A_TIME = 64
+NO_LEG = -(2**20)
+"""Far less than any leg needs."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Homes:
+    """Where home is, and how far.
+
+    Attributes:
+        of: int32 `[K]`, the bases of each robot.
+        steps: int32 `[B * A]`, moves of the way home from each cell, NONE where it is cut off; cost: int32, its cost;
+            onward, base: uint16, what is entered next on it, and where it ends.
+        moves: uint16 `[A * A]`, those of the leg from row to column. need: uint16 `[B * A * A]`, the moves that a robot
+            must have left before the leg, so that it is within its way home of a base all along.
+        last: int32 scalar, D. furthest: int32 scalar, moves of the longest way home.
+        recharge: int32 scalar, steps; None: robots are not charged.
+    """
+
+    of: Array
+    steps: Array
+    cost: Array
+    onward: Array
+    base: Array
+    moves: Array
+    need: Array
+    last: Array
+    furthest: Array
+    recharge: Array | None
+
+    @property
+    def size(self) -> int:
+        """A."""
+        return self.steps.shape[0] // (self.need.shape[0] // self.moves.shape[0])
+
+
+def lane_homes(loop: ClosedLoop, size: int, robots: int, sets: tuple[int, ...]) -> Homes | None:
+    """The ways home of a closed loop, None where robots stay where they end; A; K; B is the first of `sets` that fits.
+
+    Raises WorldError for more than there is room for.
+    """
+    if not loop.comes_home:
+        return None
+    tables, (given, count) = loop.tables, loop.tables.home_steps.shape
+    if given * count**2 > MOST_TABLED**2:
+        raise WorldError(
+            f"{given} bases for themselves on {count:,} cells",
+            expected=f"bases x cells x cells up to {MOST_TABLED**2:,} for the closed loop in JAX",
+            fix=f"use {argument('engine', 'numba')}, or {argument('return_to', 'nearest')}",
+        )
+    more = next(one for one in sets if one >= given) - given
+    base = onward = np.where(tables.home_steps > 0, tables.onward, np.arange(count)).astype(np.int64)
+    while (tables.home_steps[np.arange(given)[:, None], base] > 0).any():
+        base = np.take_along_axis(base, base, axis=1)
+    moves, need = _legs(loop, size)
+
+    def flat(rows: NDArray, fill: int, kind: type) -> NDArray:
+        return np.pad(rows.astype(kind), ((0, more), (0, size - count)), constant_values=fill).reshape(-1)
+
+    return on_host(
+        Homes,
+        of=padded(tables.home_of, robots),
+        steps=flat(tables.home_steps, NONE, np.int32),
+        cost=flat(tables.home_cost, NONE, np.int32),
+        onward=flat(onward, size - 1, np.uint16),
+        base=flat(base, size - 1, np.uint16),
+        moves=moves.reshape(-1),
+        need=np.pad(need, ((0, more), (0, 0), (0, 0))).reshape(-1),
+        last=np.int32(tables.limits[LAST_STEP]),
+        furthest=np.int32(tables.home_steps.max()),
+        recharge=np.int32(tables.limits[RECHARGE]) if tables.limits[RECHARGE] else None,
+    )
+
+
+def _legs(loop: ClosedLoop, size: int) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+    """`moves` `[A, A]` and `need` `[B', A, A]` of Homes: legs twice as long at a time, of some goals at a time."""
+    tables, steps, count = loop.tables, loop.tables.home_steps, len(loop.cells)
+    moves, need = np.zeros((size, size), np.uint16), np.zeros((len(steps), size, size), np.uint16)
+    for begin in range(0, count, GOALS_AT_A_TIME):
+        goals = np.arange(begin, min(begin + GOALS_AT_A_TIME, count))
+        row, end = np.arange(len(goals))[:, None], goals[:, None]
+        made = ((tables.cost_to[goals] >= 0) & (end != np.arange(count))).astype(np.int64)
+        at = np.where(made, tables.hop_to[goals], end)
+        most = np.where(made, 1 + steps[:, at], NO_LEG)
+        while (at != end).any():
+            most = np.maximum(most, made + most[:, row, at])
+            made, at = made + made[row, at], at[row, at]
+        moves[:count, goals] = made.T
+        need[:, :count, goals] = np.maximum(most, 0).transpose(0, 2, 1)
+    return moves, need
+
+
+# A policy as the lanes follow it: the rule's own `order`, traced by JAX as it stands, in 32-bit numbers.
+#
+# Axis letters as in `mrac_jax.closed_loop.tables`.
+
+LARGEST_DENOMINATOR = 2**16 - 1
+"""Products of an int32 and a number up to this are compared in two words."""
+LARGEST = 2**31 - 1
+"""A theta that refuses nothing, since every price is less."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class LanePolicy:
+    """What attentive robots decide by. One program for all limits on a team: they are numbers in it.
+
+    Attributes:
+        entry: int32 `[A]`, cost of entering a cell of each cell's level.
+        cells: int32 scalar, n of the whole map. theta: int32 scalar, the price per new cell from which an area is
+            refused. refuses: bool scalar, there is a `worth`.
+        most: int32 `[K + 1]`, robots that may be at risk of so many alive. holds: bool scalar, there is a `reserve`.
+        value: int32 `[A]`, what cells count; None: 1 each. scale, beyond: int32 scalars as in
+            `planner.mrac.problem.Problem`.
+        order: of the rule, offer -> two fractions. looks_again, breaks_off: as in `planner.policies.rule.Rule`. Static.
+    """
+
+    entry: Array
+    cells: Array
+    theta: Array
+    refuses: Array
+    most: Array
+    holds: Array
+    value: Array | None
+    scale: Array
+    beyond: Array
+    order: Callable[[Offer], Any] = field(metadata=STATIC)
+    looks_again: bool = field(metadata=STATIC)
+    breaks_off: bool = field(metadata=STATIC)
+
+
+def lane_policy(loop: ClosedLoop, level: NDArray[np.int32], robots: int) -> LanePolicy | None:
+    """The policy of a closed loop, None for the paper's rule; int32 `[A]`, the level of each cell's area; K."""
+    policy = loop.policy
+    if policy is None:
+        return None
+    most = np.full(robots + 1, robots, dtype=np.int32)
+    most[: len(policy.most)] = policy.most
+    return on_host(
+        LanePolicy,
+        entry=policy.entry[level].astype(np.int32),
+        cells=np.int32(policy.cells),
+        theta=np.int32(min(policy.theta, LARGEST)),
+        refuses=np.bool_(policy.worth and policy.theta < NO_REFUSAL),
+        most=most,
+        holds=np.bool_(len(policy.most) > 0),
+        value=padded(policy.value, len(level)) if len(policy.value) else None,
+        scale=np.int32(policy.scale),
+        beyond=np.int32(policy.beyond),
+        order=policy.rule.order,
+        looks_again=policy.looks_again,
+        breaks_off=policy.breaks_off,
+    )
+
+
+def check_policy(loop: ClosedLoop) -> None:
+    """Raise WorldError for a policy that JAX cannot trace, or whose numbers do not fit into 32 bits.
+
+    What the rule makes of the dearest offer of each level is computed with overflow being an error.
+    """
+    policy, fix = loop.policy, f"use {argument('engine', 'numba')}"
+    if policy is None:
+        return
+    try:
+        jax.eval_shape(policy.rule.order, Offer(*[jax.ShapeDtypeStruct((1,), np.int32)] * 6))
+    except (TypeError, OverflowError) as error:
+        raise WorldError(
+            f"the order of rule {policy.rule.name} cannot be traced by JAX", expected="arithmetic alone", fix=fix
+        ) from error
+    longest = int(loop.tables.cost_to.max()) * (1 + loop.comes_home)  # a way home may get dearer by as much
+    sizes = np.bincount(loop.tables.level, weights=np.diff(loop.tables.begin), minlength=len(policy.entry))
+    try:
+        for level, (cells, entry) in enumerate(zip(sizes, policy.entry, strict=True)):
+            with np.errstate(over="raise"):
+                left = max(int(cells), 1)
+                most = left if len(policy.value) == 0 else left * int(policy.value.max())
+                for value in (most, 0)[: 1 + (len(policy.value) > 0)]:
+                    said = (level, longest, left, int(entry), value, policy.beyond)
+                    offer = Offer(*map(np.int32, said))
+                    np.int32(policy.scale if policy.worth else 1) * price(offer)
+                    denominators = [int(denominator) for _, denominator in policy.rule.order(offer)]
+                    if max(denominators) > (LARGEST if len(policy.value) else LARGEST_DENOMINATOR):
+                        raise OverflowError
+    except (FloatingPointError, OverflowError) as error:
+        raise WorldError(
+            f"prices of areas too large for policy {policy.rule.name} to be compared in 32 bits",
+            expected=f"numerators below 2**31, denominators up to {LARGEST_DENOMINATOR} for the closed loop in JAX",
+            fix=f"{fix}, or raise the smallest threats",
+        ) from error
+
 
 PIECES, PIECE_BITS = 3, 16
 """Of a whole number below 2**48: sums of a piece over 2**15 cells fit into 32 bits."""
@@ -71,7 +268,7 @@ class LaneTables:
             after the last that it can reach.
         cost: int32 `[A, A]`, UNREACHABLE where it is.
         sweep: uint16 `[A * SIDES]`, the neighbours, the one that goes first on coverage paths first; "no cell" if none.
-        exposure: uint32 `[A, 2]`, what a visit adds to a robot's exposure (`mrac_jax.two_words`). doubt: how much it is
+        exposure: uint32 `[A, 2]`, what a visit adds to a robot's exposure (`mrac_jax.arrays`). doubt: how much it is
             in a rollout where the map is in doubt, else None.
         level: int32 `[A]`, level of each cell's area.
         starts: int32 `[K]`.

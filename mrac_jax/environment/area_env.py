@@ -1,36 +1,54 @@
 """The environment of `actions="areas"`: an action is the area that a robot works on next; the planner does the rest.
 
 An agent acts where Algorithm 2 decides (semi-Markov): `step` goes on until the next robot needs an area, or the mission
-is over. It is the readable executive with luck (`planner.missions.chosen`), in Python.
+is over. It is the readable executive with luck (`planner.mission.team_control`), in Python.
 
 Axis letters: `K` robots, `M` offers, `F` columns of them.
 """
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
+from functools import cached_property
+from typing import Any, Literal, get_args
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mrac_jax.environment.asked import asked_of
-from mrac_jax.environment.running import Next, Told, picture_of
-from mrac_jax.environment.spaces import Box, Discrete, checked_actions
-from planner.arguments import Numbers, check_word, whole
-from planner.luck import Luck
-from planner.missions.chosen import ChosenRun
+from mrac_jax.environment.coverage_env import (
+    ACTIONS,
+    Box,
+    CoverageEnv,
+    Discrete,
+    Next,
+    Runs,
+    State,
+    Told,
+    asked_of,
+    checked_actions,
+    picture_of,
+)
+from mrac_jax.process import fixed_flags
+from planner.arguments import Numbers, argument, check_word, whole
+from planner.errors import UsageError
+from planner.failure_model import key_of
+from planner.mission.team_control import ChosenRun
 from planner.mrac.make_plan import allocate
 from planner.mrac.problem import prepare
 from planner.policies import DEFAULT, RULES
+from planner.rollout_sampling import Luck
 from planner.settings import Policy
 from planner.tally import Outcome
-from planner.worlds.doubt import Hazard
-from planner.worlds.starts import starts_of
-from planner.worlds.world import World
+from planner.world.levels import starts_of
+from planner.world.uncertain_maps import Hazard
+from planner.world.world import World
 
 COLUMNS = ("offered", "own", "level", "cost", "unvisited", "entry", "covered", "alive")
 """What a robot sees of an offer, all 0 where there is none: 1; 1 if it is the area that it has; the numbers of
-`planner.policies.offer.Offer`; the share of the accessible cells that is visited; the share of the team alive."""
+`planner.policies.rule.Offer`; the share of the accessible cells that is visited; the share of the team alive."""
 
 
 class AreaEnv:
@@ -187,3 +205,200 @@ class AreaRuns:
         team = self._runs[0].team
         cells = np.array([robot.cell for robot in team.robots])
         return picture_of(self.env.world, team.visited, cells, self.env.alive(self._runs[0]))
+
+
+# The environment whose actions are moves, or that whose actions are areas; and episodes of it.
+
+Actions = Literal["moves", "areas"]
+ONLY_OF = {"view": "moves", "rule": "areas", "offers": "areas"}
+"""What goes with one kind of actions alone."""
+
+
+def make_env(
+    world: World,
+    robots: int | None = None,
+    *,
+    actions: Actions = "moves",
+    starts: ArrayLike | None = None,
+    worth: float = 0.0,
+    max_steps: int | None = None,
+    view: int | None = None,
+    rule: Policy | None = None,
+    offers: int | None = None,
+) -> CoverageEnv | AreaEnv:
+    """The environment of these actions; arguments as of `mrac.env`. Raises InputError."""
+    check_word("actions", actions, get_args(Actions))
+    more: dict[str, Any] = {"starts": starts, "worth": worth, "max_steps": max_steps}
+    given: dict[str, Any] = {"view": view, "rule": rule, "offers": offers}
+    for name, value in given.items():
+        if value is not None and ONLY_OF[name] != actions:
+            problem = f"{argument(name, value)}, with {argument('actions', actions)}"
+            raise UsageError(problem, expected=argument("actions", ONLY_OF[name]), fix="leave it out")
+    own = {name: value for name, value in given.items() if value is not None}
+    return (AreaEnv if actions == "areas" else CoverageEnv)(world, robots, **more, **own)
+
+
+def runs_of(env: CoverageEnv | AreaEnv, count: int = 1) -> Runs | AreaRuns:
+    """Episodes of so many environments."""
+    return AreaRuns(env, count) if isinstance(env, AreaEnv) else Runs(env, count)
+
+
+# Whole rollouts of a policy in the environment: compiled if the policy is, else asked step by step.
+
+AT_ONCE = 256
+"""Rollouts that go side by side, if what they observe fits into SEEN bytes."""
+SEEN = 2**27
+Ended = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+"""Cells visited, robots lost, steps, int64 `[B]` each."""
+
+
+class PolicyRollouts:
+    """Rollouts of a policy, in any order: each is what it is by its id and the seed. Can be sent to other processes.
+
+    Attributes:
+        spans: (start, stop) of those of rollouts 0 .. count - 1 that go side by side.
+        compiled: they run without Python.
+    """
+
+    def __init__(self, env: CoverageEnv | AreaEnv, policy: Callable[..., Any] | None, seed: int, count: int) -> None:
+        """policy: a function of the observations of all robots, float32 `[K, ...]`, that returns an action each.
+
+        Of two arguments, then of a random key too (a NumPy generator where it is not compiled), its own for every
+        rollout. Under `jax.jit` it runs inside the compiled rollouts, if its actions are moves. None: a random walk
+        over the actions that are open. What is no policy is a UsageError when it is asked.
+        """
+        self._env, self._policy, self._seed = env, policy, seed
+        self.compiled = isinstance(env, CoverageEnv) and (policy is None or hasattr(policy, "lower"))
+        seen = 4 * env.num_agents * int(np.prod(env.observation_space(env.agents[0]).shape))
+        self._width = min(count, AT_ONCE if self.compiled else max(1, min(AT_ONCE, SEEN // seen)))
+        self.spans = [(start, min(start + self._width, count)) for start in range(0, count, self._width)]
+
+    @cached_property
+    def _run(self) -> Callable[[jax.Array, jax.Array], tuple[State, Any]]:
+        assert isinstance(self._env, CoverageEnv)
+        if self._policy is None or self.compiled:
+            return jax.jit(jax.vmap(_compiled(self._env, self._policy), (None, 0)))
+        return _Asked(self._env, self._policy, self._seed)
+
+    @fixed_flags(user_code=True)
+    def __call__(self, span: tuple[int, int]) -> Ended:
+        """Rollouts `start .. stop - 1`. Raises UsageError for actions that there are not."""
+        if isinstance(self._env, AreaEnv):
+            return self._env.roll_out(_chooser(self._env, self._policy), self._seed, *span)
+        words, (start, stop) = jnp.asarray(key_of(self._seed), jnp.uint32), span
+        last = start + self._width if self.compiled else stop  # one width, one program
+        state, valid = self._run(words, jnp.arange(start, last, dtype=jnp.uint32))
+        if not np.asarray(valid).all():
+            raise UsageError("the policy returned actions that there are not", expected=_whole_numbers(len(ACTIONS)))
+        visited, lost, steps = (
+            np.asarray(of)[: stop - start].astype(np.int64)
+            for of in (state.covered, (~state.alive).sum(axis=1), state.step)
+        )
+        return visited, lost, steps
+
+
+def _asking(policy: Callable[..., Any]) -> Callable[[Any, Any], Any]:
+    """The policy as a function of two arguments, which raises UsageError for whatever it raises."""
+    try:
+        takes_luck = len(inspect.signature(policy).parameters) > 1
+    except (TypeError, ValueError):
+        takes_luck = False
+
+    def ask(seen: Any, luck: Any) -> Any:
+        try:
+            return policy(seen, luck) if takes_luck else policy(seen)
+        except Exception as error:
+            raise UsageError(f"the policy raised {type(error).__name__}: {error}") from error
+
+    return ask
+
+
+def _chooser(
+    env: AreaEnv, policy: Callable[..., Any] | None
+) -> Callable[[NDArray[np.float32], NDArray[np.bool_], np.random.Generator], NDArray[np.int64]]:
+    """What `AreaEnv.roll_out` asks; no policy: one of the offers, or none of them, with equal chances."""
+    ask, compiled = None if policy is None else _asking(policy), hasattr(policy, "lower")
+
+    def act(seen: NDArray[np.float32], legal: NDArray[np.bool_], draws: np.random.Generator) -> NDArray[np.int64]:
+        if ask is None:
+            return draws.integers(0, legal.sum(axis=1))
+        key = jax.random.key(int(draws.integers(2**32)), impl="threefry2x32") if compiled else draws
+        return _checked(env, ask(seen, key), env.offers + 1)
+
+    return act
+
+
+def _checked(env: CoverageEnv | AreaEnv, actions: Any, most: int) -> NDArray[Any]:
+    """What a policy returned, if it is an action below `most` for each robot."""
+    given = np.asarray(actions)
+    _check(env, given)
+    if not ((given >= 0) & (given < most)).all():
+        raise UsageError(f"the policy returned {given.tolist()}", expected=_whole_numbers(most))
+    return given
+
+
+def _check(env: CoverageEnv | AreaEnv, given: Any) -> None:
+    if given.shape != (env.num_agents,):
+        problem = f"the policy returned actions of shape {given.shape}"
+        raise UsageError(problem, expected=f"({env.num_agents},), one a robot")
+    if given.dtype.kind not in "iu":
+        raise UsageError(f"the policy returned actions of {given.dtype}", expected="whole numbers")
+
+
+def _whole_numbers(count: int) -> str:
+    return f"whole numbers, 0 to {count - 1}"
+
+
+def _compiled(env: CoverageEnv, policy: Callable[..., Any] | None) -> Callable[[jax.Array, jax.Array], tuple]:
+    """One rollout, `(seed words, id) -> last state, whether all actions were such as there are`."""
+    ask = None if policy is None else _asking(policy)
+    closed = jnp.float32(-1e9)  # its chance is 0, and it is no infinity, which JAX_DEBUG_INFS would stop at
+
+    def actions_of(state: State, key: jax.Array) -> jax.Array:
+        if ask is None:
+            actions = jax.random.categorical(key, jnp.where(env.legal(state), jnp.float32(0), closed))
+        else:
+            actions = jnp.asarray(ask(env.observe(state), key))
+            _check(env, actions)
+        return actions.astype(jnp.int32)
+
+    def step(key: jax.Array, state: State, valid: jax.Array) -> tuple[State, jax.Array]:
+        actions = actions_of(state, jax.random.fold_in(key, state.step))
+        valid &= ((actions >= 0) & (actions < len(ACTIONS))).all()
+        return env.advance(state, actions)[0], valid
+
+    def one(seed: jax.Array, rollout: jax.Array) -> tuple[State, jax.Array]:
+        key = jax.random.fold_in(jax.random.wrap_key_data(seed, impl="threefry2x32"), rollout)
+        begun = env.begin(seed, rollout), jnp.bool_(True)
+        return jax.lax.while_loop(lambda now: ~now[0].done, lambda now: step(key, *now), begun)
+
+    return one
+
+
+class _Asked:
+    """Rollouts side by side, each robot's action asked for in Python."""
+
+    def __init__(self, env: CoverageEnv, policy: Callable[..., Any], seed: int) -> None:
+        self.env, self.ask, self.seed = env, _asking(policy), seed
+        self._begin = jax.jit(jax.vmap(env.begin, (None, 0)))
+        self._advance = jax.jit(jax.vmap(self._advanced))
+        self._observe = jax.jit(jax.vmap(env.observe))
+
+    def __call__(self, seed: jax.Array, rollouts: jax.Array) -> tuple[State, bool]:
+        """Their last states, and that all actions were such as there are; what is over waits for the others."""
+        states = self._begin(seed, rollouts)
+        draws = [np.random.default_rng([self.seed, int(rollout)]) for rollout in rollouts]
+        while not (done := np.asarray(states.done)).all():
+            seen, actions = np.asarray(self._observe(states)), np.zeros((len(done), self.env.num_agents), np.int32)
+            for place in np.flatnonzero(~done):
+                actions[place] = self._asked(seen[place], draws[place])
+            states = self._advance(states, actions)
+        return states, True
+
+    def _advanced(self, state: State, actions: jax.Array) -> State:
+        """What is over stays as it is."""
+        after = self.env.advance(state, actions)[0]
+        return jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, after)
+
+    def _asked(self, seen: NDArray[np.float32], draws: np.random.Generator) -> NDArray[np.int32]:
+        return _checked(self.env, self.ask(seen, draws), len(ACTIONS))

@@ -10,28 +10,108 @@ Axis letters: `K` robots, `N = H * W` cells, `P` planes, `h, w` the map or what 
 
 from __future__ import annotations
 
+import reprlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, TypeAlias
+from functools import cached_property, partial
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mrac_jax.environment.asked import asked_of
-from mrac_jax.environment.spaces import Box, Discrete, check_agents, checked_actions
-from mrac_jax.process import require_jax
-from mrac_jax.threefry import threefry2x32
-from mrac_jax.two_words import is_reached, less, tolerance_words, two_words
-from planner.arguments import Numbers, whole
-from planner.mrac.costs import neighbour_table
-from planner.none import NO_CELL
-from planner.threefry import OWN_KEYS
-from planner.tolerance import LUCK_DRAW
-from planner.worlds.doubt import Draws, Hazard
-from planner.worlds.starts import starts_of
-from planner.worlds.world import World
+from mrac_jax.arrays import is_reached, less, threefry2x32, tolerance_words, two_words
+from mrac_jax.process import fixed_flags, require_jax
+from planner.arguments import SEED, Numbers, argument, did_you_mean, whole
+from planner.errors import PlanError, UsageError
+from planner.failure_model import LUCK_DRAW, OWN_KEYS, key_of
+from planner.ids import NO_CELL
+from planner.mrac.paths import neighbour_table
+from planner.settings import Choices, Settings
+from planner.world.levels import starts_of
+from planner.world.uncertain_maps import Draws, Hazard
+from planner.world.world import World
+
+# Actions and observations of an agent, named as in JaxMARL; and the check of actions that are given.
+
+
+class Discrete(NamedTuple):
+    """Actions 0 .. n - 1."""
+
+    n: int
+    shape: tuple[int, ...] = ()
+    dtype: Any = jnp.int32
+
+
+class Box(NamedTuple):
+    """Arrays of a shape between two numbers."""
+
+    low: float
+    high: float
+    shape: tuple[int, ...]
+    dtype: Any = jnp.float32
+
+
+def checked_actions(given: Any, shape: tuple[int, ...], count: int, name: str = "actions") -> Any:
+    """The actions as an array of this shape, if each is a whole number, 0 to `count` - 1. Raises UsageError.
+
+    Under a trace of JAX the values are not known: there shape and type alone are checked, and what an action outside
+    the space does is undefined.
+    """
+    traced = isinstance(given, jax.core.Tracer)
+    try:
+        actions = given if traced else np.asarray(given)
+    except ValueError:  # lists of different lengths
+        actions = np.array(None)
+    each = f"whole numbers, 0 to {count - 1}, of shape {shape}" if shape else f"a whole number, 0 to {count - 1}"
+    if actions.shape != shape or actions.dtype.kind not in "iu":
+        shown = f"{actions.dtype} of shape {actions.shape}" if traced else reprlib.repr(given)
+        raise UsageError(f"{name}: {shown}", expected=each)
+    if traced:
+        return actions
+    for place in map(tuple, np.argwhere((actions < 0) | (actions >= count)).tolist()):
+        raise UsageError(f"{name}{list(place) if place else ''}: {actions[place]}", expected=each)
+    return actions
+
+
+def check_agents(given: Any, agents: Sequence[str], needed: Sequence[str]) -> None:
+    """Raise UsageError unless `given` is a mapping from names of agents, from all that are `needed` among them."""
+    expected = f"a dict from names of agents, {agents[0]!r} to {agents[-1]!r}, to actions"
+    if not isinstance(given, Mapping):
+        raise UsageError(f"actions: {reprlib.repr(given)}", expected=expected)
+    for name in given:
+        if name not in agents:
+            raise UsageError(f"actions of {name!r}", expected=expected, fix=did_you_mean(name, agents))
+    missing = [repr(name) for name in needed if name not in given]
+    if missing:
+        raise UsageError(f"no action of {', '.join(missing)}", expected=expected)
+
+
+# What a world asks of the planner's settings in an environment, and what no environment can do.
+
+
+def asked_of(world: World, **given: Any) -> Settings:
+    """The settings that a world asks for, with `given` in the place of its own, as `evaluate` has it.
+
+    Raises InputError, naming the world, for what an environment's steps do not play as `evaluate` would.
+    """
+    settings = Choices(**given).settings(world.team.settings, world.pace, by=world.source)
+    settings.check_alike("the environment")
+    bearing = settings.bearing()
+    unlike = {
+        "plan_for": settings.plan_for != "closed",
+        "wear": bearing.shape != 1,
+        "susceptibility": not bearing.is_even,
+        "range": settings.range is not None,
+        "return_to": settings.return_to is not None,
+        "deadline": settings.deadline is not None,
+    }
+    for name in (name for name, is_so in unlike.items() if is_so):
+        fix = f"leave {argument(name)} out" + (f", and give {argument('max_steps')}" if name == "deadline" else "")
+        raise PlanError(f"the environment with {argument(name)}", source=world.source, fix=fix)
+    return settings
+
 
 ACTIONS = ("stay", "north", "west", "east", "south")
 """What an action's number means; a move that an obstacle or the border is in the way of is to stay."""
@@ -54,7 +134,7 @@ class State:
 
     Attributes:
         cell: int32 `[K]`, `row * W + col` of each robot. alive: bool `[K]`, not lost.
-        left: uint32 `[K, 2]`, what each still bears (`mrac_jax.two_words`).
+        left: uint32 `[K, 2]`, what each still bears (`mrac_jax.arrays`).
         visited: bool `[N]`. covered: int32, how many cells that is.
         step: int32, team steps so far. done: bool, whether the episode is over.
         harmless: bool `[N]`, where no hazard is, or is left; None where every visit is drawn from the threat.
@@ -313,3 +393,146 @@ def _moves(world: World) -> NDArray[np.int32]:
     here = np.arange(world.threat.size, dtype=np.int32)[:, None]
     near = neighbour_table(world.shape, world.free.ravel())
     return np.hstack([here, np.where(near == NO_CELL, here, near)])
+
+
+# Episodes of an environment driven from the host: one rollout of a seed after the other, NumPy out.
+
+
+class Told(NamedTuple):
+    """What a step tells of B environments.
+
+    Attributes:
+        seen: float32 `[B, K, ...]`, observations. legal: bool `[B, K, actions]`, those that are open.
+        rewards: float32 `[B, K]`. alive: bool `[B, K]`.
+        done, truncated: bool `[B]`, the episode is over; it was cut off. covered: float32 `[B]`. lost: int32 `[B]`.
+        step: int32 `[B]`, steps of the team so far.
+    """
+
+    seen: NDArray[np.float32]
+    legal: NDArray[np.bool_]
+    rewards: NDArray[np.float32]
+    alive: NDArray[np.bool_]
+    done: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    covered: NDArray[np.float32]
+    lost: NDArray[np.int32]
+    step: NDArray[np.int32]
+
+    def figures(self, place: int) -> dict[str, Any]:
+        """What infos of one environment hold beside masks."""
+        return {"covered": float(self.covered[place]), "lost": int(self.lost[place]), "step": int(self.step[place])}
+
+
+class Next:
+    """Which rollouts of which seed B environments begin: those that nobody has begun, in order."""
+
+    def __init__(self, count: int) -> None:
+        self.count, self.seed = count, 0
+        self._next: NDArray[np.uint32] | None = None
+
+    def begin(self, seed: int | None) -> NDArray[np.uint32]:
+        """Of all environments `[B]`: 0 and on of the seed, or without one the next; the first time of a random seed."""
+        SEED.check("seed", seed, optional=True)
+        if seed is not None or self._next is None:
+            self.seed = int(np.random.SeedSequence().generate_state(1, np.uint64)[0]) if seed is None else int(seed)
+            self._next = np.arange(self.count, dtype=np.uint32)
+        begun, self._next = self._next, self._next + np.uint32(self.count)
+        return begun
+
+    def after(self, over: NDArray[np.bool_]) -> NDArray[np.uint32]:
+        """Of each environment `[B]` the one that follows; those that are over begin it."""
+        assert self._next is not None
+        following, self._next = self._next, self._next + over.astype(np.uint32) * np.uint32(self.count)
+        return following
+
+
+class Runs:
+    """B environments. The n-th episode of environment b, counted from the last seed given, is rollout n B + b of it.
+
+    JAX starts with the first `reset`: until then the process may be forked. A copy, pickled or not, goes on from where
+    it was made.
+    """
+
+    def __init__(self, env: CoverageEnv, count: int = 1) -> None:
+        self.env, self._next = env, Next(count)
+        self._seed = np.zeros(2, np.uint32)
+        self.state: State | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but compiled programs, which stay in their process; arrays as NumPy's, which do not start JAX."""
+        kept = {name: value for name, value in vars(self).items() if name not in ("_begin", "_advance")}
+        return kept | {"state": jax.tree.map(np.asarray, self.state)}
+
+    @cached_property
+    def _begin(self) -> Any:
+        return jax.jit(self._began)
+
+    @cached_property
+    def _advance(self) -> Any:
+        return jax.jit(self._advanced)
+
+    @fixed_flags()
+    def reset(self, seed: int | None = None) -> Told:
+        """Begin: rollout 0 and on of the seed, or without one the next ones; the first time of a random seed."""
+        rollouts = self._next.begin(seed)
+        self._seed = np.asarray(key_of(self._next.seed), np.uint32)
+        self.state, told = self._begin(self._seed, rollouts)
+        return Told(*jax.device_get(told))
+
+    @fixed_flags()
+    def step(self, actions: ArrayLike) -> Told:
+        """Take the actions `[B, K]`; where the episode was over before, they are ignored and the next one begins.
+
+        Raises UsageError for actions outside the space; the state is then what it was.
+        """
+        if self.state is None:
+            raise RuntimeError("step before reset")
+        given = checked_actions(actions, (self._next.count, self.env.num_agents), len(ACTIONS))
+        rollouts = self._next.after(np.asarray(self.state.done))
+        self.state, told = self._advance(self._seed, rollouts, self.state, given.astype(np.int32))
+        return Told(*jax.device_get(told))
+
+    def _began(self, seed: jax.Array, rollouts: jax.Array) -> tuple[State, tuple[jax.Array, ...]]:
+        states = jax.vmap(self.env.begin, (None, 0))(seed, rollouts)
+        return states, self._tell(states, jnp.zeros(states.alive.shape, jnp.float32))
+
+    def _advanced(
+        self, seed: jax.Array, rollouts: jax.Array, states: State, actions: jax.Array
+    ) -> tuple[State, tuple[jax.Array, ...]]:
+        after, rewards = jax.vmap(self.env.advance)(states, actions)
+        fresh = jax.vmap(self.env.begin, (None, 0))(seed, rollouts)
+        over = jax.vmap(lambda done, new, old: jax.tree.map(lambda one, other: jnp.where(done, one, other), new, old))
+        chosen: Any = over(states.done, fresh, after)
+        return chosen, self._tell(chosen, jnp.where(states.done[:, None], 0.0, rewards))
+
+    def _tell(self, states: State, rewards: jax.Array) -> tuple[jax.Array, ...]:
+        infos, env = jax.vmap(self.env.infos)(states), self.env
+        seen, legal = jax.vmap(env.observe)(states), jax.vmap(env.legal)(states)
+        ends = (states.done, infos["truncated"], infos["covered"], infos["lost"], states.step)
+        return seen, legal, rewards, states.alive, *ends
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The first environment in colours, uint8 `[H * SCALE, W * SCALE, 3]`: robots blue, lost ones black."""
+        if self.state is None:
+            raise RuntimeError("render before reset")
+        state = jax.tree.map(lambda of: np.asarray(of[0]), self.state)
+        return picture_of(self.env.world, state.visited, state.cell, state.alive)
+
+
+def picture_of(
+    world: World, visited: NDArray[np.bool_], cell: NDArray[np.integer], alive: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
+    """A team in colours, uint8 `[H * SCALE, W * SCALE, 3]`: robots blue, lost ones black; visited `[N]` is darker."""
+    threat = np.nan_to_num(world.threat)
+    pale = 1.0 - threat / max(float(threat.max()), 1e-9)
+    colours = np.stack([np.ones_like(pale), pale, pale], axis=-1) * np.where(visited, 0.8, 1.0).reshape(
+        (*world.shape, 1)
+    )
+    colours[~world.free] = 0.3
+    rows, cols = np.divmod(cell, world.shape[1])
+    colours[rows, cols] = np.where(alive[:, None], (0.1, 0.3, 0.9), 0.0)
+    return np.kron(colours * 255, np.ones((SCALE, SCALE, 1))).astype(np.uint8)
+
+
+SCALE = 8
+"""Pixels a cell."""

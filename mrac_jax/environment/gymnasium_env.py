@@ -11,12 +11,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from mrac_jax.environment.area_env import AreaEnv
-from mrac_jax.environment.coverage_env import CoverageEnv
-from mrac_jax.environment.kinds import make_env, runs_of
-from mrac_jax.environment.running import Told
-from mrac_jax.environment.spaces import checked_actions
-from planner.worlds.world import World
+from mrac_jax.environment.area_env import AreaEnv, make_env, runs_of
+from mrac_jax.environment.coverage_env import CoverageEnv, Told, checked_actions
+from planner.world.world import World
 
 ID = "mrac/Coverage-v0"
 

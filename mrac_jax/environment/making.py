@@ -7,12 +7,11 @@ from typing import Any, Literal, get_args
 
 from numpy.typing import ArrayLike
 
-from mrac_jax.environment.area_env import AreaEnv
-from mrac_jax.environment.kinds import Actions, make_env
+from mrac_jax.environment.area_env import Actions, AreaEnv, make_env
 from planner.arguments import argument, check_word, whole
 from planner.errors import UsageError
 from planner.settings import Policy
-from planner.worlds.world import World
+from planner.world.world import World
 
 Face = Literal["pettingzoo", "gymnasium", "vector", "jax"]
 FACES: tuple[Face, ...] = get_args(Face)

@@ -9,11 +9,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from mrac_jax.environment.area_env import AreaEnv
-from mrac_jax.environment.coverage_env import CoverageEnv
-from mrac_jax.environment.kinds import runs_of
-from mrac_jax.environment.running import Told
-from mrac_jax.environment.spaces import check_agents, checked_actions
+from mrac_jax.environment.area_env import AreaEnv, runs_of
+from mrac_jax.environment.coverage_env import CoverageEnv, Told, check_agents, checked_actions
 
 Dicts = tuple[dict[str, NDArray], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]
 

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+import pymetis
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.optimize import linear_sum_assignment
 
-from planner.worlds.levels import NO_LEVEL, ThreatLevels
-from planner.worlds.world import FOUR_NEIGHBOURS
+from planner.ids import NO_CELL, NO_ROBOT
+from planner.jit import compiled
+from planner.mrac.paths import NOT_WANTED, SafestPaths
+from planner.plan.plan import Area
+from planner.policies.rules import BOUSTROPHEDON, COLUMNS, ROWS, CellOffer, InAreaOrder
+from planner.world.levels import NO_LEVEL, ThreatLevels
+from planner.world.world import FOUR_NEIGHBOURS
 
 
 def connected_parts(shape: tuple[int, int], cells: NDArray[np.int64]) -> list[NDArray[np.int64]]:
@@ -60,3 +70,311 @@ def connected_alike(shape: tuple[int, int], kind: NDArray[np.integer]) -> tuple[
     free[::2, 1::2] = (of[:, 1:] == of[:, :-1]) & (of[:, 1:] >= 0)
     labels, count = ndimage.label(free, structure=FOUR_NEIGHBOURS)
     return labels[::2, ::2].ravel(), count
+
+
+# Splitting an area into connected, balanced parts: METIS before the start, wavefront bisection at run time.
+#
+# The only file that imports METIS. Parts are always ordered by lowest cell.
+
+Partition = Callable[[tuple[int, int], NDArray[np.int64], int], list[NDArray[np.int64]]]
+"""`(shape, cells of a connected area, parts) -> parts`, as `metis_parts` and `wavefront_parts` are."""
+
+
+def metis_parts(shape: tuple[int, int], cells: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
+    """`count` connected parts of a connected area by multilevel k-way partitioning (paper, section 4.1).
+
+    METIS leaves parts empty on tiny areas and may disconnect one; then the wavefront split takes its place.
+    `1 <= count <= len(cells)`.
+    """
+    ordered = np.sort(cells)
+    if count == 1:
+        return [ordered]
+    starts, targets = _adjacency(shape, ordered)
+    options = pymetis.Options(contig=1, seed=0)
+    adjacency = pymetis.CSRAdjacency(starts, targets)
+    _, label = pymetis.part_graph(count, adjacency=adjacency, recursive=False, options=options)
+    parts, part_of = split_by_label(ordered, np.asarray(label)), np.full(shape[0] * shape[1], -1)
+    part_of[ordered] = label
+    if len(parts) == count == connected_alike(shape, part_of)[1]:
+        return parts
+    return wavefront_parts(shape, ordered, count)
+
+
+def wavefront_parts(shape: tuple[int, int], cells: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
+    """`count` connected parts of a connected area by repeated wavefront bisection, sizes as equal as possible."""
+    if count == 1:
+        return [np.sort(cells)]
+    first = (count + 1) // 2
+    grown, rest = bisect(shape, cells, -(-len(cells) * first // count))
+    share = round(count * len(rest) / len(cells))
+    of_rest = min(max(share, 1, count - len(grown)), len(rest), count - 1)
+    parts = wavefront_parts(shape, grown, count - of_rest) + wavefront_parts(shape, rest, of_rest)
+    return sorted(parts, key=lambda part: int(part[0]))
+
+
+def bisect(
+    shape: tuple[int, int], cells: NDArray[np.int64], target: int | None = None
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(grown, rest): two connected parts of a connected area of at least 2 cells (SPEC section 5).
+
+    A breadth-first wavefront grows from a far end until `target` cells (default half, rounded up) are in: whole
+    layers, the last one in index order. Of the rest the largest component stays, the others join the grown half.
+    """
+    goal = min(target if target is not None else (len(cells) + 1) // 2, len(cells) - 1)
+    members = {int(cell) for cell in cells}
+    far_end = min(_layers(shape, members, min(members))[-1])
+    grown: set[int] = set()
+    for layer in _layers(shape, members, far_end):
+        grown.update(sorted(layer)[: goal - len(grown)])
+        if len(grown) == goal:
+            break
+    rest = connected_parts(shape, np.array(sorted(members - grown), dtype=np.int64))
+    stays = max(rest, key=lambda part: (len(part), -int(part[0])))
+    grown_cells = np.array(sorted(members - {int(cell) for cell in stays}), dtype=np.int64)
+    return grown_cells, stays
+
+
+def _layers(shape: tuple[int, int], members: set[int], source: int) -> list[list[int]]:
+    """Breadth-first layers of the cells of `members` from `source`."""
+    width = shape[1]
+    left, layers = members - {source}, [[source]]
+    while left:
+        reached: set[int] = set()
+        for cell in layers[-1]:
+            col = cell % width
+            sides = (cell - width, cell - 1 if col else NO_CELL, cell + 1 if col + 1 < width else NO_CELL, cell + width)
+            reached.update(side for side in sides if side in left)
+        if not reached:
+            break
+        left -= reached
+        layers.append(list(reached))
+    return layers
+
+
+def _adjacency(shape: tuple[int, int], ordered: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Compressed rows (starts, targets) of the 4-neighbour graph of the cells, nodes in rising cell order."""
+    height, width = shape
+    node = np.full((height + 2) * (width + 2), -1, dtype=np.int64)
+    padded = (ordered // width + 1) * (width + 2) + ordered % width + 1
+    node[padded] = np.arange(len(ordered))
+    sides = node[padded[:, None] + np.array([-(width + 2), -1, 1, width + 2])]
+    present = sides >= 0
+    return np.concatenate([[0], np.cumsum(present.sum(axis=1))]), sides[present]
+
+
+# Who gets which area before the start (Algorithm 1), and who which part of an area that is shared.
+
+
+@dataclass(frozen=True)
+class _SafeArea:
+    number: int
+    cells: NDArray[np.int64]
+    robots: list[int]
+
+
+def allocate_areas_to_robots(
+    areas: list[tuple[int, NDArray[np.int64]]],
+    starts: NDArray[np.int64],
+    shape: tuple[int, int],
+    paths: Sequence[SafestPaths],
+    density: float,
+    partition: Partition,
+) -> tuple[Area, ...]:
+    """Algorithm 1's initial allocation: the areas in id order with their owners (SPEC section 4).
+
+    Args:
+        areas: (level, cells) in id order. starts: cell index of each robot, int64 `[K]`.
+        paths: of each robot. density: d; a safe area takes another robot while `robots in it * d <= cells`.
+        partition: how an area of several robots is split.
+    """
+    safe = [_SafeArea(number, cells, []) for number, (level, cells) in enumerate(areas) if level == 0]
+    with_room = np.full(len(paths[0].neighbours), NOT_WANTED, dtype=np.int32)
+    for place, area in enumerate(safe):
+        with_room[area.cells] = place
+    for robot, start in enumerate(starts.tolist()):
+        target = paths[robot].nearest(start, with_room)
+        if target is not None:
+            area = safe[with_room[target.cell]]
+            area.robots.append(robot)
+            if len(area.robots) * density > len(area.cells):
+                with_room[area.cells] = NOT_WANTED
+    split = {area.number for area in safe if len(area.robots) > 1}
+    owner = {area.number: area.robots[0] for area in safe if len(area.robots) == 1}
+    kept = [
+        Area(level, owner.get(number, NO_ROBOT), cells)
+        for number, (level, cells) in enumerate(areas)
+        if number not in split
+    ]
+    for area in safe:
+        if area.number in split:
+            kept += _split_between(area, starts, shape, paths, partition)
+    return tuple(kept)
+
+
+def _split_between(
+    area: _SafeArea,
+    starts: NDArray[np.int64],
+    shape: tuple[int, int],
+    paths: Sequence[SafestPaths],
+    partition: Partition,
+) -> list[Area]:
+    """One part of the area for each of its robots, by the Hungarian method on safest-path costs."""
+    parts = partition(shape, area.cells, len(area.robots))
+    from_each = (paths[robot].to_all(int(starts[robot])) for robot in area.robots)
+    cells, begins = np.concatenate(parts), np.cumsum([0, *map(len, parts[:-1])])
+    costs = np.array([np.minimum.reduceat(cost[cells], begins) for cost in from_each])
+    of_row, of_column = linear_sum_assignment(costs)
+    robot_of_part = {int(part): area.robots[int(row)] for row, part in zip(of_row, of_column, strict=True)}
+    return [Area(0, robot_of_part[number], part) for number, part in enumerate(parts)]
+
+
+@dataclass(frozen=True)
+class SharedParts:
+    """How an area is shared: positions in the list of parts that the owner and the helper take."""
+
+    owner: int
+    helper: int
+
+
+def choose_parts(of_owner: list[int], of_helper: list[int]) -> SharedParts:
+    """Two different parts by least total cost; ties: the owner's lower part, then the helper's (SPEC section 5).
+
+    `of_owner`, `of_helper`: the cost of each robot's way to each part.
+    """
+    parts = range(len(of_owner))
+    pairs = ((of_owner[o] + of_helper[h], o, h) for o in parts for h in parts if o != h)
+    _, owner, helper = min(pairs)
+    return SharedParts(owner, helper)
+
+
+# Algorithm 3, the modified GAC: cover what is left of an area, nearest cell first.
+
+
+def coverage_path(
+    paths: SafestPaths,
+    here: int,
+    to_do: NDArray[np.int64],
+    inside: NDArray[np.bool_] | None,
+    order: InAreaOrder,
+    sides: NDArray[np.int64],
+    legs: int | None = None,
+) -> NDArray[np.int64]:
+    """The cells entered, in order, to visit every cell of `to_do` from `here` (left out).
+
+    Repeatedly the first cell to do, in this order, from where the last leg ended, by the safest path (paper,
+    Algorithm 3, with SPEC's ties).
+
+    Args:
+        paths: the safest paths of the world.
+        here: where the robot stands.
+        to_do: the unvisited cells of the area at this moment, reachable from `here`.
+        inside: bool `[N]`, the cells that legs may enter (`transit="area"`), or None for all.
+        order: which cell is next. sides: `Problem.sides`. legs: stop after so many; None = all.
+    """
+    rank = np.full(len(paths.neighbours), NOT_WANTED, dtype=np.int32)
+    rank[to_do] = 0
+    rank[here] = NOT_WANTED
+    left = int(np.count_nonzero(rank != NOT_WANTED))
+    path = [np.empty(0, dtype=np.int64)]
+    while left and legs != 0:
+        if isinstance(order, str):
+            leg = _cheapest_legs(paths, here, rank, inside, to_do, sides, len(to_do) if legs is None else 1)
+        else:
+            leg = _leg_by(order, paths, here, to_do[rank[to_do] != NOT_WANTED], inside)
+        left -= int(np.count_nonzero(rank[leg] != NOT_WANTED))
+        rank[leg] = NOT_WANTED
+        path.append(leg)
+        here = int(leg[-1])
+        legs = None if legs is None else legs - 1
+    return np.concatenate(path)
+
+
+def _cheapest_legs(
+    paths: SafestPaths,
+    here: int,
+    rank: NDArray[np.int32],
+    inside: NDArray[np.bool_] | None,
+    to_do: NDArray[np.int64],
+    sides: NDArray[np.int64],
+    most: int,
+) -> NDArray[np.int64]:
+    """The cheapest cell first: legs to adjacent cells, at most so many; if there is none, one leg by a search.
+
+    The cells are of one level, so an adjacent one is always cheapest.
+    """
+    adjacent = _adjacent_run(here, rank, paths.neighbours, sides, most)
+    if len(adjacent):
+        return adjacent
+    target = paths.nearest(here, rank, inside, to_do)
+    if target is None:
+        raise ValueError(f"cells to cover cannot be reached from cell {here}")
+    return paths.path(here, target.cell, inside)
+
+
+def _leg_by(
+    order: Callable[[CellOffer], Any],
+    paths: SafestPaths,
+    here: int,
+    to_do: NDArray[np.int64],
+    inside: NDArray[np.bool_] | None,
+) -> NDArray[np.int64]:
+    """The way to the first of the cells in any order."""
+    cost = paths.to_all(here, inside)[to_do].tolist()
+    offers = [CellOffer(here, *item) for item in zip(to_do.tolist(), cost, strict=True)]
+    return paths.path(here, min(offers, key=order).cell, inside)
+
+
+@compiled
+def _adjacent_run(here, rank, neighbours, sides, most):  # type: ignore[no-untyped-def]
+    """From cell to adjacent cell of rank 0, by `sides`, until there is none or it is `most`; int64 `[legs]`."""
+    run, length = np.empty(most, dtype=np.int64), 0
+    while length < most:
+        after = NO_CELL
+        for place in range(4):
+            cell = neighbours[here, sides[here, place]]
+            if cell != NO_CELL and rank[cell] == 0:
+                after = cell
+                break
+        if after == NO_CELL:
+            break
+        here = after
+        rank[here] = NOT_WANTED
+        run[length] = here
+        length += 1
+    run = run[:length].copy()
+    rank[run] = 0
+    return run
+
+
+# Which of the cells next to a robot goes first where all of them are to do: what makes coverage paths go straight.
+
+BY_INDEX, BY_ROW, BY_COLUMN = (0, 1, 2, 3), (1, 2, 0, 3), (0, 3, 1, 2)
+"""Sides in their order: 0 north, 1 west, 2 east, 3 south."""
+
+
+def sides_first(order: object, safe: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """int64 `[H * W, 4]`: of each cell its sides, the one that goes first, first (SPEC section 20).
+
+    `safe` `[H, W]`: the cells of level 0; all others have theirs by index. Of a connected set of safe cells it knows
+    nothing but its shape, so that a mission that is gone on with has the order with which it began.
+    """
+    sides = np.tile(BY_INDEX, (safe.size, 1))
+    along_row = np.zeros(safe.shape, dtype=np.bool_)
+    if order == ROWS:
+        along_row = safe
+    elif order == BOUSTROPHEDON:
+        along_row = _fewer_in_rows(safe)
+    if order in (ROWS, COLUMNS, BOUSTROPHEDON):
+        sides[safe.ravel()] = BY_COLUMN
+        sides[along_row.ravel()] = BY_ROW
+    return sides
+
+
+def _fewer_in_rows(safe: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The cells of those connected sets that have no more straight runs in rows than in columns."""
+    part, count = ndimage.label(safe, FOUR_NEIGHBOURS)
+    begins_row, begins_column = safe.copy(), safe.copy()
+    begins_row[:, 1:] &= ~safe[:, :-1]
+    begins_column[1:] &= ~safe[:-1]
+    runs = (np.bincount(part[begins], minlength=count + 1) for begins in (begins_row, begins_column))
+    return safe & np.less_equal(*runs)[part]

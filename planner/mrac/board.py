@@ -11,14 +11,15 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.ids import NO_AREA, NO_ROBOT
 from planner.mrac.areas import connected_parts
+from planner.mrac.home_paths import CUT_OFF, Homeward
+from planner.mrac.paths import NOT_WANTED
 from planner.mrac.problem import NO_LIMIT, Problem
-from planner.mrac.search import NOT_WANTED
-from planner.none import NO_AREA, NO_ROBOT
-from planner.plans.plan import Area, LegKind
-from planner.plans.state import MissionState
-from planner.policies.offer import Offer
-from planner.trace import Doing
+from planner.plan.plan import Area, LegKind
+from planner.plan.state import MissionState
+from planner.policies.rule import Offer
+from planner.tally import Doing, EventKind, Outcome, Trace
 
 
 class State(Enum):
@@ -38,7 +39,7 @@ class Choice(NamedTuple):
 
 
 Stretch = tuple[LegKind, int, int, int]
-"""(kind, area, start, stop) of a leg, as in `planner.plans.plan.Leg`: the last one grows by a step at a time."""
+"""(kind, area, start, stop) of a leg, as in `planner.plan.plan.Leg`: the last one grows by a step at a time."""
 
 
 @dataclass(eq=False)
@@ -264,3 +265,82 @@ class Board:
             if area.level == self.open_level:
                 self.open[area.cells] = NOT_WANTED
         area.state = state
+
+
+# What the readable simulator writes down of a run, for its trace.
+
+
+class Recorder:
+    """Collects one run's events, and where every robot is at the end of each step."""
+
+    def __init__(self) -> None:
+        self._events: list[tuple[int, int, EventKind, int, int]] = []
+        self._steps: list[list[tuple[int, Doing, int]]] = []
+
+    def note(self, step: int, robot: int, kind: EventKind, area: int, other: int) -> None:
+        """Something happened; the columns of `Trace.events`."""
+        self._events.append((step, robot, kind, area, other))
+
+    def look(self, robots: list[tuple[int, Doing, int]]) -> None:
+        """A step ended: (cell, what it is doing, its area) of each robot. A stopped robot has no area."""
+        self._steps.append([(c, doing, NO_AREA if doing is Doing.DEAD else area) for c, doing, area in robots])
+
+    def trace(self, rollout: int, area_of: np.ndarray, outcome: Outcome) -> Trace:
+        """The trace of the run, once it has ended. `area_of`: int32 `[N]`, as in `Trace`."""
+        steps = np.array(self._steps, dtype=np.int32)
+        return Trace(
+            rollout=rollout,
+            cells=steps[:, :, 0],
+            doing=steps[:, :, 1].astype(np.int8),
+            areas=steps[:, :, 2],
+            events=np.array(self._events, dtype=np.int32).reshape(-1, 5),
+            area_of=area_of,
+            outcome=outcome,
+        )
+
+
+# When a robot turns for home (SPEC section 19): what it can afford, and what is left of its leg.
+
+
+def can_go_on(board: Board, home: Homeward, robot: Robot, left: int) -> bool:
+    """Whether the robot, with so many moves left, could come home from every cell of the rest of its leg."""
+    return all(home.moves(robot.number, cell) <= left - made for made, cell in enumerate(rest_of_leg(board, robot), 1))
+
+
+def moves_left(home: Homeward, robot: Robot, step: int, pace: int) -> int:
+    """Moves that the robot can make from this step on: its range, and the mission's end if that is sooner.
+
+    It makes one in every step that is a multiple of `pace`.
+    """
+    return min(robot.moves, home.last // pace - (step - 1) // pace)
+
+
+def can_afford(board: Board, robot: Robot, target: int) -> bool:
+    """Whether a robot that comes home could do so from this cell, once it has gone there."""
+    home = board.problem.home
+    if home is None or not board.limited or home.moves(robot.number, target) == CUT_OFF:
+        return True
+    pace = board.problem.pace(robot.number)
+    there = len(board.problem.paths_of(robot.number).path(robot.cell, target)) if target != robot.cell else 0
+    return there + home.moves(robot.number, target) <= moves_left(home, robot, board.next_move, pace)
+
+
+def rest_of_leg(board: Board, robot: Robot) -> list[int]:
+    """The cells that the robot has still to enter until it is at its area's target, or the next cell to do."""
+    ahead = robot.ahead[::-1]
+    if robot.status is Doing.COVERING and not board.rule.attentive:
+        # No leg crosses a cell that is still to do, so the first of them is its end.
+        to_do = set(robot.to_do.tolist()).difference(robot.path[robot.since :])
+        end = next(place for place, cell in enumerate(ahead, 1) if cell in to_do)
+        return ahead[:end]
+    return ahead
+
+
+def has_to_leave(home: Homeward, robot: Robot, step: int, pace: int) -> bool:
+    """Whether the robot, which waits at the end of this step, could come home too late if it waited for another."""
+    return home.moves(robot.number, robot.cell) > max(home.last // pace - step // pace - 1, 0)
+
+
+def is_home(home: Homeward, robot: Robot) -> bool:
+    """Whether the robot is in a cell that is one of its bases."""
+    return home.moves(robot.number, robot.cell) == 0

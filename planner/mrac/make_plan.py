@@ -8,20 +8,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.errors import PlanError, StateError
-from planner.mrac.allocate import allocate_areas_to_robots
-from planner.mrac.areas import connected_parts, find_areas
-from planner.mrac.partition import metis_parts
+from planner.ids import NO_ROBOT
+from planner.mrac.areas import allocate_areas_to_robots, connected_parts, find_areas, metis_parts
+from planner.mrac.paths import UNREACHED
 from planner.mrac.problem import Problem, prepare
-from planner.mrac.resume import areas_of, made_ready
-from planner.mrac.search import UNREACHED
-from planner.mrac.simulate import Run, simulate
-from planner.none import NO_ROBOT
-from planner.plans.plan import Area, Plan, RobotPlan, last_move
-from planner.plans.reading import check_partition
-from planner.plans.state import MissionState
+from planner.mrac.simulate import Run, areas_of, made_ready, simulate
+from planner.plan.plan import Area, Plan, RobotPlan, last_move
+from planner.plan.reading import check_partition
+from planner.plan.state import MissionState
 from planner.settings import Settings
-from planner.worlds.learning import as_planned
-from planner.worlds.world import World
+from planner.world.features import as_planned
+from planner.world.world import World
 
 
 def allocate(problem: Problem) -> tuple[Area, ...]:

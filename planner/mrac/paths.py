@@ -5,15 +5,355 @@ A path's cost is the sum of the entry costs of its cells, the first one left out
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.mrac.costs import BLOCKED, neighbour_table
-from planner.mrac.far_search import SafeParts, danger_ahead, far_search, find_safe_parts
-from planner.mrac.search import NOT_WANTED, TOO_FAR, UNREACHED, search_within, walk_back
-from planner.none import NO_CELL
+from planner.arguments import check_word
+from planner.errors import WorldError
+from planner.ids import NO_CELL
+from planner.jit import compiled, put_first, threaded
+from planner.world.levels import ThreatLevels, find_levels
+from planner.world.world import World
+
+if TYPE_CHECKING:
+    import networkx as nx
+
+# Eq. (3) made exact: integer entry costs, and the grid's neighbours that safest paths run over (SPEC section 3).
+
+BLOCKED = 0
+"""Entry cost of a cell that cannot be entered."""
+
+
+def entry_costs(levels: ThreatLevels, risk: Literal["paper", "log"], source: str = "") -> NDArray[np.int64]:
+    """Cost of entering each cell, int64 `[N]`, BLOCKED where not accessible (eq. (3) times n, rounded).
+
+    Raises WorldError, of `source`, if the sum over all cells, which no path can exceed, might not fit in 62 bits.
+    """
+    of_level = level_costs(levels.values, levels.of_cell.size, risk)
+    counts = np.bincount(levels.of_cell[levels.accessible], minlength=len(of_level))
+    if float(of_level @ counts) >= 2.0**62:
+        raise WorldError(
+            f"threat levels from {levels.values[1]:g} to {levels.values[-1]:g} make path costs too large for 64 bits",
+            source=source,
+            expected="a ratio of the largest to the smallest threat below about 2**62 / cells**2",
+            fix="raise the smallest threats or set them to 0",
+        )
+    costs = of_level.astype(np.int64)[np.maximum(levels.of_cell, 0)]
+    return np.where(levels.accessible, costs, BLOCKED)
+
+
+def level_costs(values: NDArray[np.float64], n: int, risk: Literal["paper", "log"]) -> NDArray[np.float64]:
+    """Cost of entering a cell of each level `[L]`, whole numbers.
+
+    Safe 1; dangerous `floor(n * p / p_min + 0.5)`, or with logarithms of survival for `risk="log"`.
+    """
+    check_word("risk", risk, ("paper", "log"))
+    of_level = np.ones(len(values), dtype=np.float64)
+    if len(values) > 1:
+        hazard = values[1:] if risk == "paper" else np.log1p(-values[1:])
+        of_level[1:] = np.floor(n * hazard / hazard[0] + 0.5)
+    return of_level
+
+
+def neighbour_table(shape: tuple[int, int], passable: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """The neighbours of each cell that are `passable` `[N]`, int32 `[N, 4]` in the order N, W, E, S; NO_CELL: none."""
+    height, width = shape
+    padded = np.full((height + 2, width + 2), NO_CELL, dtype=np.int32)
+    padded[1:-1, 1:-1] = np.where(passable, np.arange(height * width), NO_CELL).reshape(shape)
+    sides = [padded[:-2, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:], padded[2:, 1:-1]]
+    return np.stack(sides, axis=2).reshape(-1, 4)
+
+
+# A binary heap of (cost, cell) in two arrays, for the compiled searches.
+
+
+@threaded
+def push(heap_cost, heap_cell, size, cost, cell):  # type: ignore[no-untyped-def]
+    """Add a cell to a heap of `size`; returns the new size."""
+    child = size
+    while child > 0:
+        parent = (child - 1) >> 1
+        if heap_cost[parent] <= cost:
+            break
+        heap_cost[child], heap_cell[child] = heap_cost[parent], heap_cell[parent]
+        child = parent
+    heap_cost[child], heap_cell[child] = cost, cell
+    return size + 1
+
+
+@threaded
+def pop(heap_cost, heap_cell, size):  # type: ignore[no-untyped-def]
+    """Take the first off a heap of `size`, having read it; returns the new size."""
+    size -= 1
+    cost, cell = heap_cost[size], heap_cell[size]
+    parent = 0
+    while True:
+        child = 2 * parent + 1
+        if child >= size:
+            break
+        if child + 1 < size and heap_cost[child + 1] < heap_cost[child]:
+            child += 1
+        if heap_cost[child] >= cost:
+            break
+        heap_cost[parent], heap_cell[parent] = heap_cost[child], heap_cell[child]
+        parent = child
+    heap_cost[parent], heap_cell[parent] = cost, cell
+    return size
+
+
+# The search for safest paths, compiled, for `planner.mrac.paths`.
+#
+# Among targets of equal cost the one of least rank, then of lowest index, is nearest; among equal-cost paths to one
+# target, walking back from the target, the predecessor of lowest index is taken (SPEC section 3).
+
+NOT_WANTED = -1
+"""Rank of a cell that is no target."""
+UNREACHED = -1
+"""Cost of a cell that cannot be reached."""
+TOO_FAR = -2
+"""In the place of a nearest target: none was certain within the cells that a search was allowed."""
+
+
+@threaded
+def search_within(source, rank, inside, neighbours, costs, distance, seen, stamp, queue, heap_cost, heap_cell, most):  # type: ignore[no-untyped-def]
+    """Dijkstra from `source` until the nearest target is certain; `distance[v]` is final where `seen[v] == stamp`.
+
+    Costs sit on the cells entered, so the first time a cell is met its distance is final: each is queued once. Cells
+    one unit away (safe ones) go through a queue in layers, the others through a heap. TOO_FAR as soon as more
+    than `most` cells have gone through the queue.
+    """
+    distance[source], seen[source] = 0, stamp
+    if rank[source] != NOT_WANTED:
+        return source, 0
+    best, best_cost, target_cost = NO_CELL, np.int64(UNREACHED), np.int64(0)
+    head, tail, heap_size = 0, 1, 0
+    queue[0] = source
+    now = np.int64(0)
+    while True:
+        layer_end = tail
+        if heap_size > 0 and heap_cost[0] == now:
+            while heap_size > 0 and heap_cost[0] == now:
+                queue[tail] = heap_cell[0]
+                tail += 1
+                heap_size = pop(heap_cost, heap_cell, heap_size)
+            layer_end = tail
+        while head < layer_end:
+            here = queue[head]
+            head += 1
+            for side in range(4):
+                cell = neighbours[here, side]
+                if cell == NO_CELL or seen[cell] == stamp or not inside[cell]:
+                    continue
+                seen[cell] = stamp
+                cost = now + costs[cell]
+                distance[cell] = cost
+                if rank[cell] != NOT_WANTED and (
+                    best == NO_CELL
+                    or cost < best_cost
+                    or (cost == best_cost and (rank[cell] < rank[best] or (rank[cell] == rank[best] and cell < best)))
+                ):
+                    best, best_cost, target_cost = cell, cost, costs[cell]
+                if costs[cell] == 1:
+                    queue[tail] = cell
+                    tail += 1
+                else:
+                    heap_size = push(heap_cost, heap_cell, heap_size, cost, cell)
+        if tail > layer_end:
+            now += 1
+        elif heap_size > 0:
+            now = heap_cost[0]
+        else:
+            return best, best_cost
+        if best != NO_CELL and now + target_cost > best_cost:
+            return best, best_cost
+        if head > most:
+            return TOO_FAR, np.int64(UNREACHED)
+
+
+@compiled
+def walk_back(source, target, distance, seen, stamp, neighbours, costs):  # type: ignore[no-untyped-def]
+    """The cells of the safest path after `source`, in driving order, by the lowest-index predecessor."""
+    length, here = 0, target
+    path = np.empty(64, dtype=np.int64)
+    while here != source:
+        if length == len(path):
+            longer = np.empty(2 * length, dtype=np.int64)
+            put_first(path, longer)
+            path = longer
+        path[length] = here
+        length += 1
+        before = distance[here] - costs[here]
+        for side in range(4):
+            cell = neighbours[here, side]
+            if cell != NO_CELL and seen[cell] == stamp and distance[cell] == before:
+                here = cell
+                break
+    return path[:length][::-1].copy()
+
+
+# The nearest target when it is far: a search that knows how much danger still lies ahead.
+#
+# A dangerous cell costs more than every safe one, so a plain search explores the whole safe part of the map around it
+# before it goes through a second dangerous cell. Here a search backwards from the targets, in which every component of
+# safe cells is one node (safe cells cost nothing there), finds the danger still to go; A* with it as its potential then
+# spends time on safe steps alone. Where that search was ended early, its last cost is the potential: a lower bound that
+# keeps A* exact. Answers, ties and paths are those of `planner.mrac.paths`.
+
+
+class SafeParts(NamedTuple):
+    """The map with every connected component of safe cells as one node. Axes: `N` cells, `B` cells at borders.
+
+    Attributes:
+        node: int32 `[N]`, the lowest cell of a safe cell's component; of a dangerous cell the cell itself.
+        begin, border: int32 `[N + 1]`, `[B]`: beside component v are the dangerous cells
+            `border[begin[v] : begin[v + 1]]`.
+        wide: dangerous cells around a component that are worth a visit when the robot itself stands in danger.
+        to_go, touched: int64 `[N]`, of each node: least danger to a target, and the search that found it.
+    """
+
+    node: NDArray[np.int32]
+    begin: NDArray[np.int32]
+    border: NDArray[np.int32]
+    wide: int
+    to_go: NDArray[np.int64]
+    touched: NDArray[np.int64]
+
+
+def find_safe_parts(neighbours: NDArray[np.int32], costs: NDArray[np.int64], wide: int = 1_000) -> SafeParts:
+    """The safe components of a map with these `neighbours` `[N, 4]` and entry costs `[N]`."""
+    n = len(costs)
+    node = _label(neighbours, costs)
+    beside = node[neighbours]
+    counts = (costs[:, None] > 1) & (neighbours >= 0) & (costs[neighbours] == 1)
+    cell = np.broadcast_to(np.arange(n)[:, None], counts.shape)[counts]
+    pairs = np.unique(beside[counts].astype(np.int64) * n + cell)
+    begin = np.searchsorted(pairs, np.arange(n + 1) * n).astype(np.int32)
+    return SafeParts(node, begin, (pairs % n).astype(np.int32), wide, np.zeros(n, np.int64), np.zeros(n, np.int64))
+
+
+@compiled
+def _label(neighbours, costs):  # type: ignore[no-untyped-def]
+    """`SafeParts.node`."""
+    n = len(costs)
+    node, stack = np.full(n, NO_CELL, dtype=np.int32), np.empty(n, dtype=np.int32)
+    for first in range(n):
+        if node[first] != NO_CELL:
+            continue
+        node[first] = first
+        top = 0
+        if costs[first] == 1:
+            stack[0], top = first, 1
+        while top > 0:
+            top -= 1
+            here = stack[top]
+            for side in range(4):
+                cell = neighbours[here, side]
+                if cell != NO_CELL and costs[cell] == 1 and node[cell] == NO_CELL:
+                    node[cell] = first
+                    stack[top] = cell
+                    top += 1
+    return node
+
+
+@threaded
+def danger_ahead(source, rank, among, neighbours, costs, stamp, heap_cost, heap_cell, parts):  # type: ignore[no-untyped-def]
+    """Search backwards from the targets, all of them `among` these cells, until the source, itself none, is touched.
+
+    The danger to go from any node not touched is at least the result, UNREACHED if no target can be reached. A node is
+    queued by what it hands on to those before it, its own danger included, so that the first touch is final. From a
+    dangerous source it ends at the first wide component.
+    """
+    node, begin, border, wide, to_go, touched = parts
+    size, start = 0, node[source]
+    for cell in among:
+        if rank[cell] != NOT_WANTED and touched[node[cell]] != stamp:
+            touched[node[cell]], to_go[node[cell]] = stamp, 0
+            size = push(heap_cost, heap_cell, size, costs[cell] if costs[cell] > 1 else np.int64(0), node[cell])
+    if touched[start] == stamp:
+        return np.int64(0)
+    from_danger = costs[source] > 1
+    while size > 0:
+        now, here = heap_cost[0], heap_cell[0]
+        size = pop(heap_cost, heap_cell, size)
+        safe = costs[here] == 1
+        for side in range(begin[here], begin[here + 1]) if safe else range(4):
+            cell = border[side] if safe else neighbours[here, side]
+            if cell == NO_CELL or node[cell] == NO_CELL:
+                continue
+            cell = node[cell]
+            if touched[cell] == stamp:
+                continue
+            touched[cell], to_go[cell] = stamp, now
+            if cell == start or (from_danger and begin[cell + 1] - begin[cell] > wide):
+                return now
+            size = push(heap_cost, heap_cell, size, now + costs[cell] if costs[cell] > 1 else now, cell)
+    return np.int64(UNREACHED)
+
+
+@threaded
+def far_search(  # type: ignore[no-untyped-def]
+    source, rank, inside, neighbours, costs, distance, seen, stamp, heap_cost, heap_cell, layer, later, parts, ahead
+):
+    """The nearest target and its cost, as `search_within` finds them, NO_CELL if there is none, after `danger_ahead`.
+
+    A* with the danger to go, at most `ahead`, as its potential, until all that costs as little as the answer is
+    settled. Costs with what is to go never fall on a way, and mostly rise by 0 or 1: what comes `now` and what comes
+    next are lists, all else is in a heap. Of `distance` only what lies on safest paths to the answer is final.
+    TOO_FAR where a cell that was queued again found no room in `layer`, `later` or the heap.
+    """
+    node, to_go, touched = parts.node, parts.to_go, parts.touched
+    distance[source], seen[source] = 0, stamp
+    best, best_cost, now = NO_CELL, np.int64(UNREACHED), np.int64(ahead)
+    layer[0], count, beyond, size, room = source, 1, 0, 0, len(layer) - 4
+    while best == NO_CELL or now <= best_cost:
+        place = 0
+        while place < count:
+            here = layer[place]
+            place += 1
+            at = node[here]
+            if now != distance[here] + (to_go[at] if touched[at] == stamp else ahead):
+                continue  # queued before a cheaper way was found
+            if rank[here] != NOT_WANTED:
+                if best == NO_CELL or rank[here] < rank[best] or (rank[here] == rank[best] and here < best):
+                    best, best_cost = here, distance[here]
+                continue
+            if max(count, beyond, size) > room:
+                return TOO_FAR, np.int64(UNREACHED)
+            for side in range(4):
+                cell = neighbours[here, side]
+                if cell == NO_CELL or not inside[cell]:
+                    continue
+                cost = distance[here] + costs[cell]
+                if seen[cell] == stamp and distance[cell] <= cost:
+                    continue
+                distance[cell], seen[cell] = cost, stamp
+                at = node[cell]
+                total = cost + (to_go[at] if touched[at] == stamp else ahead)
+                if total == now:
+                    layer[count] = cell
+                    count += 1
+                elif total == now + 1:
+                    later[beyond] = cell
+                    beyond += 1
+                else:
+                    size = push(heap_cost, heap_cell, size, total, cell)
+        layer, later, count, beyond = later, layer, beyond, 0
+        if count > 0:
+            now += 1
+        elif size > 0:
+            now = heap_cost[0]
+        else:
+            break
+        while size > 0 and heap_cost[0] == now:
+            if count > room:
+                return TOO_FAR, np.int64(UNREACHED)
+            layer[count] = heap_cell[0]
+            count += 1
+            size = pop(heap_cost, heap_cell, size)
+    return best, best_cost
+
 
 NEAR = 4_000
 """Cells that a search for a target takes before it turns to `far_search`; small maps have fewer."""
@@ -182,3 +522,30 @@ def safest_paths(shape: tuple[int, int], costs: NDArray[np.int64]) -> SafestPath
     """Safest paths over a grid with these entry costs `[N]`: kept for small worlds, searched for each time in large."""
     neighbours = neighbour_table(shape, costs != BLOCKED)
     return (TabledPaths if len(costs) <= TABLE_CELLS else SafestPaths)(neighbours, costs)
+
+
+# The world as a NetworkX graph, for people who go on from there and as the reference for the cost tables.
+
+
+def to_networkx(world: World) -> nx.DiGraph:
+    """The free cells as a directed graph: nodes (row, col) with `threat` and `pos` (metres).
+
+    An edge into a cell has `cost` after eq. (3), in the integers of SPEC section 3 (no quantisation), and
+    `hazard = -log(1 - p)`, the additive form of the survival probability.
+    """
+    import networkx as nx
+
+    levels = find_levels(world, world.free, most=world.threat.size + 1)
+    costs, threat = entry_costs(levels, "paper"), world.threat.ravel()
+    free = np.flatnonzero(world.free.ravel())
+    name = {int(cell): divmod(int(cell), world.shape[1]) for cell in free}
+    points = world.to_xy(free)
+    graph = nx.DiGraph(shape=world.shape, cell_size=world.cell_size, origin=world.origin)
+    for cell, (x, y) in zip(free.tolist(), points.tolist(), strict=True):
+        graph.add_node(name[cell], threat=float(threat[cell]), pos=(x, y))
+    for side in neighbour_table(world.shape, world.free.ravel()).T:
+        for cell in free[side[free] != NO_CELL].tolist():
+            entered = int(side[cell])
+            hazard = float(-np.log1p(-np.float64(threat[entered])))
+            graph.add_edge(name[cell], name[entered], cost=int(costs[entered]), hazard=hazard)
+    return graph

@@ -11,19 +11,152 @@ from scipy import ndimage
 
 from planner.arguments import argument
 from planner.errors import PlanError, WorldError
-from planner.limits import MAX_STEP
-from planner.mrac.costs import BLOCKED, entry_costs, level_costs
-from planner.mrac.homeward import Homeward, ways_home, ways_to
-from planner.mrac.own_maps import OwnMaps, own_maps
-from planner.mrac.paths import SafestPaths, safest_paths
-from planner.mrac.sides import sides_first
-from planner.mrac.unknown import Unknown, reached, unknown_of
+from planner.ids import MAX_STEP, NO_ROBOT
+from planner.mrac.areas import connected_parts, sides_first
+from planner.mrac.home_paths import Homeward, OwnMaps, own_maps, ways_home, ways_to
+from planner.mrac.paths import BLOCKED, SafestPaths, entry_costs, level_costs, safest_paths
+from planner.plan.plan import Area, Plan
 from planner.policies import Rule, rule_of
 from planner.policies.limits import refusal_threshold
-from planner.policies.offer import Offer
+from planner.policies.rule import Offer
 from planner.settings import Settings
-from planner.worlds.levels import NO_LEVEL, ThreatLevels, find_levels
-from planner.worlds.world import FOUR_NEIGHBOURS, World, check_starts
+from planner.world.features import as_planned
+from planner.world.levels import NO_LEVEL, ThreatLevels, find_levels, levels_of_maps
+from planner.world.map_knowledge import Evidence, Knowledge, Sense
+from planner.world.moving_threats import Phases
+from planner.world.uncertain_maps import Hazard, Uncertain
+from planner.world.world import FOUR_NEIGHBOURS, World, check_starts
+
+# What robots that are not told the map believe at first, and what may be true: levels on one scale (SPEC section 15).
+#
+# Robots that learn about hazards believe one of several classes of each cell, whatever is true.
+
+
+@dataclass(frozen=True, eq=False)
+class Unknown:
+    """What is believed and true. Axes: `N` = H * W cells, `M` maps of which one is true, `L` levels.
+
+    Attributes:
+        knowledge: of the world. values: float64 `[L]`, of all maps together; quantised: as of `ThreatLevels`.
+        belief: int16 `[N]`, level of each cell that is believed free, NO_LEVEL of an obstacle: before the first step.
+        truths: int16 `[M, N]`, the same truly; of hazards, what each class of the evidence makes robots believe; of
+            phases, what is true in each.
+        within: bool `[N]`, cells that robots may come to reach, whatever they learn.
+        accessible: bool `[N]`, those that they truly can reach.
+        evidence: what robots that learn about hazards go by; None: they see what is true.
+        phases: of threats that change, of which robots are told as they do; None: nothing changes.
+    """
+
+    knowledge: Knowledge
+    values: NDArray[np.float64]
+    quantised: bool
+    belief: NDArray[np.int16]
+    truths: NDArray[np.int16]
+    within: NDArray[np.bool_]
+    accessible: NDArray[np.bool_]
+    evidence: Evidence | None = None
+    phases: Phases | None = None
+
+    @property
+    def looks(self) -> bool:
+        """Whether robots look about, for cells that nobody has seen yet."""
+        return self.evidence is None and self.phases is None
+
+    @cached_property
+    def learns(self) -> bool:
+        """Whether anything is left to learn, and somebody looks."""
+        differ = (self.truths != self.belief)[:, self.within]
+        return (not self.looks or self.knowledge.sense.range > 0) and bool(differ.any())
+
+    @cached_property
+    def last_update(self) -> int:
+        """The step from which the last announced phase holds that changes a level which robots know of; 0: none."""
+        if self.phases is None:
+            return 0
+        changes = (self.truths[1:] != self.truths[:-1])[:, self.within].any(axis=1)
+        return int(self.phases.begins[1:][changes].max(initial=0))
+
+    @property
+    def dearest(self) -> ThreatLevels:
+        """Every cell that may be reached at the highest level that it may have."""
+        most = np.maximum(self.truths.max(axis=0), self.belief)
+        return ThreatLevels(self.values, np.where(self.within, most, NO_LEVEL).astype(np.int16), self.quantised)
+
+    @cached_property
+    def views(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+        """What is seen from each cell that may be reached, of such cells (`Sense.views`), in order of the cells."""
+        begin, seen = self.knowledge.sense.views(self.knowledge.free, np.flatnonzero(self.within))
+        kept = self.within[seen]
+        return np.append(0, np.cumsum(kept))[begin], seen[kept]
+
+    def view(self, cell: int) -> NDArray[np.int32]:
+        """The cells that are seen from a cell."""
+        begin, seen = self.views
+        number = int(self._place[cell])
+        return seen[begin[number] : begin[number + 1]]
+
+    def seen_at(self, starts: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """bool `[N]`: what robots in these cells have seen before the first step: nothing where the truth is drawn."""
+        seen = np.zeros(len(self.within), dtype=np.bool_)
+        for cell in starts.tolist() if len(self.truths) == 1 else ():
+            seen[self.view(cell)] = True
+        return seen
+
+    @cached_property
+    def _place(self) -> NDArray[np.int64]:
+        return np.cumsum(self.within) - 1
+
+
+def unknown_of(world: World, starts: NDArray[np.int64], most: int) -> Unknown | None:
+    """Of robots at `starts` `[K, 2]` and at most so many levels; None where they are told the map."""
+    known = world.knowledge
+    if world.learned_hazard is not None:
+        return _of_hazards(world, world.learned_hazard.evidence, starts, most)
+    if world.phases is not None and world.phases.told:
+        return _of_phases(world, world.phases, starts, most)
+    if known is None:
+        return None
+    told = as_planned(world, starts).threat
+    if isinstance(world.doubt, Uncertain) and world.doubt.whole:
+        true = np.stack([world.doubt.threat_at(row).ravel() for row in range(world.doubt.count)])
+    else:
+        true = known.truth.reshape(1, -1)
+    free = known.free | ~np.isnan(world.threat)
+    within = reached(free, starts[:, 0] * world.shape[1] + starts[:, 1])
+    # On the scale of what was believed before anybody looked, and of all that may be true: it tells no place.
+    values, of_cell, quantised = levels_of_maps(np.concatenate([world.threat.reshape(1, -1), true]), within, most)
+    looked = ((told != world.threat) & ~(np.isnan(told) & np.isnan(world.threat))).ravel()
+    belief = np.where(looked, of_cell[1], of_cell[0]).astype(np.int16)
+    return Unknown(known, values, quantised, belief, of_cell[1:], within, world.accessible(starts).ravel())
+
+
+def _of_hazards(world: World, evidence: Evidence, starts: NDArray[np.int64], most: int) -> Unknown | None:
+    """Of robots that learn about hazards; None where nothing that happens changes what they plan on."""
+    within = world.accessible(starts).ravel()
+    classes, first = evidence.chances, world.threat.ravel()
+    if np.array_equal(classes[:, within], np.broadcast_to(first[within], classes[:, within].shape), equal_nan=True):
+        return None
+    values, of_cell, quantised = levels_of_maps(classes, within, most)
+    detector = evidence.detector
+    known = Knowledge(world.threat, Sense() if detector is None else detector.sense)
+    belief = of_cell[evidence.class_of(evidence.prior, np.arange(len(first))), np.arange(len(first))]
+    return Unknown(known, values, quantised, belief, of_cell, within, within, evidence)
+
+
+def _of_phases(world: World, phases: Phases, starts: NDArray[np.int64], most: int) -> Unknown | None:
+    within = world.accessible(starts).ravel()
+    if (world.by_phase == world.by_phase[0])[:, within].all():
+        return None
+    values, of_cell, quantised = levels_of_maps(world.by_phase, within, most)
+    known = Knowledge(world.threat, Sense())
+    return Unknown(known, values, quantised, of_cell[0], of_cell, within, within, phases=phases)
+
+
+def reached(free: NDArray[np.bool_], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """bool `[N]`: the free cells, bool `[H, W]`, in a connected part with one of these."""
+    part = ndimage.label(free, FOUR_NEIGHBOURS)[0].ravel()
+    return (part > 0) & np.isin(part, part[cells])
+
 
 NO_LIMIT = 2**40
 """More moves than a run has steps."""
@@ -43,7 +176,7 @@ class Problem:
         range: int64 `[K]`, moves that each robot can make; NO_LIMIT of them where nothing limits it.
         rule: the policy's. entry: int64 `[L]`, cost of entering a cell of each level (1 where a level has none).
         given: paths of another planner, int64 `[steps + 1]` each, that the robots follow first; empty: none.
-        sides: int64 `[N, 4]`, which neighbour goes first on coverage paths (`planner.mrac.sides`).
+        sides: int64 `[N, 4]`, which neighbour goes first on coverage paths (`planner.mrac.areas`).
         value: int64 `[N]`, what attentive robots count cells by; None: 1 each.
         unknown: what robots are not told of the map, None: nothing. Levels, costs, paths and parts are of what they
             believe, and all that is accessible is what they believe that one of them can reach.
@@ -285,3 +418,62 @@ def _check_comparisons(
             expected="path costs times cells below 2**63",
             fix="raise the smallest threats or set them to 0, or use policy mrac",
         )
+
+
+# A plan's closed loop made ready: its problem and the areas at t = 0, of MRAC's plans and of other planners' alike.
+#
+# Robots with paths of another planner follow them (ours; the paper has no such plans). The cells that a robot is the
+# first to visit are its areas, one a level, which nobody shares; if it is stopped, what is unvisited of them is cut
+# into
+# connected areas for whoever is free, as the paper's `Reallocate Area` does. Cells that are on nobody's path are areas
+# that nobody has from the start. A robot at the end of its path goes on as Algorithm 2 says.
+
+
+def ready_loop(plan: Plan, world: World) -> tuple[Problem, tuple[Area, ...]]:
+    """The problem that the plan's closed loop runs, and its areas at t = 0.
+
+    Raises PlanError for another map, WorldError for what robots that are not told the map do not do.
+    """
+    settings = plan.require(world)
+    if plan.is_foreign:
+        settings.check_alike("a closed loop on another planner's paths")
+    if plan.is_foreign or plan.state is not None:
+        world.check_told("a closed loop on another planner's paths" if plan.is_foreign else "the rest of a mission")
+    if settings.transit == "area":
+        world.check_told('`transit="area"`, legs that stay in their area,')
+    if not plan.is_foreign:
+        homes = None if plan.state is None else plan.state.homes(settings.return_to)
+        return prepare(world, plan.starts, settings, homes=homes), plan.areas
+    problem = prepare(world, plan.starts, settings, given=tuple(robot.path for robot in plan.robots))
+    return problem, areas_of_paths(problem)
+
+
+def check_every_visit(world: World, first_only: bool) -> None:
+    """Raise WorldError where robots would learn from visits that nobody checks."""
+    if first_only and isinstance(world.doubt, Hazard):
+        world.check_told(argument("threat_checks", "first_visit"))
+
+
+def areas_of_paths(problem: Problem) -> tuple[Area, ...]:
+    """The areas of robots that follow given paths: for each robot one a level, then the connected ones of nobody."""
+    first, level = first_visitors(problem), problem.levels.of_cell
+    areas = [
+        Area(int(of), robot, np.flatnonzero((first == robot) & (level == of)))
+        for robot in range(len(problem.given))
+        for of in np.unique(level[first == robot])
+    ]
+    left = (first == NO_ROBOT) & problem.levels.accessible
+    for of in np.unique(level[left]):
+        parts = connected_parts(problem.world.shape, np.flatnonzero(left & (level == of)))
+        areas += [Area(int(of), NO_ROBOT, part) for part in parts]
+    return tuple(areas)
+
+
+def first_visitors(problem: Problem) -> NDArray[np.int64]:
+    """Of each cell the robot that is the first on it if nobody is stopped, the lowest of several; int64 `[N]`."""
+    first = np.full(problem.costs.size, NO_ROBOT, dtype=np.int64)
+    steps = np.concatenate([np.arange(len(path)) for path in problem.given])
+    robots = np.repeat(np.arange(len(problem.given)), [len(path) for path in problem.given])
+    latest_first = np.lexsort((robots, steps))[::-1]
+    first[np.concatenate(problem.given)[latest_first]] = robots[latest_first]
+    return first

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.limits import MAX_STEP
+from planner.ids import MAX_STEP
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.open_loop.nodes import make_nodes
 from planner.open_loop.search import chances, search, team_cells
-from planner.plans.plan import Plan, RobotPlan, entries
+from planner.plan.plan import Plan, RobotPlan, entries
 from planner.settings import Settings
 from planner.tally import Outcome
-from planner.worlds.world import World
+from planner.world.world import World
 
 EFFORT = 200_000
 """Evaluations, unless others are asked for."""

@@ -12,12 +12,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from planner.errors import PlanError
-from planner.mrac.costs import neighbour_table
-from planner.mrac.coverage import coverage_path
+from planner.ids import NO_CELL
+from planner.mrac.areas import coverage_path
+from planner.mrac.paths import neighbour_table
 from planner.mrac.problem import Problem
-from planner.none import NO_CELL
-from planner.policies.in_area import NEAREST
-from planner.worlds.world import FOUR_NEIGHBOURS, World
+from planner.policies.rules import NEAREST
+from planner.world.world import FOUR_NEIGHBOURS, World
 
 MOST_NODES = 6_000
 """Nodes of the largest map: the tables of safest ways take 16 bytes a pair of them while they are made, then 4."""

@@ -9,12 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from planner.policies.frontier import FRONTIER
-from planner.policies.mrac import MRAC
-from planner.policies.offer import Offer
-from planner.policies.per_cell import PER_CELL
-from planner.policies.rule import Rule, own_rule
-from planner.policies.watchful import WATCHFUL
+from planner.policies.rule import Offer, Rule, own_rule
+from planner.policies.rules import FRONTIER, MRAC, PER_CELL, WATCHFUL
 
 RULES: dict[str, Rule] = {rule.name: rule for rule in (MRAC, PER_CELL, FRONTIER, WATCHFUL)}
 """Every rule that a plan can name."""

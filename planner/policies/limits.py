@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from planner.policies.offer import Offer, price
+from planner.policies.rule import Offer, price
 
 NO_REFUSAL = 2**42
 """A theta that refuses nothing; larger ones are as good as none."""

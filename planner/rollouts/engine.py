@@ -8,32 +8,137 @@ name when they are asked for.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import UsageError, WorldError
-from planner.kernels.closed_loop import compile_closed_loop
-from planner.kernels.loop import ClosedLoop
-from planner.kernels.tables import AllPairs
-from planner.luck_names import LuckName
-from planner.plans.plan import Plan
-from planner.rollouts.blocks import check_range, run_ranges
-from planner.rollouts.by_luck import sums_by_luck
+from planner.ids import BLOCK, MOST_ROLLOUTS, LuckName
+from planner.plan.plan import Plan
 from planner.rollouts.names import ENGINES, EngineName, check_jax, of_jax
 from planner.rollouts.nominal_run import NominalRun, is_nominal
-from planner.rollouts.numba_closed_loop import NumbaClosedLoop
-from planner.rollouts.open_loop.compiled import MODES, CompiledPlan, Mode, compile_plan
-from planner.rollouts.open_loop.engine import OpenLoop
-from planner.rollouts.open_loop.numba_engine import NumbaOpenLoop
-from planner.tally import RolloutResults, Tally
-from planner.trace import Trace
-from planner.worlds.world import World
+from planner.rollouts.open_loop import MODES, CompiledPlan, Mode, OpenLoop, compile_plan
+from planner.rollouts.open_loop_numba import NumbaOpenLoop
+from planner.rollouts.threshold_classes import sums_by_luck
+from planner.simulator import closed_loop
+from planner.simulator.closed_loop import compile_closed_loop
+from planner.simulator.loop import ClosedLoop
+from planner.simulator.tables import AllPairs
+from planner.tally import RolloutResults, Tally, Trace
+from planner.world.world import World
+
+# Ranges of rollout ids to run one after the other, each as many as take about half a second.
+
+MOST_SEED = 2**64
+CHUNK_SECONDS = 0.5
+CELLS_A_CALL = 2**21
+"""Cells that rollouts cover, about, in a call that is worth while: 4,096 rollouts of 500 cells."""
+Result = TypeVar("Result")
+
+
+def worth_a_call(cells: int) -> int:
+    """Rollouts of the closed loop that a call is worth while for: a block, on large maps an aligned part of one."""
+    return max(1, min(BLOCK, 1 << (CELLS_A_CALL // cells).bit_length() - 1))
+
+
+def check_range(start: int, count: int, chunk: int | None, seed: int) -> None:
+    """Raise UsageError for ids, a chunk or a seed that are none."""
+    if start < 0 or count < 0 or start + count > MOST_ROLLOUTS:
+        raise UsageError(f"rollouts {start} .. {start + count}", expected="ids 0 <= id < 2**32")
+    if chunk is not None and chunk < 1:
+        raise UsageError(f"chunk is {chunk}", expected="at least 1 rollout")
+    if not 0 <= seed < MOST_SEED:
+        raise UsageError(f"seed is {seed}", expected="0 <= seed < 2**64")
+
+
+def run_ranges(
+    work: Callable[[int, int], Result],
+    start: int,
+    count: int,
+    *,
+    chunk: int | None = None,
+    checkpoints: Iterable[int] = (),
+    unit: int = BLOCK,
+) -> Iterator[tuple[int, int, Result, float]]:
+    """`work(start, count)` for range after range of ids: (start, count, what it returned, seconds it took).
+
+    Whoever stops iterating (or is interrupted) loses at most the range in flight.
+
+    Args:
+        work: runs a range. start, count: the ids.
+        chunk: ids a range, rounded up to whole units; None = one unit, then twice as many for as long as a range takes
+            less than a quarter of a second.
+        checkpoints: numbers of ids (counted from `start`) at which a range must end, for stopping rules.
+        unit: ranges end at its multiples.
+    """
+    ends = sorted({start + mark for mark in checkpoints if 0 < mark < count} | {start + count})
+    size, position = chunk or unit, start
+    while position < start + count:
+        boundary = next(end for end in ends if end > position)
+        stop = min(boundary, (position + size + unit - 1) // unit * unit)
+        clock = time.perf_counter()
+        result = work(position, stop - position)
+        took = time.perf_counter() - clock
+        yield position, stop - position, result, took
+        position = stop
+        if chunk is None and took < CHUNK_SECONDS / 2:
+            size *= 2
+
+
+# The compiled classical simulator (`planner.simulator.closed_loop`) as an engine.
+
+TRACED = 8
+"""Rollouts traced at a time."""
+
+
+class NumbaClosedLoop:
+    """One closed loop and seed, rolled out by Numba (see `planner.rollouts.engine.Engine`)."""
+
+    name = "numba"
+
+    def __init__(self, loop: ClosedLoop, seed: int, *, threads: int | None = None) -> None:
+        """`threads`: None for all cores; no count depends on it."""
+        self.loop, self.seed, self._threads = loop, seed, threads
+        self.accessible = loop.accessible
+        self.least = worth_a_call(self.accessible) if loop.tabled else 1
+
+    def tally(self, start: int, count: int) -> Tally:
+        """The tally of rollouts `start .. start + count - 1`."""
+        return closed_loop.run_range(self.loop, self.seed, start, count, threads=self._threads)[0]
+
+    def results(self, start: int, count: int) -> RolloutResults:
+        """What each of those rollouts came to."""
+        return self.run(start, count)[1]
+
+    def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
+        """The tally and the single results of those rollouts: one pass gives both."""
+        tally, results = closed_loop.run_range(self.loop, self.seed, start, count, threads=self._threads, singles=True)
+        assert results is not None
+        return tally, results
+
+    def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
+        """Those rollouts in full, in the order given, a few at a time."""
+        waiting = iter(rollouts)
+        while few := list(itertools.islice(waiting, TRACED)):
+            yield from closed_loop.trace_rollouts(self.loop, self.seed, few)
+
+    def until(self, step: int) -> NumbaClosedLoop:
+        """The same rollouts cut off at the end of `step`."""
+        return NumbaClosedLoop(self.loop.until(step), self.seed, threads=self._threads)
+
+    def under(self, truth: World) -> NumbaClosedLoop:
+        """The same decisions under the threats of `truth`."""
+        return NumbaClosedLoop(self.loop.under(truth), self.seed, threads=self._threads)
+
+    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> NumbaClosedLoop:
+        """The same rollouts, survived visits counted: `ClosedLoop.weighing`."""
+        return NumbaClosedLoop(self.loop.weighing(covered, found), self.seed, threads=self._threads)
 
 
 class Engine(Protocol):

@@ -14,11 +14,11 @@ from planner.errors import UsageError
 EngineName = Literal["auto", "jax", "numba"]
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 OF_JAX = {
-    "open loop": "mrac_jax.open_loop.jax_engine:JaxOpenLoop",
-    "closed loop": "mrac_jax.closed_loop.jax_engine:JaxClosedLoop",
-    "environment": "mrac_jax.environment.kinds:make_env",
-    "policy": "mrac_jax.environment.rolling:PolicyRollouts",
-    "accelerator": "mrac_jax.accelerator:accelerator",
+    "open loop": "mrac_jax.open_loop:JaxOpenLoop",
+    "closed loop": "mrac_jax.closed_loop.engine:JaxClosedLoop",
+    "environment": "mrac_jax.environment.area_env:make_env",
+    "policy": "mrac_jax.environment.area_env:PolicyRollouts",
+    "accelerator": "mrac_jax.runtime:accelerator",
 }
 """What the engines and the environment in JAX are asked for: their package stands above, and is known by name alone."""
 

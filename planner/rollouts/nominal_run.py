@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.kernels.loop import ClosedLoop
-from planner.limits import BLOCK
-from planner.mrac.reference import ReferenceLoop
-from planner.plans.plan import Plan, is_certain
-from planner.tally import Outcome, RolloutResults, Tally
-from planner.trace import Trace
-from planner.worlds.world import World
+from planner.ids import BLOCK
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan, is_certain
+from planner.simulator.loop import ClosedLoop
+from planner.tally import Outcome, RolloutResults, Tally, Trace
+from planner.world.world import World
 
 
 def is_nominal(plan: Plan, world: World) -> bool:

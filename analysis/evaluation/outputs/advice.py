@@ -14,23 +14,20 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from analysis.comparison.compare import Side, compare
+from analysis.comparison import Side, compare
 from analysis.evaluation.outputs.output import Blocks, Output, Run
-from analysis.kit.compiling import not_compiled
-from analysis.kit.words import without_level
-from analysis.page.series import Chart, Series
-from analysis.statistics.control import tally_mean
-from analysis.statistics.coverage import losses_said
-from analysis.statistics.estimate import Estimate, exactly
-from analysis.tradeoff.front import Point, settings_of
-from analysis.tradeoff.rules import Figures, Goal, Setting, efficient, knee
-from analysis.tradeoff.search import quick_points
+from analysis.page.charts import Chart, Series
+from analysis.search.pareto import Figures, Goal, Point, Setting, efficient, knee, quick_points, settings_of
+from analysis.statistics.control_variate import tally_mean
+from analysis.statistics.estimates import Estimate, exactly, losses_said
+from analysis.utils.compiling import not_compiled
+from analysis.utils.tables import without_level
 from planner.arguments import COMMAND_LINE, argument
 from planner.errors import PlanError, WorldError
 from planner.files import Json
-from planner.plans.plan import Plan
+from planner.formatting import counted, percent
+from planner.plan.plan import Plan
 from planner.policies import RULES
-from planner.shown import counted, percent
 
 if TYPE_CHECKING:
     from analysis.evaluation.answer import Evaluation

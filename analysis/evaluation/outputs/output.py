@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 from rich.table import Table
 
 from analysis.evaluation.figures import Covered
-from analysis.kit.notes import Progress
-from analysis.page.series import Chart, Series
-from analysis.report.blocks import Pictured
+from analysis.page.charts import Chart, Series
+from analysis.report.model import Pictured
 from analysis.sampling import RollOut, RolloutChoices, Stage
 from analysis.theory.exact import OpenLoopExact
-from analysis.theory.truth import ClosedTruth
-from planner.kernels.tables import AllPairs
-from planner.plans.plan import Plan
-from planner.shown import in_percent
-from planner.worlds.world import World
+from analysis.theory.verdicts import ClosedTruth
+from analysis.utils.notes import ProgressCallback
+from planner.formatting import in_percent
+from planner.plan.plan import Plan
+from planner.simulator.tables import AllPairs
+from planner.world.world import World
 
 if TYPE_CHECKING:
-    from analysis.page.cell_maps import CellLayer
+    from analysis.page.maps import CellLayer
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Run:
     closed: ClosedTruth | None
     certain: bool
     kept: AllPairs
-    progress: Progress
+    progress: ProgressCallback
     doing: Callable[[str], None]
 
 

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from analysis.evaluation.outputs.advice import Advice
-from analysis.evaluation.outputs.band import Band
-from analysis.evaluation.outputs.deadline import Deadline
-from analysis.evaluation.outputs.experience import Experience
-from analysis.evaluation.outputs.knowledge import Knowledge
-from analysis.evaluation.outputs.map_doubt import MapDoubt
+from analysis.evaluation.outputs.information import Experience, Knowledge
 from analysis.evaluation.outputs.output import Output
-from analysis.evaluation.outputs.team import Mates
-from analysis.evaluation.outputs.threat_scale import ThreatScale
-from analysis.evaluation.outputs.turning import Turning
+from analysis.evaluation.outputs.over_time import Band, Deadline, Turning
 from analysis.evaluation.outputs.value import Value
+from analysis.evaluation.outputs.what_if import MapDoubt, Mates, ThreatScale
 
 OUTPUTS: dict[str, type[Output]] = {
     "threat_scale": ThreatScale,

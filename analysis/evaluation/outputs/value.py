@@ -9,40 +9,254 @@ rounded down or up. The mean counts them so; the interval's lower end does witho
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.table import Table
 
+from analysis.estimators.trial import TreeTruth, mean_value, stated, units_of
 from analysis.evaluation.outputs.output import Blocks, Output, Run
-from analysis.evaluation.outputs.value_figures import ValueFigures
-from analysis.evaluation.outputs.value_words import SENTENCES, value_table
 from analysis.sampling import make_engine_for
-from analysis.statistics.control import LEAST, tally_mean
+from analysis.statistics.control_variate import LEAST, tally_mean
 from analysis.statistics.differences import CommonLuck
-from analysis.statistics.estimate import Estimate, exactly
-from analysis.statistics.mission import at_least, robots_left
-from analysis.theory.any_strategy import MOST_CELLS, value_bound
-from analysis.theory.reachable import trimmed
-from analysis.theory.value import Worth, open_loop_found
-from analysis.trials.exact_loop import TreeTruth
-from analysis.trials.measured import stated
-from analysis.trials.valuing import mean_value, units_of
+from analysis.statistics.estimates import TAIL, Estimate, at_least, exactly, in_unit, robots_left, tail_mean, times_to
+from analysis.theory.exact import Worth, open_loop_found
+from analysis.theory.upper_bound import MOST_CELLS, trimmed, value_bound
+from analysis.utils.tables import make_table
 from planner.arguments import argument, check_word
 from planner.errors import UsageError
 from planner.files import Json
-from planner.kernels.state import MOST_PASSES
-from planner.kernels.tree import Tree
-from planner.rollouts.blocks import run_ranges
-from planner.rollouts.by_luck import luck_classes
+from planner.formatting import at_least_words, percent
+from planner.rollouts.engine import run_ranges
+from planner.rollouts.threshold_classes import luck_classes
+from planner.simulator.exact_tree import Tree
+from planner.simulator.state import MOST_PASSES
 from planner.tally import Tally
-from planner.worlds.reported import METRICS
-from planner.worlds.world import World
+from planner.world.scenario import METRICS
+from planner.world.world import World
 
 if TYPE_CHECKING:
-    from analysis.page.cell_maps import CellLayer
+    from analysis.page.maps import CellLayer
+
+# Value covered, found and left, and what missions are judged by beside it, for every field's words (SPEC 13).
+
+
+@dataclass(frozen=True, eq=False)
+class ValueFigures:
+    """Value covered, found and left. Axis `N` = H * W cells.
+
+    Attributes:
+        metrics: in whose words. world: the map. worth: of its cells.
+        covered, found: expected value of the cells visited, and of what is found.
+        covered_by_cell, found_by_cell: float64 `[N]`, chance that the cell is visited, that what is in it is found.
+        remainder: of `found`, not counted by visit. most: expected value that no strategy exceeds, or None.
+        tally: of the evaluation. losses: expected robots lost. robots_left: P(at least 1, ..., K are left at the end).
+    """
+
+    metrics: str
+    world: World
+    worth: Worth
+    covered: Estimate
+    found: Estimate
+    covered_by_cell: NDArray[np.float64]
+    found_by_cell: NDArray[np.float64]
+    remainder: float
+    most: float | None
+    tally: Tally
+    losses: Estimate
+    robots_left: list[Estimate]
+
+    @property
+    def left(self) -> Estimate:
+        """Expected value that is not found: that of all free cells without what is."""
+        total, (low, high) = self.worth.total, self.found.ci95
+        return Estimate(total - self.found.mean, self.found.se, (total - high, total - low))
+
+    @property
+    def left_by_cell(self) -> NDArray[np.float64]:
+        """float64 `[N]`: expected value left in each cell."""
+        return self.worth.value * (1.0 - self.found_by_cell)
+
+    @property
+    def scale(self) -> float:
+        """What makes chances of values: 1 where they add up to at most 1, else one over their sum."""
+        return 1.0 if self.worth.total <= 1 + 1e-6 else 1.0 / self.worth.total
+
+    @property
+    def detection(self) -> float | None:
+        """Probability of detection: found of what was covered; None where nothing was."""
+        return self.found.mean / self.covered.mean if self.covered.mean > 0 else None
+
+    @property
+    def route_left(self) -> tuple[float, float] | None:
+        """Expected value left on the route, and that of its worst cell; None without a route.
+
+        Read as chances, something is left on the route with a chance between the second and the first.
+        """
+        if self.world.team.route is None:
+            return None
+        rows, cols = self.world.team.route.T
+        left = self.left_by_cell[np.unique(rows * self.world.shape[1] + cols)]
+        return float(left.sum()), float(left.max())
+
+    @property
+    def cvar(self) -> float:
+        """Mean coverage of the worst runs, a share TAIL of all: a fraction of the accessible cells."""
+        return tail_mean(self.tally.visited) / self.tally.accessible
+
+    def per_robot_lost(self, amount: float) -> float | None:
+        """So much a robot lost; None where none is."""
+        return amount / self.losses.mean if self.losses.mean > 0 else None
+
+    @property
+    def square_metres(self) -> float:
+        """Expected ground visited."""
+        return float(self.covered_by_cell.sum()) * self.world.cell_size**2
+
+    def to_json(self) -> Json:
+        """All of them, but those by cell."""
+        shares = {name: getattr(self, name).to_json() for name in ("covered", "found", "left")}
+        route = self.route_left
+        return {
+            "metrics": self.metrics,
+            "total": self.worth.total,
+            **shares,
+            "remainder": self.remainder,
+            "any_strategy": self.most,
+        } | {
+            "search": {
+                "containment": self.covered.mean * self.scale,
+                "detection": self.detection,
+                "success": self.found.mean * self.scale,
+            },
+            "clearance": {
+                "cleared": self.found.mean / self.worth.total,
+                "remaining": self.left.mean,
+                "route": None if route is None else {"remaining": route[0], "risk": [route[1], min(route[0], 1.0)]},
+            },
+            "square_metres": self.square_metres,
+            "per_robot_lost": {
+                "value": self.per_robot_lost(self.covered.mean),
+                "square_metres": self.per_robot_lost(self.square_metres),
+            },
+            "robots_left": [chance.to_json() for chance in self.robots_left],
+            "time_to": {f"{share:g}": step for share, step in times_to(self.tally).items()},
+            "cvar": {f"{TAIL:g}": self.cvar},
+        }
+
+
+# The value output in words and as a table: those of coverage planners, of search and rescue, of mine clearance.
+
+TITLES = {"coverage": "What the cells are worth", "search": "Search", "clearance": "Clearance"}
+
+
+def amount(value: float) -> str:
+    """A value in as many digits as tell values apart."""
+    return f"{value:,.2f}" if abs(value) >= 100 else f"{value:.4g}"
+
+
+def value_table(value: ValueFigures) -> Table:
+    """The field's own figures first, then those that every field asks for."""
+    table = make_table(("", "expected", "95 % interval"), TITLES[value.metrics])
+    for name, shown, interval in (*ROWS[value.metrics](value), *_common(value)):
+        table.add_row(name, shown, interval)
+    return table
+
+
+Rows = Iterator[tuple[str, str, str]]
+
+
+def _row(name: str, estimate: Estimate, scale: float = 1.0, chance: bool = False) -> tuple[str, str, str]:
+    if chance:
+        mean, interval = estimate.columns(100 * scale, 100)
+        return name, f"{mean} %", in_unit(interval)
+    low, high = (amount(scale * end) for end in estimate.ci95)
+    exact = estimate.ci95[0] == estimate.ci95[1]
+    return name, amount(scale * estimate.mean), "exact" if exact else f"{low} .. {high}"
+
+
+def _coverage(value: ValueFigures) -> Rows:
+    yield _row("value of all free cells", exactly(value.worth.total))
+    yield _row("value covered (visited)", value.covered)
+    yield _row("value found", value.found)
+    yield _row("value left", value.left)
+    if value.route_left is not None:
+        yield "value left on the route", amount(value.route_left[0]), ""
+
+
+def _search(value: ValueFigures) -> Rows:
+    """Koopman's: success = containment x detection."""
+    yield _row("containment (POC): in a cell that is searched", value.covered, value.scale, chance=True)
+    detection = "" if value.detection is None else percent(value.detection, 2)
+    yield "detection (POD): found, if it is in one", detection, ""
+    yield _row("success (POS) = POC x POD", value.found, value.scale, chance=True)
+    if value.route_left is not None:
+        left = min(value.scale * value.route_left[0], 1.0)
+        yield "chance that it lies on the route and is not found", percent(left, 2), ""
+
+
+def _clearance(value: ValueFigures) -> Rows:
+    yield _row("percent clearance", value.found, 1.0 / value.worth.total, chance=True)
+    yield _row("expected remaining", value.left)
+    if value.route_left is not None:
+        total, worst = value.route_left
+        yield "expected remaining on the route", amount(total), ""
+        yield "residual risk of the route", f"{percent(min(worst, 1.0), 2)} .. {percent(min(total, 1.0), 2)}", "bounds"
+
+
+ROWS: dict[str, Callable[[ValueFigures], Rows]] = {"coverage": _coverage, "search": _search, "clearance": _clearance}
+
+
+def _common(value: ValueFigures) -> Rows:
+    if value.most is not None:
+        yield "no strategy covers more on average (proven)", amount(value.most), ""
+    yield "ground visited, m2", amount(value.square_metres), ""
+    each = [value.per_robot_lost(of) for of in (value.square_metres, value.covered.mean)]
+    for name, ratio in zip(("m2 covered per robot lost", "value covered per robot lost"), each, strict=True):
+        yield name, "no robot is lost" if ratio is None else amount(ratio), ""
+    for robots, chance in enumerate(value.robots_left, 1):
+        if robots in _shown(value.tally.robots):
+            yield _row(f"chance that {at_least_words(robots, value.tally.robots)} left", chance, chance=True)
+    for share, step in times_to(value.tally).items():
+        when = "never" if step is None else f"{step:,}{value.world.pace.also(step)}"
+        yield f"steps to {100 * share:g} % of the cells, on average", when, ""
+        if step is None:
+            break
+    yield f"coverage in the worst {100 * TAIL:g} % of runs (CVaR)", percent(value.cvar, 2), ""
+
+
+def _shown(robots: int) -> set[int]:
+    """One, half of them, all."""
+    return {1, -(-robots // 2), robots}
+
+
+def _coverage_sentence(value: ValueFigures) -> str:
+    return (
+        f"Of {amount(value.worth.total)} in all, {amount(value.covered.mean)} are covered and "
+        f"{amount(value.found.mean)} found on average; {amount(value.left.mean)} are left."
+    )
+
+
+def _search_sentence(value: ValueFigures) -> str:
+    shown = [percent(min(of.mean * value.scale, 1.0)) for of in (value.found, value.covered)]
+    pod = "nothing is searched" if value.detection is None else f"detection {percent(value.detection)}"
+    return f"Probability of success {shown[0]}: containment {shown[1]}, {pod}."
+
+
+def _clearance_sentence(value: ValueFigures) -> str:
+    cleared = percent(value.found.mean / value.worth.total)
+    return f"{cleared} are cleared on average; {amount(value.left.mean)} of {amount(value.worth.total)} remain."
+
+
+SENTENCES: dict[str, Callable[[ValueFigures], str]] = {
+    "coverage": _coverage_sentence,
+    "search": _search_sentence,
+    "clearance": _clearance_sentence,
+}
+"""The answer in one sentence, by whose words."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +328,7 @@ class Value(ValueFigures, Output):
 
     def layer(self) -> CellLayer:
         """What is left of what each cell is worth."""
-        from analysis.page.cell_maps import CellLayer
+        from analysis.page.maps import CellLayer
         from analysis.pictures.style import LOSSES
 
         about = f"Value times the chance that it is not found. {self.left.mean:.4g} of {self.worth.total:.4g} in all."
@@ -131,7 +345,7 @@ def _left(tree: Tree) -> tuple[Estimate, list[Estimate]]:
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """Values as whole numbers (`analysis.trials.valuing`).
+    """Values as whole numbers (`analysis.estimators.trial`).
 
     Attributes:
         worth: of the cells. covered: int64 `[N]`. found: int64 `[N, MOST_PASSES + 1]`, by survived visits.

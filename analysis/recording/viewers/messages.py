@@ -5,25 +5,415 @@ The messages depend on world, plan, trace and clock alone, so that a replay comp
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.VoxelGrid_pb2 import VoxelGrid
+from numpy.typing import NDArray
 
-from analysis.recording.discovery import Discovery
-from analysis.recording.events import ENDS_WITH_ERROR, end_text, event_line
-from analysis.recording.frames import Frames, make_frames
-from analysis.recording.viewers import ros as drawn_ros
-from analysis.recording.viewers import schemas
-from analysis.recording.viewers.map import MapDrawer
-from analysis.recording.viewers.movers import MoverDrawer
-from analysis.recording.viewers.robots import DRIVEN_HEIGHT, PLANNED_HEIGHT, PathLines, RobotDrawer
-from analysis.recording.viewers.topics import Clock, Message, Stage
-from planner.none import NO_STEP
-from planner.plans.waypoints import headings
-from planner.roaming import ways_of_movers
-from planner.trace import Doing, Trace
+from analysis.recording.frames import (
+    ENDS_WITH_ERROR,
+    AreaMap,
+    Discovery,
+    Frames,
+    Held,
+    end_text,
+    event_line,
+    make_frames,
+)
+from analysis.recording.viewers import topics as colours
+from analysis.recording.viewers import topics as drawn_ros
+from analysis.recording.viewers import topics as schemas
+from analysis.recording.viewers.topics import FRAME, Clock, Message, Place, Stage, occupancy_grid
+from planner.ids import NO_AREA, NO_ROBOT, NO_STEP
+from planner.plan.plan import headings
+from planner.rollout_sampling import ways_of_movers
+from planner.tally import Doing, Trace
+from planner.world.image_files import FULL, NO_VALUE
+from planner.world.world import World
+
+# What viewers draw of the map: threats, obstacles, visits, areas with their owners, and what robots learn of it.
+#
+# In two forms: foxglove.Grid for Foxglove and Lichtblick; nav_msgs/OccupancyGrid and foxglove.VoxelGrid, of which each
+# voxel is a coloured plate, for Rerun. In all of them row 0 of the message is the lowest y. Axis letters: `N = H * W`
+# cells.
+
+RGBA = np.dtype([(colour, "u1") for colour in ("red", "green", "blue", "alpha")])
+TRUTH, FOG = (np.dtype([(value, "<f4"), *RGBA.descr]) for value in ("threat", "seen_at"))
+_KINDS = {"u1": PackedElementField.UINT8, "u2": PackedElementField.UINT16, "f4": PackedElementField.FLOAT32}
+HEIGHTS = {
+    "threat": 0.0, "truth": 0.0, "areas": 0.02, "voxels": 0.02, "visited": 0.04, "obstacles": 0.06, "fog": 0.08,
+}  # fmt: skip
+"""Height above the ground of each layer, in cells, so that they do not fight for the same pixels."""
+DARK = (15, 70)
+MAP_VOXEL_HEIGHT = 0.1
+OPAQUE = 255
+MOST_COUNTED = 255
+FAINT, PALE, SOLID = 20, 70, 200
+"""Alpha of cells not visited yet, in nobody's area and in somebody's, and visited."""
+
+
+class MapDrawer:
+    """Draws one world in one rollout. What changes is kept as the messages want it, lowest row first."""
+
+    def __init__(self, world: World, accessible: NDArray[np.bool_]) -> None:
+        """`accessible`: bool `[H, W]`."""
+        self.world, self._threat = world, world.threat if world.phases is None else world.met
+        self._unknown = world.free & ~accessible
+        self._grids = {
+            "threat": _grid(self.place("threat"), world, np.dtype([("threat", "<f4")])),
+            "obstacles": _grid(self.place("obstacles"), world, RGBA),
+            "truth": _grid(self.place("truth"), world, TRUTH),
+            "fog": _grid(self.place("fog"), world, FOG),
+            "visited": _grid(self.place("visited"), world, np.dtype([("visited", "u1")])),
+            "areas": _grid(self.place("areas"), world, RGBA),
+        }
+        cells = np.arange(world.threat.size).reshape(world.shape)
+        self._at = np.flipud(cells).reshape(-1)  # its own inverse: the place of each cell in a message
+        self._counts = np.zeros(world.threat.size, dtype=np.uint8)
+        self._rgba = np.zeros((world.threat.size, 4), dtype=np.uint8)
+        self._plates = np.zeros((world.threat.size, 4), dtype=np.uint8)
+        self._voxels = voxel_grid(self.place("voxels"), world.shape, MAP_VOXEL_HEIGHT)
+        self.changed = False
+        self._first = np.full(world.threat.size, NO_ROBOT, dtype=np.int32)  # of the first visit
+
+    def enter(self, cells: NDArray[np.int32]) -> None:
+        """Robots enter these cells, one after the other."""
+        for place in self._at[cells].tolist():
+            self._counts[place] = min(int(self._counts[place]) + 1, MOST_COUNTED)
+
+    def first_visit(self, cells: NDArray[np.int32], robots: NDArray[np.int32]) -> None:
+        """These cells are visited for the first time."""
+        if not len(cells):
+            return
+        places, self.changed = self._at[cells], True
+        self._first[places] = robots
+        self._rgba[places, :3], self._rgba[places, 3] = colours.robots_rgb(robots), SOLID
+        self._plates[places, :3], self._plates[places, 3] = colours.robots_rgb(robots), OPAQUE
+
+    def hold(self, areas: AreaMap) -> None:
+        """Who holds what from now on."""
+        self.changed = True
+        unseen = self._first == NO_ROBOT
+        at = self._at[unseen]
+        owned, inside = areas.held[at] != Held.UNASSIGNED, areas.area[at] != NO_AREA
+        rgb = np.where(owned[:, None], colours.robots_rgb(areas.robot[at]), np.array(colours.OPEN_AREA, dtype=np.uint8))
+        self._rgba[unseen, :3], self._rgba[unseen, 3] = rgb, np.where(inside, np.where(owned, PALE, FAINT), 0)
+        self._plates[unseen, :3], self._plates[unseen, 3] = colours.pale(rgb), np.where(inside & owned, OPAQUE, 0)
+
+    def believe(self, threat: NDArray[np.float32], seen: NDArray[np.bool_]) -> None:
+        """From now on this is the map, float32 `[H, W]`, NaN = obstacle, and these cells of it are known."""
+        self._threat, self._unknown = threat, ~seen
+
+    def change(self, threat: NDArray[np.float32]) -> None:
+        """From now on these are the threats, float32 `[H, W]`, NaN = obstacle."""
+        self._threat = threat
+
+    def place(self, layer: str) -> Place:
+        """Where a layer lies."""
+        x, y, yaw = self.world.origin
+        return Place(x, y, HEIGHTS[layer] * self.world.cell_size, yaw, self.world.cell_size)
+
+    def threat(self, time: int) -> Any:
+        """foxglove.Grid, one float32 `threat`, 0 at obstacles."""
+        return self._send("threat", time, np.flipud(np.nan_to_num(self._threat, nan=0.0)).astype("<f4"))
+
+    def threat_occupancy(self, time: int) -> bytes:
+        """OccupancyGrid: safe cells 0, dangerous ones 15 to 70 for the map's largest threat, obstacles 100, cells that
+        nobody reaches, or that robots have not seen, -1."""
+        threat = np.nan_to_num(self._threat, nan=0.0).astype(np.float64)
+        shade = np.where(threat > 0, np.round(DARK[0] + (DARK[1] - DARK[0]) * threat / max(threat.max(), 1e-9)), 0)
+        shade[np.isnan(self._threat)] = FULL
+        shade[self._unknown] = NO_VALUE
+        return occupancy_grid(time, self.place("threat"), np.flipud(shade).astype(np.int8))
+
+    def obstacles(self, time: int) -> Any:
+        """foxglove.Grid, red green blue alpha; alpha 0 where free."""
+        rgba = np.zeros((*self.world.shape, 4), dtype=np.uint8)
+        rgba[np.isnan(self._threat)] = colours.OBSTACLE
+        return self._send("obstacles", time, np.flipud(rgba))
+
+    def truth(self, time: int, threat: NDArray[np.float32]) -> Any:
+        """foxglove.Grid, float32 `threat` `[H, W]`, 0 at obstacles, red green blue alpha: what robots meet."""
+        cells, known = np.zeros(threat.shape, dtype=TRUTH), np.nan_to_num(threat, nan=0.0)
+        cells["threat"] = known
+        share = known[..., None] / max(float(known.max()), 1e-9)
+        low, high = (np.array(rgb) for rgb in colours.THREAT)
+        rgb = np.where(np.isnan(threat)[..., None], colours.OBSTACLE[:3], np.round(low + (high - low) * share))
+        _map_paint(cells, rgb, OPAQUE)
+        return self._send("truth", time, np.flipud(cells))
+
+    def fog(self, time: int, when: NDArray[np.int32]) -> Any:
+        """foxglove.Grid, float32 `seen_at` (steps; -1: not yet), red green blue alpha; alpha 0 where it was seen.
+
+        `when`: int32 `[H, W]`, the step at which each cell is first seen.
+        """
+        cells = np.zeros(when.shape, dtype=FOG)
+        cells["seen_at"] = np.where(self._unknown, NO_STEP, when)
+        _map_paint(cells, np.array(colours.FOG[:3]), np.where(self._unknown, colours.FOG[3], 0))
+        return self._send("fog", time, np.flipud(cells))
+
+    def visited(self, time: int) -> Any:
+        """foxglove.Grid, one uint8 `visited`: entries of each cell so far, at most 255."""
+        return self._send("visited", time, self._counts)
+
+    def areas(self, time: int) -> Any:
+        """foxglove.Grid, red green blue alpha: visited cells in the solid colour of their first visitor, others in the
+        pale colour of their area's owner, grey where it has none."""
+        return self._send("areas", time, self._rgba)
+
+    def areas_voxels(self, time: int) -> Any:
+        """foxglove.VoxelGrid: the same as plates; none where an area has no owner."""
+        self._voxels.timestamp.FromNanoseconds(time)
+        self._voxels.data = self._plates.tobytes()
+        return self._voxels
+
+    def _send(self, layer: str, time: int, values: NDArray) -> Any:
+        """A foxglove.Grid of values in the message's order."""
+        grid = self._grids[layer]
+        grid.timestamp.FromNanoseconds(time)
+        grid.data = values.tobytes()
+        return grid
+
+
+def _map_paint(cells: NDArray, rgb: NDArray, alpha: NDArray | int) -> None:
+    """Colours of cells `[H, W]`; `rgb` `[..., 3]`."""
+    for name, value in zip(("red", "green", "blue"), np.moveaxis(rgb, -1, 0), strict=True):
+        cells[name] = value
+    cells["alpha"] = alpha
+
+
+def _grid(place: Place, world: World, fields: np.dtype) -> Any:
+    """A foxglove.Grid without data: where it lies, and its fields one after the other."""
+    grid = Grid(frame_id=FRAME, column_count=world.shape[1])
+    _lay(grid, place, fields, world.shape[1])
+    return grid
+
+
+def voxel_grid(place: Place, shape: tuple[int, int], height: float) -> Any:
+    """A foxglove.VoxelGrid of one slice, red green blue alpha, without data; `height` of the voxels in cells."""
+    grid = VoxelGrid(frame_id=FRAME, row_count=shape[0], column_count=shape[1])
+    _lay(grid, place, RGBA, shape[1])
+    grid.cell_size.z, grid.slice_stride = height * place.cell, grid.row_stride * shape[0]
+    return grid
+
+
+def _lay(grid: Any, place: Place, fields: np.dtype, columns: int) -> None:
+    """Where a grid lies, and its fields one after the other."""
+    grid.pose.position.x, grid.pose.position.y, grid.pose.position.z = place.x, place.y, place.z
+    grid.pose.orientation.z, grid.pose.orientation.w = place.turned
+    grid.cell_size.x = grid.cell_size.y = place.cell
+    add_fields(grid, fields)
+    grid.cell_stride, grid.row_stride = fields.itemsize, fields.itemsize * columns
+
+
+def add_fields(message: Any, fields: np.dtype) -> None:
+    """Tell a message what its packed data hold: the named fields, which viewers know."""
+    for name, (kind, offset, *_) in (fields.fields or {}).items():
+        if kind.str[1:] in _KINDS:
+            message.fields.add(name=name, offset=offset, type=_KINDS[kind.str[1:]])
+
+
+# What viewers draw of threats that move: a red cube each, and a point for those that draw no markers.
+#
+# Axis letters: `T` = time + 1 steps, `M` movers.
+
+_MOVERS_POINT = np.dtype([*((axis, "<f4") for axis in "xyz"), *RGBA.descr])
+MOVERS_HEIGHT, SIDE = 0.5, 0.7
+"""Above the ground, and of a cube, in cells."""
+
+
+class MoverDrawer:
+    """Draws the movers of one rollout."""
+
+    def __init__(self, world: World, ways: NDArray[np.int64]) -> None:
+        """`ways` `[T, M]`: the cell of each at the end of each step; none: nothing is drawn."""
+        self._xy, self._scene = world.to_xy(ways), SceneUpdate()
+        self._cloud = PointCloud(frame_id=FRAME, point_stride=_MOVERS_POINT.itemsize)
+        self._cloud.pose.orientation.w = 1.0
+        self._cloud.pose.position.SetInParent()
+        add_fields(self._cloud, _MOVERS_POINT)
+        self._points = np.zeros(ways.shape[1], dtype=_MOVERS_POINT)
+        self._points["z"], self._points["alpha"] = MOVERS_HEIGHT * world.cell_size, 255
+        self._points["red"], self._points["green"], self._points["blue"] = colours.MOVER
+        for number in range(ways.shape[1]):
+            cube = self._scene.entities.add(frame_id=FRAME, id=f"mover {number}").cubes.add()
+            cube.pose.orientation.w, cube.pose.position.z = 1.0, MOVERS_HEIGHT * world.cell_size
+            cube.size.x = cube.size.y = cube.size.z = SIDE * world.cell_size
+            cube.color.r, cube.color.g, cube.color.b = (part / 255 for part in colours.MOVER)
+            cube.color.a = 1.0
+
+    def messages(self, time: int, step: int) -> Iterator[tuple[str, Any]]:
+        """(topic, message) of all of them."""
+        if not len(self._points):
+            return
+        for entity, (x, y) in zip(self._scene.entities, self._xy[step].tolist(), strict=True):
+            place = entity.cubes[0].pose.position
+            place.x, place.y = x, y
+            entity.timestamp.FromNanoseconds(time)
+        self._points["x"], self._points["y"] = self._xy[step].T
+        self._cloud.data = self._points.tobytes()
+        self._cloud.timestamp.FromNanoseconds(time)
+        yield "/movers/markers", self._scene
+        yield "/movers/points", self._cloud
+
+
+# What viewers draw of the robots: markers with numbers, points, poses, frames, and lines of their paths.
+#
+# Axis letters: `T` = time + 1 steps, `K` robots, `P` points.
+
+_ROBOTS_POINT = np.dtype([*((axis, "<f4") for axis in "xyz"), *RGBA.descr, ("robot", "<u2"), ("", "V2")])
+ROBOTS_HEIGHT, POINT_HEIGHT, PLANNED_HEIGHT, DRIVEN_HEIGHT = 0.35, 1.0, 0.1, 0.2
+"""Of robots' balls and points, and of the lines of their paths, above the ground, in cells."""
+BALL = 0.04
+"""Diameter of a robot's ball, in sides of the map: at least 0.9 cells."""
+LABEL_PIXELS = 14.0
+VOXEL_AT, ROBOTS_VOXEL_HEIGHT = 0.15, 0.8
+"""Where a robot's block begins, and how high it is, in cells."""
+
+
+class RobotDrawer:
+    """Draws one team in one rollout.
+
+    Attributes:
+        xy: float64 `[T, K, 2]`, metres in the map's frame. yaw: float64 `[T, K]`, heading.
+    """
+
+    def __init__(self, world: World, cells: NDArray[np.int32], alive: NDArray[np.bool_]) -> None:
+        """`cells`, `alive` `[T, K]`: where each robot is at the end of each step, and whether it lives."""
+        self._world, self._cells = world, cells
+        self.xy = world.to_xy(cells)
+        self.yaw = np.stack([headings(own.astype(np.int64), world) for own in cells.T], axis=1)
+        self._alive, self._size = alive, world.cell_size
+        self._ball = max(0.9, BALL * max(world.shape)) * world.cell_size
+        self._turn = np.stack([np.sin(self.yaw / 2), np.cos(self.yaw / 2)], axis=-1)
+        self._frames, self._poses, self._scene = FrameTransforms(), PosesInFrame(frame_id=FRAME), SceneUpdate()
+        self._cloud = PointCloud(frame_id=FRAME, point_stride=_ROBOTS_POINT.itemsize)
+        self._cloud.pose.orientation.w = 1.0
+        self._cloud.pose.position.SetInParent()  # the origin, said: Rerun takes a pose without a place for damaged
+        add_fields(self._cloud, _ROBOTS_POINT)
+        self._points = np.zeros(cells.shape[1], dtype=_ROBOTS_POINT)
+        self._points["robot"], self._points["alpha"] = np.arange(cells.shape[1]), 255
+        self._points["z"] = POINT_HEIGHT * self._size
+        for robot in range(cells.shape[1]):
+            self._frames.transforms.add(parent_frame_id=FRAME, child_frame_id=f"robot_{robot}")
+            self._poses.poses.add()
+            self._marker(robot)
+
+    def _marker(self, robot: int) -> None:
+        entity = self._scene.entities.add(frame_id=FRAME, id=f"robot {robot}")
+        ball, text = entity.spheres.add(), entity.texts.add(text=str(robot), billboard=True)
+        ball.pose.orientation.w = text.pose.orientation.w = 1.0
+        ball.size.x = ball.size.y = ball.size.z = self._ball
+        text.font_size, text.scale_invariant = LABEL_PIXELS, True
+        for drawn in (ball, text):
+            _robots_paint(drawn.color, colours.robot_rgb(robot))
+        ball.pose.position.z, text.pose.position.z = ROBOTS_HEIGHT * self._size, ROBOTS_HEIGHT * self._size + self._ball
+
+    def messages(self, time: int, step: int) -> Iterator[tuple[str, Any]]:
+        """(topic, message) of the whole team; steps come one after the other.
+
+        Frames map -> robot_k; poses, number k robot k's; one coloured point a robot, red once it is lost; a ball with
+        the robot's number, red and crossed out once it is lost.
+        """
+        alive = self._alive[step]
+        where = zip(self.xy[step].tolist(), self._turn[step].tolist(), strict=True)
+        drawn = zip(self._frames.transforms, self._poses.poses, self._scene.entities, where, strict=True)
+        for robot, (transform, pose, entity, ((x, y), (z, w))) in enumerate(drawn):
+            marks = entity.spheres[0].pose.position, entity.texts[0].pose.position
+            for place in (transform.translation, pose.position, *marks):
+                place.x, place.y = x, y
+            for turn in (transform.rotation, pose.orientation):
+                turn.z, turn.w = z, w
+            transform.timestamp.FromNanoseconds(time)
+            entity.timestamp.FromNanoseconds(time)
+            if not alive[robot] and (step == 0 or self._alive[step - 1, robot]):
+                self._cross_out(entity)
+        points = self._points
+        points["x"], points["y"] = self.xy[step].T
+        rgb = np.where(
+            alive[:, None], colours.robots_rgb(points["robot"].astype(np.int32)), np.array(colours.LOST, dtype=np.uint8)
+        )
+        points["red"], points["green"], points["blue"] = rgb.T
+        self._cloud.data = points.tobytes()
+        for message in (self._poses, self._cloud):
+            message.timestamp.FromNanoseconds(time)
+        yield "/tf", self._frames
+        yield "/robots/poses", self._poses
+        yield "/robots/points", self._cloud
+        yield "/robots/markers", self._scene
+
+    def _cross_out(self, entity: Any) -> None:
+        ball, text = entity.spheres[0], entity.texts[0]
+        _robots_paint(ball.color, colours.LOST)
+        _robots_paint(text.color, colours.LOST)
+        text.text = f"× {text.text}"  # noqa: RUF001
+        line = entity.lines.add(type=LinePrimitive.LINE_LIST, thickness=0.25 * self._ball)
+        line.pose.orientation.w = 1.0
+        _robots_paint(line.color, (255, 255, 255))
+        at, arm = ball.pose.position, 0.4 * self._ball
+        for x, y in ((-arm, -arm), (arm, arm), (-arm, arm), (arm, -arm)):
+            line.points.add(x=at.x + x, y=at.y + y, z=at.z + 0.6 * self._ball)
+
+    def voxel(self, time: int, step: int, robot: int) -> Any:
+        """foxglove.VoxelGrid of one cell: a white block where the robot stands, red once it is lost.
+
+        A grid of its own: Rerun draws one that is opaque all over as solid, above the plates of the areas.
+        """
+        size, yaw = self._size, self._world.origin[2]
+        x, y = self.xy[step, robot].tolist()
+        cos, sin = np.cos(yaw) * size / 2, np.sin(yaw) * size / 2
+        grid = voxel_grid(Place(x - cos + sin, y - sin - cos, VOXEL_AT * size, yaw, size), (1, 1), ROBOTS_VOXEL_HEIGHT)
+        grid.timestamp.FromNanoseconds(time)
+        grid.data = bytes((*(colours.ALIVE if self._alive[step, robot] else colours.LOST), 255))
+        return grid
+
+
+class PathLines:
+    """Every robot's path as a line that grows: foxglove.SceneUpdate."""
+
+    def __init__(self, world: World, robots: int, name: str, height: float, alpha: float, pixels: float) -> None:
+        """`name`: of the entities; `height` above the ground in cells; `pixels`: thickness on the screen."""
+        self._world, self._z = world, height * world.cell_size
+        self._scene, self._length = SceneUpdate(), [0] * robots
+        for robot in range(robots):
+            entity = self._scene.entities.add(frame_id=FRAME, id=f"{name} {robot}")
+            line = entity.lines.add(type=LinePrimitive.LINE_STRIP, thickness=pixels, scale_invariant=True)
+            line.pose.orientation.w = 1.0
+            _robots_paint(line.color, colours.robot_rgb(robot), alpha)
+
+    def message(self, time: int, paths: Sequence[NDArray[np.int64]]) -> Any:
+        """The lines of paths `[P]` (cells), through their corners; each begins with what it was the last time."""
+        for robot, (entity, path) in enumerate(zip(self._scene.entities, paths, strict=True)):
+            entity.timestamp.FromNanoseconds(time)
+            points, begin = entity.lines[0].points, max(self._length[robot] - 1, 0)
+            places = self._world.to_xy(path[begin:][corners(path[begin:])]).tolist()
+            for x, y in places[1 if self._length[robot] else 0 :]:
+                points.add(x=x, y=y, z=self._z)
+            self._length[robot] = len(path)
+        return self._scene
+
+
+def corners(path: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The entries of a path `[P]` where it begins, turns or ends; waiting left out."""
+    entered = np.concatenate([[0], np.flatnonzero(path[1:] != path[:-1]) + 1])
+    moves = np.diff(path[entered])
+    turned = np.flatnonzero(moves[1:] != moves[:-1]) + 1
+    return np.unique(np.concatenate([entered[:1], entered[turned], entered[-1:]]))
+
+
+def _robots_paint(colour: Any, rgb: tuple[int, int, int], alpha: float = 1.0) -> None:
+    colour.r, colour.g, colour.b, colour.a = rgb[0] / 255, rgb[1] / 255, rgb[2] / 255, alpha
+
 
 DRIVEN_LOOKS, DRIVEN_PATHS = 40, 4
 """How often the paths driven so far are written in a rollout, each time in full, so that a viewer can jump: as lines,

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import re
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
+from importlib.resources import files
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -14,29 +20,142 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.VoxelGrid_pb2 import VoxelGrid
+from google.protobuf import descriptor_pool, message_factory
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
 from mcap_protobuf.schema import build_file_descriptor_set
+from numpy.typing import NDArray
 
-from analysis.recording.discovery import Discovery, discovery_of, learned_maps
-from analysis.recording.frames import AreaMap, area_maps
-from analysis.recording.mcap.container import LogSchema
-from analysis.recording.viewers import ros as drawn_ros
-from analysis.recording.viewers import schemas
-from planner.luck_names import LuckName
-from planner.mrac.reference import ReferenceLoop
-from planner.mrac.takeover import ready_loop
-from planner.plans.plan import Area, Plan
-from planner.trace import Trace
-from planner.worlds.world import World
+from analysis.recording.frames import AreaMap, Discovery, area_maps, discovery_of, learned_maps
+from analysis.recording.log_writer import LogSchema
+from planner.files import Json, atomic_write
+from planner.ids import LuckName
+from planner.mrac.problem import ready_loop
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Area, Plan
+from planner.tally import Trace
+from planner.world.world import World
+
+# ROS 2 messages (CDR, little-endian) that viewers draw with no settings: OccupancyGrid, Path, Float64MultiArray.
+#
+# Written straight from NumPy: fields are aligned to their size, counted from the end of the 4-byte encapsulation.
+
+FRAME = "map"
+"""The frame of everything that is drawn: the map's own, in metres, y up."""
+_ENCAPSULATION = b"\x00\x01\x00\x00"
+
+
+def _schema(name: str) -> LogSchema:
+    """The schema of a message, whose definition stands beside this file."""
+    definition = files("analysis.recording.viewers").joinpath(f"{name.rpartition('/')[2]}.msg")
+    return LogSchema(name, "ros2msg", definition.read_bytes(), "cdr")
+
+
+OCCUPANCY_GRID, PATH = _schema("nav_msgs/msg/OccupancyGrid"), _schema("nav_msgs/msg/Path")
+ARRAY = _schema("std_msgs/msg/Float64MultiArray")
+_HEADER = struct.Struct("<iII4s")
+"""Header: seconds, nanoseconds, length of "map" with its NUL, and itself: 16 bytes."""
+_META = struct.Struct("<iIfII4x7dI")
+_STAMPED = np.dtype([("header", "V16"), ("pose", "<f8", 7)])
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a grid lies: pose of the lower-left corner of its lower-left cell, in the map's frame.
+
+    Attributes:
+        x, y, z: metres. yaw: radians. cell: side of a cell in metres.
+    """
+
+    x: float
+    y: float
+    z: float
+    yaw: float
+    cell: float
+
+    @property
+    def turned(self) -> tuple[float, float]:
+        """(z, w) of the quaternion of the yaw."""
+        return float(np.sin(self.yaw / 2)), float(np.cos(self.yaw / 2))
+
+
+def occupancy_grid(nanoseconds: int, place: Place, values: NDArray[np.int8]) -> bytes:
+    """nav_msgs/OccupancyGrid of `values` int8 `[H, W]`, the lowest row first: 0..100, -1 unknown."""
+    height, width = values.shape
+    z, w = place.turned
+    meta = _META.pack(0, 0, place.cell, width, height, place.x, place.y, place.z, 0.0, 0.0, z, w, values.size)
+    return _ENCAPSULATION + _header(nanoseconds) + meta + values.tobytes()
+
+
+def path(nanoseconds: int, stamps: NDArray[np.int64], xy: NDArray[np.float64], yaw: NDArray[np.float64]) -> bytes:
+    """nav_msgs/Path of poses at `stamps` `[P]` in nanoseconds, positions `[P, 2]` in metres, yaws `[P]` in radians."""
+    poses = np.zeros(len(stamps), dtype=_STAMPED)
+    seconds, rest = np.divmod(stamps, 10**9)
+    headers = np.zeros(len(stamps), dtype=[("sec", "<i4"), ("nanosec", "<u4"), ("size", "<u4"), ("frame", "S4")])
+    headers["sec"], headers["nanosec"], headers["size"], headers["frame"] = seconds, rest, 4, FRAME.encode()
+    poses["header"] = headers.view("V16")
+    poses["pose"][:, :2] = xy
+    poses["pose"][:, 5], poses["pose"][:, 6] = np.sin(yaw / 2), np.cos(yaw / 2)
+    body = poses.tobytes()
+    # the count leaves the first header at 4 of 8, its doubles need 4 bytes of padding; all later ones lie right
+    first = body[:16] + b"\x00" * 4 + body[16:] if len(poses) else b""
+    return _ENCAPSULATION + _header(nanoseconds) + struct.pack("<I", len(poses)) + first
+
+
+def array(*values: float) -> bytes:
+    """std_msgs/Float64MultiArray without dimensions: Rerun plots it."""
+    return _ENCAPSULATION + struct.pack(f"<III4x{len(values)}d", 0, 0, len(values), *values)
+
+
+def _header(nanoseconds: int) -> bytes:
+    seconds, rest = divmod(nanoseconds, 10**9)
+    return _HEADER.pack(seconds, rest, 4, FRAME.encode())
+
+
+# The project's own messages in a recording: those of `mrac.proto`, built at run time without a compiler.
+
+_BLOCK = re.compile(r"^(enum|message) (\w+) \{(.*?)^\}", re.DOTALL | re.MULTILINE)
+_VALUE = re.compile(r"^  (\w+) = (\d+);", re.MULTILINE)
+_FIELD = re.compile(r"^  (repeated )?(\w+) (\w+) = (\d+);", re.MULTILINE)
+"""A value of an enumeration, and a field of a message: all that the file is made of."""
+
+
+def _messages() -> dict[str, Any]:
+    """The class of every message."""
+    text = files("analysis.recording.viewers").joinpath("mrac.proto").read_text(encoding="utf-8")
+    file, names = FileDescriptorProto(name="mrac.proto", package="mrac", syntax="proto3"), list[str]()
+    for kind, name, body in _BLOCK.findall(text):
+        if kind == "enum":
+            values = file.enum_type.add(name=name)
+            for value, number in _VALUE.findall(body):
+                values.value.add(name=value, number=int(number))
+            continue
+        names.append(name)
+        message = file.message_type.add(name=name)
+        for repeated, of, field, number in _FIELD.findall(body):
+            added = message.field.add(name=field, number=int(number))
+            added.label = FieldDescriptorProto.LABEL_REPEATED if repeated else FieldDescriptorProto.LABEL_OPTIONAL
+            added.type = getattr(FieldDescriptorProto, f"TYPE_{of.upper()}", FieldDescriptorProto.TYPE_ENUM)
+            if added.type == FieldDescriptorProto.TYPE_ENUM:
+                added.type_name = f".mrac.{of}"
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    return {name: message_factory.GetMessageClass(pool.FindMessageTypeByName(f"mrac.{name}")) for name in names}
+
+
+_MESSAGES = _messages()
+Start, Step, Event = _MESSAGES["Start"], _MESSAGES["Step"], _MESSAGES["Event"]
+End, Stats, Outcomes = _MESSAGES["End"], _MESSAGES["Stats"], _MESSAGES["Outcomes"]
+
 
 GAP_SECONDS = 3.0
 """Between rollouts that follow each other in one file."""
 OWN = {
-    "/rollout/start": schemas.Start,
-    "/rollout/step": schemas.Step,
-    "/rollout/event": schemas.Event,
-    "/rollout/end": schemas.End,
-    "/outcomes": schemas.Outcomes,
-    "/stats": schemas.Stats,
+    "/rollout/start": Start,
+    "/rollout/step": Step,
+    "/rollout/event": Event,
+    "/rollout/end": End,
+    "/outcomes": Outcomes,
+    "/stats": Stats,
 }
 """The project's own messages."""
 DATA_TOPICS = ("/rollout/start", "/rollout/step", "/rollout/event", "/rollout/end")
@@ -71,10 +190,10 @@ def topic_types() -> dict[str, LogSchema]:
         "/events": Log,
     }
     return {topic: protobuf(message) for topic, message in messages.items()} | {
-        "/map/threat_occ": drawn_ros.OCCUPANCY_GRID,
-        "/coverage": drawn_ros.ARRAY,
-        "/robots/*/plan": drawn_ros.PATH,
-        "/robots/*/driven": drawn_ros.PATH,
+        "/map/threat_occ": OCCUPANCY_GRID,
+        "/coverage": ARRAY,
+        "/robots/*/plan": PATH,
+        "/robots/*/driven": PATH,
     }
 
 
@@ -154,3 +273,104 @@ class Stage:
         """Whether robots are not told the map, and look; on a path that is given, to the end, nobody learns."""
         known = self.world.knowledge
         return self.loop == "closed" and known is not None and known.sense.range > 0
+
+
+# Colours of recordings: apart from each other, and bright enough for the dark backgrounds of viewers.
+
+_HEX = ("4ea1ff", "ff9f1c", "2ecc96", "d678ff", "ffdd3c", "ff6ea0", "78e6f0", "bed25a")
+ROBOTS = np.array([tuple(bytes.fromhex(colour)) for colour in _HEX], dtype=np.uint8)
+"""RGB of robot k is row k modulo their number."""
+LOST = (255, 64, 64)
+MOVER = (226, 38, 77)
+"""A threat that moves."""
+ALIVE = (255, 255, 255)
+"""A live robot's block: its own colour would vanish on the plates of its area."""
+OBSTACLE = (128, 134, 144, 255)
+FOG = (74, 69, 96, 190)
+"""What nobody has seen yet; what is believed of it shines through."""
+THREAT = ((42, 47, 55), (255, 59, 48))
+"""From no threat to the largest: the colours of the layout's threat map."""
+OPEN_AREA = (235, 235, 235)
+"""An area that nobody has."""
+
+
+PALE = 0.35
+"""Share of the colour in a pale one on plates, which know no transparency; the rest is white."""
+
+
+def pale(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """uint8 `[..., 3]`: the same colours mixed with white."""
+    return np.round(255 - PALE * (255.0 - rgb)).astype(np.uint8)
+
+
+def robot_rgb(robot: int) -> tuple[int, int, int]:
+    """The colour of a robot, 0..255."""
+    red, green, blue = ROBOTS[robot % len(ROBOTS)].tolist()
+    return red, green, blue
+
+
+def robots_rgb(robots: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """uint8 `[..., 3]`, the colour of each robot; that of robot 0 where there is none."""
+    return ROBOTS[np.maximum(robots, 0) % len(ROBOTS)]
+
+
+# The layout that shows a recording in Lichtblick and Foxglove, which draw nothing useful without one.
+
+MOST_STATES = 16
+"""Robots with a line of their own in the panel of what each is doing."""
+_MARGIN = 1.12
+
+
+def layout_json(world: World, robots: int) -> str:
+    """The layout for recordings of `robots` robots in `world`, as JSON. The same input, the same text.
+
+    From above: the threat map with the paths driven, of robots that learn it first the true one; beside it the areas
+    with their owners. Below them what each of up to MOST_STATES robots is doing, coverage, how many robots are alive,
+    and the events. All that depends on neither stands in `layout.json` beside this file, with null where something
+    does.
+    """
+    layout: Json = json.loads(files("analysis.recording.viewers").joinpath("layout.json").read_text(encoding="utf-8"))
+    panels, camera = layout["configById"], _camera(world)
+    for name in ("3D!threat", "3D!areas"):
+        panels[name]["cameraState"].update(camera)
+    largest = max(float(np.nanmax(layer, initial=0.0)) for layer in (world.threat, world.by_phase))
+    panels["3D!threat"]["topics"]["/map/threat"]["maxValue"] = max(largest, 1e-6)
+    if world.knowledge is not None and world.knowledge.sense.range > 0:
+        _show_truth(layout)
+    panels["Plot!alive"]["maxYValue"] = robots
+    panels["StateTransitions!doing"]["paths"] = [
+        {"value": f"/stats.doing[{robot}]", "label": f"robot {robot}", "timestampMethod": "receiveTime"}
+        for robot in range(min(robots, MOST_STATES))
+    ]
+    return json.dumps(layout, indent=1) + "\n"
+
+
+def _show_truth(layout: Json) -> None:
+    """The map as robots believe it behind what nobody has seen, and beside it what is true, under one camera."""
+    panels, told = layout["configById"], layout["configById"]["3D!threat"]
+    told["lichtblickPanelTitle"] = "As believed; dark: not seen yet"
+    topics = {name: shown for name, shown in told["topics"].items() if name not in ("/map/threat", "/map/obstacles")}
+    as_painted = {"visible": True, "colorMode": "rgba-fields"}
+    panels["3D!truth"] = told | {
+        "lichtblickPanelTitle": "What is true, and the paths driven",
+        "topics": {"/map/truth": as_painted} | topics,
+    }
+    told["topics"]["/map/fog"] = as_painted
+    maps = layout["layout"]["first"]
+    layout["layout"]["first"] = {"direction": "row", "first": "3D!truth", "second": maps, "splitPercentage": 33.3}
+
+
+def write_layout(path: Path, world: World, robots: int) -> None:
+    """Write the layout to `path`, whole or not at all. Raises MapError where the folder does not exist."""
+    with atomic_write(path, "w") as out:
+        out.write(layout_json(world, robots))
+
+
+def _camera(world: World) -> Json:
+    """Straight above, and so far that all of the map is seen, whichever way it is turned."""
+    height, width = world.shape
+    corners = world.to_xy([0, width - 1, (height - 1) * width, height * width - 1])
+    across, up = (np.ptp(corners, axis=0) + world.cell_size).tolist()
+    distance = _MARGIN * max(up, across)
+    offset = [*corners.mean(axis=0).tolist(), 0]
+    return {"distance": distance, "targetOffset": offset, "near": distance / 1000, "far": distance * 10}

@@ -1,0 +1,526 @@
+"""Two plans, settings, teams or maps on common random numbers: how far apart they are, and how sure that is.
+
+Rollout r of both sides meets the same luck: one u(r, t, i) for robot i at step t (SPEC section 6). What
+happens to both alike drops out of the difference, so its interval is narrower than that of independent runs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+
+from analysis.estimators.trial import closed_truth
+from analysis.report.answer import Answer, json_end
+from analysis.report.model import KeyFigure, Part, Report
+from analysis.sampling import RolloutChoices, check_deadline, home_of, knowing_deadline, make_singles
+from analysis.statistics.control_variate import LEAST, controlled
+from analysis.statistics.differences import CommonLuck, Difference, Paired, difference
+from analysis.statistics.estimates import Estimate, between, exactly, looks, lost_words, of_all, proportion
+from analysis.theory.exact import open_loop_exact
+from analysis.theory.verdicts import longest_run
+from analysis.utils.notes import ProgressCallback
+from analysis.utils.tables import bearing_words, make_table, span_words
+from planner.errors import UsageError
+from planner.files import Json
+from planner.formatting import UNPACED, Pace, counted, in_percent, percent, share
+from planner.ids import MOST_ROLLOUTS
+from planner.plan.plan import Plan, is_certain
+from planner.rollouts.engine import run_ranges, worth_a_call
+from planner.rollouts.threshold_classes import COLUMNS, sums_by_luck
+from planner.simulator.closed_loop import MOST_TABLED
+from planner.simulator.tables import AllPairs
+from planner.tally import Outcome, RolloutResults, add_padded, no_counts
+from planner.world.world import World
+
+FIGURES = ("visited", "survived", "complete", "alive", "time")
+"""What is compared: cells covered in both meanings, whether all were, robots alive at the end, steps."""
+OF_HOME = ("home", "all_home")
+"""And where robots come home: those that are home at the end, and whether all are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One of the two: a plan in its world, how it is rolled out, and its expected cells where they are known exactly.
+
+    `exact`: (visited, survived), or None.
+    """
+
+    world: World
+    plan: Plan
+    choices: RolloutChoices
+    exact: tuple[float, float] | None
+
+    @cached_property
+    def cells(self) -> int:
+        """Accessible cells."""
+        return int(self.world.accessible(self.plan.starts).sum())
+
+    @cached_property
+    def longest(self) -> int:
+        """Steps that a run takes at most."""
+        most = longest_run(self.world, self.plan, self.choices.loop)
+        return most if self.choices.deadline is None else min(most, self.choices.deadline)
+
+    @property
+    def comes_home(self) -> bool:
+        """Whether it is asked who comes home."""
+        choices, plan = self.choices, self.plan
+        return plan.ends_home(choices.deadline) if choices.loop == "open" else plan.comes_home
+
+    def unit(self, figure: str) -> float:
+        """What one of a figure is worth: cells are fractions of the accessible ones."""
+        return 1.0 / self.cells if figure in ("visited", "survived") else 1.0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Answer):
+    """What two sides came to on the same rollouts.
+
+    Attributes:
+        a, b: the sides. pairs: by figure, sums of A's (x) and B's (y).
+        ahead, behind: rollouts in which B visits a larger, a smaller fraction than A.
+        by_luck: sums of A's and B's figures by the luck of the larger team (`planner.rollouts.threshold_classes`);
+        empty by step.
+        seconds: of rolling out. partial: it was interrupted.
+        certain: nothing can happen to either side: every run is the one that was compared.
+    """
+
+    reported_by = "analysis.comparison:report"
+    listed = "difference"
+
+    a: Side
+    b: Side
+    pairs: dict[str, Paired]
+    ahead: int
+    behind: int
+    seconds: float
+    partial: bool = False
+    certain: bool = False
+    by_luck: tuple[NDArray[np.int64], NDArray[np.int64]] = field(default_factory=lambda: (no_counts(), no_counts()))
+
+    @property
+    def rollouts(self) -> int:
+        """Behind the figures."""
+        return self.pairs["visited"].rollouts
+
+    @property
+    def figures(self) -> tuple[str, ...]:
+        """What both are compared in."""
+        return FIGURES + OF_HOME * all(side.comes_home for side in self.sides)
+
+    def figures_of(self, side: Side) -> tuple[str, ...]:
+        """What one of them comes to."""
+        return FIGURES + OF_HOME * side.comes_home
+
+    @property
+    def same_cells(self) -> bool:
+        """True if both can reach the same cells of maps of one shape."""
+        a, b = (side.world.accessible(side.plan.starts) for side in (self.a, self.b))
+        return a.shape == b.shape and bool((a == b).all())
+
+    @property
+    def differing(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """What A and B are where they are not alike, in words; empty if they are the same."""
+        return differing(self.a, self.b)
+
+    def difference(self, figure: str) -> Difference:
+        """B - A: fractions of the accessible cells, chances, robots, steps; a point if both are alike."""
+        if not any(self.differing):
+            return Difference(Estimate(0.0, 0.0, (0.0, 0.0)), math.inf)
+        reach = 1.0
+        if figure in ("alive", "home", "time"):
+            reach = float(max(side.longest if figure == "time" else len(side.plan.robots) for side in self.sides))
+        units = self.a.unit(figure), self.b.unit(figure)
+        return difference(self.pairs[figure], *units, reach, self.certain, self._luck(figure))
+
+    def _luck(self, figure: str) -> CommonLuck | None:
+        if not len(self.by_luck[0]):
+            return None
+        a, b = (sums.reshape(-1, len(COLUMNS)) for sums in self.by_luck)
+        if figure not in COLUMNS:
+            return None
+        column = COLUMNS.index(figure)
+        return CommonLuck(most_robots(self.a, self.b), a[:, 0], a[:, column], b[:, column])
+
+    @property
+    def sides(self) -> tuple[Side, Side]:
+        """A and B."""
+        return self.a, self.b
+
+    def mean(self, side: Side, figure: str) -> float:
+        """Of one of the sides, put right by the same luck as the difference."""
+        pairs, luck, first = self.pairs[figure], self._luck(figure), side is self.a
+        mean = (pairs.x if first else pairs.y) / pairs.rollouts
+        if luck is not None and pairs.rollouts >= LEAST and not self.certain:
+            sums, plain = (luck.x, pairs.sample(1.0, 0.0)) if first else (luck.y, pairs.sample(0.0, 1.0))
+            mean = controlled(luck.by_class, sums.astype(np.float64), plain, luck.robots).mean
+        return mean * side.unit(figure)
+
+    def exact_difference(self, figure: str) -> float | None:
+        """B - A of expected "visited" or "survived" coverage, where both are known."""
+        if self.a.exact is None or self.b.exact is None:
+            return None
+        at = FIGURES.index(figure)
+        return self.b.exact[at] * self.b.unit(figure) - self.a.exact[at] * self.a.unit(figure)
+
+
+def differing(a: Side, b: Side) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What each side is where they are not alike: map, plan, team, loop, settings; empty for the same on both sides."""
+    words: tuple[list[str], list[str]] = ([], [])
+    both_planned = not a.plan.is_foreign and not b.plan.is_foreign
+    mine, theirs = _traits(a, both_planned), _traits(b, both_planned)
+    for name in mine:
+        if mine[name] != theirs[name]:
+            words[0].append(mine[name])
+            words[1].append(theirs[name])
+    if mine == theirs:
+        paths = [[robot.path.tolist() for robot in side.plan.robots] for side in (a, b)]
+        if a.world.luck_sha256 != b.world.luck_sha256:
+            words[0].append("its map")
+            words[1].append("another map of that name")
+        elif paths[0] != paths[1]:
+            same_starts = np.array_equal(a.plan.starts, b.plan.starts)
+            what = "plan" if same_starts else "starts"
+            words[0].append(f"its own {what}")
+            words[1].append(f"another {what}" if what == "plan" else "other starts")
+        else:
+            one, other = _begun(a.plan), _begun(b.plan)
+            for what in [what for what in one if one[what] != other[what]]:
+                words[0].append(f"its own {what}")
+                words[1].append(f"another {what}")
+    return tuple(words[0]), tuple(words[1])
+
+
+def _begun(plan: Plan) -> dict[str, object]:
+    """What a plan goes on from: the state of the mission that it is the rest of, and the allocation."""
+    areas = [(area.level, area.robot, area.cells.tolist()) for area in plan.areas]
+    return {"state": None if plan.state is None else plan.state.to_json(), "allocation": areas}
+
+
+def _traits(side: Side, with_settings: bool) -> dict[str, str]:
+    """What a side is, by what it is a matter of, in words: the same keys for both sides."""
+    plan, choices = side.plan, side.choices
+    known, doubt = side.world.knowledge, side.world.doubt
+    found = {
+        "map": f"map {side.world.source}",
+        "doubt": "a map that is not in doubt" if doubt is None else doubt.said,
+        "knowledge": "robots are told the map" if known is None else known.sense.said,
+        "robots": counted(len(plan.robots), "robot"),
+        "plan": f"{'an' if plan.settings is not None else 'a'} {plan.origin}",
+        "loop": "open loop" if choices.loop == "open" else "closed loop",
+        "checks": "first visits only" if choices.first_only else "every visit checked",
+    }
+    if plan.is_foreign:
+        found["bears"] = plan.bearing.said or "robots that do not wear, and are alike"
+    settings = plan.settings.said() if with_settings and plan.settings is not None else {}
+    if settings and choices.deadline is not None:  # it ends both, whoever knows of it
+        settings["deadline"] = choices.deadline
+    return found | {
+        name: f"no {name.replace('_', ' ')}" if value is None else f"{name.replace('_', ' ')} {_short(value)}"
+        for name, value in settings.items()
+    }
+
+
+def _short(value: object) -> object:
+    """A setting as one would say it: 30.8, and 40 for 40.0."""
+    return f"{value:g}" if isinstance(value, float) else value
+
+
+def make_side(world: World, plan: Plan, choices: RolloutChoices) -> Side:
+    """A side, with its exact expected coverage where that is cheap. Raises InputError."""
+    choices = choices.timed(world.pace)
+    check_deadline(plan, choices)
+    plan = knowing_deadline(world, plan, choices)
+    exact = open_loop_exact(plan, world)
+    if choices.loop == "open":
+        last = plan.makespan if choices.deadline is None else choices.deadline
+        return Side(world, plan, choices, exact.by_deadline(last) if exact.is_known else None)
+    closed = None if choices.deadline is not None else closed_truth(plan, world, exact, choices)
+    known = None if closed is None else (closed.visited.value, closed.survived.value)
+    return Side(world, plan, choices, known)
+
+
+def compare(a: Side, b: Side, progress: ProgressCallback | None = None, kept: AllPairs | None = None) -> Comparison:
+    """Both sides on the same rollouts: as many as A's choices ask for, or until the difference is as precise.
+
+    `precision`: of the difference of mean visited coverage.
+    Raises UsageError for sides of other rollouts, or of other luck: rollout r of one is then not that of the other.
+    `kept`: where tables that do not depend on the team are kept.
+    One rollout where nothing can happen to either side. An interruption (KeyboardInterrupt) leaves what was done,
+    `partial`; if that is nothing, it is raised again.
+    """
+    choices = a.choices
+    for name in ("seed", "luck", "rollouts", "precision"):
+        mine, theirs = getattr(choices, name), getattr(b.choices, name)
+        if mine != theirs:
+            raise UsageError(f"the sides differ in {name}: {mine} and {theirs}", expected="the same rollouts of both")
+    if a.choices.loop != b.choices.loop and choices.luck == "step":
+        a, b = (replace(side, choices=replace(side.choices, mode="step")) for side in (a, b))
+    certain = all(is_certain(side.world, side.plan, side.choices.loop) for side in (a, b))
+    if certain:
+        choices = replace(choices, rollouts=1, precision=None, seconds=None)
+    answer = Comparison(a, b, {figure: Paired() for figure in FIGURES + OF_HOME}, 0, 0, 0.0, certain=certain)
+    most, total = (choices.rollouts, choices.rollouts) if choices.precision is None else (MOST_ROLLOUTS, 0)
+    cells = max(a.cells, b.cells)
+    marks, unit = looks(), worth_a_call(cells) if cells <= MOST_TABLED else 1
+    try:
+        singles = [make_singles(side.world, side.plan, side.choices, kept=kept) for side in (a, b)]
+
+        def both(start: int, count: int) -> tuple[RolloutResults, RolloutResults]:
+            return singles[0](start, count), singles[1](start, count)
+
+        for _, _, found, took in run_ranges(both, 0, most, checkpoints=marks, unit=unit):
+            answer = _add(answer, *found, answer.seconds + took)
+            if progress is not None:
+                progress(answer.rollouts, total, answer.seconds)
+            if choices.seconds is not None and answer.seconds >= choices.seconds:
+                break
+            looked_at = choices.precision is not None and answer.rollouts in marks
+            if looked_at and answer.difference("visited").estimate.half_width < choices.precision:  # type: ignore[operator]
+                break
+    except KeyboardInterrupt:
+        if answer.rollouts == 0:
+            raise
+        answer = replace(answer, partial=True)
+    return answer
+
+
+def _add(so_far: Comparison, a: RolloutResults, b: RolloutResults, seconds: float) -> Comparison:
+    sides = (so_far.a, a), (so_far.b, b)
+    pairs = {f: before + Paired.of(*(_figure(*side, f) for side in sides)) for f, before in so_far.pairs.items()}
+    mine, theirs = a.visited.astype(np.int64) * so_far.b.cells, b.visited.astype(np.int64) * so_far.a.cells
+    ahead, behind = int((theirs > mine).sum()), int((theirs < mine).sum())
+    found = replace(so_far, pairs=pairs, ahead=so_far.ahead + ahead, behind=so_far.behind + behind, seconds=seconds)
+    choices = so_far.a.choices
+    if choices.luck != "tolerance":
+        return found
+    sums = (sums_by_luck(side, choices.seed, most_robots(so_far.a, so_far.b)) for side in (a, b))
+    one, other = (add_padded(before, more) for before, more in zip(so_far.by_luck, sums, strict=True))
+    return replace(found, by_luck=(one, other))
+
+
+def most_robots(a: Side, b: Side) -> int:
+    """Of the larger team."""
+    return max(len(side.plan.robots) for side in (a, b))
+
+
+def _figure(side: Side, results: RolloutResults, figure: str) -> NDArray[np.int32]:
+    if figure in OF_HOME:
+        home = home_of(side.plan, results, side.choices.loop, side.choices.deadline)
+        if home is None:
+            return np.zeros(len(results.visited), dtype=np.int32)
+        return home if figure == "home" else (home == len(side.plan.robots)).astype(np.int32)
+    if figure == "complete":
+        return (results.outcome == Outcome.COMPLETE).astype(np.int32)
+    values: NDArray[np.int32] = getattr(results, figure)
+    return values
+
+
+# What `mrac-jax compare` says: the difference in a sentence, a row for each figure.
+
+SHOWN = {
+    "visited": ("visited, %", 100.0),
+    "survived": ("survived, %", 100.0),
+    "complete": ("chance to visit every cell, %", 100.0),
+    "alive": ("robots alive at the end", 1.0),
+    "time": ("time, steps", 1.0),
+    "home": ("robots home at the end", 1.0),
+    "all_home": ("chance that all are home, %", 100.0),
+}
+"""Name and scale of each figure in the table."""
+NARROW = 0.1
+"""A share, robots or steps: no wider an interval says too little, however small the figures are."""
+TABLE_NOTE = "from .. to: 95 % interval of B - A; sharper: variance of the difference on independent runs / on these"
+
+
+def report(answer: Comparison) -> Report:
+    """How far apart the two are, figure by figure."""
+    rate, a, b = answer.rollouts / max(answer.seconds, 1e-9), answer.a, answer.b
+    names = dict.fromkeys(side.world.name for side in (a, b))
+    certain = "no cell on the way of either is dangerous, so every run is the same and 1 rollout is enough"
+    return Report(
+        "compare", "compare", f"{' and '.join(names)}: which covers more?",
+        headline(answer), lambda: _json(answer), figures=_key_figures(answer),
+        heading=(f"A: {_said(a)}", f"B: {_said(b)}", *[certain] * answer.certain,
+                 f"{counted(answer.rollouts, 'rollout')} on common random numbers, seed {a.choices.seed}"),
+        took=[f"{rate:,.0f} rollouts a second of both"], parts=[Part("Figures", [_table(answer)], [TABLE_NOTE])],
+        notes=_notes(answer), warnings=["Interrupted: what was done so far."] * answer.partial,
+        pace=_pace(answer),
+    )  # fmt: skip
+
+
+def headline(answer: Comparison) -> str:
+    """The difference in expected visited coverage in one sentence, which says what A and B differ in."""
+    if not any(answer.differing):
+        return "A and B are the same in everything: no difference (exact)."
+    one, other = (f"{name} ({', '.join(words)})" for name, words in zip("AB", answer.differing, strict=True))
+    runs = f"it is {_often(answer, 'ahead')}, {_often(answer, 'behind')}"
+    known = answer.exact_difference("visited")
+    if known is not None:
+        if known == 0:
+            return f"{other} visits exactly as much of the accessible cells as {one}; {runs}."
+        by = f"{abs(100 * known):.3f} points (exact) {_more(known)} of the accessible cells than {one}"
+        return f"{other} visits {by}; {runs}."
+    estimate = answer.difference("visited").estimate
+    low, high = (100 * bound for bound in estimate.ci95)
+    if low <= 0 <= high:
+        apart = f"B - A = {100 * estimate.mean:.2g} points of coverage ({low:.2g} .. {high:.2g}, confidence 0.95)"
+        return f"No difference seen between {one} and {other}: {apart}; {runs.replace('it', 'B', 1)}."
+    by = f"{abs(100 * estimate.mean):.2f} points {_more(estimate.mean)} of the accessible cells than {one}"
+    return f"{other} visits {by} on average (B - A: {low:.2f} .. {high:.2f}, confidence 0.95); {runs}."
+
+
+def _often(answer: Comparison, which: str) -> str:
+    """ "ahead in 91.2 % of runs", "never ahead"."""
+    count = getattr(answer, which)
+    if count in (0, answer.rollouts):
+        return f"{'always' if count else 'never'} {which}"
+    return f"{which} in {share(count, answer.rollouts)} of runs"
+
+
+def _more(value: float) -> str:
+    return "more" if value > 0 else "less"
+
+
+def _notes(answer: Comparison) -> list[str]:
+    """What else a reader of the difference should know of the two."""
+    found, many = [], len(answer.differing[0]) > 1
+    if not answer.same_cells:
+        found.append("A and B can reach different cells; coverage is of each one's own")
+    if answer.a.choices.loop != answer.b.choices.loop:
+        closed, open_ = ("A", "B") if answer.a.choices.loop == "closed" else ("B", "A")
+        found.append(
+            f"in {closed} the survivors take over the areas of the lost, in {open_} nobody does: the difference is the "
+            "loop's too" + (f"; {closed}'s plan alone: --loop open" if many else "")
+        )
+    for name, side in zip("AB", answer.sides, strict=True):
+        if side.comes_home and "home" not in answer.figures:
+            mean, every = (answer.mean(side, figure) for figure in OF_HOME)
+            said = f"{name}'s robots come home, {lost_words(mean, len(side.plan.robots))}"
+            found.append(f"{said}, all of them in {percent(every)} of runs; the other side's need not")
+    if vague := [SHOWN[figure][0] for figure in answer.figures if _is_vague(answer, figure)]:
+        found.append(f"too few rollouts to compare {', '.join(vague)}: the intervals are wider than the figures")
+    if many:
+        found.append("A and B differ in more than one thing; the difference is that of all together")
+    return found
+
+
+def _is_vague(answer: Comparison, figure: str) -> bool:
+    """Whether the interval of a difference says less than the figures of both sides do."""
+    apart = answer.difference(figure).estimate
+    low, high = apart.ci95
+    largest = max(abs(answer.mean(side, figure)) for side in answer.sides)
+    return low < 0 < high and not high - low <= max(largest, NARROW)
+
+
+def _said(side: Side) -> str:
+    plan, choices = side.plan, side.choices
+    made = plan.origin if plan.is_foreign else counted(len(plan.areas), "area")
+    mode = "" if choices.luck == "tolerance" else f", {choices.drawn} mode"
+    loop = f"open loop{mode}" if choices.loop == "open" else "closed loop"
+    first = ", first visits only" if choices.first_only else ""
+    by = "" if choices.deadline is None else f", by step {choices.deadline}{side.world.pace.also(choices.deadline)}"
+    who = f"{side.world.source}, {counted(len(plan.robots), 'robot')}"
+    means = bearing_words(plan, side.world)
+    return f"{who}, {made}, {span_words(plan, side.world.pace)}; {loop}{first}{by}{'; ' if means else ''}{means}"
+
+
+def _pace(answer: Comparison) -> Pace:
+    """How long a step takes, where it takes as long on both sides."""
+    pace = answer.a.world.pace
+    return pace if pace == answer.b.world.pace else UNPACED
+
+
+def _shown(answer: Comparison) -> list[tuple[str, str, float]]:
+    """Each row's figure, name and scale."""
+    pace = _pace(answer)
+    minutes = [("time", "time, minutes", pace.minutes)] * bool(pace)
+    return [*((figure, *SHOWN[figure]) for figure in answer.figures), *minutes]
+
+
+def _key_figures(answer: Comparison) -> list[KeyFigure]:
+    out = []
+    for figure, name, scale in _shown(answer):
+        estimate = answer.difference(figure).estimate
+        if figure in FIGURES[:2] and (known := answer.exact_difference(figure)) is not None:
+            estimate = exactly(known)
+        low, high = (scale * end for end in estimate.ci95)
+        interval = "exact" if low == high else between(low, high)
+        out.append(KeyFigure(f"{scale * estimate.mean:+.2f}", f"{name}: B - A", interval))
+    return out
+
+
+def _table(answer: Comparison) -> Table:
+    known = {figure: answer.exact_difference(figure) for figure in FIGURES[:2]}
+    exactly = ["exact"] * any(value is not None for value in known.values())
+    differ = zip("AB", answer.differing, strict=True)
+    title = "; ".join(f"{name}: {', '.join(words)}" for name, words in differ if words)
+    columns = ("", "A", "B", "B - A", "from", "to", *exactly, "sharper")
+    table = make_table(columns, title or None, dropped=("sharper",), padding=(0, 1, 0, 0))
+    for figure, name, scale in _shown(answer):
+        apart, exact = answer.difference(figure), known.get(figure)
+        table.add_row(
+            name,
+            *(_mean(answer, side, figure, scale) for side in answer.sides),
+            *(f"{scale * value:+.3f}" for value in (apart.estimate.mean, *apart.estimate.ci95)),
+            *("" if exact is None else f"{scale * exact:+.4f}" for _ in exactly),
+            f"{apart.gain:.2f}" if math.isfinite(apart.gain) else "",
+        )
+    return table
+
+
+def _mean(answer: Comparison, side: Side, figure: str, scale: float) -> str:
+    """A side's mean, exact where that is known."""
+    mean, known = answer.mean(side, figure), side.exact
+    if known is not None and figure in FIGURES[:2]:
+        mean = side.unit(figure) * known[FIGURES.index(figure)]
+    if scale == 100:
+        return in_percent(mean, 2)
+    robots = len(side.plan.robots)
+    return of_all(mean, robots) if figure in ("alive", "home") else f"{scale * mean:.2f}"
+
+
+def _json(answer: Comparison) -> Json:
+    """Coverage and its differences are fractions of the accessible cells."""
+    apart = {figure: answer.difference(figure) for figure in answer.figures}
+    return {
+        "answer": headline(answer),
+        "a": _side_json(answer, answer.a),
+        "b": _side_json(answer, answer.b),
+        "differing": dict(zip("ab", answer.differing, strict=True)),
+        "rollouts": answer.rollouts,
+        "seed": answer.a.choices.seed,
+        "certain": answer.certain,
+        "difference": {figure: found.estimate.to_json() | {"gain": found.gain} for figure, found in apart.items()},
+        "exact_difference": {figure: answer.exact_difference(figure) for figure in FIGURES[:2]},
+        "b_ahead": proportion(answer.ahead, answer.rollouts, answer.certain),
+        "b_behind": proportion(answer.behind, answer.rollouts, answer.certain),
+        "seconds": answer.seconds,
+        **json_end(answer),
+    }
+
+
+def _side_json(answer: Comparison, side: Side) -> Json:
+    plan, choices, exact = side.plan, side.choices, None
+    if side.exact is not None:
+        exact = {figure: side.unit(figure) * value for figure, value in zip(FIGURES[:2], side.exact, strict=True)}
+    return {
+        "input": side.world.source,
+        "robots": len(plan.robots),
+        "starts": plan.starts,
+        "accessible": side.cells,
+        "loop": choices.loop,
+        "mode": choices.drawn,
+        "luck": choices.luck,
+        "threat_checks": "first_visit" if choices.first_only else "every_visit",
+        "deadline": choices.deadline,
+        "plan_for": plan.plan_for,
+        "settings": plan.settings,
+        "mean": {figure: answer.mean(side, figure) for figure in answer.figures_of(side)},
+        "exact": exact,
+    }

@@ -1,1 +1,0 @@
-"""The answer of `compare`: how far apart are two plans, settings, teams or maps?"""

@@ -1,1 +1,0 @@
-"""The answers that choose: how many robots are enough?"""

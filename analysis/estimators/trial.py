@@ -1,0 +1,529 @@
+"""A plan that is tried: exactly where its tree ends in time, else by rollouts; the one place where searches ask which.
+
+A search compares what is known alike: all of it exactly, or all on the same rollouts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.sampling import RolloutChoices, knowing_deadline, make_engine_for
+from analysis.statistics.control_variate import LEAST, estimate_of, tally_mean
+from analysis.statistics.differences import CommonLuck, Paired, difference
+from analysis.statistics.estimates import (
+    QUANTILES,
+    ROUNDING,
+    Estimate,
+    chance_interval,
+    exactly,
+    mean_interval,
+    mean_of,
+    proportion,
+)
+from analysis.theory.exact import OpenLoopExact, Worth, open_loop_exact
+from analysis.theory.verdicts import MEANINGS, ClosedTruth, Truth, as_stated, exact_truth
+from analysis.utils.compiling import compiles_for
+from planner.errors import PlanError
+from planner.plan.plan import Plan, is_certain
+from planner.rollouts.engine import Engine, closed_loop_engine, run_by_luck, run_chunks
+from planner.rollouts.threshold_classes import luck_classes
+from planner.simulator.closed_loop import compile_closed_loop
+from planner.simulator.exact_tree import CHEAP, WHOLE, Tree, grow_tree
+from planner.simulator.loop import ClosedLoop
+from planner.simulator.state import MOST_PASSES, Counts
+from planner.simulator.tables import AllPairs
+from planner.tally import RolloutResults, Tally
+from planner.world.world import World
+
+# The closed loop without rollouts: by formulas where they are all of it, else by the tree of all that can happen.
+
+SLACK = 1e-4
+"""Of the cells: a mean that is known as closely counts as exact."""
+EFFORT = 3e8
+"""Histories of a tree times cells that take about a second: so much is done on every machine, busy or not."""
+LARGE = 8
+"""Robots above which a history takes longer, by their number, and by its cube where they come home (64: 366 times) or
+do not hear each other everywhere (35: 40 times)."""
+MOST_CELLS = 5_000
+"""Of maps whose tables are worth it."""
+
+
+@dataclass(frozen=True)
+class TreeTruth(ClosedTruth):
+    """The closed loop's figures from a tree.
+
+    Attributes:
+        tree: all that can happen, or next to all. masses: chances as a tally counts rollouts; None: too much was left.
+    """
+
+    tree: Tree = field(kw_only=True)
+    masses: Tally | None = field(kw_only=True)
+
+    @property
+    def is_all(self) -> bool:
+        """Whether rollouts have nothing to add: only what is next to nothing was left."""
+        return self.masses is not None and self.time is not None
+
+    @property
+    def further(self) -> dict[str, Any]:
+        tree, robots, (least, most) = self.tree, len(self.tree.counts.alive) - 1, self.tree.alive()
+        return {
+            "losses": _said(robots - most, robots - least),
+            "complete": _said(*tree.chance_complete()),
+            "quantiles": {
+                figure: {f"{q:g}": _said(*tree.quantile(figure, q)) for q in QUANTILES} for figure in MEANINGS
+            },
+            "histories": tree.histories,
+            "cut": tree.share_cut,
+            "mass_cut": tree.left,
+            "seconds": tree.seconds,
+        }
+
+
+def closed_truth(
+    plan: Plan,
+    world: World,
+    exact: OpenLoopExact,
+    choices: RolloutChoices,
+    kept: AllPairs | None = None,
+    fine_seconds: float = 0.0,
+) -> ClosedTruth | None:
+    """The closed loop's figures within SLACK of the cells, or a tenth of the precision asked for; None: too dear.
+
+    `exact`: the open loop's. `kept`: where all-pairs tables are kept. `fine_seconds`: as of `tree_of`.
+    """
+    known = exact_truth(plan, world, exact, choices.first_only)
+    if choices.exact == "never" or is_certain(world, plan) or (known is not None and not fine_seconds):
+        return known
+    slack = min(SLACK, (choices.precision or 1.0) / 10)
+    loop = _loop_of(plan, world, choices.first_only, kept)
+    tree = None if loop is None else tree_of(loop, choices.exact_seconds, slack, fine_seconds)
+    return known if loop is None or tree is None else _truth_of(tree, loop, plan, world)
+
+
+def closed_tree(
+    plan: Plan,
+    world: World,
+    first_only: bool = False,
+    kept: AllPairs | None = None,
+    seconds: float = 2.0,
+    slack: float = SLACK,
+) -> Tree | None:
+    """The tree of a plan's closed loop with at most `slack` of the cells unknown, or None where that is too dear."""
+    loop = _loop_of(plan, world, first_only, kept)
+    return None if loop is None else tree_of(loop, seconds, slack)
+
+
+def _loop_of(plan: Plan, world: World, first_only: bool, kept: AllPairs | None) -> ClosedLoop | None:
+    """What a tree is grown of, or None where there is none, or it would be too dear."""
+    from planner.simulator.closed_loop import compile_closed_loop
+
+    if (world.doubt is not None and world.phases is None) or int(world.accessible(plan.starts).sum()) > MOST_CELLS:
+        return None
+    try:
+        return compile_closed_loop(plan, world, first_only=first_only, kept=kept, luck="tolerance")
+    except PlanError:  # a rule that is not compiled
+        return None
+
+
+def tree_of(loop: ClosedLoop, seconds: float, slack: float = SLACK, fine_seconds: float = 0.0) -> Tree | None:
+    """The same of a loop. One history is always worth it: nothing can happen, or one robot is alone.
+
+    `fine_seconds`: a tree that takes no longer is grown until next to nothing is left.
+    """
+    cells = loop.accessible
+    slower = max(loop.robots / LARGE, 1.0) ** (3 if loop.comes_home or len(loop.tables.reach) else 1)
+    most, cheap = (
+        max(int(time * EFFORT / cells / slower), 2) if cells <= MOST_CELLS else 2 for time in (seconds, fine_seconds)
+    )
+    return grow_tree(loop, slack * cells, most, max(cheap, CHEAP))
+
+
+def _truth_of(tree: Tree, loop: ClosedLoop, plan: Plan, world: World) -> TreeTruth:
+    from planner.simulator.closed_loop import tally_from
+
+    visited, survived, some_left = (
+        _between(*one) for one in (tree.covered("visited"), tree.covered("survived"), tree.chance_left())
+    )
+    stated = as_stated(plan, world, tree.counts.outcomes / WHOLE, "tree")
+    counts = [Counts(*map(np.copy, tree.counts))]  # a state's own cells are added in place
+    masses = tally_from(loop, 0, 0, WHOLE, counts) if tree.left <= SLACK else None
+    alive, time = tree.mean_alive, tree.mean_time
+    return TreeTruth(visited, survived, some_left, stated, 0, alive, time, tree=tree, masses=masses)
+
+
+def _between(low: float, high: float) -> Truth:
+    return Truth((low + high) / 2, low, high, "tree")
+
+
+def _said(low: float, high: float) -> float | list[float]:
+    """A value, or the two between which it is certain to be."""
+    return low if low == high else [low, high]
+
+
+# Value covered, rollout by rollout, in whole numbers that add up exactly.
+
+UNITS = 2**40
+"""The value of all cells in whole numbers: rounding is a millionth of a millionth of it a cell."""
+
+
+def units_of(worth: Worth) -> NDArray[np.float64]:
+    """What each cell adds to the sums of a rollout, not yet rounded, float64 `[N]`."""
+    share: NDArray[np.float64] = worth.value / worth.total * UNITS
+    return share
+
+
+def most_units(cells: int) -> int:
+    """The largest sum of so many cells, each rounded."""
+    return UNITS + cells
+
+
+def weigh(engine: Engine, world: World) -> Engine:
+    """The same rollouts; where a closed loop's world has values, they sum up that of visited cells: `worth_covered`."""
+    if world.value is None:
+        return engine
+    covered = np.rint(units_of(Worth.of(world))).astype(np.int64)
+    return engine.weighing(covered, np.zeros((len(covered), MOST_PASSES + 1), dtype=np.int64))
+
+
+def mean_value(
+    column: NDArray[np.int64], total: float, cells: int, certain: bool, luck: CommonLuck | None = None
+) -> Estimate:
+    """The mean of units `[B]`, as a value of the `total` of so many cells; `certain`: every run is the same.
+
+    `luck`: of the rollouts, by which it is put right (`analysis.statistics.control_variate`).
+    """
+    values, often = np.unique(column, return_counts=True)
+    unit, most = total / UNITS, most_units(cells)
+    if luck is None or certain:
+        found = mean_of(values, often, unit, most, certain)
+    else:
+        found = estimate_of(values, often, luck.by_class, luck.x.astype(np.float64), luck.robots, unit, most)
+    rounding = 0.0 if certain else cells / 2 * unit  # of each cell's units
+    mean = min(found.mean, total)
+    return Estimate(mean, found.se, (max(found.ci95[0] - rounding, 0.0), min(found.ci95[1] + rounding, total)))
+
+
+# What a plan comes to, exactly or sampled: two answers to the same questions.
+#
+# `Known` is a tree of all that can happen (`planner.simulator.exact_tree`), `Sampled` so many rollouts; means of both
+# are
+# `Estimate`s, and a difference of two is exact, or on common luck. Which of the two it is, is asked in `trial.py`.
+
+Between = tuple[float, float]
+"""The least and the most that a figure may be."""
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Exact figures: "visited" and "survived" cells, robots "alive" and "lost", "time" in steps, share of "value".
+
+    Attributes:
+        tree: of all that can happen. value: visited, a share of that of all free cells; None: nobody said what it is.
+    """
+
+    tree: Tree
+    value: Between | None = None
+    rollouts = 0
+    exact = certain = True
+
+    @property
+    def counted(self) -> str:
+        """The figure that is gone by: value where there is any, else cells."""
+        return "visited" if self.value is None else "value"
+
+    @property
+    def share(self) -> float:
+        """Of all cells, or of all value, that is visited on average."""
+        low, high = self.between(self.counted)
+        return (low + high) / 2 / self.largest(self.counted)
+
+    def between(self, figure: str) -> Between:
+        """The least and the most that the mean may be; alike but for what the tree left."""
+        if figure == "value":
+            assert self.value is not None
+            return self.value
+        if figure == "lost":
+            low, high = self.tree.alive()
+            return self.largest("lost") - high, self.largest("lost") - low
+        return {"alive": self.tree.alive, "time": self.tree.time}.get(figure, lambda: self.tree.covered(figure))()
+
+    def mean(self, figure: str, unit: float = 1.0, most: int | None = None) -> Estimate:
+        """A mean, times `unit`."""
+        return stated(self.between(figure), unit, self.largest(figure))
+
+    def bounds(self, figure: str, doubt: float) -> Between:
+        """What the mean lies between, whatever the `doubt`."""
+        return self.between(figure)
+
+    def chance(self, figure: str, needed: int) -> Estimate:
+        """The chance that so many cells are "visited", or "survived"."""
+        return stated(self.chance_bounds(figure, needed, 0.0), 1.0, 1.0)
+
+    def chance_bounds(self, figure: str, needed: int, doubt: float) -> Between:
+        """What that chance lies between."""
+        return self.tree.chance_of(figure, needed)
+
+    def ahead(self, base: Measured, figure: str, unit: float = 1.0) -> Estimate:
+        """How much more of a figure than `base`, which is known too, times `unit`."""
+        assert isinstance(base, Known)
+        (low, high), (least, most), reach = self.between(figure), base.between(figure), self.largest(figure)
+        apart = (low - most, high - least)
+        if abs(sum(apart)) <= apart[1] - apart[0] + ROUNDING * reach:  # not told apart
+            apart = (min(apart[0], 0.0), -min(apart[0], 0.0)) if apart[1] > apart[0] else (0.0, 0.0)
+        return stated(apart, unit, 2 * reach)
+
+    def by_step(self) -> NDArray[np.float64]:
+        """Share of the cells visited by the end of each step on average, float64 `[T + 1]`."""
+        return np.cumsum(self.tree.counts.new) / WHOLE / self.largest("visited")
+
+    def largest(self, figure: str) -> float:
+        """The most that a run may come to."""
+        axis = {"lost": "alive", "survived": "visited"}.get(figure, figure)
+        return 1.0 if axis == "value" else len(getattr(self.tree.counts, axis)) - 1.0
+
+
+def stated(between: Between, unit: float, most: float) -> Estimate:
+    """Exact where it is within SLACK of the `most` there is, else with what it lies between."""
+    low, high = between
+    mean = (low + high) / 2 * unit
+    return exactly(mean) if high - low <= SLACK * most else Estimate(mean, 0.0, (low * unit, high * unit))
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """The same figures of `n` rollouts, put right by their luck where that is by tolerance.
+
+    Attributes:
+        tally, results: of them; results may be left out where nothing is compared. seed: of luck by tolerance, or None.
+        valued: the map has values. certain: every run is the same. seconds: that they took.
+    """
+
+    tally: Tally
+    results: RolloutResults | None = None
+    seed: int | None = None
+    valued: bool = False
+    certain: bool = False
+    seconds: float = 0.0
+    exact = False
+
+    def __add__(self, other: Sampled) -> Sampled:
+        assert self.results is not None
+        assert other.results is not None
+        both = RolloutResults.join([self.results, other.results])
+        return Sampled(self.tally + other.tally, both, self.seed, self.valued, self.certain)
+
+    @property
+    def rollouts(self) -> int:
+        """How many."""
+        return self.tally.rollouts
+
+    @property
+    def counted(self) -> str:
+        """As of `Known`."""
+        return "value" if self.valued else "visited"
+
+    @cached_property
+    def share(self) -> float:
+        """As of `Known`, as the rollouts say it."""
+        return float(self.column(self.counted).mean()) / self.largest(self.counted)
+
+    def column(self, figure: str) -> NDArray[np.int64]:
+        """A figure of each rollout, int64 `[n]`; value in units of `analysis.estimators.trial`."""
+        assert self.results is not None
+        own = {"value": "worth_covered", "lost": "alive"}.get(figure, figure)
+        found = getattr(self.results, own).astype(np.int64)
+        return self.tally.robots - found if figure == "lost" else found
+
+    def mean(self, figure: str, unit: float = 1.0, most: int | None = None) -> Estimate:
+        """A mean, times `unit`, with its interval; `most`: of time, the longest run that is possible."""
+        if figure != "value":
+            return tally_mean(self.tally, figure, unit, most, self.certain)
+        column, cells = self.column(figure), len(self.tally.covered_visited)
+        return mean_value(column, unit, cells, self.certain, self._luck(column))
+
+    def bounds(self, figure: str, doubt: float) -> Between:
+        """What the mean lies between but for chance `doubt`, for any distribution (`mean_interval`)."""
+        if self.certain:
+            return self.mean(figure).ci95
+        return mean_interval(self.tally.alive[::-1] if figure == "lost" else getattr(self.tally, figure), doubt)
+
+    def chance(self, figure: str, needed: int) -> Estimate:
+        """As of `Known`."""
+        return proportion(self._often(figure, needed), self.rollouts, self.certain)
+
+    def chance_bounds(self, figure: str, needed: int, doubt: float) -> Between:
+        """What that chance lies between but for chance `doubt`."""
+        if self.certain:
+            return self.chance(figure, needed).ci95
+        return chance_interval(self._often(figure, needed), self.rollouts, doubt)
+
+    def _often(self, figure: str, needed: int) -> int:
+        return int(getattr(self.tally, figure)[needed:].sum())
+
+    def ahead(self, base: Measured, figure: str, unit: float = 1.0) -> Estimate:
+        """How much more of a figure than `base` on the rollouts that both have, times `unit`."""
+        assert isinstance(base, Sampled)
+        n = min(self.rollouts, base.rollouts)
+        less, more = base.column(figure)[:n], self.column(figure)[:n]
+        one = unit / UNITS if figure == "value" else unit
+        return difference(
+            Paired.of(less, more), one, one, self.largest(figure) * one, self.certain and base.certain,
+            self._luck(less, more),
+        ).estimate  # fmt: skip
+
+    def by_step(self) -> NDArray[np.float64]:
+        """As of `Known`."""
+        return np.cumsum(self.tally.new_visited) / (self.rollouts * self.tally.accessible)
+
+    def largest(self, figure: str) -> float:
+        """As of `Known`; of value, in units."""
+        return float({"value": UNITS, "lost": self.tally.robots}.get(figure, self.tally.accessible))
+
+    def _luck(self, *columns: NDArray[np.int64]) -> CommonLuck | None:
+        """Sums of one column, or of two, by the luck of their rollouts; None of few, or of luck by step."""
+        n = len(columns[0])
+        if self.seed is None or n < LEAST:
+            return None
+        return CommonLuck.of(self.tally.robots, self._classes[:n], columns[0], columns[-1])
+
+    @cached_property
+    def _classes(self) -> NDArray[np.int64]:
+        assert self.results is not None
+        assert self.seed is not None
+        return luck_classes(self.seed, self.results.start, self.rollouts, self.tally.robots)
+
+
+Measured = Known | Sampled
+"""What a plan comes to."""
+
+
+class Trial:
+    """A plan in a world, ready to be asked what it comes to by the deadline of the choices."""
+
+    def __init__(
+        self,
+        world: World,
+        plan: Plan,
+        choices: RolloutChoices,
+        kept: AllPairs | None = None,
+        loop: ClosedLoop | None = None,
+    ) -> None:
+        """`kept`: where all-pairs tables are kept. `loop`: in the place of the plan's. Raises InputError."""
+        if loop is None:
+            plan = knowing_deadline(world, plan, choices, nominal=False)
+        self.world, self.plan, self.choices = world, plan, choices
+        self.certain = choices.loop == "open" and is_certain(world, plan, "open")
+        self._known: Known | None = None
+        self._looked = -1.0
+        self._last: tuple[tuple[int, int], Sampled | None] = ((0, 0), None)
+        self.loop = None
+        if choices.loop == "closed":
+            how = choices
+            compiles_for(plan)
+            self.loop = loop or compile_closed_loop(plan, world, first_only=how.first_only, kept=kept, luck=how.luck)
+            whole: Engine = closed_loop_engine(self.loop, choices.seed, choices.engine)
+        else:
+            whole = make_engine_for(world, plan, choices)
+        self._whole = whole
+
+    @cached_property
+    def engine(self) -> Engine:
+        """What rolls it out, to the deadline; in the closed loop with what is visited of values."""
+        engine = self._whole if self.loop is None else weigh(self._whole, self.world)
+        return engine if self.choices.deadline is None else engine.until(self.choices.deadline)
+
+    def until(self, step: int | None) -> Trial:
+        """The same, ended at the end of `step`."""
+        return Trial(self.world, self.plan, replace(self.choices, deadline=step), loop=self.loop)
+
+    def under(self, truth: World) -> Trial:
+        """The same decisions, but robots are stopped by the threats of `truth`, a map of the same cells."""
+        assert self.loop is not None
+        return Trial(truth, self.plan, self.choices, loop=self.loop.under(truth))
+
+    def known(self, share: float = 1.0) -> Known | None:
+        """What it comes to exactly; None where that would take more than this `share` of the choices' exact seconds."""
+        if self._known is None and share > self._looked:
+            self._known, self._looked = self._exactly(self.choices.exact_seconds * share), share
+        return self._known
+
+    @cached_property
+    def open_loop(self) -> OpenLoopExact | None:
+        """The open loop's exact values by the deadline; None in the closed loop."""
+        end = self.choices.deadline
+        plan = self.plan if end is None else self.plan.until(end)
+        return None if self.choices.loop == "closed" else open_loop_exact(plan, self.world)
+
+    def stops(self, found: Measured) -> NDArray[np.float64]:
+        """Robots stopped in each cell on average, float64 `[N]`."""
+        if isinstance(found, Sampled):
+            return found.tally.stops / found.rollouts
+        assert self.loop is not None
+        hits = np.zeros(self.world.threat.size)
+        hits[self.loop.cells] = found.tree.counts.stops / WHOLE
+        return hits
+
+    def _exactly(self, seconds: float) -> Known | None:
+        if self.loop is None:
+            return None
+        loop, end = self.loop, self.choices.deadline
+        tree = tree_of(loop if end is None else loop.until(end), seconds)
+        if tree is None or (seconds == 0 and tree.counts.stops.any()):  # unasked for, but where every run is the same
+            return None
+        if self.world.value is None:
+            return Known(tree)
+        worth = Worth.of(self.world)
+        low, high = (float(chance @ worth.value[loop.cells]) / worth.total for chance in tree.cells("visited"))
+        return Known(tree, (low, high))
+
+    def sample(self, start: int, count: int) -> Sampled:
+        """Rollouts `start .. start + count - 1`, each by itself; the last ones asked for are kept."""
+        asked, found = self._last
+        if found is None or asked != (start, count):
+            engine, seed = self.engine, self._luck_seed
+            ran = engine.run(start, count) if seed is None else run_by_luck(engine, seed, start, count)
+            found = self._sampled(*ran)
+            self._last = (start, count), found
+        return found
+
+    def roll(self, start: int, count: int, marks: Iterable[int]) -> Iterator[Sampled]:
+        """The same, where it stands after every chunk, the `marks` among them; single rollouts only of value."""
+        parts: list[RolloutResults] = []
+        valued = self._valued
+        for chunk in run_chunks(
+            self.engine, count, start=start, checkpoints=marks, results=valued, by_luck=self._luck_seed
+        ):
+            parts += [chunk.results] if valued and chunk.results is not None else []
+            yield self._sampled(chunk.tally, RolloutResults.join(parts) if parts else None, chunk.seconds)
+
+    def _sampled(self, tally: Tally, results: RolloutResults | None, seconds: float = 0.0) -> Sampled:
+        return Sampled(tally, results, self._luck_seed, self._valued, self.certain, seconds)
+
+    @property
+    def _luck_seed(self) -> int | None:
+        return self.choices.seed if self.loop is not None and self.choices.luck == "tolerance" else None
+
+    @property
+    def _valued(self) -> bool:
+        return self.loop is not None and self.world.value is not None
+
+
+def alike(trials: Sequence[Trial], start: int, count: int, share: float = 1.0) -> Sequence[Measured]:
+    """What they come to, all exactly or all on the same rollouts, so that it can be compared.
+
+    `share`: as of `Trial.known`.
+    """
+    known: list[Measured] = []
+    for trial in trials:
+        found = trial.known(share)
+        if found is None:
+            return [trial.sample(start, count) for trial in trials]
+        known.append(found)
+    return known

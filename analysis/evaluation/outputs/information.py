@@ -1,0 +1,405 @@
+"""What the map is worth to robots that are not told it: told, learning by what they see, and blind, on the same luck.
+
+Everything but the sensor is alike: the team that is told the map sees all of it at once (SPEC section 15).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib.util import find_spec
+from itertools import pairwise
+from math import inf, isinf
+from typing import Any, Self
+
+import numpy as np
+from matplotlib.colors import Normalize
+from numpy.typing import NDArray
+
+from analysis.estimators.racing import only, told_of_drawn, told_of_hazards, with_eyes
+from analysis.estimators.trial import Measured, Sampled, Trial, alike
+from analysis.evaluation.outputs.output import Blocks, Output, Run
+from analysis.exporting import raster
+from analysis.page.charts import Chart, Series
+from analysis.page.maps import CellLayer, threat_layer
+from analysis.pictures.style import COVERED, LOSSES
+from analysis.statistics.estimates import Estimate, more_said
+from analysis.utils.tables import make_table
+from planner.arguments import argument, numbers_of
+from planner.errors import UsageError
+from planner.files import Json
+from planner.formatting import counted, percent
+from planner.mrac.make_plan import allocated_plan
+from planner.plan.plan import Plan
+from planner.simulator.closed_loop import compile_closed_loop, final_odds
+from planner.world.features import seeing, with_sense
+from planner.world.map_knowledge import RANGE, Sense, chance_of
+from planner.world.uncertain_maps import Hazard, Uncertain
+from planner.world.world import World
+
+MOST_RANGES = 20
+LEAST = 1024
+"""Rollouts of each team, if the evaluation had so many, however many teams there are."""
+
+
+def parse_ranges(text: str | None) -> tuple[float, ...]:
+    """The ranges of "0,1,2,inf"; raises UsageError for what is no such list."""
+    found = numbers_of("sense", text, 'ranges in cells, such as "0,1,2,inf"') if text is not None else ()
+    if len(found) > MOST_RANGES:
+        raise UsageError(f"{argument('sense')} has {len(found)} ranges", expected=f"{MOST_RANGES} at most")
+    for one in found:
+        if one != inf:
+            RANGE.check("sense", one)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Team:
+    """What the team comes to if it sees so many cells far; `found`: on common random numbers as the others."""
+
+    range: float
+    found: Measured
+
+    @cached_property
+    def coverage(self) -> Estimate:
+        """Visited on average, a fraction of the accessible cells."""
+        return self.found.mean("visited", 1.0 / self.found.largest("visited"))
+
+    def ahead(self, other: Team) -> Estimate:
+        """How much more of the cells it visits."""
+        return self.found.ahead(other.found, "visited", 1.0 / self.found.largest("visited"))
+
+    def as_json(self) -> Json:
+        """Its figures."""
+        figures = {"coverage": self.coverage, "losses": self.found.mean("lost"), "time": self.found.mean("time")}
+        return {"range": _shown(self.range)} | {name: value.to_json() for name, value in figures.items()}
+
+
+def _sees(far: float) -> str:
+    return "blind" if far == 0 else f"see {'everything' if isinf(far) else f'{far:g}'}"
+
+
+def _shown(far: float) -> float | str:
+    return "inf" if isinf(far) else far
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge(Output):
+    """Teams with other eyes.
+
+    Attributes:
+        sense: the world's own. teams: by range, rising; the last one is told the map.
+        believed: the map as robots think that it is before they see anything.
+    """
+
+    sense: Sense
+    teams: tuple[Team, ...]
+    believed: CellLayer
+
+    @classmethod
+    def check(cls, asked: Sequence[float], world: World) -> None:
+        if world.knowledge is None:
+            with_sense(world, 0)  # says why there is nothing to sense
+            fix = "give a `truth` or a `prior`" if world.doubt is None else "give the scenario `sense: 0`"
+            raise UsageError(argument("sense", ",".join(map(str, asked))), expected="a map that robots learn", fix=fix)
+        for far in asked:
+            seeing(world, far)
+
+    @classmethod
+    def measure(cls, asked: Sequence[float], run: Run) -> Iterator[Self]:
+        world, known = run.world, run.world.knowledge
+        if (
+            known is None
+            or run.choices.loop == "open"
+            or (isinstance(world.doubt, Uncertain) and not world.doubt.whole)
+        ):
+            return
+        blind = {0.0} if known.may_be_blind(world.free) else set()
+        drawn = world.doubt is not None  # then who sees everything still plans before the first look
+        ranges = sorted({*map(float, asked), *blind, known.sense.range, *([] if drawn else [inf])})
+        done = run.last.tally.rollouts
+        count = max(min(done, LEAST), done // len(ranges))
+        choices = replace(run.choices, rollouts=count, precision=None, seconds=None, deadline=None)
+        if run.closed is None:  # a tree that is too dear for the team itself is for the others too
+            choices = replace(choices, exact="never")
+        trials = []
+        for far in ranges:
+            run.doing(f"the same team, {_sees(far)}")
+            trials.append(with_eyes(world, run.plan, far, choices))
+        if drawn:
+            run.doing("the same team, told which map is true")
+            told, kept = told_of_drawn(world, run.plan, choices, count)
+            found: Sequence[Measured] = [*(only(trial.sample(0, count), kept) for trial in trials), told]
+        else:
+            found = alike(trials, 0, count)
+        yield cls(known.sense, tuple(map(Team, [*ranges, inf], found)), _believed(world, run.plan))
+
+    @property
+    def told(self) -> Team:
+        """Robots that are told the map."""
+        return self.teams[-1]
+
+    @property
+    def learning(self) -> Team:
+        """The team that was evaluated."""
+        return next(team for team in self.teams if team.range == self.sense.range)
+
+    @property
+    def blind(self) -> Team | None:
+        """Robots that see nothing; None: they might run into what they do not believe."""
+        return self.teams[0] if self.teams[0].range == 0 else None
+
+    @property
+    def behind(self) -> str:
+        """What the figures rest on."""
+        found = self.told.found
+        return (
+            f"{counted(found.rollouts, 'rollout')} of each, common random numbers"
+            if isinstance(found, Sampled)
+            else "exact"
+        )
+
+    def as_json(self) -> Json:
+        learning, blind = self.learning, self.blind
+        return {
+            "known": self.told.as_json(),
+            "learning": learning.as_json(),
+            "blind": None if blind is None else blind.as_json(),
+            "price_of_not_knowing": self.told.ahead(learning).to_json(),
+            "worth_of_sensing": None if blind is None else learning.ahead(blind).to_json(),
+            "steps": [
+                {"from": one.range, "to": other.range, "worth": more.to_json()} for one, other, more in self.steps
+            ],
+            "curve": [team.as_json() | {"behind": self.told.ahead(team).to_json()} for team in self.teams],
+            "rollouts": self.told.found.rollouts,
+        }
+
+    def blocks(self) -> Blocks:
+        columns = ("robots that are", "visited %", "95 %", "told visit more", "lost", "steps")
+        table = make_table(columns, "What knowing the map is worth")
+        for team in self.teams:
+            behind = "" if team is self.told else self.told.ahead(team).said(100, " points")
+            lost, time = team.found.mean("lost"), team.found.mean("time")
+            table.add_row(
+                "told the map" if team is self.told else _sees(team.range),
+                *team.coverage.columns(100.0, 100),
+                behind,
+                lost.columns()[0],
+                f"{time.mean:.1f}",
+            )
+        note = f"what knowing the map is worth: {self.behind}"
+        pictures = {} if len(self.teams) < 4 else {"sense.png": lambda: [self.chart()]}
+        return Blocks(
+            leads=list(self._leads()), tables=[table], notes=[note], pictures=pictures,
+            below=[self.chart()] if pictures else [], layers={"believed.png": lambda: self.believed},
+            settings={"knowledge": self.sense.said},
+        )  # fmt: skip
+
+    def _leads(self) -> Iterator[str]:
+        learning, blind = self.learning, self.blind
+        if learning is not self.told:
+            price = more_said(self.told.ahead(learning), "not knowing it costs", "robots that are not told it visit")
+            yield f"Robots that are told the map visit {percent(self.told.coverage.mean)}: {price}."
+        if blind is not None and blind is not learning:
+            worth = more_said(learning.ahead(blind), "to see is worth", "robots that see visit", "less")
+            yield f"Robots that do not look visit {percent(blind.coverage.mean)}: {worth}."
+        if steps := [
+            f"{more.said(100, ' points')} from {near.range:g} to {far.range:g}" for near, far, more in self.steps
+        ]:
+            yield f"A better sensor, cells: {', '.join(steps)}."
+
+    @property
+    def steps(self) -> list[tuple[Team, Team, Estimate]]:
+        """From each sensor to the next better one, where more than one was asked for, and what it covers more."""
+        near = [team for team in self.teams if 0 < team.range < inf]
+        return [(one, other, other.ahead(one)) for one, other in pairwise(near)]
+
+    def chart(self) -> Chart:
+        """Coverage over how far robots see."""
+        near = [team for team in self.teams if not isinf(team.range)]
+        seen = Series.of("by how far robots see", [team.range for team in near], [team.coverage for team in near])
+        return Chart(
+            "What is a better sensor worth?", (seen,), "how far a robot sees, cells", "visited, % of the cells",
+            unit="%", at_y=((100 * self.told.coverage.mean, "told the map"),), x_whole=False, x_digits=1,
+        )  # fmt: skip
+
+
+def _believed(world: World, plan: Plan) -> CellLayer:
+    same = world.knowledge is not None and world.knowledge.may_be_blind(world.free)
+    dark = "They know the obstacles." if same else "Dark: the true obstacles, of which they believe otherwise."
+    about = f"The chance that one visit stops a robot, as robots think before they see anything. {dark}"
+    threat, (rows, cols) = world.threat.copy(), plan.starts.T
+    threat[rows, cols] = np.nan_to_num(threat[rows, cols])  # nobody stands on an obstacle, whatever else is believed
+    believed = replace(world, threat=threat, knowledge=None, doubt=None)
+    return replace(threat_layer(believed, plan), name="As believed", about=about)
+
+
+# What robots gain by learning about hazards from what happens to them: told, learning and blind, on the same luck.
+#
+# Those that are told know which cells have a hazard: each rollout is planned for the ones that it meets. And what the
+# team knows of each cell in the end, on average over runs: the posterior, and the doubt that is left (SPEC section 15).
+
+MOST, MOST_MAPS, MOST_ENDS = 8192, 128, 256
+"""Rollouts of each team, of robots that are told (each is a plan of its own), and that are looked at when they end."""
+BANDS = {
+    "prior": "chance that a hazard is in the cell, before anything happens",
+    "posterior": "the same as the team knows it at the end of a run, mean over runs",
+    "entropy": "doubt left at the end of a run, bits, mean over runs",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Experience(Output):
+    """Three teams, and what is known in the end.
+
+    Attributes:
+        told, learning, blind: what they come to; told ones on the first of the others' rollouts.
+        world: whose robots learn. reach: bool `[H, W]`, cells that robots can reach.
+        posterior, entropy: float64 `[H, W]`, mean over `ends` runs; entropy in bits.
+    """
+
+    told: Measured
+    learning: Measured
+    blind: Measured
+    world: World
+    reach: NDArray[np.bool_]
+    posterior: NDArray[np.float64]
+    entropy: NDArray[np.float64]
+    ends: int
+
+    @classmethod
+    def check(cls, asked: Any, world: World) -> None:
+        if world.learned_hazard is None:
+            fix = "give the scenario `hazard: {..., learn: true}`"
+            raise UsageError(argument("experience", asked), expected="robots that learn about hazards", fix=fix)
+
+    @classmethod
+    def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
+        world, plan, hazard = run.world, run.plan, run.world.doubt
+        if not isinstance(hazard, Hazard) or run.choices.loop == "open":
+            return
+        count = min(run.last.tally.rollouts, MOST)
+        choices = replace(
+            run.choices, rollouts=count, precision=None, seconds=None, deadline=None, exact="never", engine="numba"
+        )
+        run.doing("the same team, if it learns nothing")
+        unaware = replace(world, doubt=replace(hazard, learn=False, detector=None))
+        blind = Trial(unaware, allocated_plan(unaware, plan.starts, plan.require(world)), choices).sample(0, count)
+        learning = Trial(world, plan, choices).sample(0, count)
+        run.doing("the same team, told where hazards are")
+        told = told_of_hazards(world, plan, choices, min(count, MOST_MAPS))
+        run.doing("what is known in the end")
+        loop, ends = compile_closed_loop(plan, world, luck=choices.luck), min(count, MOST_ENDS)
+        prior = np.where(world.free, hazard.q, np.nan).astype(np.float64).ravel()
+        posterior, entropy = prior.copy(), entropy_of(prior)
+        if loop.learns:
+            known = chance_of(final_odds(loop, choices.seed, 0, ends))
+            posterior[loop.cells], entropy[loop.cells] = known.mean(axis=0), entropy_of(known).mean(axis=0)
+        reach, shape = world.accessible(plan.starts), world.shape
+        yield cls(told, learning, blind, world, reach, posterior.reshape(shape), entropy.reshape(shape), ends)
+
+    @property
+    def prior(self) -> NDArray[np.float64]:
+        """float64 `[H, W]`: the chance that a hazard is there, before anything happens."""
+        assert isinstance(self.world.doubt, Hazard)
+        return self.world.doubt.q.astype(np.float64)
+
+    @cached_property
+    def price(self) -> Estimate:
+        """How much more of the cells robots visit that are told."""
+        return self.told.ahead(self.learning, "visited", self._unit)
+
+    @cached_property
+    def worth(self) -> Estimate:
+        """How much more of the cells they visit than if they learned nothing."""
+        return self.learning.ahead(self.blind, "visited", self._unit)
+
+    @property
+    def bits(self) -> tuple[float, float]:
+        """Doubt a cell in reach, at first and in the end, bits, on average."""
+        return float(entropy_of(self.prior)[self.reach].mean()), float(self.entropy[self.reach].mean())
+
+    @property
+    def _unit(self) -> float:
+        return 1.0 / self.learning.largest("visited")
+
+    def as_json(self) -> Json:
+        before, after = self.bits
+        return {
+            **{name: self._team(found) for name, found in self._teams()},
+            "price_of_not_knowing": self.price.to_json(),
+            "worth_of_learning": self.worth.to_json(),
+            "maps": self.told.rollouts,
+            "rollouts": self.learning.rollouts,
+            "posterior": {"rollouts": self.ends, "entropy": {"before": before, "after": after}},
+        }
+
+    def _teams(self) -> Iterator[tuple[str, Measured]]:
+        return iter((("told", self.told), ("learning", self.learning), ("blind", self.blind)))
+
+    def _team(self, found: Measured) -> Json:
+        figures = {
+            "coverage": found.mean("visited", self._unit),
+            "losses": found.mean("lost"),
+            "time": found.mean("time"),
+        }
+        return {name: value.to_json() for name, value in figures.items()}
+
+    def blocks(self) -> Blocks:
+        table = make_table(("robots that", "visited %", "95 %", "lost", "steps"), "What learning is worth")
+        for (_, found), said in zip(self._teams(), ("are told", "learn", "learn nothing"), strict=True):
+            time = f"{found.mean('time').mean:.1f}"
+            table.add_row(
+                said, *found.mean("visited", self._unit).columns(100.0, 100), found.mean("lost").columns()[0], time
+            )
+        blind, told = (found.mean("visited", self._unit) for found in (self.blind, self.told))
+        before, after = self.bits
+        price = more_said(self.price, "not knowing it costs", "robots that are not told it visit")
+        worth = more_said(self.worth, "learning is worth", "robots that learn visit", "less")
+        sure = "" if told.half_width == 0 else f" ({told.columns(100.0, 100)[1]}, 95 %)"
+        leads = [
+            f"Robots that learn nothing visit {percent(blind.mean)}: {worth}.",
+            f"Robots that are told where hazards are visit {told.columns(100.0, 100)[0]} % of the cells in "
+            f"{counted(self.told.rollouts, 'run')}{sure}: {price}.",
+        ]
+        notes = [
+            f"what learning is worth: {counted(self.learning.rollouts, 'rollout')} of each, common random numbers; "
+            f"told: the first {self.told.rollouts:,}, a plan for each",
+            f"doubt where hazards are: {before:.3f} bits a cell at first, {after:.3f} at the end of a run "
+            f"(mean of {self.ends:,})",
+        ]
+        files: dict[str, Callable[[], str | bytes]] = {}
+        if find_spec("rasterio") is not None:
+            bands = np.stack([self.prior, self.posterior, self.entropy])
+            files["posterior.tif"] = lambda: raster(self.world, BANDS, bands)
+        layers = {"posterior.png": lambda: self._posterior(), "entropy.png": lambda: self._entropy()}
+        return Blocks(leads=leads, tables=[table], notes=notes, layers=layers, files=files)
+
+    def _posterior(self) -> CellLayer:
+        about = (
+            f"The chance that a hazard is there, as the team knows it at the end of a run; mean of {self.ends:,} runs."
+        )
+        values = np.nan_to_num(self.posterior)
+        return CellLayer(
+            "Hazards, as known in the end", about, values, LOSSES, "%", root=True, digits=2, short="Posterior"
+        )
+
+    def _entropy(self) -> CellLayer:
+        about = f"Bits; 1: as likely there as not, 0: the team is sure. Mean of {self.ends:,} runs."
+        scale = Normalize(0, 1)
+        return CellLayer(
+            "Doubt left in the end",
+            about,
+            np.nan_to_num(self.entropy),
+            COVERED,
+            norm=scale,
+            labels=(0, 0.5, 1),
+            short="Doubt",
+        )
+
+
+def entropy_of(chance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of a hazard that is there with this chance, in bits; NaN of none."""
+    sides = np.stack([chance, 1 - chance])
+    return np.asarray(-(sides * np.log2(np.where(sides > 0, sides, 1))).sum(axis=0))

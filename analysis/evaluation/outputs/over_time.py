@@ -1,0 +1,343 @@
+"""Coverage over time of single rollouts: how far runs lie apart by the end of a step, out of those that were run.
+
+The ids 0 .. S - 1 are run once more, one by one, keeping the step at which each cell was first visited; S depends on
+how many rollouts were asked for and on the size of the plan alone, so the same seed gives the same band.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.estimators.trial import TreeTruth
+from analysis.evaluation.figures import Figures, last_shown
+from analysis.evaluation.outputs.output import Blocks, Output, Run, coverage_row
+from analysis.page.charts import Series
+from analysis.sampling import RolloutChoices, make_engine_for
+from analysis.statistics.estimates import QUANTILES, Estimate, mean_of, robots_words
+from analysis.theory.verdicts import MEANINGS, longest_run
+from analysis.utils.tables import make_table
+from planner.failure_model import FAST_COUNTER, key_of, threefry2x32, uniform
+from planner.files import Json
+from planner.formatting import TURNS, UNPACED, Pace, counted, percent
+from planner.plan.plan import Drive, Plan, RobotPlan, drive_of
+from planner.rollouts.engine import run_ranges
+from planner.simulator.exact_tree import Tree
+from planner.simulator.tables import AllPairs
+from planner.tally import Tally
+from planner.world.world import World
+
+BAND_LEAST, SHARE, BAND_MOST = 100, 10, 4096
+"""Rollouts run again: those asked for, but of more than LEAST only one in SHARE (never below LEAST), at most MOST."""
+OPEN_WORK = 2**27
+"""First entries of all robots times rollouts of the open loop: about a second's work beyond LEAST rollouts."""
+STEPS = 301
+"""Steps looked at, evenly from 0 to the end; every step of a shorter run."""
+AT_ONCE = 2**22
+"""First entries times rollouts that are held in memory at a time."""
+NEVER = np.iinfo(np.int64).max
+Curves = Callable[[int, int], NDArray[np.int32]]
+"""`curves(start, count)`: cells visited by the end of each step looked at, `[count, G]`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Band(Output):
+    """Quantiles of visited coverage (cells) over time, over the first of the rollouts, ids from 0; for the pictures.
+
+    Axis `G` = steps looked at; the last one is where the longest of all rollouts ends.
+
+    Attributes:
+        steps: int64 `[G]`. low, median, high: int64 `[G]`, the 5 %, 50 % and 95 % quantiles by the end of that step.
+        rollouts: how many were sampled at each step. accessible: cells.
+    """
+
+    steps: NDArray[np.int64]
+    low: NDArray[np.int64]
+    median: NDArray[np.int64]
+    high: NDArray[np.int64]
+    rollouts: int
+    accessible: int
+
+    @classmethod
+    def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
+        if run.choices.loop == "open" and run.world.doubt is not None:
+            return  # its robots are not drawn one by one
+        run.doing("coverage over time")
+        world, plan, choices, tally = run.world, run.plan, run.choices, run.last.tally
+        longest = int(np.flatnonzero(tally.time).max(initial=0))
+        looked_at = np.linspace(0, last_shown(plan, choices.loop, tally), STEPS).round().astype(np.int64)
+        marks = [longest] if choices.deadline is None else [longest, choices.deadline]
+        steps = np.unique(np.append(looked_at, marks))
+        count = min(tally.rollouts, max(BAND_LEAST, tally.rollouts // SHARE), BAND_MOST)
+        if run.certain:  # no code is compiled to find one curve twice
+            known = np.cumsum(tally.new_visited)[np.minimum(steps, len(tally.new_visited) - 1)] // tally.rollouts
+            yield cls(steps, known, known, known, count, tally.accessible)
+            return
+        if choices.loop == "open":
+            count = min(count, max(BAND_LEAST, OPEN_WORK // sum(len(np.unique(robot.path)) for robot in plan.robots)))
+            curves = open_loop_curves(world, plan, choices, steps)
+        else:
+            curves = closed_loop_curves(world, plan, choices, steps, run.kept)
+        found, seconds = [], 0.0
+        for start, size, part, took in run_ranges(curves, 0, count, unit=1):
+            found.append(part)
+            seconds += took
+            run.progress(start + size, count, seconds)
+        places = [math.ceil(q * count - 1e-9 * count) - 1 for q in QUANTILES]  # as `statistics.estimate.quantile`
+        low, median, high = np.partition(np.concatenate(found), places, axis=0)[places].astype(np.int64)
+        yield cls(steps, low, median, high, count, tally.accessible)
+
+    def blocks(self) -> Blocks:
+        middle, low, high = (100 * values / self.accessible for values in (self.median, self.low, self.high))
+        name = f"median of {counted(self.rollouts, 'rollout')}"
+        return Blocks(curves=[Series(name, self.steps, middle, low, high, kind="step", colour=4, dashed=True)])
+
+
+def closed_loop_curves(
+    world: World, plan: Plan, choices: RolloutChoices, steps: NDArray[np.int64], kept: AllPairs
+) -> Curves:
+    """Of the closed loop, by the compiled simulator whatever the engine: they agree rollout for rollout."""
+    from planner.simulator.closed_loop import compile_closed_loop, new_cells
+
+    loop = compile_closed_loop(plan, world, first_only=choices.first_only, kept=kept, luck=choices.luck)
+
+    def curves(start: int, count: int) -> NDArray[np.int32]:
+        out = np.empty((count, len(steps)), dtype=np.int32)
+        for place, new in enumerate(new_cells(loop, choices.seed, start, count)):
+            out[place] = np.cumsum(new)[np.minimum(steps, len(new) - 1)]
+        return out
+
+    return curves
+
+
+def open_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: NDArray[np.int64]) -> Curves:
+    """Of the open loop, from the step at which each robot is stopped; each kind of luck draws differently."""
+    firsts = [np.unique(robot.path, return_index=True) for robot in plan.robots]
+    robot = np.concatenate([np.full(len(cells), number) for number, (cells, _) in enumerate(firsts)])
+    cell, entered = (np.concatenate([first[part] for first in firsts]) for part in (0, 1))
+    order = np.argsort(cell, kind="stable")
+    robot, entered = robot[order], entered[order]
+    cell_begins = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    seen_at = np.searchsorted(steps, entered).astype(np.int32)  # the first step looked at by whose end it is visited
+    stop_of = {"tolerance": _tolerance_stops, "fast": _fast_stops, "step": _step_stops}[choices.drawn]
+
+    def few(start: int, count: int) -> NDArray[np.int32]:
+        ids = np.arange(start, start + count, dtype=np.uint32)
+        stops = np.stack([stop_of(plan, k, world, choices.seed, ids) for k in range(len(plan.robots))], axis=1)
+        at = np.where(entered <= stops[:, robot], seen_at, len(steps))
+        first = np.minimum.reduceat(at, cell_begins, axis=1)
+        bins = len(steps) + 1
+        counts = np.bincount((first + bins * np.arange(count)[:, None]).ravel(), minlength=count * bins)
+        return np.cumsum(counts.reshape(count, bins)[:, :-1], axis=1, dtype=np.int32)
+
+    def curves(start: int, count: int) -> NDArray[np.int32]:
+        size = max(1, AT_ONCE // len(entered))
+        return np.concatenate([few(at, min(size, start + count - at)) for at in range(start, start + count, size)])
+
+    return curves
+
+
+def _dangerous(robot: RobotPlan, world: World) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Steps at which the robot enters a dangerous cell, and the threats there."""
+    steps = robot.entered
+    threat = world.threat.reshape(-1)[robot.path[steps]]
+    return steps[threat > 0], threat[threat > 0]
+
+
+def _fast_stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """The step at which the robot is stopped in each rollout, `[B]`, NEVER where it is not: one draw a rollout."""
+    from planner.rollouts.open_loop import survival_thresholds
+
+    steps, threat = _dangerous(plan.robots[robot], world)
+    _, words = threefry2x32(key_of(seed), ids, np.uint32(FAST_COUNTER - robot))
+    falling = -survival_thresholds(threat).astype(np.int64)
+    passed = np.searchsorted(falling, -words.astype(np.int64), side="left")  # thresholds above the word
+    return np.append(steps, NEVER)[passed]
+
+
+def _tolerance_stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """The same by the robot's tolerance."""
+    steps = plan.robots[robot].entered
+    borne = np.cumsum(world.exposures[0][plan.robots[robot].path[steps]])
+    tolerances = plan.bearing.tolerances(seed, ids, robot + 1)[:, robot]
+    return np.append(steps, NEVER)[np.searchsorted(borne, tolerances, side="left")]
+
+
+def _step_stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """The same by one draw for each dangerous entry, some entries of those still going at a time."""
+    steps, threat = _dangerous(plan.robots[robot], world)
+    stops, going = np.full(len(ids), NEVER), np.arange(len(ids))
+    for at in range(0, len(steps), 64):
+        now = slice(at, at + 64)
+        hit = uniform(seed, ids[going, None], steps[now], robot) < threat[now]
+        hurt = hit.any(axis=1)
+        stops[going[hurt]] = steps[now][hit[hurt].argmax(axis=1)]
+        going = going[~hurt]
+    return stops
+
+
+# Coverage by a deadline: the same rollouts, cut off at the end of a step.
+
+
+@dataclass(frozen=True, eq=False)
+class Deadline(Output):
+    """Coverage by the end of step `steps`.
+
+    Attributes:
+        tally: of the rollouts cut off there. exact: the open loop's expected cells visited and survived by then.
+        certain: every run is the same. pace: how long a step takes, if that is known.
+        losses: expected robots lost by then, where `exact` is of the loop that was evaluated; None: it is not.
+        over: every run has ended by then: nothing is said twice. tree: then, of all that can happen; None: none grown.
+    """
+
+    steps: int
+    tally: Tally
+    exact: tuple[float, float]
+    certain: bool = False
+    pace: Pace = UNPACED
+    losses: float | None = None
+    over: bool = False
+    tree: Tree | None = None
+
+    @classmethod
+    def measure(cls, asked: int, run: Run) -> Iterator[Self]:
+        run.doing(f"rollouts up to the deadline, step {asked:,}")
+        choices = replace(run.choices, rollouts=run.last.tally.rollouts, precision=None)
+        for stage in run.roll_out(choices, asked):
+            tally = stage.tally
+            run.progress(tally.rollouts, choices.rollouts, stage.seconds)
+        own = run.choices.loop == "open" or (run.closed is not None and not isinstance(run.closed, TreeTruth))
+        over = longest_run(run.world, run.plan, run.choices.loop) <= asked
+        tree = run.closed.tree if over and isinstance(run.closed, TreeTruth) else None
+        lost = run.exact.losses_by(asked) if own else None
+        yield cls(asked, tally, run.exact.by_deadline(asked), run.certain, run.world.pace, lost, over, tree)
+
+    @cached_property
+    def figures(self) -> Figures:
+        """What these rollouts come to; exact where that is known."""
+        found = Figures.of(self.tally, self.certain)
+        if self.tree is not None:
+            return found.with_tree(self.tree)
+        return found if self.losses is None else found.with_means(*self.exact, self.losses)
+
+    def as_json(self) -> Json:
+        return {
+            "steps": self.steps,
+            **self.figures.coverage_json(),
+            "losses": self.figures.losses.to_json(),
+            "exact": {"open_loop": dict(zip(MEANINGS, self.exact, strict=True))},
+        }
+
+    def blocks(self) -> Blocks:
+        if self.over:
+            return Blocks(marks=[(self.steps, "deadline")], settings={"deadline": self.pace.step(self.steps)})
+        found, cells = self.figures, self.tally.accessible
+        mean, known = found.visited.mean.mean / cells, found.visited.mean.half_width == 0
+        reached = percent(mean, 2) + " (exact)" if known else percent(mean)
+        lost = robots_words(found.losses.mean, self.tally.robots, found.losses.decimals) + " lost"
+        lost += " on average" * (found.losses.mean > 0)
+        by = f"by step {self.steps}{self.pace.also(self.steps)}"
+        return Blocks(
+            opens=[f"By {self.pace.step(self.steps)}: {reached} visited, {lost}."],
+            rows=[
+                coverage_row(f"{meaning} {by}", getattr(found, meaning), cells, exact)
+                for meaning, exact in zip(MEANINGS, self.exact, strict=True)
+            ],
+            marks=[(self.steps, "deadline")],
+            settings={"deadline": self.pace.step(self.steps)},
+        )
+
+
+# How far the robots drive, how often they turn, and how long the mission takes with that: of runs in full.
+
+TURNING_LEAST, TURNING_MOST, WORK = 100, 1000, 2_000_000
+"""Rollouts that are run in full, and steps of single robots that are worth their time."""
+FINE = 1000
+"""Times with turns are told in thousandths of a step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Turning(Output):
+    """What robots drive in a run of the loop that was evaluated, and in the run without losses.
+
+    Attributes:
+        turn: steps that a quarter turn costs. nominal: of the plan. rollouts: run in full, the first ones.
+        moves, turns: of all robots. time: steps, turns in it. pace: how long a step takes, if that is known.
+    """
+
+    turn: float
+    nominal: Drive
+    rollouts: int
+    moves: Estimate
+    turns: Estimate
+    time: Estimate
+    pace: Pace = UNPACED
+
+    @classmethod
+    def check(cls, asked: object, world: World) -> None:
+        TURNS.check("turn", asked)
+
+    @classmethod
+    def measure(cls, asked: float, run: Run) -> Iterator[Self]:
+        plan, choices = run.plan, replace(run.choices, deadline=None)
+        if choices.luck == "step":
+            choices = replace(choices, mode="step")
+        worth = int(np.clip(WORK // ((plan.makespan + 1) * len(plan.robots)), TURNING_LEAST, TURNING_MOST))
+        count = min(run.last.tally.rollouts, worth)
+        run.doing(f"turns of {counted(count, 'rollout')}")
+        traces = make_engine_for(run.world, plan, choices).traces(range(count))
+        drives = [drive_of(trace.cells.T) for trace in traces]
+        steps = longest_run(run.world, plan, choices.loop)
+
+        def mean(values: list[int], most: float, unit: float = 1.0) -> Estimate:
+            return mean_of(*np.unique(values, return_counts=True), unit, int(most), run.certain)
+
+        robots = len(plan.robots)
+        yield cls(
+            asked,
+            drive_of(robot.path for robot in plan.robots),
+            count,
+            mean([int(one.moves.sum()) for one in drives], robots * steps),
+            mean([int(one.turns.sum()) for one in drives], 2 * robots * steps),
+            mean([round(FINE * one.time(asked)) for one in drives], FINE * steps * (1 + 2 * asked), 1 / FINE),
+            run.world.pace,
+        )
+
+    def as_json(self) -> Json:
+        return {
+            "cost": self.turn,
+            "rollouts": self.rollouts,
+            "moves": self.moves.to_json(),
+            "quarter_turns": self.turns.to_json(),
+            "time": self.time.to_json(),
+            "nominal": {
+                "moves": int(self.nominal.moves.sum()),
+                "quarter_turns": int(self.nominal.turns.sum()),
+                "time": self.nominal.time(self.turn),
+            },
+        }
+
+    def blocks(self) -> Blocks:
+        """A row for what is driven, one for what it takes."""
+        table = make_table(("", "mean", "95 % interval", "nobody lost"), "What the robots drive")
+        nominal, pace, cost = self.nominal, self.pace, counted(float(self.turn), "step")
+        for name, found, known in (
+            ("moves", self.moves, f"{int(nominal.moves.sum()):,}"),
+            ("quarter turns", self.turns, f"{int(nominal.turns.sum()):,}"),
+            ("time with turns, steps", self.time, f"{nominal.time(self.turn):,.1f}"),
+        ):
+            table.add_row(name, *found.columns(), known)
+        if pace:
+            known = f"{pace.minutes * nominal.time(self.turn):,.1f}"
+            table.add_row("time with turns, minutes", *self.time.columns(pace.minutes), known)
+        note = (
+            f"A quarter turn costs {cost}; the mean is of the first {counted(self.rollouts, 'rollout')}. "
+            "Turns lengthen the time that is said here, and nothing else."
+        )
+        return Blocks(tables=[table], notes=[note], settings={"a quarter turn": cost})

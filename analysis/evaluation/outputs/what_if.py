@@ -1,0 +1,400 @@
+"""How wrong may the threat map be? The same plan and decisions, robots stopped by threats that are s times the map's.
+
+The planner and the robots go on believing the map: paths, areas, levels and costs stay, only the hit checks change. The
+random numbers stay too, so a robot that is stopped at one scale is, as long as it drives the same way, stopped at every
+larger one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.estimators.trial import Sampled, Trial
+from analysis.evaluation.figures import Figures
+from analysis.evaluation.outputs.output import Blocks, Output, Run
+from analysis.page.charts import Chart, Series
+from analysis.sampling import make_engine_for, make_roll_out
+from analysis.statistics.differences import Components, known_between, of_means, of_values
+from analysis.statistics.estimates import QUANTILES, Estimate
+from analysis.theory.exact import OpenLoopExact, open_loop_exact
+from analysis.theory.verdicts import exact_truth
+from analysis.utils.notes import of_things
+from analysis.utils.tables import make_table
+from planner.arguments import argument, is_real, numbers_of
+from planner.errors import UsageError
+from planner.files import Json
+from planner.formatting import counted, in_percent, percent
+from planner.mrac.make_plan import allocated_plan
+from planner.plan.plan import Plan, is_certain
+from planner.rollout_sampling import rows_met, true_map
+from planner.rollouts.engine import run_ranges
+from planner.settings import Settings
+from planner.tally import Tally
+from planner.world.uncertain_maps import Uncertain
+from planner.world.world import World
+
+MOST_SCALES = 100
+LARGEST_THREAT = float(np.nextafter(np.float32(1), np.float32(0)))
+
+
+def parse_scales(text: str | None) -> tuple[float, ...]:
+    """The scales of "0.5,1,2"; raises UsageError for what is no such list."""
+    if text is None:
+        return ()
+    expected = 'numbers, 0 or above, as "0.5,1,2"'
+    scales = numbers_of("threat_scale", text, expected)
+    if len(scales) > MOST_SCALES:
+        raise UsageError(f"{argument('threat_scale')} has {len(scales)} scales", expected=f"{MOST_SCALES} at most")
+    if not all(0 <= scale < float("inf") for scale in scales):
+        raise UsageError(f"{argument('threat_scale')} {text!r}", expected=expected)
+    return scales
+
+
+def scaled_threats(world: World, scale: float) -> World:
+    """The world with every threat times `scale` >= 0; raises UsageError if it is none, or makes some p >= 1."""
+    if not (is_real(scale) and scale >= 0):
+        raise UsageError(argument("threat_scale", scale), expected="numbers, 0 or above")
+    threat = world.threat.astype(np.float64) * scale
+    most = float(np.nanmax(world.threat)) if world.free.any() else 0.0
+    if most * scale > LARGEST_THREAT:
+        row, col = np.unravel_index(int(np.nanargmax(world.threat)), world.shape)
+        named = argument("threat_scale", float(f"{scale:.10g}"))
+        raise UsageError(
+            f"{named}: the threat {most:g} of cell [{row}, {col}] would be {most * scale:.9g}",
+            expected=f"at most {LARGEST_THREAT:.9g}: a scale of at most {LARGEST_THREAT / most:.9g}",
+        )
+    return replace(world, threat=threat.astype(np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class Scaled:
+    """The same plan and luck, under threats that are `scale` times the map's.
+
+    Attributes:
+        scale: times the map's p. tally: of as many rollouts as the evaluation's, the same ids.
+        exact: the open loop's closed form under those threats.
+        certain: nothing can happen under them, so that one rollout is every run.
+        known: `exact` is of the loop that was evaluated, so that the table has it in the place of the rollouts.
+    """
+
+    scale: float
+    tally: Tally
+    exact: OpenLoopExact
+    certain: bool = False
+    known: bool = False
+
+    @cached_property
+    def figures(self) -> Figures:
+        """What these rollouts come to."""
+        return Figures.of(self.tally, self.certain)
+
+    def as_json(self) -> Json:
+        """The figures of the whole run, in short."""
+        found = self.figures
+        return {
+            "scale": self.scale,
+            "certain": self.certain,
+            "coverage": found.coverage_json(),
+            "complete": found.complete.to_json(),
+            "losses": found.losses.to_json(),
+            "time": {"mean": found.time.mean},
+            "exact": {"open_loop": {"visited": self.exact.visited, "survived": self.exact.survived}},
+        }
+
+    def columns(self) -> Iterator[str]:
+        """A row of the table."""
+        found, unit = self.figures, 100.0 / self.tally.accessible
+        if self.known:
+            found = found.with_formulas(self.exact, None)
+        yield f"{self.scale:g}"
+        yield from found.visited.mean.columns(unit, 100)
+        yield found.survived.mean.columns(unit, 100)[0]
+        yield found.complete.columns()[0]
+        yield found.losses.columns()[0]
+        yield f"{found.time.mean:.1f}"
+
+
+@dataclass(frozen=True, eq=False)
+class ThreatScale(Output):
+    """The plan under other threats, one scale after the other."""
+
+    scaled: tuple[Scaled, ...] = ()
+
+    @classmethod
+    def check(cls, asked: Sequence[float], world: World) -> None:
+        world.check_settled(argument("threat_scale"))
+        for scale in asked:
+            scaled_threats(world, scale)
+
+    @classmethod
+    def measure(cls, asked: Sequence[float], run: Run) -> Iterator[Self]:
+        found = cls()
+        for scale in asked:
+            run.doing(f"rollouts under {scale:g} times the threats")
+            threats = scaled_threats(run.world, scale)
+            certain = is_certain(threats, run.plan, run.choices.loop)
+            count = 1 if certain else run.last.tally.rollouts
+            few = replace(run.choices, rollouts=count, precision=None)
+            for stage in make_roll_out(run.world, run.plan, few, threats, run.kept)(few, None):
+                tally = stage.tally
+                run.progress(tally.rollouts, count, stage.seconds)
+            exact = open_loop_exact(run.plan, threats)
+            known = run.choices.loop == "open"
+            known = known or exact_truth(run.plan, threats, exact, run.choices.first_only) is not None
+            found = cls((*found.scaled, Scaled(scale, tally, exact, certain, known)))
+            yield found
+
+    def as_json(self) -> list[Json]:
+        return [scaled.as_json() for scaled in self.scaled]
+
+    def blocks(self) -> Blocks:
+        columns = ("times", "visited, %", "from .. to", "survived, %", "every cell, %", "robots lost", "time")
+        title = "If every threat is so many times the map's"
+        table = make_table(columns, title, dropped=("time", "every cell, %"))
+        for scaled in self.scaled:
+            table.add_row(*scaled.columns())
+        return Blocks(tables=[table])
+
+
+# What it costs or is worth that the robots of a team differ: the same team, were they alike, on the same luck.
+
+TEAM_MOST, FEW = 8192, 1024
+"""Rollouts of each team, at most; and where every run of this team is the same."""
+
+
+class Other(NamedTuple):
+    """A team whose robots are alike in something, in words, and what it comes to."""
+
+    said: str
+    found: Sampled
+
+
+def alike(plan: Plan) -> dict[str, Settings]:
+    """The settings of the same team, were its robots alike, by what they then are; none where they are."""
+    settings = plan.settings
+    if settings is None or plan.state is not None:
+        return {}
+    types = settings.types if isinstance(settings.types, tuple) else ()
+    several = dict.fromkeys(types) if len(set(types)) > 1 else ()
+    found = {f"all of type {name}": replace(settings, types=name) for name in several}
+    if min(settings.paces, default=0) == 1:  # else its steps would be others
+        found["all as fast as the fastest"] = replace(settings, steps_per_move=None)
+    if settings.radio is not None:
+        found["that hear each other everywhere"] = replace(settings, radio=None)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Mates(Output):
+    """The team, and the others that it might be, on the same rollouts."""
+
+    team: Sampled
+    others: tuple[Other, ...]
+
+    @classmethod
+    def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
+        world, plan, teams = run.world, run.plan, alike(run.plan)
+        if not teams or run.choices.loop == "open":
+            return
+        count = (
+            min(run.last.tally.rollouts, TEAM_MOST) if not run.certain else FEW
+        )  # that nothing happens is of this team
+        choices = replace(run.choices, rollouts=count, precision=None, seconds=None, exact="never", engine="numba")
+        team, others = Trial(world, plan, choices).sample(0, count), []
+        for said, settings in teams.items():
+            run.doing(f"the same team, {said}")
+            one = allocated_plan(world, plan.starts, settings)
+            others.append(Other(said, Trial(world, one, choices).sample(0, count)))
+        yield cls(team, tuple(others))
+
+    def ahead(self, other: Other) -> Estimate:
+        """How much more of the cells the team visits than the other one."""
+        return self.team.ahead(other.found, "visited", self._unit)
+
+    @property
+    def _unit(self) -> float:
+        return 1.0 / self.team.largest("visited")
+
+    def as_json(self) -> Json:
+        return {
+            "rollouts": self.team.rollouts,
+            **self._figures(self.team),
+            "others": [
+                {"team": other.said, **self._figures(other.found), "ahead": self.ahead(other).to_json()}
+                for other in self.others
+            ],
+        }
+
+    def _figures(self, found: Sampled) -> Json:
+        figures = {"coverage": found.mean("visited", self._unit), "losses": found.mean("lost")}
+        return {name: value.to_json() for name, value in (figures | {"time": found.mean("time")}).items()}
+
+    def blocks(self) -> Blocks:
+        table = make_table(("robots", "visited %", "95 %", "lost", "steps"), "What their differences cost")
+        leads = []
+        for said, found in (("as they are", self.team), *self.others):
+            visited, time = found.mean("visited", self._unit), f"{found.mean('time').mean:.1f}"
+            table.add_row(said, *visited.columns(100.0, 100), found.mean("lost").columns()[0], time)
+        for said, found in self.others:
+            share, less = percent(found.mean("visited", self._unit).mean), self.ahead(Other(said, found))
+            apart = less if less.mean > 0 else found.ahead(self.team, "visited", self._unit)
+            words = f"{apart.said(100, ' points')} {'less' if less.mean > 0 else 'more'}"
+            leads.append(f"Robots {said} would visit {share}: {words}.")
+        notes = [f"robots that differ: {counted(self.team.rollouts, 'rollout')} of each team, common random numbers"]
+        return Blocks(leads=leads, tables=[table], notes=notes)
+
+
+# How much of the scatter is doubt about the map, and how much is the luck of a mission on it.
+#
+# Closed loop: from the evaluation's own rollouts, which know their map (`analysis.statistics.differences`); where few
+# of
+# them share one, from maps drawn as rollouts draw theirs, with luck of its own on each. Open loop: mean coverage on
+# each
+# map is exact. Asked for by itself where a world's map is uncertain.
+
+ENOUGH = 8
+"""Rollouts a map, on average, that make it known enough to take the rollouts as they are."""
+LEAST, MAP_DOUBT_MOST = 2**10, 2**20
+"""Of the evaluation's rollouts so many are looked at."""
+LEAST_MAPS, MOST_MAPS, EACH = 64, 1024, 16
+"""Maps that are drawn where rollouts hardly share one, and rollouts on each in the closed loop."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapDoubt(Output):
+    """Mean visited coverage by map, in fractions of the accessible cells.
+
+    Attributes:
+        parts: standard deviations of the maps' means and of single runs on one map, and the means, rising.
+        of: maps that may be true; None: more than a file can count. rollouts: behind all of it; 0: means are exact.
+    """
+
+    parts: Components
+    of: int | None
+    rollouts: int
+
+    @classmethod
+    def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
+        doubt = run.world.doubt
+        if not isinstance(doubt, Uncertain) or run.certain:
+            return
+        run.doing("the maps one by one")
+        count, numbers = doubt.count, len(np.unique(doubt.number[run.world.threat > 0]))
+        of = count**numbers if numbers * np.log2(count) <= 53 else None
+        if run.choices.loop == "open":
+            yield cls(_exactly(run, doubt), of, 0)
+        elif (
+            doubt.whole and (rollouts := int(np.clip(run.last.tally.rollouts, LEAST, MAP_DOUBT_MOST))) >= ENOUGH * count
+        ):
+            yield cls(_of_rollouts(run, doubt, rollouts), of, rollouts)
+        else:
+            yield cls(_of_drawn(run, doubt, maps := _maps(run)), of, maps * EACH)
+
+    @property
+    def means(self) -> NDArray[np.float64]:
+        """float64 `[maps]`, rising; they scatter as the true ones do."""
+        return self.parts.means
+
+    @property
+    def luck(self) -> float:
+        """Standard deviation of single runs on one map."""
+        return self.parts.within.mean
+
+    @property
+    def quantiles(self) -> dict[str, float]:
+        """Of the means over the maps."""
+        return {f"{q:g}": float(np.quantile(self.means, q, method="inverted_cdf")) for q in QUANTILES}
+
+    @property
+    def behind(self) -> str:
+        """Of which maps it speaks, and what it rests on, in words."""
+        all_of = "" if self.of == len(self.means) else " drawn" + ("" if self.of is None else f" of {self.of:,}")
+        return f"{counted(len(self.means), 'map')}{all_of}, " + (
+            "exact on each" if self.rollouts == 0 else counted(self.rollouts, "rollout")
+        )
+
+    def as_json(self) -> Json:
+        sides = {"maps": self.parts.between, "luck": self.parts.within}
+        return {
+            "maps": len(self.means),
+            "of": self.of,
+            "mean_of_means": float(self.means.mean()),
+            "quantiles": self.quantiles,
+            "sd": {name: side.mean for name, side in sides.items()},
+            "sd_ci95": {name: list(side.ci95) for name, side in sides.items()},
+            "rollouts": self.rollouts,
+        }
+
+    def blocks(self) -> Blocks:
+        columns = ("maps", "mean of means", "5 % of maps", "median", "95 % of maps", "sd of maps", "sd of luck")
+        table = make_table(columns, "Mean coverage by map, % visited: doubt about the map, apart from luck on it")
+        means = (in_percent(value, 2) for value in (float(self.means.mean()), *self.quantiles.values()))
+        scatter = (f"{100 * value:.2f}" for value in (self.parts.between.mean, self.luck))
+        table.add_row(str(len(self.means)), *means, *scatter)
+        note = (
+            f"doubt about the map: {self.behind}; standard deviation of maps {_points(self.parts.between)}, "
+            f"of luck {_points(self.parts.within)} points"
+        )
+        return Blocks(tables=[table], notes=[note], pictures={"doubt.png": lambda: [self.chart()]})
+
+    def chart(self) -> Chart:
+        """Mean coverage over the share of the maps on which it is at most that, beside the luck of single runs."""
+        low, _, high = map(percent, self.quantiles.values())
+        share, means = 100 * (np.arange(len(self.means)) + 0.5) / len(self.means), self.means
+        lower, upper = (100 * np.clip(means + side * self.luck, 0, 1) for side in (-1, 1))
+        return Chart(
+            f"Which map is true: {low} to {high} on average (5 % to 95 % of {self.behind})",
+            (Series("mean coverage on a map", share, 100 * means, lower, upper),),
+            "share of the maps, %", "visited, % of the accessible cells", unit="%",
+            interval="single runs on it, ± 1 sd of luck",
+        )  # fmt: skip
+
+
+def _points(side: Estimate) -> str:
+    low, high = (100 * end for end in side.ci95)
+    return f"{100 * side.mean:.1f}" + (f" ({low:.1f} to {high:.1f}, 95 %)" if low < high else "")
+
+
+def _maps(run: Run) -> int:
+    return int(np.clip(run.last.tally.rollouts // EACH, LEAST_MAPS, MOST_MAPS))
+
+
+def _exactly(run: Run, doubt: Uncertain) -> Components:
+    """Of the open loop: on all maps, or on some drawn from a spread by level."""
+    tally = run.last.tally
+    maps = map(doubt.threat_at, range(doubt.count)) if doubt.whole else _drawn(run, doubt, MOST_MAPS)
+    means = [open_loop_exact(run.plan, replace(run.world, threat=one, doubt=None)).visited for one in maps]
+    return known_between(np.array(means) / tally.accessible, doubt.whole, tally.visited)
+
+
+def _of_rollouts(run: Run, doubt: Uncertain, count: int) -> Components:
+    """Of the evaluation's rollouts, and further ids where those are few, each on the map that it met."""
+    engine = make_engine_for(run.world, run.plan, run.choices, kept=run.kept)
+    parts, seconds = [], 0.0
+    for start, size, found, took in run_ranges(engine.results, 0, count, unit=engine.least):
+        parts.append(found.visited)
+        seconds += took
+        run.progress(start + size, count, seconds)
+    maps = rows_met(doubt, run.choices.seed, np.arange(count))[:, 0]
+    return of_values(maps, np.concatenate(parts) / run.last.tally.accessible, 1.0)
+
+
+def _of_drawn(run: Run, doubt: Uncertain, maps: int) -> Components:
+    """Of maps drawn as rollouts draw theirs, other luck on each: what they share would hide in their means."""
+    engine = make_engine_for(run.world, run.plan, run.choices, kept=run.kept)
+    values = np.empty((maps, EACH))
+    for place, threat in enumerate(_drawn(run, doubt, maps)):
+        one = engine.under(replace(run.world, threat=threat, doubt=None))
+        values[place] = one.results(place * EACH, EACH).visited / run.last.tally.accessible
+        of_things(run.progress, "maps")(place + 1, maps, 0.0)
+    return of_means(values.mean(axis=1), values.var(axis=1, ddof=1), EACH, 1.0)
+
+
+def _drawn(run: Run, doubt: Uncertain, maps: int) -> Iterator[NDArray[np.float32]]:
+    return (true_map(doubt, run.choices.seed, rollout) for rollout in range(maps))

@@ -1,0 +1,648 @@
+"""The paper's experiments (section 7, Figs. 4 to 7) again, with many runs on each of many maps.
+
+Map number i of every setting has the same seed, so that settings are compared on the same obstacles, and so have its
+rollouts. Each map is rolled out with every visit checked and with first visits alone, and its open loop is exact.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import partial, reduce
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+from scipy.special import ndtri
+
+from analysis.page.charts import Chart, Series
+from analysis.report.answer import json_end
+from analysis.report.model import Part, Report
+from analysis.sampling import RolloutChoices
+from analysis.statistics import control_variate as pooled_control
+from analysis.statistics.estimates import Estimate, over_maps
+from analysis.sweeps.cases import check_maps, generated_case
+from analysis.sweeps.engine import Done, Finished, Job, Swept, run_cases, stored_luck
+from analysis.sweeps.results import KEPT, figures_of
+from analysis.sweeps.store import Memory, Run, Store
+from analysis.utils.folder import csv_text
+from analysis.utils.notes import ProgressCallback
+from analysis.utils.tables import make_table
+from planner.arguments import check_word
+from planner.files import Json
+from planner.formatting import counted, in_percent, percent
+from planner.ids import LuckName
+from planner.tally import Tally, add_padded
+from planner.world.generate import Kind
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+# What the paper's figures are drawn from: one setting of the experiments, averaged over maps.
+
+MEANINGS = ("visited", "survived")
+COVERAGE = tuple(f"{meaning}{of}" for meaning in MEANINGS for of in ("", "_free"))
+"""Coverage of the accessible cells and, `_free`, of all free ones."""
+TIME_BIN = 10
+"""Steps."""
+FIGURE4 = {4: (0.8033, 311), 10: (0.9733, 244)}
+"""Robots: coverage and steps of the one run each that Fig. 4 shows; 241 and 292 of 300 cells, so of all free cells."""
+
+
+Key = tuple[str, str, str]
+"""What it is ("mean", "run", "square", "share", "beside" luck, "errors"), the loop, the figure. Loops:
+"closed", every visit checked; "first", only the first visit of a cell by anybody; "open", no reallocation, exact."""
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """One setting over the same maps. Axis `M` = maps, in order of their seeds.
+
+    Attributes:
+        kind: "contiguous" or "scattered". robots: K. ratio: threats, of all cells.
+        columns: float64 `[M]` each, of the numbers of `columns_of` and, as "mean", of the open loop's expected values
+            and of ("ideal", "visited"), the ideal of the team, of the accessible cells.
+        runs: int64 by "coverage" `[101]` and "time" `[T]`: single runs (closed loop) by the per cent of the free cells
+            that they cover, rounded down, and by TIME_BIN steps; all maps together.
+        rollouts: of each map.
+    """
+
+    kind: str
+    robots: int
+    ratio: float
+    columns: dict[Key, NDArray[np.float64]]
+    runs: dict[str, NDArray[np.int64]]
+    rollouts: int
+
+    @property
+    def means(self) -> list[tuple[str, str]]:
+        """The (loop, figure) whose means are known."""
+        return [(loop, figure) for what, loop, figure in self.columns if what == "mean"]
+
+    def estimate(self, loop: str, figure: str) -> Estimate:
+        """Mean over maps; its interval is Student's from the spread between maps, rollouts' noise included."""
+        return over_maps(self.columns["mean", loop, figure])
+
+    def spread_of_a_run(self, loop: str, figure: str) -> float:
+        """Standard deviation of a single run on a single map: what one run a map, as in the paper, varies by."""
+        mean, square = (float(self.columns[what, loop, figure].mean()) for what in ("run", "square"))
+        return float(np.sqrt(max(square - mean**2, 0.0)))
+
+
+def columns_of(run: Run, tally: Tally, loop: str, free: int) -> dict[Key, Any]:
+    """What one map's rollouts of a loop came to, a run and its tally; `free`: free cells of its map.
+
+    run, square: mean and mean square of single runs, of each of COVERAGE (fractions) and "time" (steps). share: of
+    those that cover no more of the free cells ("coverage"), or take no longer ("time"), than the run of Fig. 4 with so
+    many robots.
+    beside, errors: of `analysis.statistics.control_variate.beside_luck`.
+    """
+    found: dict[Key, Any] = {}
+    means, errors = figures_of(run)
+    for figure in (*COVERAGE, "time"):
+        counts = tally.time if figure == "time" else getattr(tally, figure.removesuffix("_free"))
+        unit = 1.0 if figure == "time" else 1.0 / (free if figure.endswith("_free") else tally.accessible)
+        often, values = counts.astype(np.float64), np.arange(len(counts)) * unit
+        found["run", loop, figure] = float(often @ values) / tally.rollouts
+        found["square", loop, figure] = float(often @ values**2) / tally.rollouts
+        place = KEPT[figure.replace("_free", "_of_free")]
+        found["beside", loop, figure], found["errors", loop, figure] = means[place], errors[place]
+    if tally.robots in FIGURE4:
+        coverage, steps = FIGURE4[tally.robots]
+        cells = int(np.floor(coverage * free + 0.5))
+        found["share", loop, "coverage"] = float(tally.visited[: cells + 1].sum()) / tally.rollouts
+        found["share", loop, "time"] = float(tally.time[: steps + 1].sum()) / tally.rollouts
+    return found
+
+
+def put_right(columns: dict[Key, NDArray[np.float64]], rollouts: int) -> None:
+    """Add each map's "mean" to its "run": less what its luck is worth, by all maps together; by step the same."""
+    for _, loop, figure in [key for key in columns if key[0] == "beside"]:
+        means, errors = columns["beside", loop, figure], columns["errors", loop, figure]
+        columns["mean", loop, figure], _ = pooled_control.put_right(means, errors, len(means) * (rollouts - 1))
+
+
+def runs_of(tally: Tally, free: int) -> dict[str, NDArray[np.int64]]:
+    """Single runs of one map, as of `Point.runs`."""
+    per_cent = np.minimum(100 * np.arange(len(tally.visited)) // free, 100)
+    in_bins = np.arange(len(tally.time)) // TIME_BIN
+    return {
+        "coverage": np.bincount(per_cent, weights=tally.visited, minlength=101).astype(np.int64),
+        "time": np.bincount(in_bins, weights=tally.time).astype(np.int64),
+    }
+
+
+# The statements of the paper's section on experiments, each held against our maps: reproduced or not, by how much.
+#
+# A statement that gives a number is held against ours by `(ours - paper's) / sqrt(se^2 + se_paper^2 + rounding^2)`; the
+# paper's standard error is that of its own design, one run on each of 500 maps. One that gives a direction is held
+# against the difference of two settings, map by map on the same random numbers, divided by its standard error.
+
+PAPER_MAPS = 500
+"""Maps a point in the paper, one run each (section 7)."""
+ENOUGH = 3.0
+"""Standard errors that decide."""
+FIRST = ", first visits alone checked"
+LOOPS = (("closed", ""), ("first", FIRST))
+"""The closed loop's two readings of when a visit can stop a robot, and how statements name them."""
+
+
+class StatementVerdict(StrEnum):
+    """What our maps say of a statement."""
+
+    REPRODUCED = "reproduced"
+    NOT_REPRODUCED = "not reproduced"
+    UNDECIDED = "undecided"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A statement and what was found.
+
+    Attributes:
+        figure: of the paper. statement: what it says. found: what we found. deviation: in standard errors; for a
+            direction above 0 where the statement is right, for a number ours - paper's. verdict: of that.
+    """
+
+    figure: str
+    statement: str
+    found: str
+    deviation: float
+    verdict: StatementVerdict
+
+
+def findings(points: Sequence[Point]) -> list[Finding]:
+    """Every statement that these points say something about."""
+    return [finding for of_figure in (_figure4, _figure5, _figure6, _figure7) for finding in of_figure(points)]
+
+
+def _figure4(points: Sequence[Point]) -> Iterator[Finding]:
+    """Its map is not in the text: where its two runs fall among all runs on our maps."""
+    for point in _teams(points, "contiguous"):
+        if ("share", "closed", "time") not in point.columns:
+            continue
+        coverage, steps = FIGURE4[point.robots]
+        for loop, how in LOOPS:
+            shares = [float(point.columns["share", loop, name].mean()) for name in ("coverage", "time")]
+            less, faster = map(percent, shares)
+            found = f"{less} of our runs cover no more of the free cells, {faster} take no longer"
+            least = 0.5 / (len(point.columns["share", loop, "time"]) * point.rollouts)
+            deviation = max((float(ndtri(np.clip(share, least, 1 - least))) for share in shares), key=abs)
+            verdict = StatementVerdict.REPRODUCED if abs(deviation) <= ENOUGH else StatementVerdict.NOT_REPRODUCED
+            said = f"one map, {counted(point.robots, 'robot')}: {100 * coverage:.2f} % in {counted(steps, 'step')}{how}"
+            yield Finding("Fig. 4", said, found, deviation, verdict)
+
+
+def _teams(points: Sequence[Point], kind: str) -> list[Point]:
+    found = [p for p in points if p.kind == kind and p.ratio == 0.25]
+    return sorted(found, key=lambda point: point.robots)
+
+
+def _figure5(points: Sequence[Point]) -> Iterator[Finding]:
+    teams = _teams(points, "contiguous")
+    by_team = {point.robots: point for point in teams}
+    for robots, said in ((1, 0.44), (2, 0.62)):
+        if robots in by_team:
+            for loop, how in LOOPS:
+                yield _number(
+                    "Fig. 5", f"{counted(robots, 'robot')}: {100 * said:g} % covered{how}", by_team[robots], said, loop
+                )
+    if 1 in by_team and 2 in by_team:
+        one, two = by_team[1], by_team[2]
+        for loop, how in LOOPS:
+            yield _all_of("Fig. 5", f"time rises from one robot to two{how}", [(one, two)], "time", 1, loop)
+    after = [point for point in teams if point.robots >= 2]
+    if len(after) > 1:
+        yield _every("Fig. 5", "time falls with every robot after the second", after, "time", -1)
+    if len(teams) > 1:
+        yield _every("Fig. 5", "coverage rises with every robot", teams, "visited", 1)
+
+
+def _figure6(points: Sequence[Point]) -> Iterator[Finding]:
+    teams = _teams(points, "scattered")
+    others = {point.robots: point for point in _teams(points, "contiguous")}
+    both = [(others[point.robots], point) for point in teams if point.robots in others]
+    if both:
+        yield _all_of("Fig. 6", "coverage is lower than in contiguous areas", both, "visited", -1)
+        yield _all_of("Fig. 6", "coverage takes longer than in contiguous areas", both, "time", 1)
+    if len(teams) > 1:
+        yield _every("Fig. 6", "coverage rises with every robot", teams, "visited", 1)
+        yield _every("Fig. 6", "time falls with every robot", teams, "time", -1)
+
+
+def _figure7(points: Sequence[Point]) -> Iterator[Finding]:
+    ratios = sorted((p for p in points if p.kind == "contiguous" and p.robots == 8), key=lambda point: point.ratio)
+    if len({point.ratio for point in ratios}) < 3:
+        return
+    yield _every("Fig. 7", "coverage falls with the ratio of threats", ratios, "visited", -1)
+    below = [point for point in ratios if point.ratio <= 0.15 + 1e-9]
+    above = [point for point in ratios if point.ratio >= 0.15 - 1e-9]
+    if len(below) > 1:
+        yield _every("Fig. 7", "time rises up to a ratio of 15 %", below, "time", 1)
+    if len(above) > 1:
+        yield _every("Fig. 7", "time falls above 15 %", above, "time", -1)
+        yield _every("Fig. 7", f"time falls above 15 %{FIRST}", above, "time", -1, "first")
+
+
+def _number(figure: str, statement: str, point: Point, said: float, loop: str = "closed") -> Finding:
+    ours = point.estimate(loop, "visited")
+    paper = point.spread_of_a_run(loop, "visited") / math.sqrt(PAPER_MAPS)
+    rounding = 0.01 / math.sqrt(12)
+    deviation = (ours.mean - said) / math.sqrt(ours.se**2 + paper**2 + rounding**2)
+    verdict = StatementVerdict.REPRODUCED if abs(deviation) <= ENOUGH else StatementVerdict.NOT_REPRODUCED
+    return Finding(figure, statement, f"{in_percent(ours.mean)} +- {100 * ours.se:.1f} %", deviation, verdict)
+
+
+Gap = tuple[float, float]
+"""A mean difference and its standard error."""
+
+
+def _gap(before: Point, after: Point, figure: str, loop: str) -> Gap:
+    """after - before, map by map."""
+    apart = over_maps(after.columns["mean", loop, figure] - before.columns["mean", loop, figure])
+    return apart.mean, apart.se
+
+
+def _steps(gap: Gap) -> str:
+    return f"by {gap[0]:+.1f} +- {gap[1]:.1f} steps"
+
+
+def _statements_points(gap: Gap) -> str:
+    return f"by {100 * gap[0]:+.1f} +- {100 * gap[1]:.1f} points"
+
+
+def _judged(deviation: float) -> StatementVerdict:
+    if deviation >= ENOUGH:
+        return StatementVerdict.REPRODUCED
+    return StatementVerdict.NOT_REPRODUCED if deviation <= -ENOUGH else StatementVerdict.UNDECIDED
+
+
+def _deviation(gap: Gap, sign: int) -> float:
+    mean, se = gap
+    return sign * mean / se if se > 0 else sign * float(np.sign(mean)) * math.inf if mean else 0.0
+
+
+def _every(figure: str, statement: str, points: list[Point], what: str, sign: int, loop: str = "closed") -> Finding:
+    """From each point to the next: the worst of them decides."""
+    return _all_of(figure, statement, list(itertools.pairwise(points)), what, sign, loop)
+
+
+def _all_of(
+    figure: str, statement: str, pairs: list[tuple[Point, Point]], what: str, sign: int, loop: str = "closed"
+) -> Finding:
+    """From the first to the second of every pair, `what` goes the way of `sign`: the worst pair decides."""
+    gaps = [(_deviation(_gap(a, b, what, loop), sign), a, b) for a, b in pairs]
+    worst, before, after = min(gaps, key=lambda one: one[0])
+    gap = _gap(before, after, what, loop)
+    words = _steps(gap) if what == "time" else _statements_points(gap)
+    wrong = sum(deviation <= -ENOUGH for deviation, *_ in gaps)
+    said = f"{wrong} of {len(gaps)} the other way; " if wrong and len(gaps) > 1 else ""
+    where = f"worst {_named(before, after)}: " if len(gaps) > 1 else ""
+    return Finding(figure, statement, f"{said}{where}{words}", worst, _judged(worst))
+
+
+def _named(before: Point, after: Point) -> str:
+    if before.kind != after.kind:
+        return f"k = {after.robots}"
+    if before.robots != after.robots:
+        return f"k = {before.robots} to {after.robots}"
+    return f"{100 * before.ratio:g} to {100 * after.ratio:g} %"
+
+
+TEAMS = (1, 2, 4, 8, 10, 12, 16, 20)
+RATIOS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
+RATIO = 0.25
+FigureName = Literal["fig4", "fig5", "fig6", "fig7", "all"]
+Columns = dict[Key, Any]
+Runs = dict[str, NDArray[np.int64]]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A point of a figure."""
+
+    kind: Kind
+    robots: int
+    ratio: float = RATIO
+
+
+SETTINGS: dict[str, tuple[Setting, ...]] = {
+    "fig4": (Setting("contiguous", 4), Setting("contiguous", 10)),
+    "fig5": tuple(Setting("contiguous", robots) for robots in TEAMS),
+    "fig6": tuple(Setting("scattered", robots) for robots in TEAMS),
+    "fig7": tuple(Setting("contiguous", 8, ratio) for ratio in RATIOS),
+}
+"""The points of each figure. Fig. 6 is compared with Fig. 5, so `reproduce fig6` runs that too."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Reproduction(Swept):
+    """The answer: points by figure, what became of the paper's statements.
+
+    Attributes:
+        figures: names, in order. points: by setting. maps: that all points share; rollouts: of each map and loop.
+        seed: of the first map. finished: how the run ended.
+    """
+
+    reported_by = "analysis.experiments.reproduction:report"
+
+    figures: tuple[str, ...]
+    points: dict[Setting, Point]
+    maps: int
+    rollouts: int
+    seed: int
+    finished: Finished
+
+    def of(self, figure: str) -> list[Point]:
+        """The points of a figure."""
+        return [self.points[setting] for setting in SETTINGS[figure] if setting in self.points]
+
+    @property
+    def findings(self) -> list[Finding]:
+        """What became of the paper's statements about these figures."""
+        wanted = {f"Fig. {name[-1]}" for name in self.figures}
+        return [found for found in findings(list(self.points.values())) if found.figure in wanted]
+
+
+@dataclass
+class _Collected:
+    """Columns and single runs of each setting, map by map, as they come."""
+
+    settings: tuple[Setting, ...]
+    seed: int
+    store: Store
+    found: dict[Setting, dict[int, tuple[Columns, Runs]]] = field(default_factory=dict)
+
+    def take(self, done: Done) -> None:
+        """A finished job: its runs' tallies and facts, as columns."""
+        labels = dict(done.job.case.labels)
+        kind: Kind = "contiguous" if labels["kind"] == "contiguous" else "scattered"
+        setting = Setting(kind, int(labels["robots"] or 0), float(labels["ratio"] or 0))
+        columns, singles = Columns(), list[Runs]()
+        for loop, key in zip(("closed", "first"), done.keys, strict=True):
+            run, tally = self.store.run(key), self.store.tally(key)
+            assert run is not None and tally is not None
+            free, accessible = run.facts["cells"]["free"], run.facts["cells"]["accessible"]
+            columns |= columns_of(run, tally, loop, free) | _exact_columns(run.facts, free, accessible)
+            singles.append(runs_of(tally, free))
+        number = int(labels["map"] or 0) - self.seed
+        self.found.setdefault(setting, {})[number] = (columns, singles[0])
+
+    def points(self, rollouts: int) -> tuple[dict[Setting, Point], int]:
+        """The points over the maps that every setting has, and how many those are."""
+        maps = [self.found.get(setting, {}) for setting in self.settings]
+        shared = sorted(set.intersection(*map(set, maps)))
+        if not shared:
+            return {}, 0
+        points = zip(self.settings, maps, strict=True)
+        return {one: _point(one, [found[n] for n in shared], rollouts) for one, found in points}, len(shared)
+
+
+def reproduce(
+    figure: FigureName,
+    *,
+    maps: int,
+    rollouts: int,
+    seed: int = 0,
+    store: Store | None = None,
+    processes: int | None = None,
+    scheduler: str | Client | None = None,
+    progress: ProgressCallback | None = None,
+) -> Reproduction:
+    """Run what a figure (or "all") needs and put it together; the executors are those of `run_cases`.
+
+    `store`: results are taken from it and kept in it; None: in memory. An interruption leaves the maps that are done;
+    none: KeyboardInterrupt again. Raises InputError.
+    """
+    check_maps(maps, seed)
+    check_word("figure", figure, (*SETTINGS, "all"))
+    names = tuple(SETTINGS) if figure == "all" else (figure,)
+    needed = [*names, *(("fig5",) if "fig6" in names else ())]
+    settings = tuple(dict.fromkeys(setting for name in needed for setting in SETTINGS[name]))
+    held = Memory() if store is None else store
+    collected = _Collected(settings, seed, held)
+
+    def take(done: Done) -> None:
+        collected.take(done)
+        if store is None:
+            held.forget(done.keys)
+        if progress is not None:
+            progress(done.jobs, done.total, done.seconds)
+
+    luck = stored_luck(next(_jobs(settings, maps, rollouts, seed)), held)
+    finished = run_cases(
+        _jobs(settings, maps, rollouts, seed, luck),
+        held,
+        processes=processes,
+        scheduler=scheduler,
+        total=maps * len(settings),
+        progress=take,
+    )
+    points, done = collected.points(rollouts)
+    if not points:
+        raise KeyboardInterrupt
+    return Reproduction(names, points, done, rollouts, seed, finished)
+
+
+def _jobs(
+    settings: tuple[Setting, ...], maps: int, rollouts: int, seed: int, luck: LuckName = "tolerance"
+) -> Iterator[Job]:
+    """Map after map, so that an interruption leaves whole maps."""
+    for number in range(seed, seed + maps):
+        models = tuple(RolloutChoices(seed=number, first_only=only, luck=luck) for only in (False, True))
+        for setting in settings:
+            yield Job(generated_case(setting.kind, setting.ratio, setting.robots, number), models, rollouts)
+
+
+def _exact_columns(facts: Json, free: int, accessible: int) -> Columns:
+    """The open loop's expected values and the ideal of the team."""
+    exact, columns = facts["exact"], Columns()
+    for figure in COVERAGE:
+        cells = free if figure.endswith("_free") else accessible
+        columns["mean", "open", figure] = exact[figure.removesuffix("_free")] / cells
+    ideal = facts["ideal_team"] / accessible
+    return columns | {("mean", "open", "time"): exact["time"], ("mean", "ideal", "visited"): ideal}
+
+
+def _point(setting: Setting, found: list[tuple[Columns, Runs]], rollouts: int) -> Point:
+    shared = (key for key in found[0][0] if all(key in of_map for of_map, _ in found))
+    columns = {key: np.array([of_map[key] for of_map, _ in found]) for key in shared}
+    put_right(columns, rollouts)
+    runs = {name: reduce(add_padded, (of_map[name] for _, of_map in found)) for name in found[0][1]}
+    return Point(setting.kind, setting.robots, setting.ratio, columns, runs, rollouts)
+
+
+# What `mrac-jax reproduce` says: the paper's statements, and the points of its figures from our maps.
+
+TITLES = {
+    "fig4": "Fig. 4: single runs on contiguous maps",
+    "fig5": "Fig. 5: 1 to 20 robots, contiguous threats",
+    "fig6": "Fig. 6: 1 to 20 robots, scattered threats",
+    "fig7": "Fig. 7: 8 robots, threats on 0 to 35 % of the cells",
+}
+STATED: dict[str, tuple[tuple[float, float], ...]] = {"fig5": ((1, 0.44), (2, 0.62))}
+"""(abscissa, coverage) that the paper's text gives."""
+TABLE = (
+    ("visited", "closed", "visited", 100.0),
+    ("survived", "closed", "survived", 100.0),
+    ("of free", "closed", "visited_free", 100.0),
+    ("first", "first", "visited", 100.0),
+    ("open", "open", "visited", 100.0),
+    ("ideal", "ideal", "visited", 100.0),
+    ("time", "closed", "time", 1.0),
+    ("first", "first", "time", 1.0),
+    ("open", "open", "time", 1.0),
+)
+"""(heading, loop, figure, scale)."""
+CURVES = {
+    "coverage": (
+        ("closed", "visited", "closed loop, visited"),
+        ("closed", "survived", "... survived"),
+        ("closed", "visited_free", "... visited, of all free cells"),
+        ("first", "visited", "closed loop, first visits alone checked"),
+        ("open", "visited", "open loop, exact"),
+        ("ideal", "visited", "ideal of the team"),
+    ),
+    "time": (
+        ("closed", "time", "closed loop"),
+        ("first", "time", "first visits alone checked"),
+        ("open", "time", "open loop: last move of a live robot"),
+    ),
+}
+"""(loop, figure, name) of the curves of each chart."""
+
+
+def report(answer: Reproduction) -> Report:
+    """What became of the statements; coverage and time over the team or the ratio of threats, on the paper's axes."""
+    finished, said = answer.finished, headline(answer)
+    over = [figure for figure in answer.figures if figure != "fig4"]
+    charts = {figure: [_chart(answer, figure, what) for what in CURVES] for figure in answer.figures}
+    return Report(
+        "reproduction", "reproduce", "The paper's experiments, again", said,
+        lambda: {"answer": said} | reproduction_json(answer),
+        heading=[
+            f"{counted(answer.maps, 'map')} a point, {counted(answer.rollouts, 'rollout')} a map and loop, "
+            f"first seed {answer.seed}"
+        ],
+        took=[finished.said],
+        parts=(
+            Part("Statements", [_statements(answer.findings)] if answer.findings else (), [DEVIATION]),
+            Part("Points", [_report_points(figure, answer.of(figure)) for figure in over], [POINTS] if over else (),
+                 drawn=lambda: [chart for pair in charts.values() for chart in pair]),
+        ),
+        warnings=("Interrupted: the maps that were done.",) if finished.partial else (),
+        pictures={f"{name}.png": partial(list, pair) for name, pair in charts.items()},
+        files={"points.csv": lambda: _csv(answer)},
+    )  # fmt: skip
+
+
+DEVIATION = "Deviation: in standard errors; of Fig. 4's runs in those of a bell of our runs. Beyond 3 decides."
+POINTS = (
+    "Coverage in %, time in steps, means over maps; se: the largest standard error of a coverage and of a time in the "
+    "row. visited, survived: of the accessible cells, every visit checked; first: only the first visit of a cell can "
+    "stop a robot."
+)
+
+
+def _chart(answer: Reproduction, figure: str, what: str) -> Chart:
+    """Coverage or time over the points of a figure; of Fig. 4, how often which was reached."""
+    if figure == "fig4":
+        return _runs(answer.of(figure), what)
+    scale, unit, limits = (100.0, "%", (0.0, 100.0)) if what == "coverage" else (1.0, "", None)
+    series = [_series(answer.of(figure), figure, curve, scale) for curve in CURVES[what]]
+    if what == "coverage" and figure in STATED:
+        at, stated = zip(*STATED[figure], strict=True)
+        series.append(Series("stated in the paper", at, [100 * value for value in stated], kind="points"))
+    axis = "threats, % of the cells" if figure == "fig7" else "robots"
+    words = "steps" if what == "time" else "covered"
+    return Chart(f"{TITLES[figure]}: {what}", tuple(series), axis, words, unit=unit, y_range=limits)
+
+
+def _runs(points: list[Point], what: str) -> Chart:
+    """Where the single runs of Fig. 4 fall among all runs on our maps."""
+    covered, series, marks = what == "coverage", [], []
+    for point in points:
+        counts, (coverage, steps) = np.trim_zeros(point.runs[what], "b"), FIGURE4[point.robots]
+        at = (1 if covered else TIME_BIN) * np.arange(len(counts))
+        series.append(Series(counted(point.robots, "robot"), at, 100 * counts / counts.sum(), kind="step"))
+        marks.append((100 * coverage if covered else steps, f"the paper's, {counted(point.robots, 'robot')}"))
+    axis = "coverage of the free cells, %" if covered else "steps"
+    return Chart(f"{TITLES['fig4']}: {what}", tuple(series), axis, "runs, %", unit="%", at_x=tuple(marks))
+
+
+def _series(points: list[Point], figure: str, curve: tuple[str, str, str], scale: float) -> Series:
+    loop, what, name = curve
+    estimates = [point.estimate(loop, what) for point in points]
+    at = [_at(figure, point) for point in points]
+    return Series.of(name, at, estimates, scale, dashed=name.startswith("..."))
+
+
+def headline(answer: Reproduction) -> str:
+    """How many of the paper's statements are reproduced."""
+    found = answer.findings
+    counts = {verdict: sum(one.verdict is verdict for one in found) for verdict in StatementVerdict}
+    said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count)
+    return f"Of {len(found)} statements of the paper on these figures: {said}." if found else "Nothing to compare."
+
+
+def _statements(found: list[Finding]) -> Table:
+    columns = ("figure", "statement", "here", "deviation", "")
+    left = tuple(name for name in columns if name != "deviation")
+    table = make_table(columns, "What the paper says", left=left, padding=(0, 1, 0, 0))
+    for one in found:
+        table.add_row(one.figure, one.statement, one.found, f"{one.deviation:+.1f}", str(one.verdict))
+    return table
+
+
+def _report_points(figure: str, points: list[Point]) -> Table:
+    columns = ("threats, %" if figure == "fig7" else "robots", *(name for name, *_ in TABLE), "se")
+    table = make_table(columns, TITLES[figure], padding=(0, 1, 0, 0))
+    for point in points:
+        estimates = [(scale, point.estimate(loop, name)) for _, loop, name, scale in TABLE]
+        largest = [max(s * e.se for s, e in estimates if (s == 1) == steps) for steps in (False, True)]
+        shown = (f"{scale * estimate.mean:.1f}" for scale, estimate in estimates)
+        table.add_row(f"{_at(figure, point):g}", *shown, " / ".join(f"{se:.1f}" for se in largest))
+    return table
+
+
+def _at(figure: str, point: Point) -> float:
+    return 100 * point.ratio if figure == "fig7" else point.robots
+
+
+def reproduction_json(answer: Reproduction) -> Json:
+    """The JSON object of `reproduce`, but for its sentence; coverage is a fraction."""
+    finished = answer.finished
+    return {
+        "maps": answer.maps,
+        "rollouts": answer.rollouts,
+        "seed": answer.seed,
+        "figures": {name: [_point_json(point) for point in answer.of(name)] for name in answer.figures},
+        "statements": answer.findings,
+        "seconds": finished.seconds,
+        "rollouts_run": finished.rollouts,
+        "rollouts_reused": finished.reused,
+        **json_end(answer),
+    }
+
+
+def _point_json(point: Point) -> Json:
+    out: Json = {"kind": point.kind, "robots": point.robots, "ratio": point.ratio}
+    for loop, figure in point.means:
+        out.setdefault(loop, {})[figure] = point.estimate(loop, figure)
+    return out
+
+
+def _csv(answer: Reproduction) -> str:
+    """Mean, standard error and interval of every figure at every point."""
+    names, rows = ("kind", "robots", "ratio", "loop", "figure", "maps", "rollouts", "mean", "se", "low", "high"), []
+    for point in answer.points.values():
+        for loop, figure in point.means:
+            estimate = point.estimate(loop, figure)
+            values = (f"{value:.9g}" for value in (estimate.mean, estimate.se, *estimate.ci95))
+            where = (point.kind, point.robots, point.ratio, loop, figure, answer.maps, point.rollouts)
+            rows.append((*where, *values))
+    return csv_text(names, rows)

@@ -1,0 +1,742 @@
+"""One door to all formats: by name or by the file's suffix, into a file or a folder, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from math import isfinite
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.pictures.style import ROBOT_COLOURS
+from analysis.theory.exact import OpenLoopExact, open_loop_exact
+from analysis.utils.folder import json_text
+from planner.arguments import Numbers, argument, did_you_mean
+from planner.errors import MapError, UsageError
+from planner.files import Json, atomic_write, check_new, printable
+from planner.formatting import SPEEDS
+from planner.ids import NO_CELL
+from planner.plan.plan import DECIMALS, Plan, headings, last_move, waypoints_csv
+from planner.world.grid import TURN, Frame, Georeference, near, principal, rasterio_for
+from planner.world.raster_bands import affine
+from planner.world.world import World
+
+# What every format writes: a plan on its world, with each robot's chances, and its path as straight runs.
+
+DEGREES = 9
+"""Decimals of longitude and latitude: a tenth of a millimetre."""
+ALTITUDE, SPEED = 20.0, 3.0
+"""Metres above the place of take-off, and metres a second, where nobody says."""
+HIGHEST = 10_000.0
+
+
+class Stop(NamedTuple):
+    """Where a robot turns, waits or ends: the step at which it arrives, the cell, and how many steps it waits there."""
+
+    step: int
+    cell: int
+    waits: int
+
+
+@dataclass(frozen=True, eq=False)
+class Mission:
+    """A plan to be driven.
+
+    Attributes:
+        world, plan: the map and the paths on it.
+        altitude: metres above the place of take-off; 0: on the ground. speed: metres a second.
+    """
+
+    world: World
+    plan: Plan
+    altitude: float
+    speed: float
+
+    def check(self) -> None:
+        """Raise UsageError for an altitude or a speed that nothing flies, PlanError for the plan of another map."""
+        Numbers(0, HIGHEST, "metres above the ground").check("altitude", self.altitude)
+        SPEEDS.check("speed", self.speed)
+        self.plan.require(self.world)
+
+    @cached_property
+    def exact(self) -> OpenLoopExact:
+        """What the open loop is worth, exactly."""
+        return open_loop_exact(self.plan, self.world)
+
+    @property
+    def believed(self) -> str:
+        """What precedes the name of a figure of the map that robots believe, where that is not the true one."""
+        return "" if self.world.knowledge is None else "believed_"
+
+    def unknown(self, figures: tuple[str, ...]) -> tuple[str, ...]:
+        """A note that names those of these figures that are not known of every cell or robot, and why."""
+        doubt = self.world.doubt or self.world.knowledge
+        if not figures or doubt is None:
+            return ()
+        covered, lost, survival = self.exact.visited_by_cell, self.exact.stops_by_cell, self.exact.survival
+        of = {"covered": covered, "losses": lost, "residual": covered, "chance_of_loss": survival}
+        left = [name for name in figures if np.isnan(of[name]).any()]
+        if not left:
+            return ()
+        names = " and ".join(filter(None, (", ".join(left[:-1]), left[-1])))
+        return (f"{names} left out where the open loop has no exact value, which `evaluate` samples: {doubt.said}",)
+
+    @property
+    def step_seconds(self) -> float:
+        """Seconds that a step takes."""
+        return self.world.cell_size / self.speed
+
+    def stops(self, robot: int) -> list[Stop]:
+        """The path of a robot as the ends of its straight runs."""
+        return straight_runs(self.plan.robots[robot].path)
+
+    def lonlat(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(longitude, latitude) of the centres of cells. Raises MapError where nobody says where the map lies."""
+        return rounded(principal(self.on_earth(self.world.to_xy(cells))))
+
+    def on_earth(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(longitude, latitude) of points (x, y) of the map's frame; longitudes go on across 180. Raises MapError."""
+        height, width = self.world.shape
+        middle = self.world.to_lonlat(self.world.at(height / 2, width / 2))
+        assert self.world.georeference is not None
+        return self.world.georeference.to_lonlat(points, about=middle[0])
+
+
+def rounded(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(longitude, latitude) as files hold them, without a minus before 0."""
+    return np.round(places, DEGREES) + 0.0
+
+
+def make_mission(world: World, plan: Plan, altitude: float | None = None, speed: float | None = None) -> Mission:
+    """A mission, checked; what is None is ALTITUDE, and what the world says or SPEED. Raises InputError."""
+    if speed is None:
+        speed = SPEED if world.pace.seconds is None else world.cell_size / world.pace.seconds
+    mission = Mission(world, plan, ALTITUDE if altitude is None else altitude, speed)
+    mission.check()
+    return mission
+
+
+def straight_runs(path: NDArray[np.int64]) -> list[Stop]:
+    """The ends of a path's straight runs, the start and the last cell among them; waiting at the end is left out."""
+    path = path[: last_move(path) + 1]
+    moves = np.diff(path)
+    stops = [Stop(0, int(path[0]), 0)]
+    for step, end in pairwise(np.unique([0, *np.flatnonzero(np.diff(moves)) + 1, len(moves)]).tolist()):
+        if moves[step] == 0:
+            stops[-1] = stops[-1]._replace(waits=end - step)
+        else:
+            stops.append(Stop(end, int(path[end]), 0))
+    return stops
+
+
+# Lines and areas cut at longitude 180, as RFC 7946, 3.1.9, asks: no part of them spans the world on a flat map.
+
+Ring = NDArray[np.float64]
+"""Corners (longitude, latitude) `[points, 2]`, the last one the first; longitudes go on across 180."""
+HALF = TURN / 2
+POLE = 90 - 1e-9
+"""Latitude from which a corner is at the pole (0.1 mm)."""
+
+
+def over_a_pole(ring: Ring) -> bool:
+    """True for a closed ring around a pole, or through one: every step goes the short way round."""
+    steps = near(np.diff(ring[:, 0]), 0.0, TURN)
+    through = np.abs(np.abs(steps) - HALF) < 1e-6
+    return bool(abs(steps.sum()) > HALF or through.any() or (np.abs(ring[:, 1]) >= POLE).any())
+
+
+def cut_line(line: Ring) -> list[Ring]:
+    """The parts of a line, longitudes in -180..180; one that only touches 180 is not cut."""
+    parts: list[list[NDArray[np.float64]]] = []
+    turn = None
+    for one, other in pairwise(line):
+        for start, end in _pieces(one, other):
+            own = math.floor(((start[0] + end[0]) / 2 + HALF) / TURN)
+            if own != turn:
+                parts.append([start - (own * TURN, 0)])
+                turn = own
+            parts[-1].append(end - (own * TURN, 0))
+    return [np.array(part) for part in parts]
+
+
+def _pieces(
+    one: NDArray[np.float64], other: NDArray[np.float64]
+) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """A step of a line, cut wherever it crosses a longitude at which a turn ends."""
+    low, high = sorted((one[0], other[0]))
+    seams = [TURN * n + HALF for n in range(math.floor((low - HALF) / TURN), math.ceil((high - HALF) / TURN) + 1)]
+    crossed = sorted((seam for seam in seams if low < seam < high), reverse=bool(one[0] > other[0]))
+    ends = [one, *(_crossing(one, other, seam) for seam in crossed), other]
+    return list(pairwise(ends))
+
+
+def _crossing(one: NDArray[np.float64], other: NDArray[np.float64], seam: float) -> NDArray[np.float64]:
+    """Where the step is at this longitude; the same from both ends."""
+    (x0, y0), (x1, y1) = sorted((tuple(one), tuple(other)))
+    return np.array([seam, y0 + (seam - x0) * (y1 - y0) / (x1 - x0)])
+
+
+def cut_area(rings: list[Ring]) -> list[list[Ring]]:
+    """The parts of an area (its outer ring first, then its holes), each as rings, longitudes in -180..180.
+
+    Outer rings are counterclockwise and holes clockwise, before and after.
+    """
+    low, high = min(ring[:, 0].min() for ring in rings), max(ring[:, 0].max() for ring in rings)
+    first, last = math.floor((low + HALF) / TURN), math.ceil((high + HALF) / TURN) - 1
+    if last <= first:
+        return [[ring - (first * TURN, 0) for ring in rings]]
+    parts: list[list[Ring]] = []
+    for turn in range(first, last + 1):
+        kept = rings
+        if turn > first:
+            kept = _mirrored(_west_of(_mirrored(kept), HALF - turn * TURN))
+        if turn < last:
+            kept = _west_of(kept, turn * TURN + HALF)
+        parts += _with_holes([ring - (turn * TURN, 0) for ring in kept])
+    return parts
+
+
+def _mirrored(rings: list[Ring]) -> list[Ring]:
+    """East and west changed, corners the other way round, so that the inside stays on the left."""
+    return [ring[::-1] * (-1, 1) for ring in rings]
+
+
+def _west_of(rings: list[Ring], seam: float) -> list[Ring]:
+    """What of an area, on the left of its rings, lies west of a longitude: rings in the same sense.
+
+    The rings' stretches in the west are joined along the longitude, from where the first one leaves the west, in the
+    south, to where the first one enters it, and so on: with the inside on the left, the two take turns.
+    """
+    whole: list[Ring] = []
+    chains: list[list[NDArray[np.float64]]] = []
+    for ring in rings:
+        corners = ring[:-1]
+        west = corners[:, 0] < seam
+        if west.all() or not west.any():
+            whole += [ring] if west.all() else []
+            continue
+        first = int(np.flatnonzero(west & ~np.roll(west, 1))[0])
+        corners, west = np.roll(corners, -first, axis=0), np.roll(west, -first)
+        for at in np.flatnonzero(west):
+            if not west[at - 1]:
+                chains.append([_crossing(corners[at - 1], corners[at], seam)])
+            chains[-1].append(corners[at])
+            after = (at + 1) % len(corners)
+            if not west[after]:
+                chains[-1].append(_crossing(corners[at], corners[after], seam))
+    leaves, enters = (sorted(range(len(chains)), key=lambda n: float(chains[n][side][1])) for side in (-1, 0))
+    onward = dict(zip(leaves, enters, strict=True))
+    while onward:
+        points: list[NDArray[np.float64]] = []
+        number = next(iter(onward))
+        while number in onward:
+            points += chains[number]
+            number = onward.pop(number)
+        whole.append(np.array([*points, points[0]]))
+    return whole
+
+
+def _with_holes(rings: list[Ring]) -> list[list[Ring]]:
+    """Outer rings, each with the holes within it; rings without an inside are left out."""
+    sizes = [_signed_area(ring) for ring in rings]
+    outer = [[ring] for ring, size in zip(rings, sizes, strict=True) if size > 0]
+    for ring, size in zip(rings, sizes, strict=True):
+        if size < 0:
+            middle = (ring[0] + ring[1]) / 2
+            next((part for part in outer if _holds(part[0], middle)), outer[0]).append(ring)
+    return outer
+
+
+def _signed_area(ring: Ring) -> float:
+    """Above 0: counterclockwise."""
+    x, y = (ring - ring[0]).T
+    return float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum()) / 2
+
+
+def _holds(ring: Ring, place: NDArray[np.float64]) -> bool:
+    """True if the place lies within the ring (even-odd rule)."""
+    (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
+    crosses = (y0 > place[1]) != (y1 > place[1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = x0 + (place[1] - y0) * (x1 - x0) / (y1 - y0)
+    return bool(np.count_nonzero(crosses & (at > place[0])) % 2)
+
+
+# The outline of an area of cells: one outer ring and its holes, as GIS programs want polygons.
+
+Corner = tuple[int, int]
+
+
+def outline(cells: NDArray[np.int64], width: int) -> list[list[Corner]]:
+    """Rings (row, col) of cells' corners around a 4-connected area, closed; the outer one first, then the holes.
+
+    Seen with row 0 at the top, the outer ring is counterclockwise, holes are clockwise (RFC 7946, 3.1.6). Rings touch
+    themselves nowhere: where two cells meet in a corner alone the outline goes over to the other cell.
+    """
+    ahead = _edges(cells, width)
+    rings: list[list[Corner]] = []
+    while ahead:
+        at = min(ahead)
+        ring, step = [at], (0, 0)
+        while True:
+            row, col = at
+            left = [(-step[1], step[0]), step, (step[1], -step[0])]
+            turns = left[::-1] if len(ahead[at]) > 1 else ahead[at]
+            new = next(turn for turn in turns if turn in ahead[at])
+            ahead[at].remove(new)
+            if not ahead[at]:
+                del ahead[at]
+            if new == step:
+                ring.pop()
+            at, step = (row + new[0], col + new[1]), new
+            ring.append(at)
+            if at == ring[0]:
+                break
+        rings.append(ring)
+    return sorted(rings, key=min)
+
+
+def _edges(cells: NDArray[np.int64], width: int) -> dict[Corner, list[Corner]]:
+    """Where the outline leaves every corner for, (row, col) steps: the area lies on the left."""
+    held = set(cells.tolist())
+    ahead: dict[Corner, list[Corner]] = {}
+    for cell in held:
+        row, col = divmod(cell, width)
+        sides = (
+            (cell - width, (row, col + 1), (0, -1)),
+            (cell - 1 if col else NO_CELL, (row, col), (1, 0)),
+            (cell + width, (row + 1, col), (0, 1)),
+            (cell + 1 if col + 1 < width else NO_CELL, (row + 1, col + 1), (-1, 0)),
+        )
+        for neighbour, corner, step in sides:
+            if neighbour not in held:
+                ahead.setdefault(corner, []).append(step)
+    return ahead
+
+
+# Paths and areas with their chances as GeoJSON (RFC 7946: longitude and latitude, WGS 84).
+
+Position = list[float]
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A path or an area in longitude and latitude, and its facts.
+
+    Attributes:
+        name: of it. facts: what is known of it.
+        is_area: it is an area, not a path.
+        parts: what a cut at longitude 180 leaves, mostly one part: of a path one line, of an area rings, the outer one
+            first, closed.
+        points: of a path, uncut.
+    """
+
+    name: str
+    is_area: bool
+    parts: list[list[list[Position]]]
+    facts: Json
+    points: list[Position] = field(default_factory=list)
+
+
+def features(mission: Mission) -> Iterator[Feature]:
+    """Every area of t = 0, then every robot's path. Raises MapError for a map that nobody has put on the Earth."""
+    yield from _areas(mission)
+    yield from paths(mission)
+
+
+def _areas(mission: Mission) -> Iterator[Feature]:
+    """Every area of t = 0. Raises MapError also for one over a pole: it has no ring of longitudes and latitudes.
+
+    Of each: `level`, `robot` (that has it at t = 0), `threat` (its largest), and, open loop, exact: `covered` (the
+    mean chance of its cells to be visited), `losses` (robots expected to be lost in it).
+    None: not known exactly. `believed_threat`: of robots that are not told the map.
+    """
+    world, width = mission.world, mission.world.shape[1]
+    threat = world.threat.ravel()
+    for number, area in enumerate(mission.plan.areas):
+        facts = {
+            "area": number,
+            "level": area.level,
+            "robot": None if area.robot < 0 else area.robot,
+            "cells": len(area.cells),
+            f"{mission.believed}threat": _rounded(threat[area.cells].max()),
+            "covered": _rounded(mission.exact.visited_by_cell[area.cells].mean()),
+            "losses": _rounded(mission.exact.stops_by_cell[area.cells].sum()),
+        }
+        rings = [mission.on_earth(world.at(*np.array(ring).T)) for ring in outline(area.cells, width)]
+        if any(over_a_pole(ring) for ring in rings):
+            problem = f"area {number} lies over a pole, and cannot be written in longitude and latitude"
+            fix = "export .tif or .csv, in the map's metres, or .gpx, which holds no areas"
+            raise MapError(problem, source=world.source, expected="areas beside the poles", fix=fix)
+        parts = [[rounded(ring).tolist() for ring in part] for part in cut_area(rings)]
+        yield Feature(f"area {number}", True, parts, facts)
+
+
+def paths(mission: Mission) -> Iterator[Feature]:
+    """Every robot's path: `robot`, `steps`, `chance_of_loss` before its end (None: not known exactly)."""
+    world = mission.world
+    for number, robot in enumerate(mission.plan.robots):
+        facts = {
+            "robot": number,
+            "steps": mission.stops(number)[-1].step,
+            "cells": len(np.unique(robot.path[robot.entered])),
+            "chance_of_loss": _rounded(1 - mission.exact.survival[number]),
+        }
+        cells = [stop.cell for stop in mission.stops(number)]
+        line = np.array(cells if len(cells) > 1 else cells * 2)  # of two points, if it never moves too
+        lines = [[rounded(part).tolist()] for part in cut_line(mission.on_earth(world.to_xy(line)))]
+        yield Feature(f"robot {number}", False, lines, facts, mission.lonlat(line).tolist())
+
+
+def _rounded(value: float) -> float | None:
+    return round(float(value), 9) if isfinite(value) else None
+
+
+def geojson(mission: Mission) -> str:
+    """A FeatureCollection of `features`: Polygons and LineStrings, of several parts where longitude 180 cuts them."""
+    collection = [
+        {"type": "Feature", "properties": {"name": feature.name} | feature.facts, "geometry": _geometry(feature)}
+        for feature in features(mission)
+    ]
+    lines = ",\n".join(json.dumps(feature, allow_nan=False) for feature in collection)
+    return f'{{"type": "FeatureCollection", "features": [\n{lines}\n]}}\n'
+
+
+def _geometry(feature: Feature) -> Json:
+    kind = "Polygon" if feature.is_area else "LineString"
+    parts = feature.parts if feature.is_area else [line for (line,) in feature.parts]
+    if len(parts) == 1:
+        return {"type": kind, "coordinates": parts[0]}
+    return {"type": f"Multi{kind}", "coordinates": parts}
+
+
+# The map and what is known of its cells as a GeoTIFF, in the CRS that the map came in.
+
+BANDS = {
+    "threat": "chance that one visit stops a robot",
+    "covered": "chance that the cell is visited (open loop, exact)",
+    "losses": "robots expected to be lost in the cell (open loop, exact)",
+    "residual": "residual risk: threat * (1 - covered)",
+}
+
+
+def geotiff(mission: Mission) -> bytes:
+    """The bands BANDS, but for those that are known of no cell. Raises MapError without rasterio.
+
+    Of robots that are not told the map, `believed_threat` and `believed_residual`: with what they believe of it.
+    """
+    world, shape = mission.world, mission.world.shape
+    threat, covered = world.threat.astype(np.float64), mission.exact.visited_by_cell.reshape(shape)
+    losses = mission.exact.stops_by_cell.reshape(shape)
+    bands = dict(zip(BANDS, (threat, covered, losses, threat * (1 - covered)), strict=True))
+    known = {name: band for name, band in bands.items() if np.isfinite(band).any()}
+    names = {name: BANDS[name] for name in known}
+    if mission.believed:
+        names = {f"believed_{n}" if n in ("threat", "residual") else n: words for n, words in names.items()}
+    return raster(world, names, np.stack(list(known.values())))
+
+
+def raster(world: World, names: Mapping[str, str], bands: NDArray[np.float64]) -> bytes:
+    """Bands `[B, H, W]` as float32, NaN on obstacles; `names`: of each, and what it means.
+
+    A map that nobody has put on the Earth has no CRS in it either. Raises MapError without rasterio.
+    """
+    rasterio, shape, bands = rasterio_for("a GeoTIFF", world.source), world.shape, np.where(world.free, bands, np.nan)
+    frame, place = Frame(shape, world.cell_size, world.origin), world.georeference or Georeference("")
+    height, width = shape
+    with (
+        rasterio.io.MemoryFile() as memory,
+        memory.open(
+            driver="GTiff", width=width, height=height, count=len(names), dtype="float32", nodata=math.nan,
+            crs=place.crs or None, transform=rasterio.Affine(*affine(frame, place)), compress="deflate",
+        ) as data,
+    ):  # fmt: skip
+        data.write(bands.astype(np.float32))
+        for band, (name, words) in enumerate(names.items(), start=1):
+            data.set_band_description(band, name)
+            data.update_tags(band, meaning=words)
+        data.close()
+        return bytes(memory.read())
+
+
+# KML 2.2 (Google Earth, QGIS) and GPX 1.1 (GPS receivers): both in longitude and latitude, WGS 84.
+
+KML, GPX = "http://www.opengis.net/kml/2.2", "http://www.topografix.com/GPX/1/1"
+NOBODYS = "#777777"
+
+
+def kml(mission: Mission) -> str:
+    """Folders of areas and paths on the ground, each with its facts, in the colours of the robots."""
+    top = Element("kml", xmlns=KML)
+    document = SubElement(top, "Document")
+    _text(document, "name", printable(mission.world.source))
+    folders: dict[bool, Element] = {}
+    for feature in features(mission):
+        if feature.is_area not in folders:
+            folders[feature.is_area] = SubElement(document, "Folder")
+            _text(folders[feature.is_area], "name", "areas" if feature.is_area else "paths")
+        _placemark(folders[feature.is_area], feature)
+    return _document(top)
+
+
+def _placemark(folder: Element, feature: Feature) -> None:
+    place = SubElement(folder, "Placemark")
+    _text(place, "name", feature.name)
+    robot = feature.facts["robot"]
+    colour = NOBODYS if robot is None else ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
+    bgr = colour[5:7] + colour[3:5] + colour[1:3]
+    style = SubElement(place, "Style")
+    line = SubElement(style, "LineStyle")
+    _text(line, "color", f"ff{bgr}")
+    _text(line, "width", "1" if feature.is_area else "2")
+    if feature.is_area:
+        _text(SubElement(style, "PolyStyle"), "color", f"40{bgr}")
+    data = SubElement(place, "ExtendedData")
+    for name, value in feature.facts.items():
+        _text(SubElement(data, "Data", name=name), "value", "" if value is None else str(value))
+    parent = place if len(feature.parts) == 1 else SubElement(place, "MultiGeometry")
+    for part in feature.parts:
+        if not feature.is_area:
+            path = SubElement(parent, "LineString")
+            _text(path, "tessellate", "1")
+            _coordinates(path, part[0])
+            continue
+        polygon = SubElement(parent, "Polygon")
+        for number, ring in enumerate(part):
+            border = SubElement(polygon, "innerBoundaryIs" if number else "outerBoundaryIs")
+            _coordinates(SubElement(border, "LinearRing"), ring)
+
+
+def _coordinates(parent: Element, points: list[Position]) -> None:
+    _text(parent, "coordinates", " ".join(f"{east:.9f},{north:.9f}" for east, north in points))
+
+
+def gpx(mission: Mission) -> str:
+    """A route for every robot, a point at the end of each straight run."""
+    top = Element("gpx", xmlns=GPX, version="1.1", creator="mrac-jax")
+    for feature in paths(mission):
+        route = SubElement(top, "rte")
+        _text(route, "name", feature.name)
+        if (chance := feature.facts["chance_of_loss"]) is not None:
+            _text(route, "desc", f"chance of loss {chance:.6f}")
+        for east, north in feature.points:
+            east = -180.0 if east == 180 else east  # GPX has longitudes below 180 alone
+            SubElement(route, "rtept", lat=f"{north:.9f}", lon=f"{east:.9f}")
+    return _document(top)
+
+
+def _text(parent: Element, name: str, text: str) -> None:
+    SubElement(parent, name).text = text
+
+
+def _document(top: Element) -> str:
+    indent(top, " ")
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(top, encoding="unicode") + "\n"
+
+
+# Poses for nav2, one file a robot: the goal of its action FollowWaypoints, or of NavigateThroughPoses, as YAML.
+
+POSE = (
+    "- header: {{frame_id: map}}\n"
+    "  pose:\n"
+    "    position: {{x: {x}, y: {y}, z: 0.0}}\n"
+    "    orientation: {{x: 0.0, y: 0.0, z: {z}, w: {w}}}\n"
+)
+"""A geometry_msgs/PoseStamped; stamp 0: the latest transform."""
+PRESUMED = (
+    "# A pose ends a straight run along cells of {cell:g} m. Presumed: footprint and inflation fit into a cell, so\n"
+    "# that the costmap leaves the straight way free; xy_goal_tolerance of the goal checker is below {half:g} m, so\n"
+    "# that the robot turns in that cell. Threats are not in the costmap: a way around something may enter others.\n"
+)
+
+
+def nav2_poses(mission: Mission, robot: int) -> str:
+    """`poses:`, the start and the end of every straight run, metres in the map frame.
+
+    It faces along the run that it ends. Waiting is left out: nav2 goes on when it has arrived.
+    """
+    path = mission.plan.robots[robot].path
+    steps = np.array([stop.step for stop in mission.stops(robot)])
+    points, yaws = mission.world.to_xy(path[steps]), headings(path, mission.world)[steps]
+    poses = [
+        POSE.format(x=_number(x), y=_number(y), z=_number(math.sin(yaw / 2), 12), w=_number(math.cos(yaw / 2), 12))
+        for (x, y), yaw in zip(points.tolist(), yaws.tolist(), strict=True)
+    ]
+    cell = mission.world.cell_size
+    presumed = PRESUMED.format(cell=cell, half=cell / 2)
+    return f"# robot {robot}\n{presumed}poses:\n{''.join(poses)}"
+
+
+def _number(value: float, decimals: int = DECIMALS) -> str:
+    """A float that YAML 1.1 takes for one: never without a point."""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
+
+
+# QGroundControl's plan file, one a robot: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html.
+
+TAKE_OFF, WAYPOINT, CHANGE_SPEED = 22, 16, 178
+"""Of MAV_CMD."""
+ABOVE_HOME, NO_PLACE = 3, 2
+"""Of MAV_FRAME: altitudes are above the place of take-off; an item without a place."""
+COPTER, ROVER = 2, 10
+"""Of MAV_TYPE."""
+PX4 = 12
+"""Of MAV_AUTOPILOT: what QGroundControl plans for where no vehicle is connected; the items are every autopilot's."""
+
+
+def qgc_plan(mission: Mission, robot: int) -> str:
+    """The `.plan` of a robot: the speed, a take-off unless it drives (altitude 0), and a waypoint a straight run.
+
+    Waiting is the hold time of its waypoint. What it does after the last one is not said: the autopilot's default.
+    Raises MapError for a map that nobody has put on the Earth.
+    """
+    stops = mission.stops(robot)
+    places = mission.lonlat(np.array([stop.cell for stop in stops])).tolist()
+    drives = mission.altitude == 0
+    items: list[Json] = [_item(CHANGE_SPEED, NO_PLACE, [1, mission.speed, -1, 0, 0, 0, 0])]
+    for number, (stop, (east, north)) in enumerate(zip(stops, places, strict=True)):
+        takes_off = number == 0 and not drives
+        if takes_off:
+            items.append(_placed(TAKE_OFF, 0.0, north, east, mission.altitude))
+        if not takes_off or stop.waits:
+            hold = stop.waits * mission.step_seconds
+            items.append(_placed(WAYPOINT, hold, north, east, mission.altitude))
+    for number, item in enumerate(items, start=1):
+        item["doJumpId"] = number
+    (east, north), *_ = places
+    content = {
+        "fileType": "Plan",
+        "geoFence": {"circles": [], "polygons": [], "version": 2},
+        "groundStation": "QGroundControl",
+        "mission": {
+            "cruiseSpeed": mission.speed,
+            "firmwareType": PX4,
+            "globalPlanAltitudeMode": 1,
+            "hoverSpeed": mission.speed,
+            "items": items,
+            "plannedHomePosition": [north, east, 0],
+            "vehicleType": ROVER if drives else COPTER,
+            "version": 2,
+        },
+        "rallyPoints": {"points": [], "version": 2},
+        "version": 1,
+    }
+    return json_text(content)
+
+
+def _placed(command: int, hold: float, north: float, east: float, altitude: float) -> Json:
+    item = _item(command, ABOVE_HOME, [hold, 0, 0, None, north, east, altitude])
+    return item | {"AMSLAltAboveTerrain": None, "Altitude": altitude, "AltitudeMode": 1}
+
+
+def _item(command: int, frame: int, params: list[float | None]) -> Json:
+    return {"autoContinue": True, "command": command, "frame": frame, "params": params, "type": "SimpleItem"}
+
+
+Content = str | bytes
+
+
+@dataclass(frozen=True)
+class Format:
+    """A way out.
+
+    Attributes:
+        suffixes: of its files, the usual one first.
+        whole: what a file of the team holds; or `each`: what the file of a robot holds.
+        on_earth: it holds longitudes and latitudes. figures: what of the open loop's exact values is in it.
+    """
+
+    suffixes: tuple[str, ...]
+    whole: Callable[[Mission], Content] | None = None
+    each: Callable[[Mission, int], Content] | None = None
+    on_earth: bool = True
+    figures: tuple[str, ...] = ()
+
+    def check(self, world: World) -> None:
+        """Raise MapError for a world of which it cannot be written, before there is a plan."""
+        if self.on_earth:
+            world.to_lonlat((0, 0))
+
+    def names(self, out: Path, robots: int) -> list[Path]:
+        """The files that it writes for `out`: a folder, or a file (numbered where each of several robots has one)."""
+        folder, suffix = is_folder(out), self.suffixes[0]
+        if self.each is None:
+            return [out / f"plan{suffix}"] if folder else [out]
+        if folder:
+            return [out / f"robot-{robot}{suffix}" for robot in range(robots)]
+        return [out.with_stem(f"{out.stem}-{robot}") for robot in range(robots)] if robots > 1 else [out]
+
+    def contents(self, mission: Mission) -> list[Content]:
+        """What those files hold."""
+        if self.each is not None:
+            return [self.each(mission, robot) for robot in range(len(mission.plan.robots))]
+        assert self.whole is not None
+        return [self.whole(mission)]
+
+
+FORMATS = {
+    "qgc": Format((".plan",), each=qgc_plan),
+    "nav2": Format((".yaml", ".yml"), each=nav2_poses, on_earth=False),
+    "geojson": Format((".geojson", ".json"), geojson, figures=("covered", "losses", "chance_of_loss")),
+    "kml": Format((".kml",), kml, figures=("covered", "losses", "chance_of_loss")),
+    "gpx": Format((".gpx",), gpx, figures=("chance_of_loss",)),
+    "csv": Format((".csv",), lambda mission: waypoints_csv(mission.plan, mission.world), on_earth=False),
+    "geotiff": Format((".tif", ".tiff"), geotiff, on_earth=False, figures=("covered", "losses", "residual")),
+}
+"""Every way out, by its name."""
+
+
+def is_folder(out: Path) -> bool:
+    """True for a folder that is there, and for a name without a suffix."""
+    return out.is_dir() or not out.suffix
+
+
+def choose_format(out: Path, to: str | None, name: str = "out") -> Format:
+    """The format called `to`, else that of the suffix of `out`; UsageError naming the argument `name`."""
+    if to is not None and to not in FORMATS:
+        raise UsageError(argument("to", to), expected=" or ".join(FORMATS), fix=did_you_mean(to, FORMATS))
+    suffix = "" if is_folder(out) else out.suffix.lower()
+    if to is not None:
+        if suffix and suffix not in FORMATS[to].suffixes:
+            expected = f"{' or '.join(FORMATS[to].suffixes)} for {to}, or a folder"
+            raise UsageError(f"{argument(name, str(out))} ends in {suffix!r}", expected=expected)
+        return FORMATS[to]
+    found = [one for one in FORMATS.values() if suffix in one.suffixes]
+    if not found:
+        known = " ".join(one.suffixes[0] for one in FORMATS.values())
+        problem = f"{argument(name, printable(out))}: no format has the suffix {suffix!r}"
+        raise UsageError(problem, expected=known, fix=f"or say {argument('to')} {'|'.join(FORMATS)}" * (name == "out"))
+    return found[0]
+
+
+def export(mission: Mission, out: Path, form: Format, spare: Iterable[Path] = (), *, force: bool = True) -> list[Path]:
+    """Write the mission; returns the files. Nothing is written unless all of it can be made.
+
+    Raises InputError: a map that nobody has put on the Earth, an altitude that cannot be flown, a file that cannot be
+    written, or that is the map or `spare`, other files that were read; without `force` one that is there already.
+    """
+    names = form.names(out, len(mission.plan.robots))
+    check_new(*names, force=force)
+    read = {file.resolve() for file in (Path(mission.world.source), *spare)}
+    for name in names:
+        if name.resolve() in read:
+            raise UsageError(f"{printable(name)} is an input, and would be written", expected="a file of its own")
+    contents = form.contents(mission)
+    if is_folder(out):
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            problem = f"{argument('out', printable(out))} cannot be made ({error.strerror})"
+            raise UsageError(problem, expected="a folder to write to") from error
+    for name, content in zip(names, contents, strict=True):
+        with atomic_write(name, "wb" if isinstance(content, bytes) else "w") as file:
+            file.write(content)
+    return names

@@ -1,1 +1,0 @@
-"""What every answer's room needs: words, and writing a folder."""

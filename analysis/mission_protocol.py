@@ -1,0 +1,312 @@
+"""A mission by lines of JSON: orders out, reports in. Every line is checked; one that is wrong changes nothing."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.sampling import RolloutChoices, make_singles
+from analysis.statistics.differences import Paired, difference
+from analysis.statistics.estimates import Estimate, mean_estimate, mean_of, proportion
+from planner.arguments import POSITIVE, whole
+from planner.errors import InputError, UsageError
+from planner.files import Json
+from planner.ids import MOST_ROLLOUTS
+from planner.mission.map_updates import hand_on
+from planner.mission.mission import Mission
+from planner.mission.team_control import Order
+from planner.mrac.board import is_home
+from planner.simulator.tables import AllPairs
+from planner.tally import Outcome, RolloutResults
+from planner.world.keys import Key
+
+FORMAT, VERSION = "mrac-drive", 1
+LONGEST = 2**20
+"""Characters of a line that is read."""
+KINDS = ("report", "step", "close", "call_off", "orders", "outlook")
+
+
+class Dialogue:
+    """What is answered to each line.
+
+    Orders of a step are said at its start, and stay whatever is reported of it: who answers each line that is said is
+    never a line behind, and after a crash they are the same.
+
+    Args:
+        mission: that is driven. state: the file that it is kept in, written before orders are given; None: in none.
+        outlook: says what will come, when it is asked for. unasked: also at the start, and after what changes it.
+    """
+
+    def __init__(
+        self, mission: Mission, state: Path | None, outlook: Callable[[], Json], *, unasked: bool = False
+    ) -> None:
+        self.mission, self._state, self._outlook, self._unasked = mission, state, outlook, unasked
+        self._line, self._told = 0, dict[int, Order]()
+
+    def begin(self) -> Iterator[Json]:
+        """The first lines: orders, or that the mission is over."""
+        return self._go_on(asked=True)
+
+    def hear(self, line: str) -> Iterator[Json]:
+        """What is said to a line."""
+        self._line += 1
+        if len(line) <= LONGEST and not line.strip():
+            return
+        try:
+            said = self._answer(Key(_parsed(line, f"line {self._line}"), "", f"line {self._line}", UsageError))
+        except InputError as error:
+            said = iter([{"type": "error", "line": self._line, "error": str(error)}])
+        yield from said
+
+    def _answer(self, key: Key) -> Iterator[Json]:
+        """What is said to a line that is right. Raises InputError for another, before anything changes."""
+        top = key.mapping(("type",), strict=False)
+        kind, rest = top["type"].choice(KINDS), {name: value for name, value in key.value.items() if name != "type"}
+        given = Key(rest, "", key.source, UsageError)
+        if kind == "report":
+            before, over = (self.mission.said(), self.mission.sees), self.mission.outcome is not None
+            hand_on(self.mission.report, given)
+            if (self.mission.said(), self.mission.sees) == before:
+                return iter(())
+            told = bool(rest.get("stopped") or rest.get("found") or "moves_left" in rest or rest.get("seen"))
+            return self._go_on(changed=told, step=over)
+        if kind == "close":
+            self.mission.close(given.mapping(("cells",))["cells"].value)
+            return self._go_on(asked=True)
+        if kind == "step":
+            now = whole(0, self.mission.step, what="a step that is not to come")
+            of = given.mapping(defaults={"step": self.mission.step})["step"].number(now)
+            return self._go_on(step=True) if of == self.mission.step else iter(())
+        given.mapping()
+        if kind == "call_off":
+            self.mission.call_off()
+            return self._go_on(asked=True)
+        return iter([self._said() if kind == "orders" else self._foreseen()])
+
+    def _go_on(self, *, asked: bool = False, changed: bool = False, step: bool = False) -> Iterator[Json]:
+        """End steps in which nobody is waited for, keep the mission, and say what is to be done if that is new.
+
+        `asked`: orders are said in any case, by what is known now. `changed`: what will come is another.
+        Raises StateError where the mission cannot be kept: no orders are given then that a file does not know.
+        """
+        mission, before = self.mission, self.mission.step
+        if asked:
+            self._told = mission.first_orders()
+        while step or (mission.outcome is None and not mission.awaited_of(self._told)):
+            mission.advance()
+            self._told, step = mission.orders(), False
+        if self._state is not None:
+            mission.save(self._state)
+        if asked or mission.step > before:
+            yield self._said()
+        if (asked or changed) and self._unasked and mission.outcome is None:
+            yield self._foreseen()
+
+    def _foreseen(self) -> Json:
+        """What will come."""
+        return self._outlook() | {"type": "outlook", "step": self.mission.step}
+
+    def _said(self) -> Json:
+        """Orders, or that the mission is over."""
+        mission = self.mission
+        if mission.outcome is not None:
+            return {"type": "end", **mission.known()}
+        orders = [order.to_json() for order in self._told.values()]
+        return {"type": "orders", "format": FORMAT, "version": VERSION, **mission.known(), "orders": orders}
+
+
+def _parsed(line: str, source: str) -> Any:
+    """A line's JSON object; UsageError for what is none."""
+    expected = f'a JSON object with "type": {", ".join(KINDS)}'
+    if len(line) > LONGEST:
+        raise UsageError(f"a line of {len(line)} characters", source=source, expected=f"at most {LONGEST}")
+    try:
+        found = json.loads(line, parse_constant=lambda name: math.nan)
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"no JSON ({str(error)[:60]})", source=source, expected=expected) from None
+    if not isinstance(found, dict):
+        raise UsageError("no JSON object", source=source, expected=expected)
+    return found
+
+
+# What will come of a mission from where it stands, and what if it went on otherwise: rollouts on common luck.
+
+SECONDS = 0.5
+"""For an answer, if nobody says how many or how long."""
+BLOCK = 512
+"""Rollouts of a call; a multiple of it is made in the seconds."""
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What a mission will have come to at its end, from where it stands.
+
+    Attributes:
+        rollouts: behind the figures.
+        covered: share of the accessible cells visited at the end, what is visited already included.
+        lost: robots more than now. steps: until the end. complete: chance that every cell is visited.
+        home: robots that are home then; None: they need not come home.
+    """
+
+    rollouts: int
+    covered: Estimate
+    lost: Estimate
+    steps: Estimate
+    complete: Estimate
+    home: Estimate | None = None
+
+    def to_json(self) -> Json:
+        """As a JSON object."""
+        figures = {name: getattr(self, name).to_json() for name in ("covered", "lost", "steps", "complete")}
+        home = {} if self.home is None else {"home": self.home.to_json()}
+        return {"rollouts": self.rollouts, **figures, **home}
+
+
+@dataclass(frozen=True)
+class WhatIf:
+    """A mission gone on with as it is, and otherwise, on the same luck.
+
+    Attributes:
+        now, then: both. covered, lost: differences, then - now.
+    """
+
+    now: Outlook
+    then: Outlook
+    covered: Estimate
+    lost: Estimate
+
+    def to_json(self) -> Json:
+        """As a JSON object."""
+        difference = {"covered": self.covered.to_json(), "lost": self.lost.to_json()}
+        return {"now": self.now.to_json(), "then": self.then.to_json(), "difference": difference}
+
+
+class DrivenMission(Mission):
+    """A mission that also says what will come of it, by the compiled simulator, from the end of the last step."""
+
+    def check_foreseen(self) -> None:
+        """Raise UsageError where the mission is over, WorldError for hazards, maps in doubt and phases."""
+        if self.outcome is not None:
+            raise UsageError("the mission is over", expected="one that goes on")
+        self.given.check_settled("the rest of a mission")
+
+    def outlook(self, rollouts: int | None = None, seconds: float | None = None, seed: int = 0) -> Outlook:
+        """What will be covered, robots lost, steps left, each with its 95 % interval.
+
+        Args:
+            rollouts: how many; None: as many as `seconds` (half a second in all) leave time for, in blocks of 512.
+            seed: of the rollouts.
+
+        Raises UsageError, PlanError for a rule of one's own, WorldError for hazards and maps in doubt.
+        """
+        (found,) = self._roll_out([{}], rollouts, seconds, seed)
+        return self._seen(found)
+
+    def what_if(
+        self,
+        *,
+        without: Iterable[int] = (),
+        call_off: bool = False,
+        rollouts: int | None = None,
+        seconds: float | None = None,
+        seed: int = 0,
+        **changes: Any,
+    ) -> WhatIf:
+        """The same beside a mission that goes on otherwise from here, on common luck.
+
+        Args:
+            without: robots that do no more from here on. call_off: it ends here; robots that come home turn now.
+            changes: settings, as `policy="per_cell"`, `worth=12`.
+            rollouts, seconds, seed: as of `outlook`.
+
+        Raises UsageError where it is called off and goes on otherwise, and as `outlook` does.
+        """
+        without = tuple(without)
+        if call_off and (without or changes):
+            raise UsageError("a mission that is called off, and goes on otherwise", expected="one of the two")
+        otherwise = [changes | {"without": without}]
+        if call_off:
+            otherwise = [{"call_off": True}] if self.settings.return_to is not None and self.step > 0 else []
+        mine, *others = self._roll_out([{}, *otherwise], rollouts, seconds, seed)
+        other = others[0] if others else self._ended(mine)
+        cells, lost = self.accessible, [self._lost(found) for found in (mine, other)]
+        covered = difference(Paired.of(mine.visited, other.visited), 1 / cells, 1 / cells, 1.0).estimate
+        return WhatIf(
+            self._seen(mine),
+            self._seen(other),
+            covered,
+            difference(Paired.of(*lost), 1.0, 1.0, float(self._alive)).estimate,
+        )
+
+    @cached_property
+    def _tables(self) -> AllPairs:
+        """Of all pairs of cells, made once."""
+        return AllPairs()
+
+    @property
+    def _past(self) -> int:
+        """Steps that are over; entering the starts, step 0, takes no time."""
+        return max(self.step - 1, 0)
+
+    @property
+    def _alive(self) -> int:
+        return self.robots - len(self.lost)
+
+    def _roll_out(
+        self, ways: list[dict[str, Any]], rollouts: int | None, seconds: float | None, seed: int
+    ) -> list[RolloutResults]:
+        """The same rollouts of each way to go on (arguments of `rest`): so many, or blocks of them for so long."""
+        POSITIVE.check("seconds", seconds, optional=True)
+        ends = time.monotonic() + (SECONDS if seconds is None else seconds)
+        self.check_foreseen()
+        whole(1, MOST_ROLLOUTS).check("rollouts", rollouts, optional=True)
+        choices = RolloutChoices(seed=seed, exact="never")
+        rolls = [make_singles(self.world, self.rest(**way, nominal=False), choices, self._tables) for way in ways]
+        if rollouts is not None:
+            return [roll(0, rollouts) for roll in rolls]
+        parts = [[roll(0, BLOCK)] for roll in rolls]
+        while time.monotonic() < ends:
+            for roll, part in zip(rolls, parts, strict=True):
+                part.append(roll(len(part) * BLOCK, BLOCK))
+        return [RolloutResults.join(part) for part in parts]
+
+    def _seen(self, found: RolloutResults) -> Outlook:
+        """The figures of rollouts."""
+        count, step = len(found.visited), self._past
+        lost = np.bincount(self._lost(found), minlength=self._alive + 1)
+        left = np.bincount(found.time - step)
+        most = self.last_step - step
+        values = np.flatnonzero(left)
+        complete = int((found.outcome == Outcome.COMPLETE).sum())
+        return Outlook(
+            count,
+            mean_estimate(np.bincount(found.visited, minlength=self.accessible + 1), 1 / self.accessible),
+            mean_estimate(lost, 1.0),
+            mean_of(values, left[values], 1.0, most),
+            proportion(complete, count),
+            None
+            if self.settings.return_to is None
+            else mean_estimate(np.bincount(found.home, minlength=self.robots + 1), 1),
+        )
+
+    def _lost(self, found: RolloutResults) -> NDArray[np.int64]:
+        """int64 `[B]`: robots lost from now on."""
+        return (self._alive - found.alive).astype(np.int64)
+
+    def _ended(self, found: RolloutResults) -> RolloutResults:
+        """The same rollouts of a mission that ends here."""
+        fleet, ways = self._fleet, self._fleet.problem.home
+        visited, survived = (int(np.count_nonzero(cells)) for cells in (fleet.visited, fleet.survived))
+        same = {"visited": visited, "survived": survived, "time": self._past, "alive": self._alive}
+        same["home"] = sum(ways is not None and robot.alive and is_home(ways, robot) for robot in fleet.robots)
+        ended = {name: np.full_like(getattr(found, name), value) for name, value in same.items()}
+        return replace(found, outcome=np.full_like(found.outcome, Outcome.ENDED_BY_OPERATOR), **ended)

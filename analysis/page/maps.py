@@ -1,0 +1,288 @@
+"""Maps by cell: one pixel a cell as a PNG inside the page, and the values under the pointer, packed.
+
+Of maps with more than MOST_CELLS cells, square blocks of cells are shown: their mean chance, and their sum of losses.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib.colors import Colormap, ListedColormap, Normalize, PowerNorm, to_hex, to_rgb
+from numpy.typing import NDArray
+from PIL import Image
+
+from analysis.page.charts import label, ticks
+from analysis.page.document import Html, block
+from analysis.pictures.maps import MOST_LEVELS
+from analysis.pictures.style import COVERED, LOSSES, OBSTACLE, ROBOT_COLOURS, SHADES, UNREACHABLE, threat_scale
+from analysis.utils.tables import bearing_words
+from planner.formatting import chance
+from planner.ids import NO_ROBOT
+from planner.plan.plan import Plan
+from planner.world.levels import find_levels
+from planner.world.world import World
+
+MOST_CELLS = 1_000_000
+STEPS = 60_000
+"""Values are packed as 0 .. STEPS of the largest; what is not quite 0 or 1 stays so."""
+OUT_OF_REACH, NOT_FREE = STEPS + 1, STEPS + 2
+MOST_RINGS = 64
+"""Starts that are marked; more would hide the map."""
+FINE = 250
+"""Cells a side from which a map is smoothed where its cells are smaller than pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellLayer:
+    """A value for each cell.
+
+    Attributes:
+        name: its heading; about: a line below it.
+        values: float64 `[H, W]`; unit: "%" for chances (then 0 .. 1), else "".
+        colours: from the least to the largest. root: spread small values by a square root.
+        blocks: how blocks of cells come together where a map is too large: their "mean" or their "sum".
+        top: the scale's end; None: the largest value. norm: where values lie on the scale, instead of root and top.
+        labels: values at which the scale is labelled; () for round ones.
+        digits: of chances under the pointer; other values show what their packing keeps.
+        short: its name where layers are switched; "": `name`.
+        names: what the whole numbers 0, 1, ... stand for; () for values that are numbers.
+        discs: few cells have a value above 0: a picture draws each as a disc.
+        since: of threats that change, the step from which it holds; None: it holds throughout.
+    """
+
+    name: str
+    about: str
+    values: NDArray[np.float64]
+    colours: Colormap
+    unit: str = ""
+    root: bool = False
+    blocks: Literal["mean", "sum"] = "mean"
+    top: float | None = None
+    norm: Normalize | None = None
+    labels: tuple[float, ...] = ()
+    digits: int = 1
+    short: str = ""
+    names: tuple[str, ...] = ()
+    discs: bool = False
+    since: int | None = None
+
+
+def cell_maps_html(
+    layers: Sequence[CellLayer],
+    world: World,
+    starts: NDArray[np.int64],
+    *,
+    above: Html | None = None,
+    heading: str = "h3",
+    anchor: str | None = None,
+    values_of: str | None = None,
+) -> Html:
+    """The layers side by side, or below each other on a phone; pointing at a cell of one marks it in all.
+
+    Args:
+        starts: int64 `[K, 2]`, (row, col). above: drawn over each layer's cells. heading: the element of their names.
+        anchor: the group's id. values_of: the id of a group of the same map whose values are shown instead of these.
+    """
+    height, width = world.shape
+    free, accessible, side = world.free, world.accessible(starts), 1
+    while -(-height // side) * -(-width // side) > MOST_CELLS:
+        side += 1
+    blocked = [_Blocks(layer, free, accessible, side) for layer in layers]
+    packed = {
+        "shape": [height, width],
+        "side": side,
+        "metres": world.cell_size,
+        "origin": [float(value) for value in world.origin],
+        "steps": STEPS,
+        "layers": [] if values_of else [block.packed() for block in blocked],
+        "from": values_of,
+        "starts": starts.tolist() if len(starts) <= 256 else [],
+    }
+    note = "Point at a cell, or tap it, for its values; with the keyboard, the arrow keys go from cell to cell."
+    if side > 1:
+        note += f" This map is large: values are of blocks of {side} x {side} cells, their mean, of losses their sum."
+    ringed = np.unique(starts, axis=0).tolist() if len(starts) <= MOST_RINGS else []
+    key = {
+        "chip start": ("robots' starts", len(ringed) > 0),
+        "chip obstacle": ("obstacle", not free.all()),
+        "chip unreachable": ("free, out of reach", (free & ~accessible).any()),
+    }
+    sides = [
+        (look, edge, int(at), cells)
+        for look, edge, cells in (("row", "top", height), ("col", "left", width))
+        for at in ticks(0, cells - 1, min(cells, 5), whole=True)
+    ]
+    entries = [(look, name) for look, (name, there) in key.items() if there]
+    return block("cell_maps", blocked, world.shape, ringed, sides, entries, packed, above, heading, anchor, note)
+
+
+def packed_layer(layer: CellLayer, free: NDArray[np.bool_], accessible: NDArray[np.bool_]) -> dict[str, object]:
+    """A layer's values, as the page's script unpacks them."""
+    return _Blocks(layer, free, accessible, 1).packed()
+
+
+class _Blocks:
+    """A layer by blocks of `side` x `side` cells (one cell, mostly)."""
+
+    def __init__(self, layer: CellLayer, free: NDArray[np.bool_], accessible: NDArray[np.bool_], side: int) -> None:
+        self.layer = layer
+        self.free, self.accessible = _any(free, side), _any(accessible, side)
+        sums = _sums(np.where(accessible, layer.values, 0.0), side)
+        counts = _sums(accessible.astype(np.float64), side)
+        self.values = sums / np.maximum(counts, 1) if layer.blocks == "mean" else sums
+        top = layer.top if layer.top is not None else float(self.values.max(initial=0.0)) or 1.0
+        self.norm = layer.norm or PowerNorm(0.5 if layer.root else 1.0, 0.0, top)
+
+    def shades(self) -> NDArray[np.uint8]:
+        """The colour of each block, uint8 `[rows, cols]`; SHADES and SHADES + 1 are what is not accessible."""
+        part = np.clip(np.asarray(self.norm(self.values)), 0.0, 1.0)
+        shade = np.minimum((part * SHADES).astype(np.int64), SHADES - 1)
+        shade[~self.accessible] = SHADES
+        shade[~self.free] = SHADES + 1
+        return shade.astype(np.uint8)
+
+    def png(self) -> str:
+        """One pixel a block, as a data address; the same values give the same bytes."""
+        image = Image.fromarray(self.shades())
+        scale = self.layer.colours(np.linspace(0, 1, SHADES))[:, :3]
+        palette = [*(scale * 255).round().astype(int).ravel().tolist(), *_rgb(UNREACHABLE), *_rgb(OBSTACLE)]
+        image.putpalette(palette)
+        out = io.BytesIO()
+        image.save(out, format="png", optimize=False)
+        return "data:image/png;base64," + base64.b64encode(out.getvalue()).decode()
+
+    @property
+    def is_fine(self) -> bool:
+        """Whether it is smoothed where its cells are smaller than pixels."""
+        return max(self.layer.values.shape) > FINE
+
+    @property
+    def stops(self) -> str:
+        """The colours of the scale, for a style sheet."""
+        return ",".join(to_hex(self.layer.colours(x)) for x in np.linspace(0, 1, 33))
+
+    def bar_words(self) -> Iterator[tuple[float, str]]:
+        """Where on the scale, 0 to 1, which values stand, as far apart as they can be read."""
+        layer, last = self.layer, -1.0
+        scale, unit = (100.0, " %") if layer.unit == "%" else (1.0, "")
+        top = float(self.norm.vmax if self.norm.vmax is not None else 1.0) * scale
+        values = scale * np.array(layer.labels) if layer.labels else ticks(0, top, 3 if layer.root else 4)
+        gap = float(values[1] - values[0]) if len(values) > 1 else top
+        for value in values:
+            at = float(self.norm(value / scale))
+            if at - last > 0.12:
+                given = f"{value:.3g}" if layer.unit != "%" else chance(value / scale, unit="")
+                yield at, (given if layer.labels else label(float(value), gap)) + unit
+                last = at
+
+    def packed(self) -> dict[str, object]:
+        """The values as deflated little-endian uint16, base64; STEPS is the largest value."""
+        largest = 1.0 if self.layer.unit == "%" else float(self.values.max(initial=0.0)) or 1.0
+        part = self.values / largest
+        codes = np.clip((part * STEPS).round(), 0, STEPS).astype(np.int64)
+        codes[(part > 0) & (codes == 0)] = 1
+        codes[(part < 1) & (codes == STEPS)] = STEPS - 1
+        codes[~self.accessible] = OUT_OF_REACH
+        codes[~self.free] = NOT_FREE
+        packed = base64.b64encode(zlib.compress(codes.astype("<u2").tobytes(), 9)).decode()
+        layer = self.layer
+        return {
+            "name": layer.name,
+            "unit": layer.unit,
+            "largest": largest,
+            "digits": layer.digits if layer.unit else max(0, 3 - math.floor(math.log10(largest))),
+            "names": layer.names or None,
+            "codes": packed,
+        }
+
+
+def _sums(values: NDArray[np.float64], side: int) -> NDArray[np.float64]:
+    height, width = values.shape
+    padded = np.pad(values, ((0, -height % side), (0, -width % side)))
+    return padded.reshape(padded.shape[0] // side, side, padded.shape[1] // side, side).sum(axis=(1, 3))
+
+
+def _any(mask: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
+    return _sums(mask.astype(np.float64), side) > 0
+
+
+def _rgb(colour: str) -> list[int]:
+    return [int(colour[place : place + 2], 16) for place in (1, 3, 5)]
+
+
+# A plan on its map, cell by cell: the threat, the chance that cells are covered, robots lost, the areas.
+
+
+def _tint(colour: str, part: float) -> tuple[float, ...]:
+    """A colour with white: `part` of it."""
+    return tuple(part * shade + 1 - part for shade in to_rgb(colour))
+
+
+TINTS = ListedColormap(["#efece4", *(_tint(colour, part) for colour in ROBOT_COLOURS for part in (0.6, 0.42))])
+"""Nobody's, and two tints a robot, so that its areas side by side can be told apart."""
+
+
+def chance_layers(
+    world: World, plan: Plan, visited: NDArray[np.float64], lost: NDArray[np.float64], known: str
+) -> list[CellLayer]:
+    """Threat, the chance that each cell is covered, and robots lost there, `[N]`; `known`: how they are."""
+    return [
+        threat_layer(world, plan),
+        CellLayer("Chance that the cell is covered", f"Visited; {known}.",
+                  visited.reshape(world.shape), COVERED, "%", top=1.0, digits=2, short="Coverage"),
+        CellLayer("Robots lost in the cell", f"Expected number; {known}.",
+                  lost.reshape(world.shape), LOSSES, root=True, blocks="sum", short="Losses"),
+    ]  # fmt: skip
+
+
+def threat_layer(world: World, plan: Plan) -> CellLayer:
+    """The map itself, as a layer, in the colours of the pictures."""
+    accessible = world.accessible(plan.starts)
+    threat = np.where(accessible, np.nan_to_num(world.threat.astype(np.float64)), 0.0)
+    levels = find_levels(world, accessible, plan.settings.levels if plan.settings else MOST_LEVELS)
+    scale = threat_scale(levels.values, float(threat.max()))
+    words = p_words(plan, world)
+    about = f"{words[0].upper()}{words[1:]}."
+    labels = (0.0, *levels.values[1:])
+    return CellLayer("Threat", about, threat, scale.colours, "%", norm=scale.norm, labels=labels, digits=2)
+
+
+def p_words(plan: Plan, world: World) -> str:
+    """What p is on a map."""
+    return bearing_words(plan, world) or "the chance that one visit stops a robot"
+
+
+def area_layers(plan: Plan) -> Iterator[CellLayer]:
+    """The areas at the start, in the colours of the robots that hold them; none of another planner's plan."""
+    if not plan.areas or plan.shape[0] * plan.shape[1] > MOST_CELLS:
+        return
+    area = np.zeros(plan.shape)
+    for number, held in enumerate(plan.areas):
+        area.reshape(-1)[held.cells] = number
+    owners = np.array([held.robot for held in plan.areas])
+    tints = np.where(owners == NO_ROBOT, 0, 1 + 2 * (owners % len(ROBOT_COLOURS)) + np.arange(len(owners)) % 2)
+    names = tuple(
+        f"{number}, level {held.level}, " + ("nobody's yet" if held.robot == NO_ROBOT else f"robot {held.robot}")
+        for number, held in enumerate(plan.areas)
+    )
+    about = "Who holds which at the start: the colour of the robot's line, in two tints; pale: nobody yet."
+    yield CellLayer("Areas", about, area, TINTS, norm=Tint(tints), names=names)
+
+
+class Tint(Normalize):
+    """The place on TINTS of each area, by its number."""
+
+    def __init__(self, tints: NDArray[np.int64]) -> None:
+        super().__init__(0, 1)
+        self._places = (tints + 0.5) / TINTS.N
+
+    def __call__(self, value: Any, clip: bool | None = None) -> Any:
+        """Places in 0 .. 1 of areas `[H, W]`."""
+        return self._places[np.asarray(value, dtype=np.int64)]

@@ -1,0 +1,1 @@
+"""Policies of users: evaluated beside the planner, and ranked on a fixed suite of worlds."""

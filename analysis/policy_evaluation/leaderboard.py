@@ -1,0 +1,466 @@
+"""The table: what everybody covers on every world, the score between a random walk and the bound, and the rank."""
+
+from __future__ import annotations
+
+import math
+import runpy
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import cache, cached_property, partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.inputs import EXAMPLE, input_path
+from analysis.policy_evaluation.policy_evaluation import estimate_of, roll_policy, scores_of, share_of, wanted_for
+from analysis.report.answer import Answer
+from analysis.sampling import RolloutChoices, make_singles
+from analysis.statistics.estimates import Estimate
+from analysis.theory.flow_programme import optimum
+from analysis.theory.upper_bound import most_cells
+from analysis.utils.notes import ProgressCallback, quiet
+from analysis.utils.pool import answers
+from analysis.utils.progress import OnInterrupt, ask
+from planner.arguments import argument
+from planner.errors import InputError, UsageError
+from planner.files import check_file
+from planner.formatting import counted
+from planner.plan.plan import Plan
+from planner.plan_team import plan_team, read_plan
+from planner.policies.rule import Rule
+from planner.rollouts.names import of_jax
+from planner.settings import Settings
+from planner.world.changing_maps import with_hazard
+from planner.world.generate import Kind, ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.scenario import load_input
+from planner.world.world import World
+
+RANDOM = "random walk"
+
+
+class Rolled(NamedTuple):
+    """Cells visited and robots lost by rollout, int64 `[B]` each."""
+
+    visited: NDArray[np.int64]
+    lost: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Played:
+    """A world and what everybody made of it.
+
+    Attributes:
+        robots: K. cells: accessible ones. bound: cells that no strategy exceeds on average, certified.
+        optimum: the most that a strategy visits on average; None where that is not known.
+        rolled: by name, rollout r of each on the same luck.
+    """
+
+    name: str
+    robots: int
+    cells: int
+    bound: float
+    optimum: float | None
+    rolled: dict[str, Rolled]
+
+    def coverage(self, entry: str) -> Estimate | None:
+        """Mean visited coverage, a fraction of the accessible cells; None where it has not played."""
+        return share_of(self.rolled[entry].visited, self.cells) if entry in self.rolled else None
+
+    def lost(self, entry: str) -> float:
+        """The share of the team that is lost on average."""
+        return float(self.rolled[entry].lost.mean()) / self.robots
+
+    @cached_property
+    def scores(self) -> dict[str, NDArray[np.float64]]:
+        """By name, float64 `[B]` as of `scores_of`; empty where the bound leaves no room above the random walk."""
+        walk = self.rolled[RANDOM].visited / self.cells
+        found = {
+            name: scores_of(of.visited / self.cells, walk, self.bound / self.cells) for name, of in self.rolled.items()
+        }
+        return {name: scores for name, scores in found.items() if scores is not None}
+
+    @property
+    def first(self) -> set[str]:
+        """Those that nobody is surely ahead of here: the best, and whose distance from it may be none."""
+        best = max(self.rolled.values(), key=lambda of: float(of.visited.mean())).visited
+        return {name for name, of in self.rolled.items() if _least(best - of.visited) <= 0}
+
+
+def _least(apart: NDArray[np.int64]) -> float:
+    return 0.0 if len(apart) < 2 else estimate_of(apart.astype(np.float64)).ci95[0]
+
+
+@dataclass(frozen=True)
+class Row:
+    """An entry over all worlds.
+
+    Attributes:
+        rank: by its score, from 1; None where it has not played on all of them. worlds: on which it has.
+        score: mean over these worlds of (J - J_random) / (bound - J_random). behind: of the first of all, common luck.
+        coverage: mean over these worlds of what it visits. lost: of the share of the team that it loses.
+        first: worlds on which nobody is surely ahead of it.
+    """
+
+    name: str
+    rank: int | None
+    worlds: int
+    score: Estimate
+    behind: Estimate | None
+    coverage: float
+    lost: float
+    first: int
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Standing(Answer):
+    """Who stands where.
+
+    Attributes:
+        worlds: in the suite's order. rollouts, seed: of each. own: the name of the policy that was given.
+        seconds: that it took. partial: it was interrupted: not all worlds that were asked for.
+    """
+
+    reported_by = "analysis.policy_evaluation.leaderboard_report:report"
+    listed = "entries"
+
+    worlds: tuple[Played, ...]
+    rollouts: int
+    seed: int
+    own: str | None
+    seconds: float
+    partial: bool = False
+
+    @cached_property
+    def entries(self) -> tuple[Row, ...]:
+        """Everybody, the first first; then who has not played on all worlds."""
+        names = list(dict.fromkeys(name for played in self.worlds for name in played.rolled))
+        scores = {name: [played.scores[name] for played in self.worlds if name in played.scores] for name in names}
+        mean = {name: np.mean(of, axis=0) for name, of in scores.items() if of}
+        most = max(map(len, scores.values()), default=0)
+        ranked = sorted((name for name in mean if len(scores[name]) == most), key=lambda name: -mean[name].mean())
+        rank = {name: place for place, name in enumerate(ranked, start=1)}
+        order = sorted(names, key=lambda name: rank.get(name, math.inf))
+        return tuple(self._row(name, rank.get(name), mean.get(name), mean[ranked[0]] if ranked else None)
+                     for name in order)  # fmt: skip
+
+    def _row(self, name: str, rank: int | None, mean: NDArray | None, best: NDArray | None) -> Row:
+        played = [one for one in self.worlds if name in one.rolled]
+        coverage = float(np.mean([one.rolled[name].visited.mean() / one.cells for one in played]))
+        unknown = Estimate(math.nan, math.nan, (math.nan, math.nan))
+        return Row(
+            name, rank, len(played), unknown if mean is None else estimate_of(mean),
+            None if rank is None or mean is None or best is None else estimate_of(best - mean),
+            coverage, float(np.mean([one.lost(name) for one in played])), sum(name in one.first for one in played),
+        )  # fmt: skip
+
+
+# Who stands in the table besides the planner: a policy from a file or a function, and plans of other planners.
+
+WANTED = "policy"
+"""What a policy's file is to define."""
+
+
+@dataclass(frozen=True)
+class Own:
+    """A policy of one's own.
+
+    Attributes:
+        name: in the table. said: in errors.
+        given: the function, the planner's `Rule`, or the file that defines one as `policy`.
+        actions: what a function chooses, as of `mrac.env`.
+    """
+
+    name: str
+    said: str
+    given: Callable[..., Any] | Rule | Path
+    actions: Literal["moves", "areas"] = "moves"
+
+    def load(self) -> Callable[..., Any] | Rule:
+        """The function or rule itself. Raises InputError."""
+        return load_policy(self.given) if isinstance(self.given, Path) else self.given
+
+
+def own_of(given: Callable[..., Any] | Rule | str | Path, actions: Literal["moves", "areas"]) -> Own:
+    """The policy that is given, looked at once. Raises InputError."""
+    if isinstance(given, str | Path):
+        load_policy(Path(given))
+        return Own(Path(given).stem, str(given), Path(given), actions)
+    if isinstance(given, Rule):
+        return Own(given.name, given.name, given)
+    if not callable(given):
+        raise UsageError(argument("policy", given), expected="a function of what the robots observe, a Rule, or a file")
+    name = getattr(given, "__name__", type(given).__name__)
+    return Own(name, name, given, actions)
+
+
+def load_policy(path: Path) -> Callable[..., Any] | Rule:
+    """What a Python file defines as `policy`; it may import what lies beside it. Raises InputError."""
+    check_file(path, f"a Python file that defines `{WANTED}`")
+    if str(path.parent.resolve()) not in sys.path:
+        sys.path.append(str(path.parent.resolve()))
+    try:
+        found = runpy.run_path(str(path), run_name=path.stem).get(WANTED)
+    except (Exception, SystemExit) as error:
+        raise UsageError(f"raised {type(error).__name__}: {error}", source=path, expected="a Python file") from error
+    if not (callable(found) or isinstance(found, Rule)):
+        problem = f"defines no `{WANTED}`" if found is None else f"`{WANTED}` is {found!r}"
+        raise UsageError(problem, source=path, expected=f"`def {WANTED}(observations)`, or a planner's Rule")
+    return found
+
+
+def plan_files(plans: Mapping[str, str | Path], names: tuple[str, ...]) -> dict[str, dict[str, Path]]:
+    """By planner and world the files ID.* of the folders. Raises UsageError for a folder that has none of them."""
+    found = {}
+    for planner, folder in plans.items():
+        files = {path.stem: path for path in sorted(Path(folder).glob("*")) if path.stem in names}
+        if not files:
+            raise UsageError(f"no plan of {planner}", source=folder, expected=f"files named {names[0]}.json, ...")
+        found[planner] = files
+    return found
+
+
+def read_foreign(path: Path, world: World) -> Plan:
+    """The plan of another planner, for the robots of the world. Raises PlanError, UsageError."""
+    plan = read_plan(path, world)
+    assert world.starts is not None
+    if sorted(plan.starts.tolist()) != sorted(world.starts.tolist()):
+        problem = f"its robots start at {plan.starts.tolist()[:8]}"
+        raise UsageError(problem, source=path, expected=f"{world.starts.tolist()[:8]}, the starts of {world.source}")
+    return plan
+
+
+# The thirty worlds of the suite, each made from its name alone. They are stable for ever: a test holds their hashes.
+#
+# Random worlds are the paper's (`planner.world.generate`, 25 % obstacles), the n-th of the list of seed FIRST_SEED + n;
+# robots start upper-left. Never change a line of PLACES: add worlds at the end, under new names.
+
+FIRST_SEED = 3201
+HIT = 0.8
+"""Where hazards are there or not: the chance that a visit to one stops the robot; it is there with p / HIT."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """How a world is made.
+
+    Attributes:
+        kind: of its random threats. side: in cells. percent: of all cells that are dangerous.
+        robots: that start. hazard: "": every visit is drawn for itself, else a kind of `with_hazard`.
+    """
+
+    kind: Kind
+    side: int
+    percent: int
+    robots: int
+    hazard: str = ""
+
+    @property
+    def name(self) -> str:
+        """ "scattered-20-15-k4"."""
+        before = f"{self.hazard}-" if self.hazard else ""
+        return f"{before}{self.kind}-{self.side}-{self.percent:02}-k{self.robots}"
+
+    def make(self, seed: int) -> World:
+        """The world, without starts."""
+        world = random_world(self.side, self.side, ThreatPattern(self.kind, seed=seed), threats=self.percent / 100)
+        return with_hazard(world, self.hazard, np.array(world.threat) / HIT, HIT) if self.hazard else world
+
+
+PLACES = (
+    Place("contiguous", 10, 5, 1), Place("contiguous", 10, 15, 1), Place("contiguous", 10, 25, 2),
+    Place("scattered", 10, 5, 2), Place("scattered", 10, 15, 1), Place("scattered", 10, 25, 3),
+    Place("contiguous", 20, 5, 2), Place("contiguous", 20, 15, 8), Place("contiguous", 20, 25, 20),
+    Place("scattered", 20, 5, 4), Place("scattered", 20, 15, 4), Place("scattered", 20, 25, 8),
+    Place("contiguous", 40, 5, 4), Place("contiguous", 40, 15, 12), Place("contiguous", 40, 25, 8),
+    Place("scattered", 40, 5, 8), Place("scattered", 40, 15, 20), Place("scattered", 40, 25, 12),
+    Place("contiguous", 64, 5, 5), Place("contiguous", 64, 15, 10), Place("contiguous", 64, 25, 20),
+    Place("scattered", 64, 5, 10), Place("scattered", 64, 15, 20), Place("scattered", 64, 25, 16),
+    Place("contiguous", 20, 15, 4, "persistent"), Place("scattered", 20, 25, 8, "persistent"),
+    Place("contiguous", 20, 15, 4, "consumed"), Place("scattered", 20, 25, 8, "consumed"),
+)  # fmt: skip
+TERRAIN = {"terrain-k2": 2, "terrain-k8": 8}
+"""The shipped landscape, and robots."""
+SEEDS = {place.name: (place, FIRST_SEED + number) for number, place in enumerate(PLACES)}
+NAMES = (*SEEDS, *TERRAIN)
+
+
+@cache
+def suite_world(name: str) -> World:
+    """The world of that name, with its starts."""
+    if name in TERRAIN:
+        world, robots = load_input(input_path(f"{EXAMPLE}terrain")), TERRAIN[name]
+    else:
+        place, seed = SEEDS[name]
+        world, robots = place.make(seed), place.robots
+    return replace(world.with_starts(place_starts(world, robots)[0]), source=name)
+
+
+def choose(only: str | Sequence[str] | None) -> tuple[str, ...]:
+    """The names, in the suite's order, that are given or that a pattern ("contiguous-10-*") fits; None: all.
+
+    A text may hold several between commas. Raises UsageError for what fits none.
+    """
+    asked = NAMES if only is None else only.split(",") if isinstance(only, str) else only
+    for wanted in asked:
+        if not any(fnmatchcase(name, str(wanted).strip()) for name in NAMES):
+            problem = f"{argument('only')}: no world {wanted!r}"
+            raise UsageError(problem, expected=f"a pattern, or of {', '.join(NAMES)}")
+    return tuple(name for name in NAMES if any(fnmatchcase(name, str(wanted).strip()) for wanted in asked))
+
+
+# Everybody on every world on the same luck: cells visited and robots lost, rollout by rollout.
+
+TIMES = 4
+"""A mission is ended after so many steps for each accessible cell."""
+RESERVE = 0.25
+PER_CELL = Settings(policy="per_cell")
+OURS = {
+    "mrac": (Settings(), "closed"),
+    "mrac, open loop": (Settings(), "open"),
+    "per_cell": (PER_CELL, "closed"),
+    "per_cell+reserve": (replace(PER_CELL, reserve=RESERVE), "closed"),
+}
+"""Those that always stand in the table: settings, and the loop of the same plan."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is played on a world.
+
+    Attributes:
+        rollouts, seed: the same for everybody. own: a policy, or None. plans: files of other planners, by world.
+    """
+
+    rollouts: int
+    seed: int
+    own: Own | None
+    plans: Mapping[str, Mapping[str, Path]]
+
+
+def run_suite(
+    names: tuple[str, ...],
+    own: Own | None,
+    plans: Mapping[str, str | Path],
+    rollouts: int,
+    seed: int,
+    processes: int | None = None,
+    progress: ProgressCallback = quiet,
+) -> Standing:
+    """The table of these worlds; `processes` (None: one a core) changes nothing but the time.
+
+    An interruption leaves the worlds that are done; none: KeyboardInterrupt again. Raises InputError.
+    """
+    RolloutChoices(rollouts=rollouts, seed=seed)
+    if own is not None and own.name in (RANDOM, *OURS):
+        raise UsageError(f"a policy that is called {own.name!r}", source=own.said, expected="a name of its own")
+    asked = Asked(rollouts, seed, own, plan_files(plans, names))
+    wanted = wanted_for(None if own is None else own.given, processes, len(names))
+    begun, found, partial_answer = time.monotonic(), {}, False
+    largest = sorted(names, key=lambda name: -suite_world(name).threat.size)
+    try:
+        for name, played in answers(partial(play, asked), largest, wanted):
+            found[name] = played
+            progress(len(found), len(names), time.monotonic() - begun)
+    except KeyboardInterrupt:
+        if not found:
+            raise
+        partial_answer = True
+    worlds = tuple(found[name] for name in names if name in found)
+    return Standing(worlds, rollouts, seed, None if own is None else own.name, time.monotonic() - begun, partial_answer)
+
+
+def play(asked: Asked, name: str) -> Played:
+    """Everybody on one world. Raises InputError, which names a policy and the world."""
+    world = suite_world(name)
+    assert world.starts is not None
+    cells = int(world.accessible(world.starts).sum())
+    choices = RolloutChoices(rollouts=asked.rollouts, seed=asked.seed, deadline=TIMES * cells)
+    make_env = partial(of_jax("environment"), world, max_steps=TIMES * cells)
+    plans = {planner: read_foreign(files[name], world) for planner, files in asked.plans.items() if name in files}
+    rolled = {} if asked.own is None else {asked.own.name: _own(asked.own, world, make_env, choices)}
+    rolled[RANDOM] = _policy(make_env(), None, choices)
+    for rival, (settings, loop) in OURS.items():
+        rolled[rival] = _plan(world, plan_team(world, world.starts, settings), loop, choices)
+    for planner, plan in plans.items():
+        rolled |= {f"{planner}, {loop} loop": _plan(world, plan, loop, choices) for loop in ("open", "closed")}
+    best = None if world.doubt is not None else optimum(world, world.starts)
+    return Played(name, len(world.starts), cells, most_cells(world, world.starts, flow=True), best, rolled)
+
+
+def _own(own: Own, world: World, make_env: Any, choices: RolloutChoices) -> Rolled:
+    assert world.starts is not None
+    policy = own.load()
+    try:
+        if isinstance(policy, Rule):
+            return _plan(world, plan_team(world, world.starts, Settings(policy=policy)), "closed", choices)
+        return _policy(make_env(actions=own.actions), policy, choices)
+    except InputError as error:
+        raise InputError(f"{own.said} on {world.source}: {error}") from error
+
+
+def _policy(env: Any, policy: Any, choices: RolloutChoices) -> Rolled:
+    visited, lost, _ = roll_policy(env, policy, choices.seed, choices.rollouts)
+    return Rolled(visited, lost)
+
+
+def _plan(world: World, plan: Plan, loop: Any, choices: RolloutChoices) -> Rolled:
+    found = make_singles(world, plan, replace(choices, loop=loop))(0, choices.rollouts)
+    return Rolled(found.visited.astype(np.int64), len(plan.robots) - found.alive.astype(np.int64))
+
+
+# The suite as one object: worlds by name, and `judge`, which plays them.
+
+
+class Suite(Mapping[str, World]):
+    """Named worlds, each made when it is asked for, with its starts."""
+
+    def __init__(self, only: str | Sequence[str] | None = None) -> None:
+        """`only`: as of `choose`. Raises UsageError."""
+        self.names = choose(only)
+
+    def __getitem__(self, name: str) -> World:
+        if name not in self.names:
+            raise KeyError(name)
+        return suite_world(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __repr__(self) -> str:
+        return f"Suite of {counted(len(self), 'world')}: {', '.join(self)}"
+
+    def judge(
+        self,
+        policy: Callable[..., Any] | Rule | str | Path | None = None,
+        *,
+        plans: Mapping[str, str | Path] | None = None,
+        actions: Literal["moves", "areas"] = "moves",
+        rollouts: int = 1000,
+        seed: int = 0,
+        processes: int | None = None,
+        progress: ProgressCallback | bool | None = None,
+        on_interrupt: OnInterrupt = "raise",
+    ) -> Standing:
+        """Everybody on every world on the same luck, in a table with intervals and ranks.
+
+        Args:
+            policy: one's own: a function as of `mrac.judge`, a planner's `Rule`, or a Python file that defines one as
+                `policy`. actions: what a function chooses.
+            plans: by name the folder of another planner's plans, files ID.json as of `read_plan`; each is followed in
+                the open loop, and in the closed one.
+            rollouts, seed: of everybody; every mission ends after 4 steps for each accessible cell.
+            processes: worlds at a time; the figures are the same. None: one a core, where the policy can be imported.
+            progress, on_interrupt: as of `mrac.evaluate`; worlds are counted.
+        """
+        own = None if policy is None else own_of(policy, actions)
+        run = partial(run_suite, self.names, own, plans or {}, rollouts, seed, processes)
+        return ask(lambda tell, doing: run(tell), progress, on_interrupt, "worlds")

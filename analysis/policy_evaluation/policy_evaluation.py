@@ -1,0 +1,237 @@
+"""Rollouts of a policy, of a random walk and of plans on the same luck, and the bound that no strategy exceeds."""
+
+from __future__ import annotations
+
+import math
+import pickle
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.report.answer import Answer, json_end
+from analysis.report.model import KeyFigure, Part, Report
+from analysis.report.searched import asked, map_words, share_figure
+from analysis.sampling import RolloutChoices, make_singles
+from analysis.statistics.differences import Paired, difference
+from analysis.statistics.estimates import Z95, Estimate, mean_estimate
+from analysis.theory.upper_bound import most_cells
+from analysis.utils.notes import ProgressCallback, quiet
+from analysis.utils.pool import answers, wanted_processes
+from analysis.utils.tables import make_table, without_level
+from planner.arguments import argument
+from planner.errors import UsageError
+from planner.files import Json
+from planner.formatting import ceiled, counted, percent
+from planner.plan_team import plan_team
+from planner.rollouts.names import of_jax
+from planner.settings import Choices
+from planner.world.world import World
+
+# Rollouts of a policy: on all cores where Python is asked and the policy can be sent to other processes.
+
+
+def roll_policy(
+    env: Any,
+    policy: Callable[..., Any] | None,
+    seed: int,
+    count: int,
+    processes: int | None = 1,
+    progress: ProgressCallback = quiet,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Cells visited, robots lost, steps, int64 `[count]` each, of rollouts 0 .. count - 1 of the seed.
+
+    The same, however many processes it takes (None: one a core). policy: None for a random walk. Raises InputError.
+    """
+    rolled = of_jax("policy")(env, policy, seed, count)
+    spans, begun = rolled.spans, time.monotonic()
+    wanted = 1 if rolled.compiled else wanted_for(policy, processes, len(spans))
+    found, done = {}, 0
+    for span, ended in answers(rolled, spans, wanted, lambda span: f"rollouts {span[0]} to {span[1] - 1}"):
+        found[span], done = ended, done + span[1] - span[0]
+        progress(done, count, time.monotonic() - begun)
+    visited, lost, steps = (np.concatenate(of) for of in zip(*(found[span] for span in spans), strict=True))
+    return visited, lost, steps
+
+
+def wanted_for(policy: Any, processes: int | None, tasks: int) -> int:
+    """How many processes to use. Raises UsageError where several are asked for a policy that cannot be sent to them."""
+    wanted = wanted_processes(processes, tasks)
+    if wanted == 1 or can_be_sent(policy):
+        return wanted
+    if processes is None:
+        return 1
+    problem = f"{argument('processes', processes)}, but the policy cannot be sent to other processes"
+    raise UsageError(problem, fix="put it into a file that can be imported, or leave it out")
+
+
+def can_be_sent(policy: Any) -> bool:
+    """Whether another process can make it again: no lambda, nor anything of the script or notebook that is run."""
+    try:
+        return b"__main__" not in pickle.dumps(policy)
+    except Exception:
+        return False
+
+
+@dataclass(frozen=True)
+class Beside:
+    """A plan beside the policy.
+
+    Attributes:
+        coverage: its mean, a fraction of the accessible cells. losses: robots lost.
+        ahead: by how much the policy covers more, on common luck.
+    """
+
+    coverage: Estimate
+    losses: Estimate
+    ahead: Estimate
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Judged(Answer):
+    """What a policy is worth on a world.
+
+    Attributes:
+        starts: int64 `[K, 2]`. cells: accessible ones. max_steps: at which every rollout was cut off.
+        coverage, random: mean visited coverage of the policy and of a random walk (of areas: random areas), fractions
+            of the accessible cells. walk: what that is, in words.
+        losses: robots lost. steps: of a rollout.
+        bound: coverage that no strategy exceeds on average, certified.
+        score: (coverage - random) / (bound - random); None where the two do not differ.
+        plans: by policy, those of the planner on the same luck, ended at the same step.
+    """
+
+    reported_by = "analysis.policy_evaluation.policy_evaluation:report"
+
+    world: World
+    starts: NDArray[np.int64]
+    cells: int
+    max_steps: int
+    choices: RolloutChoices
+    coverage: Estimate
+    losses: Estimate
+    steps: Estimate
+    random: Estimate
+    bound: float
+    score: Estimate | None
+    plans: dict[str, Beside]
+    walk: str
+    partial: bool = False
+
+
+def judge(
+    world: World,
+    policy: Callable[..., Any],
+    env: Any,
+    choices: RolloutChoices,
+    against: Iterable[str],
+    processes: int | None = None,
+    progress: ProgressCallback = quiet,
+) -> Judged:
+    """Roll out the policy in the environment `env` of the world, and what stands beside it. Raises InputError."""
+    count, cells, robots = choices.rollouts, env.accessible, env.num_agents
+    plans, until = {}, replace(choices, deadline=env.max_steps)
+    asked = {name: Choices(policy=name).settings(world.team.settings, world.pace, by=world.source) for name in against}
+    rivals = {name: plan_team(world, env.starts, settings, None) for name, settings in asked.items()}
+    visited, lost, steps = roll_policy(env, policy, choices.seed, count, processes, progress)
+    walked = roll_policy(env, None, choices.seed, count)[0]
+    bound = most_cells(world, env.starts) / cells
+    for name, plan in rivals.items():
+        found = make_singles(world, plan, until)(0, count)
+        ahead = difference(Paired.of(found.visited, visited), 1 / cells, 1 / cells, 1.0).estimate
+        plans[name] = Beside(share_of(found.visited, cells), mean_of(robots - found.alive, robots), ahead)
+    scores = scores_of(visited / cells, walked / cells, bound)
+    return Judged(
+        world, env.starts, cells, env.max_steps, choices, share_of(visited, cells), mean_of(lost, robots),
+        mean_of(steps, env.max_steps), share_of(walked, cells), bound, None if scores is None else estimate_of(scores),
+        plans, env.walk,
+    )  # fmt: skip
+
+
+def scores_of(policy: NDArray[np.float64], walk: NDArray[np.float64], bound: float) -> NDArray[np.float64] | None:
+    """(J - J_random) / (bound - J_random) of coverage by rollout `[B]`: its mean is that, and its scatter that of the
+    ratio, by linearisation. None where there is no room above the walk."""
+    room = bound - float(walk.mean())
+    if room <= 0 or len(policy) < 2:
+        return None
+    score = float(policy.mean() - walk.mean()) / room
+    return score + (policy - policy.mean() - (1 - score) * (walk - walk.mean())) / room
+
+
+def estimate_of(values: NDArray[np.float64]) -> Estimate:
+    """The mean of `[B]` with its interval."""
+    mean, se = float(values.mean()), float(values.std(ddof=1)) / math.sqrt(len(values))
+    return Estimate(mean, se, (mean - Z95 * se, mean + Z95 * se))
+
+
+def share_of(visited: NDArray[Any], cells: int) -> Estimate:
+    """Mean coverage, of cells visited by rollout."""
+    return mean_estimate(np.bincount(visited, minlength=cells + 1), 1 / cells)
+
+
+def mean_of(values: NDArray[Any], most: int) -> Estimate:
+    """The mean of whole numbers by rollout."""
+    return mean_estimate(np.bincount(values, minlength=most + 1), 1.0)
+
+
+# What `mrac.judge` says: what the policy covers, its score, and the planner's policies on common random numbers.
+
+
+def report(judged: Judged) -> Report:
+    """What the policy is worth, between a random walk, or random areas, and the bound."""
+    robots = len(judged.starts)
+    score = [] if judged.score is None else [KeyFigure(judged.score.columns(100.0)[0] + " %", "score")]
+    table = make_table(("", "visited, %", "from .. to", "lost", "policy ahead, points"))
+    table.add_row("the policy", *judged.coverage.columns(100.0, 100), judged.losses.columns()[0], "")
+    for name, plan in judged.plans.items():
+        ahead = plan.ahead.said(100)
+        table.add_row(name, *plan.coverage.columns(100.0, 100), plan.losses.columns()[0], ahead)
+    table.add_row(judged.walk, *judged.random.columns(100.0, 100), "", "")
+    table.add_row("no strategy exceeds", ceiled(judged.bound, unit=""), "proven", "", "")
+    score_is = f"score: (policy - {judged.walk}) / (bound - {judged.walk})"
+    note = f"{score_is}; all on common random numbers, ended at the same step"
+    level = "± half the 95 % interval, in brackets its ends"
+    return Report(
+        "policy", "judge", asked(judged.world, robots, "what is the policy worth?"), headline(judged),
+        lambda: _json(judged), figures=[share_figure(judged.coverage, "visited on average"), *score],
+        heading=(map_words(judged.world, judged.cells, robots),
+                 f"{counted(judged.choices.rollouts, 'rollout')}, seed {judged.choices.seed}, at most "
+                 f"{judged.world.pace.steps(judged.max_steps)}"),
+        parts=[Part("Common random numbers", [table], [note, level])], pace=judged.world.pace,
+    )  # fmt: skip
+
+
+def headline(judged: Judged) -> str:
+    """The policy's coverage, the best of the planner's, and the bound."""
+    best = max(judged.plans.items(), key=lambda item: item[1].coverage.mean, default=None)
+    beside = "" if best is None else f"; `{best[0]}`: {percent(best[1].coverage.mean)}"
+    said = "a random walk" if judged.walk == "random walk" else judged.walk
+    walk, bound, covers = percent(judged.random.mean), ceiled(judged.bound, 1), judged.coverage.said(100, " %")
+    return f"It covers {without_level(covers)}{beside}; {said}: {walk}, no strategy more than {bound}."
+
+
+def _json(judged: Judged) -> Json:
+    """Coverage: fractions of the accessible cells."""
+    return {
+        "answer": headline(judged),
+        "robots": len(judged.starts),
+        "starts": judged.starts,
+        "accessible": judged.cells,
+        "rollouts": judged.choices.rollouts,
+        "seed": judged.choices.seed,
+        "max_steps": judged.max_steps,
+        "coverage": judged.coverage,
+        "losses": judged.losses,
+        "steps": judged.steps,
+        "random": judged.random,
+        "bound": judged.bound,
+        "score": judged.score,
+        "plans": {
+            name: {"coverage": plan.coverage, "losses": plan.losses, "ahead": plan.ahead}
+            for name, plan in judged.plans.items()
+        },
+        **json_end(judged),
+    }

@@ -1,1 +1,0 @@
-"""The container: MCAP written, read, scanned and mended."""

@@ -1,1 +1,0 @@
-"""A recording drawn: a picture of a run, an animation."""

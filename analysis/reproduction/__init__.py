@@ -1,1 +1,0 @@
-"""The answer of `reproduce`: which statements of the paper hold?"""

@@ -1,0 +1,554 @@
+"""What `mrac-jax starts` says: the best starts, how much they are worth, and the other places."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import yaml
+from rich.table import Table
+
+from analysis.report.model import CellMaps, KeyFigure, Part, Report
+from analysis.report.searched import (
+    asked,
+    luck_words,
+    map_words,
+    run_again,
+    search_end,
+    share_figure,
+    sourced,
+    team_figure,
+)
+from analysis.search.start_positions import Place, Starts
+from analysis.search.threat_placement import Attack, Placed
+from analysis.search.threat_removal import Clearing, Gain, Threat, Weighed, by_cell
+from analysis.statistics.estimates import between, losses_said, of_all
+from analysis.utils.folder import json_text
+from analysis.utils.tables import make_table, without_level
+from planner.arguments import exactly
+from planner.files import Json
+from planner.formatting import chance, counted, percent
+from planner.world.scenario import said
+
+STARTS_SHOWN = 10
+"""Places in the table; the JSON object holds all."""
+
+
+def starts_report(starts: Starts) -> Report:
+    """Where to start, on the map; the places that were simulated; the plan from the best."""
+    choices, robots, maps = starts.choices, len(starts.starts), lambda: _starts_maps(starts)
+    all_of_all = len(starts.candidates) * choices.rollouts
+    share = f", {percent(starts.rolled / all_of_all)} of simulating every one in full" if starts.depot else ""
+    return Report(
+        "starts", "starts", asked(starts.world, robots, "where to start?"),
+        starts_headline(starts), lambda: _starts_json(starts), list(starts_findings(starts)),
+        _starts_key_figures(starts),
+        heading=(
+            f"{map_words(starts.world, starts.cells, robots)}; {'one depot' if starts.depot else 'a start each'}",
+            f"{counted(len(starts.candidates), 'candidate')}, {counted(len(starts.simulated), 'place')} simulated, "
+            + luck_words(starts.world, choices, starts.engine, f"{counted(starts.rolled, 'rollout')}, "
+                         f"{choices.rollouts:,} of the last two{share}; "),
+        ),
+        picture=maps, parts=[Part("Places", [_starts_table(starts)], _starts_footnotes(starts))], notes=starts.notes,
+        settings=starts.settings.shown(starts.world.pace), pace=starts.world.pace, pictures={"starts.png": maps},
+        files={"plan.json": lambda: json_text(starts.plan().to_json(), compact=True)},
+    )  # fmt: skip
+
+
+def starts_headline(starts: Starts) -> str:
+    """Where to start, what is covered from there, and how much more that is than now. Figures of fresh rollouts."""
+    robots, best = counted(len(starts.starts), "robot"), starts.places[starts.best]
+    if starts.partial:
+        return f"Interrupted. Best found so far for {robots}: {best.at}."
+    shown = starts.confirmed.counted if starts.confirmed is not None else None
+    covered = "" if shown is None else f"{percent(shown.mean)} {starts.covered} on average" + " (exact)" * starts.exact
+    if starts.stay and not starts.depot:
+        return f"Stay: nothing found is surely better than {standing_words(starts)}: {covered}."
+    what = f"Best depot found for {robots}: {best.at}, {covered}" if starts.depot else f"Start at {best.at}: {covered}"
+    if starts.gain is None:
+        where = " They stand there now: stay." if starts.best == starts.here else ""
+        return f"{what}.{where}"
+    if starts.stay:
+        return f"{what}; that is not surely better than {standing_words(starts)}: stay, unless it has to be a depot."
+    return f"{what}, {without_level(starts.gain.said(100, ' points'))} more than from {standing_words(starts)}."
+
+
+def standing_words(starts: Starts) -> str:
+    """Where the team stands if nobody says otherwise."""
+    named = starts.world.starts is not None and len(starts.world.starts) >= len(starts.starts)
+    return "the starts of the input" if named else f"the default starts ({starts.world.team.start})"
+
+
+def starts_findings(starts: Starts) -> Iterator[str]:
+    """How sure that is, and how much starts matter here."""
+    again = starts.confirmed
+    if again is not None and again.coverage is not None and again.losses is not None:
+        worth = "" if again.value is None else f"{again.value.said(100, ' %')} of the value and "
+        cells = "" if again.value is None else " of the cells"
+        covered = f"{worth}{again.coverage.said(100, ' %')}{cells} covered"
+        yield sourced(
+            again.rollouts, without_level(f"{covered}, {losses_said(again.losses, len(starts.starts))} lost.")
+        )
+    best = starts.places[starts.best]
+    if starts.gain is not None and starts.stay:
+        low, high = (100 * end for end in starts.gain.ci95)
+        mean = f"{100 * starts.gain.mean:+.2f} points ({'exact' if low == high else f'{between(low, high)}, 95 %'})"
+        yield f"The best {'depot' if starts.depot else 'other place'} found, {best.at}, against it: {mean}."
+    others = [place for place in starts.simulated if place is not best]
+    if others:
+        worst = min((p.counted.mean for p in others if p.counted), default=0.0)
+        number = counted(len(others), "other place")
+        said = f"No significant difference from the {number} simulated"
+        if starts.beaten:
+            of_all = "the" if starts.beaten == len(others) else f"{starts.beaten} of the"
+            said = f"It surely beats {of_all} {number} simulated"
+        of_value = "" if starts.world.value is None else " of the value"
+        how = "exact" if starts.exact else "95 %, all together"
+        yield f"{said} ({how}); the worst covers {percent(worst)}{of_value}."
+    if starts.words:
+        yield f"run it: {command_of(starts)}"
+
+
+def command_of(starts: Starts) -> str:
+    """The command that evaluates the best starts as they were here."""
+    at = ";".join(f"{row},{col}" for row, col in starts.starts.tolist())
+    deadline = starts.choices.deadline
+    ends = [] if deadline is None else ["--deadline", str(deadline)]
+    return run_again(starts.words, ["--starts", at, *ends], starts.choices, exact=starts.exact)
+
+
+def _starts_key_figures(starts: Starts) -> list[KeyFigure]:
+    out, again = list[KeyFigure](), starts.confirmed
+    if again is not None and again.counted is not None and again.losses is not None:
+        name = "visited on average" if again.value is None else "of the value visited"
+        fresh = "" if starts.exact else ", fresh rollouts"
+        out = [share_figure(again.counted, name, fresh), team_figure(again.losses, len(starts.starts))]
+    if starts.gain is not None:
+        low, high = (100 * end for end in starts.gain.ci95)
+        note = f"{'exact' if low == high else between(low, high)}, against {standing_words(starts)}"
+        out.append(KeyFigure(f"{100 * starts.gain.mean:+.2f} points", "best found", note))
+    how = "" if starts.exact else ", all together with 95 %"
+    others = f"of {counted(len(starts.simulated) - 1, 'other')} simulated{how}"
+    return [*out, KeyFigure(f"{starts.beaten}", "surely beaten", others)]
+
+
+def _starts_maps(starts: Starts) -> CellMaps:
+    """Coverage by depot where it was simulated, and threats."""
+    from matplotlib.colors import Normalize
+
+    from analysis.page.maps import CellLayer
+    from analysis.pictures.style import COVERED, THREAT
+
+    world = starts.world
+    threat = np.nan_to_num(np.where(world.accessible(starts.starts), world.threat, 0.0).astype(np.float64))
+    layers = [CellLayer("Threat", "Chance that one visit of the cell stops the robot.", threat, THREAT, "%", digits=2)]
+    if starts.depot:
+        covered, known = np.zeros(world.shape), [place for place in starts.simulated if place.counted is not None]
+        for place in known:
+            covered[tuple(place.starts[0])] = place.counted.mean if place.counted else 0.0
+        low, high = covered[covered > 0].min(initial=1.0), covered.max()
+        about = f"Share {starts.covered} on average if all robots start in the cell; 0 where that was not simulated."
+        layers.insert(0, CellLayer("Coverage by depot", about, covered, COVERED, "%", digits=2, short="Depots",
+                                   norm=Normalize(low, high if high > low else low + 0.01), discs=True,
+                                   labels=tuple(np.linspace(low, high, 4 if high > low else 1))))  # fmt: skip
+    return CellMaps(world, starts.starts, layers)
+
+
+def _starts_table(starts: Starts) -> Table:
+    """What was simulated, the best first."""
+    valued = starts.world.value is not None
+    columns = ("starts", "bound", "one robot", *["value, %", "from .. to"] * valued, "visited, %", "from .. to", "lost",
+               "behind, points", "rollouts", "")  # fmt: skip
+    dropped = ("one robot", "bound", "rollouts", "lost")
+    title = "Simulated on common random numbers, the best first"
+    table = make_table(columns, title, left=("starts", ""), dropped=dropped, padding=(0, 1, 0, 0))
+    now = [place for place in starts.simulated[STARTS_SHOWN:] if place.now]
+    for place in (*starts.simulated[:STARTS_SHOWN], *now):
+        alone = "" if place.one_robot is None else f"{place.one_robot:.1f}"
+        figures: tuple[str, ...] = ("",) * (5 if valued else 3)
+        if place.coverage is not None and place.losses is not None:
+            worth = () if place.value is None else place.value.columns(100.0, 100)
+            figures = (*worth, *place.coverage.columns(100.0, 100), of_all(place.losses.mean, len(starts.starts)))
+        behind = ""
+        if place.behind is not None:
+            low, high = (100 * end for end in place.behind)
+            behind = f"{low:.2f}" if low == high else between(low, high, 1)
+        marks = ["best"] * (place is starts.places[starts.best]) + ["now"] * place.now
+        at = place.at.replace(", ", ",")
+        table.add_row(
+            at,
+            f"{place.screen:.1f}",
+            alone,
+            *figures,
+            behind,
+            f"{place.rollouts:,}" if place.rollouts else "",
+            ", ".join(marks),
+        )
+    return table
+
+
+def _starts_footnotes(starts: Starts) -> list[str]:
+    counts = "cells" if starts.world.value is None else "value"
+    more = len(starts.simulated) - STARTS_SHOWN
+    return [
+        f"bound: {counts} that no strategy exceeds on average, by the chance to reach each; one robot: eq. (4), "
+        f"{counts} of one robot's plan."
+        + " ±: half the 95 % interval, in brackets its ends; behind: all of these intervals hold together with 95 %; "
+        "places put aside early have few rollouts." * (not starts.exact),
+        *([f"The JSON object has {counted(more, 'further place')}."] if more > 0 else []),
+    ]
+
+
+def _starts_json(starts: Starts) -> Json:
+    """Coverage: fractions of the accessible cells, `value`: of all value.
+
+    What is told of the starts themselves is of fresh rollouts, unless it was interrupted.
+    """
+    again, here = starts.confirmed, None if starts.here is None else starts.places[starts.here]
+    shown = starts.chosen if again is None else again
+    confirmed = None
+    if again is not None:
+        confirmed = {"coverage": again.coverage, "losses": again.losses, **_value(again),
+                     "first_rollout": starts.choices.rollouts}  # fmt: skip
+    return {
+        "starts": starts.starts,
+        "depot": starts.depot,
+        "coverage": shown.coverage,
+        **_value(shown),
+        "stay": starts.stay,
+        "gain": starts.gain,
+        "now": None if here is None else _place_json(here, False),
+        "confirmed": confirmed,
+        "candidates": [_place_json(place, starts.depot) for place in starts.places],
+        "command": command_of(starts) if starts.words else None,
+        "rolled": starts.rolled,
+        **search_end(starts),
+    }
+
+
+def _value(place: Place) -> Json:
+    return {} if place.value is None else {"value": place.value}
+
+
+def _place_json(place: Place, depot: bool) -> Json:
+    told = {name: getattr(place, name) for name in ("screen", "one_robot", "coverage", "losses", "behind", "rollouts")}
+    return {"starts": place.starts[:1] if depot else place.starts, **told, **_value(place)}
+
+
+# What `mrac-jax clear` says: what to clear, what that wins, all threats on the map and in figures.
+
+KINDS = {"areas": "connected areas of danger", "sources": "polygons, points and sites of the scenario"}
+KINDS_OF_GAIN = {"cells": "Cells", "of value": "Value"}
+CLEAR_SHOWN = 12
+"""Threats in the table; the JSON object holds all."""
+
+
+def clear_report(clearing: Clearing) -> Report:
+    """What to clear first, with the map of gains; every threat."""
+    choices, robots = clearing.choices, len(clearing.starts)
+    return Report(
+        "clear", "clear", asked(clearing.world, robots, "what to clear first?"), clear_headline(clearing),
+        lambda: _clear_json(clearing), list(clear_findings(clearing)), _clear_key_figures(clearing),
+        heading=(
+            f"{map_words(clearing.world, clearing.cells, robots)}, {counted(len(clearing.options), 'threat')} "
+            f"({KINDS[clearing.remove]})",
+            luck_words(clearing.world, choices, clearing.engine,
+                       f"{counted(choices.rollouts, 'rollout')} of the last two, the same ids for all; "),
+        ),
+        picture=lambda: _clear_maps(clearing), parts=[Part("Threats", [_clear_table(clearing)],
+        _clear_footnotes(clearing))],
+        notes=clearing.notes, settings=clearing.settings.shown(clearing.world.pace), pace=clearing.world.pace,
+        pictures={"clear.png": lambda: _clear_maps(clearing, 0), "risk_paid.png": lambda: _clear_maps(clearing, 2)},
+    )  # fmt: skip
+
+
+def clear_headline(clearing: Clearing) -> str:
+    """What to clear first, and what it is worth on fresh rollouts."""
+    picks, gain = clearing.picks, clearing.gain
+    first = f"Best found to clear first: {place_words(clearing, picks[0])}"
+    if gain is None:
+        return f"Interrupted. {first}: {_more(clearing, clearing.turns[0].picked.known)}, on what chose it."
+    if len(picks) > 1:
+        first = f"Best found to clear, in this order: {', '.join(threat.name for threat in picks)}"
+    return f"{first}: {_more(clearing, gain)} on average, after replanning."
+
+
+def place_words(clearing: Clearing, threat: Threat) -> str:
+    """A threat by name, size, chance and place."""
+    row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
+    most = "" if threat.thing is None else "at most "
+    at = f"{'' if len(threat.cells) == 1 else 'from '}row {row}, column {col}"
+    return f"{threat.name} ({counted(len(threat.cells), 'cell')}, {most}p = {chance(threat.p)}, {at})"
+
+
+def _clear_said(clearing: Clearing, gain: Gain | None) -> str:
+    return "" if gain is None else gain.counted.said(unit=f" {clearing.unit}")
+
+
+def _more(clearing: Clearing, gain: Gain | None) -> str:
+    return "" if gain is None else gain.counted.more(unit=f" {clearing.unit}")
+
+
+def clear_findings(clearing: Clearing) -> Iterator[str]:
+    """How sure that is, what the old plan wins, and what the picks add."""
+    first, gain = clearing.turns[0], clearing.gain
+    if gain is not None:
+        yield sourced(gain.rollouts, f"after replanning, {gain.said('more')}.")
+    yield first.certainty("worth more")
+    unknown = first.best_unknown
+    most, own = (_clear_said(clearing, one.unknown) for one in (unknown, first.picked))
+    then = "" if unknown is first.picked else f"; {first.picked.threat.name} is worth {own} then"
+    yield f"With the old plan {unknown.threat.name} is worth most to clear: {most}{then}."
+    for turn in clearing.turns[1:]:
+        gained = _more(clearing, turn.picked.known)
+        yield f"Then {place_words(clearing, turn.picked.threat)}: {gained} than without it."
+
+
+def _clear_key_figures(clearing: Clearing) -> list[KeyFigure]:
+    gain, first, unit, out = clearing.gain, clearing.turns[0], clearing.unit, list[KeyFigure]()
+    if gain is not None:
+        mean, interval = gain.counted.columns()
+        fresh = ", fresh rollouts" if gain.rollouts else ""
+        out.append(KeyFigure(f"{mean} {unit}", "won after replanning", f"{interval}{fresh}"))
+    unknown = first.best_unknown
+    return [
+        *out,
+        KeyFigure(f"{unknown.unknown.counted.mean:.1f} {unit}", "most with the old plan", unknown.threat.name),
+        KeyFigure(f"{len(clearing.options)}", "threats", f"{len(first.simulated)} planned for anew"),
+    ]
+
+
+def _clear_maps(clearing: Clearing, only: int | None = None) -> CellMaps:
+    """Gains after replanning and with the old plan, and where risk is paid, cell by cell; `only` one of them."""
+    from analysis.page.maps import CellLayer
+    from analysis.pictures.style import COVERED, LOSSES
+
+    options, shape = clearing.options, clearing.world.shape
+    known, unknown = by_cell(options, shape, lambda one: one.known), by_cell(options, shape, lambda one: one.unknown)
+    won = f"{KINDS_OF_GAIN[clearing.unit]} won"
+    paid = "What one percent of threat more in a cell would cost, open loop, same paths. No advice on what to clear."
+    layers = [
+        CellLayer(f"{won}, replanned", "By clearing the threat that the cell is in; planned anew.", known, COVERED,
+                  short="Replanned"),
+        CellLayer(f"{won}, old plan", "By clearing the threat; they do as before.", unknown, COVERED,
+                  short="Old plan"),
+        CellLayer("Where risk is paid", paid, np.maximum(clearing.risk_paid, 0.0), LOSSES, root=True, blocks="sum",
+                  short="Risk paid"),
+    ]  # fmt: skip
+    ranked = [one.threat for one in _ranked(clearing)] if only == 0 else []
+    parts = [(threat.name, threat.cells, threat in clearing.picks) for threat in ranked]
+    return CellMaps(clearing.world, clearing.starts, layers if only is None else layers[only : only + 1], parts)
+
+
+def _clear_table(clearing: Clearing) -> Table:
+    """Every threat as the first to be cleared, the best first."""
+    areas = clearing.remove == "areas"
+    columns = ("threat", *["at"] * areas, "cells", "p, %", "lost in it", "bound", "replanned", "from .. to",
+               "old plan", "from .. to", "rollouts")  # fmt: skip
+    title = f"{KINDS_OF_GAIN[clearing.unit]} won on average by clearing one threat"
+    dropped = ("rollouts", "bound", "lost in it", *["at"] * areas, "from .. to")
+    table = make_table(columns, title, left=("threat", "at"), dropped=dropped, padding=(0, 1, 0, 0))
+    for one in _ranked(clearing)[:CLEAR_SHOWN]:
+        threat, known = one.threat, one.known
+        row, col = divmod(int(threat.cells[0]), clearing.world.shape[1])
+        told = ("", "", "") if known is None else (*_columns(known), f"{known.rollouts:,}" if known.rollouts else "")
+        table.add_row(threat.name, *[f"{row},{col}"] * areas, f"{len(threat.cells)}",
+                      chance(threat.p, unit=""), f"{one.hits:.3f}", f"{one.screen:.2f}", *told[:2],
+                      *_columns(one.unknown), told[2])  # fmt: skip
+    return table
+
+
+def _columns(gain: Gain) -> tuple[str, str]:
+    return gain.counted.columns()
+
+
+def _ranked(clearing: Clearing) -> list[Weighed]:
+    rest = [one for one in clearing.options if one.known is None]
+    return [*clearing.turns[0].simulated, *sorted(rest, key=lambda one: -(one.screen or 0.0))]
+
+
+def _clear_footnotes(clearing: Clearing) -> list[str]:
+    lines = [
+        "replanned: on the map without it. old plan: robots do as before, and nobody is stopped there. "
+        "from .. to: 95 % intervals, each by itself.",
+        "bound: how much the bound for every strategy rises. lost in it: robots a run, as things are.",
+    ]
+    if len(clearing.options) > CLEAR_SHOWN:
+        lines.append(f"The JSON object has {counted(len(clearing.options) - CLEAR_SHOWN, 'further threat')}.")
+    if clearing.remove == "sources":
+        lines.append("p: the largest of the threat alone; where others overlap it, theirs stays.")
+    return lines
+
+
+def _clear_json(clearing: Clearing) -> Json:
+    """Gains in cells, and in value where there is any."""
+    gain = clearing.gain
+    return {
+        "remove": clearing.remove,
+        "threats": [_clear_threat_json(one) for one in clearing.options],
+        "pick": [threat.name for threat in clearing.picks],
+        "gain": None if gain is None else gain.cells.to_json() | {"first_rollout": clearing.choices.rollouts},
+        **({} if gain is None or gain.value is None else {"value_gain": gain.value}),
+        "robots_gain": None if gain is None else gain.robots,
+        "turns": [
+            {"name": turn.picked.threat.name, "known": turn.picked.known, "unknown": turn.picked.unknown}
+            for turn in clearing.turns
+        ],
+        **search_end(clearing),
+    }
+
+
+def _clear_threat_json(one: Weighed) -> Json:
+    threat, told = one.threat, {name: getattr(one, name) for name in ("screen", "hits", "known", "unknown", "behind")}
+    return {"name": threat.name, "cells": threat.cells, "p": float(exactly(round(threat.p, 9))), **told}
+
+
+# What `mrac-jax attack` says: the worst places, what they cost robots of both kinds, every cell on the map.
+
+ATTACK_SHOWN = 12
+"""Cells in the table; the JSON object holds all."""
+KNOWN, HIDDEN = "robots that know", "robots that do not know"
+
+
+def attack_report(attack: Attack) -> Report:
+    """The worst places, with the maps of what a threat costs in each cell."""
+    choices, robots, cells = attack.choices, len(attack.starts), counted(len(attack.turn.options), "cell")
+    threats = f"{counted(len(attack.known.threats), 'threat')} of {chance(attack.p)}"
+    hidden = len(attack.hidden.threats) > 0  # none: it was interrupted before
+    return Report(
+        "attack", "attack", asked(attack.world, robots, "where would a threat cost most?"), attack_headline(attack),
+        lambda: _attack_json(attack), list(attack_findings(attack)), _attack_key_figures(attack),
+        heading=(
+            f"{map_words(attack.world, attack.cells, robots)}; {threats}, {cells} looked at",
+            luck_words(attack.world, choices, attack.engine,
+                       f"{counted(choices.rollouts, 'rollout')} of the last two, the same ids for all; "),
+        ),
+        picture=lambda: _attack_maps(attack), parts=[Part("Cells", [_attack_table(attack)], _attack_footnotes(attack))],
+        notes=attack.notes, settings=attack.settings.shown(attack.world.pace), pace=attack.world.pace,
+        pictures={"attack.png": lambda: _attack_maps(attack, 0)}
+        | ({"hidden.png": lambda: _attack_maps(attack, 1)} if hidden else {}),
+        files={"known.npz": attack.known_world.to_bytes}
+        | ({"hidden.npz": attack.hidden_world.to_bytes} if hidden else {})
+        | ({} if attack.settings.own_words else {"known.yaml": lambda: _scenario(attack)}),
+    )  # fmt: skip
+
+
+def _scenario(attack: Attack) -> bytes:
+    """The team on the map with the threats that it knows of."""
+    team = said({"starts": attack.starts.tolist()}, attack.settings, attack.world.pace)
+    return yaml.safe_dump({"map": {"file": "known.npz"}} | team, sort_keys=False).encode()
+
+
+def attack_headline(attack: Attack) -> str:
+    """The worst places for both kinds of robot, and what they cost on fresh rollouts."""
+    known, hidden = attack.known, attack.hidden
+    if known.known is None or hidden.hidden is None:
+        return f"Interrupted. Worst found so far for {KNOWN}: {_at(known.threats)}."
+    return (
+        f"Worst found for {KNOWN}: {_at(known.threats)}, {_fewer(attack, known.known)} on average; "
+        f"for {HIDDEN}: {_at(hidden.threats)}, {_fewer(attack, hidden.hidden)}."
+    )
+
+
+def _at(threats: tuple[Threat, ...]) -> str:
+    return ", ".join(threat.name.removeprefix("cell ") for threat in threats)
+
+
+def _attack_said(attack: Attack, gain: Gain) -> str:
+    return gain.counted.said(unit=f" {attack.unit}")
+
+
+def _fewer(attack: Attack, gain: Gain) -> str:
+    return gain.counted.more(unit=f" {attack.unit}", words=("fewer", "more"))
+
+
+def attack_findings(attack: Attack) -> Iterator[str]:
+    """What both cost in cells and robots, what it is worth to know, and how sure the worst cell is."""
+    for placed, own, kind in ((attack.known, attack.known.known, KNOWN), (attack.hidden, attack.hidden.hidden, HIDDEN)):
+        if own is not None:
+            yield sourced(own.rollouts, f"{_at(placed.threats)} against {kind}: {own.said('fewer')}.")
+    known, hidden = attack.known.hidden, attack.hidden.known
+    if known is not None and hidden is not None:
+        yield (
+            f"The other way round: {_at(attack.known.threats)} would cost {HIDDEN} {_attack_said(attack, known)}, "
+            f"and {_at(attack.hidden.threats)} {KNOWN} {_attack_said(attack, hidden)}."
+        )
+    yield f"A single threat costs {KNOWN} most in {attack.turn.picked.threat.name}. {attack.turn.certainty('worse')}"
+
+
+def _attack_key_figures(attack: Attack) -> list[KeyFigure]:
+    return [
+        KeyFigure(f"{gain.counted.columns()[0]} {attack.unit}", f"lost by {kind}", gain.counted.columns()[1])
+        for gain, kind in ((attack.known.known, KNOWN), (attack.hidden.hidden, HIDDEN))
+        if gain is not None
+    ]
+
+
+def _attack_maps(attack: Attack, only: int | None = None) -> CellMaps:
+    """What one threat in each cell costs both kinds; `only` one of them, with the worst places outlined."""
+    from analysis.page.maps import CellLayer
+    from analysis.pictures.style import LOSSES
+
+    options, shape = attack.turn.options, attack.world.shape
+    lost = "Value lost" if attack.world.value is not None else "Cells lost"
+    known = np.maximum(by_cell(options, shape, lambda one: one.known), 0.0)
+    hidden = np.maximum(by_cell(options, shape, lambda one: one.unknown), 0.0)
+    layers = [
+        CellLayer(f"{lost}, {KNOWN}", f"By one threat of {chance(attack.p)} in the cell; planned anew.", known,
+                  LOSSES, short="Known"),
+        CellLayer(f"{lost}, {HIDDEN}", "By the same threat; they do as before.", hidden, LOSSES, short="Hidden"),
+    ]  # fmt: skip
+    placed = (attack.known, attack.hidden)[only or 0].threats
+    parts = [] if only is None else [(threat.name.removeprefix("cell "), threat.cells, True) for threat in placed]
+    return CellMaps(attack.world, attack.starts, layers if only is None else layers[only : only + 1], parts)
+
+
+def _attack_table(attack: Attack) -> Table:
+    """The worst cells for one threat."""
+    columns = ("cell", "p there, %", "bound", "known", "from .. to", "hidden", "from .. to", "rollouts")
+    title = f"{'Cells' if attack.world.value is None else 'Value'} lost on average by one threat"
+    table = make_table(columns, title, left=("cell",), dropped=("rollouts", "bound", "from .. to"))
+    for one in attack.turn.simulated[:ATTACK_SHOWN]:
+        if one.known is not None:
+            there = float(attack.world.threat.reshape(-1)[one.threat.cells[0]])
+            bound = "" if one.screen is None else f"{one.screen:.2f}"
+            rolled = f"{one.known.rollouts:,}" if one.known.rollouts else ""
+            table.add_row(one.threat.name.removeprefix("cell "), chance(there, unit=""), bound,
+                          *one.known.counted.columns(), *one.unknown.counted.columns(), rolled)  # fmt: skip
+    return table
+
+
+def _attack_footnotes(attack: Attack) -> list[str]:
+    return [
+        "known: on the map with it, planned anew. hidden: robots do as before. "
+        "from .. to: 95 % intervals, each by itself.",
+        *(["bound: how much the bound for every strategy falls."] if attack.turn.picked.screen is not None else []),
+    ]
+
+
+def _attack_json(attack: Attack) -> Json:
+    """What threats cost in cells, and in value where there is any."""
+    return {
+        "p": attack.p,
+        "known": _placed_json(attack, attack.known),
+        "hidden": _placed_json(attack, attack.hidden),
+        "threats": [_attack_threat_json(attack, one) for one in attack.turn.options],
+        **search_end(attack),
+    }
+
+
+def _placed_json(attack: Attack, placed: Placed) -> Json:
+    return {
+        "cells": [_place(attack, threat) for threat in placed.threats],
+        "loss": {"known": placed.known, "hidden": placed.hidden},
+        "first_rollout": attack.choices.rollouts,
+    }
+
+
+def _place(attack: Attack, threat: Threat) -> list[int]:
+    return list(divmod(int(threat.cells[0]), attack.world.shape[1]))
+
+
+def _attack_threat_json(attack: Attack, one: Weighed) -> Json:
+    told = {name: getattr(one, name) for name in ("screen", "known", "behind")}
+    return {"cell": _place(attack, one.threat), "hidden": one.unknown, **told}

@@ -1,0 +1,569 @@
+"""What `mrac-jax size` says: the smallest team that is enough, the curve over the teams, a row for each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+from math import ceil
+
+from rich.table import Table
+
+from analysis.page.charts import Chart, Series
+from analysis.report.answer import json_end
+from analysis.report.model import KeyFigure, Part, Report
+from analysis.report.searched import (
+    asked,
+    luck_words,
+    map_words,
+    run_again,
+    search_end,
+    share_figure,
+    sourced,
+    team_figure,
+)
+from analysis.search.pareto import LANDMARKS, Front, Point, Setting, settings_of
+from analysis.search.team_size import TeamPoint, TeamSize, TeamVerdict
+from analysis.statistics.estimates import ALPHA, Estimate, between, losses_said, of_all
+from analysis.utils.folder import json_text
+from analysis.utils.tables import make_table, without_level
+from planner.arguments import argument
+from planner.files import Json
+from planner.formatting import ceiled, chance, counted, floored, in_percent, percent
+
+
+def size_report(size: TeamSize) -> Report:
+    """How many robots are enough, with the curve that decides; every team."""
+    world, chart = size.world, _size_chart(size)
+    return Report(
+        "size", "size", f"{world.name}: how many robots for {_aim(size)}?", size_headline(size),
+        lambda: _size_json(size), figures=_size_key_figures(size),
+        heading=(f"{map_words(world, size.cells)}, so the target is {size.needed} of them",
+                 f"{size.choices.loop} loop, {luck_words(world, size.choices, size.engine)}"),
+        picture=lambda: chart, parts=[Part("Teams", [_table(size)], _footnotes(size))], notes=size.notes,
+        settings=size.settings.shown(world.pace), pace=world.pace, pictures={"size.png": lambda: [chart]},
+    )  # fmt: skip
+
+
+def size_headline(size: TeamSize) -> str:
+    """The answer in one sentence."""
+    if size.partial:
+        return f"Interrupted before the answer: {_so_far(size)}."
+    undecided, goal = size.of(TeamVerdict.UNDECIDED), size.goal
+    if size.robots is None:
+        most = f"No team of up to {counted(len(size.starts), 'robot')} "
+        if size.passed_over:
+            most = f"No team that was looked at, up to {counted(len(size.starts), 'robot')}, "
+        if undecided:
+            return f"{most}is shown to be enough for {_aim(size)}: {_listed(undecided)} undecided{_after(size)}."
+        last = size.points[-1]
+        if last.verdict is TeamVerdict.IMPOSSIBLE:
+            best = last.ideal_coverage if goal.confidence is None else last.ideal_chance
+            ideal = f"the ideal of {last.robots} {'covers' if goal.confidence is None else 'has a chance of'}"
+            return f"{most}can reach {_aim(size)}, whatever the strategy: {ideal} {_of(best)}."
+        return f"{most}is enough for {_aim(size)}: with {last.robots}, {_figure(size, last)}."
+    found = _figure(size, size.confirmed or size.point(size.robots))
+    if undecided:
+        are = f"{_listed(undecided)} {'is' if len(undecided) == 1 else 'are'} undecided{_after(size)}"
+        return f"{_listed([*undecided, size.robots], 'or')} robots: with {size.robots}, {found}; {are}."
+    rest = "; not every smaller team was looked at" if size.passed_over else ""
+    are = "robot is" if size.robots == 1 else "robots are"
+    return f"{size.robots:,} {are} enough: {found}{rest}."
+
+
+def _deciding(size: TeamSize, point: TeamPoint) -> Estimate:
+    estimate = point.coverage if size.goal.confidence is None else point.chance
+    assert estimate is not None
+    return estimate
+
+
+def _figure(size: TeamSize, point: TeamPoint) -> str:
+    """The deciding figure of a team that was rolled out, with its 95 % interval."""
+    estimate = _deciding(size, point)
+    low, high = estimate.ci95
+    sure = "exact" if low == high else f"95 % interval {between(100 * low, 100 * high, 2, 100)}"
+    sure += ", fresh rollouts" if point is size.confirmed else ""
+    if size.goal.confidence is None:
+        what = f"of the accessible cells {size.goal.meaning} on average"
+    else:
+        what = f"chance of {_share(size)} {size.goal.meaning}"
+    return f"{_of(estimate.mean)} {what}{_by(size)} ({sure})"
+
+
+def _aim(size: TeamSize) -> str:
+    """What was asked for."""
+    goal = size.goal
+    if goal.confidence is None:
+        return f"{_of(goal.target)} of the accessible cells {goal.meaning} on average{_by(size)}"
+    return f"a chance of {_of(goal.confidence)} for {_share(size)} {goal.meaning}{_by(size)}"
+
+
+def _by(size: TeamSize) -> str:
+    end = size.deadline
+    return "" if end is None else f" by step {end}{size.world.pace.also(end)}"
+
+
+def _share(size: TeamSize) -> str:
+    if size.goal.target == 1:
+        return "every accessible cell"
+    return f"at least {chance(size.goal.target, 12)} of the accessible cells"
+
+
+def _so_far(size: TeamSize) -> str:
+    enough = [point.robots for point in size.points if point.verdict is TeamVerdict.ENOUGH]
+    short = [p.robots for p in size.points if p.verdict in (TeamVerdict.NOT_ENOUGH, TeamVerdict.IMPOSSIBLE)]
+    known = [f"{counted(min(enough), 'robot')} are enough"] if enough else []
+    known += [f"{_listed(short)} not enough"] if short else []
+    return f"for {_aim(size)}, {', '.join(known)}" if known else f"nothing is decided yet on {_aim(size)}"
+
+
+def _of(fraction: float) -> str:
+    """A fraction in percent, in the digits that somebody gave, or four; one that is not 1 is not rounded to it."""
+    return chance(fraction, 4)
+
+
+def _after(size: TeamSize) -> str:
+    """How long the undecided ones were looked at."""
+    most = max(point.rollouts for point in size.points if point.verdict is TeamVerdict.UNDECIDED)
+    return f" after {counted(most, 'rollout')}"
+
+
+def _listed(numbers: Sequence[int], last: str = "and") -> str:
+    """Whole numbers in words: "7", "7 and 8", "1 to 6 and 9"."""
+    parts = []
+    for _, group in groupby(enumerate(numbers), lambda pair: pair[1] - pair[0]):
+        run = [number for _, number in group]
+        parts += [f"{run[0]} to {run[-1]}"] if len(run) > 2 else [str(number) for number in run]
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}"
+
+
+def _size_key_figures(size: TeamSize) -> list[KeyFigure]:
+    if size.robots is None:
+        return []
+    point = size.confirmed or size.point(size.robots)
+    fresh = ", fresh rollouts" if point is size.confirmed else ""
+    name = f"{size.goal.meaning} on average" if size.goal.confidence is None else f"chance of {_target(size)}"
+    undecided = size.of(TeamVerdict.UNDECIDED)
+    note = f"{_listed(undecided)} undecided" if undecided else ""
+    out = [KeyFigure(counted(size.robots, "robot"), "enough", note), share_figure(_deciding(size, point), name, fresh)]
+    if point.alive is not None:
+        alive, interval = point.alive.columns()
+        out.append(KeyFigure(f"{alive} of {size.robots}", "robots alive at the end", interval))
+    return out
+
+
+def _target(size: TeamSize) -> str:
+    return "every cell" if size.goal.target == 1 else f"{chance(size.goal.target, 12)} or more"
+
+
+def _size_chart(size: TeamSize) -> Chart:
+    """Both figures over the teams with their intervals, what no strategy exceeds, what is wanted, the answer."""
+    goal, by_chance = size.goal, size.goal.confidence is not None
+    rolled = [point for point in size.points if point.coverage]
+    unsure = [point for point in rolled if point.verdict is TeamVerdict.UNDECIDED]
+    ideals = [100 * (point.ideal_chance if by_chance else point.ideal_coverage) for point in size.points]
+    curves = [
+        Series.of(f"expected coverage ({goal.meaning})", _sizes(rolled), [p.coverage for p in rolled if p.coverage]),
+        Series.of(f"chance of {_target(size)}", _sizes(rolled), [p.chance for p in rolled if p.chance]),
+        Series(f"ideal of the team: no {'chance' if by_chance else 'mean coverage'} is above it", _sizes(size.points),
+               ideals, dashed=True),
+        Series.of("undecided", _sizes(unsure), [_deciding(size, point) for point in unsure], kind="points"),
+    ]  # fmt: skip
+    wanted = f"{'wanted chance' if by_chance else 'target'}: {chance(goal.wanted, 12)}"
+    enough = () if size.robots is None else ((size.robots, f"enough: {size.robots}"),)
+    return Chart(
+        _title(size), tuple(curves), "robots", f"{goal.meaning}, and chance of {_target(size)}, %",
+        unit="%", digits=2, y_range=(0, 100), at_x=enough, at_y=((100 * goal.wanted, wanted),),
+    )  # fmt: skip
+
+
+def _sizes(points: Sequence[TeamPoint]) -> list[int]:
+    return [point.robots for point in points]
+
+
+def _title(size: TeamSize) -> str:
+    aim = f"{chance(size.goal.target, 12)} expected coverage"
+    if size.goal.confidence is not None:
+        aim = f"a {chance(size.goal.confidence, 12)} chance of {_target(size)}"
+    undecided = size.of(TeamVerdict.UNDECIDED)
+    if size.partial:
+        return f"Interrupted: robots for {aim}"
+    if size.robots is None:
+        return f"No team of up to {len(size.starts)} shown to be enough for {aim}"
+    also = "".join(f"{k} or " for k in undecided) if len(undecided) < 4 else "at most "
+    return f"{also}{counted(size.robots, 'robot')} for {aim}"
+
+
+def _table(size: TeamSize) -> Table:
+    value = ["value"] * (size.world.value is not None)
+    pace, minutes = size.world.pace, ["minutes"] * bool(size.world.pace)
+    figures = (size.goal.meaning, "interval", "chance", "interval")
+    names = ("robots", *figures, *value, "time", *minutes, "alive", "verdict")
+    table = make_table(names, left=("verdict",), dropped=("time", "alive"), padding=(0, 1, 0, 0))
+    ruled_out = [point for point in size.points if point.verdict is TeamVerdict.IMPOSSIBLE]
+    if ruled_out:
+        best = ruled_out[-1]
+        sizes = "1" if len(ruled_out) == 1 else f"1..{best.robots}"
+        most = (f"<= {ceiled(of, unit='')}" for of in (best.ideal_coverage, best.ideal_chance))
+        below = (next(most), "", next(most), "")
+        table.add_row(sizes, *below, *("" for _ in (*value, *minutes)), "", "", str(best.verdict))
+    for point in size.points:
+        if point.coverage and point.chance and point.time and point.alive:
+            cells = (*point.coverage.columns(100.0, 100), *point.chance.columns(100.0, 100))
+            worth = [in_percent(point.value.mean, 2) if point.value else "" for _ in value]
+            times = [f"{pace.minutes * point.time.mean:,.1f}" for _ in minutes]
+            others = (*worth, f"{point.time.mean:.0f}", *times, of_all(point.alive.mean, point.robots))
+            table.add_row(str(point.robots), *cells, *others, str(point.verdict))
+    return table
+
+
+def _footnotes(size: TeamSize) -> list[str]:
+    """What the columns are, how the verdicts were come to, and what was not looked at."""
+    figure = "coverage" if size.goal.confidence is None else "chance"
+    rolled = [point.rollouts for point in size.points if point.rollouts]
+    lines = []
+    if any(point.coverage for point in size.points):
+        both = "both in %, with 95 % intervals" if rolled else "both in %"
+        lines.append(
+            f"{size.goal.meaning}: expected coverage; chance: of {_share(size)}; {both}. time: steps; alive: robots at "
+            "the end."
+        )
+    if rolled:
+        often = (f"{min(rolled):,} to " if min(rolled) < max(rolled) else "") + counted(max(rolled), "rollout")
+        lines.append(
+            f"{often} a team. The verdicts are on the {figure}, and hold together "
+            f"with {100 * (1 - ALPHA):g} % confidence."
+        )
+    if size.of(TeamVerdict.UNDECIDED) and size.choices.precision is None and not size.partial:
+        lines.append(f"undecided: more than {argument('rollouts', size.choices.rollouts)} may tell.")
+    if size.of(TeamVerdict.IMPOSSIBLE):
+        what = "on average exceeds" if size.goal.confidence is None else "has a chance above"
+        lines.append(f"impossible: no strategy of so many robots {what} the value after the <=.")
+    if size.passed_over and not size.partial:
+        what = "they are not enough if coverage grows with the team" if size.robots else "they may be enough"
+        lines.append(f"Not looked at: {_listed(size.passed_over)} robots; {what}.")
+    if size.world.value is not None:
+        lines.append("value: expected share of the value of all free cells, in %; the target is of cells.")
+    return lines
+
+
+def _size_json(size: TeamSize) -> Json:
+    """Undefined values are None, coverage values fractions of the accessible cells."""
+    goal, choices, world = size.goal, size.choices, size.world
+    dangerous = world.accessible(size.starts) & (world.threat > 0)
+    return {
+        "target": goal.target,
+        "confidence": goal.confidence,
+        "complete": goal.complete,
+        "meaning": goal.meaning,
+        "most": goal.most,
+        "deadline": size.deadline,
+        "robots": size.robots,
+        "starts": None if size.robots is None else size.starts[: size.robots],
+        "undecided": size.of(TeamVerdict.UNDECIDED),
+        "not_looked_at": size.passed_over,
+        "curve": [_size_point_json(point) for point in size.points],
+        "confirmed": None if size.confirmed is None else _size_point_json(size.confirmed),
+        "cells": {
+            "total": world.threat.size,
+            "free": int(world.free.sum()),
+            "accessible": size.cells,
+            "dangerous": int(dangerous.sum()),
+            "needed": size.needed,
+        },
+        "seed": choices.seed,
+        "loop": choices.loop,
+        "mode": choices.drawn,
+        "luck": choices.luck,
+        "engine": size.engine or None,
+        **json_end(size, size.notes),
+    }
+
+
+def _size_point_json(point: TeamPoint) -> Json:
+    told = {name: getattr(point, name) for name in ("coverage", "chance", "time", "alive", "rollouts")}
+    return {
+        "robots": point.robots,
+        "verdict": str(point.verdict),
+        **told,
+        "verdict_interval": point.interval,
+        "exact": point.exact,
+        "ideal": {"coverage": point.ideal_coverage, "chance": point.ideal_chance},
+        **({} if point.value is None else {"value": point.value}),
+    }
+
+
+# What `mrac-jax front` says: the pick, or the prices of coverage; every setting, as curves and in figures.
+
+TITLES = {
+    "mrac": "mrac, ended early",
+    "per_cell": "per_cell, ended early",
+    "reserve": "per_cell with reserve",
+    "worth": "per_cell with worth",
+}
+PRICED = {
+    ("mrac",): TITLES["mrac"],
+    ("per_cell",): TITLES["per_cell"],
+    ("reserve", "worth"): "per_cell with reserve or worth",
+}
+"""Columns of the table of prices, by the families in them."""
+PICK = "the pick"
+
+
+def front_report(front: Front) -> Report:
+    """What coverage costs, in robots and in steps; the plan of the pick."""
+    choices, robots, picked = front.choices, len(front.starts), front.picked
+    over_losses, over_time = _front_chart(front, "losses"), _front_chart(front, "time")
+    prices = _prices(front)
+    settings = settings_of(front.settings, Setting("mrac")).shown(front.world.pace)
+    return Report(
+        "front", "front", asked(front.world, robots, "what does coverage cost?"), front_headline(front),
+        lambda: _front_json(front), pick_lines(front), _front_key_figures(front),
+        heading=(
+            f"{map_words(front.world, front.cells, robots)}; {counted(len(front.points), 'setting')}, "
+            + luck_words(front.world, choices, front.engine,
+                         f"on the same {counted(choices.rollouts, 'rollout')} each, "),
+        ),
+        picture=lambda: over_losses,
+        parts=[
+            Part("Prices and settings", [_points(front) if front.goal else prices], [_footnote(front)],
+                 whole=[prices, _points(front, whole=True)]),
+            Part("What coverage costs in steps", drawn=lambda: [over_time]),
+        ],
+        notes=front.notes,
+        settings={name: value for name, value in settings.items() if name not in ("policy", "reserve", "worth")},
+        pictures={"front.png": lambda: [over_losses, over_time]}, pace=front.world.pace,
+        files={} if picked is None
+        else {"plan.json": lambda: json_text(front.plan_of(picked).to_json(), compact=True)},
+    )  # fmt: skip
+
+
+def front_headline(front: Front) -> str:
+    """Coverage and losses in one sentence, by fresh rollouts; `pick_lines` names the settings.
+
+    Of the pick; or of the settings that cost next to no robot, are the best bargain, and cover most.
+    """
+    if front.partial:
+        return f"Interrupted after {counted(len(front.points), 'setting')}."
+    if front.goal:
+        return _picked(front)
+    said = [f"{_percent(point)} and lose {_lost(front, point)}" for point in front.priced]
+    listed = said[0] if len(said) == 1 else f"{', '.join(said[:-1])}{',' * (len(said) > 2)} or {said[-1]}"
+    return f"{_team(front)} can cover {listed}, on average{_exact(front.priced)}."
+
+
+def _team(front: Front) -> str:
+    return counted(len(front.starts), "robot")
+
+
+def _exact(points: Sequence[Point]) -> str:
+    return " (exact)" * all(point.exact for point in points)
+
+
+def _picked(front: Front) -> str:
+    goal, again = front.goal, front.confirmed
+    by_losses = goal.losses is not None
+    limit = f"{chance(goal.target or 0, 12)} or more covered on average"
+    if by_losses:
+        limit = f"at most {goal.losses:g} of {_team(front)} lost on average"
+    if again is not None:
+        can = f"{_team(front)} can cover {_percent(again)} and lose {_lost(front, again)}, on average"
+        return f"{can}{_exact([again])}; asked for was {limit.removesuffix(' on average')}."
+    if goal.pick([point.figures for point in front.points]) is not None:
+        other = "more" if by_losses else "less"
+        return (
+            f"No setting is sure to have {limit} (confidence 0.95): ask for a little {other}, or --rollouts for more."
+        )
+    if by_losses:
+        least = min(front.points, key=lambda one: (one.losses.mean, -one.coverage.mean))
+        fewest = of_all(least.losses.mean, len(front.starts))
+        return f"No setting has {limit}: the fewest are {fewest}, with {_named(front, least)}."
+    most = max(front.points, key=lambda one: one.coverage.mean)
+    return f"No setting has {limit}: the most is {_percent(most)}, with {_named(front, most)}."
+
+
+def _named(front: Front, point: Point) -> str:
+    return point.setting.said(front.world.pace)
+
+
+def _percent(point: Point) -> str:
+    return percent(point.coverage.mean)
+
+
+def _lost(front: Front, point: Point) -> str:
+    return losses_said(point.losses, len(front.starts), mean_only=True)
+
+
+def _told(front: Front) -> list[Point]:
+    """The settings that the headline speaks of, on fresh rollouts."""
+    return list(front.priced) if front.confirmed is None else [front.confirmed]
+
+
+def pick_lines(front: Front) -> list[str]:
+    """Which settings the headline speaks of, how sure their figures are, and how to have them again."""
+    told, again = _told(front), front.confirmed
+    lines = [f"{_named(front, point)}: {_fresh(front, point)}{_exact([point])}." for point in told]
+    if again is not None:
+        found = sourced(not again.exact, f"{_fresh(front, again)}.")
+        lines = [f"Best setting found: {_named(front, again)}. {found}", _kept(front, again)]
+    if front.tried > 1 and again is not None:
+        place = {2: "second", 3: "third"}.get(front.tried, f"{front.tried}th")
+        lines.append(f"It is the {place} that was tried there; the confidence holds with all tries.")
+    home = front.settings.return_to is not None
+    if front.words and told:
+        point = told[(len(told) - 1) // 2]
+        lines.append(f"run it: {command_of(front, point)}")
+    if again is not None and again.setting.deadline is not None:
+        end = again.setting.deadline
+        then = "robots turn so as to be home by then" if home else "bring the team home then"
+        lines.append(f"The mission ends at {front.world.pace.step(end)}, and so does its plan: {then}.")
+    return lines
+
+
+def _kept(front: Front, again: Point) -> str:
+    """How sure it is that the pick keeps the limit."""
+    if again.exact:
+        return "The limit is kept: these figures are exact."
+    bound = f"{floored(again.least, 2)} or more is covered"
+    if front.goal.losses is not None:
+        bound = f"{ceil(100 * again.most) / 100:.2f} robots or fewer are lost"
+    return f"The limit is kept with confidence 0.95: on average {bound}."
+
+
+def _fresh(front: Front, point: Point) -> str:
+    said = f"{point.coverage.said(100, ' %')} covered, {losses_said(point.losses, len(front.starts))} lost"
+    return without_level(said).replace(" (exact)", "")
+
+
+def command_of(front: Front, point: Point) -> str:
+    """The command that evaluates a point, on other luck where that was sampled."""
+    closed = [] if front.settings.plan_for == "closed" else ["--plan-for", "closed"]
+    how = ["--plan", front.plan_file] if front.plan_file else [*closed, *point.setting.options()]
+    return run_again(front.words, how, front.choices, exact=point.exact)
+
+
+def _front_key_figures(front: Front) -> list[KeyFigure]:
+    again = front.confirmed
+    if again is None:
+        return [
+            share_figure(point.coverage, f"costs {_lost(front, point)}", f", {_named(front, point)}")
+            for point in front.priced
+        ]
+    steps = again.time.mean
+    return [
+        share_figure(again.coverage, "visited on average", "" if again.exact else ", fresh rollouts"),
+        team_figure(again.losses, len(front.starts)),
+        KeyFigure(front.world.pace.steps(steps), "mean time", _named(front, again)),
+    ]
+
+
+def _front_chart(front: Front, which: str) -> Chart:
+    """Coverage over robots lost, or over steps: a curve for each family through its settings, the pick as a mark."""
+    goal, robots = front.goal, which == "losses"
+    least = min(front.points[place].coverage.mean for place in _cheap(front))  # below it nothing is worth a look
+    seen = [point for point in front.points if point.coverage.mean >= least]
+    shown = [(name, [p for p in seen if p.setting.family == family]) for family, name in TITLES.items()]
+    shown.append((PICK, [] if front.picked is None else [front.picked]))
+    limit = ((goal.losses, f"at most {goal.losses:g} lost"),) if robots and goal.losses is not None else ()
+    return Chart(
+        title="What coverage costs in robots" if robots else "What coverage costs in steps",
+        series=tuple(
+            Series.of(
+                name,
+                [getattr(point, which).mean for point in points],
+                [point.coverage for point in points],
+                kind="points" if name == PICK else "line",
+            )
+            for name, points in shown
+            if points
+        ),
+        x_name="robots lost on average" if robots else f"steps on average{front.world.pace.each}",
+        y_name="visited, % of the accessible cells",
+        unit="%",
+        digits=2,
+        x_digits=2 if robots else 0,
+        x_whole=not robots,
+        y_range=(0, 100),
+        fit=True,
+        at_x=limit,
+        at_y=() if goal.target is None else ((100 * goal.target, f"{chance(goal.target, 12)} wanted"),),
+        note="Farther up and to the left is better. Press a name to hide a curve.",
+    )
+
+
+def _prices(front: Front) -> Table:
+    """The fewest robots lost for so much coverage."""
+    table = make_table(("covered, % or more", *PRICED.values()), "Fewest robots lost on average", left=())
+    for mark in LANDMARKS:
+        found = [front.cheapest(mark, *families) for families in PRICED]
+        if any(found):
+            table.add_row(f"{100 * mark:g}", *("" if one is None else _price(front, one) for one in found))
+    return table
+
+
+def _price(front: Front, point: Point) -> str:
+    setting, step = point.setting, front.world.pace.step
+    at = ", ".join(f"{name} {value:g}" for name, value in setting.limits.items())
+    lost = of_all(point.losses.mean, len(front.starts))
+    return f"{lost} ({at or ('whole' if setting.deadline is None else step(setting.deadline))})"
+
+
+def _points(front: Front, whole: bool = False) -> Table:
+    """The settings that no other covers as much as with as few robots lost, and the pick; `whole`: all of them."""
+    valued, pace = front.world.value is not None, front.world.pace
+    columns = ("policy", "reserve", "worth", "ends at", "visited, %", "from .. to", *["value, %"] * valued, "lost",
+               "from .. to", "steps", *["minutes"] * bool(pace), "")  # fmt: skip
+    title = "All settings" if whole else "What coverage costs in robots"
+    dropped = ("steps", "from .. to", "from .. to")
+    table = make_table(columns, title, left=("policy", ""), dropped=dropped, padding=(0, 1, 0, 0))
+    shown = range(len(front.points)) if whole else sorted(_cheap(front), key=lambda at: front.points[at].losses.mean)
+    for place in shown:
+        point, setting = front.points[place], front.points[place].setting
+        limits = ("" if value is None else f"{value:g}" for value in (setting.reserve, setting.worth))
+        end = "" if setting.deadline is None else f"{setting.deadline:,}{pace.also(setting.deadline)}"
+        worth = () if point.value is None else (in_percent(point.value.mean, 2),)
+        times = (f"{point.time.mean:,.0f}", *[f"{pace.minutes * point.time.mean:,.1f}"] * bool(pace))
+        figures = (*point.coverage.columns(100.0, 100), *worth, *point.losses.columns(), *times)
+        mark = "pick" if place == front.pick else "efficient" if whole and front.efficient[place] else ""
+        table.add_row(setting.policy, *limits, end, *figures, mark)
+    return table
+
+
+def _cheap(front: Front) -> list[int]:
+    """The places of what no other covers as much as with as few lost, and of the pick."""
+    return [place for place, cheap in enumerate(front.cheap) if cheap or place == front.pick]
+
+
+def _footnote(front: Front) -> str:
+    settings, luck = counted(len(front.points), "setting"), ", common random numbers" if front.engine else ""
+    if front.goal:
+        of = f"{len(_cheap(front))} of {settings}"
+        return f"{of}: no other covers as much with as few lost{luck}. --out and --json have all."
+    flatters = (
+        "A price is that of the cheapest of many settings on the rollouts that chose it, so it flatters a little. "
+    )
+    return f"{flatters * bool(front.engine)}All {settings}: --out, --json. --losses or --target pick one."
+
+
+def _front_json(front: Front) -> Json:
+    """Coverage values are fractions of the accessible cells."""
+    again, sure = front.confirmed, Json()
+    if again is not None:
+        bound = again.most if front.goal.losses is not None else again.least
+        sure = {"first_rollout": front.choices.rollouts, "bound": bound, "tried": front.tried}
+    return {
+        "points": [
+            _front_point_json(point) | {"efficient": best}
+            for point, best in zip(front.points, front.efficient, strict=True)
+        ],
+        "pick": front.pick,
+        "asked": {"losses": front.goal.losses, "target": front.goal.target},
+        "confirmed": None if again is None else _front_point_json(again) | sure,
+        "fresh": [_front_point_json(point) | {"first_rollout": front.choices.rollouts} for point in front.priced],
+        "command": command_of(front, again) if again is not None and front.words else None,
+        **search_end(front),
+    }
+
+
+def _front_point_json(point: Point) -> Json:
+    figures = {name: getattr(point, name) for name in ("coverage", "losses", "time")}
+    return point.setting._asdict() | figures | ({} if point.value is None else {"value": point.value})

@@ -1,1 +1,0 @@
-"""The answer of `check --worlds`: how often does each formula hold on random maps?"""

@@ -1,0 +1,570 @@
+"""The store: tallies of runs by aligned block of 4,096 rollout ids, in one file that survives being killed.
+
+A run is found by its key (`cases.run_key`), so that whoever wants it again finds it, whatever the sweep. Blocks only
+grow: a part of a block that is there already is never counted twice, and stores merge by union.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+import time
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import reduce
+from itertools import islice
+from operator import add
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from analysis.sweeps.cases import Label, RunResult, canonical
+from analysis.sweeps.store_files import Ranges, add_sums, joined, pack, rows_of, sums_of, unpack, without
+from planner.errors import InputError
+from planner.files import Json, printable, why_no_file
+from planner.formatting import counted
+from planner.ids import BLOCK
+from planner.tally import Tally
+
+# Opening a store's file: SQLite in WAL mode, made, checked, versioned; what SQLite says when it cannot, in our words.
+#
+# Crash-safe: a transaction is there whole or not at all, whenever the process is killed. Two processes may write at
+# once:
+# each waits for the other's transaction. Power cut: in WAL mode with `synchronous = NORMAL` the file is whole, and
+# holds
+# all but the last transactions. A flipped bit: rows carry checksums of their own, since SQLite has none, and SQLite's
+# check of the whole structure (`integrity_check`: no row is missing from an index or the table) is run whenever a store
+# is opened, at 1.6 s of CPU a gigabyte: little beside what reading its runs takes.
+
+MARK = 0x4D524143
+"""SQLite's application id of a store: "MRAC" in ASCII."""
+VERSION = 1
+"""Of the tables below."""
+BUSY_SECONDS = 60.0
+"""How long a transaction waits for another process's."""
+TABLES = """
+CREATE TABLE runs (
+    key TEXT PRIMARY KEY, identity TEXT NOT NULL, what TEXT NOT NULL, facts TEXT NOT NULL, checksum INTEGER NOT NULL
+);
+CREATE TABLE blocks (
+    key TEXT NOT NULL, block INTEGER NOT NULL, ids TEXT NOT NULL, sums TEXT NOT NULL, tally BLOB NOT NULL,
+    checksum INTEGER NOT NULL, PRIMARY KEY (key, block)
+);
+"""
+
+
+class StoreError(InputError):
+    """A store that cannot be read or written; nothing that it held before is lost."""
+
+
+def open_file(path: Path, *, write: bool, whole: bool = True) -> sqlite3.Connection:
+    """A connection to the store at `path`; a new one is made if `write` and there is none. Raises StoreError.
+
+    `whole`: its structure is checked too: pages, tables and indexes must agree, or rows may be missing.
+    """
+    problem = why_no_file(path)
+    if problem and (problem != "no such file" or not write or path.is_symlink()):
+        raise StoreError(problem, source=printable(path), expected="a store (`mrac-jax sweep` makes one)")
+    if problem and not path.parent.is_dir():
+        fix = f"make {printable(path.parent)} first"
+        raise StoreError("cannot be made: its folder does not exist", source=printable(path), fix=fix)
+    with told(path, write=write):
+        connection = _connect(path, "mode=rwc") if write else _readable(path)
+        try:
+            if write:
+                _prepare(connection, path)
+            found = str(connection.execute("PRAGMA integrity_check(1)").fetchone()[0]) if whole else "ok"
+            if found != "ok":
+                raise damaged(path, found.replace("*** in database main ***", ""))
+            if write:
+                with transaction(connection):  # a file that cannot be written says so now
+                    connection.execute("PRAGMA user_version").fetchone()
+                    connection.execute(f"PRAGMA user_version = {VERSION}")
+        except BaseException:
+            connection.close()
+            raise
+    return connection
+
+
+def _connect(path: Path, parameters: str) -> sqlite3.Connection:
+    address = f"file:{quote(os.fsencode(path.absolute()))}?{parameters}"
+    connection = sqlite3.connect(address, uri=True, isolation_level=None, timeout=BUSY_SECONDS)
+    connection.text_factory = _text
+    return connection
+
+
+def _text(data: bytes) -> str:
+    """Text of a row, damaged or not: its checksum tells."""
+    return data.decode("utf-8", "surrogateescape")
+
+
+def _readable(path: Path) -> sqlite3.Connection:
+    connection = _connect(path, "mode=rw")  # who may write clears away SQLite's -wal and -shm when it is the last
+    try:
+        connection.execute("PRAGMA query_only = ON")
+        _check(connection, path)
+    except sqlite3.OperationalError:  # a folder or a disk that cannot be written has no room for SQLite's index of WAL
+        connection.close()
+        if path.with_name(path.name + "-wal").exists():
+            raise
+        connection = _connect(path, "mode=ro&immutable=1")
+        _check(connection, path)
+    return connection
+
+
+def _prepare(connection: sqlite3.Connection, path: Path) -> None:
+    if _is_new(connection):
+        _make(connection)
+    _check(connection, path)
+    wal = connection.execute("PRAGMA journal_mode").fetchone()[0] == "wal"
+    connection.execute(f"PRAGMA synchronous = {'NORMAL' if wal else 'FULL'}")  # without WAL less is not safe
+
+
+def _is_new(connection: sqlite3.Connection) -> bool:
+    """True for a file without a table and without a mark: it was made a moment ago, or its maker was killed."""
+    mark = connection.execute("PRAGMA application_id").fetchone()[0]
+    tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
+    return mark == 0 and tables == 0
+
+
+def _make(connection: sqlite3.Connection) -> None:
+    patience = time.monotonic() + BUSY_SECONDS
+    while True:
+        try:  # another process may be making it too; SQLite does not wait here by itself
+            connection.execute("PRAGMA journal_mode = WAL")
+            break
+        except sqlite3.OperationalError as error:
+            if not _is_busy(error) or time.monotonic() > patience:
+                raise
+            time.sleep(0.02)
+    with transaction(connection):
+        if _is_new(connection):
+            for statement in TABLES.split(";"):
+                connection.execute(statement)
+            connection.execute(f"PRAGMA application_id = {MARK}")
+            connection.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def _check(connection: sqlite3.Connection, path: Path) -> None:
+    mark = connection.execute("PRAGMA application_id").fetchone()[0]
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if mark != MARK:
+        what = "is empty" if _is_new(connection) else "is a database of another program"
+        raise StoreError(what, source=printable(path), expected="a store (`mrac-jax sweep` makes one)")
+    if version > VERSION:
+        raise StoreError(
+            f"is a store of version {version}, of a newer mrac-jax",
+            source=printable(path),
+            expected=f"version {VERSION} at most",
+            fix="update mrac-jax, or use another store",
+        )
+    if version < 1:
+        raise damaged(path, f"version {version}")
+    found = {" ".join(str(sql).split()) for (sql,) in connection.execute("SELECT sql FROM sqlite_master")}
+    wanted = {" ".join(statement.split()) for statement in TABLES.split(";")} - {""}
+    if not wanted <= found:
+        raise damaged(path, "other tables")
+
+
+@contextmanager
+def transaction(connection: sqlite3.Connection) -> Iterator[None]:
+    """All or nothing, alone: other writers wait until it is over."""
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+        connection.execute("COMMIT")
+    except BaseException:
+        if connection.in_transaction:
+            with suppress(sqlite3.Error):
+                connection.execute("ROLLBACK")
+        raise
+
+
+@contextmanager
+def told(path: Path | None, *, write: bool = True) -> Iterator[None]:
+    """SQLite's errors as StoreErrors that name the file, what is wrong and what to do."""
+    try:
+        yield
+    except UnicodeDecodeError as error:  # of SQLite's own message, which cites what it cannot read
+        raise damaged(path, "text that is no UTF-8") from error
+    except sqlite3.DatabaseError as error:
+        source = printable(path) if path else "store"
+        code = getattr(error, "sqlite_errorname", "") or ""
+        text = str(error)
+        if code.startswith("SQLITE_NOTADB"):
+            raise StoreError("is no store", source=source, expected="a file that `mrac-jax sweep` made") from error
+        if code.startswith("SQLITE_CORRUPT") or "malformed" in text:
+            raise damaged(path, text) from error
+        if code.startswith(("SQLITE_FULL", "SQLITE_IOERR")):
+            fix = "make room on the disk and run the same command again: what it held is still there"
+            raise StoreError(f"cannot be {'written' if write else 'read'} ({text})", source=source, fix=fix) from error
+        if code.startswith(("SQLITE_READONLY", "SQLITE_CANTOPEN")):
+            expected = f"a file {'and a folder to write to' if write else 'that can be read'}"
+            raise StoreError(
+                f"cannot be {'written' if write else 'opened'} ({text})", source=source, expected=expected
+            ) from error
+        if _is_busy(error):
+            expected = "a store that others leave alone for a moment"
+            raise StoreError(
+                f"another process held it for {BUSY_SECONDS:g} s", source=source, expected=expected
+            ) from error
+        if code == "SQLITE_ERROR" and "no such" in text:
+            raise damaged(path, text) from error
+        raise StoreError(f"cannot be used ({text})", source=source) from error
+
+
+def damaged(path: Path | None, what: str) -> StoreError:
+    """The error for a store whose bytes are not those that were written."""
+    fix = "save what is intact: mrac-jax results NEW --merge THIS"
+    what = " ".join(what.split())[:120]
+    return StoreError(f"is damaged ({what})", source=printable(path) if path else "store", fix=fix)
+
+
+def checksum(*parts: object) -> int:
+    """crc32 of a row's columns."""
+    total = 0
+    for part in parts:
+        data = part if isinstance(part, bytes) else str(part).encode("utf-8", "surrogateescape")
+        total = zlib.crc32(data + b"\0", total)
+    return total
+
+
+def _is_busy(error: sqlite3.Error) -> bool:
+    return (getattr(error, "sqlite_errorname", "") or "").startswith(("SQLITE_BUSY", "SQLITE_LOCKED"))
+
+
+MERGED = 256
+"""Runs of another store that are taken over in one transaction."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run as the store knows it.
+
+    Attributes:
+        key: `cases.run_key`. what: the labels that it is found by. facts: `tasks.facts_of`.
+        ids: the rollouts held. sums: `packed.sums_of` over them; None without any.
+    """
+
+    key: str
+    what: dict[str, Label]
+    facts: Json
+    ids: Ranges
+    sums: Json | None
+
+    @property
+    def rollouts(self) -> int:
+        """How many rollouts it holds."""
+        return sum(stop - start for start, stop in self.ids)
+
+
+class Store:
+    """Runs and their tallies. Only one thread of a process uses a store; several processes may use one file."""
+
+    def __init__(self, connection: sqlite3.Connection, path: Path | None, problem: str = "") -> None:
+        """Use `Store.open` or `Store.rescue`. `problem`: what is wrong with the file's structure."""
+        self._connection, self.path, self.problem = connection, path, problem
+
+    @classmethod
+    def open(cls, path: str | Path, *, write: bool = True) -> Store:
+        """The store in this file; with `write` it is made if there is none. Raises StoreError."""
+        return cls(open_file(Path(path), write=write), Path(path))
+
+    @classmethod
+    def rescue(cls, path: str | Path) -> Store:
+        """The store in this file, to be merged into another: whatever is still intact of it. Raises StoreError."""
+        try:
+            return cls.open(path, write=False)
+        except StoreError as error:
+            try:
+                connection = open_file(Path(path), write=False, whole=False)
+                return cls(connection, Path(path), f"{error.source}: {error.problem}")
+            except StoreError as again:
+                fix = "take an older copy, or run the sweep again into another store"
+                raise StoreError(again.problem, source=again.source, expected=again.expected, fix=fix) from error
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._connection.close()
+
+    def forget(self, keys: Iterable[str]) -> None:
+        """Nobody asks for these runs again: a file keeps them."""
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _rows(self, query: str, *values: object) -> list[tuple[Any, ...]]:
+        with told(self.path, write=False):
+            return self._connection.execute(query, values).fetchall()
+
+    def __len__(self) -> int:
+        """How many runs it holds."""
+        return int(self._rows("SELECT count(*) FROM runs")[0][0])
+
+    def held(self, key: str) -> Ranges:
+        """The rollout ids of a run that are here: sorted, disjoint, not touching."""
+        return joined(pair for ids, _ in self._parts(key) for pair in ids)
+
+    def missing(self, key: str, start: int, stop: int) -> Ranges:
+        """The ids of `start .. stop - 1` of a run that are not here."""
+        return without(((start, stop),) if start < stop else (), self.held(key))
+
+    def tally(self, key: str) -> Tally | None:
+        """Everything that is held of a run, or None. Raises StoreError for a damaged block."""
+        tallies = [self._tally(row) for row in self._rows(f"{_BLOCKS} WHERE key = ? ORDER BY block", key)]
+        return reduce(add, tallies) if tallies else None
+
+    def run(self, key: str) -> Run | None:
+        """A run, or None."""
+        rows = self._rows(f"{_RUNS} WHERE key = ?", key)
+        return self._run(rows[0]) if rows else None
+
+    def runs(self) -> Iterator[Run]:
+        """All runs, in the order in which they were added."""
+        with told(self.path, write=False):
+            for row in self._connection.execute(f"{_RUNS} ORDER BY rowid"):
+                yield self._run(row)
+
+    def labels(self) -> Iterator[dict[str, Label]]:
+        """The labels of all runs."""
+        with told(self.path, write=False):
+            for row in self._connection.execute(_RUNS):
+                yield self._said(row)[0]
+
+    def label(self, key: str, what: Mapping[str, Label]) -> None:
+        """Let a run be found by these labels too; those that it has stay as they are."""
+        for row in self._rows(f"{_RUNS} WHERE key = ?", key):
+            if not what.keys() <= self._said(row)[0].keys():
+                with told(self.path), transaction(self._connection):
+                    self._add_run(key, row[1], dict(what), {})
+
+    def add(self, results: Iterable[RunResult]) -> dict[str, Ranges]:
+        """Keep results, in one transaction. Returns the ids that could not be: of parts that overlap what is here.
+
+        A part that is here already is left as it is, one that holds all that is here replaces it; of two that overlap
+        otherwise (two processes at once) the larger is kept, and the ids of the other are to be run again. Raises
+        StoreError if the file cannot be written (then nothing of it is), or if the same ids have other counts.
+        """
+        lost: dict[str, Ranges] = {}
+        with told(self.path), transaction(self._connection):
+            for result in results:
+                for identity in {tally.key for tally in result.tallies}:
+                    self._add_run(result.key, identity, result.what, result.facts)
+                for tally in result.tallies:
+                    left_out = self._add_block(result.key, tally)
+                    if left_out:
+                        lost[result.key] = joined([*lost.get(result.key, ()), *left_out])
+        return lost
+
+    def merge(self, other: Store) -> tuple[int, list[str]]:
+        """Take over everything that is intact in another store: (runs taken over, what was left out and why)."""
+        notes, count = list[str](), 0
+        results = other._results(notes)
+        while batch := list(islice(results, MERGED)):
+            notes += [f"run {key[:12]}: rollouts {list(ids)} overlap others" for key, ids in self.add(batch).items()]
+            count += len(batch)
+        return count, notes
+
+    def _results(self, notes: list[str]) -> Iterator[RunResult]:
+        """Every run with its blocks, whatever of them is intact; what is not is counted in a note."""
+        rows, runs, blocks = rows_of(self._connection), 0, set[tuple[str, int]]()
+        for key, numbers in rows.runs.items():
+            own = [row for n in numbers if (row := self._row(f"{_RUNS} WHERE rowid = ?", n, key)) and _is_run(row)]
+            tallies = {tally.ids[0][0] // BLOCK: tally for tally in self._intact(key, rows.blocks.get(key, ()))}
+            if own and tallies:
+                runs += 1
+                blocks |= {(key, block) for block in tallies}
+                yield RunResult(key, json.loads(own[0][2]), json.loads(own[0][3]), tuple(tallies.values()))
+        lost, gone = len({key for key, _ in rows.named} | rows.runs.keys()) - runs, len(rows.named - blocks)
+        if self.problem or lost or gone:
+            told_of = f"{counted(lost, 'run')} and {counted(gone, 'block')} that it names cannot be read"
+            source = self.problem or printable(self.path or "store")
+            notes.append(f"{source}: {told_of}; whatever it does not name any more is not counted")
+
+    def _intact(self, key: str, numbers: Iterable[int]) -> Iterator[Tally]:
+        """The blocks of a run in these rows that are whole."""
+        for number in sorted(numbers):
+            row = self._row(f"{_BLOCKS} WHERE rowid = ?", number, key)
+            if row is not None:
+                with suppress(StoreError):
+                    yield self._tally(row)
+
+    def _row(self, query: str, number: int, key: str) -> tuple[Any, ...] | None:
+        """A row that says that it is of this run, or None: the file may be damaged."""
+        with suppress(sqlite3.DatabaseError):
+            for row in self._connection.execute(query, (number,)):
+                return tuple(row) if row[0] == key else None
+        return None
+
+    def _add_run(self, key: str, identity: str, what: dict[str, Label], facts: Json) -> None:
+        for row in self._rows(f"{_RUNS} WHERE key = ?", key):
+            check_identity(key, row[1], identity, what, self.path)
+            held, known = self._said(row)
+            if all(name in held for name in what):
+                return
+            what, facts = what | held, known
+        texts = (key, identity, canonical(what), canonical(facts))
+        self._connection.execute(
+            "INSERT INTO runs VALUES (?, ?, ?, ?, ?) ON CONFLICT (key) DO UPDATE "
+            "SET what = excluded.what, facts = excluded.facts, checksum = excluded.checksum",
+            (*texts, checksum(*texts)),
+        )
+
+    def _add_block(self, key: str, tally: Tally) -> Ranges:
+        """Union of this part of a block with what is here; the ids that could not be kept."""
+        block = tally.ids[0][0] // BLOCK
+        left_out: Ranges = ()
+        for row in self._rows(f"{_BLOCKS} WHERE key = ? AND block = ?", key, block):
+            held = self._tally(row)
+            tally, left_out = united(key, held, tally, self.path)
+            if tally is held:
+                return left_out
+        texts, blob = (key, block, canonical(tally.ids), canonical(sums_of(tally))), pack(tally)
+        values = (*texts, blob, checksum(*texts, len(blob)))
+        self._connection.execute("INSERT OR REPLACE INTO blocks VALUES (?, ?, ?, ?, ?, ?)", values)
+        return left_out
+
+    def _run(self, row: tuple[Any, ...]) -> Run:
+        what, facts = self._said(row)
+        sums, ids = None, []
+        for part, found in self._parts(row[0]):
+            ids += part
+            sums = found if sums is None else add_sums(sums, found)
+        return Run(row[0], what, facts, joined(ids), sums)
+
+    def _said(self, row: tuple[Any, ...]) -> tuple[dict[str, Label], Json]:
+        """A run's labels and facts, without reading its blocks. Raises StoreError for a damaged one."""
+        if not _is_run(row):
+            raise damaged(self.path, f"run {str(row[0])[:12]}")
+        return json.loads(row[2]), json.loads(row[3])
+
+    def _parts(self, key: str) -> Iterator[tuple[Any, Any]]:
+        """(ids, sums) of the blocks of a run. Raises StoreError for a damaged one."""
+        for *texts, length, said in self._rows(f"{_SUMS} WHERE key = ? ORDER BY block", key):
+            if checksum(*texts, length) != said:
+                raise damaged(self.path, f"run {key[:12]}, block {texts[1]}: another checksum")
+            yield json.loads(texts[2]), json.loads(texts[3])
+
+    def _tally(self, row: tuple[Any, ...]) -> Tally:
+        key, block, ids, sums, blob, check = row
+        try:
+            if checksum(key, block, ids, sums, len(blob)) != check:
+                raise ValueError("another checksum")
+            return unpack(blob, tuple((start, stop) for start, stop in json.loads(ids)))
+        except (ValueError, TypeError) as error:
+            raise damaged(self.path, f"run {str(key)[:12]}, block {block}: {error}") from error
+
+
+def check_identity(key: str, held: str, identity: str, what: Mapping[str, Label], path: Path | None) -> None:
+    """Raise StoreError where a run's rollouts would be of another identity than those that are `held`."""
+    if held != identity:
+        problem = f"run {key[:12]} ({canonical(what)}) was planned otherwise, by another METIS or mrac-jax"
+        raise StoreError(problem, source=path or "store", fix="use another store")
+
+
+def united(key: str, held: Tally, tally: Tally, path: Path | None) -> tuple[Tally, Ranges]:
+    """What is kept of two parts of a block, and the ids that cannot be; `held` itself, if nothing is new in `tally`.
+
+    Raises StoreError if the same ids have other counts.
+    """
+    new, old = without(tally.ids, held.ids), without(held.ids, tally.ids)
+    if not new and not old and held != tally:
+        problem = f"run {key[:12]}: the same rollouts {list(tally.ids)} have other counts here"
+        raise StoreError(problem, source=path or "store", expected="rollouts that repeat")
+    if not new or not old:
+        return (tally if new else held), ()
+    if new == tally.ids:
+        return tally + held, ()
+    return (tally, old) if tally.rollouts > held.rollouts else (held, new)
+
+
+def _is_run(row: tuple[Any, ...]) -> bool:
+    return checksum(*row[:-1]) == row[-1]
+
+
+_RUNS = "SELECT key, identity, what, facts, checksum FROM runs"
+_BLOCKS = "SELECT key, block, ids, sums, tally, checksum FROM blocks"
+_SUMS = "SELECT key, block, ids, sums, length(tally), checksum FROM blocks"
+
+
+# A store that ends with the process: what `Store` keeps in a file, kept as it is.
+
+
+@dataclass
+class _Held:
+    """A run: its labels, its facts, and a tally of each block, by number."""
+
+    what: dict[str, Label]
+    facts: Json
+    blocks: dict[int, Tally] = field(default_factory=dict)
+
+    def tallies(self) -> list[Tally]:
+        """In order of their ids."""
+        return [self.blocks[number] for number in sorted(self.blocks)]
+
+
+class Memory(Store):
+    """Runs and their tallies, 20 kB each for 400 cells."""
+
+    def __init__(self) -> None:
+        self.path = None
+        self._held: dict[str, _Held] = {}
+
+    def close(self) -> None:
+        """There is no file to let go of."""
+
+    def forget(self, keys: Iterable[str]) -> None:
+        """Hold these runs no longer: whoever needed them is done."""
+        for key in keys:
+            self._held.pop(key, None)
+
+    def __len__(self) -> int:
+        return len(self._held)
+
+    def held(self, key: str) -> Ranges:
+        found = self._held.get(key)
+        return () if found is None else joined(pair for tally in found.tallies() for pair in tally.ids)
+
+    def tally(self, key: str) -> Tally | None:
+        found = self._held.get(key)
+        return None if found is None else reduce(add, found.tallies())
+
+    def run(self, key: str) -> Run | None:
+        found = self._held.get(key)
+        if found is None:
+            return None
+        return Run(key, found.what, found.facts, self.held(key), reduce(add_sums, map(sums_of, found.tallies())))
+
+    def runs(self) -> Iterator[Run]:
+        return (run for key in list(self._held) if (run := self.run(key)) is not None)
+
+    def labels(self) -> Iterator[dict[str, Label]]:
+        return (held.what for held in self._held.values())
+
+    def label(self, key: str, what: Mapping[str, Label]) -> None:
+        self._held[key].what = dict(sorted((dict(what) | self._held[key].what).items()))
+
+    def add(self, results: Iterable[RunResult]) -> dict[str, Ranges]:
+        lost: dict[str, Ranges] = {}
+        for result in results:
+            for tally in result.tallies:
+                held = self._held.setdefault(result.key, _Held({}, result.facts))
+                for other in held.tallies()[:1]:
+                    check_identity(result.key, other.key, tally.key, result.what, None)
+                self.label(result.key, result.what)
+                number = tally.ids[0][0] // BLOCK
+                here = held.blocks.get(number)
+                held.blocks[number], left_out = (tally, ()) if here is None else united(result.key, here, tally, None)
+                if left_out:
+                    lost[result.key] = joined([*lost.get(result.key, ()), *left_out])
+        return lost
+
+    def _results(self, notes: list[str]) -> Iterator[RunResult]:
+        for key, held in self._held.items():
+            yield RunResult(key, held.what, held.facts, tuple(held.tallies()))

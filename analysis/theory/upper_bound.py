@@ -1,0 +1,363 @@
+"""A bound for every strategy: no team covers more of this map, however it decides and whatever it learns on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array, csc_array, csr_array, hstack, vstack
+from scipy.sparse.csgraph import dijkstra
+
+from analysis.theory.bounds import ideal_team
+from analysis.theory.flow_programme import INF, ULP, Nodes, Spend, Way, contract, make_solver, missing_ways
+from analysis.theory.own_bounds import ideal_connected
+from analysis.theory.single_robot import MOST_NODES, single_bound
+from planner.ids import NO_CELL
+from planner.mrac.paths import neighbour_table
+from planner.plan.plan import Plan
+from planner.world.uncertain_maps import Hazard
+from planner.world.world import World, check_starts
+
+# The programme of flow: expected cells visited that no strategy exceeds, proven by prices.
+#
+# A linear programme over the expected moves of the team, solved by HiGHS and then not trusted: its dual solution is
+# made
+# feasible by rounding, checked in exact rational arithmetic, and what it proves is the bound.
+#
+# Nodes `V`: the dangerous cells, and the safe areas (4-connected sets of safe cells, in which moves are free). `w`
+# cells
+# and threat `p` of a node (p of a safe area is 0); `s` robots start there. Unknowns: `x_uv`, expected moves of the team
+# from node u to node v, and `y_v`, the chance that a cell of v is visited. Maximise `sum w_v y_v` subject to
+#
+#     flow:    sum_v x_uv <= (1 - p_u) a_u         a_u = s_u + sum_t x_tu, the expected arrivals
+#     arrive:  y_v <= a_v
+#     reach:   y_v <= g_v                          `analysis.theory.own_bounds.reach_chances`
+#     spend:   sum_D p_v y_v <= E min(k, hits)     for every set D of dangerous cells
+#     way:     a cell is visited no more often than somebody gets there, `analysis.theory.flow_programme`
+#
+# Proof. A robot leaves a node only after an arrival that it survived; a cell is visited only if its node is arrived at.
+# The team's first visit of a cell stops the robot with chance p whatever came before, so the left side of `spend` is
+# the
+# expected number of robots stopped at first visits of D. They are at most k, and at most as many as there are hits
+# among
+# |D| draws made in advance, one a cell: a Poisson-binomial number. So the expectations of any strategy satisfy the
+# programme, and its optimum is no smaller than their `sum w_v y_v`. Presumes that every visit is checked on its own.
+
+ROUNDS = 200
+"""Times that it is solved at most; fewer only make the bound less sharp."""
+GAIN, PATIENCE = 2e-4, 10
+"""It ends when so many rounds together gain less than this share of the cells."""
+NEW_SETS = 8
+"""Sets D added a round from each order of the cells."""
+
+
+SWEEPS = 100
+"""Times that prices are raised one by one."""
+
+
+Row = Spend | Way
+
+
+@dataclass(frozen=True, eq=False)
+class Dual:
+    """Prices of the programme's constraints, float64: `flow`, `arrive` `[V]`, `rows` of its sets D and ways."""
+
+    flow: NDArray[np.float64]
+    arrive: NDArray[np.float64]
+    rows: NDArray[np.float64]
+
+
+def flow_bound(nodes: Nodes, rounds: int = ROUNDS, ways: bool = True) -> float:
+    """The programme's certified bound, in cells: sets D and ways are added while the solution violates them.
+
+    `rounds`: times that it is solved at most. `ways`: False leaves them out, for a fifth of the time.
+    """
+    dangerous = np.flatnonzero(nodes.threat > 0)
+    programme = Programme(nodes)
+    optima: list[float] = []
+    while True:
+        moves, visited, dual = programme.solve()
+        optima.append(float(nodes.weight @ visited))
+        enough = optima[-PATIENCE - 1 : -PATIENCE] and optima[-PATIENCE - 1] - optima[-1] < GAIN * nodes.weight.sum()
+        orders = (np.argsort(-visited[dangerous], kind="stable"), np.argsort(nodes.threat[dangerous], kind="stable"))
+        found: list[Row] = [new for order in orders for new in _overspent(nodes, dangerous[order], visited)]
+        found += missing_ways(nodes, moves, visited) if ways else []
+        if enough or not found or len(optima) == rounds:
+            most = min(certified(nodes, programme.rows, dual), float(nodes.weight.sum()))
+            if nodes.robots > 1 or not ways or rounds < ROUNDS or len(nodes.weight) > MOST_NODES:
+                return most
+            return min(most, single_bound(nodes, programme.rows, dual.arrive, dual.rows))
+        programme.add(found)
+
+
+def _overspent(nodes: Nodes, order: NDArray[np.int64], visited: NDArray[np.float64]) -> Iterator[Spend]:
+    """The beginnings D of `order` that spend most above what is allowed; none within rounding."""
+    most = most_stopped(nodes.threat[order], nodes.robots)
+    over = np.cumsum(nodes.threat[order] * visited[order]) - most
+    peaks = np.flatnonzero((over >= np.append(over[1:], -1.0)) & (over > np.insert(over[:-1], 0, -1.0)) & (over > 1e-6))
+    for place in peaks[np.argsort(-over[peaks], kind="stable")][:NEW_SETS].tolist():
+        yield Spend(np.sort(order[: place + 1]), float(most[place]))
+
+
+def most_stopped(threat: NDArray[np.float64], robots: int) -> NDArray[np.float64]:
+    """E min(robots, hits) of the first 1, 2, ... cells of `threat` `[C]`, one visit each, float64 `[C]`; rounded up.
+
+    Sums and products of positive numbers alone, three roundings a cell: a relative error of (4 C + k) ulp at most.
+    """
+    at_least = np.zeros(min(robots, len(threat)) + 1)
+    at_least[0] = 1.0
+    most = np.empty(len(threat))
+    for place, p in enumerate(threat.tolist()):
+        at_least[1:] = at_least[1:] * (1.0 - p) + at_least[:-1] * p
+        most[place] = at_least[1:].sum()
+    return most * (1.0 + (4.0 * len(threat) + len(at_least) + 4) * ULP)
+
+
+class Programme:
+    """The programme with the `rows` so far. It stays in the solver: they are added to a basis that is kept."""
+
+    def __init__(self, nodes: Nodes) -> None:
+        """Without more rows; columns are x `[E]` and y `[V]`, rows `flow` `[V]` and `arrive` `[V]`."""
+        self.nodes, self.rows = nodes, list[Row]()
+        count, moves = len(nodes.weight), len(nodes.source)
+        every, each, passed = np.arange(moves), np.arange(count), 1.0 - nodes.threat
+        into = coo_array((np.ones(moves), (nodes.target, every)), shape=(count, moves)).tocsr()
+        out = coo_array((np.ones(moves), (nodes.source, every)), shape=(count, moves)).tocsr()
+        visits = csr_array((np.ones(count), (each, each)))
+        flow = hstack([out - into.multiply(passed[:, None]), csr_array((count, count))])
+        rows = csc_array(vstack([flow, hstack([-into, visits])]))
+        cost, upper = np.append(np.zeros(moves), -nodes.weight), np.append(np.full(moves, INF), nodes.reach)
+        most = np.concatenate([passed * nodes.starts, nodes.starts])
+        self._solver = make_solver(cost, upper, rows, np.full(2 * count, -INF), most)
+
+    def add(self, found: Sequence[Row]) -> None:
+        """More rows."""
+        first = len(self.nodes.source)
+        for row in found:
+            if isinstance(row, Way):
+                columns, shares, most = np.append(row.moves, first + row.node), np.append(-row.share, 1.0), row.free
+            else:
+                columns, shares, most = first + row.members, self.nodes.threat[row.members], row.most
+            self._solver.addRow(-INF, most, len(columns), columns.astype(np.int32), shares)
+        self.rows += found
+
+    def solve(self) -> tuple[NDArray[np.float64], NDArray[np.float64], Dual]:
+        """(x `[E]`, y `[V]`, the prices)."""
+        self._solver.run()
+        found, count = self._solver.getSolution(), len(self.nodes.weight)
+        if not found.dual_valid:  # no prices: they prove nothing, and the other bounds stand
+            nothing = np.zeros(count)
+            return np.zeros(len(self.nodes.source)), nothing, Dual(nothing, nothing, np.zeros(len(self.rows)))
+        prices = np.maximum(-np.array(found.row_dual), 0.0)
+        moves, visited = np.split(np.array(found.col_value), [len(self.nodes.source)])
+        return moves, visited, Dual(prices[:count], prices[count : 2 * count], prices[2 * count :])
+
+
+def certified(nodes: Nodes, rows: Sequence[Row], dual: Dual) -> float:
+    """What prices prove, in cells, whatever they are: they are made feasible, and checked and added up exactly.
+
+    Feasible are prices >= 0 with `flow_u >= (1 - p_v) flow_v + arrive_v + (the shares of all ways in u -> v)` for every
+    move, and for every node `arrive_v + reach_v + p_v (the spend of all D with v in it) + (the ways to v) >= w_v`.
+    `flow` is raised until the first holds, and takes the `reach` that is left. Then `sum (1 - p) s flow + s arrive +
+    g reach + (what D allows) spend + (what is free) way` is no less than the programme's optimum.
+    """
+    tolls, paid, total = [Fraction(0)] * len(nodes.source), [Fraction(0)] * len(nodes.weight), Fraction(0)
+    passed = [1 - Fraction(p) for p in nodes.threat.tolist()]
+    for row, price in zip(rows, map(Fraction, dual.rows.tolist()), strict=True):
+        if not price:
+            continue
+        if isinstance(row, Way):
+            total += price * Fraction(row.free)
+            paid[row.node] += price
+            for move, share in zip(row.moves.tolist(), row.share.tolist(), strict=True):
+                tolls[move] += price * Fraction(share)
+        else:
+            total += price * Fraction(row.most)
+            for member in row.members.tolist():
+                paid[member] += price * (1 - passed[member])
+    arrive = [Fraction(value) for value in dual.arrive.tolist()]
+    toll = np.array([float(value) for value in tolls]) * (1 + ULP)
+    flow = [Fraction(value) for value in _feasible(nodes, dual, toll).tolist()]
+    for move, (source, target) in enumerate(zip(nodes.source.tolist(), nodes.target.tolist(), strict=True)):
+        if flow[source] < passed[target] * flow[target] + arrive[target] + tolls[move]:
+            return float(nodes.weight.sum())
+    for node, weight in enumerate(nodes.weight.tolist()):
+        reach = max(Fraction(0), Fraction(weight) - arrive[node] - paid[node])
+        total += int(nodes.starts[node]) * (passed[node] * flow[node] + arrive[node])
+        total += reach * Fraction(float(nodes.reach[node]))
+    return float(np.nextafter(float(total), np.inf))
+
+
+def _feasible(nodes: Nodes, dual: Dual, toll: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Prices `flow` `[V]`, no lower than these, for which every move's condition holds; `toll` `[E]`: of its ways.
+
+    They are raised where they fall short, again and again; what is short then is met by raising them all, of dangerous
+    nodes by `more` and of safe ones by a little less: between safe areas there are no moves.
+    """
+    flow, passed = dual.flow.copy(), 1.0 - nodes.threat
+    if not len(nodes.source):
+        return flow
+    asked = (dual.arrive[nodes.target] + toll) * (1 + 4 * ULP)
+    for _ in range(SWEEPS):
+        needed = passed[nodes.target] * flow[nodes.target] * (1 + 4 * ULP) + asked
+        short = float((needed - flow[nodes.source]).max())
+        if short <= 0:
+            return flow
+        np.maximum.at(flow, nodes.source, needed * (1 + 2 * ULP))
+    least = float(nodes.threat[nodes.threat > 0].min()) / 2
+    short += 16 * ULP * float(flow.max())
+    return flow + (short / least) * (1 + 1e-6) * np.where(nodes.threat > 0, 1.0, 1.0 - least)
+
+
+MOST_CELLS = 500
+"""Accessible cells up to which the programme is solved as sharply unasked as asked: about half a second."""
+MOST_DANGEROUS, HASTY = 1000, 12
+"""Dangerous cells up to which it is solved unasked on larger maps, in so many rounds: within 3 seconds."""
+
+
+@dataclass(frozen=True)
+class AnyStrategy:
+    """Expected cells visited that no strategy exceeds.
+
+    Attributes:
+        flow: the programme's bound, certified; None: it was not solved.
+        connected: `own_bounds.ideal_connected`. ideal: `bounds.ideal_team`.
+    """
+
+    flow: float | None
+    connected: float
+    ideal: float
+
+    @property
+    def cells(self) -> float:
+        """The least of them."""
+        return min(bound for bound in (self.flow, self.connected, self.ideal) if bound is not None)
+
+
+def any_strategy(world: World, starts: ArrayLike, flow: bool | None = None, ways: bool = True) -> AnyStrategy:
+    """The bounds of `world` for robots at `starts` `[K, 2]`.
+
+    `flow`: whether the programme is solved, which may take seconds; None: in HASTY rounds at most on maps of more than
+    MOST_CELLS, and not where more than MOST_DANGEROUS of them are dangerous. `ways`: as of `flow_bound`.
+    """
+    world.check_settled("the bound for every strategy")
+    checked = check_starts(starts, world.threat, world.source)
+    threat = np.sort(world.threat[world.accessible(checked)].astype(np.float64))
+    solved = np.count_nonzero(threat) <= MOST_DANGEROUS if flow is None else flow
+    rounds = ROUNDS if flow or len(threat) <= MOST_CELLS else HASTY
+    nodes = contract(world, checked) if solved else None
+    return AnyStrategy(
+        flow=None if nodes is None else flow_bound(nodes, rounds, ways),
+        connected=ideal_connected(world, checked),
+        ideal=ideal_team(threat, len(checked)),
+    )
+
+
+def most_cells(world: World, starts: ArrayLike, flow: bool | None = None) -> float:
+    """The least of the bounds of `world`, also where hazards are there or not; `flow`: as of `any_strategy`.
+
+    Of hazards `ideal_team` alone is left, with p = q h: it counts first visits of the team, at each of which a robot is
+    stopped with that chance whatever came before, as cells are drawn apart. Survivors may know more of visits after it.
+    """
+    if not isinstance(world.doubt, Hazard):
+        return any_strategy(world, starts, flow).cells
+    checked = check_starts(starts, world.threat, world.source)
+    threat = world.doubt.q[world.accessible(checked)].astype(np.float64) * world.doubt.h[world.accessible(checked)]
+    return ideal_team(np.sort(threat), len(checked))
+
+
+def value_bound(world: World, starts: ArrayLike, ways: bool = True) -> float:
+    """Expected value of visited cells that no strategy exceeds: the programme with a cell's value as its weight.
+
+    `ways`: as of `flow_bound`.
+    """
+    checked = check_starts(starts, world.threat, world.source)
+    if world.value is None:
+        return flow_bound(contract(world, checked), ways=ways)
+    largest = float(world.value.max())
+    nodes = contract(world, checked, world.value / largest * (1.0 + ULP))
+    return flow_bound(nodes, ways=ways) * largest * (1.0 + ULP)
+
+
+# Which cells a range leaves within a team's moves, whatever it does: what bounds for every strategy may leave out.
+
+
+def moves_left(plan: Plan) -> list[int] | None:
+    """Of each robot, -1 of one that is lost; None: without end. Of robots that are recharged: with a full battery."""
+    limit = None if plan.settings is None else plan.settings.range
+    if limit is None:
+        return None
+    moves = list(limit) if isinstance(limit, tuple) else [limit] * len(plan.robots)
+    if plan.state is None:
+        return moves
+    return [most - robot.moves if robot.alive else -1 for most, robot in zip(moves, plan.state.robots, strict=True)]
+
+
+def within(world: World, plan: Plan) -> NDArray[np.bool_]:
+    """bool `[H, W]`: cells that some robot alive could enter with the moves that it has left, were there no danger.
+
+    A robot that comes home must also be able to go from the cell to one of its bases: the fewest moves there and the
+    fewest moves back are together at most its moves. Of robots that are recharged: from its start or from any base that
+    it can go to.
+    """
+    moves, settings = moves_left(plan), plan.settings
+    if moves is None or settings is None:
+        return world.accessible(plan.starts)
+    width, steps = world.shape[1], _graph(world)
+    found = np.zeros(world.threat.size, dtype=bool)
+    starts = (plan.starts @ (width, 1)).tolist()
+    bases = [()] * len(starts) if settings.return_to is None else _bases(plan, settings.return_to, width)
+    for start, most, own in sorted(set(zip(starts, moves, bases, strict=True))):
+        if most >= 0:
+            found |= _visitable(steps, start, most, own, recharged=settings.recharge is not None)
+    return found.reshape(world.shape)
+
+
+def _visitable(
+    steps: csr_array, start: int, most: int, bases: tuple[int, ...], *, recharged: bool
+) -> NDArray[np.bool_]:
+    """bool `[N]`: cells that a robot with so many moves can visit. `bases`: to one of which it comes home, if any."""
+    back = _moves(steps, bases) if bases else np.zeros(steps.shape[0])
+    if back[start] > most:  # of a mission under way: it comes home no more, wherever it turns
+        back[:] = 0
+    reached = np.array([start])
+    while True:
+        found = np.asarray(_moves(steps, reached) + back <= most)
+        full = np.union1d([start], [base for base in bases if found[base]]).astype(np.int64)
+        if not recharged or np.array_equal(full, reached):
+            return found
+        reached = full
+
+
+def _bases(plan: Plan, return_to: str | tuple[tuple[int, int], ...], width: int) -> list[tuple[int, ...]]:
+    """The cells of each robot's bases."""
+    homes = (plan.starts @ (width, 1)) if plan.state is None else plan.state.homes(return_to)
+    assert homes is not None
+    if return_to == "home":
+        return [(home,) for home in homes.tolist()]
+    shared = np.unique(homes) if isinstance(return_to, str) else np.unique(np.array(return_to) @ (width, 1))
+    return [tuple(shared.tolist())] * len(homes)
+
+
+def _graph(world: World) -> csr_array:
+    """The moves between free cells, `[N, N]`."""
+    near = neighbour_table(world.shape, world.free.ravel())
+    source, side = np.nonzero(near != NO_CELL)
+    free = world.free.ravel()[source]
+    source, target = source[free], near[source, side][free]
+    return csr_array((np.ones(len(source)), (source, target)), shape=(world.threat.size, world.threat.size))
+
+
+def _moves(steps: csr_array, cells: NDArray[np.int64] | tuple[int, ...]) -> NDArray[np.float64]:
+    """float64 `[N]`: the fewest moves from the nearest of these cells to each, and so of the way back; inf: none."""
+    return np.asarray(dijkstra(steps, unweighted=True, indices=np.array(cells), min_only=True))
+
+
+def trimmed(world: World, plan: Plan) -> World:
+    """`world` with obstacles where no robot has the moves to go: a bound for every strategy there is one here too."""
+    if moves_left(plan) is None:
+        return world
+    return replace(world, threat=np.where(within(world, plan), world.threat, np.float32(np.nan)))

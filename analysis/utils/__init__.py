@@ -1,0 +1,1 @@
+"""Utilities that know no result: progress, tables, a process pool."""

@@ -1,0 +1,264 @@
+"""What is going on: a bar on a terminal, a line that changes in a notebook, lines now and then elsewhere."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import threading
+import time
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from types import FrameType
+from typing import Any, Literal, Protocol, TypeVar
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from analysis.utils.compiling import ANNOUNCER, notice_compiling
+from analysis.utils.notes import Doing, ProgressCallback, quiet, say
+from analysis.utils.tables import SafeConsole
+from planner.arguments import argument, check_word
+from planner.errors import UsageError
+from planner.formatting import duration
+
+FIRST, EVERY = 1.0, 2.0
+"""Seconds after which a run that nobody watches says where it is, first and then again. Together no more than 3: so
+long nothing is said at most, also where one piece of work ends just before its line and the next one begins.
+"""
+REFRESH = 0.5
+"""Seconds between two looks at a notebook's line; it is not shown before the second."""
+
+
+class Watch:
+    """Says what is being done, `doing`, and how far it has come, `(done, total, seconds)`, `total` 0: not known."""
+
+    says_things = True
+
+    def __init__(self, bar: Progress, things: str) -> None:
+        self._bar, self._usual, self._things = bar, things, things
+        self.doing(things)
+
+    def doing(self, what: str) -> None:
+        """Something else begins, of which nothing is done yet and nobody knows how much there is."""
+        self._what, self._things, self._began = what, self._usual, time.monotonic()
+        self._done, self._total, self._left = 0, 0, 0.0
+        for old in self._bar.task_ids:
+            self._bar.remove_task(old)
+        self._task = self._bar.add_task(what, total=None, count="", rate="")
+
+    def __call__(self, done: int, total: int, seconds: float, more: str = "", things: str = "") -> None:
+        """So much is done; `more`: words before it. `things`: that is counted now."""
+        self._done, self._total, self._things = done, total, things or self._usual
+        took = seconds or time.monotonic() - self._began
+        self._left = took * (total - done) / done if done else 0.0
+        rate = f"{done / took:,.3g}/s" if 0 < done < 100 * took else f"{done / max(took, 1e-9):,.0f}/s"
+        count = more + self._count()
+        self._bar.update(
+            self._task, description=self._what, completed=done, total=total or None, count=count, rate=rate
+        )
+
+    def _count(self) -> str:
+        of = f" of {self._total:,}" if self._total else ""
+        return f"{self._done:,}{of} {self._things}"
+
+    def line(self) -> str:
+        """Where it stands, and how long it will take where that is known."""
+        left = f", {duration(self._left)} left" if self._left > 0 else ""
+        return f"{self._what} ..." + (f" {self._count()}{left}" if self._done else "")
+
+    def line_after(self, seconds: float) -> str:
+        """The same after so many seconds; while something is compiled, that and for how long so far."""
+        return with_compiling(self._what) if ANNOUNCER.line() else f"{self.line()} ({duration(seconds)})"
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Nothing is shown on a terminal meanwhile, so that the answer can be printed there."""
+        self._bar.stop()
+        try:
+            yield
+        finally:
+            self._bar.start()
+
+
+def with_compiling(what: str) -> str:
+    """What is being done, after what is compiled for it: "compiling mrac, first run only, 35 s so far; rollouts"."""
+    return "; ".join(filter(None, (ANNOUNCER.line(), what)))
+
+
+class _What(ProgressColumn):
+    """What is being done, looked up at every refresh, as seconds of compiling are counted in it."""
+
+    def render(self, task: Task) -> Text:
+        return Text(with_compiling(task.description))
+
+
+@contextmanager
+def show_progress(things: str = "rollouts", *, asked: bool = True) -> Iterator[Watch]:
+    """A `Watch`: a bar on a terminal, a line in a notebook; elsewhere lines now and then, if somebody `asked`."""
+    console = SafeConsole(stderr=True)
+    notebook, terminal = console.is_jupyter, console.is_terminal and not console.is_jupyter
+    if terminal or notebook or asked:
+        notice_compiling()
+    columns = (
+        _What(),
+        BarColumn(),
+        TextColumn("{task.fields[count]}"),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    quiet = Console(quiet=True, force_jupyter=False)  # of a bar that is not shown: nothing of it asks a notebook
+    with Progress(*columns, console=console if terminal else quiet, transient=True, disable=not terminal) as bar:
+        watch = Watch(bar, things)
+        if terminal or not (notebook or asked):
+            yield watch
+        else:
+            with notebook_line(watch.line_after) if notebook else lines_now_and_then(watch.line_after):
+                yield watch
+
+
+@contextmanager
+def lines_now_and_then(line: Callable[[float], str]) -> Iterator[None]:
+    """Says `line(seconds)` on standard error after FIRST seconds, and then every EVERY, for as long as it takes.
+
+    Where there is no line nothing is said.
+    """
+    with _repeated(lambda seconds: say([*filter(None, [line(seconds)])]), FIRST, EVERY):
+        yield
+
+
+@contextmanager
+def notebook_line(line: Callable[[float], str]) -> Iterator[None]:
+    """Shows `line(seconds)` below a notebook's cell while it runs, and nothing there afterwards."""
+    display = import_module("IPython.display").display
+    shown: list[Any] = []
+
+    def show(seconds: float) -> None:
+        text = {"text/plain": line(seconds)}
+        if shown:
+            shown[0].update(text, raw=True)
+        else:
+            shown.append(display(text, raw=True, display_id=True))
+
+    with _repeated(show, 2 * REFRESH, REFRESH):
+        yield
+    for handle in shown:
+        handle.update({"text/plain": ""}, raw=True)
+
+
+@contextmanager
+def _repeated(speak: Callable[[float], None], first: float, every: float) -> Iterator[None]:
+    """`speak(seconds so far)` in a thread of its own."""
+    over, clock = threading.Event(), time.monotonic()
+
+    def run() -> None:
+        at = first
+        while not over.wait(max(clock + at - time.monotonic(), 0.0)):
+            speak(at)
+            at += every
+
+    speaker = threading.Thread(target=run, daemon=True)
+    speaker.start()
+    try:
+        yield
+    finally:
+        over.set()
+        speaker.join()
+
+
+# How a function of the door works on an answer: what it shows meanwhile, and what an interruption leaves.
+
+OnInterrupt = Literal["raise", "return"]
+
+
+class Found(Protocol):
+    """What may be interrupted."""
+
+    @property
+    def partial(self) -> bool:
+        """It was, and holds what was done until then."""
+        ...
+
+
+Kind = TypeVar("Kind", bound=Found)
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C, or a notebook's stop button, while a function of the door was at work.
+
+    Attributes:
+        partial: the answer with what was done until then; None: that was nothing.
+    """
+
+    def __init__(self, partial: Found | None) -> None:
+        super().__init__("interrupted" if partial is None else "interrupted: what was done is in `partial`")
+        self.partial = partial
+
+
+def ask(
+    work: Callable[[ProgressCallback, Doing], Kind],
+    progress: ProgressCallback | bool | None,
+    on_interrupt: OnInterrupt,
+    things: str = "rollouts",
+) -> Kind:
+    """The answer of `work(progress, doing)`.
+
+    Args:
+        progress: None: shown on a terminal and in a notebook; True: on a pipe too, in lines; False: nowhere; or a
+            function to be called with (done, total, seconds) after every chunk, `total` 0 where it is not known.
+        on_interrupt: "raise": an interruption is raised as `Interrupted`; "return": what was done is the answer, with
+            `partial` true (where nothing was, it is raised all the same).
+        things: what is counted.
+    """
+    check_word("on_interrupt", on_interrupt, ("raise", "return"))
+    if not (progress is None or isinstance(progress, bool) or callable(progress)):
+        raise UsageError(argument("progress", progress), expected="True, False, None or a function")
+    try:
+        if callable(progress) or progress is False:
+            answer = work(progress or quiet, quiet)
+        else:
+            with show_progress(things, asked=progress is True) as watch:
+                answer = work(watch, watch.doing)
+    except Interrupted:
+        raise
+    except KeyboardInterrupt:
+        raise Interrupted(None) from None
+    if answer.partial and on_interrupt == "raise":
+        raise Interrupted(answer)
+    return answer
+
+
+# Event loops that an interrupt ends.
+
+Result = TypeVar("Result")
+ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR2") if hasattr(signal, name)]
+"""Signals that end a program which handles them (`analysis.cli.console`)."""
+
+
+def run_loop(main: Coroutine[Any, Any, Result]) -> Result:
+    """`asyncio.run`, where an interrupt cancels `main`, whoever handles interrupts, and KeyboardInterrupt follows.
+
+    Elsewhere it is raised between any two steps of Python. A loop that has just taken out what it runs next loses it
+    so, and its task, that was to go on by it, is waited for for ever. asyncio sees to that for Python's own handler
+    alone.
+    """
+    came = False
+
+    def cancel(number: int, frame: FrameType | None) -> None:
+        nonlocal came
+        came = True
+        loop.call_soon_threadsafe(task.cancel)
+
+    ours = threading.current_thread() is threading.main_thread()
+    with asyncio.Runner() as runner:
+        loop = runner.get_loop()
+        task = loop.create_task(main)
+        kept = {one: signal.signal(one, cancel) for one in ENDING if ours and callable(signal.getsignal(one))}
+        try:
+            return loop.run_until_complete(task)
+        finally:
+            for one, handler in kept.items():
+                signal.signal(one, handler)
+            if came:  # whatever became of the task: it may have ended before it could be cancelled
+                raise KeyboardInterrupt

@@ -1,0 +1,245 @@
+"""Tables and lines on a console, as every answer prints them: no figure, interval or name is ever cut."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.measure import Measurement
+from rich.segment import Segment
+from rich.table import Table
+from rich.text import Text
+
+from planner.errors import UsageError, visible
+from planner.formatting import chance, counted
+
+if TYPE_CHECKING:
+    from planner.formatting import Pace
+    from planner.plan.plan import Plan
+    from planner.settings import Settings
+    from planner.world.world import World
+
+KEPT_WHOLE, SHORT = 16, 10
+"""Names of so many characters, and headers of so many, are not wrapped either."""
+
+
+class FittedTable(Table):
+    """A table that fits: columns of `dropped` go one by one, in this order; what is left stands in blocks of columns.
+
+    Figures (columns to the right) are never wrapped, words and headers between words alone. A name in `dropped` that
+    several columns have is the last of them.
+    """
+
+    dropped: tuple[str, ...] = ()
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
+        if not self.columns:
+            return
+        sizes = [self._sizes(console, options, place) for place in range(len(self.columns))]
+        kept, gone = list(range(len(self.columns))), list[int]()
+        for name in self.dropped:
+            if self._widths(kept, sizes, options.max_width):
+                break
+            gone.append(max(place for place in kept if self.columns[place].header == name))
+            kept.remove(gone[-1])
+        for number, places in enumerate(self._blocks(kept, sizes, options.max_width)):
+            yield self._part(places, self._widths(places, sizes, options.max_width), "" if number else self.title)
+        if gone:
+            names = ", ".join(map(self._named, sorted(gone)))
+            has = "has it" if len(gone) == 1 else "have them"
+            room = f"left out, as {options.max_width} characters have no room"
+            yield Text(f"{room}: {names}; a wider window, --out and --json {has}")
+
+    def _named(self, place: int) -> str:
+        """A column's header; of those that share one, with that of the column before, which it goes with."""
+        headers = [str(column.header) for column in self.columns]
+        return headers[place] if headers.count(headers[place]) == 1 else f"{headers[place - 1]} {headers[place]}"
+
+    def _sizes(self, console: Console, options: ConsoleOptions, place: int) -> tuple[int, int]:
+        """Characters that a column needs, and that it takes without any wrapping; padding apart."""
+        wide, column = options.update(max_width=100_000), self.columns[place]
+        header, *cells = (Measurement.get(console, wide, text) for text in (column.header, *column.cells))
+        whole = max((cell.maximum for cell in cells), default=0)
+        needed = whole
+        if column.justify != "right":
+            needed = max(*(cell.minimum for cell in cells), min(whole, KEPT_WHOLE)) if cells else 0
+        named = header.maximum if header.maximum <= SHORT else header.minimum
+        return max(needed, named), max(whole, header.maximum)
+
+    def _widths(self, places: Sequence[int], sizes: Sequence[tuple[int, int]], room: int) -> list[int]:
+        """Of columns that stand side by side, words before figures in what is over; empty if they do not fit."""
+        beside = self._part(places, [0] * len(places), "")
+        spare = room - sum(map(beside._get_padding_width, range(len(places)))) - beside._extra_width
+        spare -= sum(sizes[place][0] for place in places)
+        if spare < 0:
+            return []
+        widths = [sizes[place][0] for place in places]
+        for number in sorted(range(len(places)), key=lambda number: self.columns[places[number]].justify == "right"):
+            more = min(spare, sizes[places[number]][1] - widths[number])
+            widths[number], spare = widths[number] + more, spare - more
+        return widths
+
+    def _blocks(self, kept: Sequence[int], sizes: Sequence[tuple[int, int]], room: int) -> Iterator[list[int]]:
+        """The columns that stand side by side; each block begins with the first column, which names the rows."""
+        first, *rest = kept
+        block = [first]
+        for place in rest:
+            if len(block) > 1 and not self._widths([*block, place], sizes, room):
+                yield block
+                block = [first]
+            block.append(place)
+        yield block
+
+    def _part(self, places: Sequence[int], widths: Sequence[int], title: Any) -> Table:
+        part = Table(title=title or None, box=self.box, title_justify=self.title_justify, padding=self.padding,
+                     pad_edge=self.pad_edge, collapse_padding=self.collapse_padding)  # fmt: skip
+        fixed: Sequence[int | None] = widths or [None] * len(places)
+        part.columns = [
+            replace(self.columns[place], _index=number, width=width, overflow="fold")
+            for number, (place, width) in enumerate(zip(places, fixed, strict=True))
+        ]
+        part.rows = self.rows
+        return part
+
+
+def make_table(
+    columns: Iterable[str],
+    title: str | None = None,
+    *,
+    left: Container[str] = ("",),
+    dropped: Iterable[str] = (),
+    **look: Any,
+) -> FittedTable:
+    """A table without rows.
+
+    Args:
+        columns: their names. left: those of words, which stand to the left. dropped: as of `FittedTable`, those that
+            can be missed, the least important first.
+        look: as of rich's Table.
+    """
+    table = FittedTable(title=title, box=box.SIMPLE_HEAD, title_justify="left", **look)
+    table.dropped = tuple(dropped)
+    for name in columns:
+        table.add_column(name, justify="left" if name in left else "right")
+    return table
+
+
+def print_lines(console: Console, lines: Sequence[str]) -> None:
+    """Lines as they are, whatever is in them."""
+    for line in lines:
+        console.print(line, markup=False, highlight=False)
+
+
+# The console of tables, headlines and progress: it shows what text from files holds, and obeys none of it.
+
+
+class SafeConsole(Console):
+    """A rich console for text that is not ours: control characters are shown as escapes, and nothing is markup.
+
+    A broken pipe is left to the caller.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**{"markup": False, "emoji": False, **options})
+
+    def on_broken_pipe(self) -> None:
+        """Raise BrokenPipeError."""
+        raise BrokenPipeError
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """The text with escapes, so that tables and wrapped lines make room for them."""
+        return super().render_str(visible(text), **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Every piece of text on its way out; codes of the console's own (colours, cursor) are no text."""
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else visible(text), style, control)
+
+
+# Tables as pandas DataFrames (the extra `pandas`).
+
+
+def frame_of(table: Mapping[str, Any] | Iterable[Mapping[str, Any]]) -> Any:
+    """Columns by name, or rows of JSON types: `coverage.mean` is a column, an interval two. Raises UsageError."""
+    try:
+        import pandas
+    except ImportError as error:
+        raise UsageError("pandas is not installed", fix="pip install pandas") from error
+    return pandas.DataFrame(table if isinstance(table, Mapping) else [dict(_flat(row)) for row in table])
+
+
+def _flat(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping):
+        for key, one in value.items():
+            yield from _flat(one, f"{name}.{key}" if name else key)
+    elif name.endswith("ci95") and value is not None:
+        yield from zip((f"{name}.low", f"{name}.high"), value, strict=True)
+    else:
+        yield name, value
+
+
+# Numbers with their things, and shares, as the commands say them.
+
+
+def policy_words(settings: Settings) -> str:
+    """A policy and its limits: "watchful, reserve 0.25, order of areas found"."""
+    limits = {name: getattr(settings, name) for name in ("reserve", "worth", "density")}
+    own = [f"{name} {value:g}" for name, value in limits.items() if value != getattr(type(settings), name)]
+    own += ["order of areas found"] * (settings.priority is not None)
+    return ", ".join([settings.rule.name, *own])
+
+
+def plan_words(plan: Plan) -> str:
+    """A plan of ours: "6 areas, shared 10 times; if nobody is lost, the mission visits every accessible cell".
+
+    With its policy first, unless it is the paper's with nothing of its own.
+    """
+    often = "once" if plan.shares == 1 else f"{plan.shares:,} times"
+    shared = f", shared {often}" if plan.shares else ""
+    policy = "" if plan.settings is None else policy_words(plan.settings)
+    by = "" if policy in ("", "mrac") else f"{policy}; "
+    return f"{by}{counted(len(plan.areas), 'area')}{shared}; {plan.ends}"
+
+
+def span_words(plan: Plan, pace: Pace) -> str:
+    """ "makespan 1,315 steps, 2,612 moves, 511 quarter turns"; with what turns cost, if somebody says.
+
+    A run that ends before all is covered waits a few steps before it ends.
+    """
+    from planner.plan.plan import drive_of
+    from planner.tally import Outcome
+
+    drive = drive_of(robot.path for robot in plan.robots)
+    driven = f"{counted(int(drive.moves.sum()), 'move')}, {counted(int(drive.turns.sum()), 'quarter turn')}"
+    if pace.turn:
+        steps = drive.time(pace.turn)
+        driven += f": with turns {pace.steps(steps)}"
+    if plan.outcome in (Outcome.NOT_WORTH_THE_RISK.word, Outcome.NO_PROGRESS.word):
+        later = plan.time - plan.makespan
+        end = f", the end {counted(later, 'step')} later" if later else ""
+        return f"the last move is at {pace.step(plan.makespan)}{end}, {driven}"
+    return f"makespan {pace.steps(plan.makespan)}, {driven}"
+
+
+def bearing_words(plan: Plan, world: World) -> str:
+    """What the map's p means where robots wear, or exposure counts differently on them; "" where p is a chance."""
+    bearing, worst = plan.bearing, float(world.threat[world.free].max(initial=0.0))
+    if bearing.is_plain:
+        return ""
+    if bearing.is_even:
+        return f"{bearing.said}: each is stopped by the p of its type; the map's own p is that of no type"
+    chances = [bearing.first_chance(worst, robot) for robot in range(len(plan.robots))]
+    least, most = (chance(one) for one in (min(chances), max(chances)))
+    fresh = least if least == most else f"{least} to {most}, by robot"
+    return (
+        f"{bearing.said}: p is a dose, of which a visit adds -ln(1 - p); the first visit of the worst cell, "
+        f"p = {chance(worst)}, stops a fresh robot with {fresh}"
+    )
+
+
+def without_level(said: str) -> str:
+    """What `Estimate.said` says, without "(95 %)": for a sentence in which % stands for coverage alone."""
+    return said.replace(" (95 %)", "").replace(", 95 %)", ")")

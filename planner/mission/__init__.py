@@ -1,0 +1,1 @@
+"""A mission that is driven: orders out, reports in."""

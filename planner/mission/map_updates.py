@@ -1,0 +1,456 @@
+"""Cells that robots saw to be other than the map says, in a mission under way: its world, and its state, with them.
+
+What follows from it is what follows in a simulated run: `planner.mrac.map_belief`, SPEC section 15.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.arguments import is_whole, whole
+from planner.errors import StateError, WorldError
+from planner.files import Json, read_json, write_json
+from planner.ids import MAX_PLAN_BYTES, NO_AREA, NO_ROBOT
+from planner.mission.team_control import Fleet, Reports, whole_numbers
+from planner.mrac.areas import connected_parts
+from planner.mrac.make_plan import make_plan
+from planner.mrac.map_belief import Learning
+from planner.mrac.problem import prepare
+from planner.mrac.simulate import areas_of, state_of
+from planner.plan.plan import Plan
+from planner.plan.reading import at, check_map
+from planner.plan.state import FORMAT, NO_CELLS, ON_ITS_WAY, VERSION, AreaState, MissionState, RobotState
+from planner.plan.state_file import parse_state
+from planner.settings import SETTINGS, Settings
+from planner.tally import WORDS_OF_0_3, Doing, Outcome
+from planner.world.keys import PROBABILITY, Key
+from planner.world.levels import NO_LEVEL, find_levels
+from planner.world.map_knowledge import ALWAYS, added
+from planner.world.uncertain_maps import Hazard
+from planner.world.world import MAX_CELLS, World
+
+Seen = dict[int, float | None]
+"""p of each cell, by index; None: an obstacle."""
+ANOTHER = NO_LEVEL - 1
+"""What is believed of a cell that is about to surprise: no level, and no obstacle either."""
+EXPECTED = "[[row, col, p], ...], p = null for an obstacle"
+
+
+def seen_by(given: Any, fleet: Fleet, reported: Mapping[int, int]) -> Seen:
+    """What was seen, `[[row, col, p], ...]`. Raises StateError for what cannot be, or nobody could act on.
+
+    `reported`: where robots said that they are in this step.
+    """
+    if any(robot.status is Doing.FOLLOWING for robot in fleet.robots) or fleet.problem.stay_inside:
+        problem = (
+            "robots that follow another planner's paths, or whose legs stay in their area, cannot act on what is seen"
+        )
+        raise StateError(problem, expected='a plan with areas, and `transit="grid"`')
+    world, found = fleet.problem.world, dict[int, float | None]()
+    (height, width), where = world.shape, {robot.cell for robot in fleet.robots if robot.alive} | {*reported.values()}
+    if not isinstance(given, list | tuple):
+        raise StateError(f"seen is {given!r:.60}", expected=EXPECTED)
+    for one in given:
+        if not isinstance(one, list | tuple) or len(one) != 3:
+            raise StateError(f"seen holds {one!r:.60}", expected=EXPECTED)
+        row, col, p = one
+        if not (is_whole(row, 0, height - 1) and is_whole(col, 0, width - 1)):
+            expected = f"row 0..{height - 1} and col 0..{width - 1}"
+            raise StateError(f"seen holds [{row!r}, {col!r}], no cell of the map", expected=expected)
+        if p is not None and not PROBABILITY.accepts(p):
+            raise StateError(
+                f"p of [{row}, {col}] is {p!r}", expected=f"{PROBABILITY.expected}, or null for an obstacle"
+            )
+        cell = int(row) * width + int(col)
+        if p is None and cell in where:
+            raise StateError(
+                f"[{row}, {col}] is said to be an obstacle, and a robot is there", expected="one of the two"
+            )
+        found[cell] = None if p is None else float(p)
+    return found
+
+
+def seen_world(world: World, seen: Seen, given: World | None = None) -> World:
+    """The world as it is known now. `given`: as it was before anything was seen, for what cells are worth."""
+    threat = world.threat.copy()
+    for cell, p in seen.items():
+        threat.flat[cell] = np.nan if p is None else p
+    worth = (given or world).value
+    value = None if worth is None else np.where(np.isnan(threat), 0.0, worth)
+    return replace(world, threat=threat, starts=None, value=value)
+
+
+def surprises(world: World, seen: Seen) -> NDArray[np.int64]:
+    """Those of the cells that are not as the world has them, rising."""
+    was, now = world.threat.ravel(), seen_world(world, seen).threat.ravel()
+    return np.flatnonzero((was != now) & ~(np.isnan(was) & np.isnan(now)))
+
+
+def learned_state(
+    state: MissionState, world: World, changed: NDArray[np.int64], settings: Settings
+) -> tuple[MissionState, bool]:
+    """The state as one of `world`, in which the `changed` cells, rising, are not as they were: rules (2) to (5).
+
+    And whether somebody got an area.
+
+    Levels are those of the new map. Where there are so many that they are quantised, a cell whose level is another
+    than most of its area has now surprises too.
+    """
+    free = world.free.ravel()
+    here = next(robot.cell for robot in state.robots if robot.alive)
+    # a lost robot on an obstacle is told to lie beside a live one, as where a zone is closed
+    robots = tuple(robot if free[robot.cell] else replace(robot, cell=here) for robot in state.robots)
+    state = _without_completed(replace(state, robots=robots))
+    problem = prepare(world, state.starts, settings, homes=state.homes(settings.return_to))
+    levels, news = problem.levels.of_cell, np.zeros(free.size, dtype=np.bool_)
+    news[changed] = True
+    areas = []
+    for area in state.areas:
+        known = levels[area.cells[~news[area.cells]]]
+        known = known[known != NO_LEVEL]
+        level = int(np.bincount(known).argmax()) if len(known) else 0
+        news[area.cells] |= (levels[area.cells] != level) & (levels[area.cells] != NO_LEVEL)
+        areas.append(replace(area, level=level))
+    state = replace(state, areas=tuple(areas))
+    team = Learning(problem, areas_of(state), state=state)
+    team.belief[news] = ANOTHER
+    found = np.flatnonzero(news)
+    team.believe(found, levels[found])
+    state, left = _without_completed(state_of(team, state.exposures)), problem.levels.accessible.copy()
+    for area in state.areas:
+        left[area.cells] = False
+    visited, survived = (cells[levels[cells] != NO_LEVEL] for cells in (state.visited, state.survived))
+    areas = [*state.areas, *_unheld(world, left, levels, team.visited)]
+    return replace(state, visited=visited, survived=survived, areas=tuple(areas)), team.progress
+
+
+def _without_completed(state: MissionState) -> MissionState:
+    """The state without areas in which nothing is to be done, but those of robots that still drive in them."""
+    kept = [number for number, area in enumerate(state.areas) if area.state != "completed" or area.robot != NO_ROBOT]
+    place = {number: index for index, number in enumerate(kept)}
+    robots = (replace(r, area=place[r.area]) if r.status in ON_ITS_WAY else r for r in state.robots)
+    return replace(state, robots=tuple(robots), areas=tuple(state.areas[number] for number in kept))
+
+
+def _unheld(
+    world: World, left: NDArray[np.bool_], levels: NDArray[np.int16], visited: NDArray[np.bool_]
+) -> Iterator[AreaState]:
+    """Areas of the cells that are left, bool `[N]`, of which there is nothing to do, or that nobody can reach."""
+    for of, what in ((left & visited, "completed"), (left & ~visited, "unassigned")):
+        for level in np.unique(levels[of]):
+            for part in connected_parts(world.shape, np.flatnonzero(of & (levels == level))):
+                yield AreaState(int(level), NO_ROBOT, what, part)
+
+
+# Cells that become obstacles while a mission is under way: its world, and its state, without them.
+
+
+def closed_by(given: ArrayLike, reports: Reports) -> tuple[NDArray[np.int64], World]:
+    """Cells, `[[row, col], ...]`, as rising indices, and the world of the fleet without them.
+
+    Raises StateError where a robot is on one of them, or has reported so; where they would lie between a robot and what
+    it reported in this step; and for what is no cell of the map.
+    """
+    fleet, found = reports.fleet, whole_numbers(given)
+    world, (height, width) = fleet.problem.world, fleet.problem.world.shape
+    if found.ndim != 2 or found.shape[1] != 2 or not len(found):
+        raise StateError(f"cells to close are {given!r:.60}", expected="[[row, col], ...]")
+    if not ((found >= 0) & (found < (height, width))).all():
+        raise StateError("cells to close lie off the map", expected=f"row 0..{height - 1} and col 0..{width - 1}")
+    if not any(robot.alive for robot in fleet.robots):
+        raise StateError("every robot is lost", expected="a robot that goes on")
+    cells = np.unique(found.astype(np.int64) @ (width, 1))
+    reported = [(number, report.cell) for number, report in reports.now.items()]
+    for number, cell in sorted({(robot.number, robot.cell) for robot in fleet.robots if robot.alive} | {*reported}):
+        if cell in cells:
+            problem = f"robot {number} is at {at(cell, world)}, which is to be closed"
+            raise StateError(problem, expected="cells where no robot is", fix="close it when the robot has left it")
+    without = closed_world(world, cells)
+    part = without.components.ravel()
+    for number, cell in reported:
+        if part[cell] != part[fleet.robots[number].cell]:
+            problem = f"what is to be closed cuts robot {number} off from {at(cell, world)}"
+            raise StateError(problem, expected="cells to close once the step in which it went there is over")
+    return cells, without
+
+
+def closed_world(world: World, cells: NDArray[np.int64]) -> World:
+    """The world with these cells, int64, as obstacles."""
+    return seen_world(world, dict.fromkeys(cells.tolist()))
+
+
+def closed_state(state: MissionState, world: World, levels: int) -> MissionState:
+    """The state as one of `world`, in which some cells that were free are closed; no robot alive stands on one.
+
+    Areas lose cells that are closed or out of reach, and fall apart where these are not connected, or of several
+    levels now (they are quantised by what is in reach). A robot keeps the part with most to do that it can reach; the
+    others nobody has. A robot whose way, or what it has to cover on it, is not as it was has nothing ahead: it is to
+    set out anew. `levels`: most threat levels.
+    """
+    here = next(robot.cell for robot in state.robots if robot.alive)
+    free = world.free.ravel()
+    # a lost robot in a closed zone is told to lie beside a live one: it does nothing, and a start is a free cell
+    state = replace(state, robots=tuple(r if free[r.cell] else replace(r, cell=here) for r in state.robots))
+    kept = world.accessible(state.starts).ravel()
+    level_of, labels = find_levels(world, kept.reshape(world.shape), levels).of_cell, world.components.ravel()
+    visited = np.zeros(kept.size, dtype=np.bool_)
+    visited[state.visited] = True
+
+    def left_in(cells: NDArray[np.int64]) -> int:
+        return int(np.count_nonzero(~visited[cells]))
+
+    areas: list[AreaState] = []
+    own: dict[int, int] = {}
+    for area in state.areas:
+        left, mine = area.cells[kept[area.cells]], NO_CELLS
+        levels_of = np.unique(level_of[left])
+        parts = [part for level in levels_of for part in connected_parts(world.shape, left[level_of[left] == level])]
+        if area.robot != NO_ROBOT:
+            here = labels[state.robots[area.robot].cell]
+            mine = max((part for part in parts if labels[part[0]] == here), key=left_in, default=mine)
+        has_it = left_in(mine) > 0
+        for part in parts:
+            robot, what = NO_ROBOT, "unassigned" if left_in(part) else "completed"
+            if has_it and part is mine:
+                robot, what = area.robot, "assigned"
+                own[robot] = len(areas)
+            areas.append(AreaState(int(level_of[part[0]]), robot, what, part))
+    robots = tuple(_still(robot, own.get(number, NO_AREA), areas, kept) for number, robot in enumerate(state.robots))
+    return replace(
+        state,
+        sha256=world.sha256,
+        visited=state.visited[kept[state.visited]],
+        survived=state.survived[kept[state.survived]],
+        robots=robots,
+        areas=tuple(areas),
+        quiet=0,
+    )
+
+
+def _still(robot: RobotState, area: int, areas: list[AreaState], kept: NDArray[np.bool_]) -> RobotState:
+    """The robot with what it is still about; with nothing ahead where its way, or what is to do on it, is another."""
+    if robot.status not in ON_ITS_WAY:
+        return robot
+    if area == NO_AREA:
+        return robot.at_rest
+    if kept[robot.ahead].all() and np.isin([*robot.to_do, robot.ahead[-1]], areas[area].cells).all():
+        return replace(robot, area=area)
+    return replace(robot, area=area, status="traveling", ahead=NO_CELLS, to_do=NO_CELLS)
+
+
+# What a mission knows without being told: the phase of its threats, and what visits and stops say of its hazards.
+#
+# It is said to the team at the end of a step, as what robots see is (`planner.mission.map_updates`): plans go by p of
+# the
+# moment.
+
+
+class Lessons:
+    """Of one mission.
+
+    Attributes:
+        phases: of its threats, or None. evidence: what its robots learn about hazards by, or None.
+        odds: int64 `[N]`, log odds of a hazard in each cell; of none without evidence.
+    """
+
+    def __init__(self, world: World, plan: Plan) -> None:
+        """Raises WorldError for robots that learn in another way, or cannot act on it."""
+        hazard = world.doubt if isinstance(world.doubt, Hazard) and world.doubt.learn else None
+        self.phases = world.phases
+        self.evidence = None if hazard is None else hazard.evidence
+        if hazard is not None and hazard.detector is not None:
+            problem, fix = f"a mission that is driven reads no detector; here: {hazard.said}", "leave `sense` out"
+            raise WorldError(problem, source=world.source, fix=f"{fix}, and say by `seen` what one tells")
+        if self.evidence is None and world.phases is None:
+            world.check_told("a mission that is driven")
+        elif plan.is_foreign or (plan.settings is not None and plan.settings.transit == "area"):
+            world.check_told("a mission on another planner's paths, or whose legs stay in their area,")
+        self.odds = np.zeros(0, dtype=np.int64) if self.evidence is None else self.evidence.prior.copy()
+        self._happened: set[int] = set()
+
+    def __bool__(self) -> bool:
+        return self.evidence is not None or self.phases is not None
+
+    def learn(self, cell: int, *, stopped: bool) -> None:
+        """A robot visited the cell, or is lost in it."""
+        if self.evidence is not None:
+            at = np.array([cell])
+            self.odds[at] = self.evidence.stop if stopped else added(self.odds[at], -self.evidence.survival[at])
+            self._happened.add(cell)
+
+    def last_update(self, accessible: NDArray[np.bool_]) -> int:
+        """The step from which the last announced phase holds that changes p of an accessible cell `[N]`; 0: none."""
+        if self.phases is None or not self.phases.told:
+            return 0
+        maps = self.phases.threats.reshape(len(self.phases.begins), -1)[:, accessible]
+        return int(self.phases.begins[1:][(maps[1:] != maps[:-1]).any(axis=1)].max(initial=0))
+
+    def at_end(self, step: int, world: World, held: Iterable[int]) -> Seen:
+        """p of cells by what is known at the end of the step; no obstacle where robots are, `held`."""
+        told: Seen = {}
+        if self.phases is not None and self.phases.told and (self.phases.begins == step + 1).any():
+            before, now = (self.phases.threats[int(self.phases.number_at(at))].ravel() for at in (step, step + 1))
+            changed = np.flatnonzero((before != now) & world.free.ravel())
+            told = dict(zip(changed.tolist(), now[changed].tolist(), strict=True))
+        cells = np.array(sorted(self._happened), dtype=np.int64)
+        self._happened.clear()
+        if self.evidence is not None and len(cells):
+            p = self.evidence.chances[self.evidence.class_of(self.odds, cells), cells]
+            found = {cell: None if np.isnan(one) else float(one) for cell, one in zip(cells.tolist(), p, strict=True)}
+            told |= {cell: one for cell, one in found.items() if one is not None or cell not in {*held}}
+        return told
+
+    def met(self, step: int, world: World) -> NDArray[np.float32]:
+        """float32 `[H, W]`: p of visits in the step, as is known by now."""
+        if self.phases is None or self.phases.told:
+            return world.threat
+        return self.phases.threats[int(self.phases.number_at(step))]
+
+    def to_json(self) -> list[list[int]]:
+        """What a file holds: [cell, odds] of each cell whose odds are not those at first."""
+        if self.evidence is None:
+            return []
+        other = np.flatnonzero(self.odds != self.evidence.prior)
+        return np.stack([other, self.odds[other]], axis=1).tolist()
+
+    def read(self, key: Key) -> None:
+        """What `to_json` gave. Raises StateError."""
+        for item in key.items("a list of [cell, odds]", least=0):
+            cell, odds = item.items("[cell, odds]", exactly=2)
+            self.odds[cell.number(whole(0, len(self.odds) - 1))] = odds.number(whole(-ALWAYS, ALWAYS))
+
+
+# A mission as a file, written whole and on the disk before orders are given: whatever ends the process, it goes on.
+#
+# It is a state file (SPEC section 12) that also holds what was reported of the step under way, of which step each robot
+# reported last, for how many steps it has not moved, what was seen, what was closed, what robots said of their range,
+# which make no progress, and how the mission ended.
+# Before step 0 has ended there is no state, and the rest alone is kept.
+
+DEFAULTS: dict[str, Any] = {
+    "world": {},
+    "begun": True,
+    "closed": [],
+    "seen": [],
+    "sees": [],
+    "odds": [],
+    "range": None,
+    "aside": [],
+    "reports": [],
+    "heard": [],
+    "waits": [],
+    "ended": None,
+    "over": None,
+}
+"""What a file holds beside a state, or in its place, and may leave out."""
+OF_REPORTS: dict[str, Any] = {
+    "cell": None,
+    "stopped": False,
+    "found": False,
+    "moves_left": None,
+    "step": None,
+    "seen": None,
+}
+"""What a report may leave out."""
+ON_ITS_MAP = "give the map that the mission is on"
+OF_END = ("outcome", "step", "covered", "lost")
+"""What is known of a mission when it is over."""
+
+
+def write_mission(path: str | Path, world: World, state: Json | None, more: Json) -> None:
+    """Write the file; it is on the disk before this returns. `state`: None before there is one. Raises StateError."""
+    where = state or {"world": {"shape": list(world.shape), "sha256": world.sha256}}
+    known = {"format": FORMAT, "version": VERSION, "begun": state is not None}
+    write_json(Path(path), known | where | more, MAX_PLAN_BYTES, StateError, sync=True)
+
+
+def read_rest(path: str | Path, world: World, plan: Plan) -> tuple[World, Plan, dict[str, Key]]:
+    """The world, with what was seen and closed, the plan of the rest by the settings of `plan`, and what else it holds.
+
+    Raises StateError.
+    """
+    source, (data, keys) = str(path), _read(path)
+    given, (world, changed) = world, _as_known(world, keys)
+    settings = plan.settings or Settings()
+    if "range" in data:  # what robots said of it; a state by hand says nothing
+        settings = replace(settings, range=keys["range"].setting(SETTINGS["range"]))
+    if keys["begun"].value is False:
+        check_map(keys["world"], world, "state of", ON_ITS_MAP)
+        same = not changed and settings == plan.settings
+        return world, plan if same else make_plan(world, plan.starts, settings), keys
+    state = parse_state(data, world, source, given)
+    if state.over is not None:
+        state = replace(state, over=_outcome(keys["over"], settings))
+    return world, make_plan(replace(world, doubt=None), state.starts, settings, state=state), keys
+
+
+def ended(path: str | Path, world: World, plan: Plan) -> Json | None:
+    """How the mission in the file ended, as `drive` says it: outcome, step, covered, lost. None: it goes on.
+
+    `plan`: that the mission is driven by. Raises StateError.
+    """
+    keys = _read(path)[1]
+    if keys["ended"].value is None:
+        return None
+    check_map(keys["world"], _as_known(world, keys)[0], "state of", ON_ITS_MAP)
+    known, settings = keys["ended"].mapping(OF_END), plan.settings or Settings()
+    return {name: key.value for name, key in known.items()} | {"outcome": _outcome(known["outcome"], settings)}
+
+
+def _outcome(key: Key, settings: Settings) -> str:
+    """The outcome that a file names.
+
+    Up to release 0.3 files did not say whether an operator had ended a mission or the rule, or whether a deadline cut
+    it off: the settings tell, but for a mission with a `worth` that ended on the way home, which counts as the rule's.
+    """
+    if key.value == "called_off" and settings.worth is None:
+        return Outcome.ENDED_BY_OPERATOR.word
+    word = key.choice((outcome.word for outcome in Outcome), WORDS_OF_0_3)
+    return Outcome[word.upper()].by_deadline(settings.ends_by_deadline).word
+
+
+def _as_known(world: World, keys: dict[str, Key]) -> tuple[World, bool]:
+    """The world as it was seen to be, without what was closed, and whether that is another one."""
+    cell = whole(0, world.threat.size - 1, what="the index of a cell")
+    closed, seen = (
+        [one.number(cell) for one in keys["closed"].items("a list of cells", least=0)],
+        read_seen(keys["seen"]),
+    )
+    for one in seen:
+        cell.check("seen", one, StateError, str(keys["seen"].source))
+    known = seen_world(world, seen) if seen else world
+    return (closed_world(known, np.array(closed, dtype=np.int64)) if closed else known), bool(seen or closed)
+
+
+def read_seen(key: Key) -> Seen:
+    """p by cell, None of an obstacle, of `[[cell, p], ...]`. Raises StateError."""
+    found: Seen = {}
+    for item in key.items("a list of [cell, p]", least=0):
+        cell, p = item.items("[cell, p]", exactly=2)
+        found[cell.number(whole(0, MAX_CELLS))] = None if p.value is None else p.number(PROBABILITY)
+    return found
+
+
+def _read(path: str | Path) -> tuple[Json, dict[str, Key]]:
+    """What is in the file, and its keys."""
+    data = read_json(Path(path), MAX_PLAN_BYTES, StateError, "a state file (JSON)")
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise StateError("is no state of a mission", source=path, expected=f'an object with "format": "{FORMAT}"')
+    return data, Key(data, "", str(path), StateError).mapping(defaults=DEFAULTS, strict=False)
+
+
+def hand_on(report: Callable[..., None], key: Key) -> None:
+    """Call `Mission.report` with what a file, or a line of `drive`, says. Raises StateError."""
+    keys = key.mapping(("robot",), defaults=OF_REPORTS)
+    flags = {name: keys[name].value for name in ("stopped", "found")}
+    for name, value in flags.items():
+        if not isinstance(value, bool):
+            raise keys[name].wrong("true or false")
+    given = {name: keys[name].value for name in ("robot", "cell", "moves_left", "step", "seen")}
+    report(**given, **flags)

@@ -1,0 +1,220 @@
+"""Ways home: from every cell the safest path to a base, for robots that come home (SPEC section 19)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.arguments import argument
+from planner.errors import PlanError
+from planner.ids import MAX_STEP, NO_CELL
+from planner.jit import compiled
+from planner.mrac.paths import UNREACHED, SafestPaths, entry_costs, level_costs, safest_paths
+from planner.settings import Settings
+from planner.world.levels import NO_LEVEL, ThreatLevels, levels_of_maps
+from planner.world.world import World
+
+# The maps of robots that differ in type: one book of areas, and for each type its own costs and ways (SPEC 22).
+#
+# An area is a connected set of cells that have one level for each type. So a robot enters all cells of an area at one
+# cost, as Algorithm 3 presumes, whichever type it is of.
+
+
+@dataclass(frozen=True, eq=False)
+class OwnMaps:
+    """Axes: `Y` types, `K` robots, `L` levels of areas, `N` cells.
+
+    Attributes:
+        of: int64 `[K]`, the type of each robot. values: float64, the scale of what types call levels.
+        level: int64 `[Y, L]`, which level of the scale an area of each level is to a type.
+        costs: int64 `[Y, N]`, entry costs. paths: safest paths of each type.
+    """
+
+    of: NDArray[np.int64]
+    values: NDArray[np.float64]
+    level: NDArray[np.int64]
+    costs: NDArray[np.int64]
+    paths: tuple[SafestPaths, ...]
+
+
+def own_maps(
+    worlds: tuple[World, ...], accessible: NDArray[np.bool_], settings: Settings
+) -> tuple[ThreatLevels, NDArray[np.int64], OwnMaps]:
+    """The levels of areas, the cost of entering a cell of each level of the scale, and the maps by type.
+
+    `worlds`: of each robot `[K]`, two of them or more different. Levels of areas rise by their mean p over the team.
+    Raises PlanError for what such teams do not do, WorldError.
+    """
+    if settings.transit != Settings().transit:
+        problem = f"{argument('transit')} for robots of several types"
+        raise PlanError(problem, fix=f"leave {argument('transit')} out, or give all robots one type")
+    kinds = list(dict.fromkeys(worlds))
+    of = np.array([kinds.index(world) for world in worlds])
+    within = accessible.ravel()
+    threats = np.stack([world.threat.ravel() for world in kinds])
+    values, of_map, quantised = levels_of_maps(threats, within, settings.levels)
+    of_map = np.where(within, of_map, NO_LEVEL).astype(np.int16)
+    # Level 0, safe for all, exists even when it is empty.
+    found, of_cell = np.unique(np.column_stack([np.zeros(len(kinds), of_map.dtype), of_map[:, within]]), axis=1,
+                               return_inverse=True)  # fmt: skip
+    mean = np.bincount(of, minlength=len(kinds)) @ values[found] / len(of)
+    order = np.argsort(mean, kind="stable")
+    common = np.full(within.size, NO_LEVEL, dtype=np.int16)
+    common[within] = np.argsort(order)[of_cell.ravel()[1:]]
+    costs = [entry_costs(ThreatLevels(values, own, quantised), settings.risk, worlds[0].source) for own in of_map]
+    entry = level_costs(values, within.size, settings.risk).astype(np.int64)
+    paths = tuple(safest_paths(worlds[0].shape, own) for own in costs)
+    maps = OwnMaps(of, values, found[:, order].astype(np.int64), np.stack(costs), paths)
+    return ThreatLevels(mean[order], common, quantised), entry, maps
+
+
+CUT_OFF = -1
+"""Moves of a way home where no base can be reached: less than any robot has left, so that nothing turns it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Homeward:
+    """The ways home. Axes: `B` sets of bases, and types, `N` cells, `K` robots.
+
+    Attributes:
+        starts: int64 `[K]`, the cells where the robots started. of: int64 `[K]`, the set of bases of each.
+        bases: bool `[B, N]`, those of each set.
+        cost: int64 `[B, N]`, cost of the way home, UNREACHED where there is none.
+        steps: int32 `[B, N]`, its moves, 0 at a base, CUT_OFF where there is none.
+        onward: int32 `[B, N]`, the cell that is entered next, NO_CELL at a base and where there is none.
+        last: D, the step at which the robots know that the mission ends; MAX_STEP if at none.
+    """
+
+    starts: NDArray[np.int64]
+    of: NDArray[np.int64]
+    bases: NDArray[np.bool_]
+    cost: NDArray[np.int64]
+    steps: NDArray[np.int32]
+    onward: NDArray[np.int32]
+    last: int
+
+    def moves(self, robot: int, cell: int) -> int:
+        """h: moves of the robot's way home from the cell."""
+        return int(self.steps[self.of[robot], cell])
+
+    def believing(self, paths: SafestPaths, costs: NDArray[np.int64]) -> Homeward:
+        """The same where robots believe another map, with these paths and costs `[N]`."""
+        found = [ways_to(np.flatnonzero(cells), paths, costs) for cells in self.bases]
+        cost, steps, onward = (np.stack(rows) for rows in zip(*found, strict=True))
+        return replace(self, cost=cost, steps=steps, onward=onward)
+
+    def further(self, robot: int, here: int, there: int) -> int:
+        """How much dearer the robot's way home is from `there` than from `here`, 0 if it is not."""
+        cost = self.cost[self.of[robot]]
+        return max(int(cost[there] - cost[here]), 0)
+
+    def way(self, robot: int, cell: int) -> list[int]:
+        """The cells that the robot enters on its way home from the cell; none at a base, and where it is cut off."""
+        onward, found = self.onward[self.of[robot]], []
+        while (cell := int(onward[cell])) != NO_CELL:
+            found.append(cell)
+        return found
+
+
+def ways_home(
+    settings: Settings,
+    starts: NDArray[np.int64],
+    shape: tuple[int, int],
+    paths: SafestPaths,
+    costs: NDArray[np.int64],
+    homes: NDArray[np.int64] | None = None,
+    own: OwnMaps | None = None,
+) -> Homeward | None:
+    """The ways home of robots from `starts` `[K]`, cells; None where they need not come home.
+
+    `costs`: int64 `[N]`, of entering each cell. `homes`: cells `[K]` where robots of a mission under way started.
+    `own`: of robots of several types, whose ways home are their own. Cost: a search from every base. Raises PlanError
+    for a base that is off the map, and of a mission that begins for a robot that cannot reach one.
+    """
+    if settings.return_to is None:
+        return None
+    begun = starts if homes is None else homes
+    if settings.return_to == "home":
+        bases, of = np.unique(begun, return_inverse=True)
+        sets = [np.array([base]) for base in bases.tolist()]
+    else:
+        shared = np.unique(begun) if settings.return_to == "nearest" else _cells(settings.return_to, shape)
+        sets, of = [shared], np.zeros(len(starts), dtype=np.int64)
+    maps = ((paths, costs),) if own is None else tuple(zip(own.paths, own.costs, strict=True))
+    kinds = np.zeros(len(starts), dtype=np.int64) if own is None else own.of
+    pairs, of = np.unique(np.stack([kinds, of]), axis=1, return_inverse=True)
+    found = [ways_to(sets[bases], *maps[kind]) for kind, bases in pairs.T.tolist()]
+    cells = np.arange(len(costs))
+    among = np.stack([np.isin(cells, sets[bases]) for _, bases in pairs.T.tolist()])
+    cost, steps, onward = (np.stack(rows) for rows in zip(*found, strict=True))
+    last = MAX_STEP if settings.last_step is None else settings.last_step
+    home = Homeward(begun, of.ravel().astype(np.int64), among, cost, steps, onward, last)
+    if homes is None:
+        _check(home, settings, starts, shape)
+    return home
+
+
+def _cells(places: str | tuple[tuple[int, int], ...], shape: tuple[int, int]) -> NDArray[np.int64]:
+    """The bases as cells, rising."""
+    rows, cols = np.array(places, dtype=np.int64).T
+    off = np.flatnonzero((rows >= shape[0]) | (cols >= shape[1]))
+    if len(off):
+        raise PlanError(
+            f"{argument('return_to')}: base {list(map(int, places[off[0]]))} is outside the map",
+            expected=f"row 0..{shape[0] - 1} and col 0..{shape[1] - 1}",
+        )
+    return np.unique(rows * shape[1] + cols)
+
+
+def _check(home: Homeward, settings: Settings, starts: NDArray[np.int64], shape: tuple[int, int]) -> None:
+    """Raise PlanError for a robot that cannot come home from where it starts."""
+    moves = np.broadcast_to(np.asarray(MAX_STEP if settings.range is None else settings.range), len(starts))
+    for robot, start in enumerate(starts.tolist()):
+        way, where = home.moves(robot, start), [int(n) for n in divmod(start, shape[1])]
+        if way == CUT_OFF:
+            problem = f"{argument('return_to')}: robot {robot}, which starts at {where}, cannot reach a base"
+            raise PlanError(problem, expected="a base in the same part of the map, on a free cell")
+        pace = settings.paces[robot] if settings.paces else 1
+        if way > min(int(moves[robot]), home.last // pace):
+            problem = f"{argument('return_to')}: robot {robot} starts {way} moves from its base"
+            raise PlanError(
+                problem, expected=f"at most {min(int(moves[robot]), home.last // pace)}, its range or the deadline"
+            )
+
+
+def ways_to(
+    bases: NDArray[np.int64], paths: SafestPaths, costs: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]:
+    """(cost, steps, onward) `[N]` of the ways to the nearest of the bases."""
+    n = len(costs)
+    cost = np.full(n, UNREACHED, dtype=np.int64)
+    for base in bases[costs[bases] > 0].tolist():
+        # A path costs as much as the way back, but for its two ends: the cell that it leaves is not entered.
+        away = paths.to_all(base)
+        back = np.where(away == UNREACHED, UNREACHED, away - costs + costs[base])
+        back[base] = 0
+        nearer = (back != UNREACHED) & ((cost == UNREACHED) | (back < cost))
+        cost[nearer] = back[nearer]
+    steps, onward = np.full(n, 2**30, dtype=np.int32), np.full(n, NO_CELL, dtype=np.int32)
+    reached = np.flatnonzero(cost != UNREACHED)
+    nearest_first = reached[np.argsort(cost[reached], kind="stable")]
+    _follow(nearest_first, cost, costs, paths.neighbours, steps, onward)
+    steps[cost == UNREACHED] = CUT_OFF
+    return cost, steps, onward
+
+
+@compiled
+def _follow(nearest_first, cost, costs, neighbours, steps, onward):  # type: ignore[no-untyped-def]
+    """Fill in steps and onward of the cells, which rise in cost: what is entered next is always known before."""
+    for cell in nearest_first:
+        if cost[cell] == 0:
+            steps[cell] = 0
+            continue
+        for side in range(4):
+            beside = neighbours[cell, side]
+            if beside == NO_CELL or cost[beside] < 0 or cost[beside] + costs[beside] != cost[cell]:
+                continue
+            if steps[beside] + 1 < steps[cell]:
+                steps[cell], onward[cell] = steps[beside] + 1, beside

@@ -1,0 +1,1 @@
+"""Plans and the states of missions, as data and as files."""

@@ -1,0 +1,288 @@
+"""Reading plan files, the project's own (`mrac-plan`) and the bare paths of any other planner, against a world.
+
+Nothing that a file claims is believed: every number is checked before an engine sees it, and every error says which
+robot, step or area is wrong, what was expected, and what to do.
+"""
+
+from __future__ import annotations
+
+import reprlib
+from dataclasses import replace
+from itertools import chain, pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.arguments import whole
+from planner.errors import PlanError
+from planner.files import read_json
+from planner.ids import MAX_PLAN_BYTES, MAX_STEP, NO_ROBOT
+from planner.plan.plan import FORMAT, VERSION, Area, Leg, Plan, RobotPlan
+from planner.plan.reading import at, check_map, check_partition, read_cells
+from planner.plan.state_file import parse_state
+from planner.settings import BEARING, KEPT, POLICY, SETTINGS, Settings
+from planner.tally import OF_CLOSED_LOOP, WORDS_OF_0_3, Outcome
+from planner.world.features import as_planned
+from planner.world.keys import Key
+from planner.world.world import MAX_CELLS, MAX_ROBOTS, World
+
+OUTCOMES = tuple(outcome.word for outcome in OF_CLOSED_LOOP if outcome is not Outcome.ALL_ROBOTS_LOST)
+REMAKE = "make the plan anew with `mrac-jax plan`"
+PARTS = ("areas", "areas_added")
+LATER = ("nominal", "notes", "plan_for", "state")
+"""Keys of areas, and those that a plan file need not have."""
+BORNE = (*BEARING, "types")
+"""Keys of paths alone: what their robots bear."""
+
+
+def read_plan_json(path: str | Path) -> object:
+    """The JSON of a plan file. Raises PlanError."""
+    return read_json(Path(path), MAX_PLAN_BYTES, PlanError, "a plan file (JSON)")
+
+
+def parse_plan(data: object, world: World, source: str) -> Plan:
+    """The plan in a file's JSON, checked against `world`: SPEC's, or `{"paths": [[[row, col], ...], ...]}`.
+
+    The second form, which may be the bare list of paths, is the plan of another planner: `settings` None, no areas,
+    outcome "end_of_paths", time = makespan; cells that it leaves out are counted in `notes`. Unknown keys are ignored.
+    `source` names the file in errors.
+
+    Raises:
+        PlanError: it is no plan, belongs to another map, or its paths cannot be driven.
+
+    Source: SPEC section 9. Cost: linear in the file and the map.
+    """
+    top = Key(data, "", source, PlanError, REMAKE)
+    if isinstance(data, list) and data:
+        return _bare_paths(top, world)
+    if not isinstance(data, dict):
+        raise top.wrong("a JSON object, or a list of paths")
+    if data.get("format") == FORMAT:
+        return _own_plan(top, world)
+    if "paths" not in data:
+        problem = f"has the format {reprlib.repr(data['format'])}, and no paths" if "format" in data else "has no paths"
+        raise top.fault(problem, f'"format": "{FORMAT}", or "paths": [[[row, col], ...], ...] of another planner')
+    keys = top.mapping(("paths",), (*POLICY, *BORNE), strict=False)
+    for name in POLICY:
+        if name in keys and keys[name].value is not None:
+            raise keys[name].wrong("paths alone", "leave it out: paths are followed")
+    return _foreign_plan(keys["paths"], keys, world)
+
+
+def _bare_paths(top: Key, world: World) -> Plan:
+    """The plan of another planner as a bare list, one path a robot; PlanError with the right hint for a lone path."""
+    if all(isinstance(cell, list) and len(cell) == 2 and all(type(n) is int for n in cell) for cell in top.value):
+        raise top.fault("holds one path", "a list of paths, one a robot", "put it in a list: [[[row, col], ...]]")
+    return _foreign_plan(top, {}, world)
+
+
+def _foreign_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:
+    """The plan of another planner, with a note that counts the accessible cells on no path.
+
+    What its robots bear is as the file says, else as the world does.
+    """
+    source = str(paths.source)
+    robots = tuple(RobotPlan(_path(item.value, number, world, source)) for number, item in enumerate(_team(paths)))
+    plan = Plan(world.shape, world.sha256, None, robots, outcome=Outcome.END_OF_PATHS.word, source=world.source)
+    missed = _unvisited(plan, world)
+    notes: tuple[str, ...] = ()
+    if len(missed):
+        notes = (f"accessible cells on no path: {len(missed)} (the first: {at(missed[0], world)})",)
+    told = {name: value for name, value in world.team.settings.items() if name in BORNE}
+    kept = [name for name in KEPT if name in world.team.settings]
+    if kept and ("plan_for" not in keys or keys["plan_for"].value is None):
+        notes += (f"robots follow given paths to their end, whatever {world.source} says of {' and '.join(kept)}",)
+    told |= {name: keys[name].setting(SETTINGS[name]) for name in BORNE if name in keys}
+    bears = Settings(**told).bearing()
+    bears.check(len(robots), source)
+    world.of_robots(bears.types, len(robots))
+    return replace(plan, time=plan.makespan, notes=notes, bears=bears)
+
+
+def _team(key: Key) -> list[Key]:
+    items = key.items("a list with one entry a robot")
+    if len(items) > MAX_ROBOTS:
+        raise key.fault(f"has {len(items)} robots", f"at most {MAX_ROBOTS}")
+    return items
+
+
+def _own_plan(top: Key, world: World) -> Plan:
+    """A plan in the project's own format: version, map, settings, paths with legs, areas, nominal outcome."""
+    keys = top.mapping(("version", "world", "robots"), ("settings", *PARTS, *LATER, *BORNE), strict=False)
+    version = keys["version"].number(whole(1))
+    if version > VERSION:
+        raise keys["version"].wrong(f"version 1 to {VERSION}", "update mrac-jax")
+    check_map(keys["world"], world, "plan for", f"give the map that it was made for, or {REMAKE}")
+    entries = [robot.mapping(("path",), ("legs",), strict=False) for robot in _team(keys["robots"])]
+    if "settings" not in keys or keys["settings"].value is None:
+        return _saved_foreign_plan(keys, entries, world)
+    top.mapping(PARTS, strict=False)
+    given = keys["settings"].mapping(optional=SETTINGS)
+    settings = Settings(**{name: key.setting(SETTINGS[name]) for name, key in given.items()})
+    settings.check(str(top.source))
+    paths = [_path(entry["path"].value, robot, world, str(top.source)) for robot, entry in enumerate(entries)]
+    areas, added = (
+        tuple(_area(item, len(paths), settings.levels, world) for item in keys[name].items("a list of areas", least=0))
+        for name in PARTS
+    )
+    levels = [area.level for area in areas + added]
+    robots = tuple(RobotPlan(path, _legs(entry, len(path), levels)) for entry, path in zip(entries, paths, strict=True))
+    state = None
+    if "state" in keys and keys["state"].value is not None:
+        state = parse_state(keys["state"].value, world, f'{top.source}: "state"')
+    plan = Plan(
+        world.shape, world.sha256, settings, robots, areas, added, notes=_notes(keys), state=state, source=world.source
+    )
+    check_partition(areas, as_planned(world, plan.starts), plan.starts, PlanError, str(top.source), REMAKE)
+    outcome, time, shares = _nominal(keys, plan, world)
+    return replace(plan, outcome=outcome, time=time, shares=shares)
+
+
+def _saved_foreign_plan(keys: dict[str, Key], entries: list[dict[str, Key]], world: World) -> Plan:
+    """Another planner's plan that was saved in our format: paths alone, without settings, areas and legs."""
+    for part in (*(keys[name] for name in PARTS if name in keys), *(one["legs"] for one in entries if "legs" in one)):
+        if part.value:
+            raise part.wrong("none, as there are no settings")
+    robots = keys["robots"]
+    paths = Key([entry["path"].value for entry in entries], "robots", robots.source, robots.error, robots.fix)
+    plan = _foreign_plan(paths, keys, world)
+    if "plan_for" not in keys or keys["plan_for"].value is None:
+        return plan
+    keys["plan_for"].choice(("open",))
+    return replace(plan, for_open_loop=True, notes=tuple(dict.fromkeys(_notes(keys) + plan.notes)))
+
+
+def _path(given: object, robot: int, world: World, source: str) -> NDArray[np.int64]:
+    """One robot's path as cell indices, int64 `[steps + 1]`: every cell on the map and free, every move one cell."""
+    if not isinstance(given, list) or not given:
+        problem = f"robot {robot}: its path is {reprlib.repr(given)}"
+        raise PlanError(problem, source=source, expected="at least the start: [[row, col], ...]")
+    if len(given) - 1 > MAX_STEP:
+        raise PlanError(f"robot {robot}: {len(given) - 1} steps", source=source, expected=f"at most {MAX_STEP}")
+    cells = _cells_of(given)
+    if cells is None or not ((cells >= 0) & (cells < world.shape)).all():
+        _refuse_entry(given, robot, world, source)
+    assert cells is not None
+    _check_drivable(cells, robot, world, source)
+    return cells[:, 0] * world.shape[1] + cells[:, 1]
+
+
+def _cells_of(given: list[Any]) -> NDArray[np.int64] | None:
+    """Pairs of whole numbers as int64 `[entries, 2]`, or None if something else is among them."""
+    if set(map(type, given)) != {list} or set(map(len, given)) != {2}:
+        return None
+    flat = list(chain.from_iterable(given))
+    if set(map(type, flat)) != {int}:
+        return None
+    try:
+        return np.array(flat, dtype=np.int64).reshape(-1, 2)
+    except OverflowError:
+        return None
+
+
+def _refuse_entry(given: list[Any], robot: int, world: World, source: str) -> None:
+    """PlanError for the first entry of a path that is no cell of the map."""
+    height, width = world.shape
+    for step, cell in enumerate(given):
+        if not (type(cell) is list and len(cell) == 2 and type(cell[0]) is int and type(cell[1]) is int):
+            problem = f"robot {robot}, step {step}: {reprlib.repr(cell)}"
+            raise PlanError(problem, source=source, expected="[row, col], two whole numbers")
+        if not (0 <= cell[0] < height and 0 <= cell[1] < width):
+            raise PlanError(
+                f"robot {robot}, step {step}: cell {reprlib.repr(cell)} is off the map",
+                source=source,
+                expected=f"row 0..{height - 1} and col 0..{width - 1}",
+                fix="cells are [row, col] from 0, row 0 at the top, not [x, y]",
+            )
+
+
+def _check_drivable(cells: NDArray[np.int64], robot: int, world: World, source: str) -> None:
+    """PlanError at the first obstacle on a path of (row, col), int64 `[steps + 1, 2]`, or at its first jump.
+
+    What is falsely believed to be one is none: robots have seen where they start.
+    """
+    blocked = np.flatnonzero(~world.enterable[cells[:, 0], cells[:, 1]])
+    if len(blocked):
+        step = int(blocked[0])
+        raise PlanError(
+            f"robot {robot}, step {step}: cell {cells[step].tolist()} is an obstacle ({len(blocked)} such steps)",
+            source=source,
+            expected="free cells",
+            fix="cells are [row, col] from 0, row 0 at the top: check that the plan is for this map",
+        )
+    jumps = np.flatnonzero(np.abs(np.diff(cells, axis=0)).sum(axis=1) > 1)
+    if len(jumps):
+        step = int(jumps[0]) + 1
+        raise PlanError(
+            f"robot {robot}, step {step}: a jump from {cells[step - 1].tolist()} to cell {cells[step].tolist()} "
+            f"({len(jumps)} such steps)",
+            source=source,
+            expected="one cell north, south, east or west, or waiting",
+            fix="write every cell on the way",
+        )
+
+
+def _legs(entry: dict[str, Key], entries: int, levels: list[int]) -> tuple[Leg, ...]:
+    """A robot's legs on its path of `entries` entries; `levels`: the level of every area by id."""
+    if "legs" not in entry:
+        raise entry["path"].fault("has no legs beside it", "a list, [] where they are not known")
+    return tuple(_leg(item, entries, levels) for item in entry["legs"].items("a list of legs", least=0))
+
+
+def _leg(key: Key, entries: int, levels: list[int]) -> Leg:
+    """One leg: its kind known, its area one of those in `levels` and of that level, its range inside the path."""
+    keys = key.mapping(("kind", "area", "level", "start", "stop"), strict=False)
+    kind: Any = keys["kind"].choice(("travel", "cover"))
+    area = keys["area"].number(whole(0, len(levels) - 1, "the id of an area"))
+    level = keys["level"].number(whole(levels[area], levels[area], said=f"{levels[area]}, that of area {area}"))
+    start = keys["start"].number(whole(0, entries - 1, "a step of the path"))
+    return Leg(kind, area, level, start, keys["stop"].number(whole(start + 1, entries, "a step after its start")))
+
+
+def _area(key: Key, robots: int, levels: int, world: World) -> Area:
+    """One area, with level, owner and cells in range; `levels`: the settings' most levels."""
+    keys = key.mapping(("level", "robot", "cells"), strict=False)
+    said = f"0..{levels - 1} (the plan's setting levels is {levels})"
+    level = keys["level"].number(whole(0, levels - 1, said=said))
+    robot = keys["robot"].number(whole(NO_ROBOT, robots - 1, said=f"a robot 0..{robots - 1}, or {NO_ROBOT} for none"))
+    cells = read_cells(keys["cells"], world)
+    if not len(cells):
+        raise keys["cells"].wrong("at least one cell")
+    return Area(level, robot, cells)
+
+
+def _nominal(keys: dict[str, Key], plan: Plan, world: World) -> tuple[str, int, int]:
+    """How the nominal run ended: (outcome, time, shares), as saved, or worked out when the file leaves it out."""
+    if "nominal" not in keys:
+        complete = not len(_unvisited(plan, world))
+        ended = Outcome.COMPLETE if complete else plan.ending(Outcome.STEP_LIMIT)
+        return ended.word, plan.makespan, count_shares(plan)
+    given = keys["nominal"].mapping(("outcome", "time", "shares"), strict=False)
+    time = given["time"].number(whole(plan.makespan, MAX_STEP, "the step of the last move or a later one"))
+    word = given["outcome"].choice(OUTCOMES, WORDS_OF_0_3)
+    return plan.ending(Outcome[word.upper()]).word, time, given["shares"].number(whole(0, MAX_CELLS))
+
+
+def count_shares(plan: Plan) -> int:
+    """How often the nominal run shared an area: the areas that `areas_added` were cut from, each cut once at most."""
+    holder: dict[int, int] = {int(cell): number for number, area in enumerate(plan.areas) for cell in area.cells}
+    parents = []
+    for number, area in enumerate(plan.areas_added, start=len(plan.areas)):
+        parents.append(holder.get(int(area.cells[0]), number))
+        holder.update((int(cell), number) for cell in area.cells)
+    return sum(before != after for before, after in pairwise([-1, *parents]))
+
+
+def _unvisited(plan: Plan, world: World) -> NDArray[np.int64]:
+    """Accessible cells that are on no path, int64 indices in increasing order."""
+    visited = np.zeros(world.shape[0] * world.shape[1], dtype=bool)
+    for robot in plan.robots:
+        visited[robot.path] = True
+    return np.flatnonzero(as_planned(world, plan.starts).accessible(plan.starts).ravel() & ~visited)
+
+
+def _notes(keys: dict[str, Key]) -> tuple[str, ...]:
+    items = keys["notes"].items("a list of strings", least=0) if "notes" in keys else []
+    return tuple(item.text("a string") for item in items)

@@ -1,0 +1,152 @@
+"""A mission under way as data: what is visited, where the robots are, what they are about (SPEC section 12)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import StateError
+from planner.files import Json, check_new, write_json
+from planner.ids import MAX_PLAN_BYTES, NO_AREA
+
+FORMAT, VERSION = "mrac-state", 1
+NAT = 2**32
+"""Units of exposure in a nat."""
+ON_ITS_WAY = ("traveling", "covering")
+RETURNING = "returning"
+STATUSES = ("idle", *ON_ITS_WAY, RETURNING, "done", "dead")
+NO_CELLS = np.zeros(0, dtype=np.int64)
+AREA_STATES = ("unassigned", "assigned", "completed")
+
+
+@dataclass(frozen=True, eq=False)
+class RobotState:
+    """A robot at the end of a step.
+
+    Attributes:
+        cell: where it is. status: one of STATUSES. area: its area's id, or NO_AREA.
+        ahead: int64, the cells of its path still to enter, the next one first.
+        to_do: int64, the cells that its coverage path has still to reach, rising.
+        moves: that it has made. held: kept from areas at risk (`reserve`).
+        exposure: that it has borne, in units of 2**-32 nat; None: not known.
+        home: the cell where it started, None: not known. turned: it has turned for home (SPEC section 19).
+    """
+
+    cell: int
+    status: str
+    area: int
+    ahead: NDArray[np.int64]
+    to_do: NDArray[np.int64]
+    moves: int
+    held: bool
+    exposure: int | None = None
+    home: int | None = None
+    turned: bool = False
+
+    @property
+    def alive(self) -> bool:
+        """Not lost."""
+        return self.status != "dead"
+
+    @property
+    def at_rest(self) -> RobotState:
+        """The robot about nothing."""
+        rests = "idle" if self.status in ON_ITS_WAY else self.status
+        return replace(self, status=rests, area=NO_AREA, ahead=NO_CELLS, to_do=NO_CELLS)
+
+
+@dataclass(frozen=True, eq=False)
+class AreaState:
+    """An area at the end of a step: its level, robot (or NO_ROBOT), one of AREA_STATES, its cells (rising)."""
+
+    level: int
+    robot: int
+    state: str
+    cells: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class MissionState:
+    """Where a mission stands at the end of a step.
+
+    Attributes:
+        shape, sha256: of the world. step: t.
+        visited, survived: int64, cells, rising.
+        robots: one each. areas: in id order, every accessible cell in one of them; none: to be allocated anew.
+        quiet: steps in a row without a move or an allocation.
+        over: how the mission ended for which all have turned for home; None: it goes on.
+    """
+
+    shape: tuple[int, int]
+    sha256: str
+    step: int
+    visited: NDArray[np.int64]
+    survived: NDArray[np.int64]
+    robots: tuple[RobotState, ...]
+    areas: tuple[AreaState, ...] = ()
+    quiet: int = 0
+    over: str | None = None
+
+    def homes(self, return_to: object) -> NDArray[np.int64] | None:
+        """The cells where the robots started, int64 `[K]`; None where none of them comes home.
+
+        Raises StateError where they are asked for, and not known.
+        """
+        if return_to is None:
+            return None
+        for number, robot in enumerate(self.robots):
+            if robot.home is None and isinstance(return_to, str):
+                problem = f"robot {number} is to come home, and it is not said where it started"
+                raise StateError(problem, expected='"home": [row, col] of each robot', fix="or name bases to return to")
+        return np.array([NO_AREA if robot.home is None else robot.home for robot in self.robots], dtype=np.int64)
+
+    @property
+    def starts(self) -> NDArray[np.int64]:
+        """(row, col) of each robot, int64 `[K, 2]`."""
+        return np.array([divmod(robot.cell, self.shape[1]) for robot in self.robots], dtype=np.int64)
+
+    @property
+    def exposures(self) -> tuple[int, ...]:
+        """What each robot has borne, where it is known, else 0."""
+        return tuple(robot.exposure or 0 for robot in self.robots)
+
+    @property
+    def lost(self) -> int:
+        """How many of its robots are."""
+        return sum(not robot.alive for robot in self.robots)
+
+    def to_json(self) -> Json:
+        """The state file's object."""
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "world": {"shape": list(self.shape), "sha256": self.sha256},
+            "step": self.step,
+            "visited": self.visited.tolist(),
+            "survived": self.survived.tolist(),
+            "robots": [
+                {"cell": r.cell, "status": r.status, "area": r.area, "ahead": r.ahead.tolist(), "moves": r.moves}
+                | ({} if r.exposure is None else {"exposure": r.exposure / NAT})
+                | ({} if r.home is None else {"home": r.home})
+                | ({"turned": True} if r.turned else {})
+                for r in self.robots
+            ],
+            "areas": [
+                {"level": a.level, "robot": a.robot, "state": a.state, "cells": a.cells.tolist()} for a in self.areas
+            ],
+            "to_do": [robot.to_do.tolist() for robot in self.robots],
+            "held": [number for number, robot in enumerate(self.robots) if robot.held],
+            "quiet": self.quiet,
+            **({} if self.over is None else {"over": self.over}),
+        }
+
+    def save(self, path: str | Path, *, force: bool = False) -> None:
+        """Write the state file, whole or not at all. Raises StateError, also if it were too large to be read.
+
+        `force`: replace a file that is there already; without it that is a UsageError.
+        """
+        check_new(path, force=force)
+        write_json(Path(path), self.to_json(), MAX_PLAN_BYTES, StateError)

@@ -1,0 +1,439 @@
+"""Reading state files against a world: every number is checked, every error says what is wrong and what to do."""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from itertools import chain
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.arguments import Numbers, argument, whole
+from planner.csv_tables import is_header
+from planner.errors import MapError, StateError, UsageError
+from planner.files import read_json, read_npy
+from planner.formatting import counted, share
+from planner.ids import MAX_PLAN_BYTES, MAX_STEP, NO_AREA, NO_ROBOT
+from planner.plan.reading import at, check_map, check_partition, read_cell, read_cells, read_path
+from planner.plan.state import (
+    AREA_STATES,
+    FORMAT,
+    NAT,
+    NO_CELLS,
+    ON_ITS_WAY,
+    RETURNING,
+    STATUSES,
+    VERSION,
+    AreaState,
+    MissionState,
+    RobotState,
+)
+from planner.tally import OF_CLOSED_LOOP, WORDS_OF_0_3, Outcome
+from planner.world.grid import Frame
+from planner.world.image_files import FULL, RosMap, read_image, read_ros_map
+from planner.world.image_files import SUFFIXES as IMAGES
+from planner.world.keys import Key
+from planner.world.longitudes import on_map
+from planner.world.map_files import is_bag, read_logged_map
+from planner.world.points import LATITUDE, LONGITUDE, Table, X, Y, read_table
+from planner.world.world import MAX_CELLS, MAX_ROBOTS, World, check_starts
+
+OVER = tuple(one.word for one in OF_CLOSED_LOOP if one not in (Outcome.STEP_LIMIT, Outcome.DEADLINE))
+"""How a mission may be over while robots are on their way home."""
+NATS = Numbers(0, 1e6, "nats")
+Fault = tuple[str, ...]
+"""What is wrong, what was expected, and the fix if that does not say it."""
+ANEW = "write it with `record --state-at`, or leave areas, ahead and to_do out: areas are then allocated anew"
+DEFAULTS = {"world": {}, "step": 0, "survived": None, "areas": [], "to_do": None, "held": [], "quiet": 0}
+DEFAULTS |= {"over": None}
+OF_ROBOTS = {"status": "idle", "area": NO_AREA, "ahead": [], "moves": 0, "exposure": None, "home": None}
+OF_ROBOTS |= {"turned": False}
+"""What a state, and each of its robots, may leave out."""
+
+
+def load_state(path: str | Path, world: World) -> MissionState:
+    """The state in a JSON file, checked against `world` (SPEC section 12). Raises StateError."""
+    return parse_state(read_json(Path(path), MAX_PLAN_BYTES, StateError, "a state file (JSON)"), world, str(path))
+
+
+def parse_state(data: object, world: World, source: str, before: World | None = None) -> MissionState:
+    """`load_state` of a file's JSON; `source` names it in errors. Raises StateError.
+
+    `before`: the world as it was when the robots set out, if cells were closed since; one may be a robot's home.
+    """
+    top = Key(data, "", source, StateError)
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise StateError("is no state of a mission", source=source, expected=f'an object with "format": "{FORMAT}"')
+    if data.get("version") != VERSION:
+        problem = f"state version {reprlib.repr(data.get('version'))}"
+        raise StateError(problem, source=source, expected=f"version {VERSION}")
+    if data.get("begun") is False:
+        problem, fix = "holds a mission whose first step is not over", "leave it out: nothing is done yet"
+        raise StateError(problem, source=source, expected="a mission under way", fix=fix)
+    keys = top.mapping(("robots", "visited"), defaults=DEFAULTS, strict=False)
+    check_map(keys["world"], world, "state of", "give the map that the mission is on")
+    given = keys["robots"].items("a list of robots")
+    if len(given) > MAX_ROBOTS:
+        raise keys["robots"].fault(f"has {len(given)} robots", f"1 to {MAX_ROBOTS}")
+    held = [one.number(whole(0, len(given) - 1)) for one in keys["held"].items("a list of numbers of robots", least=0)]
+    to_do = [Key([], "", source)] * len(given)
+    if keys["to_do"].value is not None:
+        to_do = keys["to_do"].items(f"{len(given)} lists of cells, one a robot", exactly=len(given))
+    before = before or world
+    robots = tuple(
+        _state_file_robot(one, to_do[number], number in held, world, before) for number, one in enumerate(given)
+    )
+    areas = tuple(_area(one, world) for one in keys["areas"].items("a list of areas", least=0))
+    visited = np.union1d(read_cells(keys["visited"], world), [robot.cell for robot in robots])
+    survived = visited
+    if keys["survived"].value is not None:
+        standing = np.array([robot.cell for robot in robots if robot.alive], dtype=np.int64)
+        survived = np.union1d(read_cells(keys["survived"], world), standing)
+    step, quiet = keys["step"].number(whole(0, MAX_STEP)), keys["quiet"].number(whole(0, 1))
+    over = None if keys["over"].value is None else keys["over"].choice(OVER, WORDS_OF_0_3)
+    found = MissionState(world.shape, world.sha256, step, visited, survived, robots, areas, quiet, over)
+    check_state(found, world, source)
+    return found
+
+
+def _state_file_robot(key: Key, to_do: Key, held: bool, world: World, before: World) -> RobotState:
+    keys = key.mapping(("cell",), defaults=OF_ROBOTS, strict=False)
+    status, cell = keys["status"].choice(STATUSES), read_cell(keys["cell"], world)
+    area = keys["area"].number(whole(NO_AREA, said=f"the id of an area, or {NO_AREA}"))
+    ahead, moves = read_path(keys["ahead"], world), keys["moves"].number(whole(0, MAX_STEP))
+    if status not in ON_ITS_WAY and (area != NO_AREA or len(ahead)):
+        what = "both lost and moving" if status == "dead" else f"{status}, and has an area or a path"
+        raise key.fault(f"is {what}", "no area and nothing ahead", "leave area and ahead out")
+    rows, cols = np.divmod(np.array([cell, *ahead]), world.shape[1])
+    if (np.abs(np.diff(rows)) + np.abs(np.diff(cols)) != 1).any():
+        raise keys["ahead"].fault("jumps", "one cell north, south, east or west at a time")
+    exposure = None if keys["exposure"].value is None else round(keys["exposure"].number(NATS) * NAT)
+    home = None if keys["home"].value is None else read_cell(keys["home"], before)
+    if not isinstance(keys["turned"].value, bool):
+        raise keys["turned"].wrong("true or false")
+    turned = keys["turned"].value or status == RETURNING
+    return RobotState(cell, status, area, ahead, read_cells(to_do, world), moves, held, exposure, home, turned)
+
+
+def _area(key: Key, world: World) -> AreaState:
+    key = Key(key.value, key.path, key.source, key.error, ANEW)
+    keys = key.mapping(("level", "robot", "state", "cells"), strict=False)
+    level = keys["level"].number(whole(0, what="the index of a level"))
+    robot = keys["robot"].number(whole(NO_ROBOT, said=f"a robot, or {NO_ROBOT}"))
+    state, cells = keys["state"].choice(AREA_STATES), read_cells(keys["cells"], world)
+    if not len(cells):
+        raise keys["cells"].wrong("at least one cell")
+    return AreaState(level, robot, state, cells)
+
+
+def check_state(state: MissionState, world: World, source: str) -> None:
+    """Raise StateError for a state that cannot be one of a mission on `world` that goes on."""
+    for problem, expected, *fix in chain(_of_cover(state, world), _of_areas(state, world, source)):
+        raise StateError(problem, source=source, expected=expected, fix="".join(fix))
+
+
+def _of_cover(state: MissionState, world: World) -> Iterator[Fault]:
+    """Visited cells in reach, survived ones among them, something left to do and a robot to do it."""
+    accessible = world.accessible(state.starts).ravel()
+    for name, cells in (("visited", state.visited), ("survived", state.survived)):
+        for wrong in cells[~accessible[cells]]:
+            yield f"{name}: no robot can have reached cell {at(wrong, world)}", "cells in its reach"
+    for extra in np.setdiff1d(state.survived, state.visited):
+        yield f"survived: cell {at(extra, world)} is not visited", "some of the visited cells"
+    if not any(robot.alive for robot in state.robots):
+        yield "every robot is dead", "a robot that goes on"
+    if len(state.visited) == int(accessible.sum()) and not any(robot.status == RETURNING for robot in state.robots):
+        yield "every cell in reach is visited", "something left to do"
+
+
+def _of_areas(state: MissionState, world: World, source: str) -> Iterator[Fault]:
+    """Every cell in one area, robots and areas as each says of the other."""
+    moving = [(number, robot) for number, robot in enumerate(state.robots) if robot.status in ON_ITS_WAY]
+    if not state.areas:
+        for number, robot in moving:
+            yield f"robot {number} is {robot.status}, and there are no areas", "idle, done or dead", ANEW
+        return
+    check_partition(state.areas, world, state.starts, StateError, source, ANEW)
+    for number, area in enumerate(state.areas):
+        unvisited = area.cells[~np.isin(area.cells, state.visited)]
+        if area.state == "completed" and len(unvisited):
+            cell = at(unvisited[0], world)
+            yield f"area {number} is completed, and its cell {cell} is not visited", "visited ones", ANEW
+        if area.state == "unassigned" and not len(unvisited):
+            yield f"area {number} is unassigned, and holds visited cells alone", "completed", ANEW
+        holders = [one for one, robot in enumerate(state.robots) if one == area.robot and robot.area == number]
+        if area.state == "assigned" and not holders:
+            problem = f"area {number} is assigned to robot {area.robot}, which has another or none"
+            yield problem, "its own robot", ANEW
+    for number, robot in moving:
+        own = state.areas[robot.area] if NO_AREA < robot.area < len(state.areas) else None
+        if own is None or own.robot != number or own.state == "unassigned":
+            yield f"robot {number} is {robot.status}, but area {robot.area} is not its own", "its area", ANEW
+        elif not len(robot.ahead):
+            yield f"robot {number} is {robot.status}, and nothing is ahead", "the cells of its path", ANEW
+        elif len(np.setdiff1d(robot.to_do, own.cells)) or (robot.status == "traveling" and len(robot.to_do)):
+            yield f"robot {number}: to_do is not of its area", "what it has still to cover", ANEW
+
+
+# A mission's state from what robots leave behind: masks and grids of what is visited, lists of cells, tracks.
+
+HALF = 0.5
+"""Share of a cell's pixels that must be marked for the cell to count as visited."""
+SUFFIXES = (".json", ".csv", ".npy", ".yaml", ".yml", ".mcap", *IMAGES)
+"""Files that a state is read from."""
+TIMES = ("time", "t", "time_s", "t_s", "timestamp", "stamp", "datetime")
+"""Columns of tracks that say when a robot was where, in numbers or ISO 8601; a column `step` comes before them."""
+KEEP_ONE = "keep one of them: `mcap filter LOG -y TOPIC -o OUT.mcap`"
+"""How to choose a topic of a log."""
+
+
+class Found(NamedTuple):
+    """What a file says: cells visited, int64; the robots, where it knows them; the step; notes."""
+
+    visited: NDArray[np.int64]
+    robots: tuple[RobotState, ...] = ()
+    step: int = 0
+    notes: tuple[str, ...] = ()
+
+
+def read_state(path: str | Path, world: World, starts: ArrayLike | None = None) -> tuple[MissionState, tuple[str, ...]]:
+    """The state of a mission on `world` in any file, checked, and notes.
+
+    Args:
+        path: a state file (JSON); driven tracks (.csv: robot and row, col, or x, y in metres, or lon, lat; also step or
+            time, status); visited cells (.csv: row, col, with or without a header); a mask of the map's cells or pixels
+            (.npy: above 0; a picture: bright), or an OccupancyGrid (.yaml of map_server, .mcap or a rosbag2 folder:
+            occupied), in which what is marked is visited.
+        starts: (row, col) `[K, 2]` of the robots now, for files that do not say where they are: all but the first two.
+
+    Raises StateError, MapError, UsageError.
+    """
+    path = Path(path)
+    suffix = _suffix(path)
+    if suffix == ".json":
+        _check_no_starts(starts, path)
+        return load_state(path, world), ()
+    if suffix not in SUFFIXES:
+        expected = "a state (.json), tracks or cells (.csv), a mask (.npy, .png) or a grid (.yaml, .mcap)"
+        raise StateError(f"no state is read from {path.suffix!r}", source=path, expected=expected)
+    found = _listed(path, world) if suffix == ".csv" else _marked(path, world)
+    if found.robots:
+        _check_no_starts(starts, path)
+    elif starts is None:
+        fix = f"give {argument('starts')}, one cell for each robot that goes on"
+        raise StateError("does not say where the robots are", source=path, fix=fix)
+    else:
+        cells = check_starts(starts, world.threat, argument("starts"))
+        found = found._replace(robots=tuple(_state_traces_robot(int(row * world.shape[1] + col)) for row, col in cells))
+    return _state(found, world, path)
+
+
+def _suffix(path: Path) -> str:
+    """What the end of a file's name says it is; a rosbag2 folder is a log."""
+    return ".mcap" if is_bag(path) else path.suffix.lower()
+
+
+def _check_no_starts(starts: ArrayLike | None, path: Path) -> None:
+    if starts is not None:
+        other = argument("starts")
+        raise UsageError(f"{other} and {path}, which says where the robots are", fix=f"leave {other} out")
+
+
+def _state_traces_robot(cell: int, status: str = "idle", moves: int = 0, home: int | None = None) -> RobotState:
+    return RobotState(cell, status, NO_AREA, NO_CELLS, NO_CELLS, moves, False, home=home)
+
+
+def _state(found: Found, world: World, path: Path) -> tuple[MissionState, tuple[str, ...]]:
+    """The state, without cells that none of its robots can have reached; those are counted in a note."""
+    at = np.array([robot.cell for robot in found.robots], dtype=np.int64)
+    reach = world.accessible(np.stack(np.divmod(at, world.shape[1]), axis=1)).ravel()
+    visited, notes = np.union1d(found.visited[reach[found.visited]], at), found.notes
+    lost = len(np.unique(found.visited)) - int(reach[np.unique(found.visited)].sum())
+    if lost:
+        notes += (f"{lost} of its cells are obstacles or out of the robots' reach: left out",)
+    of_all, are = share(len(visited), max(int(reach.sum()), 1)), "is" if len(visited) == 1 else "are"
+    notes += (f"{counted(len(visited), 'cell')} {are} visited ({of_all} of those in reach), step {found.step}",)
+    state = MissionState(world.shape, world.sha256, found.step, visited, visited, found.robots)
+    check_state(state, world, str(path))
+    return state, tuple(f"{path.name}: {note}" for note in notes)
+
+
+# --- masks and grids ---
+
+
+def _marked(path: Path, world: World) -> Found:
+    """Cells half of whose pixels are marked, or those whose centre is where pixels are larger than cells."""
+    suffix, frame = _suffix(path), world.frame
+    if suffix in (".yaml", ".yml", ".mcap"):
+        grid = read_logged_map(path, choose=KEEP_ONE) if suffix == ".mcap" else read_ros_map(path)
+        return Found(np.flatnonzero(_under(grid, frame)), notes=grid.notes)
+    mask = _mask(path)
+    ratio = _ratio(mask.shape, world.shape)
+    if not ratio:
+        problem, (height, width) = f"a mask of {mask.shape[0]} x {mask.shape[1]}", world.shape
+        expected = f"the map's {height} x {width} cells, or its pixels"
+        raise StateError(problem, source=path, expected=expected)
+    (height, width), share = world.shape, mask[: world.shape[0] * ratio, : world.shape[1] * ratio]
+    return Found(np.flatnonzero(share.reshape(height, ratio, width, ratio).mean(axis=(1, 3)) >= HALF))
+
+
+def _mask(path: Path) -> NDArray[np.bool_]:
+    if path.suffix.lower() != ".npy":
+        picture = read_image(path)
+        return (picture.bright >= HALF) & (True if picture.alpha is None else picture.alpha >= HALF)
+    array = read_npy(path, MAX_CELLS)
+    expected = "a mask [H, W]: True or above 0 where visited, 0 elsewhere"
+    if array.ndim != 2 or array.size == 0 or array.dtype.kind not in "biuf":
+        raise StateError(f"holds {array.dtype} {array.shape}", source=path, expected=expected)
+    wrong = ~(np.isfinite(array) & (array >= 0))
+    if wrong.any():
+        row, col = np.argwhere(wrong)[0]
+        problem = f"{array[row, col]} at row {row}, col {col} ({counted(int(wrong.sum()), 'such value')})"
+        raise StateError(problem, source=path, expected=expected, fix="write 0 where it is unknown")
+    return array > 0
+
+
+def _ratio(pixels: tuple[int, ...], cells: tuple[int, ...]) -> int:
+    """Pixels a cell has a side, 0 where these are no pixels of the cells: blocks are whole, the rest is dropped."""
+    exact = [size // count for size, count in zip(pixels, cells, strict=True)]
+    if exact[0] == exact[1] and exact[0] and pixels == tuple(exact[0] * count for count in cells):
+        return exact[0]
+    fits = [n for n in range(1, max(exact) + 1) if all(p // n == c for p, c in zip(pixels, cells, strict=True))]
+    return fits[0] if len(fits) == 1 else 0
+
+
+def _under(grid: RosMap, frame: Frame) -> NDArray[np.bool_]:
+    """bool `[H, W]`: cells of the frame at least half of which, of what of it lies on the grid, is occupied there."""
+    if grid.frame.size > frame.size:
+        at = grid.frame.pixels(frame.centres())
+        held = grid.frame.holds(at)
+        marked = np.zeros(frame.shape, dtype=bool)
+        marked[held] = grid.values[tuple(at[held].T)] >= FULL
+        return marked
+    under = frame.pixels(grid.frame.centres())
+    held = frame.holds(under)
+    cells = np.ravel_multi_index(tuple(under[held].T), frame.shape)
+    size = frame.shape[0] * frame.shape[1]
+    count = np.bincount(cells, minlength=size)
+    marked = np.bincount(cells, grid.values[held] >= FULL, minlength=size)
+    return ((count > 0) & (marked >= HALF * count)).reshape(frame.shape)
+
+
+# --- cells and tracks ---
+
+
+def _listed(path: Path, world: World) -> Found:
+    """Visited cells, or tracks where a column says whose they are."""
+    table = read_table(path, "lines row, col, or robot, row, col")
+    if table.column("robot") is not None:
+        return _tracks(table, world)
+    return Found(_cells(table, world)[0], notes=table.notes)
+
+
+def _cells(table: Table, world: World) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The cell of every line, int64, and which lines are on a free cell: rows and columns always are, or an error."""
+    (height, width), path = world.shape, table.path
+    row, col = table.column("row"), table.column("col", "column")
+    if row is None and not table.names and len(table.rows[0][1]) == 2:
+        row, col = 0, 1
+    if row is not None and col is not None:
+        places = np.array([[table.number(one, at, name) for at, name in ((row, "row"), (col, "col"))]
+                           for one in table.rows])  # fmt: skip
+        wrong = (places != np.rint(places)).any(axis=1) | ~((places >= 0) & (places < world.shape)).all(axis=1)
+        if wrong.any():
+            line, given = table.rows[int(np.argmax(wrong))]
+            problem = f"line {line}: {', '.join(given)[:60]!r} is no cell of the map"
+            raise MapError(problem, source=path, expected=f"row 0..{height - 1} and col 0..{width - 1}")
+        cells = places.astype(np.int64) @ (width, 1)
+        blocked = ~world.enterable.ravel()[cells]
+        if blocked.any():
+            line, given = table.rows[int(np.argmax(blocked))]
+            raise MapError(f"line {line}: {', '.join(given)[:60]!r} is an obstacle", source=path, expected="free cells")
+        return cells, np.ones(len(cells), dtype=bool)
+    pixels = world.to_cells(_metres(table, world))
+    on = world.frame.holds(pixels)
+    cells = np.where(on, pixels[:, 0] * width + pixels[:, 1], 0)
+    return cells, on & world.enterable.ravel()[cells]
+
+
+def _metres(table: Table, world: World) -> NDArray[np.float64]:
+    """(x, y) of every line in the map's frame, float64 `[lines, 2]`."""
+    x, y, longitude, latitude = (table.column(*names) for names in (X, Y, LONGITUDE, LATITUDE))
+    if x is not None and y is not None:
+        return table.places((x, y))
+    if longitude is None or latitude is None or world.georeference is None:
+        said = ", ".join(table.names)[:80] if table.names else f"{len(table.rows[0][1])} of them, without a header"
+        expected = "row and col, or x and y in metres" + (", or lon and lat" if world.georeference else "")
+        raise MapError(f"has the columns {said}", source=table.path, expected=expected)
+    return on_map(table.lonlat((longitude, latitude)), world.frame, world.georeference, table.path)
+
+
+def _tracks(table: Table, world: World) -> Found:
+    """Robots in the order of their numbers or, where they are names, of the file; each is where its last line says."""
+    path, which = table.path, table.column("robot")
+    assert which is not None
+    names = list(dict.fromkeys(row[which].strip() for _, row in table.rows))
+    if all(name.isdecimal() and len(name) < 10 for name in names):
+        names.sort(key=int)
+    if len(names) > MAX_ROBOTS:
+        raise MapError(f"{len(names)} robots", source=path, expected=f"at most {MAX_ROBOTS}")
+    cells, on = _cells(table, world)
+    step_at, status_at = table.column("step"), table.column("status")
+    order = _order(table, step_at)
+    owner = np.array([names.index(row[which].strip()) for _, row in table.rows])
+    robots = []
+    for number, name in enumerate(names):
+        lines = np.flatnonzero(owner == number)
+        lines = lines[np.argsort(order[lines], kind="stable")]
+        if not on[lines[-1]]:
+            problem = f"line {table.rows[lines[-1]][0]}: robot {name[:40]} ends off the map or on an obstacle"
+            raise MapError(problem, source=path, expected="its last place on a free cell")
+        track = cells[lines[on[lines]]]
+        away = np.abs(np.diff(np.stack(np.divmod(track, world.shape[1])))).sum()
+        status = "idle" if status_at is None else table.rows[lines[-1]][1][status_at].strip().lower()
+        if status not in ("", "idle", "done", "dead"):
+            problem = f"line {table.rows[lines[-1]][0]}: status {status[:40]!r}"
+            raise MapError(problem, source=path, expected="idle, done or dead")
+        robots.append(_state_traces_robot(int(track[-1]), status or "idle", min(int(away), MAX_STEP), int(track[0])))
+    off = int((~on).sum())
+    notes = table.notes
+    if off:
+        notes += (f"{off} of {len(on)} places lie off the map or on obstacles: left out",)
+    step = int(order.max()) if step_at is not None else max(robot.moves for robot in robots)
+    return Found(np.unique(cells[on]), tuple(robots), step, notes)
+
+
+def _order(table: Table, step_at: int | None) -> NDArray[np.float64]:
+    """What the lines of a robot are put in order by: steps, else times, else nothing, as they stand in the file."""
+    if step_at is not None:
+        return np.array([_step(table, row, step_at) for row in table.rows], dtype=np.float64)
+    at = table.column(*TIMES)
+    if at is None:
+        return np.zeros(len(table.rows))
+    if is_header(row[at] for _, row in table.rows):
+        return np.array([_moment(table, row, at) for row in table.rows])
+    return np.array([table.number(row, at, table.names[at]) for row in table.rows])
+
+
+def _moment(table: Table, row: tuple[int, list[str]], column: int) -> float:
+    """Seconds of a time in ISO 8601; one that names no zone is one of UTC, as all of a file that names none are."""
+    text = row[1][column].strip()
+    try:
+        moment = datetime.fromisoformat(text)
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError) as error:
+        problem = f"line {row[0]}: {table.names[column]} is {text[:40]!r}"
+        expected = "numbers or times in ISO 8601, as 2026-05-01T12:00:00.5Z, in all of its lines"
+        raise MapError(problem, source=table.path, expected=expected) from error
+
+
+def _step(table: Table, row: tuple[int, list[str]], column: int) -> int:
+    step = table.number(row, column, "step")
+    if not (0 <= step <= MAX_STEP and step == int(step)):
+        problem = f"line {row[0]}: step is {row[1][column][:40]!r}"
+        raise MapError(problem, source=table.path, expected=f"a whole number, 0 to {MAX_STEP}")
+    return int(step)

@@ -1,1 +1,0 @@
-"""Plans: what is in one, its file, its validator and the waypoints to drive it."""

@@ -1,0 +1,419 @@
+"""Plan + World -> the arrays that the open-loop engines read. NumPy only; the compile step alone knows planner's types.
+
+In the open loop a robot follows its own path until it is stopped, and only a dangerous entry can stop it. So a rollout
+is one *outcome* a robot: o in 0 .. D, the index of the dangerous entry that stopped it, or D if none did. A cell is
+visited by robot i iff `o >= q`, q = dangerous entries before i's first entry of it (`o > q` for survived, if the cell
+is dangerous). "Covered by the first m visitors" is then an *event*, an OR of such conditions:
+
+- events of one group of robots (one or two robots, see `Groups`) need only the histogram of that group's outcomes;
+- the others (`joint` events) are bits: one row of words per group outcome, OR-ed over the groups, then counted.
+
+Axis letters: `K` robots, `D` dangerous entries, `G` groups, `A` robots in a group (1 or 2), `S` slots = G * A,
+`R` rows (outcomes of a group, all groups one after the other), `E` joint events, `W` words of 32 events, `T` last step,
+`N = H * W` cells. A *slot* is a robot's place in the engines' arrays.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Literal, Protocol, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.arguments import argument
+from planner.errors import PlanError, UsageError
+from planner.failure_model import FAST_COUNTER, Bearing, least_word
+from planner.ids import BLOCK, MAX_STEP, LuckName
+from planner.plan.plan import Plan, entries, last_move
+from planner.rollouts.open_loop_events import (
+    WORD_BITS,
+    Events,
+    Guide,
+    JointDraws,
+    collect_events,
+    joint_draws,
+    make_guide,
+    source_counts,
+)
+from planner.rollouts.open_loop_trace import Entries, Groups, make_groups, open_loop_trace
+from planner.tally import Outcome, RolloutResults, Tally, Trace, tally_key
+from planner.world.uncertain_maps import certain_draws
+from planner.world.world import World
+
+Mode = Literal["tolerance", "fast", "step"]
+MODES: tuple[Mode, ...] = get_args(Mode)
+"""How a rollout's luck is drawn: one number a robot (SPEC section 14), another one (section 6), or one an entry."""
+WORD = 2**32
+STEP_UNIT = 2**24
+"""u(r, t, i) is a whole number of 1 / STEP_UNIT."""
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledPlan:
+    """What the open loop needs of a plan, independent of the mode; the tables of a mode are made on first use.
+
+    Attributes:
+        plan, world: what was compiled.
+        identity: hash of the world's threats and the paths: equal for plans with the same open-loop rollouts.
+        shape: (H, W); accessible: number of accessible cells; last_step: T, the last step at which any robot moves.
+        entries: every entry of the nominal paths.
+        danger_step: per robot int64 `[D]`, the steps of its dangerous entries.
+        danger_cell: per robot int64 `[D]`, the cells entered there.
+        danger_threat: per robot float32 `[D]`, their threats, the largest that they may have.
+        last_move: int64 `[K]`, the step of each robot's last move.
+    """
+
+    plan: Plan
+    world: World
+    identity: str
+    shape: tuple[int, int]
+    accessible: int
+    last_step: int
+    entries: Entries
+    danger_step: tuple[NDArray[np.int64], ...]
+    danger_cell: tuple[NDArray[np.int64], ...]
+    danger_threat: tuple[NDArray[np.float32], ...]
+    last_move: NDArray[np.int64]
+
+    @property
+    def robots(self) -> int:
+        """K."""
+        return len(self.last_move)
+
+    @cached_property
+    def _tables(self) -> dict[Mode, ModeTables]:
+        return {}
+
+    def tables(self, mode: Mode) -> ModeTables:
+        """The tables of a mode, made once."""
+        if mode not in self._tables:
+            self._tables[mode] = _make_tables(self, mode)
+        return self._tables[mode]
+
+    def thresholds(self, mode: Mode) -> list[NDArray[np.uint64]]:
+        """Per robot uint64 `[D]`: it gets past a dangerous entry iff its word is below; not of mode `step`."""
+        if mode == "fast":
+            return [survival_thresholds(threat) for threat in self.danger_threat]
+        bearing, own = self.plan.bearing, self.world.of_robots(self.plan.bearing.types, self.robots)
+        visits = map(self.world.visits, self.danger_cell, self.danger_step)
+        borne = [bearing.fresh(np.cumsum(own[k].exposures[0][each]), k) for k, each in enumerate(visits)]
+        return [least_word(one).astype(np.uint64) for one in borne]
+
+    def until(self, step: int) -> CompiledPlan:
+        """The plan as driven until the end of `step`."""
+        return compile_plan(self.plan.until(step), self.world)
+
+    def under(self, truth: World) -> CompiledPlan:
+        """The same paths under the threats of `truth`, a map of the same cells."""
+        return compile_plan(replace(self.plan, sha256=truth.sha256), truth)
+
+
+@dataclass(frozen=True, eq=False)
+class ModeTables:
+    """Everything an engine reads to score rollouts in one mode. The draw's tables are by slot.
+
+    Attributes:
+        mode: how luck is drawn.
+        groups: the robots of each slot, and the rows.
+        events: which joint events there are and how event counts become the tally's arrays.
+        time: uint32 `[R]`, last step at which a robot of the group moves.
+        alive: uint32 `[R]`, robots of the group that were not stopped.
+        guide: outcomes by inverse survival, where one number a robot is drawn; else None.
+        joint: what is drawn entry by entry: in `step` mode, and where the map is in doubt; else None.
+    """
+
+    mode: Mode
+    groups: Groups
+    events: Events
+    time: NDArray[np.uint32]
+    alive: NDArray[np.uint32]
+    guide: Guide | None
+    joint: JointDraws | None = None
+
+
+def compile_plan(plan: Plan, world: World) -> CompiledPlan:
+    """The plan's open loop as arrays. Raises PlanError if the plan is for another map or leaves the free cells.
+
+    Cost: O(entries of all paths); the events of a mode (on first use) O(first entries).
+    """
+    plan.require(world)
+    if plan.state is not None:
+        raise PlanError(
+            "the rest of a mission is rolled out in the closed loop alone", fix=f"use {argument('loop', 'closed')}"
+        )
+    if world.movers is not None:
+        problem = "the open loop asks who is stopped at dangerous entries alone, and movers stop robots anywhere"
+        raise PlanError(problem, source=world.source, fix=f"use {argument('loop', 'closed')}")
+    threat = world.met.reshape(-1)
+    paths = [np.asarray(robot.path, dtype=np.int64) for robot in plan.robots]
+    for robot, path in enumerate(paths):
+        _check_path(robot, path, threat)
+    own = [of.by_phase.ravel() for of in world.of_robots(plan.bearing.types, len(paths))]
+    if world.draws is not None:
+        own = [world.draws.bound.astype(np.float32) / np.float32(STEP_UNIT)] * len(paths)
+    found = _find_entries(paths, world, own)
+    per_robot = [found.dangerous & (found.robot == robot) for robot in range(len(paths))]
+    moves = np.array([last_move(path) for path in paths], dtype=np.int64)
+    return CompiledPlan(
+        plan=plan,
+        world=world,
+        identity=_identity(world, paths, plan.bearing),
+        shape=world.shape,
+        accessible=int(world.accessible(plan.starts).sum()),
+        last_step=int(moves.max(initial=0)),
+        entries=found,
+        danger_step=tuple(found.step[mine] for mine in per_robot),
+        danger_cell=tuple(found.cell[mine] for mine in per_robot),
+        danger_threat=tuple(
+            of[world.visits(found.cell[mine], found.step[mine])] for of, mine in zip(own, per_robot, strict=True)
+        ),
+        last_move=moves,
+    )
+
+
+def luck_of(mode: Mode) -> LuckName:
+    """Whose key luck is drawn under."""
+    return "tolerance" if mode == "tolerance" else "step"
+
+
+def words_of(groups: Groups, mode: Mode) -> tuple[NDArray[np.uint32], bool]:
+    """Second counter word of each slot's one number, uint32 `[S]`, and whether it is Threefry's second word."""
+    robot = np.maximum(groups.slot_robot, 0)
+    return (FAST_COUNTER - robot if mode == "fast" else robot).astype(np.uint32), mode == "fast"
+
+
+def survival_thresholds(threat: NDArray[np.float32]) -> NDArray[np.uint64]:
+    """T[j] = floor(2**32 * prod(1 - p of the first j + 1 dangerous entries)), uint64 `[D]`, non-increasing.
+
+    The robot gets past dangerous entry j iff its word x1 < T[j]; the products are float64 of the float32 threats. T[j]
+    is 2**32 (always passed) only where the product rounds to 1. Every engine compares with these integers.
+    """
+    survival = np.cumprod(1.0 - threat.astype(np.float64))
+    return np.floor(survival * float(WORD)).astype(np.uint64)
+
+
+def _check_path(robot: int, path: NDArray[np.int64], threat: NDArray[np.float32]) -> None:
+    if len(path) == 0 or len(path) - 1 > MAX_STEP:
+        raise PlanError(f"robot {robot} has a path of {len(path)} entries", expected=f"1 .. {MAX_STEP + 1}")
+    outside = np.flatnonzero((path < 0) | (path >= len(threat)))
+    if len(outside):
+        raise PlanError(f"robot {robot} is off the map at step {outside[0]}", expected=f"cells 0 .. {len(threat) - 1}")
+    blocked = np.flatnonzero(np.isnan(threat[path]))
+    if len(blocked):
+        raise PlanError(f"robot {robot} is in an obstacle at step {blocked[0]}", expected="free cells")
+
+
+def _find_entries(paths: list[NDArray[np.int64]], world: World, threats: list[NDArray[np.float32]]) -> Entries:
+    parts: list[tuple[NDArray, ...]] = []
+    for robot, (path, threat) in enumerate(zip(paths, threats, strict=True)):
+        step = entries(path)
+        cell = path[step]
+        danger = threat[world.visits(cell, step)] > 0
+        first = np.zeros(len(cell), dtype=bool)
+        first[np.unique(cell, return_index=True)[1]] = True
+        robots = np.full(len(step), robot, dtype=np.int64)
+        parts.append((robots, step, cell, np.cumsum(danger) - danger, danger, first))
+    robots, steps, cells, passed, dangerous, firsts = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return Entries(robots, steps, cells, passed.astype(np.int64), dangerous, firsts)
+
+
+def _identity(world: World, paths: list[NDArray[np.int64]], bearing: Bearing) -> str:
+    digest = hashlib.sha256(world.luck_sha256.encode())
+    if not bearing.is_plain:
+        digest.update(json.dumps(bearing.to_json()).encode())
+    for path in paths:
+        digest.update(len(path).to_bytes(8, "little"))
+        digest.update(np.ascontiguousarray(path, dtype="<i8").tobytes())
+    return digest.hexdigest()
+
+
+def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
+    """The tables of one mode. Outcomes that no 32-bit word reaches are left out, but in `step` mode."""
+    compiled.plan.bearing.check_luck(luck_of(mode))
+    draws = compiled.world.draws
+    if draws is not None and mode == "fast":
+        problem = "mode 'fast' draws every robot for itself, and here they share what is true"
+        raise UsageError(problem, fix="use mode step")
+    dangers = np.array([len(steps) for steps in compiled.danger_step], dtype=np.int64)
+    if compiled.plan.bearing.types is not None and mode == "step":
+        problem = f"luck by step in the open loop, with {argument('types')}"
+        raise UsageError(problem, fix=f"use {argument('luck', 'tolerance')}")
+    if draws is None and mode == "step":
+        draws = certain_draws(compiled.world.by_phase.ravel())
+    drawn_once = draws is None
+    thresholds = compiled.thresholds(mode) if drawn_once else []
+    # A threshold of 0 is passed by no word: what lies beyond needs no rows.
+    depth = np.array([np.count_nonzero(t) for t in thresholds], dtype=np.int64) if drawn_once else dangers
+    groups = make_groups(depth)
+    events = collect_events(compiled.entries, groups, compiled.shape[0] * compiled.shape[1], compiled.last_step)
+    times = [
+        np.append(steps, move)[: deep + 1]
+        for steps, move, deep in zip(compiled.danger_step, compiled.last_move, depth, strict=True)
+    ]
+    alive = [(np.arange(deep + 1) == many).astype(np.int64) for deep, many in zip(depth, dangers, strict=True)]
+    exposures = compiled.world.exposures if mode == "tolerance" else None
+    # Draws of cells, or of cells in each phase.
+    visits = compiled.world.visits(compiled.entries.cell, compiled.entries.step)
+    drawn = replace(compiled.entries, cell=visits)
+    return ModeTables(
+        mode=mode,
+        groups=groups,
+        events=events,
+        time=groups.rows(times, np.maximum),
+        alive=groups.rows(alive, np.add),
+        guide=make_guide([thresholds[r] if r >= 0 else thresholds[0][:0] for r in groups.slot_robot])
+        if drawn_once
+        else None,
+        joint=None if draws is None else joint_draws(draws, exposures, drawn, groups, compiled.plan.bearing),
+    )
+
+
+# What an engine hands over: counts of one range of rollout ids, and how they become a Tally. NumPy only.
+
+
+@dataclass(frozen=True, eq=False)
+class RangeCounts:
+    """Counts over some rollouts, int64. Axis letters as in `planner.rollouts.open_loop`.
+
+    Attributes:
+        rollouts: how many.
+        rows: `[R]`, rollouts by outcome of each group.
+        events: `[E]`, rollouts in which each joint event happened.
+        visited, survived: `[accessible + 1]`; time: `[T + 1]`; alive: `[K + 1]`: histograms.
+        complete_dead: rollouts that covered everything and lost every robot.
+    """
+
+    rollouts: int
+    rows: NDArray[np.int64]
+    events: NDArray[np.int64]
+    visited: NDArray[np.int64]
+    survived: NDArray[np.int64]
+    time: NDArray[np.int64]
+    alive: NDArray[np.int64]
+    complete_dead: int
+
+
+class OpenLoopKernel(Protocol):
+    """What counts for one compiled plan, seed and mode."""
+
+    def counts(self, start: int, count: int) -> RangeCounts:
+        """The counts of rollouts `start .. start + count - 1`."""
+        ...
+
+    def results(self, start: int, count: int) -> RolloutResults:
+        """What each of those rollouts came to."""
+        ...
+
+
+def tally_of(compiled: CompiledPlan, mode: Mode, seed: int, start: int, counts: RangeCounts) -> Tally:
+    """The tally of the rollouts `start .. start + counts.rollouts - 1`."""
+    tables = compiled.tables(mode)
+    sources = source_counts(tables.groups, counts.rows, counts.events, counts.rollouts)
+    complete = int(counts.visited[-1])
+    stopped = int(counts.alive[0]) - counts.complete_dead
+    outcomes = np.zeros(len(Outcome), dtype=np.int64)
+    outcomes[Outcome.COMPLETE] = complete
+    outcomes[Outcome.ALL_ROBOTS_LOST] = stopped
+    outcomes[Outcome.END_OF_PATHS] = counts.rollouts - complete - stopped
+    return Tally(
+        key=tally_key(compiled.identity, "open", mode, seed),
+        shape=compiled.shape,
+        ids=((start, start + counts.rollouts),) if counts.rollouts else (),
+        visited=counts.visited,
+        survived=counts.survived,
+        time=counts.time,
+        alive=counts.alive,
+        outcomes=outcomes,
+        **tables.events.tally_arrays(sources),
+    )
+
+
+def outcomes_of(visited: NDArray[np.int32], alive: NDArray[np.int32], accessible: int) -> NDArray[np.int8]:
+    """Open-loop outcome of each rollout, int8 `[B]`, from cells visited and robots alive `[B]`."""
+    unfinished = np.where(alive == 0, np.int8(Outcome.ALL_ROBOTS_LOST), np.int8(Outcome.END_OF_PATHS))
+    return np.where(visited == accessible, np.int8(Outcome.COMPLETE), unfinished)
+
+
+def available_cores() -> int:
+    """Cores that this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def share_out(start: int, count: int, workers: int, unit: int) -> list[tuple[int, int]]:
+    """(first id, number) of each worker's part of `start .. start + count - 1`, cut at multiples of `unit`."""
+    stop = start + count
+    share = -(-(stop - start // unit * unit) // (workers * unit)) * unit
+    cuts = [start // unit * unit + share * worker for worker in range(1, workers)]
+    edges = [start, *(cut for cut in cuts if start < cut < stop), stop]
+    return [(first, last - first) for first, last in pairwise(edges)]
+
+
+# Weights of events as bit planes, which both engines of the open loop add up: as many as a word has bits at a time.
+
+
+def weight_planes(weight: NDArray[np.int64], words: int, planes: int) -> NDArray[np.uint32]:
+    """uint32 `[planes, W]`: bit e % 32 of word e // 32 of plane p = bit p of the weight of event e."""
+    padded = np.zeros(words * WORD_BITS, dtype=np.int64)
+    padded[: len(weight)] = weight
+    bits = (padded[None, :] >> np.arange(planes)[:, None]) & 1
+    return (bits.reshape(planes, words, WORD_BITS) << np.arange(WORD_BITS)).sum(axis=2).astype(np.uint32)
+
+
+def plane_count(weight: NDArray[np.int64]) -> int:
+    """Planes that hold every weight, at least 1."""
+    return max(1, int(weight.max(initial=0)).bit_length())
+
+
+# The open loop as an engine: the kernels of either back end count, this makes tallies, results and traces of it.
+
+MakeKernel = Callable[[CompiledPlan, int, Mode], OpenLoopKernel]
+
+
+class OpenLoop:
+    """One compiled plan, seed and mode (see `planner.rollouts.engine.Engine`)."""
+
+    least = BLOCK
+
+    def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode, name: str, make_kernel: MakeKernel) -> None:
+        """`make_kernel`: what counts; `name`: of it, for messages. No count depends on either."""
+        self.compiled, self.seed, self.mode, self.name = compiled, seed, mode, name
+        self.accessible, self._make_kernel = compiled.accessible, make_kernel
+        self._kernel = make_kernel(compiled, seed, mode)
+
+    def tally(self, start: int, count: int) -> Tally:
+        """The tally of rollouts `start .. start + count - 1`."""
+        return tally_of(self.compiled, self.mode, self.seed, start, self._kernel.counts(start, count))
+
+    def results(self, start: int, count: int) -> RolloutResults:
+        """What each of those rollouts came to."""
+        return self._kernel.results(start, count)
+
+    def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
+        """Both of them."""
+        return self.tally(start, count), self.results(start, count)
+
+    def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
+        """Those rollouts in full, in the order given. Raises UsageError in `fast` mode, which knows no steps."""
+        if self.mode == "fast":
+            raise UsageError(f"traces in {self.mode!r} mode", expected="mode 'step'")
+        plan, world, luck = self.compiled.plan, self.compiled.world, luck_of(self.mode)
+        return (open_loop_trace(plan, world, self.seed, one, luck) for one in rollouts)
+
+    def until(self, step: int) -> OpenLoop:
+        """The same rollouts cut off at the end of `step`."""
+        return OpenLoop(self.compiled.until(step), self.seed, self.mode, self.name, self._make_kernel)
+
+    def under(self, truth: World) -> OpenLoop:
+        """The same paths under the threats of `truth`."""
+        return OpenLoop(self.compiled.under(truth), self.seed, self.mode, self.name, self._make_kernel)
+
+    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> OpenLoop:
+        """There is nothing to sample: `analysis.theory.exact` knows it exactly. Raises UsageError."""
+        raise UsageError("survived visits are counted in the closed loop alone", expected="the open loop's exact ones")

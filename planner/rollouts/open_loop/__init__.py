@@ -1,1 +1,0 @@
-"""The open loop: plans compiled to fixed-shape arrays, rolled out in JAX and in Numba."""

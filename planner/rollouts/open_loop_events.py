@@ -1,0 +1,420 @@
+"""Who covers a cell first: the events of shared cells, and how event counts become the tally's arrays.
+
+An event is a set of (robot, requirement) pairs: it happens in a rollout iff a robot's outcome reaches its requirement.
+"Cell c is covered by its first m visitors" is one; its count over rollouts gives coverage (m = all visitors) and new
+cells per step (count of m visitors minus count of m - 1), as integers. Left out: visitors after a certain one
+(requirement 0), and requirements that no outcome reaches. Equal events of several cells are one event with a weight.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from planner.failure_model import ROBOT_STRIDE, Bearing
+from planner.rollouts.open_loop_trace import Entries, Groups
+from planner.world.uncertain_maps import Draws
+
+WORD_BITS = 32
+Visitor = tuple[int, int, int]
+"""(step, robot, requirement) of a robot's first entry of a cell."""
+
+
+@dataclass(frozen=True, eq=False)
+class Events:
+    """The joint events and the linear map from counts to the tally's arrays.
+
+    *Sources* are counts over a set of rollouts: first, group by group, how often `o_i < a and o_j < b` did not happen,
+    `[size_i + 1, size_j + 1]` a group (see `source_counts`), then how often each joint event happened.
+
+    Attributes:
+        bits: uint32 `[R, W]`; bit e % 32 of word e // 32: the group's outcome alone makes joint event e happen. Events
+            with a weight come first, and among them, and among the others, those that happen soonest: a robot that is
+            stopped early then reaches few words.
+        count: E; weighted_words: leading words that hold events with a weight.
+        visited_weight, survived_weight: int64 `[E]`, cells that are covered exactly if the event happens.
+        own_visited, own_survived: int64 `[R]`, cells covered by the events of the row's group alone.
+        matrix: int64 sparse `[rows of the tally, sources]`; rows: new_visited and new_survived `[T + 1]` each, visits,
+            stops, covered_visited and covered_survived `[N]` each.
+        steps, cells: T + 1 and N.
+    """
+
+    bits: NDArray[np.uint32]
+    count: int
+    weighted_words: int
+    visited_weight: NDArray[np.int64]
+    survived_weight: NDArray[np.int64]
+    own_visited: NDArray[np.uint32]
+    own_survived: NDArray[np.uint32]
+    matrix: csr_array
+    steps: int
+    cells: int
+
+    def tally_arrays(self, sources: NDArray[np.int64]) -> dict[str, NDArray[np.int64]]:
+        """The arrays by step and by cell of the tally, from the sources' counts."""
+        values = self.matrix @ sources
+        names = ("new_visited", "new_survived", "visits", "stops", "covered_visited", "covered_survived")
+        ends = np.cumsum([self.steps] * 2 + [self.cells] * 4)
+        return dict(zip(names, np.split(values, ends[:-1]), strict=True))
+
+
+def source_counts(
+    groups: Groups, row_counts: NDArray[np.int64], event_counts: NDArray[np.int64], rollouts: int
+) -> NDArray[np.int64]:
+    """The sources' counts from the rollouts in each row `[R]` and in each joint event `[E]`.
+
+    Entry (a, b) of a group: rollouts - (rollouts with o_i < a and o_j < b): those in which `o_i >= a` or `o_j >= b`.
+    """
+    parts = []
+    for group in range(groups.count):
+        first, second = groups.sizes(group)
+        start = groups.first_row[group]
+        table = np.zeros((first + 1, second + 1), dtype=np.int64)
+        table[1:, 1:] = row_counts[start : start + first * second].reshape(first, second).cumsum(0).cumsum(1)
+        parts.append((rollouts - table).reshape(-1))
+    return np.concatenate([*parts, event_counts])
+
+
+def collect_events(entries: Entries, groups: Groups, cells: int, last_step: int) -> Events:
+    """All events of a plan under these groups. Cost: O(first entries), once per coverage meaning."""
+    book = _Book(groups)
+    steps = last_step + 1
+    visits_at, stops_at = 2 * steps, 2 * steps + cells
+    book.count_entries(entries, visits_at, stops_at)
+    visited, survived = Counter[int](), Counter[int]()
+    for cell, visitors in _visitors(entries, groups, survive=False):
+        visited[book.follow(visitors, 0, stops_at + cells + cell)] += 1
+    for cell, visitors in _visitors(entries, groups, survive=True):
+        survived[book.follow(visitors, steps, stops_at + 2 * cells + cell)] += 1
+    joint = book.sort_joint(lambda source: visited[source] + survived[source] > 0)
+    weights = [
+        np.array([counter[source] for source in joint], dtype=np.int64).reshape(len(joint))
+        for counter in (visited, survived)
+    ]
+    return Events(
+        bits=_pack([book.joint[source - book.local_count] for source in joint], groups),
+        count=len(joint),
+        weighted_words=-(-int(((weights[0] + weights[1]) > 0).sum()) // WORD_BITS),
+        visited_weight=weights[0],
+        survived_weight=weights[1],
+        own_visited=_own_cells(visited, groups),
+        own_survived=_own_cells(survived, groups),
+        matrix=book.matrix(2 * steps + 4 * cells),
+        steps=steps,
+        cells=cells,
+    )
+
+
+def _visitors(entries: Entries, groups: Groups, survive: bool) -> Iterator[tuple[int, list[Visitor]]]:
+    """Each cell with its possible visitors in order of (step, robot), up to the first certain one."""
+    depth = groups.size[groups.slot_of] - 1
+    need = entries.passed + (entries.dangerous if survive else 0)
+    kept = np.flatnonzero(entries.first & (need <= depth[entries.robot]))
+    order = kept[np.lexsort((entries.robot[kept], entries.step[kept], entries.cell[kept]))]
+    columns = (entries.step[order].tolist(), entries.robot[order].tolist(), need[order].tolist())
+    visitors = list(zip(*columns, strict=True))
+    cells, starts = np.unique(entries.cell[order], return_index=True)
+    for cell, start, stop in zip(cells.tolist(), starts.tolist(), [*starts[1:].tolist(), len(order)], strict=True):
+        mine = visitors[start:stop]
+        certain = next((place for place, (_, _, needed) in enumerate(mine) if needed == 0), len(mine))
+        yield cell, mine[: certain + 1]
+
+
+class _Book:
+    """Gives every distinct event its source number, and collects the entries of the tally's matrix."""
+
+    def __init__(self, groups: Groups) -> None:
+        self.groups = groups
+        self.joint: list[dict[int, int]] = []
+        self._joint_number: dict[frozenset[tuple[int, int]], int] = {}
+        shapes = [groups.sizes(g) for g in range(groups.count)]
+        self._first_local = np.cumsum([0] + [(a + 1) * (b + 1) for a, b in shapes]).tolist()
+        self.local_count = self._first_local[-1]
+        self._slot = groups.slot_of.tolist()
+        self._rows: list[int] = []
+        self._sources: list[int] = []
+        self._signs: list[int] = []
+        self._bit_of = np.zeros(0, dtype=np.int64)
+
+    def local(self, needs: dict[int, int]) -> int | None:
+        """The source of an event of robots `needs` (robot -> requirement) of one group; None if of several groups."""
+        members = self.groups.members
+        group = self._slot[next(iter(needs))] // members
+        first, second = self.groups.sizes(group)
+        never = [first, second]
+        for robot, need in needs.items():
+            slot = self._slot[robot]
+            if slot // members != group:
+                return None
+            never[slot % members] = need
+        return self._first_local[group] + never[0] * (second + 1) + never[1]
+
+    def source(self, needs: dict[int, int]) -> int:
+        """The source number of an event."""
+        local = self.local(needs)
+        if local is not None:
+            return local
+        name = frozenset(needs.items())
+        if name not in self._joint_number:
+            self._joint_number[name] = len(self.joint)
+            self.joint.append(dict(needs))
+        return self.local_count + self._joint_number[name]
+
+    def follow(self, visitors: list[Visitor], first_step_row: int, covered_row: int) -> int:
+        """Enter one cell: new at each visitor's step, covered at the end. Returns the source of its coverage."""
+        needs: dict[int, int] = {}
+        before = -1
+        for place, (step, robot, need) in enumerate(visitors):
+            if need == 0:
+                needs = {robot: 0}  # certain from here on, whoever else came before
+            else:
+                needs[robot] = need
+            # Who comes in the same step counts together: the cell is new in that step once.
+            if place + 1 < len(visitors) and visitors[place + 1][0] == step:
+                continue
+            now = self.source(needs)
+            self._add(first_step_row + step, now, 1)
+            if before >= 0:
+                self._add(first_step_row + step, before, -1)
+            before = now
+        self._add(covered_row, before, 1)
+        return before
+
+    def count_entries(self, entries: Entries, visits_row: int, stops_row: int) -> None:
+        """Enter the visits and stops of every cell."""
+        depth = (self.groups.size[self.groups.slot_of] - 1).tolist()
+        columns = (entries.robot.tolist(), entries.cell.tolist(), entries.passed.tolist(), entries.dangerous.tolist())
+        for robot, cell, passed, dangerous in zip(*columns, strict=True):
+            if passed > depth[robot]:
+                continue
+            made = self.source({robot: passed})
+            self._add(visits_row + cell, made, 1)
+            if dangerous:
+                self._add(stops_row + cell, made, 1)
+                if passed < depth[robot]:
+                    self._add(stops_row + cell, self.source({robot: passed + 1}), -1)
+
+    def sort_joint(self, has_weight: Callable[[int], bool]) -> list[int]:
+        """The joint events' sources in the order of their bits: those with a weight first, by least requirement."""
+        first = self.local_count
+
+        def order(source: int) -> tuple[bool, int]:
+            return (not has_weight(source), min(self.joint[source - first].values()))
+
+        joint = sorted(range(first, first + len(self.joint)), key=order)
+        self._bit_of = np.empty(len(joint), dtype=np.int64)
+        self._bit_of[np.array(joint, dtype=np.int64) - first] = np.arange(len(joint))
+        return joint
+
+    def matrix(self, rows: int) -> csr_array:
+        """What was collected, int64 `[rows, sources]`, joint events in the order of `sort_joint`."""
+        values, sources = np.array(self._signs, dtype=np.int64), np.array(self._sources, dtype=np.int64)
+        joint = sources >= self.local_count
+        sources[joint] = self.local_count + self._bit_of[sources[joint] - self.local_count]
+        shape = (rows, self.local_count + len(self.joint))
+        return csr_array((values, (np.array(self._rows), sources)), shape=shape, dtype=np.int64)
+
+    def _add(self, row: int, source: int, sign: int) -> None:
+        self._rows.append(row)
+        self._sources.append(source)
+        self._signs.append(sign)
+
+
+def _own_cells(weights: Counter[int], groups: Groups) -> NDArray[np.uint32]:
+    """Cells covered by a group's own events in each of its rows, uint32 `[R]`; `weights`: cells by source."""
+    parts, start = [], 0
+    for group in range(groups.count):
+        first, second = groups.sizes(group)
+        size = (first + 1) * (second + 1)
+        table = np.array([weights[start + place] for place in range(size)], dtype=np.int64).reshape(first + 1, -1)
+        beyond = table[::-1, ::-1].cumsum(0).cumsum(1)[::-1, ::-1]  # cells with both requirements at least (a, b)
+        parts.append((table.sum() - beyond[1:, 1:]).reshape(-1))
+        start += size
+    return np.concatenate(parts).astype(np.uint32)
+
+
+def _pack(joint: list[dict[int, int]], groups: Groups) -> NDArray[np.uint32]:
+    """The bits of every row, uint32 `[R, W]`."""
+    words = -(-len(joint) // WORD_BITS)
+    by_robot = [np.zeros((size, words), dtype=np.uint32) for size in groups.size[groups.slot_of].tolist()]
+    for event, needs in enumerate(joint):
+        for robot, need in needs.items():
+            by_robot[robot][need, event // WORD_BITS] |= np.uint32(1 << event % WORD_BITS)
+    reached = [np.bitwise_or.accumulate(table, axis=0) for table in by_robot]
+    return groups.rows(reached, np.bitwise_or)
+
+
+# From a random word to a robot's outcome: o = how many of its thresholds lie above the word, exactly, in one read.
+#
+# The thresholds fall roughly geometrically, so words are put into buckets like floating-point numbers: by the place of
+# the leading 1 and the bits after it. A table gives the least outcome of each bucket and, nearly always, the one
+# threshold inside it; where buckets hold more, a branchless bisection follows. Every comparison is of integers.
+
+WORD = 2**32
+MANTISSA_CHOICES = (6, 8)
+"""Bits after the leading 1 that a bucket may depend on; 33 * 2**bits buckets a slot."""
+
+
+@dataclass(frozen=True, eq=False)
+class Guide:
+    """Inverse survival of all slots. With m = mantissa, lz = leading zeros of `x | 1`, and normal = x << lz:
+
+        bucket = (normal >> (31 - m)) + ((31 - lz) << m)
+        no bisections:  o = (table >> (31 - m)) + ((normal mod 2**(31 - m)) < (table mod 2**(31 - m)))
+        else:  o = table;  for half in (2**(bisections - 1), ..., 2, 1):  if x < threshold[o + half]:  o += half
+
+    Attributes:
+        mantissa: m.
+        bisections: 0 if no bucket holds two thresholds.
+        table: uint32 `[S, buckets]`: the outcome of the bucket's largest word; if there are no bisections above the low
+            31 - m bits of the threshold inside the bucket (0: none, no word is below).
+        threshold: uint32 `[S, D + 2**bisections]`: entry o is T[o - 1], to be passed for outcome o; entry 0 and those
+            after the last are 0, which no word is below.
+    """
+
+    mantissa: int
+    bisections: int
+    table: NDArray[np.uint32]
+    threshold: NDArray[np.uint32]
+
+
+def make_guide(thresholds: Sequence[NDArray[np.uint64]]) -> Guide:
+    """The guide of slots with these thresholds (uint64 `[D]`, non-increasing, at most 2**32)."""
+    longest = max(len(above) for above in thresholds)
+    for mantissa in MANTISSA_CHOICES:
+        lowest, highest = bucket_ranges(mantissa)
+        least = _outcomes(thresholds, highest)
+        inside = int((_outcomes(thresholds, lowest) - least).max(initial=0))
+        if inside <= 1 and longest < 2 ** (mantissa + 1):
+            low = _inside_bits(thresholds, least, lowest, highest, mantissa)
+            return Guide(mantissa, 0, least << np.uint32(31 - mantissa) | low, np.zeros((len(least), 1), np.uint32))
+    bisections = max(inside, 1).bit_length()
+    table = np.zeros((len(thresholds), longest + 1 + 2**bisections), dtype=np.uint32)
+    for slot, above in enumerate(thresholds):
+        table[slot, 1 : len(above) + 1] = np.minimum(above, WORD - 1)  # 2**32 is never compared: `least` is past it
+    return Guide(mantissa, bisections, least, table)
+
+
+def bucket_ranges(mantissa: int) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
+    """Smallest and largest word of every bucket; a bucket that no word has (between two whole numbers) gets 0, 0."""
+    count = 2**mantissa
+    lowest, highest = np.zeros(33 * count, dtype=np.uint64), np.zeros(33 * count, dtype=np.uint64)
+    for octave in range(32):  # words 2**octave .. 2**(octave + 1) - 1
+        leading = np.arange(count, 2 * count, dtype=np.uint64)
+        if octave >= mantissa:
+            first = leading << np.uint64(octave - mantissa)
+            last = first + np.uint64(2 ** (octave - mantissa) - 1)
+        else:
+            whole = leading % np.uint64(2 ** (mantissa - octave)) == 0
+            first = last = np.where(whole, leading >> np.uint64(mantissa - octave), np.uint64(0))
+        place = slice((octave + 1) * count, (octave + 2) * count)
+        lowest[place], highest[place] = first, last
+    return lowest, highest
+
+
+def _outcomes(thresholds: Sequence[NDArray[np.uint64]], words: NDArray[np.uint64]) -> NDArray[np.uint32]:
+    """uint32 `[S, words]`: how many thresholds of each slot lie above each word."""
+    falling = [-above.astype(np.int64) for above in thresholds]
+    return np.stack([np.searchsorted(above, -words.astype(np.int64), "left") for above in falling]).astype(np.uint32)
+
+
+def _inside_bits(
+    thresholds: Sequence[NDArray[np.uint64]],
+    least: NDArray[np.uint32],
+    lowest: NDArray[np.uint64],
+    highest: NDArray[np.uint64],
+    mantissa: int,
+) -> NDArray[np.uint32]:
+    """Low bits of the threshold inside each bucket, shifted as the words are; 0 where there is none."""
+    octave = np.maximum(np.arange(len(lowest)) // 2**mantissa - 1, 0).astype(np.uint64)
+    low = np.zeros_like(least)
+    for slot, above in enumerate(thresholds):
+        # The next threshold below the bucket's largest word; none is 0, which no word is below.
+        following = np.append(above, np.uint64(0))[least[slot]]
+        inside = (lowest < following) & (following <= highest)
+        normal = (following << (np.uint64(31) - octave)) % np.uint64(2 ** (31 - mantissa))
+        low[slot] = np.where(inside, normal, np.uint64(0)).astype(np.uint32)
+    return low
+
+
+# What is drawn of robots that share what is true: their dangerous entries in the order in which they are made.
+#
+# Where hazards are there or not, or the map is one of several (`planner.world.uncertain_maps`), robots of one rollout
+# are not
+# independent, so there is no inverse survival; and what one of them hits may be gone for the next. NumPy only.
+
+Exposures = tuple[NDArray[np.int64], NDArray[np.int64]]
+"""`planner.world.world.World.exposures`."""
+
+
+class JointDraws(NamedTuple):
+    """Dangerous entries of all robots by (step, robot). Axis `E`; the others as in
+    `planner.world.uncertain_maps.Draws`.
+
+    Attributes:
+        slot: int32 `[E]`, the robot's slot. place: int32 `[E]`, how many dangerous entries it made before.
+        counter: uint32 `[E]`, counter word of the visit. own_counter, there, bound, column: `[E]`, of the cell.
+        spot: int32 `[E]`, number of the cell among those entered. table: uint32 `[M, C]`.
+        exposure: int64 `[E]`, what the visit adds; doses: int64 `[M, C]`, if the map is one of several. Empty: luck is
+            by step. robot: uint32 `[S]`, of each slot, whose tolerance it is.
+        nodes, times: what robots bear (`planner.failure_model`): `wear_nodes`, and int64 `[S]`, susceptibilities.
+        last: int32 `[S]`, the outcome of a slot that nothing stops.
+        spots: cells that are kept for each rollout: 0 unless the first hit makes a cell harmless.
+    """
+
+    slot: NDArray[np.int32]
+    place: NDArray[np.int32]
+    counter: NDArray[np.uint32]
+    own_counter: NDArray[np.uint32]
+    there: NDArray[np.uint32]
+    bound: NDArray[np.uint32]
+    column: NDArray[np.int32]
+    spot: NDArray[np.int32]
+    table: NDArray[np.uint32]
+    exposure: NDArray[np.int64]
+    doses: NDArray[np.int64]
+    robot: NDArray[np.uint32]
+    nodes: NDArray[np.int64]
+    times: NDArray[np.int64]
+    last: NDArray[np.int32]
+    spots: int
+
+
+def joint_draws(
+    draws: Draws, exposures: Exposures | None, entries: Entries, groups: Groups, bearing: Bearing
+) -> JointDraws:
+    """The draws of the dangerous ones among the entries; `exposures`: of the world, where luck is by tolerance."""
+    exposure, doses = exposures or (np.zeros(0, dtype=np.int64), np.zeros((0, 0), dtype=np.int64))
+    robot, step, cell = (one[entries.dangerous] for one in (entries.robot, entries.step, entries.cell))
+    slot_of = groups.slot_of
+    many = np.bincount(robot, minlength=len(slot_of))
+    place = np.arange(len(robot)) - np.repeat(np.cumsum(many) - many, many)
+    last = np.zeros(len(groups.slot_robot), dtype=np.int32)
+    last[slot_of] = many
+    order = np.lexsort((robot, step))
+    robot, step, cell = robot[order], step[order], cell[order]
+    entered, spot = np.unique(cell, return_inverse=True)
+    return JointDraws(
+        slot=slot_of[robot].astype(np.int32),
+        place=place[order].astype(np.int32),
+        counter=(step * ROBOT_STRIDE + robot).astype(np.uint32),
+        own_counter=draws.counter[cell],
+        there=draws.there[cell],
+        bound=draws.bound[cell],
+        column=draws.column[cell],
+        spot=spot.astype(np.int32),
+        table=draws.table,
+        exposure=exposure[cell] if len(exposure) else exposure,
+        doses=doses,
+        robot=np.maximum(groups.slot_robot, 0).astype(np.uint32),
+        nodes=bearing.nodes,
+        times=bearing.times(len(slot_of))[np.maximum(groups.slot_robot, 0)],
+        last=last,
+        spots=len(entered) if draws.spends else 0,
+    )

@@ -1,0 +1,71 @@
+"""What rollouts came to by the luck of their team: sums of each figure by classes of the total tolerance.
+
+A total is a robot's tolerances added up over the team, before wear and susceptibility (SPEC section 14). It is known
+what to expect of it, so an estimate can be put right by how lucky its rollouts happened to be
+(`analysis.statistics.control_variate`). Whole numbers alone are added, so no sum depends on how rollouts are shared
+out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.failure_model import UNIT, key_of_luck
+from planner.jit import program
+from planner.simulator.failure_sampling import threefry, tolerance
+from planner.tally import Outcome, RolloutResults
+
+CLASSES_A_NAT = 8
+"""Of the total, which has a variance of one square nat a robot: classes take less than .14 % of that away."""
+COLUMNS = ("rollouts", "visited", "survived", "time", "alive", "complete")
+"""Summed up in each class."""
+WIDTH = UNIT // CLASSES_A_NAT
+STRIP = 512
+"""Rollouts of which a robot's words are drawn at a time."""
+
+
+@program
+def _add_classes(key0, key1, first, robots, words, classes):  # type: ignore[no-untyped-def]
+    """The class int64 `[B]` of every rollout from id `first` on; `words`, uint32 `[STRIP]`: scratch."""
+    for begin in range(0, classes.shape[0], STRIP):
+        strip = classes[begin : begin + STRIP]
+        strip[:] = 0
+        for robot in range(robots):
+            for number in range(len(strip)):  # apart from what follows, so that LLVM draws several at a time
+                rollout = np.uint32(first + np.uint32(begin + number))
+                words[number] = threefry(key0, key1, rollout, np.uint32(robot))[0]
+            for number in range(len(strip)):
+                strip[number] += tolerance(words[number])
+        for number in range(len(strip)):
+            strip[number] //= WIDTH
+
+
+def luck_classes(seed: int, start: int, count: int, robots: int) -> NDArray[np.int64]:
+    """int64 `[count]`, floor(total tolerance of robots 0 .. robots - 1 * CLASSES_A_NAT) of rollouts from `start` on."""
+    key, classes = key_of_luck(seed), np.empty(count, dtype=np.int64)
+    words = np.empty(STRIP, dtype=np.uint32)
+    _add_classes(np.uint32(key[0]), np.uint32(key[1]), np.uint32(start), robots, words, classes)
+    return classes
+
+
+def sums_by_luck(results: RolloutResults, seed: int, robots: int) -> NDArray[np.int64]:
+    """int64 `[classes * len(COLUMNS)]`, as `Tally.by_luck` has them, of rollouts by tolerance of so many robots."""
+    classes = luck_classes(seed, results.start, len(results.visited), robots)
+    sums = np.zeros((int(classes.max(initial=-1)) + 1, len(COLUMNS)), dtype=np.int64)
+    figures = (results.visited, results.survived, results.time, results.alive, results.outcome)
+    _add_figures(classes, *figures, int(Outcome.COMPLETE), sums)
+    return sums.reshape(-1)
+
+
+@program
+def _add_figures(classes, visited, survived, time, alive, outcome, complete, sums):  # type: ignore[no-untyped-def]
+    """In one pass: what is kept of single rollouts lies together, and is met once."""
+    for number in range(classes.shape[0]):
+        row = sums[classes[number]]
+        row[0] += 1
+        row[1] += visited[number]
+        row[2] += survived[number]
+        row[3] += time[number]
+        row[4] += alive[number]
+        row[5] += outcome[number] == complete

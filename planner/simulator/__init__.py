@@ -1,0 +1,1 @@
+"""The closed loop, compiled with Numba: arrays in, arrays out."""

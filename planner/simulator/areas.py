@@ -1,0 +1,554 @@
+"""The book of areas of the compiled simulator: who gets what, components, bisection, sharing.
+
+Part of `planner.simulator.rollouts`, which see; the rows are those of `planner.simulator.state`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.ids import NONE
+from planner.jit import kernel, rare_kernel, spliced
+from planner.simulator.paths import (
+    cheapest_cell,
+    entry_of,
+    open_at,
+    row_from,
+    row_if_asked,
+    searches,
+    seek,
+    set_out,
+    walk_back,
+)
+from planner.simulator.range_budget import affords, comes_home
+from planner.simulator.robot_types import hears, moves_until, own, own_level
+from planner.simulator.state import (
+    AREA,
+    AREA_BITS,
+    AREAS,
+    BEGIN,
+    BISECTED,
+    CELL,
+    CHANGES,
+    COVERING,
+    DIVIDED,
+    DOING,
+    END,
+    FAR,
+    LEFT_IN,
+    LEVEL,
+    LOWEST,
+    ONE,
+    OPEN,
+    ROOT,
+    STARTING,
+    STEP,
+    TO_DO,
+    TRAVELING,
+    UNFINISHED,
+    VISITED,
+    WORD,
+    drop,
+    holds,
+    lowest_bit,
+    put,
+)
+from planner.tally import EventKind
+
+# What the compiled simulator writes down for a trace: `planner.tally` in plain arrays, empty where nothing is traced.
+#
+# Part of `planner.simulator.rollouts`, which see.
+
+COMPLETED_EVENT, HIT_EVENT, REALLOCATED_EVENT = map(int, (EventKind.COMPLETED, EventKind.HIT, EventKind.REALLOCATED))
+ALLOCATED_EVENT, SHARED_EVENT = int(EventKind.ALLOCATED), int(EventKind.SHARED)
+LOOKED_AGAIN_EVENT, REFUSED_EVENT = int(EventKind.LOOKED_AGAIN), int(EventKind.REFUSED)
+RANGE_ENDED_EVENT, SURPRISED_EVENT = int(EventKind.RANGE_ENDED), int(EventKind.SURPRISED)
+TURNED_HOME_EVENT, HOME_EVENT, CHARGED_EVENT = map(int, (EventKind.TURNED_HOME, EventKind.HOME, EventKind.CHARGED))
+FRAME_CELL, FRAME_DOING, FRAME_AREA, FRAME_ROWS = 0, 1, 2, 3
+
+
+class Log(NamedTuple):
+    """Room for what happens.
+
+    Attributes:
+        events: int32 `[E + 1, 5]`: row 0 holds how many happened (more than there is room for are counted, not kept),
+            the others are the rows of `Trace.events`.
+        frames: int32 `[T, FRAME_ROWS, K]`: cell, doing and area of each robot at the end of each step; later steps are
+            not kept.
+    """
+
+    events: NDArray[np.int32]
+    frames: NDArray[np.int32]
+
+
+def make_log(steps: int, events: int, robots: int) -> Log:
+    """Room for so many steps and events; none for no steps."""
+    rows = events + 1 if steps else 0
+    return Log(np.zeros((rows, 5), dtype=np.int32), np.zeros((steps, FRAME_ROWS, robots), dtype=np.int32))
+
+
+@kernel
+def note(log, s, robot, kind, area, other):
+    """Write down that something happened."""
+    if len(log.events) > 0:
+        place = log.events[0, 0] + 1
+        log.events[0, 0] = place
+        if place < len(log.events):
+            log.events[place, 0], log.events[place, 1], log.events[place, 2] = s.marks[STEP], robot, kind
+            log.events[place, 3], log.events[place, 4] = area, other
+
+
+@kernel
+def has_area(robots, robot):
+    """Whether the robot has an area."""
+    doing = robots[robot, DOING]
+    return doing in (TRAVELING, COVERING, STARTING)
+
+
+@kernel
+def look(log, s, step):
+    """Write down where every robot is and what it does at the end of a step."""
+    if step < len(log.frames):
+        for robot in range(len(s.robots)):
+            log.frames[step, FRAME_CELL, robot] = s.robots[robot, CELL]
+            log.frames[step, FRAME_DOING, robot] = s.robots[robot, DOING]
+            log.frames[step, FRAME_AREA, robot] = s.robots[robot, AREA] if has_area(s.robots, robot) else NONE
+
+
+@kernel
+def room_of(s):
+    """Areas that there is room for; of robots that learn it is the number of what is in no area too."""
+    return len(s.areas) - (len(s.mind) > 0)
+
+
+@kernel
+def close(s, area):
+    """Take an area out of the pool."""
+    if holds(s.open, area):
+        drop(s.open, area)
+        drop(s.lowest, area)
+        s.marks[OPEN] -= 1
+        s.marks[CHANGES] += 1
+
+
+@kernel
+def reopen(s, area):
+    """Put an area into the pool."""
+    level = np.int64(s.areas[area, LEVEL])
+    put(s.open, area)
+    s.marks[OPEN] += 1
+    s.marks[CHANGES] += 1
+    # `lowest` is kept up to date only while that is cheap; else it is told anew when it is asked for.
+    if level < s.marks[LOWEST]:
+        make_lowest(s)
+    elif level == s.marks[LOWEST]:
+        put(s.lowest, area)
+
+
+@rare_kernel
+def make_lowest(s):
+    """Tell the unassigned areas of the lowest level apart."""
+    s.marks[LOWEST] = FAR
+    for word in range((s.marks[AREAS] + WORD - 1) // WORD):
+        s.lowest[word], bits = 0, s.open[word]
+        while bits != 0:
+            area = word * WORD + lowest_bit(bits)
+            bits &= bits - ONE
+            level = np.int64(s.areas[area, LEVEL])
+            if level < s.marks[LOWEST]:
+                s.marks[LOWEST] = level
+                for before in range(word + 1):
+                    s.lowest[before] = 0
+            if level == s.marks[LOWEST]:
+                put(s.lowest, area)
+
+
+@kernel
+def give(s, robot, area):
+    close(s, area)
+    s.robots[robot, AREA] = area
+    if s.robots[robot, DOING] != STARTING:
+        s.robots[robot, DOING] = TRAVELING
+
+
+@rare_kernel
+def find_affordable(t, s, w, robot):
+    """The same by `costs_from` the robot, of what one that comes home can afford, and by its own levels."""
+    here = np.int64(s.robots[robot, CELL])
+    if not searches(t):
+        row = own(t, robot, here)
+        return affordable(t, s, w, robot, t.cost_to[row], t.area_cost[row], t.area_entry[row])
+    row = row_from(t, s, w, here)
+    return affordable(t, s, w, robot, w.rows[row], w.row_costs[row], w.row_entries[row])
+
+
+@kernel
+def affordable(t, s, w, robot, costs, area_costs, area_entries):
+    """As `look_up_among`, of all unassigned areas."""
+    best, best_level, best_cost, best_cell = np.int64(NONE), FAR, FAR, np.int64(NONE)
+    for area in range(s.marks[AREAS]):
+        if not holds(s.open, area):
+            continue
+        level, root = own_level(t, robot, s.areas[area, LEVEL]), np.int64(s.areas[area, ROOT])
+        if len(s.mind) > 0:  # areas gain cells: none is a part of one of t = 0
+            cell = cheapest_cell(costs, s, area)
+            cost = np.int64(costs[cell]) if cell != NONE else np.int64(NONE)
+        else:
+            cost, cell = np.int64(area_costs[root]), np.int64(area_entries[root])
+        if level > best_level or (level == best_level and cost >= best_cost):
+            continue
+        if cost >= 0 and np.int64(s.home[cell]) >> AREA_BITS != area:
+            cell = cheapest_cell(costs, s, area)
+            cost = np.int64(costs[cell])
+        better = cost >= 0 and (level < best_level or cost < best_cost)
+        if better and (not comes_home(t) or affords(t, s, w, robot, cell)):
+            best, best_level, best_cost, best_cell = np.int64(area), level, cost, cell
+    return best, best_cell
+
+
+@spliced
+def find_next_area(t, s, w, robot):
+    """(area, cell) of the next area by (level, cost, id), NONE if none is reachable."""
+    if not hears(t, s, robot):
+        return np.int64(NONE), np.int64(NONE)
+    if comes_home(t) or len(t.type_of) > 0:
+        return find_affordable(t, s, w, robot)
+    here = np.int64(s.robots[robot, CELL])
+    if not searches(t):
+        return look_up_next_area(s, t.cost_to[here], t.area_cost[here], t.area_entry[here])
+    if len(s.mind) > 0:  # areas gain cells: none is a part of one of t = 0
+        return search_next_area(t, s, w, here)
+    row = row_if_asked(t, s, w, here)
+    if row != NONE:
+        return look_up_next_area(s, w.rows[row], w.row_costs[row], w.row_entries[row])
+    return search_next_area(t, s, w, here)
+
+
+@kernel
+def look_up_next_area(s, costs, area_costs, area_entries):
+    """The same from the costs to every cell, to every area of t = 0, and which cell of it that is.
+
+    Of an area's parts the one that holds the cheapest cell costs as much as it did, the others no less.
+    """
+    area, cell = look_up_among(s, s.lowest, costs, area_costs, area_entries)
+    return (area, cell) if area != NONE else look_up_further(s, costs, area_costs, area_entries)
+
+
+@rare_kernel
+def look_up_further(s, costs, area_costs, area_entries):
+    """The same where no area of the lowest level is left, or none can be reached."""
+    make_lowest(s)
+    return look_up_among(s, s.open, costs, area_costs, area_entries)
+
+
+@kernel
+def look_up_among(s, areas, costs, area_costs, area_entries):
+    """The same of these areas."""
+    best, best_level, best_cost, best_cell = np.int64(NONE), FAR, FAR, np.int64(NONE)
+    for word in range((s.marks[AREAS] + WORD - 1) // WORD):
+        bits = areas[word]
+        while bits != 0:
+            area = word * WORD + lowest_bit(bits)
+            bits &= bits - ONE
+            level = np.int64(s.areas[area, LEVEL])
+            root = np.int64(s.areas[area, ROOT])
+            cost, cell = np.int64(area_costs[root]), np.int64(area_entries[root])
+            if level > best_level or (level == best_level and cost > best_cost):
+                continue
+            # The nearest cell went to another part of the split area: look at this part's own cells.
+            if cost >= 0 and np.int64(s.home[cell]) >> AREA_BITS != area:
+                cell = cheapest_cell(costs, s, area)
+                cost = np.int64(costs[cell])
+            if cost >= 0 and (level < best_level or cost < best_cost):
+                best, best_level, best_cost, best_cell = area, level, cost, cell
+    return best, best_cell
+
+
+@rare_kernel
+def search_next_area(t, s, w, here):
+    """The same by a search for each level of the unassigned areas, until one finds."""
+    done = np.int64(NONE)
+    while True:
+        level = FAR
+        for area in range(s.marks[AREAS]):
+            if holds(s.open, area) and done < s.areas[area, LEVEL] < level:
+                level = np.int64(s.areas[area, LEVEL])
+        if level == FAR:
+            return NONE, NONE
+        cell = seek(t, s, w, here, open_at(level), np.int64(NONE))
+        if cell != NONE:
+            return np.int64(s.home[cell] >> AREA_BITS), np.int64(cell)
+        done = level
+
+
+@kernel
+def flood(t, s, w, first, of, mark):
+    """Hand the component of the area's unvisited cells that holds `first` on to the area `mark`; returns its size."""
+    home, stack = s.home, w.stack
+    of, mark = np.int64(of) << AREA_BITS | TO_DO, np.int64(mark) << AREA_BITS
+    # Handed on when it is met, so a cell is put on the stack once.
+    home[first], stack[0] = mark, first
+    top, size = 1, 1
+    while top > 0:
+        top -= 1
+        here = stack[top]
+        for side in range(4):
+            cell = t.near[here, side]
+            if np.int64(home[cell]) | TO_DO == of:
+                home[cell] = mark
+                stack[top] = cell
+                top += 1
+                size += 1
+    return size
+
+
+@kernel
+def list_unvisited(s, w, area):
+    """The area's unvisited cells, rising, into `listed`; returns how many."""
+    count = 0
+    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
+        cell = s.order[place]
+        if s.home[cell] & VISITED == 0:
+            w.listed[count] = cell
+            count += 1
+    return count
+
+
+@kernel
+def in_layers(t, s, w, source, area, count):
+    """Breadth-first over the area's unvisited cells from `source`, `count` at least, into `stack`.
+
+    Returns where the last layer begins and ends; `seen` holds the new stamp where it came by.
+    """
+    w.stamp[0] += 1
+    stamp, wanted = w.stamp[0], np.int64(area) << AREA_BITS
+    w.stack[0], w.seen[source] = source, stamp
+    layer, tail = 0, 1
+    while tail < count:
+        stop = tail
+        for place in range(layer, stop):
+            here = w.stack[place]
+            for side in range(4):
+                cell = t.near[here, side]
+                if s.home[cell] == wanted and w.seen[cell] != stamp:
+                    w.seen[cell] = stamp
+                    w.stack[tail] = cell
+                    tail += 1
+        layer = stop
+    return layer, tail
+
+
+@kernel
+def bisect(t, s, w, area, count):
+    """Split the area, whose `count` cells are one component and `listed`, in two (SPEC section 5).
+
+    The half without the lowest cell becomes the area of the next id.
+    """
+    lowest, goal = w.listed[0], (count + 1) // 2
+    layer, tail = in_layers(t, s, w, lowest, area, count)
+    # Of the cells reached last the lowest index: the stack holds a layer in order of meeting, not of index.
+    far_end = w.stack[layer]
+    for place in range(layer, tail):
+        far_end = min(far_end, w.stack[place])
+    layer, tail = in_layers(t, s, w, far_end, area, goal)
+    reached, grown = w.stamp[0], w.stamp[0] + 1
+    w.stamp[0] = grown
+    for place in range(layer):
+        w.seen[w.stack[place]] = grown
+    left = goal - layer
+    for index in range(count):  # the last layer in index order, as far as it is needed
+        cell = w.listed[index]
+        if w.seen[cell] == reached and left > 0:
+            w.seen[cell] = grown
+            left -= 1
+    stays = largest_rest(t, s, w, area, count, grown)
+    with_lowest = w.seen[lowest] == stays
+    for index in range(count):
+        cell = w.listed[index]
+        # Parts are in order of lowest cell, so the one that holds it keeps the first id.
+        if (w.seen[cell] == stays) != with_lowest:
+            s.home[cell] = np.int64(area) + 1 << AREA_BITS
+
+
+@kernel
+def largest_rest(t, s, w, area, count, grown):
+    """Stamp the components of what has not `grown`; the stamp of the largest, of equal ones the lowest."""
+    stays, stays_size, wanted = NONE, 0, np.int64(area) << AREA_BITS
+    for index in range(count):
+        first = w.listed[index]
+        if w.seen[first] >= grown:
+            continue
+        w.stamp[0] += 1
+        stamp, top, size = w.stamp[0], 1, 1
+        w.seen[first], w.stack[0] = stamp, first
+        while top > 0:
+            top -= 1
+            here = w.stack[top]
+            for side in range(4):
+                cell = t.near[here, side]
+                if s.home[cell] == wanted and w.seen[cell] < grown:
+                    w.seen[cell] = stamp
+                    w.stack[top] = cell
+                    top += 1
+                    size += 1
+        if size > stays_size:
+            stays, stays_size = stamp, size
+    return stays
+
+
+@rare_kernel
+def replace(t, s, w, area, split):
+    """Complete an area; its unvisited cells become new areas. Returns (first new id, how many); NONE: no room."""
+    areas, marks = s.areas, s.marks
+    first_new, parts, begin = marks[AREAS], 0, np.int64(areas[area, BEGIN])
+    count = list_unvisited(s, w, area)
+    for index in range(count):
+        cell = w.listed[index]
+        if np.int64(s.home[cell]) >> AREA_BITS == area:
+            # Room for this part and for one more that a bisection may make.
+            if first_new + parts + 2 > room_of(s):
+                return np.int64(NONE), 0
+            areas[first_new + parts, LEFT_IN] = flood(t, s, w, cell, area, first_new + parts)
+            parts += 1
+    if split:
+        marks[BISECTED if parts == 1 else DIVIDED] += 1
+        if parts == 1:
+            bisect(t, s, w, first_new, count)
+            parts = 2
+            areas[first_new, LEFT_IN] = areas[first_new + 1, LEFT_IN] = 0
+            for index in range(count):
+                areas[np.int64(s.home[w.listed[index]]) >> AREA_BITS, LEFT_IN] += 1
+    for new in range(first_new, first_new + parts):
+        areas[new, BEGIN] = areas[new, END] = begin
+        begin += areas[new, LEFT_IN]
+        areas[new, LEVEL], areas[new, ROOT] = areas[area, LEVEL], areas[area, ROOT]
+        if new % WORD == 0:
+            s.open[new // WORD] = s.lowest[new // WORD] = 0
+    if parts == 1:
+        begin = np.int64(areas[first_new, BEGIN])
+        areas[first_new, END] = begin + count
+        for index in range(count):
+            s.order[begin + index] = w.listed[index]
+    else:
+        for index in range(count):
+            cell = w.listed[index]
+            new = np.int64(s.home[cell]) >> AREA_BITS
+            # `listed` rises, so each part's segment does: ties stay those of SPEC section 3.
+            s.order[areas[new, END]] = cell
+            areas[new, END] += 1
+    marks[AREAS] += parts
+    for new in range(first_new, first_new + parts):
+        reopen(s, new)
+    marks[UNFINISHED] += parts - (1 if count > 0 else 0)
+    close(s, area)
+    areas[area, LEFT_IN] = 0
+    return first_new, parts
+
+
+@spliced
+def costs_from(t, s, w, robot):
+    """The cost from the robot's cell to every cell, NONE if unreachable; without tables a row for two robots' time."""
+    here = np.int64(s.robots[robot, CELL])
+    return t.cost_to[own(t, robot, here)] if not searches(t) else w.rows[row_from(t, s, w, here)]
+
+
+@kernel
+def is_within(t, s, w, helper, target, most):
+    """Whether `target` is at most `most` moves from the helper; without tables the last answer was `costs_from` it."""
+    here = s.robots[helper, CELL]
+    if searches(t):
+        return walk_back(t, s, w, here, target, s.legs[helper]) <= most
+    for _ in range(most):
+        if here == target:
+            break
+        here = t.hop_to[own(t, helper, target), here]
+    return here == target
+
+
+@kernel
+def may_be_shared(t, s, owner, helper):
+    return (
+        owner != helper
+        and has_area(s.robots, owner)
+        and s.areas[s.robots[owner, AREA], LEFT_IN] >= 2
+        and hears(t, s, owner)
+    )
+
+
+@kernel
+def any_to_share(t, s, helper):
+    """Whether there is an area to share, however far away."""
+    found = False
+    for owner in range(len(s.robots)):
+        found = found or may_be_shared(t, s, owner, helper)
+    return found
+
+
+@kernel
+def owner_to_share_with(t, s, w, helper, costs):
+    """The robot whose area is the best to share by (level, cost, id), NONE if there is none; `costs` of the helper."""
+    best, best_level, best_cost, best_area = NONE, FAR, FAR, FAR
+    for owner in range(len(s.robots)):
+        if not may_be_shared(t, s, owner, helper):
+            continue
+        area = np.int64(s.robots[owner, AREA])
+        level = own_level(t, helper, s.areas[area, LEVEL])
+        if level > best_level:
+            continue
+        cell = cheapest_cell(costs, s, area)
+        if cell == NONE:
+            continue
+        cost, left = np.int64(costs[cell]), moves_until(t, helper, owner, np.int64(s.areas[area, LEFT_IN]))
+        better = (level, cost, area) < (best_level, best_cost, best_area)
+        # Steps are counted along the path only where the cost does not tell: a step costs 1 at least.
+        near = better and (cost <= left or is_within(t, s, w, helper, cell, left))  # a step costs 1 at least
+        if near and (not comes_home(t) or affords(t, s, w, helper, cell)):
+            best, best_level, best_cost, best_area = owner, level, cost, area
+    return best
+
+
+@kernel
+def choose_parts(s, owner_costs, helper_costs, first, parts):
+    """The owner's and the helper's part by least total cost; ties: the owner's lower part, then the helper's."""
+    least, of_owner, of_helper = FAR, NONE, NONE
+    for mine in range(first, first + parts):
+        to_mine = np.int64(owner_costs[cheapest_cell(owner_costs, s, mine)])
+        for theirs in range(first, first + parts):
+            if theirs != mine:
+                total = to_mine + helper_costs[cheapest_cell(helper_costs, s, theirs)]
+                if total < least:
+                    least, of_owner, of_helper = total, mine, theirs
+    return of_owner, of_helper
+
+
+@rare_kernel
+def share(t, s, w, log, helper):
+    """`Find Area To Share`: 1 if the helper got a part, 0 if there is nothing to share, NONE if there is no room."""
+    if not hears(t, s, helper) or (searches(t) and not any_to_share(t, s, helper)):  # nothing to search for
+        return 0
+    # Two rows at once: there is always room for two, and the last answer's is not thrown out (`rows.row_from`).
+    helper_costs = costs_from(t, s, w, helper)
+    owner = owner_to_share_with(t, s, w, helper, helper_costs)
+    return 0 if owner == NONE else share_between(t, s, w, log, helper, owner, helper_costs)
+
+
+@kernel
+def share_between(t, s, w, log, helper, owner, helper_costs):
+    """The owner's area is split between the two; `helper_costs`: `costs_from` the helper. 1; NONE: there is no room."""
+    owner_costs = costs_from(t, s, w, owner)
+    area = np.int64(s.robots[owner, AREA])
+    first, parts = replace(t, s, w, area, np.bool_(True))
+    if first == NONE:
+        return NONE
+    of_owner, of_helper = choose_parts(s, owner_costs, helper_costs, first, parts)
+    note(log, s, helper, SHARED_EVENT, area, parts)
+    for robot, part in ((owner, of_owner), (helper, of_helper)):
+        give(s, robot, part)
+        target = entry_of(t, s, w, robot, part)
+        note(log, s, robot, ALLOCATED_EVENT, part, target)
+        if s.robots[robot, DOING] != STARTING:
+            set_out(t, s, w, robot, target, searches(t))
+    return 1

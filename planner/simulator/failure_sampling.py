@@ -1,0 +1,363 @@
+"""Who is hit: one word of Threefry for each rollout of a set, and the set parted; by tolerance and by step.
+
+Part of `planner.simulator.rollouts`, which see; the open loop draws with the same `threefry`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic, overload, register_jitable
+
+from planner.failure_model import LOGARITHMS, MOST, log_units, threefry2x32, unworn
+from planner.jit import UNCOUNTED, kernel, program, rare_kernel
+from planner.simulator.state import BEARS, BORNE, FIRST, LAST, highest_bit
+
+# Several rollouts at a time drawn for and parted, in vector registers.
+#
+# Part of `planner.simulator.failure_sampling`, whose `threefry` LLVM makes vectors of by itself; but then each rollout
+# is put in its
+# place alone, and both together take twice as long.
+
+GROUP = 8
+"""Lanes that are put in their places at once."""
+ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
+PARITY = np.uint32(0x1BD11BDA)
+BYTE, WORD, PLACE = ir.IntType(8), ir.IntType(32), ir.IntType(64)
+WORDS = ir.VectorType(WORD, GROUP)
+
+
+def part_lanes(ids, words, at, gone, keys, counter, limits, lanes):
+    """Draw for the `ids` uint32 `[B]` from `at` on, as many as the tuple `lanes` is long, a multiple of GROUP.
+
+    Of the first `at`, `gone` were hit and are in `words` `[B]`. Who is not hit goes behind the others, to
+    `ids[at - gone:]`, who is to `words[gone:]`, both in their order; returns how many were hit. What is behind those
+    put there, up to `at + len(lanes)`, is scratch. `keys`, `counter`: of Threefry; `limits`: the word from which on it
+    hits, and which of its bits are turned over before.
+    """
+    mine = ids[at : at + len(lanes)].copy()
+    hit = threefry2x32(keys, mine, counter)[0] ^ limits[1] >= limits[0]
+    count = np.count_nonzero(hit)
+    ids[at - gone : at - gone + len(mine) - count] = mine[~hit]
+    words[gone : gone + count] = mine[hit]
+    return count
+
+
+@overload(part_lanes)
+def _compiled_part_lanes(ids, words, at, gone, keys, counter, limits, lanes):
+    def part(ids, words, at, gone, keys, counter, limits, lanes):
+        return _part_lanes(ids, words, at, gone, keys, counter, limits, lanes)
+
+    return part
+
+
+@intrinsic
+def _part_lanes(
+    typing_context: Any,
+    ids: Any, words: Any, at: Any, gone: Any, keys: Any, counter: Any, limits: Any, lanes: Any,
+) -> Any:  # fmt: skip
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        ids, words = (context.make_array(signature.args[i])(context, builder, args[i]).data for i in (0, 1))
+        at, gone, keys, counter, limits = args[2:7]
+        kept = builder.sub(at, gone)
+        permutes = "+avx2" in context.codegen().magic_tuple()[2].split(",")
+        put = _put_permuted if permutes else _put_each
+        mine = builder.load(_vector_at(builder, ids, at, ir.VectorType(WORD, len(lanes))), align=4)
+        hit = _draw(
+            builder, mine, cgutils.unpack_tuple(builder, keys, 2), counter, cgutils.unpack_tuple(builder, limits, 2)
+        )
+        for first in range(0, len(lanes), GROUP):
+            group = ir.Constant(WORDS, list(range(first, first + GROUP)))
+            some, hit_some = (builder.shuffle_vector(vector, vector, group) for vector in (mine, hit))
+            # Eight answers are one byte: the number of a row in the table of orders.
+            members = builder.zext(builder.bitcast(hit_some, BYTE), PLACE)
+            put(builder, some, members, ids, kept, words, gone)
+            count = builder.ctpop(members)
+            kept, gone = builder.add(kept, builder.sub(PLACE(GROUP), count)), builder.add(gone, count)
+        return builder.sub(gone, args[3])
+
+    place = types.int64
+    return place(ids, words, place, place, keys, types.uint32, limits, lanes), generate
+
+
+def _vector_at(builder: Any, data: Any, place: Any, kind: Any) -> Any:
+    return builder.bitcast(builder.gep(data, [place]), kind.as_pointer())
+
+
+def _draw(builder: Any, ids: Any, keys: Any, counter: Any, limits: Any) -> Any:
+    """Who is hit, a bit a lane, by the first of Threefry's words."""
+    kind, (key0, key1) = ids.type, keys
+
+    def constant(value: int) -> Any:
+        return ir.Constant(kind, [value] * kind.count)
+
+    def in_all(value: Any) -> Any:
+        one = builder.insert_element(ir.Constant(kind, ir.Undefined), value, WORD(0))
+        return builder.shuffle_vector(one, one, constant(0))
+
+    turned = ir.FunctionType(kind, [kind] * 3)
+    turn = cgutils.get_or_insert_function(builder.module, turned, f"llvm.fshl.v{kind.count}i32")
+    schedule = key0, key1, builder.xor(builder.xor(key0, key1), WORD(int(PARITY)))
+    x0, x1 = builder.add(ids, in_all(key0)), in_all(builder.add(counter, key1))
+    for part in range(5):
+        for rotation in ROTATIONS[part % 2]:
+            x0 = builder.add(x0, x1)
+            x1 = builder.xor(builder.call(turn, [x1, x1, constant(rotation)]), x0)
+        x0 = builder.add(x0, in_all(schedule[(part + 1) % 3]))
+        x1 = builder.add(x1, in_all(builder.add(schedule[(part + 2) % 3], WORD(part + 1))))
+    return builder.icmp_unsigned(">=", builder.xor(x0, in_all(limits[1])), in_all(limits[0]))
+
+
+def _put_permuted(builder: Any, some: Any, hit: Any, ids: Any, kept: Any, words: Any, gone: Any) -> None:
+    """By an instruction of AVX2, in an order that is read from a table for every set of lanes: its members first."""
+    orders = [lane for members in range(256) for lane in sorted(range(GROUP), key=lambda one: ~members >> one & 1)]
+    kind = ir.ArrayType(BYTE, len(orders))
+    table = builder.module.globals.get("orders_of_lanes")
+    if table is None:
+        table = cgutils.global_constant(builder, "orders_of_lanes", ir.Constant(kind, bytearray(orders)))
+    permuted = ir.FunctionType(WORDS, [WORDS, WORDS])
+    permute = cgutils.get_or_insert_function(builder.module, permuted, "llvm.x86.avx2.permd")
+    for data, place, members in ((ids, kept, builder.xor(hit, PLACE(255))), (words, gone, hit)):
+        row = builder.gep(table, [PLACE(0), builder.mul(members, PLACE(GROUP))])
+        # All eight lanes are written, members first; what is behind them is overwritten by the next.
+        order = builder.load(builder.bitcast(row, ir.VectorType(BYTE, GROUP).as_pointer()), align=1)
+        first = builder.call(permute, [some, builder.zext(order, WORDS)])
+        builder.store(first, _vector_at(builder, data, place, WORDS), align=4)
+
+
+def _put_each(builder: Any, some: Any, hit: Any, ids: Any, kept: Any, words: Any, gone: Any) -> None:
+    """Lane after lane, without a jump: to both places, of which one moves on."""
+    for lane in range(GROUP):
+        one = builder.extract_element(some, WORD(lane))
+        builder.store(one, builder.gep(ids, [kept]))
+        builder.store(one, builder.gep(words, [gone]))
+        is_hit = builder.and_(builder.lshr(hit, PLACE(lane)), PLACE(1))
+        kept, gone = builder.add(kept, builder.xor(is_hit, PLACE(1))), builder.add(gone, is_hit)
+
+
+# Numba's integer rules turn uint32 sums into uint64: every step is cast back, and LLVM then drops the casts.
+
+
+register_jitable(**UNCOUNTED)(log_units)
+register_jitable(**UNCOUNTED)(unworn)
+
+MANY, SOME = (0,) * (4 * GROUP), (0,) * GROUP
+"""As many lanes as keep a core busy, and as few as are worth it."""
+NO_BITS, ALL_BITS = np.uint32(0), np.uint32(2**32 - 1)
+
+
+@program
+def threefry(key0, key1, counter0, counter1):
+    """Words (x0, x1) of Threefry-2x32-20; every argument and both words uint32. Equal to `planner.failure_model`."""
+    schedule = key0, key1, np.uint32(np.uint32(key0 ^ key1) ^ PARITY)
+    x0, x1 = np.uint32(counter0 + key0), np.uint32(counter1 + key1)
+    # Loops of known lengths: LLVM unrolls them, and knows every index.
+    for part in range(5):
+        for rotation in ROTATIONS[part % 2]:
+            x0 = np.uint32(x0 + x1)
+            x1 = np.uint32(np.uint32(x1 << np.uint32(rotation)) | np.uint32(x1 >> np.uint32(32 - rotation)))
+            x1 = np.uint32(x1 ^ x0)
+        x0 = np.uint32(x0 + schedule[(part + 1) % 3])
+        x1 = np.uint32(np.uint32(x1 + schedule[(part + 2) % 3]) + np.uint32(part + 1))
+    return x0, x1
+
+
+@kernel
+def tolerance(word):
+    """`planner.failure_model.tolerance_of` one word."""
+    odd = (np.int64(word) << 1) + 1
+    return log_units(odd, highest_bit(np.uint64(odd)), LOGARITHMS)
+
+
+@kernel
+def bearing(how, rollout, robot, exposure):
+    """A robot's tolerance in a rollout if the exposure reaches it; else so much, beyond the exposure, that it has."""
+    word = threefry(how.key0, how.key1, rollout, np.uint32(robot))[0]
+    # A bound without a logarithm, which nearly always settles it.
+    surely = 2**32 - 1 - np.int64(word)  # 1 - x <= -ln x
+    return tolerance(word) if surely <= exposure else surely
+
+
+@kernel
+def least_word(exposure):
+    """`planner.failure_model.least_word` of an exposure of 1 or more.
+
+    A tolerance is within .52 units of the exact one, which falls by 2**32 / x from word to word: so it is the first
+    one from the exact place less as much that integers confirm.
+    """
+    # Floats only guess where to begin, integers decide: the same word on every platform.
+    place = math.exp(-exposure * 2.0**-32)
+    word = max(np.int64(math.ceil(place * (2.0**32 - 0.53) - 0.50001)), 0)
+    while tolerance(word) > exposure:
+        word += 1
+    return word
+
+
+@kernel
+def fresh(t, robot, exposure):
+    """What the robot's exposure is to one that neither wears nor is susceptible: see `planner.failure_model`."""
+    return exposure if len(t.times) == 0 else _fresh(t, robot, exposure)
+
+
+@rare_kernel
+def _fresh(t, robot, exposure):
+    return unworn(exposure, t.nodes, t.times[robot]) - t.begun[robot]
+
+
+@rare_kernel
+def mass_stopped(t, s, robot, place, mass):
+    """Of a tree's branch of this mass, as much as a visit stops, which adds to what the robot has borne; rounded."""
+    if len(t.times) == 0:
+        return np.int64(t.chance[place] * mass + 0.5)
+    before = fresh(t, robot, s.team[robot, BORNE])
+    s.team[robot, BORNE] += t.exposure[place]
+    more = fresh(t, robot, s.team[robot, BORNE]) - before
+    return np.int64(-math.expm1(-more * 2.0**-32) * mass + 0.5)
+
+
+@kernel
+def stopped_from(t, s, c, w, how, ids, step, robot, cell, place):
+    """Part the set's ids at a visit, who is not stopped first, both in their order; where those who are begin.
+
+    A rollout's word stops the robot from a limit on, the same for the whole set; its bits are turned over where small
+    ones are to stop. By tolerance the word is the robot's, and none but who may be at the end of it is looked at.
+    A tree has no ids: as many of its mass are stopped as the chance says. `place`: of the visit (`visit_of`).
+    """
+    first, last = s.marks[FIRST], s.marks[LAST]
+    if how.cut > 0:
+        c.histories[2] += 1
+        return last - mass_stopped(t, s, robot, place, last - first)
+    # What is true of the cell differs from rollout to rollout, so no limit serves the whole set.
+    if len(t.own_counter) > 0:
+        return part_in_doubt(t, ids, w, how, first, last, step, robot, cell)
+    if len(t.exposure) == 0:
+        # u < p with u = word >> 8: turned over, small words become large ones, and one comparison serves both lucks.
+        limit = np.uint32((2**32 - (np.int64(t.bound[place]) << 8)) & (2**32 - 1))
+        return part(ids, w.words, how, first, last, np.uint32(step * 1024 + robot), limit, ALL_BITS)
+    s.team[robot, BORNE] += t.exposure[place]
+    borne = fresh(t, robot, s.team[robot, BORNE])
+    # Most visits end here, whatever the size of the set.
+    if borne < s.team[robot, BEARS]:
+        return last
+    return look(s, w, how, ids, robot, borne)
+
+
+@rare_kernel
+def look(s, w, how, ids, robot, borne):
+    """`stopped_from` by the tolerances of the set."""
+    first, last = s.marks[FIRST], s.marks[LAST]
+    if last - first == 1:
+        # Of a single rollout the tolerance is known for good: its words are drawn once a robot.
+        s.team[robot, BEARS] = tolerance(threefry(how.key0, how.key1, ids[first], np.uint32(robot))[0])
+        return first if borne >= s.team[robot, BEARS] else last
+    if last - first < GROUP:
+        hit_from, s.team[robot, BEARS] = part_few(ids, w.words, how, first, last, robot, borne)
+        return hit_from
+    # Who goes on bears more than this; how much more is not worth finding out for many.
+    s.team[robot, BEARS] = borne + 1
+    return part(ids, w.words, how, first, last, np.uint32(robot), np.uint32(least_word(borne)), NO_BITS)
+
+
+@kernel
+def part(ids, words, how, first, last, counter, limit, turned):
+    """Part `ids[first:last]` in place by their words; `turned`: bits of them that are turned over."""
+    if last - first == 1:
+        return first if threefry(how.key0, how.key1, ids[first], counter)[0] ^ turned >= limit else last
+    return first + part_many(ids[first:last], words[: last - first], how.key0, how.key1, counter, limit, turned)
+
+
+@rare_kernel
+def part_few(ids, words, how, first, last, robot, borne):
+    """The same by the robot's tolerances, and what all have who are not hit."""
+    gone, least = 0, np.int64(MOST)
+    for place in range(first, last):
+        one = ids[place]
+        mine = bearing(how, one, robot, borne)
+        # To both places without a jump: who is hit is not predictable, and only one of the two moves on.
+        ids[place - gone], words[gone] = one, one
+        gone += np.int64(mine <= borne)
+        least = min(least, mine if mine > borne else np.int64(MOST))
+    return first + _join(ids[first:last], words, gone), least
+
+
+@rare_kernel
+def part_many(ids, words, key0, key1, counter, limit, turned):
+    """The same for all of `ids` `[B]`, with scratch like it."""
+    # Four vectors at a time hide the latency of Threefry's chain; one at a time takes most of the rest.
+    at, gone = _part_by(ids, words, 0, 0, (key0, key1), counter, (limit, turned), MANY)
+    at, gone = _part_by(ids, words, at, gone, (key0, key1), counter, (limit, turned), SOME)
+    for index in range(at, len(ids)):
+        one = ids[index]
+        ids[index - gone], words[gone] = one, one
+        gone += np.int64(threefry(key0, key1, one, counter)[0] ^ turned >= limit)
+    return _join(ids, words, gone)
+
+
+@kernel
+def _part_by(ids, words, at, gone, keys, counter, limits, lanes):
+    """`part_lanes` from `at` on for as long as there are so many; where it ends, and how many are hit by then."""
+    while at + len(lanes) <= len(ids):
+        gone += part_lanes(ids, words, at, gone, keys, counter, limits, lanes)
+        at += len(lanes)
+    return at, gone
+
+
+@rare_kernel
+def part_in_doubt(t, ids, w, how, first, last, step, robot, cell):
+    """`stopped_from` where what is true of the cell is drawn for each rollout too: see
+    `planner.world.uncertain_maps.Draws`.
+
+    By tolerance what is left of a robot's is kept for every rollout.
+    """
+    mine, room = ids[first:last], w.words[: last - first]
+    counter = np.uint32(step * 1024 + robot)
+    for index in range(len(mine)):
+        if len(t.exposure) > 0:
+            left = w.left[mine[index] - w.begin[0]]
+            left[robot] -= as_it_is(t.exposure, t.doses, t.there, t.column, cell, own_word(t, how, mine[index], cell))
+            room[index] = left[robot] > 0
+        else:
+            word = threefry(how.key0, how.key1, mine[index], counter)[0] >> np.uint32(8)
+            own = own_word(t, how, mine[index], cell)
+            room[index] = word >= as_it_is(t.bound, t.table, t.there, t.column, cell, own)
+    return first + split_ids(mine, room, 1)
+
+
+@kernel
+def own_word(t, how, rollout, cell):
+    """The 24 bits that say what is true of the cell in this rollout."""
+    return np.int64(threefry(how.own0, how.own1, rollout, t.own_counter[cell])[0] >> np.uint32(8))
+
+
+@kernel
+def as_it_is(of, table, there, columns, place, word):
+    """What a visit adds, or its bound, as the word says that the cell is: see `planner.world.uncertain_maps.Draws`."""
+    if len(table) > 0:
+        return np.int64(table[word * len(table) >> 24, columns[place]])
+    return np.int64(of[place]) if word < there[place] else np.int64(0)
+
+
+@kernel
+def split_ids(ids, words, bound):
+    """Part `ids` by which of `words`, which become scratch, are below the bound; returns how many are not."""
+    gone = 0
+    for index in range(len(ids)):
+        one, hit = ids[index], np.int64(words[index] < bound)
+        ids[index - gone] = one
+        words[gone] = one
+        gone += hit
+    return _join(ids, words, gone)
+
+
+@kernel
+def _join(ids, words, gone):
+    """Put those who are hit, the first `gone` of `words`, behind the others; returns how many the others are."""
+    kept = len(ids) - gone
+    for index in range(gone):
+        ids[kept + index] = words[index]
+    return kept

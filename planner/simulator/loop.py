@@ -1,0 +1,244 @@
+"""A closed loop, ready to roll out: what `planner.simulator.closed_loop` compiles of a plan, and runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.arguments import argument
+from planner.errors import UsageError
+from planner.failure_model import PLAIN, Bearing
+from planner.ids import LuckName
+from planner.plan.state import MissionState
+from planner.rollout_sampling import first_places
+from planner.simulator.policy import Policy
+from planner.simulator.state import DETECTS, GOAL, TRUTH, State, Tables, first_state
+from planner.simulator.tables import kinds_of, luck_tables, set_back_to
+from planner.tally import Tally, tally_key
+from planner.world.moving_threats import Movers
+from planner.world.uncertain_maps import Uncertain
+from planner.world.world import World
+
+# The programs that missions run: one for common missions, one for other plain ones, one for the rest.
+#
+# Part of `planner.simulator.rollouts`, which see. A program is compiled for the types of the arrays that it is handed.
+# Those that its missions do without are read-only: so their type says that they are empty
+# (`planner.simulator.struct_pointers`), and
+# what asks for them is left out.
+
+Arrays = TypeVar("Arrays", bound=tuple)
+
+COMMON, PLAIN_PROGRAM, FULL = range(3)
+"""Programs, the smallest first."""
+WITHOUT = {Tables: ("entry", "truths"), State: ("legs", "entered")}
+"""The fields from which on all are empty in a COMMON and in a PLAIN mission. PLAIN: on a map that robots are told,
+without threats that move or change, whose robots are alike, do not wear, hear each other everywhere and stay where they
+end. COMMON: besides, all distances are in tables, the map is certain, no hit makes a cell harmless, no path is given.
+"""
+
+
+def program_of(tables: Tables) -> int:
+    """The program of a mission: the smallest that has all that its tables hold."""
+    last = max(place for place, field in enumerate(tables) if field.size)
+    return sum(Tables._fields.index(name) <= last for name in WITHOUT[Tables])
+
+
+def typed(given: Arrays, program: int = FULL) -> Arrays:
+    """The same named tuple with arrays of the types that the program is compiled for.
+
+    They are contiguous and writable, but for those that the program does without, which have to be empty.
+    """
+    without = WITHOUT.get(type(given), ())[program:]
+    last = given._fields.index(without[0]) if without else len(given)  # type: ignore[attr-defined]
+    fields = [
+        np.require(field, requirements=("C", "W"))
+        if isinstance(field, np.ndarray) and not field.flags.carray
+        else field
+        for field in given
+    ]
+    for place in range(last, len(fields)):
+        assert not fields[place].size, given._fields[place]  # type: ignore[attr-defined]
+        fields[place] = np.empty_like(fields[place])
+        fields[place].flags.writeable = False
+    return type(given)(*fields)
+
+
+NO_COUNTS = np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """What cells add to two sums of each rollout: `RolloutResults.worth_covered` and `worth_found`.
+
+    Attributes:
+        covered: int64 `[A]`, of each cell that was visited.
+        found: int64 `[A, MOST_PASSES + 1]`, by its survived visits; the last column is for that many or more.
+    """
+
+    covered: NDArray[np.int64]
+    found: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """A plan's closed loop, ready to roll out. Axis `A` = accessible cells.
+
+    Attributes:
+        identity: hash of everything that its rollouts depend on besides the seed.
+        shape: (H, W). cells: int64 `[A]`, index of each accessible cell.
+        tables: what every rollout reads. max_steps: T_max. first_only: `threat_checks="first_visit"`.
+        stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule.
+        weights: what cells add to the sums that are kept of single rollouts; survived visits are then counted too.
+        luck: by which robots are stopped. bearing: what they bear.
+        purpose: of the key under which is drawn what is in doubt about the map (`planner.world.uncertain_maps.Draws`).
+        state: of the mission that rollouts go on from; None: they begin at t = 0.
+        movers: threats that move, which are told for each rollout; None: there are none.
+        doubt: maps of which each rollout draws the one that its robots learn; None: there is one truth.
+    """
+
+    identity: str
+    shape: tuple[int, int]
+    cells: NDArray[np.int64]
+    tables: Tables
+    max_steps: int
+    first_only: bool
+    stay_inside: bool
+    policy: Policy | None = None
+    state: MissionState | None = None
+    weights: Weights | None = None
+    purpose: int = 0
+    luck: LuckName = "tolerance"
+    bearing: Bearing = PLAIN
+    movers: Movers | None = None
+    doubt: Uncertain | None = None
+
+    @property
+    def accessible(self) -> int:
+        """Cells that can truly be visited."""
+        return int(self.tables.limits[GOAL])
+
+    @property
+    def learns(self) -> bool:
+        """True if robots may come to believe another map."""
+        return len(self.tables.truths) > 0
+
+    @property
+    def comes_home(self) -> bool:
+        """True if robots come home."""
+        return len(self.tables.home_cost) > 0
+
+    @property
+    def is_mixed(self) -> bool:
+        """True if robots are of several types, or speeds, or do not hear each other everywhere."""
+        return len(self.tables.type_of) + len(self.tables.pace) + len(self.tables.reach) > 0
+
+    @property
+    def runs_alone(self) -> bool:
+        """True if every rollout is a set by itself: no two have the same readings."""
+        return bool(self.tables.lessons[DETECTS:].any())
+
+    @property
+    def robots(self) -> int:
+        """K."""
+        return len(self.tables.starts)
+
+    @property
+    def tabled(self) -> bool:
+        """True if distances come from all-pairs tables."""
+        return len(self.tables.cost_to) > 0
+
+    @property
+    def in_doubt(self) -> bool:
+        """True if what is true of the map is drawn in each rollout."""
+        return len(self.tables.own_counter) > 0
+
+    @property
+    def keeps_tolerances(self) -> bool:
+        """True if what is left of each robot's tolerance is kept for every rollout: they bear different things."""
+        return self.in_doubt and self.luck == "tolerance"
+
+    @property
+    def keeps_apart(self) -> bool:
+        """True if something is kept for every rollout."""
+        return self.keeps_tolerances or self.movers is not None or self.runs_alone
+
+    @cached_property
+    def _first(self) -> dict[int, State]:
+        return {}
+
+    def first_state(self, room: int) -> State:
+        """What every set begins with, with room for so many areas; made once. A stack of one level a truth."""
+        if room not in self._first:
+            first = first_state(self.tables, room, self.weights is not None)
+            if self.state is not None:
+                set_back_to(self.state, first, self.tables, self.cells)
+            levels = 1 if self.doubt is None else len(self.tables.truths)
+            rows = (row[None] if levels == 1 else np.repeat(row[None], levels, axis=0) for row in first)
+            self._first[room] = typed(State._make(rows), program_of(self.tables))
+            if self.learns:
+                self._first[room].mind[:, TRUTH] = np.arange(levels)
+        return self._first[room]
+
+    def again(self, **changes: Any) -> ClosedLoop:
+        """The same but for these changes, on which no state at t = 0 depends: they share theirs."""
+        other = replace(self, **changes)
+        other.__dict__["_first"] = self._first
+        return other
+
+    def first_places(self, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
+        """`planner.simulator.state.Work.at` of these rollouts before movers have moved."""
+        assert self.movers is not None
+        places = first_places(self.movers, seed, ids)
+        walks = np.array([not one.patrols for one in self.movers.members])
+        number = np.full(self.shape[0] * self.shape[1], len(self.cells), dtype=np.int64)
+        number[self.cells] = np.arange(len(self.cells))
+        places[:, walks] = number[places[:, walks]]
+        return places
+
+    def empty_tally(self, seed: int) -> Tally:
+        """The tally of no rollouts."""
+        key = tally_key(self.identity, "closed", self.luck, seed)
+        return Tally.empty(key, self.shape, self.robots, self.accessible)
+
+    def until(self, step: int) -> ClosedLoop:
+        """The same closed loop cut off at the end of `step`: its rollouts cover what the whole one's have by then.
+
+        Raises UsageError for a step that the mission's state has behind it.
+        """
+        if self.state is not None and step <= self.state.step:
+            raise UsageError(argument("deadline", step), expected=f"a step after the state's, {self.state.step}")
+        cut = min(step, self.max_steps)
+        return replace(self, identity=f"{self.identity}@{cut}", max_steps=cut)
+
+    def under(self, world: World) -> ClosedLoop:
+        """The same decisions, but robots are stopped by the threats of `world`, a map of the same cells."""
+        tables = self.tables._replace(**luck_tables(self._kinds(world), self.cells, self.luck))
+        return replace(self, identity=f"{self.identity}~{world.luck_sha256}", tables=tables, purpose=purpose_of(world))
+
+    def by(self, luck: LuckName, world: World) -> ClosedLoop:
+        """The same on its own map, `world`, by this luck."""
+        self.bearing.check_luck(luck)
+        tables = self.tables._replace(**luck_tables(self._kinds(world), self.cells, luck))
+        return self.again(luck=luck, tables=tables)
+
+    def _kinds(self, world: World) -> tuple[World, ...]:
+        return kinds_of(world, self.bearing.types, self.robots)
+
+    def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> ClosedLoop:
+        """The same rollouts, survived visits counted. Arguments as of `Weights`, but of all cells `[N, ..]`."""
+        weights = Weights(covered[self.cells], found[self.cells])
+        return replace(self, identity=f"{self.identity}#passes", weights=weights)
+
+
+def purpose_of(world: World) -> int:
+    """Of the key under which is drawn what is in doubt; any where nothing is."""
+    return 0 if world.draws is None else world.draws.purpose
+
+
+def known_cells(loop: ClosedLoop) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cells visited and survived before rollouts begin: they count from step 0 on."""
+    return (NO_COUNTS, NO_COUNTS) if loop.state is None else (loop.state.visited, loop.state.survived)

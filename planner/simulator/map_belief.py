@@ -1,0 +1,505 @@
+"""Robots that learn the map, compiled: what they see, what of it surprises, and what becomes of the areas.
+
+Part of `planner.simulator.rollouts`, which see; `planner.mrac.map_belief` is the readable one. What is believed is
+part of a
+set's state, since it follows from the set's history: its rollouts share it until they part. A cell that is in no area
+(an obstacle, out of reach, or left over) has the area NOWHERE, and looks visited, so that nobody heads for it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.ids import NONE
+from planner.jit import kernel, rare_kernel
+from planner.simulator.areas import SURPRISED_EVENT, close, has_area, note, reopen, room_of
+from planner.simulator.failure_sampling import own_word, threefry
+from planner.simulator.range_budget import comes_home, find_ways_home, moves_home
+from planner.simulator.robot_types import own
+from planner.simulator.state import (
+    AHEAD,
+    ALARM,
+    ALIVE,
+    AREA,
+    AREA_BITS,
+    AREAS,
+    BEGIN,
+    BELIEF,
+    CELL,
+    CHANGES,
+    COVERING,
+    DEAD,
+    DETECTS,
+    DOING,
+    DONE,
+    END,
+    ERRS,
+    FIRST,
+    LEFT,
+    LEFT_IN,
+    LESS,
+    LEVEL,
+    LOOKED,
+    MORE,
+    NEXT,
+    OUT,
+    RETURNING,
+    ROBOT,
+    ROOT,
+    SEEN,
+    SILENCE,
+    STEP,
+    SURVIVED,
+    TO_DO,
+    TRUTH,
+    VISITED,
+    WORD,
+    drop,
+    holds,
+)
+from planner.world.map_knowledge import ALWAYS, NEVER
+
+GONE, WHOLE, BROKEN, TOUCHED, OWNED = range(5)
+"""`State.fate` of an area: completed, of nobody, to fall apart, to be joined; OWNED + robot: that robot's."""
+
+
+@rare_kernel
+def look_about(t, s, w):
+    """Believe what live robots see from where nobody has looked yet; how many cells surprise, which `w.news` lists,
+    and whether any was seen for the first time.
+    """
+    truth, count, fresh = t.truths[s.mind[TRUTH]], 0, False
+    for robot in range(len(s.robots)):
+        here = s.robots[robot, CELL]
+        if s.robots[robot, DOING] == DEAD or s.known[here] & LOOKED:
+            continue
+        s.known[here] |= LOOKED
+        for place in range(t.view_begin[here], t.view_begin[here + 1]):
+            cell = t.in_view[place]
+            if s.known[cell] & SEEN == 0:
+                s.known[cell] |= SEEN
+                fresh = True
+                count = believe(t, s, w, cell, truth[cell], count)
+    return count, fresh
+
+
+@kernel
+def believe(t, s, w, cell, level, count):
+    """Believe a cell to be of a level; how many cells surprise by now, which `w.news` lists."""
+    if s.level[cell] == level:
+        return count
+    change_level(t, s, cell, level)
+    w.news[count] = cell
+    return count + 1
+
+
+@kernel
+def change_level(t, s, cell, level):
+    """From now on the cell is believed to be of this level, NONE: an obstacle."""
+    blocked = level < 0
+    s.level[cell], s.entry[cell] = level, 0 if blocked else t.price[level]
+    for side in range(4):
+        other = t.near[cell, side]
+        if other < len(t.near):
+            # Sides are N, W, E, S: the cell lies on the opposite one of its neighbour.
+            s.near[other, 3 - side] = len(t.near) if blocked else cell
+
+
+@rare_kernel
+def revise(t, s, w, log, count):
+    """Areas as they are after so many surprises, which `w.gone` then tells apart; False: no room for areas."""
+    note(log, s, NONE, SURPRISED_EVENT, NONE, count)
+    for place in range(count):
+        w.gone[w.news[place]] = 1
+    w.minds[0] += 1
+    s.mind[BELIEF] = w.minds[0]
+    recall(t, s, w)
+    s.marks[ROBOT] = len(s.robots)  # all have had their turns
+    for robot in range(len(s.robots)):
+        if s.robots[robot, DOING] == RETURNING:
+            head_home(t, s, robot)
+    label_parts(t, s, w)
+    tell_fates(s)
+    if not take_out(t, s, w) or not take_in(t, s, w):
+        return False
+    lay_out(s)
+    s.marks[CHANGES] += 1
+    return True
+
+
+@kernel
+def forget_news(w, count):
+    """Once all is set right."""
+    for place in range(count):
+        w.gone[w.news[place]] = 0
+
+
+@kernel
+def head_home(t, s, robot):
+    """On its way home the robot goes on as it leads now; who is cut off stays."""
+    here = np.int64(s.robots[robot, CELL])
+    if moves_home(t, robot, here) > 0:
+        s.robots[robot, NEXT] = t.onward[t.home_of[robot], here]
+    else:
+        drop(s.movers, robot)
+        s.robots[robot, DOING] = DONE
+
+
+@rare_kernel
+def recall(t, s, w):
+    """Rows of costs, and ways home, are those of what this set believes, or there are none."""
+    if w.minds[1] != s.mind[BELIEF]:
+        w.minds[1] = s.mind[BELIEF]
+        for row in range(len(w.source_of)):
+            if w.source_of[row] != NONE:
+                w.row_of[w.source_of[row]] = w.source_of[row] = NONE
+        w.last[0] = NONE
+        if comes_home(t):
+            find_ways_home(t, s, w)
+
+
+@rare_kernel
+def take_over(t, s, w):
+    """A thread begins with a set whose belief another one may have numbered; 0: the first one, which all have."""
+    if s.mind[BELIEF] > 0:
+        w.minds[0] += 1
+        s.mind[BELIEF] = w.minds[0]
+    recall(t, s, w)
+
+
+@kernel
+def label_parts(t, s, w):
+    """`w.part`: the connected part of the map, from 1, of each cell that a live robot can reach, else 0."""
+    part, stack, parts = w.part, w.stack, 0
+    for cell in range(len(part)):
+        part[cell] = 0
+    part[len(t.near)] = NONE  # what is blocked is no cell to go on from
+    for robot in range(len(s.robots)):
+        first = s.robots[robot, CELL]
+        if s.robots[robot, DOING] == DEAD or part[first] > 0:
+            continue
+        parts += 1
+        part[first], stack[0], top = parts, first, 1
+        while top > 0:
+            top -= 1
+            here = stack[top]
+            for side in range(4):
+                cell = s.near[here, side]
+                if part[cell] == 0:
+                    part[cell], stack[top] = parts, cell
+                    top += 1
+
+
+@kernel
+def tell_fates(s):
+    """`State.fate` of every area; ROOT of those of nobody: no part of the map yet."""
+    for area in range(s.marks[AREAS]):
+        s.fate[area], s.areas[area, ROOT] = WHOLE if holds(s.open, area) else GONE, 0
+    s.fate[room_of(s)] = GONE
+    for robot in range(len(s.robots)):
+        area = s.robots[robot, AREA]
+        if has_area(s.robots, robot) and s.areas[area, LEFT_IN] > 0:
+            s.fate[area] = OWNED + robot
+
+
+@kernel
+def let_go(s, cell):
+    """The cell is in no area from here on."""
+    home, flags = s.home[cell], VISITED | SURVIVED
+    if home & VISITED:
+        flags &= home
+    else:
+        s.areas[home >> AREA_BITS, LEFT_IN] -= 1
+        s.known[cell] |= OUT
+    s.home[cell] = room_of(s) << AREA_BITS | flags
+
+
+@kernel
+def take_out(t, s, w):
+    """What surprises, or is out of reach, leaves its area; False: no room for areas."""
+    for cell in range(len(t.near)):
+        fate = s.fate[s.home[cell] >> AREA_BITS]
+        if fate == GONE:
+            continue
+        if fate >= OWNED:
+            robot = fate - OWNED
+            if w.gone[cell] or w.part[cell] != w.part[s.robots[robot, CELL]]:
+                if s.home[cell] & TO_DO and s.robots[robot, DOING] == COVERING:
+                    s.robots[robot, LEFT] -= 1
+                let_go(s, cell)
+            continue
+        area = s.home[cell] >> AREA_BITS
+        if s.areas[area, ROOT] == 0:
+            s.areas[area, ROOT] = w.part[cell]
+        if w.gone[cell] or w.part[cell] == 0 or w.part[cell] != s.areas[area, ROOT]:
+            s.fate[area] = BROKEN
+    room = True
+    for area in range(s.marks[AREAS]):
+        if room and s.fate[area] == BROKEN:
+            room = fall_apart(t, s, w, area)
+    return room
+
+
+@kernel
+def fall_apart(t, s, w, area):
+    """An area of nobody becomes the components of its unvisited cells that stay; the first goes on as the area."""
+    begin, end = s.areas[area, BEGIN], s.areas[area, END]
+    for place in range(begin, end):
+        cell = s.order[place]
+        if s.home[cell] & VISITED or w.gone[cell] or w.part[cell] == 0:
+            let_go(s, cell)
+        else:
+            s.home[cell] = area << AREA_BITS  # not TO_DO any more, of who broke off
+    w.stamp[0] += 1
+    stamp, wanted, number = w.stamp[0], area << AREA_BITS, area
+    for place in range(begin, end):
+        first = s.order[place]
+        if s.home[first] != wanted or w.seen[first] == stamp:
+            continue
+        w.seen[first], w.stack[0], head, tail = stamp, first, 0, 1
+        while head < tail:
+            here = w.stack[head]
+            head += 1
+            for side in range(4):
+                cell = t.near[here, side]
+                if s.home[cell] == wanted and w.seen[cell] != stamp:
+                    w.seen[cell], w.stack[tail] = stamp, cell
+                    tail += 1
+        if number == NONE:
+            new = append(s, s.areas[area, LEVEL])
+            if new == NONE:
+                return False
+            hold(s, w, new, tail)
+            s.areas[area, LEFT_IN] -= tail
+        number = NONE
+    s.fate[area] = WHOLE
+    if number != NONE:
+        s.fate[area] = GONE
+        close(s, area)
+    return True
+
+
+@kernel
+def append(s, level):
+    """A new area of nobody, without cells yet; NONE: no room."""
+    new = s.marks[AREAS]
+    if new + 1 >= room_of(s):
+        return NONE
+    s.areas[new, BEGIN] = s.areas[new, END] = s.areas[new, LEFT_IN] = s.areas[new, ROOT] = 0
+    s.areas[new, LEVEL], s.fate[new] = level, WHOLE
+    if new % WORD == 0:
+        s.open[new // WORD] = s.lowest[new // WORD] = 0
+    s.marks[AREAS] = new + 1
+    reopen(s, new)
+    return new
+
+
+@kernel
+def hold(s, w, area, count):
+    """The area has the first `count` cells of the stack, too."""
+    for place in range(count):
+        cell = w.stack[place]
+        s.home[cell] = area << AREA_BITS
+        s.known[cell] &= SEEN | LOOKED
+    s.areas[area, LEFT_IN] += count
+
+
+@kernel
+def take_in(t, s, w):
+    """Unvisited cells in reach that no area holds join those of nobody, or are new ones; False: no room for areas."""
+    w.stamp[0] += 1
+    stamp = w.stamp[0]
+    for first in range(len(t.near)):
+        if s.known[first] & OUT == 0 or w.part[first] == 0 or w.seen[first] == stamp:
+            continue
+        level = s.level[first]
+        w.seen[first], w.stack[0], head, tail, touched = stamp, first, 0, 1, 0
+        while head < tail:
+            here = w.stack[head]
+            head += 1
+            for side in range(4):
+                cell = s.near[here, side]
+                if cell == len(t.near) or s.level[cell] != level:
+                    continue
+                area = s.home[cell] >> AREA_BITS
+                if s.known[cell] & OUT:
+                    if w.seen[cell] != stamp:
+                        w.seen[cell], w.stack[tail] = stamp, cell
+                        tail += 1
+                elif s.fate[area] == WHOLE:
+                    s.fate[area], w.listed[touched] = TOUCHED, area
+                    touched += 1
+        area = join(s, w, touched) if touched > 0 else append(s, level)
+        if area == NONE:
+            return False
+        hold(s, w, area, tail)
+    return True
+
+
+@kernel
+def join(s, w, count):
+    """The areas that are `listed` become the one of the lowest id."""
+    lowest = np.int64(w.listed[0])
+    for place in range(1, count):
+        lowest = min(lowest, np.int64(w.listed[place]))
+    for place in range(count):
+        area = np.int64(w.listed[place])
+        if area != lowest:
+            merge(s, area, lowest)
+    s.fate[lowest] = WHOLE
+    return lowest
+
+
+@kernel
+def merge(s, area, into):
+    """All cells of an area of nobody go to another one."""
+    for cell in range(len(s.level)):
+        if s.home[cell] >> AREA_BITS == area:
+            s.home[cell] = into << AREA_BITS | s.home[cell] & (VISITED | SURVIVED)
+    s.areas[into, LEFT_IN] += s.areas[area, LEFT_IN]
+    s.areas[area, LEFT_IN], s.fate[area] = 0, GONE
+    close(s, area)
+
+
+@kernel
+def lay_out(s):
+    """`order` anew, the cells of every area rising."""
+    for area in range(s.marks[AREAS]):
+        s.areas[area, END] = 0
+    out = room_of(s)
+    for cell in range(len(s.level)):
+        area = s.home[cell] >> AREA_BITS
+        if area != out:
+            s.areas[area, END] += 1
+    begin = 0
+    for area in range(s.marks[AREAS]):
+        size = s.areas[area, END]
+        s.areas[area, BEGIN] = s.areas[area, END] = begin
+        begin += size
+    for cell in range(len(s.level)):
+        area = s.home[cell] >> AREA_BITS
+        if area != out:
+            s.order[s.areas[area, END]] = cell
+            s.areas[area, END] += 1
+
+
+@kernel
+def is_lost(s, w, robot):
+    """Whether a cell of the leg that the robot is on surprises, or cannot be reached any more."""
+    me, mine = s.robots[robot], w.part[s.robots[robot, CELL]]
+    lost = w.gone[me[NEXT]] != 0 or w.part[me[NEXT]] != mine
+    for place in range(me[AHEAD]):
+        cell = s.legs[robot, place]
+        lost = lost or w.gone[cell] != 0 or w.part[cell] != mine
+    return lost
+
+
+# Threats that change with time, compiled: `planner.mrac.map_belief` is the readable one.
+#
+# Time is a function of the step, so a set's rollouts have it in common. Part of `planner.simulator.rollouts`, which
+# see.
+
+
+@rare_kernel
+def phase_at(t, step):
+    """The phase that the step is in."""
+    phase = len(t.phases) - 1
+    while t.phases[phase] > step:
+        phase -= 1
+    return phase
+
+
+@kernel
+def visit_of(t, s, robot, cell):
+    """Where `Tables.bound`, `exposure` and `chance` have a visit of the cell by the robot in this step."""
+    return own(t, robot, cell) if len(t.phases) == 0 else cell + len(t.near) * phase_at(t, s.marks[STEP])
+
+
+@rare_kernel
+def foresee(t, s, w):
+    """At the end of a step: how many cells surprise, which `w.news` lists, of the phase that the next one begins."""
+    next_step, count = s.marks[STEP] + 1, 0
+    phase = phase_at(t, next_step)
+    if s.marks[ALIVE] > 0 and t.phases[phase] == next_step:
+        for cell in range(len(t.near)):
+            count = believe(t, s, w, cell, t.truths[phase, cell], count)
+    return count
+
+
+# Robots that learn about hazards, compiled: `planner.mrac.map_belief` is the readable one.
+#
+# Part of `planner.simulator.rollouts`, which see. What a set's rollouts have in common is what happened to its robots,
+# so
+# they share log odds until they part; readings of detectors differ, and then each rollout is a set by itself.
+
+
+@kernel
+def learns_of(t, s, w, how, ids):
+    """`look_about`, or the same of the evidence or of phases, by which nothing is ever seen."""
+    if len(t.phases) > 0:
+        return foresee(t, s, w), False
+    return look_about(t, s, w) if len(s.odds) == 0 else (reckon(t, s, w, how, ids), False)
+
+
+@kernel
+def add(s, cell, said):
+    """Something speaks for a hazard in the cell; what is certain stays so."""
+    if s.odds[cell] != ALWAYS and s.odds[cell] != NEVER:
+        sure = abs(said) == ALWAYS
+        s.odds[cell] = said if sure else s.odds[cell] + said
+
+
+@rare_kernel
+def take_note(t, s, cell):
+    """A robot has survived a visit of the cell."""
+    add(s, cell, -t.survival[cell])
+
+
+@rare_kernel
+def reckon(t, s, w, how, ids):
+    """How many cells surprise, which `w.news` lists: of robots' own, and of those in range of their detectors."""
+    if s.marks[ALIVE] == 0:
+        return 0
+    reads, count = t.lessons[DETECTS] > 0, 0
+    for robot in range(len(s.robots)):
+        if reads and s.robots[robot, DOING] != DEAD:
+            read(t, s, how, ids[s.marks[FIRST]], robot)
+    for robot in range(len(s.robots)):
+        here = np.int64(s.robots[robot, CELL])
+        count = heed(t, s, w, here, count)
+        if reads and s.robots[robot, DOING] != DEAD:
+            for place in range(t.view_begin[here], t.view_begin[here + 1]):
+                count = heed(t, s, w, np.int64(t.in_view[place]), count)
+    return count
+
+
+@kernel
+def read(t, s, how, rollout, robot):
+    """A robot's readings of a step."""
+    key0, key1 = threefry(how.read0, how.read1, rollout, np.uint32(s.marks[STEP]))
+    here = s.robots[robot, CELL]
+    for place in range(t.view_begin[here], t.view_begin[here + 1]):
+        cell = np.int64(t.in_view[place])
+        there = own_word(t, how, rollout, cell) < t.there[cell] and not (len(s.spent) > 0 and holds(s.spent, cell))
+        word = threefry(key0, key1, np.uint32(robot), t.own_counter[cell])[0] >> np.uint32(8)
+        alarm = np.int64(word) < t.lessons[DETECTS if there else ERRS]
+        add(s, cell, t.lessons[ALARM] if alarm else -t.lessons[SILENCE])
+
+
+@kernel
+def heed(t, s, w, cell, count):
+    """Believe what the evidence says of a cell; how many surprise by now."""
+    return believe(t, s, w, cell, t.truths[class_of(t, s, cell), cell], count)
+
+
+@kernel
+def class_of(t, s, cell):
+    """`planner.world.map_knowledge.Evidence.class_of` one cell."""
+    odds = s.odds[cell]
+    if odds == NEVER:
+        return np.int64(0)
+    if odds == ALWAYS:
+        return np.int64(1)
+    lost = t.odds[cell] - odds
+    steps = min(lost // t.step[cell], t.lessons[LESS]) if lost >= 0 else -min(-lost // t.step[cell], t.lessons[MORE])
+    return 2 + t.lessons[MORE] + steps

@@ -1,0 +1,140 @@
+"""Threats that move, for the compiled simulator: after the robots' turns movers move, and sets part where some are met.
+
+Where movers are differs from rollout to rollout and does not depend on robots, so it is kept for each rollout, at the
+step of the set that it is in. Part of `planner.simulator.rollouts`, which see; SPEC section 16 says the rules.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.jit import kernel, rare_kernel
+from planner.simulator.failure_sampling import split_ids, threefry
+from planner.simulator.state import (
+    ACTS,
+    CELL,
+    DEAD,
+    DOING,
+    FIRST,
+    HIT,
+    HITS,
+    LAST,
+    PARTED,
+    ROAMED,
+    ROBOT,
+    ROUTE,
+    ROUTE_LENGTH,
+    STAYS,
+    STEP,
+    holds,
+)
+
+
+@kernel
+def is_meeting(s):
+    """Whether movers have moved in this step: robots have had their turns."""
+    return s.marks[ROAMED] > s.marks[STEP]
+
+
+@kernel
+def moved(t, cell, number):
+    """Where a walker goes: the free neighbour that 24 bits mean, of N, W, E, S; nowhere if it has none."""
+    blocked, ways = len(t.near), np.int64(0)
+    if cell == blocked:
+        return cell
+    for side in range(4):
+        ways += np.int64(t.near[cell, side]) != blocked
+    way = number * ways >> 24
+    for side in range(4):
+        beside = np.int64(t.near[cell, side])
+        if beside != blocked:
+            if way == 0:
+                return beside
+            way -= 1
+    return cell
+
+
+@kernel
+def roam(t, s, w, how, ids, step):
+    """The movers of the set's rollouts move."""
+    movers = len(t.movers)
+    stays, where = w.moves[0], w.moves[1]
+    for place in range(s.marks[FIRST], s.marks[LAST]):
+        at = w.at[ids[place] - w.begin[0]]
+        # By itself, so that several are drawn at a time.
+        for number in range(movers):
+            counter = np.uint32((step + 1) * movers + number)
+            stays[number], where[number] = threefry(how.move0, how.move1, ids[place], counter)
+        for number in range(movers):
+            length = t.movers[number, ROUTE_LENGTH]
+            if length > 0:
+                at[number] = at[number] + 1 if at[number] + 1 < length else 0
+            elif np.int64(stays[number] >> np.uint32(8)) >= t.movers[number, STAYS]:
+                at[number] = moved(t, np.int64(at[number]), np.int64(where[number] >> np.uint32(8)))
+
+
+@kernel
+def first_met(t, s, w, how, rollout, step, after):
+    """The lowest robot above `after` that a mover stops in a rollout, K if none; `w.here` tells the robots' cells."""
+    robots, movers, at = s.robots, len(t.movers), w.at[rollout - w.begin[0]]
+    least = np.int64(len(robots))
+    for number in range(movers):
+        cell = np.int64(at[number])
+        if t.movers[number, ROUTE_LENGTH] > 0:
+            cell = np.int64(t.routes[t.movers[number, ROUTE] + cell])
+        if w.here[cell] == 0:
+            continue
+        for robot in range(max(w.here[cell] - 1, after + 1), least):
+            if robots[robot, CELL] == cell and robots[robot, DOING] != DEAD:
+                counter = np.uint32((step * movers + number) * len(robots) + robot)
+                word = threefry(how.meet0, how.meet1, rollout, counter)[0] >> np.uint32(8)
+                if np.int64(word) < t.movers[number, HITS]:
+                    least = robot
+                    break
+    return least
+
+
+@kernel
+def look_out(t, s, w, how, ids, first, last, after):
+    """Find out who is the next above `after` to be met, in each of the rollouts `ids[first:last]`."""
+    robots = s.robots
+    for back in range(len(robots)):
+        robot = len(robots) - 1 - back
+        if robots[robot, DOING] != DEAD:
+            w.here[robots[robot, CELL]] = robot + 1
+    for place in range(first, last):
+        w.met[ids[place] - w.begin[0]] = first_met(t, s, w, how, ids[place], s.marks[STEP], after)
+    for robot in range(len(robots)):
+        w.here[robots[robot, CELL]] = 0
+
+
+@rare_kernel
+def meet(t, s, w, how, ids):
+    """Go on with the meetings of a step: HIT or PARTED, the robot being marked; ACTS when nobody is met any more."""
+    marks = s.marks
+    first, last = marks[FIRST], marks[LAST]
+    if not is_meeting(s):
+        roam(t, s, w, how, ids, marks[STEP])
+        marks[ROAMED] = marks[STEP] + 1
+        look_out(t, s, w, how, ids, first, last, np.int64(-1))
+    next_one = np.int64(len(s.robots))
+    for place in range(first, last):
+        next_one = min(next_one, np.int64(w.met[ids[place] - w.begin[0]]))
+    if next_one == len(s.robots):
+        return ACTS
+    mine, room = ids[first:last], w.words[: last - first]
+    for index in range(len(mine)):
+        room[index] = w.met[mine[index] - w.begin[0]] != next_one
+    hit_from = first + split_ids(mine, room, 1)
+    look_out(t, s, w, how, ids, hit_from, last, next_one)
+    marks[ROBOT] = next_one
+    if hit_from == first:
+        return HIT
+    marks[LAST] = hit_from
+    return PARTED
+
+
+@kernel
+def has_entered(s, robot):
+    """Whether the robot is alive and has entered its cell in this step."""
+    return holds(s.entered, robot) and s.robots[robot, DOING] != DEAD

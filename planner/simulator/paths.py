@@ -1,0 +1,594 @@
+"""Safest paths between all pairs of cells, and from each cell to each area, as tables. Axes: `A` cells, `M` areas."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.ids import NO_CELL, NONE
+from planner.jit import kernel, rare_kernel, threaded
+from planner.mrac.paths import TOO_FAR, UNREACHED, SafeParts, danger_ahead, far_search, pop, push
+from planner.simulator.robot_types import own
+from planner.simulator.state import (
+    AHEAD,
+    AREA,
+    AREA_BITS,
+    AREAS,
+    BEGIN,
+    CELL,
+    END,
+    FAR,
+    LEFT,
+    LEVEL,
+    NEAR,
+    NEXT,
+    PATH,
+    PATIENCE,
+    RANKED,
+    ROOT,
+    SURVIVED,
+    TARGET,
+    TO_DO,
+    VISITED,
+    WIDE,
+    holds,
+)
+
+BLOCK = 32
+"""Sources whose first hops are written at a time: by target, so that a line of memory is met once."""
+NO_PATH_COST = 2**62
+"""Costs more than any path."""
+LEAST_SHARED = 2**20
+"""Entries of a table from which on threads share it out: fewer are written sooner than threads begin."""
+
+
+def all_pairs(
+    near: NDArray[np.int32], entry: NDArray[np.int64], wide: np.dtype, narrow: np.dtype
+) -> tuple[NDArray, NDArray, NDArray]:
+    """`Tables.cost_to` and `hop_to` `[A, A]`, and `ranked` `[A, RANKED]`, costs `wide` and cells `narrow`.
+
+    `near` int32 `[A, 4]`: neighbours, NO_CELL if none. `entry` `[A]`: of each cell. Cost: O(A**2 log A).
+    """
+    size = len(entry)
+    cost = np.full((size, size), UNREACHED, dtype=wide)
+    hop = np.zeros((size, size), dtype=narrow)
+    ranked = np.full((size, min(size, RANKED)), size, dtype=narrow)
+    _share_out(cost.size, lambda part, parts: _fill(part, parts, near, entry, cost, hop, ranked))
+    return cost, hop, ranked
+
+
+def to_areas(
+    cost: NDArray, narrow: np.dtype, order: NDArray[np.int32], begin: NDArray[np.int32]
+) -> tuple[NDArray, NDArray]:
+    """(cost, entry) `[A, M]` from each cell to each area of t = 0, whose cells `order[begin[m]:begin[m + 1]]` rise."""
+    area_cost = np.empty((len(cost), len(begin) - 1), dtype=cost.dtype)
+    area_entry = np.empty(area_cost.shape, dtype=narrow)
+    _share_out(cost.size, lambda part, parts: _nearest(part, parts, cost, order, begin, area_cost, area_entry))
+    return area_cost, area_entry
+
+
+def _share_out(entries: int, work: Callable[[int, int], None]) -> None:
+    """Call `work(part, parts)` for each part, on a core each where there are many entries."""
+    threads = os.cpu_count() or 1
+    if entries < LEAST_SHARED:
+        work(0, 1)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(lambda part: work(part, threads), range(threads)))
+
+
+@threaded
+def _fill(part, parts, near, entry, cost, hop, ranked):  # type: ignore[no-untyped-def]
+    """Every so many-th BLOCK of sources.
+
+    Dijkstra as in `planner.mrac.paths.search_within`, but to all cells: they leave the queue in rising order of cost,
+    so that whatever precedes a cell has its first hop by then.
+    """
+    size, most = len(entry), ranked.shape[1]
+    distance, hops = np.empty(size, dtype=np.int64), np.zeros((BLOCK, size), dtype=hop.dtype)
+    queue, heap_cell, heap_cost = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.int64)
+    for begin in range(part * BLOCK, size, parts * BLOCK):
+        block = min(BLOCK, size - begin)
+        for source in range(begin, begin + block):
+            hop_of = hops[source - begin]
+            hop_of[:] = 0
+            distance[:] = NO_PATH_COST
+            distance[source], queue[0] = 0, source
+            head, tail, heap_size, now = 0, 1, 0, np.int64(0)
+            while True:
+                while heap_size > 0 and heap_cost[0] == now:
+                    queue[tail] = heap_cell[0]
+                    tail += 1
+                    heap_size = pop(heap_cost, heap_cell, heap_size)
+                layer_end = tail
+                while head < layer_end:
+                    here = queue[head]
+                    head += 1
+                    cost[source, here] = now
+                    before, known = now - entry[here], False
+                    for side in range(4):
+                        cell = near[here, side]
+                        if cell == NO_CELL:
+                            continue
+                        if distance[cell] == NO_PATH_COST:
+                            distance[cell] = now + entry[cell]
+                            if entry[cell] == 1:
+                                queue[tail] = cell
+                                tail += 1
+                            else:
+                                heap_size = push(heap_cost, heap_cell, heap_size, now + entry[cell], cell)
+                        # Neighbours rise in index, so the first predecessor is the lowest; its own hop is known by
+                        # then.
+                        elif distance[cell] == before and not known:
+                            hop_of[here] = here if cell == source else hop_of[cell]
+                            known = True
+                if tail > layer_end:
+                    now += 1
+                elif heap_size > 0:
+                    now = heap_cost[0]
+                else:
+                    break
+            first = 0
+            while first < min(tail, most):  # cells of one cost, in order of index
+                last = first + 1
+                while last < tail and distance[queue[last]] == distance[queue[first]]:
+                    last += 1
+                for place in range(first + 1, last):
+                    cell, at = queue[place], place
+                    while at > first and queue[at - 1] > cell:
+                        queue[at] = queue[at - 1]
+                        at -= 1
+                    queue[at] = cell
+                for place in range(first, min(last, most)):
+                    ranked[source, place] = queue[place]
+                first = last
+        for cell in range(size):
+            for row in range(block):
+                # Transposed a block at a time: by source, each write would be a line of memory of its own.
+                hop[cell, begin + row] = hops[row, cell]
+
+
+@threaded
+def _nearest(part, parts, cost, order, begin, area_cost, area_entry):  # type: ignore[no-untyped-def]
+    """Every so many-th row of the tables of areas; among cells of equal cost the first."""
+    for source in range(part, len(cost), parts):
+        for area in range(len(begin) - 1):
+            nearest = order[begin[area]]
+            for place in range(begin[area] + 1, begin[area + 1]):
+                if cost[source, order[place]] < cost[source, nearest]:
+                    nearest = order[place]
+            area_cost[source, area], area_entry[source, area] = cost[source, nearest], nearest
+
+
+# The nearest cell of a goal by a search, where there are no tables of distances, and the way to it.
+#
+# Part of `planner.simulator.rollouts`, which see. A goal tells by a cell's area and flags whether it is looked for, so
+# that nothing has to be marked before a search. What is near is found by Dijkstra's algorithm in layers, what is far by
+# the planner's `planner.mrac.paths`. Ties are those of SPEC section 3.
+
+ONE_CELL = -2
+"""In the first place of a goal of one cell; NONE is there in that of the unassigned areas of a level."""
+
+
+@kernel
+def searches(t):
+    """Whether there are no tables of distances: then there is `entry`, and where that is known not to be, no search."""
+    return len(t.entry) > 0 and len(t.cost_to) == 0
+
+
+@kernel
+def any_of(area):
+    """All cells of the area."""
+    return np.int64(area) << AREA_BITS | VISITED | SURVIVED | TO_DO, np.int64(VISITED | SURVIVED | TO_DO)
+
+
+@kernel
+def to_do_of(area):
+    """Those of its cells that are to do."""
+    return np.int64(area) << AREA_BITS | VISITED | SURVIVED | TO_DO, np.int64(VISITED | SURVIVED)
+
+
+@kernel
+def open_at(level):
+    """All cells of the unassigned areas of this level."""
+    return np.int64(NONE), np.int64(level)
+
+
+@kernel
+def one_cell(cell):
+    """That cell; NONE: none at all."""
+    return np.int64(ONE_CELL), np.int64(cell)
+
+
+@kernel
+def is_goal(s, cell, goal):
+    """Whether the cell is one of the goal's."""
+    home = np.int64(s.home[cell])
+    if goal[0] >= 0:
+        return home | goal[1] == goal[0]
+    if goal[0] == ONE_CELL:
+        return cell == goal[1]
+    area = home >> AREA_BITS
+    return holds(s.open, area) and s.areas[area, LEVEL] == goal[1]
+
+
+@kernel
+def seek(t, s, w, here, goal, inside):
+    """The nearest cell of the goal by (cost, area, index), NONE if none can be reached; `walk_back` then finds the way.
+
+    `inside`: the area that a way may not leave, or NONE.
+    """
+    w.last[0] = NONE
+    cell = seek_near(t, s, w, here, goal, inside, t.limits[NEAR] if inside == NONE else len(t.near))
+    return seek_far(t, s, w, here, goal) if cell == TOO_FAR else cell
+
+
+@rare_kernel
+def seek_near(t, s, w, here, goal, inside, most):
+    """The same; TOO_FAR if more than `most` cells have been passed before it was certain.
+
+    Costs sit on the cells entered, so the first time a cell is met its distance is final: each is queued once. Cells
+    one unit away (safe ones) go through a queue in layers, the others through a heap.
+    """
+    distance, seen, queue = w.distance, w.seen, w.queue
+    near, entries = s.near if len(s.mind) > 0 else t.near, s.entry if len(s.mind) > 0 else t.entry
+    w.stamp[0] += 1
+    stamp, here = w.stamp[0], np.int64(here)
+    distance[here], seen[here], seen[len(t.near)] = 0, stamp, stamp  # what is blocked is met already
+    if is_goal(s, here, goal):
+        return here
+    best, best_cost, best_area, last_cost = np.int64(NONE), np.int64(0), np.int64(0), np.int64(0)
+    queue[0], head, tail, heap_size, now = here, 0, 1, 0, np.int64(0)
+    while head <= most:
+        while heap_size > 0 and w.heap_cost[0] == now:
+            queue[tail] = w.heap_cell[0]
+            tail += 1
+            heap_size = pop(w.heap_cost, w.heap_cell, heap_size)
+        layer_end = tail
+        while head < layer_end:
+            at = np.int64(queue[head])
+            head += 1
+            for side in range(4):
+                cell = np.int64(near[at, side])
+                # A stamp instead of clearing: a search costs what it passes, not the size of the map.
+                if seen[cell] == stamp or (inside != NONE and np.int64(s.home[cell]) >> AREA_BITS != inside):
+                    continue
+                seen[cell], entry = stamp, entries[cell]
+                cost = now + entry
+                distance[cell] = cost
+                if (best == NONE or cost <= best_cost) and is_goal(s, cell, goal):
+                    area = np.int64(s.home[cell]) >> AREA_BITS
+                    if best == NONE or (cost, area, cell) < (best_cost, best_area, best):
+                        best, best_cost, best_area, last_cost = cell, cost, area, entry
+                if entry == 1:
+                    queue[tail] = cell
+                    tail += 1
+                else:
+                    heap_size = push(w.heap_cost, w.heap_cell, heap_size, cost, cell)
+        if tail > layer_end:
+            now += 1
+        elif heap_size > 0:
+            now = w.heap_cost[0]
+        else:
+            return best
+        # Nothing that is still due can be as cheap, not even with a lower area or index.
+        if best != NONE and now + last_cost > best_cost:
+            return best
+    return np.int64(TOO_FAR)
+
+
+@rare_kernel
+def seek_far(t, s, w, here, goal):
+    """The same where it is far: safe components that lie between are passed as one."""
+    count = mark_goal(s, w, goal)
+    w.stamp[0] += 1
+    parts = SafeParts(t.node, t.beside, t.border, t.limits[WIDE], w.to_go, w.touched)
+    ahead = danger_ahead(
+        here, w.rank, w.stack[:count], t.near, t.entry, w.stamp[0], w.heap_cost, w.heap_cell, parts
+    )  # fmt: skip
+    cell = np.int64(NONE if ahead < 0 else TOO_FAR)
+    if ahead > 0:
+        cell, _ = far_search(
+            here, w.rank, w.everywhere, t.near, t.entry, w.distance, w.seen, w.stamp[0], w.heap_cost, w.heap_cell,
+            w.queue, w.listed, parts, ahead,
+        )  # fmt: skip
+    for place in range(count):
+        w.rank[w.stack[place]] = NONE
+    return seek_near(t, s, w, here, goal, NONE, len(t.near)) if cell == TOO_FAR else np.int64(cell)
+
+
+@kernel
+def mark_goal(s, w, goal):
+    """List the goal's cells in `stack`, and rank them by area; returns how many."""
+    count, last = 0, np.int64(s.marks[AREAS])
+    if goal[0] == ONE_CELL:
+        w.stack[0], w.rank[goal[1]] = goal[1], 0
+        return 1
+    first = np.int64(0)
+    if goal[0] >= 0:
+        first = goal[0] >> AREA_BITS
+        last = first + 1
+    for area in range(first, last):
+        if goal[0] == NONE and not (holds(s.open, area) and s.areas[area, LEVEL] == goal[1]):
+            continue
+        for place in range(s.areas[area, BEGIN], s.areas[area, END]):
+            cell = np.int64(s.order[place])
+            if is_goal(s, cell, goal):
+                w.stack[count], w.rank[cell] = cell, area
+                count += 1
+    return count
+
+
+# Costs from one cell to all others, kept as a row where there are no tables: few cells ask, and they ask again.
+#
+# Part of `planner.simulator.rollouts`, which see. A row answers as a search would, so no rollout depends on which are
+# kept.
+# There is room for ROWS_BYTES of them a thread; then each new one takes the place of the oldest.
+
+
+@rare_kernel
+def row_from(t, s, w, here):
+    """The number of the row of costs from `here`, which is made if it is not kept; `walk_back` then goes along it.
+
+    The row of the last answer is still there afterwards.
+    """
+    row = np.int64(w.row_of[here])
+    if row == NONE:
+        # Sharing compares two rows: the one just given must survive the making of the next.
+        row = w.oldest[0] if w.oldest[0] != w.last[0] else (w.oldest[0] + 1) % len(w.rows)
+        w.oldest[0] = (row + 1) % len(w.rows)
+        if w.source_of[row] != NONE:
+            w.row_of[w.source_of[row]] = NONE
+        w.source_of[row], w.row_of[here] = here, row
+        if len(s.mind) == 0:
+            fill_row(t, w, here, row)
+        else:
+            fill_row_believed(t, s, w, here, row)
+    w.last[0] = row
+    return row
+
+
+@kernel
+def fill_row(t, w, here, row):
+    """Costs to all cells, and of those to each area of t = 0 the least, lowest index first."""
+    costs, size = w.rows[row], len(t.near)
+    for cell in range(size):
+        costs[cell] = NONE
+    costs[size] = 0  # what is blocked is met already
+    spread(t, w, here, costs)
+    costs[size] = NONE
+    for area in range(len(t.level)):
+        best = np.int64(t.order[t.begin[area]])
+        for place in range(t.begin[area] + 1, t.begin[area + 1]):
+            cell = np.int64(t.order[place])
+            if costs[cell] < costs[best]:
+                best = cell
+        w.row_costs[row, area], w.row_entries[row, area] = costs[best], best
+
+
+@kernel
+def fill_row_believed(t, s, w, here, row):
+    """Costs to all cells, as robots that learn believe them: a search that finds nothing passes all in reach."""
+    seek_near(t, s, w, here, one_cell(np.int64(NONE)), np.int64(NONE), len(t.near))
+    costs, stamp = w.rows[row], w.stamp[0]
+    for cell in range(len(t.near)):
+        costs[cell] = w.distance[cell] if w.seen[cell] == stamp else NONE
+    costs[len(t.near)] = NONE
+
+
+@kernel
+def spread(t, w, here, costs):
+    """Dijkstra from `here` to all cells that have no cost yet.
+
+    What is paid on entering is the same for all cells of a kind, so those of a kind are met in the order in which they
+    are due: each kind has a queue of its own, in the part of `w.queue` for its cells, and the heap holds only the first
+    of each.
+    """
+    queue, head, tail, heap_size, now = w.queue, w.heads, w.tails, 0, np.int64(0)
+    for kind in range(len(t.kind_cost)):
+        head[kind] = tail[kind] = t.kind_begin[kind]
+    kind = np.int64(t.kind[here])
+    costs[here], queue[tail[kind]] = 0, here
+    tail[kind] += 1
+    heap_size = push(w.heap_cost, w.heap_cell, heap_size, now, kind)
+    while heap_size > 0:
+        now, due = w.heap_cost[0], np.int64(w.heap_cell[0])
+        heap_size = pop(w.heap_cost, w.heap_cell, heap_size)
+        end = tail[due]
+        while head[due] < end and costs[queue[head[due]]] == now:
+            at = np.int64(queue[head[due]])
+            head[due] += 1
+            for side in range(4):
+                cell = np.int64(t.near[at, side])
+                if costs[cell] == NONE:
+                    kind = np.int64(t.kind[cell])
+                    cost = now + t.kind_cost[kind]
+                    costs[cell], queue[tail[kind]] = cost, cell
+                    # Its queue was empty, so this cell is its first: the heap has to know.
+                    if head[kind] == tail[kind] and kind != due:
+                        heap_size = push(w.heap_cost, w.heap_cell, heap_size, cost, kind)
+                    tail[kind] += 1
+        if head[due] < tail[due]:
+            heap_size = push(w.heap_cost, w.heap_cell, heap_size, np.int64(costs[queue[head[due]]]), due)
+
+
+@kernel
+def row_if_asked(t, s, w, here):
+    """The number of the row from `here` if it is kept, or has been asked for often enough by now, else NONE."""
+    if w.row_of[here] == NONE and w.asked[here] < t.limits[PATIENCE]:
+        w.asked[here] += np.uint8(1)
+        return np.int64(NONE)
+    return row_from(t, s, w, here)
+
+
+@kernel
+def last_cost(w, cell):
+    """What the last answer, a row's or a search's, says of the cost of a cell, NONE if nothing."""
+    if w.last[0] != NONE:
+        return np.int64(w.rows[w.last[0], cell])
+    return w.distance[cell] if w.seen[cell] == w.stamp[0] else np.int64(NONE)
+
+
+@kernel
+def walk_back(t, s, w, here, target, leg):
+    """Write the last answer's path from `here` to `target` into `leg` `[A]`, last cell first; returns its steps."""
+    steps, cell, entry = 0, np.int64(target), s.entry if len(s.mind) > 0 else t.entry
+    while cell != here:
+        leg[steps] = cell
+        steps += 1
+        # Neighbours rise in index, so the first that fits is the lowest: the tie of SPEC section 3.
+        before = last_cost(w, cell) - entry[cell]
+        for side in range(4):
+            other = np.int64(t.near[cell, side])
+            if last_cost(w, other) == before:
+                cell = other
+                break
+    return steps
+
+
+# Ways to get there, for the compiled simulator: costs, nearest cells and legs, from all-pairs tables or by searches.
+#
+# Part of `planner.simulator.rollouts`, which see. `cost_to` and the other tables are empty where distances are
+# searched for
+# on demand; `entry` and `legs` are where nothing is. A search's answer is the tables', ties included (SPEC section 3).
+
+
+@kernel
+def cheapest_cell(costs, s, area):
+    """The area's cell of least cost in `costs` `[A]`, lowest index first; NONE if it cannot be reached.
+
+    Its cells rise, and are reached from anywhere if one of them is.
+    """
+    begin, end = np.int64(s.areas[area, BEGIN]), np.int64(s.areas[area, END])
+    best = np.int64(s.order[begin])
+    least = costs[best]
+    # An area is connected: if one cell cannot be reached none can.
+    if least < 0:
+        return np.int64(NONE)
+    for place in range(begin + 1, end):
+        cell = s.order[place]
+        if costs[cell] < least:
+            best, least = np.int64(cell), costs[cell]
+    return best
+
+
+@rare_kernel
+def entry_of(t, s, w, robot, area):
+    """The cheapest cell of an area that the robot can reach."""
+    here = s.robots[robot, CELL]
+    if not searches(t):
+        row = own(t, robot, here)
+        cell = np.int64(t.area_entry[row, s.areas[area, ROOT]])
+        return cell if np.int64(s.home[cell]) >> AREA_BITS == area else cheapest_cell(t.cost_to[row], s, area)
+    if w.row_of[here] != NONE:
+        return cheapest_cell(w.rows[row_from(t, s, w, here)], s, area)
+    return seek(t, s, w, here, any_of(area), np.int64(NONE))
+
+
+@kernel
+def set_out(t, s, w, robot, target, searched):
+    """Begin a leg, along the tables or the last answer's path, which began where the robot is."""
+    robots = s.robots
+    here, ahead = robots[robot, CELL], 0
+    robots[robot, TARGET] = robots[robot, NEXT] = target
+    if here != target:
+        if searched:
+            ahead = walk_back(t, s, w, here, target, s.legs[robot]) - 1
+            robots[robot, NEXT] = s.legs[robot, ahead]
+        else:
+            # By target: a whole leg stays in one row of the table.
+            robots[robot, NEXT] = t.hop_to[own(t, robot, target), here]
+    robots[robot, AHEAD], robots[robot, PATH] = ahead, 0
+
+
+@kernel
+def go_on(t, s, w, robot):
+    """The robot is on its leg: what it enters next."""
+    robots = s.robots
+    ahead = robots[robot, AHEAD]
+    if ahead == 0:
+        robots[robot, NEXT] = t.hop_to[own(t, robot, robots[robot, TARGET]), robots[robot, CELL]]
+    else:
+        robots[robot, AHEAD] = ahead - 1
+        path = robots[robot, PATH]
+        robots[robot, NEXT] = s.legs[robot, ahead - 1] if path == 0 else w.paths[w.ends[path] - ahead]
+
+
+@kernel
+def list_to_do(s, robot):
+    """The cells to do are the area's unvisited cells at this moment."""
+    area, left = s.robots[robot, AREA], 0
+    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
+        cell = s.order[place]
+        if s.home[cell] & VISITED == 0:
+            s.home[cell] |= TO_DO
+            left += 1
+    s.robots[robot, LEFT] = left
+
+
+@kernel
+def to_do_in(area):
+    """`home >> 2` of a cell to do in the area, whether it is visited or not."""
+    return np.int64(area) << 1 | 1
+
+
+@kernel
+def next_leg(t, s, w, how, robot):
+    """The leg to the cheapest cell to do, lowest index first; an adjacent one, by its side, is always the cheapest."""
+    robots = s.robots
+    # Cells of an area cost the same to enter, so nothing beats a neighbour.
+    cell = adjacent(t, s, robots[robot, CELL], to_do_in(robots[robot, AREA]))
+    if cell != NONE:
+        robots[robot, TARGET] = robots[robot, NEXT] = cell
+    else:
+        set_out_far(t, s, w, how, robot)
+
+
+@kernel
+def adjacent(t, s, here, wanted):
+    """The neighbour of `here` that goes first of those that are as `to_do_in` says, NONE if none is."""
+    for side in range(4):
+        cell = np.int64(t.sweep[here, side])
+        if np.int64(s.home[cell]) >> 2 == wanted:
+            return cell
+    return np.int64(NONE)
+
+
+@rare_kernel
+def set_out_far(t, s, w, how, robot):
+    """The same where none is adjacent."""
+    here, area = s.robots[robot, CELL], np.int64(s.robots[robot, AREA])
+    if len(t.entry) == 0:
+        set_out(t, s, w, robot, look_up_nearest(t, s, own(t, robot, here), area), False)
+    else:
+        set_out(t, s, w, robot, search_nearest(t, s, w, how, here, area), True)
+
+
+@kernel
+def look_up_nearest(t, s, row, area):
+    """The cheapest cell of the area to do, from a row of the tables.
+
+    In a safe area it is looked for among the cells ranked by cost; before a dangerous one come too many safe cells.
+    """
+    if s.areas[area, LEVEL] == 0:
+        wanted = to_do_in(area)
+        for place in range(t.ranked.shape[1]):
+            cell = t.ranked[row, place]
+            if np.int64(s.home[cell]) >> 2 == wanted:
+                return np.int64(cell)
+    best, least = NONE, FAR
+    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
+        cell = s.order[place]
+        if s.home[cell] & TO_DO and t.cost_to[row, cell] < least:
+            best, least = np.int64(cell), np.int64(t.cost_to[row, cell])
+    return best
+
+
+@kernel
+def search_nearest(t, s, w, how, here, area):
+    """The same by a search, inside the area if legs stay there."""
+    return seek(t, s, w, here, to_do_of(area), area if how.stay_inside else np.int64(NONE))

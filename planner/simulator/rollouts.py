@@ -1,0 +1,228 @@
+"""Algorithm 2 compiled with Numba: sets of rollouts that part where a robot is hit, counted into tallies.
+
+A run is the same for all rollouts as long as they are hit alike. So one simulation carries a set of rollouts; where a
+robot enters a dangerous cell each of them draws, and the set parts: who is not hit waits with a copy of the state,
+the others go on. At the end of a run the set is counted, and those who came to wait last go on, depth first. No count
+depends on the order. How a set runs: `planner.simulator.runs`. Axis letters as in `planner.simulator.state`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import types
+from numba.extending import intrinsic, overload
+
+from planner.ids import NONE
+from planner.jit import kernel, program, rare_kernel
+from planner.simulator.map_belief import take_over
+from planner.simulator.runs import advance
+from planner.simulator.state import (
+    AHEAD,
+    ALIVE,
+    AREA_WORDS,
+    AREAS,
+    AREAS_FULL,
+    AT_HOME,
+    BISECTED,
+    COVERED,
+    CUT,
+    DIVIDED,
+    FIRST,
+    HIT,
+    LAST,
+    LEVEL,
+    NOWHERE_LEVEL,
+    OUT,
+    PARTED,
+    PASSED,
+    PATH,
+    ROBOT_WORDS,
+    STEP,
+    TEAM_WORDS,
+    UNSURVIVED,
+    VERDICT,
+    VISITED,
+    WORD,
+    State,
+)
+from planner.simulator.struct_pointers import flat, hand
+
+
+def take(taken):
+    """The number of the next task, which is then taken: another thread gets another one."""
+    taken[0] += 1
+    return int(taken[0]) - 1
+
+
+@intrinsic
+def _add_one(typing_context: Any, taken: Any) -> Any:
+    def add(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        return builder.atomic_rmw("add", data, ir.Constant(ir.IntType(64), 1), "monotonic")
+
+    return types.int64(taken), add
+
+
+@overload(take)
+def _compiled_take(taken):
+    return lambda taken: _add_one(taken)
+
+
+@kernel
+def level_of(stack, level):
+    """One level of the stack."""
+    return State(
+        stack.home[level], stack.order[level], stack.areas[level], stack.robots[level], stack.marks[level],
+        stack.team[level], stack.movers[level], stack.waiting[level], stack.open[level], stack.lowest[level],
+        stack.passes[level], stack.legs[level], stack.spent[level], stack.entered[level], stack.heard[level],
+        stack.near[level], stack.entry[level], stack.level[level], stack.known[level], stack.fate[level],
+        stack.mind[level], stack.odds[level],
+    )  # fmt: skip
+
+
+@kernel
+def copy_row(of, to, count):
+    for place in range(count):
+        to[place] = of[place]
+
+
+@kernel
+def copy_state(of, to):
+    """Copy what is in use of a level."""
+    areas = of.marks[AREAS]
+    copy_row(of.home, to.home, len(of.home))
+    copy_row(of.order, to.order, len(of.order))
+    copy_row(flat(of.areas), flat(to.areas), areas * AREA_WORDS)
+    copy_row(flat(of.robots), flat(to.robots), len(of.robots) * ROBOT_WORDS)
+    for robot in range(of.legs.shape[0]):
+        # A remembered path lies in `Work`, which levels share.
+        if of.robots[robot, PATH] == 0:
+            copy_row(of.legs[robot], to.legs[robot], of.robots[robot, AHEAD])
+    copy_row(of.marks, to.marks, len(of.marks))
+    copy_row(flat(of.team), flat(to.team), len(of.team) * TEAM_WORDS)
+    copy_row(of.movers, to.movers, len(of.movers))
+    copy_row(of.waiting, to.waiting, len(of.waiting))
+    copy_row(of.open, to.open, (areas + WORD - 1) // WORD)
+    copy_row(of.lowest, to.lowest, (areas + WORD - 1) // WORD)
+    copy_row(of.spent, to.spent, len(of.spent))
+    copy_row(of.passes, to.passes, len(of.passes))
+    copy_row(of.entered, to.entered, len(of.entered))
+    if len(of.mind) > 0:
+        copy_mind(of, to)
+
+
+@rare_kernel
+def copy_mind(of, to):
+    """What robots that learn believe."""
+    copy_row(flat(of.near), flat(to.near), 4 * len(of.near))
+    copy_row(of.entry, to.entry, len(of.entry))
+    copy_row(of.level, to.level, len(of.level))
+    copy_row(of.known, to.known, len(of.known))
+    copy_row(of.mind, to.mind, len(of.mind))
+    copy_row(of.odds, to.odds, len(of.odds))
+    to.areas[len(to.areas) - 1, LEVEL] = NOWHERE_LEVEL
+
+
+@rare_kernel
+def count_passes(s, c, ids, singles):
+    """Add a set's survived visits by cell, and what its cells add up to in each of its rollouts."""
+    first, last, covered, found = s.marks[FIRST], s.marks[LAST], np.int64(0), np.int64(0)
+    for cell in range(len(s.passes)):
+        passes = np.int64(s.passes[cell])
+        for times in range(passes):
+            c.passes[cell, times] += last - first
+        if s.home[cell] & VISITED and (len(s.known) == 0 or s.known[cell] & OUT == 0):
+            covered += singles.covered[cell]
+            found += singles.found[cell, passes]
+    if len(singles.worth) > 0:
+        for place in range(first, last):
+            worth = singles.worth[ids[place] - singles.start]
+            worth[0], worth[1] = covered, found
+
+
+@kernel
+def count_set(s, c, ids, singles, outcome):
+    """Add a set at the end of its run."""
+    marks, first, last = s.marks, s.marks[FIRST], s.marks[LAST]
+    size, covered, safely = last - first, marks[COVERED], marks[COVERED] - marks[UNSURVIVED]
+    c.visited[covered] += size
+    c.survived[safely] += size
+    c.time[marks[STEP]] += size
+    c.alive[marks[ALIVE]] += size
+    c.outcomes[outcome] += size
+    if len(c.home) > 0:
+        c.home[marks[AT_HOME]] += size
+    c.histories[0] += 1
+    if len(s.passes) > 0:
+        count_passes(s, c, ids, singles)
+    if len(singles.numbers) > 0:
+        for place in range(first, last):
+            single = singles.numbers[ids[place] - singles.start]
+            single[0], single[1], single[2], single[3] = covered, safely, marks[STEP], marks[ALIVE]
+            single[4], single[5], single[6], single[7] = outcome, marks[BISECTED], marks[DIVIDED], marks[AT_HOME]
+
+
+@kernel
+def begin_next(t, stack, waiting, tasks, taken, w):
+    """Level 0 of the stack becomes the next of the tasks, and its rollouts; False if all of them are taken."""
+    task = take(taken)
+    if task >= len(tasks):
+        return False
+    first = hand(level_of(stack, 0))
+    copy_state(hand(level_of(waiting, tasks[task, 0])), first)
+    first.marks[FIRST], first.marks[LAST] = tasks[task, 1], tasks[task, 2]
+    if len(first.mind) > 0:
+        take_over(t, first, w)
+    return True
+
+
+@kernel
+def go_on_with(s, c, stack, ids, singles, how, top, last, found):
+    """The level that goes on, NONE if none does, and the topmost level in use, after `found`.
+
+    Those who were hit have a copy of the state in a new level and go on with it, or are put aside there; the others
+    stay in `s`. At the end of a run it is who came to wait last. `last`: where the set ended before it parted.
+    """
+    if found != PARTED:
+        if found != CUT:
+            count_set(s, c, ids, singles, found)
+        # Its ids are counted: the level is empty.
+        s.marks[LAST] = s.marks[FIRST]
+        return (top - 1, top - 1) if how.aside == 0 else (NONE, top)
+    # Who passed keeps the level and waits; who was hit goes on first, so levels never outnumber the robots.
+    s.marks[VERDICT], top = PASSED, top + 1
+    hit = hand(level_of(stack, top))
+    copy_state(s, hit)
+    hit.marks[FIRST], hit.marks[LAST], hit.marks[VERDICT] = s.marks[LAST], last, HIT
+    if how.aside == 0:
+        return top, top
+    return 0 if top < how.aside and s.marks[LAST] > s.marks[FIRST] else NONE, top
+
+
+@program
+def run_set(t, c, waiting, tasks, taken, stack, w, log, how, ids, singles):
+    """Rollouts `ids`, uint32 `[B]`, which become disordered, with a stack of `planner.simulator.state.State`.
+
+    `tasks`, int64 `[N, 3]`: a level of the stack `waiting` to go on from, and which of the ids do; `taken`, int64
+    `[1]`: how many of them some thread has begun with. `how.aside`: 0, or of one task, how many sets of those who are
+    the first to be hit are put aside at most: in levels 1, 2, .. of the stack, whoever is left then in level 0.
+    `singles`: what is kept of each rollout. Returns how many sets were put aside, NONE if a
+    rollout needed more areas than the state has room for (the counts are then void).
+    """
+    tables, counts, work, logged, options = hand(t), hand(c), hand(w), hand(log), hand(how)
+    top = 0
+    # Threads share `taken`, which they raise atomically: no task is run twice.
+    while begin_next(tables, stack, waiting, tasks, taken, work):
+        level = top = 0
+        while level >= 0:
+            # By address: fifty arrays by value would cost more than most kernels do.
+            s = hand(level_of(stack, level))
+            last = s.marks[LAST]
+            found = advance(tables, s, counts, work, logged, options, ids)
+            if found == AREAS_FULL:
+                return NONE
+            level, top = go_on_with(s, counts, stack, ids, singles, options, top, last, found)
+    return max(top, 0)

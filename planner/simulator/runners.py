@@ -1,0 +1,406 @@
+"""Closed-loop rollouts on several threads, of `planner.simulator.closed_loop`: what each of them runs, and on what.
+
+Where rollouts are few, threads share out their ids. Else they share out histories, of as many rollouts at a time as
+they all have room for: each thread follows some of the ids until they are hit, who is hit alike is put together, and
+threads take what came of it. Shared out by ids, each thread would run histories that the others run too; that costs
+less than putting together where rollouts have next to nothing to do but to draw.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.failure_model import LEAST, key_of_luck, own_key
+from planner.ids import NO_AREA, NONE
+from planner.rollout_sampling import MEETING_DRAW, MOVE_DRAW, rows_met
+from planner.simulator.areas import Log, make_log
+from planner.simulator.attentive import run_attentive
+from planner.simulator.loop import NO_COUNTS, ClosedLoop, program_of, typed
+from planner.simulator.rollouts import run_set
+from planner.simulator.state import (
+    AREA_BITS,
+    BEARS,
+    FIRST,
+    LAST,
+    MOST_PASSES,
+    ROBOT,
+    SINGLES,
+    STEP,
+    VERDICT,
+    Counts,
+    How,
+    Singles,
+    State,
+    Tables,
+    Work,
+    first_room,
+    largest_set,
+    make_counts,
+    make_state,
+    make_work,
+)
+from planner.world.map_knowledge import READING_DRAW
+from planner.world.uncertain_maps import Uncertain
+
+LARGEST_SET = 2**20
+"""Rollouts that a thread takes at a time, of 8 bytes each, 12 where histories are shared out: more gain nothing."""
+MOST_KEPT = 2**16
+"""The same where tolerances are kept, of 8 bytes more for each robot, or the places of movers, as many for each."""
+LEAST_SHARED, MOST_ASIDE = 2**13, 2**8
+"""Rollouts a thread from which on histories are shared out, and sets that each thread then puts aside, at most."""
+LEAST_WORK = 2**17
+"""Rollouts times cells below which a second thread, which takes .4 ms to start and to end, does not pay."""
+TRIALS = 4
+"""Rounds in which threads share out histories and ids by turns, before they do what took less time."""
+NO_LOG = make_log(0, 0, 0)
+KNOWN: WeakKeyDictionary[ClosedLoop, list[Work]] = WeakKeyDictionary()
+"""Scratch of the loop that ran last: what was found out about its map (rows of costs, paths) serves its next call."""
+Tasks = tuple[NDArray[np.int64], NDArray[np.int64]]
+"""`tasks` and `taken` of `planner.simulator.rollouts.run_set`."""
+
+
+def run_sets(
+    loop: ClosedLoop, seed: int, start: int, count: int, threads: int | None, singles: Singles
+) -> list[Counts]:
+    """Rollouts `start .. start + count - 1` on so many threads (None: all cores); the counts, in parts."""
+
+    def work(runner: Runner, first: int, stop: int) -> None:
+        runner.run(first, stop, singles)
+
+    known = KNOWN.pop(loop, [])
+    runners = _in_rounds(loop, seed, start, count, threads, singles, known)
+    if runners is None:
+        most = MOST_KEPT if loop.keeps_apart else LARGEST_SET
+        runners = on_threads(loop, seed, start, count, most, threads, work, known)
+    KNOWN.clear()  # of one loop alone: it may be a fourth of a gigabyte a thread
+    # A state that grew may count longer paths than the next call's first one can.
+    KNOWN[loop] = [runner.work for runner in runners if not runner.has_grown]
+    return [runner.counts for runner in runners]
+
+
+def singles_of(loop: ClosedLoop, start: int, count: int) -> Singles:
+    """Room for what is kept of so many rollouts."""
+    weighed = 0 if loop.weights is None else count
+    numbers, worth = np.zeros((count, SINGLES), dtype=np.int32), np.zeros((weighed, 2), dtype=np.int64)
+    if loop.weights is None:
+        return Singles(numbers, worth, NO_COUNTS, NO_COUNTS.reshape(0, MOST_PASSES + 1), start)
+    return Singles(numbers, worth, loop.weights.covered, loop.weights.found, start)
+
+
+def on_threads(
+    loop: ClosedLoop, seed: int, start: int, count: int, most: int, threads: int | None,
+    work: Callable[[Runner, int, int], None], known: list[Work] | None = None,
+) -> list[Runner]:  # fmt: skip
+    """Call `work` with a thread's runner and some ids, `most` at a time, until all are done; the runners.
+
+    `known`: scratch of earlier calls, which is taken.
+    """
+    workers = _workers(loop, threads, count)
+    most = max(1, min(most, -(-count // workers)))
+    waiting = iter(range(start, start + count, most))
+
+    def take(_: int) -> Runner:
+        runner = Runner(loop, seed, most, known)
+        for first in waiting:  # each of them goes to one thread
+            work(runner, first, min(first + most, start + count))
+        return runner
+
+    if workers == 1:
+        return [take(0)]
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        return list(pool.map(take, range(workers)))
+
+
+def _workers(loop: ClosedLoop, threads: int | None, count: int) -> int:
+    """How many threads so many rollouts keep busy; `threads`: so many if they can be, None: all cores if it pays."""
+    usual = (os.cpu_count() or 1) if count * len(loop.cells) >= LEAST_WORK else 1
+    return min(threads or usual, max(count, 1))
+
+
+def _in_rounds(
+    loop: ClosedLoop, seed: int, start: int, count: int, threads: int | None, singles: Singles, known: list[Work]
+) -> list[Runner] | None:
+    """The runners of threads that have run as many rollouts at a time as they have room for, sharing out histories.
+
+    Or ids, once that has proved faster. None where rollouts are few, or there was no room for histories or areas.
+    """
+    workers = _workers(loop, threads, count)
+    rounds = max(1, -(-count // (workers * LARGEST_SET)))
+    most = -(-count // (workers * rounds))
+    if workers == 1 or most < LEAST_SHARED or loop.keeps_apart or loop.doubt is not None:
+        return None
+    runners = [Runner(loop, seed, most, known) for _ in range(workers)]
+    waiting = runners[0].make_levels((MOST_ASIDE + 1) * workers)
+    if len(waiting.marks) < 2 * workers:
+        return None
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        team = _Team(pool, runners, waiting, np.empty((2, workers * most), dtype=np.uint32), singles)
+        ways, took = (team.by_histories, team.by_ids), [0.0, 0.0]
+        for number, first in enumerate(range(start, start + count, workers * most)):
+            # Which is faster depends on the map and the machine: try both, keep the better; counts are the same.
+            way, began = number % 2 if number < TRIALS else took.index(min(took)), time.perf_counter()
+            if not ways[way](first, min(workers * most, start + count - first)):
+                return None
+            took[way] = time.perf_counter() - began
+    return runners
+
+
+@dataclass(frozen=True)
+class _Team:
+    """Threads that share out rollouts.
+
+    Attributes:
+        waiting: a stack with as many levels for each of them. ids: uint32 `[2, B]`, room for those of a round.
+    """
+
+    pool: ThreadPoolExecutor
+    runners: list[Runner]
+    waiting: State
+    ids: NDArray[np.uint32]
+    singles: Singles
+
+    def by_ids(self, start: int, count: int) -> bool:
+        """Run so many rollouts, as many on each thread; whether there was room for areas."""
+
+        def run(runner: Runner, first: int) -> bool:
+            return runner.fits(first, min(first + share, start + count), self.singles)
+
+        share = -(-count // len(self.runners))
+        return all(list(self.pool.map(run, self.runners, range(start, start + count, share))))
+
+    def by_histories(self, start: int, count: int) -> bool:
+        """The same, but who is the first to be hit in the same place stays together."""
+        ids, together = self.ids[:, :count]
+        share, levels = -(-count // len(self.runners)), len(self.waiting.marks) // len(self.runners)
+        self.waiting.marks[:, [FIRST, LAST]] = 0
+
+        def put_aside(runner: Runner, number: int) -> bool:
+            first, mine = number * share, slice(number * levels, (number + 1) * levels)
+            some = ids[first : first + share]
+            some[:] = np.arange(start + first, start + first + len(some), dtype=np.uint32)
+            stack = State._make(row[mine] for row in self.waiting)
+            used = runner.put_aside(some, stack, self.singles)
+            stack.marks[: used + 1, [FIRST, LAST]] += first
+            return used != NONE
+
+        if not all(list(self.pool.map(put_aside, self.runners, range(len(self.runners))))):
+            return False
+        self.waiting.team[:, :, BEARS] = LEAST  # threads met different rollouts of a set
+        parts, tasks = sets_of_tasks(ids, self.waiting.marks, self.runners[0].largest_set)
+        ends = np.cumsum([0, *map(len, parts)])
+        cuts = np.searchsorted(ends, np.linspace(0, ends[-1], len(self.runners) + 1)).tolist()
+
+        def copy(first: int, last: int) -> None:
+            if last > first:
+                np.concatenate(parts[first:last], out=together[ends[first] : ends[last]])
+
+        def take(runner: Runner) -> bool:
+            return runner.take(self.waiting, tasks, together, self.singles)
+
+        list(self.pool.map(copy, cuts, cuts[1:]))
+        remember_alike([runner.work for runner in self.runners])
+        return all(list(self.pool.map(take, self.runners)))
+
+
+def whole_set(ids: NDArray[np.uint32]) -> Tasks:
+    """All ids in one set, from level 0 on."""
+    return np.array([[0, 0, len(ids)]]), np.zeros(1, dtype=np.int64)
+
+
+def sets_of_one(ids: NDArray[np.uint32]) -> Tasks:
+    """Each id a set, from level 0 on."""
+    begin = np.arange(len(ids))
+    return np.column_stack([np.zeros_like(begin), begin, begin + 1]), np.zeros(1, dtype=np.int64)
+
+
+def sets_of_truths(ids: NDArray[np.uint32], doubt: Uncertain, seed: int) -> Tasks:
+    """The ids, put in order of the map that is true, in one set a map, from the level of that number on."""
+    truth = rows_met(doubt, seed, ids)[:, 0]
+    order = np.argsort(truth, kind="stable")
+    ids[:], found = ids[order], np.unique(truth, return_index=True)
+    begin = np.searchsorted(truth[order], found[0])
+    return np.column_stack([found[0], begin, np.append(begin[1:], len(ids))]), np.zeros(1, dtype=np.int64)
+
+
+def sets_of_tasks(
+    ids: NDArray[np.uint32], marks: NDArray[np.int64], most: int
+) -> tuple[list[NDArray[np.uint32]], Tasks]:
+    """The ids in parts, set by set, and a task for each set, largest first; of more than `most` rollouts, several.
+
+    `marks` `[L, MARKS]` of the states that were put aside say which of the ids they are of, none if it has no more.
+    Nobody had been hit before: who acts in which step, and what became of it, says all of the state.
+    """
+    left = marks[:, LAST] > marks[:, FIRST]
+    told = np.column_stack([np.flatnonzero(left), marks[left][:, [FIRST, LAST, STEP, ROBOT, VERDICT]]])
+    sets: dict[tuple[int, ...], tuple[int, list[NDArray[np.uint32]]]] = {}
+    for row, first, last, *which in told.tolist():
+        sets.setdefault(tuple(which), (row, []))[1].append(ids[first:last])
+    tasks, parts, begin = [], [], 0
+    for row, alike in sorted(sets.values(), key=lambda one: -sum(map(len, one[1]))):
+        end = begin + sum(map(len, alike))
+        tasks += [(row, at, min(at + most, end)) for at in range(begin, end, most)]
+        parts += alike
+        begin = end
+    return parts, (np.array(tasks, dtype=np.int64).reshape(-1, 3), np.zeros(1, dtype=np.int64))
+
+
+def remember_alike(works: list[Work]) -> None:
+    """Let all know the coverage paths of who knows most, of which the others know the first."""
+    most = max(works, key=lambda work: work.remembered[0])
+    known = int(most.remembered[0])
+    for work in works:
+        if work.remembered[0] < known:
+            end = most.ends[:known].max()  # the last number has no path once there is no more room
+            work.paths[:end], work.ends[:known], work.slots[:] = most.paths[:end], most.ends[:known], most.slots
+            work.remembered[0] = known
+
+
+def _own_tables(loop: ClosedLoop) -> Tables:
+    """A thread's tables: where robots learn, their ways home are as one of its sets believes the map."""
+    if not (loop.learns and loop.comes_home):
+        return loop.tables
+    ways = {name: getattr(loop.tables, name).copy() for name in ("home_steps", "home_cost", "onward")}
+    return loop.tables._replace(**ways)
+
+
+class Runner:
+    """One thread's rollouts, with room for more areas each time that it proves too small.
+
+    Attributes:
+        counts: those of all rollouts so far. work: its scratch.
+    """
+
+    counts: Counts
+    _state: State
+
+    def __init__(self, loop: ClosedLoop, seed: int, most: int, known: list[Work] | None = None) -> None:
+        """`most`: rollouts of a set. `known`: scratch of earlier calls, one of which is taken."""
+        self._loop, self._seed, self._most = loop, seed, most
+        self._tables, policy = typed(_own_tables(loop), program_of(loop.tables)), loop.policy
+        self._policy = None if policy is None else typed(policy._replace(stamp=policy.stamp.copy()))
+        own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
+        moving = [own_key(seed, draw) for draw in (MOVE_DRAW, MEETING_DRAW, READING_DRAW)]
+        keys = [np.uint32(half) for key in (key_of_luck(seed, loop.luck), own, *moving) for half in key]
+        options = loop.max_steps, loop.first_only, loop.stay_inside, 0
+        self._how = How._make((*keys[:4], *options, *keys[4:], 0, 0))
+        remembers = loop.policy is None and not (loop.stay_inside or loop.learns or loop.comes_home or loop.is_mixed)
+        self.work = make_work(loop.tables, most, remembers, known.pop() if known else None)
+        self._done: list[tuple[int, int]] = []
+        self._make_room(first_room(loop.tables))
+
+    @property
+    def area_of(self) -> NDArray[np.int32]:
+        """The last area of each cell, int32 `[A]`, at the end of the last run."""
+        found = (self._state.home[0, :-1] >> AREA_BITS).astype(np.int32)
+        return np.where(found == self._room - 1, NO_AREA, found) if self._loop.learns else found
+
+    @property
+    def odds(self) -> NDArray[np.int64]:
+        """Log odds of a hazard in each cell, int64 `[A]`, at the end of the last run; of none where nobody learns."""
+        return self._state.odds[0]
+
+    @property
+    def has_grown(self) -> bool:
+        """Whether the first room for areas was too small."""
+        return self._room > first_room(self._loop.tables)
+
+    @property
+    def has_levels(self) -> bool:
+        """Whether there is a level for every robot."""
+        return len(self._state.marks) > self._loop.robots
+
+    @property
+    def largest_set(self) -> int:
+        """Rollouts that a set may have."""
+        return largest_set(self._state, self._most)
+
+    def run(self, first: int, stop: int, singles: Singles, log: Log = NO_LOG) -> None:
+        """Count rollouts `first .. stop - 1`."""
+        self._done.append((first, stop))
+        parts = self._done[-1:]
+        while not all(self.fits(*part, singles, log) for part in parts):
+            self._make_room(4 * self._room)
+            # Counts are void once room ran out, so all that was counted is run again: it is the same run.
+            parts = self._done
+
+    def fits(self, first: int, stop: int, singles: Singles, log: Log = NO_LOG) -> bool:
+        """Count rollouts `first .. stop - 1` if there is room for their areas; else all counts are void."""
+        begin, most = self._loop.first_state(self._room), self.largest_set
+        for at in range(first, stop, most):
+            ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
+            log.events[:1], self.work.begin[0] = 0, at
+            if self._loop.keeps_tolerances:
+                self.work.left[: len(ids)] = self._loop.bearing.tolerances(self._seed, ids, self._loop.robots)
+            if self._loop.movers is not None:
+                self.work.at[: len(ids)] = self._loop.first_places(self._seed, ids)
+            tasks = self._tasks(ids)
+            if not self.take(begin, tasks, ids, singles, log):
+                return False
+        return True
+
+    def _tasks(self, ids: NDArray[np.uint32]) -> Tasks:
+        """The sets that these rollouts begin as."""
+        if self._loop.doubt is not None:
+            return sets_of_truths(ids, self._loop.doubt, self._seed)
+        return sets_of_one(ids) if self._loop.runs_alone else whole_set(ids)
+
+    def run_one(self, rollout: int, log: Log = NO_LOG) -> NDArray[np.int32]:
+        """Run one rollout; its numbers `[SINGLES]`. What it is counted into is not kept from one to the next."""
+        single = singles_of(self._loop, rollout, 1)
+        self._done.clear()
+        self.run(rollout, rollout + 1, single, log)
+        return single.numbers[0]
+
+    def put_aside(self, ids: NDArray[np.uint32], stack: State, singles: Singles) -> int:
+        """Put sets of those who are the first to be hit aside in `stack`, as `run_set` does: how many, or NONE.
+
+        All coverage paths are forgotten: those of the run until then are the same for every thread, in their order.
+        """
+        self.work.remembered[:], self.work.slots[:] = 1, 0
+        first, how = self._loop.first_state(self._room), self._how._replace(aside=len(stack.marks) - 1)
+        return self._call(first, whole_set(ids), stack, NO_LOG, how, ids, singles)
+
+    def take(self, waiting: State, tasks: Tasks, ids: NDArray[np.uint32], singles: Singles, log: Log = NO_LOG) -> bool:
+        """Run tasks until all are taken; whether there was room for areas."""
+        return self._call(waiting, tasks, self._state, log, self._how, ids, singles) != NONE
+
+    def grow(self, mass: int, cut: int, most: int) -> Counts:
+        """The counts of the tree of everything that can happen, in so many parts of 1
+        (`planner.simulator.exact_tree`)."""
+        how, nobody = self._how._replace(cut=cut, most=most), np.zeros(1, dtype=np.uint32)
+        whole = np.array([[0, 0, mass]])
+        self._make_room(self._room)
+        while True:
+            given = self._loop.first_state(self._room), (whole, np.zeros(1, dtype=np.int64)), self._state, NO_LOG, how
+            if self._call(*given, nobody, singles_of(self._loop, 0, 0)) != NONE:
+                return self.counts
+            self._make_room(4 * self._room)
+
+    def make_levels(self, levels: int) -> State:
+        """A stack of so many levels, fewer where they would take up too much."""
+        return make_state(self._loop.first_state(self._room), levels)
+
+    def _make_room(self, room: int) -> None:
+        """A state with room for so many areas, and no counts yet."""
+        self._room = room
+        self._state = self.make_levels(min(self._loop.robots + 1, self._most))
+        passes = self._loop.weights is not None
+        loop = self._loop
+        sizes = len(loop.cells), loop.accessible, loop.robots, loop.max_steps
+        self.counts = make_counts(*sizes, passes, loop.comes_home)
+
+    def _call(
+        self, waiting: State, tasks: Tasks, stack: State, log: Log, how: How, ids: NDArray[np.uint32], singles: Singles
+    ) -> int:
+        """`run_set`, by the loop's policy."""
+        given = (self.counts, waiting, *tasks, stack, self.work, log, how, ids, singles)
+        tables, policy = self._tables, self._policy
+        return run_set(tables, *given) if policy is None else run_attentive(tables, policy, *given)

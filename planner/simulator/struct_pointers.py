@@ -1,0 +1,150 @@
+"""Tuples of arrays handed from kernel to kernel by their address: a call that is not inlined passes one word of each.
+
+Part of `planner.simulator.rollouts`, which see. By value an array is seven words, and what a rollout reads and writes
+is
+fifty arrays: a call took longer than most of the kernels do. Of a contiguous array only where it is and how long are
+kept, from which the rest follows: beyond so many words LLVM loses sight of what it has stored.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numba
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import types
+from numba.core import cgutils
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
+from numba.np.arrayobj import populate_array
+
+from planner.simulator.state import AREA_WORDS, ROBOT_WORDS, TEAM_WORDS, State, Tables
+
+LENGTHS = {
+    (Tables, "near"): 4,
+    (State, "near"): 4,
+    (State, "robots"): ROBOT_WORDS,
+    (State, "areas"): AREA_WORDS,
+    (State, "team"): TEAM_WORDS,
+}
+"""How long the rows of a matrix are, where that is known: a row is found without a look at the matrix's shape."""
+
+
+class Handed(types.Type):
+    """The type of the address of a named tuple, as it is kept."""
+
+    def __init__(self, of: Any) -> None:
+        self.of, self.types = of, (of,)
+        super().__init__(name=f"handed({of})")
+
+
+def _follows(kind: types.Type) -> bool:
+    """Whether what it is follows from where its values are and how many: a contiguous array."""
+    return isinstance(kind, types.Array) and kind.layout == "C"
+
+
+def _is_absent(kind: types.Type) -> bool:
+    """Whether it is of arrays that are empty wherever the program runs: read-only (`planner.simulator.loop`)."""
+    return _follows(kind) and not kind.mutable
+
+
+@register_model(Handed)
+class _Address(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Handed) -> None:
+        kept = []
+        for field in kind.of.types:
+            model = manager.lookup(field)
+            value = model.get_value_type()
+            if _is_absent(field):
+                value = ir.LiteralStructType([])
+            elif _follows(field):
+                words = [value.elements[model.get_field_position(part)] for part in ("data", "shape")]
+                value = ir.LiteralStructType(words)
+            kept.append(value)
+        super().__init__(manager, kind, ir.LiteralStructType(kept).as_pointer())
+
+
+@infer_getattr
+class _Fields(AttributeTemplate):
+    key = Handed
+
+    def generic_resolve(self, kind: Handed, name: str) -> Any:
+        if name not in kind.of.fields:
+            return None
+        field = kind.of.types[kind.of.fields.index(name)]
+        return field.copy(readonly=False) if _is_absent(field) else field
+
+
+@lower_getattr_generic(Handed)
+def _load_field(context: Any, builder: Any, kind: Handed, address: Any, name: str) -> Any:
+    place = kind.of.fields.index(name)
+    field, stored = kind.of.types[place], cgutils.gep_inbounds(builder, address, 0, place)
+    if not _follows(field):
+        return builder.load(stored)
+    if _is_absent(field):
+        pointer = context.get_data_type(field.dtype).as_pointer()
+        return _array(context, builder, field, pointer(None), [ir.Constant(ir.IntType(64), 0)] * field.ndim)
+    data = builder.load(cgutils.gep_inbounds(builder, stored, 0, 0))
+    shape = [builder.load(cgutils.gep_inbounds(builder, stored, 0, 1, axis)) for axis in range(field.ndim)]
+    length = LENGTHS.get((kind.of.instance_class, name))
+    # Known when compiling: rows are found by a shift instead of a multiplication by what was loaded.
+    if length is not None:
+        shape[1] = ir.Constant(ir.IntType(64), length)
+    return _array(context, builder, field, data, shape)
+
+
+def _array(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
+    """A contiguous array whose references are not counted."""
+    itemsize = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
+    strides = [itemsize]
+    for count in shape[:0:-1]:
+        strides.insert(0, builder.mul(strides[0], count))
+    array = context.make_array(kind)(context, builder)
+    shape, strides = (cgutils.pack_array(builder, values) for values in (shape, strides))
+    populate_array(array, data, shape, strides, itemsize, None)
+    return array._getvalue()
+
+
+@intrinsic
+def _hand(typing_context: Any, values: Any) -> Any:
+    kind = Handed(values)
+
+    def keep(context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        # On the stack of the caller, once: nothing to free, and good until it returns.
+        address = cgutils.alloca_once(builder, context.get_value_type(kind).pointee)
+        for place, field in enumerate(values.types):
+            value, to = builder.extract_value(args[0], place), cgutils.gep_inbounds(builder, address, 0, place)
+            if _is_absent(field):
+                continue  # nothing is kept of it
+            if _follows(field):
+                array = context.make_array(field)(context, builder, value)
+                builder.store(array.data, cgutils.gep_inbounds(builder, to, 0, 0))
+                for axis, count in enumerate(cgutils.unpack_tuple(builder, array.shape)):
+                    builder.store(count, cgutils.gep_inbounds(builder, to, 0, 1, axis))
+            else:
+                builder.store(value, to)
+        return address
+
+    return kind(values), keep
+
+
+hand: Callable[[Any], Any] = (lambda values: values) if numba.config.DISABLE_JIT else _hand
+"""The address of a copy of a named tuple, good until the caller returns or comes here again."""
+
+
+@intrinsic
+def _flat(typing_context: Any, array: Any) -> Any:
+    row = array.copy(ndim=1)
+
+    def make(context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        given = context.make_array(array)(context, builder, args[0])
+        size = functools.reduce(builder.mul, cgutils.unpack_tuple(builder, given.shape))
+        return _array(context, builder, row, given.data, [size])
+
+    return row(array), make
+
+
+flat: Callable[[Any], Any] = (lambda array: array.reshape(-1)) if numba.config.DISABLE_JIT else _flat
+"""A contiguous array's values as one row."""

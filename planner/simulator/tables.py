@@ -1,0 +1,464 @@
+"""What every closed-loop rollout reads: the compiled simulator's tables, made once for a plan.
+
+Axis letters: `A` accessible cells, `M` areas.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.failure_model import PLAIN, Bearing
+from planner.ids import NO_CELL, LuckName
+from planner.mrac.areas import BY_INDEX
+from planner.mrac.choose import reach_of
+from planner.mrac.executive import STUCK_AFTER
+from planner.mrac.paths import UNREACHED, SafestPaths, find_safe_parts, neighbour_table
+from planner.mrac.problem import Problem, Unknown
+from planner.plan.plan import Area
+from planner.plan.state import ON_ITS_WAY, MissionState, RobotState
+from planner.rollout_sampling import chance_bound
+from planner.simulator.paths import all_pairs, to_areas
+from planner.simulator.state import (
+    AHEAD,
+    ALIVE,
+    AREA,
+    AREA_BITS,
+    BORNE,
+    COVERED,
+    COVERING,
+    DEAD,
+    DOING,
+    DONE,
+    GOAL,
+    HELD,
+    IDLE,
+    LAST_STEP,
+    LAST_UPDATE,
+    LEFT,
+    LEFT_IN,
+    LIMITS,
+    LOWEST,
+    MOST_CELLS,
+    MOVER_WORDS,
+    NEAR,
+    NEXT,
+    NO_LEVEL,
+    OPEN,
+    OVER,
+    PATIENCE,
+    QUIET,
+    QUIET_STEPS,
+    RANKED,
+    RECHARGE,
+    RETURNING,
+    STEP,
+    SURVIVED,
+    TARGET,
+    TO_DO,
+    TRAVELING,
+    UNFINISHED,
+    UNSURVIVED,
+    UNTIL,
+    VISITED,
+    WIDE,
+    WORD,
+    State,
+    Tables,
+    fill,
+)
+from planner.tally import Outcome
+from planner.world.map_knowledge import Evidence
+from planner.world.uncertain_maps import bounds_of
+from planner.world.world import World
+
+NEAR_CELLS = 500
+"""Cells that a search passes before it is one for what is far."""
+ASKED_BEFORE = 2
+"""Searches for the next area from a cell of a map of MOST_CELLS or more before its costs to all are kept: there a row
+costs as much as some searches, on smaller maps hardly more than one."""
+NO_VIEWS = np.zeros(2, dtype=np.int64), np.zeros(0, dtype=np.int32)
+STRIP = 2**20
+"""Pairs of a cell and an area that are sorted at a time: 40 bytes each."""
+
+
+class AllPairs:
+    """All-pairs tables, kept for other teams on the same accessible cells at the same costs."""
+
+    def __init__(self) -> None:
+        self._of: tuple[NDArray[np.int32], NDArray[np.int64]] | None = None
+        self._tables: tuple[NDArray, NDArray, NDArray] | None = None
+
+    def tables(
+        self, near: NDArray[np.int32], entry: NDArray[np.int64], wide: np.dtype, narrow: np.dtype
+    ) -> tuple[NDArray, NDArray, NDArray]:
+        """`all_pairs` of these neighbours `[A, 4]` and entry costs `[A]`, the last ones if they were the same."""
+        same = self._of is not None and np.array_equal(self._of[0], near) and np.array_equal(self._of[1], entry)
+        if self._tables is None or not same:
+            self._of, self._tables = (near, entry), all_pairs(near, entry, wide, narrow)
+        return self._tables
+
+
+def make_tables(
+    problem: Problem,
+    cells: NDArray[np.int64],
+    areas: tuple[Area, ...],
+    tabled: bool,
+    kept: AllPairs | None = None,
+    luck: LuckName = "tolerance",
+    bearing: Bearing = PLAIN,
+) -> Tables:
+    """The tables of a problem with this allocation.
+
+    Args:
+        problem: world, costs and starts. cells: int64 `[A]`, rising, the accessible cells; all that may come into
+            reach of robots that learn the map.
+        areas: the areas at t = 0 in id order.
+        tabled: with all-pairs tables (6 to 12 bytes a pair of cells), else for searches (a few hundred bytes a cell);
+            not of robots that learn.
+        kept: where all-pairs tables are kept from team to team. luck: by which robots are stopped.
+        bearing: what they bear.
+    """
+    compact = np.full(problem.costs.size, NO_CELL, dtype=np.int32)
+    compact[cells] = np.arange(len(cells), dtype=np.int32)
+    grid = neighbour_table(problem.world.shape, compact != NO_CELL)[cells]
+    near = np.where(grid == NO_CELL, NO_CELL, compact[grid])
+    entry = problem.costs[cells]
+    order = np.concatenate([compact[area.cells] for area in areas])
+    begin = np.concatenate([[0], np.cumsum([len(area.cells) for area in areas])]).astype(np.int32)
+    level = np.array([area.level for area in areas], dtype=np.int32)
+    narrow = np.uint16 if len(cells) < MOST_CELLS else np.uint32
+    # Half the bytes of the largest tables where no path can cost more; each width is a program of its own.
+    unknown = problem.unknown if problem.learns else None
+    small = _are_small(problem, near, entry, compact[problem.starts])
+    cost = area_cost = np.zeros((0, 0), dtype=np.int32 if small else np.int64)  # each a program
+    hop = ranked = area_entry = np.zeros((0, 0), dtype=narrow)
+    if tabled:
+        entries = [entry] if problem.own is None else problem.own.costs[:, cells]
+        of_types = [
+            (kept if problem.own is None and kept else AllPairs()).tables(near, one, cost.dtype, hop.dtype)
+            for one in entries
+        ]
+        areas_of = [to_areas(of_type[0], hop.dtype, order, begin) for of_type in of_types]
+        cost, hop, ranked = of_types[0] if problem.own is None else map(np.concatenate, zip(*of_types, strict=True))
+        area_cost, area_entry = map(np.concatenate, zip(*areas_of, strict=True))
+    searches = not tabled or problem.settings.transit == "area"
+    beside = np.where(near == NO_CELL, len(cells), near).astype(narrow)
+    sides = problem.sides[cells]
+    tables = Tables(
+        near=beside,
+        sweep=beside if (sides == BY_INDEX).all() else np.take_along_axis(beside, sides, axis=1),
+        cost_to=cost,
+        hop_to=hop,
+        ranked=ranked,
+        area_cost=area_cost,
+        area_entry=area_entry,
+        **by_price(problem, area_cost, cells, order, begin, level),
+        entry=entry if searches else entry[:0],
+        **_for_searches(near, entry[: 0 if tabled or unknown else len(cells)], narrow),
+        **_learning(unknown, problem.entry, cells, compact, narrow),
+        **luck_tables(_kinds(problem), cells, luck),
+        **bearing_tables(bearing, len(problem.starts)),
+        **mover_tables(problem.world, compact, len(cells)),
+        type_of=np.zeros(0, dtype=np.int64) if problem.own is None else problem.own.of,
+        own_level=np.zeros((0, 0), dtype=np.int64) if problem.own is None else problem.own.level,
+        **_clocks(problem.settings.paces),
+        **_radio(problem, cells),
+        starts=compact[problem.starts],
+        range=problem.range,
+        order=order,
+        begin=begin,
+        level=level,
+        owner=np.array([area.robot for area in areas], dtype=np.int32),
+        given=_given(problem, compact, narrow),
+        length=np.array([len(path) - 1 for path in problem.given], dtype=np.int32),
+        **_ways_home(problem, cells, compact, narrow),
+    )
+    tables.limits[QUIET_STEPS] = STUCK_AFTER * max(problem.settings.paces, default=1)
+    if problem.home is not None:
+        tables.limits[[LAST_STEP, RECHARGE]] = problem.home.last, problem.settings.recharge or 0
+    if unknown is not None:  # a search passes all that is near enough to matter: nothing is far
+        tables.limits[[NEAR, GOAL, LAST_UPDATE]] = len(cells), unknown.accessible.sum(), unknown.last_update
+    return tables
+
+
+def _are_small(problem: Problem, near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray[np.int32]) -> bool:
+    """Whether costs fit into 32 bits, whatever robots learn."""
+    if problem.learns and problem.unknown is not None:
+        most = problem.unknown.dearest
+        return bool(problem.entry[most.of_cell[most.accessible]].sum() < 2**31)
+    return bool(entry.sum() < 2**31) or most_cost(near, entry, starts) < 2**31
+
+
+def _learning(
+    unknown: Unknown | None,
+    price: NDArray[np.int64],
+    cells: NDArray[np.int64],
+    compact: NDArray[np.int32],
+    narrow: type,
+) -> dict[str, NDArray]:
+    """The fields of `Tables` that only robots that learn read."""
+    if unknown is None:
+        levels, numbers = np.zeros(0, dtype=np.int16), np.zeros(0, dtype=np.int64)
+        nothing: dict[str, NDArray] = {
+            "belief": levels,
+            "price": numbers,
+            "view_begin": numbers,
+            "in_view": numbers.astype(narrow),
+        }
+        return nothing | {"truths": levels.reshape(0, 0)} | _evidence(None, cells)
+    begin, seen = unknown.views if unknown.evidence is None or unknown.evidence.detector else NO_VIEWS
+    return _evidence(unknown.evidence, cells) | {
+        "truths": np.ascontiguousarray(unknown.truths[:, cells]),
+        "belief": unknown.belief[cells],
+        "price": price,
+        "view_begin": begin,
+        "in_view": compact[seen].astype(narrow),
+    }
+
+
+def _evidence(evidence: Evidence | None, cells: NDArray[np.int64]) -> dict[str, NDArray]:
+    """The fields of `Tables` that only robots that learn about hazards read."""
+    if evidence is None:
+        return dict.fromkeys(("odds", "survival", "step", "lessons"), np.zeros(0, dtype=np.int64))
+    lessons = [evidence.stop, evidence.more, evidence.less, 0, 0, 0, 0]
+    if (detector := evidence.detector) is not None:
+        bounds = bounds_of(np.array([detector.detect, detector.false_alarm], dtype=np.float32)).tolist()
+        lessons[3:] = [detector.alarm, detector.silence, *bounds]
+    rows = {"odds": evidence.prior, "survival": evidence.survival, "step": evidence.step}
+    return {name: row[cells] for name, row in rows.items()} | {"lessons": np.array(lessons)}
+
+
+def most_cost(near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray[np.int32]) -> int:
+    """A cost that no safest path exceeds: of one by way of a robot's start, from the dearest cell and to the dearest.
+
+    `near` `[A, 4]`: neighbours, NO_CELL if none. `entry` `[A]`: cost of each cell, all reachable from a start.
+    """
+    paths, most, left = SafestPaths(near, entry), 0, np.unique(starts)
+    while len(left):
+        start = int(left[0])
+        costs = paths.to_all(start)
+        back = int((costs - entry)[costs != UNREACHED].max()) + int(entry[start])
+        most, left = max(most, back + int(costs.max())), left[costs[left] == UNREACHED]
+    return most
+
+
+def mover_tables(world: World, compact: NDArray[np.int32], beyond: int) -> dict[str, NDArray]:
+    """The fields of `Tables` that say how threats move; `compact` int32 `[N]`: cells' numbers, `beyond`: of others."""
+    members = () if world.movers is None else world.movers.members
+    begins = np.cumsum([0, *(len(one.route) for one in members)]).tolist()
+    rows = [
+        (chance_bound(one.stay), chance_bound(one.hit), begin, len(one.route))
+        for one, begin in zip(members, begins, strict=False)
+    ]
+    routes = compact[np.array([cell for one in members for cell in one.route], dtype=np.int64)].astype(np.int64)
+    return {
+        "movers": np.array(rows, dtype=np.int64).reshape(len(rows), MOVER_WORDS),
+        "routes": np.where(routes == NO_CELL, beyond, routes),
+    }
+
+
+def kinds_of(world: World, types: str | tuple[str, ...] | None, robots: int) -> tuple[World, ...]:
+    """The world as it is to each type of a team's robots, in the order in which these come."""
+    return tuple(dict.fromkeys(world.of_robots(types, robots)))
+
+
+def _clocks(paces: tuple[int, ...]) -> dict[str, NDArray]:
+    """The fields of `Tables` that say which robots have a turn in a step."""
+    pace = np.array(paces, dtype=np.int64)
+    ticks = np.unique(pace)
+    clock = np.zeros((len(ticks), -(-len(pace) // WORD)), dtype=np.uint64)
+    for robot, number in enumerate(np.searchsorted(ticks, pace)):
+        clock[number, robot // WORD] |= np.uint64(1) << np.uint64(robot % WORD)
+    return {"pace": pace, "ticks": ticks, "clock": clock}
+
+
+def _radio(problem: Problem, cells: NDArray[np.int64]) -> dict[str, NDArray]:
+    """The fields of `Tables` that say who hears whom."""
+    if problem.settings.radio is None:
+        pairs = np.zeros((0, 2), dtype=np.int64)
+        return {"place": pairs, "bases": pairs, "reach": pairs[:, 0].copy()}
+    place = np.stack(np.divmod(cells, problem.world.shape[1]), axis=1)
+    return {"place": place, "bases": problem.bases, "reach": np.array([reach_of(problem.settings)])}
+
+
+def _kinds(problem: Problem) -> tuple[World, ...]:
+    if problem.own is None:
+        return (problem.world,)
+    return kinds_of(problem.world, problem.settings.types, len(problem.starts))
+
+
+def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64], luck: LuckName) -> dict[str, NDArray]:
+    """The fields of `Tables` that say how a visit of each of `cells` `[A]` is drawn, type after type."""
+    if len(kinds) > 1:
+        tables = [luck_tables((kind,), cells, luck) for kind in kinds]
+        return tables[0] | {
+            name: np.concatenate([of[name] for of in tables]) for name in ("exposure", "chance", "bound")
+        }
+    (world,) = kinds
+    draws, exposure, doses = world.draws, np.zeros(0, dtype=np.int64), np.zeros((0, 0), dtype=np.int64)
+    if luck == "tolerance":
+        exposure, doses = world.exposures[0].reshape(-1, world.threat.size)[:, cells].ravel(), world.exposures[1]
+    spends = draws is not None and draws.spends
+    spent = np.zeros(-(-len(cells) // WORD) if spends else 0, dtype=np.uint64)
+    drawn: dict[str, NDArray] = {"spent": spent, "exposure": exposure, "doses": doses}
+    threat = world.by_phase[:, cells].ravel()
+    drawn["phases"] = np.zeros(0, dtype=np.int64) if world.phases is None else world.phases.begins
+    drawn["chance"] = threat.astype(np.float64)
+    if draws is None:
+        nothing = np.zeros(0, dtype=np.uint32)
+        drawn |= {"bound": bounds_of(threat), "own_counter": nothing, "there": nothing}
+        return drawn | {"table": nothing.reshape(0, 0), "column": nothing.view(np.int32)}
+    drawn |= {name: getattr(draws, name)[cells] for name in ("bound", "there", "column")}
+    return drawn | {"own_counter": draws.counter[cells], "table": draws.table}
+
+
+def bearing_tables(bearing: Bearing, robots: int) -> dict[str, NDArray]:
+    """The fields of `Tables` that say what robots bear."""
+    if bearing.is_even:
+        return dict.fromkeys(("nodes", "times", "begun"), np.zeros(0, dtype=np.int64))
+    return {"nodes": bearing.nodes, "times": bearing.times(robots).copy(), "begun": bearing.fresh_begun(robots)}
+
+
+def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: type) -> dict[str, NDArray]:
+    """The fields of `Tables` that only searches for what is far read; no `entry`: there are none."""
+    parts = find_safe_parts(near[: len(entry)], entry)
+    node = np.append(parts.node, np.int32(NO_CELL)) if len(entry) else parts.node
+    kind_cost, kind, counts = np.unique(entry, return_inverse=True, return_counts=True)
+    limits = np.zeros(LIMITS, dtype=np.int64)
+    limits[[NEAR, WIDE, GOAL]] = NEAR_CELLS, parts.wide, len(near)
+    limits[PATIENCE] = ASKED_BEFORE if len(near) >= MOST_CELLS else 0
+    return {
+        "node": node,
+        "beside": parts.begin[: len(node)],
+        "border": parts.border,
+        "kind": kind.astype(narrow),
+        "kind_cost": kind_cost,
+        "kind_begin": np.cumsum(counts) - counts,
+        "limits": limits,
+    }
+
+
+def _ways_home(
+    problem: Problem, cells: NDArray[np.int64], compact: NDArray[np.int32], narrow: type
+) -> dict[str, NDArray]:
+    """The fields of `Tables` that robots read that come home, or drive back to where they hear each other."""
+    home, nothing = problem.home, np.zeros((0, 0), dtype=np.int32)
+    of, onward = np.zeros(0, dtype=np.int64), nothing
+    if home is not None or problem.settings.radio is not None:
+        of, onward = problem.back
+    itself, onward = np.arange(len(cells)), onward[:, cells[: onward.shape[1]]]
+    return {
+        "home_of": of,
+        "home_bases": nothing.astype(np.bool_) if home is None else np.ascontiguousarray(home.bases[:, cells]),
+        "home_steps": nothing if home is None else np.ascontiguousarray(home.steps[:, cells]),
+        "home_cost": nothing.astype(np.int64) if home is None else np.ascontiguousarray(home.cost[:, cells]),
+        "onward": np.where(onward == NO_CELL, itself[: onward.shape[1]], compact[onward]).astype(narrow),
+    }
+
+
+def _given(problem: Problem, compact: NDArray[np.int32], narrow: type) -> NDArray:
+    """`Tables.given`."""
+    longest = max(map(len, problem.given), default=0)
+    rows = [np.pad(compact[path], (0, longest - len(path)), mode="edge") for path in problem.given]
+    return np.array(rows, dtype=narrow).reshape(len(rows), longest)
+
+
+def by_price(
+    problem: Problem, area_cost: NDArray, cells: NDArray, order: NDArray, begin: NDArray, level: NDArray
+) -> dict[str, NDArray]:
+    """The fields of `Tables` that rank areas, where its other fields are these and its cells `cells` `[A]`.
+
+    From a cell of its own an area costs the entry of another one at least, and no part of it is worth more than as many
+    of its best cell. Exact: different remainders of different counts below 2**26 are different fractions as floats too.
+    """
+    counted = size = np.diff(begin).astype(np.int64)
+    dtype = np.uint16 if len(cells) < MOST_CELLS else np.uint32
+    if problem.value is not None:
+        counted = size * np.maximum.reduceat(np.append(problem.value[cells][order], 0), begin[:-1])
+    if not (area_cost.size and problem.rule.by_price and problem.own is None):
+        return {"foremost": np.zeros((0, 0), dtype=dtype), "counted": counted}
+    entry, strips = problem.entry[level], np.array_split(area_cost, -(-area_cost.size // STRIP))
+    ranked = [_ranked(strip, size, counted, entry)[:, :RANKED] for strip in strips]
+    return {"foremost": np.concatenate(ranked).astype(dtype), "counted": counted}
+
+
+def _ranked(
+    cost: NDArray, size: NDArray[np.int64], counted: NDArray[np.int64], entry: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Areas of `size` `[M]` cells by price for what is `counted` `[M]` at most, those that count nothing last."""
+    whole, rest = np.divmod(np.maximum(cost, entry) + (size - 1) * entry, np.maximum(counted, 1))
+    first = np.lexsort((rest / np.maximum(counted, 1), whole, np.broadcast_to(counted == 0, cost.shape), cost < 0))
+    return np.where(np.take_along_axis(cost, first, axis=1) < 0, len(size), first)
+
+
+# A mission under way as the compiled simulator's first state, instead of t = 0 (`planner.plan.state`).
+#
+# Plain Python, once a thread. Axis `A` = accessible cells; the rows are those of `planner.simulator.state`.
+
+DOINGS = {"idle": IDLE, "traveling": TRAVELING, "covering": COVERING, "done": DONE, "dead": DEAD}
+DOINGS |= {"returning": RETURNING}
+
+
+def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDArray[np.int64]) -> None:
+    """Write the mission into `state`, which holds t = 0 of its areas; `cells`: int64 `[A]`, the accessible ones."""
+    state.home[np.searchsorted(cells, mission.visited)] |= VISITED
+    survived = np.searchsorted(cells, mission.survived)
+    state.home[survived] |= SURVIVED
+    if len(state.passes):
+        state.passes[survived] = 1  # how often before is not known
+    left = np.bincount(state.home[:-1][state.home[:-1] & VISITED == 0] >> AREA_BITS, minlength=len(mission.areas))
+    state.areas[: len(left), LEFT_IN] = left
+    state.marks[[COVERED, UNSURVIVED]] = len(mission.visited), len(mission.visited) - len(mission.survived)
+    unassigned = [number for number, area in enumerate(mission.areas) if area.state == "unassigned"]
+    level, lowest = tables.level[unassigned], tables.level[unassigned].min(initial=NO_LEVEL)
+    alive = sum(robot.alive for robot in mission.robots)
+    state.marks[[STEP, QUIET, ALIVE, OPEN]] = mission.step + 1, mission.quiet, alive, len(unassigned)
+    state.marks[[LOWEST, UNFINISHED]] = lowest, np.count_nonzero(left)
+    if len(tables.times):
+        state.team[:, BORNE] = mission.exposures
+    until = state.team[:, UNTIL]
+    until[:] = tables.range - [robot.moves for robot in mission.robots]
+    moving = np.array([robot.status in (*ON_ITS_WAY, "returning") for robot in mission.robots])
+    rests = [robot.status in ("idle", "done") and not robot.turned for robot in mission.robots]
+    waiting = np.array(rests) & (until > 0)
+    state.marks[OVER] = 0 if mission.over is None else Outcome[mission.over.upper()] + 1
+    until[moving] += mission.step
+    for bits, members in (
+        (state.open, unassigned),
+        (state.lowest, np.array(unassigned, dtype=np.int64)[level == lowest]),
+        (state.movers, np.flatnonzero(moving)),
+        (state.waiting, np.flatnonzero(waiting)),
+    ):
+        fill(bits, members)
+    for number, robot in enumerate(mission.robots):
+        _put_robot(state, number, robot, cells)
+        if robot.status == "returning":
+            here = np.searchsorted(cells, robot.cell)
+            state.robots[number, NEXT] = tables.onward[tables.home_of[number], here]
+
+
+def _put_robot(state: State, number: int, robot: RobotState, cells: NDArray[np.int64]) -> None:
+    row = state.robots[number]
+    row[DOING], row[HELD] = DOINGS[robot.status], robot.held
+    if robot.status not in ON_ITS_WAY:
+        return
+    to_do, ahead = np.searchsorted(cells, robot.to_do), np.searchsorted(cells, robot.ahead)
+    state.home[to_do] |= TO_DO
+    ends = np.flatnonzero(np.isin(ahead, to_do)) if robot.status == "covering" else ahead[:0]
+    leg = ahead[: int(ends[0]) + 1] if len(ends) else ahead
+    row[AREA], row[LEFT], row[NEXT], row[TARGET] = robot.area, len(to_do), leg[0], leg[-1]
+    if len(state.legs):
+        row[AHEAD] = len(leg) - 1
+        state.legs[number, : len(leg) - 1] = leg[:0:-1]
+
+
+def first_frames(mission: MissionState, cells: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Cell, doing and area of each robot, as it stands in every step up to the state's: int32 `[step + 1, 3, K]`."""
+    robots = mission.robots
+    now = [
+        np.searchsorted(cells, [robot.cell for robot in robots]).tolist(),
+        [DOINGS[robot.status] for robot in robots],
+        [robot.area for robot in robots],
+    ]
+    return np.broadcast_to(np.array(now, dtype=np.int32), (mission.step + 1, 3, len(robots)))

@@ -1,0 +1,223 @@
+"""What a visit changes: cells covered and survived, areas completed, a robot lost.
+
+Part of `planner.simulator.rollouts`, which see.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.ids import NONE
+from planner.jit import kernel, rare_kernel, spliced
+from planner.simulator.areas import COMPLETED_EVENT, HIT_EVENT, close, has_area, note
+from planner.simulator.failure_sampling import stopped_from
+from planner.simulator.map_belief import visit_of
+from planner.simulator.return_home import leave
+from planner.simulator.state import (
+    ACTS,
+    ALIVE,
+    ALL_ROBOTS_LOST,
+    AREA,
+    AREA_BITS,
+    AT_STOP,
+    CELL,
+    CHANGES,
+    COMPLETE,
+    COVERED,
+    CUT,
+    DEAD,
+    DOING,
+    FAR,
+    FIRST,
+    FOLLOWING,
+    GOAL,
+    HIT,
+    LAST,
+    LEFT_IN,
+    MOST_PASSES,
+    PARTED,
+    PASSED,
+    PROGRESS,
+    ROBOT,
+    STEP,
+    SURVIVED,
+    UNFINISHED,
+    UNSURVIVED,
+    VISITED,
+    drop,
+    holds,
+    put,
+)
+
+
+@kernel
+def count_new(s, c, step, cell, size):
+    """The cell has not been visited before this step."""
+    c.new[step] += size
+    c.covered[cell] += size
+    s.marks[COVERED] += 1
+
+
+@kernel
+def visit(s, c, log, step, robot, cell, size, flags):
+    """The cell, which was not visited, is; the last one of an area completes it."""
+    home = np.int64(s.home[cell])
+    s.home[cell] = home | flags
+    count_new(s, c, step, cell, size)
+    holder = np.int64(home) >> AREA_BITS
+    left = s.areas[holder, LEFT_IN] - 1
+    s.areas[holder, LEFT_IN] = left
+    if left == 0:
+        s.marks[UNFINISHED] -= 1
+        close(s, holder)
+        note(log, s, robot, COMPLETED_EVENT, holder, cell)
+
+
+@kernel
+def count_pass(s, cell):
+    """A robot was in the cell and was not stopped."""
+    if len(s.passes) > 0 and s.passes[cell] < MOST_PASSES:
+        s.passes[cell] += np.uint8(1)
+
+
+@kernel
+def is_complete(t, s):
+    """Whether every cell that can truly be reached is visited."""
+    return s.marks[COVERED] == t.limits[GOAL] if len(s.mind) > 0 else s.marks[UNFINISHED] == 0
+
+
+@kernel
+def count_last(t, s, c, cell, mass):
+    """Add so much of a tree's branch at the stop of the last robot alive."""
+    marks = s.marks
+    covered, safely = marks[COVERED], marks[COVERED] - marks[UNSURVIVED]
+    c.stops[cell] += mass
+    c.visited[covered] += mass
+    c.survived[safely] += mass
+    c.time[marks[STEP]] += mass
+    c.alive[0] += mass
+    if len(c.home) > 0:
+        c.home[0] += mass
+    c.outcomes[COMPLETE if is_complete(t, s) else ALL_ROBOTS_LOST] += mass
+
+
+@kernel
+def leave_branch(s, c, mass, alive):
+    """Leave so much of a tree's branch: what it has come to by now is certain, and no more."""
+    c.left_visited[s.marks[COVERED]] += mass
+    c.left_survived[s.marks[COVERED] - s.marks[UNSURVIVED]] += mass
+    c.left_alive[alive] += mass
+    c.histories[1] += 1
+
+
+@rare_kernel
+def prune(t, s, c, how, cell, hit_from):
+    """A tree's branch of which as much as is behind `hit_from` is stopped: PARTED, or what goes on of it: PASSED, HIT.
+
+    CUT: nothing does. What is left of the branch stays at the end of its mass.
+    """
+    marks = s.marks
+    stopped, rest = marks[LAST] - hit_from, hit_from - marks[FIRST]
+    least = how.cut if c.histories[0] + c.histories[1] < how.most else FAR
+    if marks[ALIVE] == 1:
+        # Nobody is left whom it would matter to: the one path goes on, with what is left of the mass.
+        count_last(t, s, c, cell, stopped)
+        stopped = 0
+    elif stopped < least:
+        leave_branch(s, c, stopped, marks[ALIVE] - 1)
+        stopped = 0
+    if rest < least:
+        leave_branch(s, c, rest, marks[ALIVE])
+        rest = 0
+    if stopped > 0 and rest > 0:
+        return PARTED
+    marks[FIRST] = marks[LAST] - stopped - rest
+    if stopped == rest:
+        return CUT
+    return PASSED if rest > 0 else HIT
+
+
+@spliced
+def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
+    """Move into the cell: HIT or PASSED, ACTS if there is no danger; PARTED, since some of the set are hit; or CUT."""
+    marks = s.marks
+    s.robots[robot, CELL] = cell
+    # The set is one run for all its rollouts: what one of them does is done `size` times.
+    c.visits[cell] += size
+    fresh = s.home[cell] & VISITED == 0
+    place = visit_of(t, s, robot, cell)
+    safe = t.bound[place] == 0
+    # Where threats change, a robot may have been stopped in what is safe by now.
+    verdict = ACTS if safe and len(t.phases) == 0 else PASSED
+    survives = verdict == ACTS and len(s.entered) == 0
+    if survives:
+        count_pass(s, cell)
+    elif len(s.entered) > 0:
+        put(s.entered, robot)
+    if fresh:
+        visit(s, c, log, step, robot, cell, size, VISITED | SURVIVED if survives else VISITED)
+        if not survives:
+            # Marked before the check, as Algorithm 2 does: visited at once, survived only if it is (`survive`).
+            c.late[step] -= size
+            c.unsurvived[cell] += size
+            marks[UNSURVIVED] += 1
+    elif survives and s.home[cell] & SURVIVED == 0:  # a robot of another type was stopped there
+        mark_survived(s, c, step, cell, size)
+    if not safe and (fresh or not how.first_only) and not (len(s.spent) > 0 and holds(s.spent, cell)):
+        hit_from = stopped_from(t, s, c, w, how, ids, step, robot, cell, place)
+        # All of them are hit alike: still one run, so nothing has to be copied.
+        if hit_from == marks[FIRST] and how.aside == 0:
+            verdict = HIT
+        elif hit_from < marks[LAST]:
+            verdict = PARTED if how.cut == 0 else prune(t, s, c, how, cell, hit_from)
+            if verdict == PARTED:
+                marks[ROBOT], marks[LAST], marks[PROGRESS] = robot, hit_from, 1
+    return verdict
+
+
+@spliced
+def lose(t, s, c, w, log, robot, size):
+    """The robot is stopped in its cell, and what it leaves unvisited of its area becomes areas. False: no room.
+
+    If it is the last one nobody will take them: they are only made to be written down.
+    """
+    cell, area = s.robots[robot, CELL], np.int64(s.robots[robot, AREA])
+    owns, followed = has_area(s.robots, robot), s.robots[robot, DOING] == FOLLOWING
+    c.stops[cell] += size
+    if len(s.spent) > 0:
+        put(s.spent, cell)
+    if len(s.odds) > 0:
+        s.odds[cell] = t.lessons[AT_STOP]
+    s.marks[ALIVE] -= 1
+    drop(s.movers, robot)
+    drop(s.waiting, robot)
+    s.robots[robot, DOING] = DEAD
+    s.marks[CHANGES] += len(t.type_of) > 0  # prices go by who is alive
+    note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
+    # Nobody is left to take what it leaves.
+    if s.marks[ALIVE] == 0 and len(log.events) == 0:
+        return True
+    if followed:
+        # Another planner's robot owns all areas of its path, not only the one that it is in.
+        for left in range(len(t.owner)):
+            unfinished = t.owner[left] == robot and s.areas[left, LEFT_IN] > 0
+            if unfinished and not leave(t, s, w, log, robot, left):
+                return False
+    return not owns or leave(t, s, w, log, robot, area)
+
+
+@kernel
+def mark_survived(s, c, step, cell, size):
+    """The cell, which was visited, is survived for the first time."""
+    s.home[cell] |= SURVIVED
+    c.late[step] += size
+    c.unsurvived[cell] -= size
+    s.marks[UNSURVIVED] -= 1
+
+
+@kernel
+def survive(s, c, step, cell, size):
+    """A dangerous cell has been entered by a robot that was not stopped."""
+    count_pass(s, cell)
+    if s.home[cell] & SURVIVED == 0:
+        mark_survived(s, c, step, cell, size)

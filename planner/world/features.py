@@ -1,0 +1,275 @@
+"""Worlds whose robots are not told the map, made from arrays, or from a scenario's keys `truth`, `prior`, `sense`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from math import inf
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.arguments import check_word, whole
+from planner.errors import WorldError
+from planner.world.keys import CHANCE, PLACE, PROBABILITY, Key, read_yaml
+from planner.world.levels import check_alone
+from planner.world.map_knowledge import Sense, make_detector, make_knowledge, make_sense
+from planner.world.moving_threats import ANYWHERE, MOST_MOVERS, Mover, Movers, checked
+from planner.world.uncertain_maps import Hazard, Uncertain
+from planner.world.world import World, check_starts
+
+Obstacles = Literal["unknown", "known"]
+OBSTACLES: tuple[Obstacles, ...] = ("unknown", "known")
+KEYS = ("truth", "prior", "sense")
+DETECTS = ("detect", "false_alarm")
+"""What a `sense` says besides where robots learn about hazards."""
+Given = float | Sense | Mapping[str, Any]
+"""A range in cells, or `{range, sight}`."""
+
+
+def with_truth(world: World, truth: World | ArrayLike, sense: Given = 0) -> World:
+    """The world as robots believe it, but what they meet is the truth: p `[H, W]`, NaN = obstacle, or a world.
+
+    `sense`: how many cells they see, 0: they learn nothing, and the obstacles must be the same. Raises WorldError.
+    """
+    _check_plain(world)
+    true = truth if isinstance(truth, World) else World.create(truth, source=f"{world.source}: truth")
+    _check_plain(true)
+    return _knowing(world, world.threat, true.threat, sense)
+
+
+def with_prior(world: World, p: float, obstacles: Obstacles = "unknown", sense: Given = 0) -> World:
+    """The world as the truth of robots that know nothing of it: they believe every cell free, with threat p.
+
+    `obstacles="known"`: but for its obstacles, which they are told. Where maps are in doubt the truth is the one that
+    is drawn. Raises WorldError.
+    """
+    check_word("obstacles", obstacles, OBSTACLES, WorldError, world.source)
+    PROBABILITY.check("prior", p, WorldError, world.source)
+    truth, nowhere = world.met, np.zeros(world.shape, dtype=np.bool_)
+    belief = np.where(~world.free if obstacles == "known" else nowhere, np.nan, p).astype(np.float32)
+    return _knowing(world, belief, truth, sense)
+
+
+def with_sense(world: World, sense: Given) -> World:
+    """The same with other sensors: of robots that are not told the map, or whose map is in doubt. Raises WorldError.
+
+    Of robots that learn about hazards: a detector, `{range, sight, detect, false_alarm}`.
+    """
+    if world.learned_hazard is not None:
+        return replace(world, doubt=replace(world.learned_hazard, detector=make_detector(sense, world.source)))
+    if world.knowledge is None and not isinstance(world.doubt, Uncertain):
+        problem = "robots are told the map, and there is nothing to sense"
+        hazard = "give the hazard `learn: true`" if isinstance(world.doubt, Hazard) else ""
+        fix = hazard or "give a `truth`, a `prior`, or `uncertain` maps"
+        raise WorldError(problem, source=world.source, fix=fix)
+    return _knowing(world, world.threat, world.met, sense)
+
+
+def seeing(world: World, far: float) -> World:
+    """The same whose robots see so many cells far, as sharply as before: past obstacles or not. Raises WorldError."""
+    sight = world.knowledge is not None and world.knowledge.sense.sight and far < inf
+    return with_sense(world, Sense(far, sight))
+
+
+def _check_plain(world: World) -> None:
+    for of in (world.doubt, world.knowledge):
+        if of is not None:
+            raise WorldError(f"a truth beside a map that is in doubt itself: {of.said}", source=world.source)
+
+
+def _knowing(world: World, belief: NDArray[np.float32], truth: NDArray[np.float32], sense: Given) -> World:
+    if world.doubt is not None and not isinstance(world.doubt, Uncertain):
+        problem = f"robots would have to learn from what happens to them; here: {world.doubt.said}"
+        named = "phases" if world.phases is not None else "hazard" if world.movers is None else "movers"
+        fix = f"leave `{named}` out, or `truth`, `prior` and `sense`"
+        raise WorldError(problem, source=world.source, fix=fix)
+    looks = make_sense(sense, world.source)
+    if isinstance(world.doubt, Uncertain) and not world.doubt.whole and looks.range > 0:
+        problem = "robots that learn which of several maps is true need maps; here a number is drawn for each level"
+        raise WorldError(problem, source=world.source, fix="draw one for the whole map, `by: common`")
+    belief.setflags(write=False)
+    knowledge = make_knowledge(belief, truth, looks, world.source)
+    starts = None if world.starts is None else check_starts(world.starts, truth, world.source)
+    return replace(world, threat=belief, knowledge=knowledge, starts=starts)
+
+
+def read_knowledge(keys: dict[str, Key], world: World, load: Callable[[Path], World]) -> World:
+    """The world of a scenario with what its keys `truth`, `prior`, `sense` say; `load`: reads any input file."""
+    named = [name for name in KEYS if name in keys]
+    if not named:
+        return world
+    if "truth" in keys:
+        truth = load(_plain_input(keys["truth"]))
+        with keys["truth"].naming():
+            belief = world.threat
+            world = with_truth(world, truth, inf)
+            if "prior" in keys:  # the scenario's own map is neither believed nor true
+                world = replace(world, threat=belief)
+    if "prior" in keys:
+        prior = keys["prior"].mapping(("p",), optional=("obstacles",))
+        obstacles: Any = prior["obstacles"].choice(OBSTACLES) if "obstacles" in prior else OBSTACLES[0]
+        with keys["prior"].naming():
+            world = with_prior(world, prior["p"].number(PROBABILITY), obstacles, inf)
+    key = keys.get("sense", keys[named[0]])
+    with key.naming():
+        further = () if world.learned_hazard is None else DETECTS
+        return with_sense(world, _sense(keys["sense"], further) if "sense" in keys else 0)
+
+
+def _plain_input(key: Key) -> Path:
+    """The file of a truth: no scenario that names a truth of its own, or it might be this one."""
+    path = key.file("an input file")
+    top = read_yaml(path).value if path.suffix.lower() in (".yaml", ".yml") else None
+    if isinstance(top, dict) and any(name in top for name in KEYS):
+        raise key.wrong(f"an input without {', '.join(KEYS)}")
+    return path
+
+
+def _sense(key: Key, more: tuple[str, ...]) -> Given:
+    if not isinstance(key.value, dict):
+        return key.value
+    return {name: one.value for name, one in key.mapping(("range", *more), optional=("sight",)).items()}
+
+
+def as_it_is(world: World) -> World:
+    """The true world, told; the world itself where robots are told it, or it is drawn."""
+    return replace(world, threat=world.met, knowledge=None)
+
+
+def as_planned(world: World, starts: ArrayLike) -> World:
+    """The world that robots at `starts` `[K, 2]` plan on, known: what they believe once they have looked about.
+
+    Where the truth is drawn nobody has looked yet. The world itself where robots are told it.
+    """
+    known = world.knowledge
+    if known is None:
+        return world
+    threat = world.threat
+    if world.doubt is None and known.sense.range > 0:
+        placed = check_starts(starts, known.truth, world.source)
+        cells = placed[:, 0] * world.shape[1] + placed[:, 1]
+        seen = known.sense.views(known.free, np.unique(cells))[1]
+        threat = threat.copy()
+        threat.flat[seen] = known.truth.flat[seen]
+        threat.setflags(write=False)
+    return replace(world, threat=threat, knowledge=None, doubt=None)
+
+
+# Worlds with threats that move, made from movers, or from a scenario's key `movers` (`planner.world.moving_threats`).
+
+AT, STAYS = "[row, col], whole numbers", "a chance to stay, 0 to 1"
+PlannedOn = Literal["patrols", "joined", "own"]
+PLAN_ON: tuple[PlannedOn, ...] = get_args(PlannedOn)
+PATROLS, JOINED = PLAN_ON[:2]
+"""Robots plan on p joined with where the moving threats that have a route are in the long run, the default; with where
+all moving threats are, the default before release 0.4."""
+DEFAULT = (
+    "`plan_on` is not given: robots plan on the moving threats that have a route (patrols); before release 0.4 they "
+    "planned on all of them, which `plan_on: joined` still does"
+)
+"""The note on a scenario that leaves `plan_on` out."""
+THREATS = "threats"
+"""The h of walkers that are the threats of the map itself."""
+
+
+def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_on: PlannedOn | None = None) -> World:
+    """The world with threats that move beside its own.
+
+    Args:
+        movers: each with the keys that a scenario has: `{"walk": 0.2, "h": 0.3, "count": 6}`, or
+            `{"patrol": [[0, 0], [0, 1]], "h": 1}`; `{"walk": 0.5, "h": "threats"}`: a walker of each dangerous
+            cell, with its p, which leaves it.
+        plan_on: "patrols": robots plan on p joined with where movers that have a route are in the long run; "joined":
+            with where all movers are; "own": on p alone. None: "patrols" ("joined" before release 0.4).
+
+    Raises WorldError for movers that are none, for a world that is not known, or has types of robots.
+    """
+    chosen = PATROLS if plan_on is None else plan_on
+    check_word("plan_on", chosen, PLAN_ON, WorldError, world.source)
+    check_alone(world, "movers")
+    members: list[Mover] = []
+    own = world.threat
+    for number, one in enumerate(movers):
+        given = Key(one, f"movers[{number}]", world.source, WorldError)
+        if isinstance(one, Mover):
+            members.append(one)
+        elif _is_of_the_map(given):
+            members += _threats_that_walk(given, world)
+            own = np.where(world.free, np.float32(0), np.float32(np.nan))
+        else:
+            members += _read_each(given, world)
+    by_default = plan_on is None and not all(one.patrols for one in members)
+    found = checked(Movers(own, tuple(members), by_default), world.source)
+    return _planned_on(replace(world, doubt=found), found, chosen)
+
+
+def _planned_on(world: World, movers: Movers, plan_on: PlannedOn) -> World:
+    told = [one for one in movers.members if plan_on == JOINED or (one.patrols and plan_on == PATROLS)]
+    return replace(world, threat=movers.joined(told, world.source), doubt=movers)
+
+
+def as_before(world: World) -> World:
+    """The world as releases before 0.4 made it: where nobody said what robots plan on, with `plan_on` "joined".
+
+    The world itself where they made the same, or refused it (p of 1).
+    """
+    if world.movers is None or not world.movers.by_default:
+        return world
+    try:
+        return _planned_on(world, replace(world.movers, by_default=False), JOINED)
+    except WorldError:
+        return world
+
+
+def read_movers(key: Key, plan_on: Key | None, world: World) -> World:
+    """The world of a scenario with `movers: [{walk: s | patrol: [[r, c], ...], start, h, count}, ...]`, `plan_on`."""
+    items = key.items("a list of movers, each {walk or patrol, h}")
+    members = [one for item in items for one in ([item.value] if _is_of_the_map(item) else _read_each(item, world))]
+    chosen: Any = None if plan_on is None else plan_on.choice(PLAN_ON)
+    with key.naming():
+        found = with_movers(world, members, chosen)
+    return replace(found, notes=(*found.notes, DEFAULT)) if plan_on is None else found
+
+
+def _is_of_the_map(key: Key) -> bool:
+    return isinstance(key.value, dict) and isinstance(key.value.get("h"), str)
+
+
+def _threats_that_walk(key: Key, world: World) -> list[Mover]:
+    """A walker for each dangerous cell of the map, with its p as h."""
+    keys = key.mapping(("walk", "h"))
+    if keys["h"].value != THREATS:
+        raise keys["h"].wrong(f"{CHANCE.expected}, or {THREATS}")
+    stay = keys["walk"].number(CHANCE, STAYS)
+    return [Mover(float(p), stay) for p in world.threat[world.threat > 0]]
+
+
+def _read_each(key: Key, world: World) -> list[Mover]:
+    """A mover, as many times as its `count` says."""
+    keys = key.mapping(("h",), optional=("walk", "patrol", "start", "count"))
+    if ("walk" in keys) == ("patrol" in keys):
+        raise key.wrong("either walk or patrol")
+    stay, start = 0.0, ANYWHERE
+    route: tuple[int, ...] = ()
+    if "walk" in keys:
+        stay = keys["walk"].number(CHANCE, STAYS)
+    else:
+        route = tuple(_cell(item, world) for item in keys["patrol"].items("a list of two cells [row, col] or more", 2))
+    if "start" in keys and keys["start"].value != "anywhere":
+        start = _cell(keys["start"], world)
+    one = Mover(keys["h"].number(CHANCE), stay, start, route)
+    with key.naming():
+        checked(Movers(world.threat, (one,)), world.source, named=False)
+    return [one] * (keys["count"].number(whole(1, MOST_MOVERS)) if "count" in keys else 1)
+
+
+def _cell(key: Key, world: World) -> int:
+    """The index of a cell of the map."""
+    row, col = key.numbers(PLACE, AT, 2)
+    height, width = world.shape
+    if not (0 <= row < height and 0 <= col < width):
+        raise key.wrong(f"a cell of the map: row 0..{height - 1} and col 0..{width - 1}")
+    return int(row * width + col)

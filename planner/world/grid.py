@@ -1,0 +1,412 @@
+"""Maps as pixels, before they become a world: what is free, where it lies, and how pixels become cells."""
+
+from __future__ import annotations
+
+import math
+import re
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.errors import MapError
+from planner.files import foreign_errors
+from planner.world.map_knowledge import Knowledge
+from planner.world.moving_threats import Movers, Phases
+from planner.world.robot_types import RobotTypes
+from planner.world.uncertain_maps import Hazard, Uncertain
+
+# Where a map lies on the Earth: its coordinate reference system, and how the map's own metres sit in it.
+
+WGS84 = "EPSG:4326"
+"""Longitude and latitude, in this order everywhere in this program: GeoJSON, KML, GPS."""
+PLAIN_DEGREES = re.compile(r"CRS:?84$|EPSG:.*\b4326$", re.IGNORECASE)
+"""Names of WGS 84."""
+TURN = 360.0
+"""Degrees of longitude in a turn of the Earth: places a whole turn apart are one."""
+RANGE = np.array([TURN, 90.0])
+"""Largest longitude and latitude that are read: 181 and -181 are places too, and some files count from 0 to 360."""
+UTM_LATITUDES, UTM_REACH = (-80.0, 84.0), 6.0
+"""Where UTM holds, and how many degrees from its central meridian a zone is used here: metres are 0.5 % off there."""
+LONGEST = 2**14
+"""Most characters of a CRS: WKT takes some two thousand."""
+HOW_TO_GIVE_ONE = (
+    "give a GeoTIFF with a CRS, or `datum: {latitude: ..., longitude: ...}`, the place of the map's (0, 0), "
+    "in the ROS map or the scenario"
+)
+
+
+@dataclass(frozen=True)
+class Georeference:
+    """How metres of the map's frame become coordinates: crs = origin + metres * scale, x (or longitude) first.
+
+    Attributes:
+        crs: the coordinate reference system as text: "EPSG:32633", PROJ's words or WKT.
+        origin: the frame's (0, 0) in the CRS, in its units.
+        scale: units of the CRS a metre of the frame, along x and y: (1, 1) where the CRS is in metres.
+    """
+
+    crs: str
+    origin: tuple[float, float] = (0.0, 0.0)
+    scale: tuple[float, float] = (1.0, 1.0)
+
+    def to_crs(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Points (x, y) `[..., 2]` of the map's frame, in metres, as coordinates of the CRS."""
+        return np.asarray(points, dtype=np.float64) * self.scale + self.origin
+
+    def to_lonlat(self, points: ArrayLike, file: str = "", about: float | None = None) -> NDArray[np.float64]:
+        """Points (x, y) `[..., 2]` of the map's frame as (longitude, latitude) in degrees, WGS 84. Raises MapError.
+
+        Longitudes are within half a turn of the longitude `about`, by default the first point's, so that neighbours
+        stay neighbours: across longitude 180 they go on with 180.1. `principal` brings them back.
+        """
+        found = reproject(self.to_crs(points), self.crs, WGS84, file)
+        if found.size:
+            found[..., 0] = near(found[..., 0], found.flat[0] if about is None else about, TURN)
+        return found
+
+    def from_crs(self, points: ArrayLike, crs: str) -> NDArray[np.float64]:
+        """Coordinates `[..., 2]` of any CRS as metres of the map's frame. Raises MapError.
+
+        Where x comes round, longitudes that go on across 180 lead to x that goes on.
+        """
+        found, (turn, start) = reproject(points, crs, self.crs), turn_of(self.crs)
+        if turn and is_degrees(crs) and crs != self.crs:
+            expected = start + np.asarray(points, dtype=np.float64)[..., 0] * turn / TURN
+            found[..., 0] = near(found[..., 0], expected, turn)
+        return (found - self.origin) / self.scale
+
+
+def near(values: ArrayLike, middle: float | NDArray[np.float64], turn: float) -> NDArray[np.float64]:
+    """The values moved by whole turns to within half a turn of `middle`; those half a turn away stay."""
+    given = np.asarray(values, dtype=np.float64)
+    return given - turn * np.round((given - middle) / turn)
+
+
+def principal(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(longitude, latitude) `[..., 2]` with longitudes in -180..180."""
+    return np.stack([near(places[..., 0], 0.0, TURN), places[..., 1]], axis=-1)
+
+
+def is_degrees(crs: str) -> bool:
+    """True for the name or the text of a CRS of longitudes and latitudes."""
+    if PLAIN_DEGREES.search(crs):
+        return True
+    try:
+        rasterio = rasterio_for("a CRS", crs)
+        with rasterio.Env():  # which keeps GDAL's errors off the screen
+            return bool(rasterio.crs.CRS.from_user_input(crs).is_geographic)
+    except Exception:  # rasterio is missing, or PROJ does not know the CRS: what needs it says so
+        names = r"EPSG:.*\b(4258|4269|4979|4230)$|GEOG(CS|CRS)"
+        return bool(re.search(names, crs, re.IGNORECASE))
+
+
+@cache
+def turn_of(crs: str) -> tuple[float, float]:
+    """(units of x in a turn of the Earth, x at longitude 0) of a CRS whose x comes round as longitudes do; else (0, 0).
+
+    So do degrees, and the cylindrical projections, as Mercator's.
+    """
+    if is_degrees(crs):
+        return TURN, 0.0
+    try:
+        (start, _), (one, _), (north, _) = reproject([(0, 0), (1, 0), (1, 60)], WGS84, crs).tolist()
+    except MapError:  # it does not reach there
+        return 0.0, 0.0
+    return (TURN * (one - start), start) if abs(north - one) <= 1e-9 * abs(one - start) else (0.0, 0.0)
+
+
+def around(latitude: float, longitude: float) -> Georeference:
+    """Metres east and north of a place, by a transverse Mercator projection about it (true to 1e-6 within 9 km)."""
+    longitude = float(near(longitude, 0.0, TURN))
+    words = f"+proj=tmerc +lat_0={latitude!r} +lon_0={longitude!r} +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
+    return Georeference(words)
+
+
+def reproject(points: ArrayLike, source: str, target: str, file: str = "") -> NDArray[np.float64]:
+    """Coordinates float64 `[..., 2]` of the CRS `source` in the CRS `target`, x or longitude first.
+
+    Raises MapError for a CRS that PROJ does not know, for points outside of it, and without rasterio.
+    """
+    given = np.asarray(points, dtype=np.float64)
+    if source == target or not given.size:
+        return given
+    rasterio = rasterio_for("another coordinate reference system", source)
+    with no_way(source, target, file), rasterio.Env():
+        found = rasterio.warp.transform(source, target, *given.reshape(-1, 2).T.tolist())
+    moved = np.stack(found, axis=-1).reshape(given.shape)
+    if not np.isfinite(moved).all():
+        wrong = given.reshape(-1, 2)[~np.isfinite(moved.reshape(-1, 2)).all(axis=1)][0].tolist()
+        raise MapError(
+            f"{wrong} of the CRS {source[:60]!r} is no place in {target[:60]!r}", source=file, expected="points of both"
+        )
+    return moved
+
+
+def no_way(source: object, target: str, file: str = "") -> AbstractContextManager[None]:
+    """PROJ's errors on the way from a CRS to another as MapErrors; `file`: what they are about."""
+    problem = f"no way from the CRS {str(source)[:60]!r} to {target[:60]!r}"
+    return foreign_errors(problem, file, "a CRS that PROJ knows, and places where it holds")
+
+
+def degree_sides(latitude: float) -> tuple[float, float]:
+    """Metres that a degree of latitude and one of longitude span at `latitude` degrees (WGS 84, within 1 m)."""
+    angle = math.radians(latitude)
+    north = 111132.954 - 559.822 * math.cos(2 * angle) + 1.175 * math.cos(4 * angle)
+    east = 111412.84 * math.cos(angle) - 93.5 * math.cos(3 * angle) + 0.118 * math.cos(5 * angle)
+    return north, east
+
+
+def utm_zone(west: float, south: float, east: float, north: float) -> tuple[str, str] | None:
+    """The UTM zone (WGS 84) of the middle of these degrees, in words and as its CRS; None if they reach out of it."""
+    longitude = ((west + east) / 2 + 180) % 360
+    zone = int(longitude // 6)
+    off_centre = abs(longitude - 6 * zone - 3) + (east - west) / 2
+    if south < UTM_LATITUDES[0] or north > UTM_LATITUDES[1] or off_centre > UTM_REACH:
+        return None
+    is_north = south + north >= 0
+    words = f"UTM zone {zone + 1} {'north' if is_north else 'south'}"
+    return words, f"EPSG:{(32601 if is_north else 32701) + zone}"
+
+
+def same_crs(one: str, other: str) -> bool:
+    """True if both texts name one CRS."""
+    if one == other:
+        return True
+    crs = rasterio_for("a CRS", one).crs.CRS
+    return bool(crs.from_user_input(one) == crs.from_user_input(other))
+
+
+def rasterio_for(what: str, source: object, fix: str = "") -> Any:
+    """The module rasterio with its parts; a MapError that says what to install where it is missing."""
+    try:
+        import rasterio
+        import rasterio.crs
+        import rasterio.warp
+    except ImportError as missing:
+        fix = f"pip install 'mrac-jax[geo]'{fix}"
+        raise MapError(f"{what} needs rasterio", source=source, fix=fix) from missing
+    return rasterio
+
+
+FREE, OCCUPIED, UNKNOWN = 0, 1, 2
+"""States of a pixel."""
+WHOLE = 1e-6
+"""How far `cell_size / resolution` may be from a whole number (SPEC section 9)."""
+
+Pose = tuple[float, float, float]
+Bounds = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where a grid lies on the ground.
+
+    Attributes:
+        shape: (H, W); row 0 is at the top, the far end of the y axis.
+        size: side of a pixel in metres.
+        origin: (x, y, yaw), the pose of the lower-left corner in the map's frame; metres and radians.
+    """
+
+    shape: tuple[int, int]
+    size: float
+    origin: Pose = (0.0, 0.0, 0.0)
+
+    def centres(self) -> NDArray[np.float64]:
+        """(x, y) of every pixel's centre in metres, map frame, float64 `[H, W, 2]`."""
+        height, width = self.shape
+        return self.at(*np.meshgrid(np.arange(height) + 0.5, np.arange(width) + 0.5, indexing="ij"))
+
+    def at(self, rows: ArrayLike, cols: ArrayLike) -> NDArray[np.float64]:
+        """(x, y) `[..., 2]` in metres, map frame, of places in pixels from the upper-left corner; centres are at .5."""
+        across, up = np.asarray(cols) * self.size, (self.shape[0] - np.asarray(rows)) * self.size
+        east, north, yaw = self.origin
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        return np.stack([east + cos * across - sin * up, north + sin * across + cos * up], axis=-1)
+
+    def local(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Points (x, y) `[..., 2]` of the map's frame as metres (to the right of, up from) the lower-left corner."""
+        east, north, yaw = self.origin
+        moved = np.asarray(points, dtype=np.float64) - (east, north)
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        return np.stack(
+            [cos * moved[..., 0] + sin * moved[..., 1], -sin * moved[..., 0] + cos * moved[..., 1]], axis=-1
+        )
+
+    def pixels(self, points: ArrayLike) -> NDArray[np.int64]:
+        """(row, col) int64 `[..., 2]` of the pixels that hold points (x, y) in metres; they may lie off the grid."""
+        local = np.clip(np.floor(self.local(points) / self.size), -(2.0**53), 2.0**53)
+        return np.stack([self.shape[0] - 1 - local[..., 1], local[..., 0]], axis=-1).astype(np.int64)
+
+    def holds(self, pixels: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """bool `[...]`: which (row, col) `[..., 2]` lie on the grid."""
+        return np.all((pixels >= 0) & (pixels < self.shape), axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """A map as it was read, `[H, W]` pixels.
+
+    Attributes:
+        state: uint8 `[H, W]`: FREE, OCCUPIED or UNKNOWN.
+        frame: where the pixels lie.
+        source: the file.
+        threat: float32 `[H, W]`, the probabilities that a world file brings along (NaN = obstacle), or None.
+        elevation: float64 `[H, W]` in metres (NaN = no data), or None.
+        starts: int64 `[K, 2]`, pixels that a world file names as starts, or None.
+        bounds: (left, bottom, right, top) in the units of the file's own georeference, or None.
+        notes: what reading did that a user should know.
+        georeference: where the frame lies on the Earth, or None.
+        value, detect: float64 `[H, W]`, what pixels are worth, and how well a visit detects, or None.
+        doubt: what a world file says is in doubt about its threats, or moves, or None.
+        knowledge: what it says is true beside them, or None.
+        measured: the file says how large a pixel is; else it is presumed.
+        types: of robots, that a world file brings along, or None.
+        swath: metres, the side of the cells that a visit covers, where that is more than a pixel; else None.
+    """
+
+    state: NDArray[np.uint8]
+    frame: Frame
+    source: str
+    threat: NDArray[np.float32] | None = None
+    elevation: NDArray[np.float64] | None = None
+    starts: NDArray[np.int64] | None = None
+    bounds: Bounds | None = None
+    notes: tuple[str, ...] = field(default=())
+    georeference: Georeference | None = None
+    value: NDArray[np.float64] | None = None
+    detect: NDArray[np.float64] | None = None
+    doubt: Hazard | Uncertain | Movers | Phases | None = None
+    knowledge: Knowledge | None = None
+    measured: bool = True
+    swath: float | None = None
+    types: RobotTypes | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A map coarsened to cells of `ratio` x `ratio` pixels.
+
+    Attributes:
+        grid: the map as read.
+        free_pixels: bool `[H0, W0]`: free pixels, unknown ones decided.
+        ratio: pixels a cell has a side.
+        frame: where the cells lie; their `shape` is (H, W).
+        notes: what coarsening did that a user should know.
+    """
+
+    grid: Grid
+    free_pixels: NDArray[np.bool_]
+    ratio: int
+    frame: Frame
+    notes: tuple[str, ...] = field(default=())
+
+    @cached_property
+    def free(self) -> NDArray[np.bool_]:
+        """bool `[H, W]`: cells all of whose pixels are free; by swaths, at least half of them."""
+        share = self.blocks(self.free_pixels).mean(axis=2)
+        return share == 1 if self.grid.swath is None else share >= 0.5
+
+    def blocks(self, pixels: NDArray) -> NDArray:
+        """The pixels `[H0, W0]` of every cell: `[H, W, ratio * ratio]`."""
+        (height, width), ratio = self.frame.shape, self.ratio
+        kept = pixels[: height * ratio, : width * ratio].reshape(height, ratio, width, ratio)
+        return kept.swapaxes(1, 2).reshape(height, width, ratio * ratio)
+
+    def largest(self, values: NDArray) -> NDArray[np.float64]:
+        """The largest value of every cell's free pixels, float64 `[H, W]`; 0 where none is free."""
+        filled = np.where(self.free_pixels, values, -np.inf)
+        most = self.blocks(filled).max(axis=2).astype(np.float64)
+        return np.where(np.isneginf(most), 0.0, most)
+
+    def total(self, values: NDArray) -> NDArray[np.float64]:
+        """The sum over every cell's free pixels, float64 `[H, W]`."""
+        return self.blocks(np.where(self.free_pixels, values, 0.0)).sum(axis=2)
+
+    def mean(self, values: NDArray) -> NDArray[np.float64]:
+        """The mean over every cell's free pixels, float64 `[H, W]`; 0 where none is free."""
+        return self.total(values) / np.maximum(self.blocks(self.free_pixels).sum(axis=2), 1)
+
+    def elevation(self) -> NDArray[np.float64] | None:
+        """Mean elevation of every cell's pixels in metres, float64 `[H, W]` (NaN = no data at all), or None."""
+        if self.grid.elevation is None:
+            return None
+        blocks = self.blocks(self.grid.elevation)
+        known = ~np.isnan(blocks)
+        count = known.sum(axis=2)
+        return np.where(count > 0, np.where(known, blocks, 0.0).sum(axis=2) / np.maximum(count, 1), np.nan)
+
+
+def coarsen(grid: Grid, cell_size: float | None = None, unknown_free: bool = False) -> Ground:
+    """The map in cells of `cell_size` metres (None: its pixels), as SPEC section 9 decides.
+
+    Blocks start at row 0, col 0; partial blocks at the far edges are dropped and counted in the notes; a cell is an
+    obstacle as soon as one of its pixels is; the origin moves up by the rows dropped at the bottom, along the grid's
+    own axes. Raises MapError when a cell is no whole number of pixels, or no whole cell fits.
+    """
+    (height, width), size = grid.frame.shape, grid.frame.size
+    cell_size = cell_size if grid.swath is None else grid.swath
+    grid = replace(grid, measured=grid.measured or cell_size is not None)
+    ratio = _ratio(cell_size, grid)
+    rows, cols = height // ratio, width // ratio
+    if rows == 0 or cols == 0:
+        raise MapError(
+            f"{height} x {width} pixels of {size:g} m hold no cell of {cell_size:g} m",
+            source=grid.source,
+            fix="choose a smaller cell_size",
+        )
+    left_over = (height - rows * ratio) * size
+    x, y, yaw = grid.frame.origin
+    origin = (x - math.sin(yaw) * left_over, y + math.cos(yaw) * left_over, yaw)
+    frame = Frame((rows, cols), size if cell_size is None else cell_size, origin)
+    free_pixels = (grid.state == FREE) | (unknown_free & (grid.state == UNKNOWN))
+    ground = Ground(grid, free_pixels, ratio, frame, _notes(grid, ratio, unknown_free))
+    return ground if grid.swath is None else replace(ground, notes=(*ground.notes, _edge(ground)))
+
+
+def _edge(ground: Ground) -> str:
+    """What of a field no swath covers."""
+    kept = np.where(ground.free, ground.blocks(ground.free_pixels).sum(axis=2), 0).sum() / ground.free_pixels.sum()
+    return (
+        f"swaths of {ground.frame.size:g} m hold {100 * kept:.2f} % of the field's cells of {ground.grid.frame.size:g} "
+        "m, the rest lies along the edge and is not counted; `value` is what is covered of those held"
+    )
+
+
+def _ratio(cell_size: float | None, grid: Grid) -> int:
+    if cell_size is None:
+        return 1
+    exact = cell_size / grid.frame.size
+    if exact < 1 - WHOLE:
+        problem = f"cell_size {cell_size:g} m is smaller than a pixel of {grid.frame.size:g} m"
+        raise MapError(problem, source=grid.source, fix=f"give at least {grid.frame.size:g}: maps are only coarsened")
+    if exact > 1e9:
+        problem = f"cell_size {cell_size:g} m is larger than every map"
+        raise MapError(problem, source=grid.source, expected="a whole number of pixels")
+    if abs(exact - round(exact)) > WHOLE:
+        near = [f"{times * grid.frame.size:.9g}" for times in (math.floor(exact), math.floor(exact) + 1)]
+        raise MapError(
+            f"cell_size {cell_size:g} m is {exact:.6g} pixels of {grid.frame.size:g} m",
+            source=grid.source,
+            expected="a whole number of pixels",
+            fix=f"for example cell_size: {near[0]} or {near[1]}",
+        )
+    return round(exact)
+
+
+def _notes(grid: Grid, ratio: int, unknown_free: bool) -> tuple[str, ...]:
+    height, width = grid.frame.shape
+    rows, cols = height % ratio, width % ratio
+    notes = list(grid.notes)
+    if rows or cols:
+        notes.append(
+            f"cells of {ratio} x {ratio} pixels: the last {rows} of {height} pixel rows and {cols} of {width} "
+            "pixel columns do not fill a cell and are dropped"
+        )
+    unknown = int((grid.state == UNKNOWN).sum())
+    if unknown:
+        notes.append(f"{unknown} unknown pixels count as {'free' if unknown_free else 'obstacles'}")
+    return tuple(notes)

@@ -1,0 +1,280 @@
+"""Map images, read safely: how dark each pixel is, and nothing that a header merely claims."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from planner.arguments import Numbers
+from planner.errors import MapError
+from planner.files import Json, check_file, foreign_errors
+from planner.formatting import counted
+from planner.world.grid import FREE, OCCUPIED, TURN, UNKNOWN, Frame, Georeference, Grid, around
+from planner.world.keys import CELL_SIZE, COORDINATE, POSE, SHARE, Key, read_yaml
+from planner.world.world import MAX_CELLS
+
+FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF")
+"""Pillow's names of the formats that are opened."""
+SUFFIXES = (".png", ".pgm", ".ppm", ".pbm", ".pnm", ".bmp", ".gif", ".jpg", ".jpeg")
+"""File names that are taken for map images."""
+COLOURED = 48
+"""Difference of the strongest and the weakest of red, green and blue (0..255) above which a pixel counts as coloured:
+more than JPEG makes of greys."""
+SPARE_PIXELS, PIXELS_PER_BYTE = 2**20, 20_000
+"""A compressed file of n bytes may claim this many pixels at most: SPARE_PIXELS + n * PIXELS_PER_BYTE."""
+
+
+def plausible(pixels: int, path: Path) -> None:
+    """MapError unless a file of this length can hold so many pixels; called before memory is taken."""
+    size = path.stat().st_size
+    most = min(MAX_CELLS, SPARE_PIXELS + size * PIXELS_PER_BYTE)
+    if pixels > most:
+        raise MapError(f"{size} bytes claim {pixels} pixels", source=path, expected=f"at most {most}")
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture's pixels, row 0 at the top.
+
+    Attributes:
+        bright: float64 `[H, W]`, 0 black .. 1 white, mean of red, green, blue.
+        alpha: float64 `[H, W]`, 0 transparent .. 1 opaque; None: the picture has no transparency.
+        coloured: bool `[H, W]`, neither black, grey, white nor wholly transparent.
+        lossy: its values are not exactly those that were written.
+    """
+
+    bright: NDArray[np.float64]
+    alpha: NDArray[np.float64] | None
+    coloured: NDArray[np.bool_]
+    lossy: bool = False
+
+    @property
+    def grey(self) -> NDArray[np.int64]:
+        """The grey value 0..255 of every pixel, int64 `[H, W]`; -1 where it is coloured."""
+        return np.where(self.coloured, -1, np.rint(self.bright * 255).astype(np.int64))
+
+    def colours(self, readings: dict[str, NDArray[np.bool_]]) -> tuple[str, ...]:
+        """A note on the coloured pixels, if there are any: what they are taken for.
+
+        `readings`: bool `[H, W]` by name, for example "obstacle"; each pixel is of one.
+        """
+        counts = {name: int((self.coloured & taken).sum()) for name, taken in readings.items()}
+        said = ", ".join(f"{count} as {name}" for name, count in counts.items() if count)
+        notes = f"coloured pixels are read by their brightness alone: {said}; threats are given in a scenario"
+        return (notes,) if said else ()
+
+
+def read_image(path: Path) -> Picture:
+    """The picture in a file. Raises MapError for a file that is missing, no image, truncated or too large."""
+    check_file(path, "a map image")
+    with foreign_errors("cannot be read as an image", path, "a complete PNG, PGM, BMP, GIF or JPEG"):
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        with Image.open(path, formats=FORMATS) as whole:
+            plausible(whole.width * whole.height, path)
+            whole.verify()  # to the end of a PNG, which decoding never reaches; it spoils the handle
+        with Image.open(path, formats=FORMATS) as image:
+            plausible(image.width * image.height, path)
+            _check_raw(image, path)
+            return _picture(image)
+
+
+def _check_raw(image: Image.Image, path: Path) -> None:
+    """An uncompressed file must be about as long as its header claims: a byte a pixel, or a bit if it is bilevel."""
+    with path.open("rb") as stream:
+        text = stream.read(2) in (b"P1", b"P2", b"P3")
+    raw = image.format == "PPM" or (image.format == "BMP" and not image.info.get("compression"))
+    pixels_per_byte = 1 if text or (image.format == "PPM" and image.mode != "1") else 8
+    if raw and image.width * image.height > pixels_per_byte * path.stat().st_size:
+        raise MapError(f"is truncated: it claims {image.width} x {image.height} pixels", source=path)
+
+
+def _picture(image: Image.Image) -> Picture:
+    if image.mode.startswith("I"):  # 16 bits a pixel
+        wide = np.asarray(image, dtype=np.float64) / 65535
+        return Picture(np.clip(wide, 0, 1), None, np.zeros(wide.shape, dtype=bool))
+    pixels = np.asarray(image.convert("RGBA"))
+    bright = pixels[..., :3].sum(axis=2, dtype=np.float64) / (3 * 255)
+    coloured = (pixels[..., 3] > 0) & (np.ptp(pixels[..., :3], axis=2) > COLOURED)
+    lossy = image.format == "JPEG" or image.info.get("compression") == "jpeg"  # of TIFF
+    return Picture(bright, pixels[..., 3] / 255 if image.has_transparency_data else None, coloured, lossy)
+
+
+# ROS map_server maps (a YAML file beside an image), after nav2's rules.
+
+REQUIRED = ("image", "resolution", "origin", "occupied_thresh")
+USUAL_FREE = 0.196
+"""The `free_thresh` that map_saver writes: taken, with a note, where a file names none."""
+DEFAULTS: Json = {"mode": "trinary", "negate": 0, "free_thresh": USUAL_FREE}
+OPTIONAL = ("datum",)
+"""Keys that a map's YAML file must have, and may have; `datum` is ours: where the map frame's (0, 0) lies."""
+FULL, NO_VALUE = 100, -1
+"""Value of an occupied pixel, and of an unknown one."""
+UNKNOWN_GREYS = {205: "map_saver", 128: "cartographer"}
+"""Greys that programs write for unknown ground, of black = occupied."""
+LOSSY = 2
+"""How far from that grey a pixel of a picture under lossy compression may be."""
+
+
+@dataclass(frozen=True, eq=False)
+class RosMap:
+    """A map as map_server publishes it.
+
+    Attributes:
+        values: int16 `[H, W]`, row 0 at the top (largest y): 0 free .. 100 occupied, -1 unknown.
+        frame: resolution in metres and the pose of the lower-left corner.
+        source: the YAML file. mode: of its values.
+        notes: what reading did that a user should know.
+        georeference: where the frame lies on the Earth, if its `datum` says so.
+    """
+
+    values: NDArray[np.int16]
+    frame: Frame
+    source: str
+    mode: str = DEFAULTS["mode"]
+    notes: tuple[str, ...] = ()
+    georeference: Georeference | None = None
+
+    def grid(self) -> Grid:
+        """Its pixels as obstacles (value 100), unknown (-1) and free (all else, as nav2's static layer takes it)."""
+        state = np.full(self.values.shape, FREE, dtype=np.uint8)
+        state[self.values >= FULL] = OCCUPIED
+        state[self.values == NO_VALUE] = UNKNOWN
+        notes = self.notes
+        between = int(((self.values > 0) & (self.values < FULL)).sum())
+        if between:
+            notes += (
+                f"mode: {self.mode} is meant for threats (`layer:` in a scenario): as a map, its {between} pixels "
+                "between free and occupied are free and without threat",
+            )
+        return Grid(state, self.frame, self.source, notes=notes, georeference=self.georeference)
+
+
+def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
+    """The map that a map_server YAML file describes; keys that map_server does not know are ignored, as it does.
+
+    With brightness b of 0..1 (16 bits as well), p = 1 - b, or b if `negate`. Modes: `trinary` (the default): occupied
+    if p >= occupied_thresh, free if p <= free_thresh, else unknown; `scale`: the same, and between the thresholds
+    round(100 * (p - free) / (occupied - free)); `raw`: the bytes 0..100 themselves, above unknown, `negate` without
+    effect. Transparency is read as map_server reads it: `trinary` averages alpha into the brightness as a fourth
+    channel, in `scale` a pixel that is not wholly opaque is unknown, in `raw` alpha has no effect. Raises MapError
+    naming key, value and what was expected.
+    """
+    top = read_yaml(path, MapError) if top is None else Key(top.value, "", path, MapError)
+    keys = top.mapping(REQUIRED, OPTIONAL, DEFAULTS, strict=False)
+    mode = keys["mode"].choice(("trinary", "scale", "raw"))
+    resolution = keys["resolution"].number(CELL_SIZE, f"{CELL_SIZE.expected}, a pixel")
+    x, y, yaw = keys["origin"].numbers(COORDINATE, POSE, count=3)
+    occupied = keys["occupied_thresh"].number(SHARE)
+    below = f"a number from 0 to below occupied_thresh ({occupied:g})"
+    free = keys["free_thresh"].number(Numbers(0, occupied, below=True, said=below))
+    negate = _flag(keys["negate"])
+    picture = read_image(keys["image"].file("the map's image"))
+    values, notes = _values(mode, picture, negate, occupied, free)
+    if mode != "raw" and "free_thresh" not in top.value:
+        notes += (f"names no free_thresh: {USUAL_FREE} is taken, as map_saver writes it",)
+    height, width = values.shape
+    frame = Frame((height, width), resolution, (x, y, math.remainder(yaw, 2 * math.pi)))
+    place = read_datum(keys["datum"]) if "datum" in keys else None
+    return RosMap(values, frame, str(path), mode, notes, place)
+
+
+def read_datum(key: Key) -> Georeference:
+    """`{latitude, longitude}` of the map frame's (0, 0), in degrees of WGS 84; x points east there, y north."""
+    keys = key.mapping(("latitude", "longitude"))
+    latitudes, longitudes = Numbers(-89, 89, "degrees"), Numbers(-TURN, TURN, said="degrees, -180 to 180")
+    given = [keys[name].value for name in ("latitude", "longitude")]
+    if not latitudes.accepts(given[0]) and longitudes.accepts(given[0]) and latitudes.accepts(given[1]):
+        raise keys["latitude"].wrong(
+            latitudes.expected, "if latitude and longitude stand in the wrong order, swap them"
+        )
+    return around(keys["latitude"].number(latitudes), keys["longitude"].number(longitudes))
+
+
+def _values(
+    mode: str, picture: Picture, negate: bool, occupied: float, free: float
+) -> tuple[NDArray[np.int16], tuple[str, ...]]:
+    """`RosMap.values`, and notes on colours, transparency, and unknown ground that is read as something else."""
+    notes: list[str] = []
+    if mode == "raw":
+        raw = np.rint(picture.bright * 255)
+        values = np.where(raw <= FULL, raw, NO_VALUE).astype(np.int16)
+    else:
+        p = picture.bright if negate else 1 - picture.bright
+        values = _by_thresholds(mode, p, occupied, free)
+        if picture.alpha is not None:
+            plain, alpha = values, picture.alpha
+            if mode == "trinary":
+                bright = (3 * picture.bright + alpha) / 4
+                p = bright if negate else 1 - bright
+                values = _by_thresholds(mode, p, occupied, free)
+                how = "mode: trinary averages alpha into the brightness, as map_server does"
+            else:
+                values = np.where(alpha < 1, NO_VALUE, plain).astype(np.int16)
+                how = "mode: scale takes what is not wholly opaque for unknown, as map_server does"
+            notes += _changed(plain, values, how)
+        notes += _unknown_greys(mode, picture, values, p, negate)
+    readings = {"obstacle": values >= FULL, "free": values == 0, "unknown": values == NO_VALUE}
+    readings |= {"in between": (values > 0) & (values < FULL)}
+    return values, (*picture.colours(readings), *notes)
+
+
+def _by_thresholds(mode: str, p: NDArray[np.float64], occupied: float, free: float) -> NDArray[np.int16]:
+    """Values of how occupied pixels are, p `[H, W]` in 0..1."""
+    between = np.rint((p - free) / (occupied - free) * FULL) if mode == "scale" else np.full(p.shape, NO_VALUE)
+    return np.where(p >= occupied, FULL, np.where(p <= free, 0, between)).astype(np.int16)
+
+
+def _changed(plain: NDArray[np.int16], values: NDArray[np.int16], how: str) -> list[str]:
+    """A note on pixels that transparency makes something else; `plain`: values by brightness alone."""
+    names = {NO_VALUE: "unknown", 0: "free", FULL: "obstacles"}
+    counts = {name: int(((values == value) & (plain != value)).sum()) for value, name in names.items()}
+    said = ", ".join(f"{counted(count, 'pixel')} {name} by it" for name, count in counts.items() if count)
+    return [f"{how}: {said}"] if said else []
+
+
+def _unknown_greys(
+    mode: str, picture: Picture, values: NDArray[np.int16], p: NDArray[np.float64], negate: bool
+) -> list[str]:
+    """A note for every grey of unknown ground that the thresholds make free or an obstacle."""
+    notes = []
+    for unknown, writer in UNKNOWN_GREYS.items():
+        grey, off = 255 - unknown if negate else unknown, LOSSY if picture.lossy else 0
+        said = f"grey {grey}" + (f" ({grey - off} to {grey + off} under lossy compression)" if off else "")
+        for taken, value in (("free", 0), ("an obstacle", FULL)):
+            held = (np.abs(picture.grey - grey) <= off) & (values == value)
+            if held.any():
+                below = math.floor(1000 * p[held].min()) / 1000
+                fix = f"free_thresh: {below:g}" if value == 0 else "occupied_thresh: 0.65"
+                fix = fix if mode == "trinary" else f"mode: trinary` and `{fix}"  # scale grades what is in between
+                notes.append(
+                    f"{said}, which {writer} writes for unknown ground, is {taken} in "
+                    f"{counted(int(held.sum()), 'pixel')}; with `{fix}` in a map_server YAML file it is unknown"
+                )
+    return notes
+
+
+def _flag(key: Key) -> bool:
+    if key.value not in (0, 1):
+        raise key.wrong("0 or 1")
+    return bool(key.value)
+
+
+def image_grid(path: Path) -> Grid:
+    """A plain picture as a map, one metre a pixel: dark is an obstacle.
+
+    It is read as a trinary map with map_server's usual thresholds (0.65 and 0.25): p = 1 - brightness >= 0.65 is an
+    obstacle, p <= 0.25 free, between unknown. What is wholly transparent shows nothing, and is unknown.
+    """
+    picture = read_image(path)
+    values, notes = _values("trinary", picture, False, 0.65, 0.25)
+    if picture.alpha is not None and (hidden := picture.alpha == 0).any():
+        values[hidden] = NO_VALUE
+        notes += (f"{counted(int(hidden.sum()), 'pixel')} wholly transparent: unknown",)
+    height, width = values.shape
+    return replace(RosMap(values, Frame((height, width), 1.0), str(path), notes=notes).grid(), measured=False)

@@ -1,0 +1,347 @@
+"""Checked reading of YAML files: every value keeps its key path, so that an error can name `threats[1].rule.kind`."""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+import re
+import reprlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike, NDArray
+
+from planner.arguments import ANY, Numbers, did_you_mean, whole
+from planner.errors import InputError, ScenarioError, WorldError
+from planner.files import printable, why_no_file
+from planner.formatting import counted, seconds_of
+from planner.settings import Setting
+
+MAX_YAML_BYTES = 2**18
+"""Largest YAML file that is parsed: some 25,000 starts."""
+MAX_NODES = 20_000
+"""Most keys and values in one YAML file, each counted as often as aliases and merge keys repeat it."""
+MAX_ALIASES = 50
+"""Most aliases (`*name`) in one YAML file."""
+PLACE = whole(-(2**31) + 1, 2**31 - 1)
+"""A row or column that somebody wrote, which can be one of some map."""
+
+
+@dataclass(frozen=True)
+class Key:
+    """One value of a YAML or JSON file and where it stands.
+
+    Attributes:
+        value: what the loader made of it.
+        path: key path, for example `threats[1].rule.kind`; "" at the top.
+        source: the file.
+        error: the exception that a wrong value raises. fix: what to do, where a fault does not say it.
+    """
+
+    value: Any
+    path: str
+    source: str | Path
+    error: type[InputError] = ScenarioError
+    fix: str = ""
+
+    def wrong(self, expected: str, fix: str = "") -> InputError:
+        """The error for this value: names key path, value, what was expected."""
+        return self.fault(f"is {reprlib.repr(self.value)}", expected, fix)
+
+    def fault(self, problem: str, expected: str = "", fix: str = "") -> InputError:
+        """The error for another fault of it: "`threats[0].raster` gives ..."."""
+        where = f"`{self.path}`" if self.path else "the file"
+        return self.error(f"{where} {problem}", source=self.source, expected=expected, fix=fix or self.fix)
+
+    @contextmanager
+    def naming(self) -> Iterator[None]:
+        """A WorldError about what is made of this value names it."""
+        try:
+            yield
+        except WorldError as error:
+            problem = f"`{self.path}`: {error.problem}"
+            raise self.error(problem, source=self.source, expected=error.expected, fix=error.fix) from error
+
+    def mapping(
+        self,
+        required: Iterable[str] = (),
+        optional: Iterable[str] = (),
+        defaults: Mapping[str, Any] | None = None,
+        strict: bool = True,
+    ) -> dict[str, Key]:
+        """The value's keys; those in `defaults` are always there. Missing and (if `strict`) unknown ones are errors."""
+        defaults = {} if defaults is None else defaults
+        required = list(required)
+        allowed = [*required, *optional, *defaults]
+        if not isinstance(self.value, dict):
+            raise self.wrong(f"keys ({', '.join(allowed)})")
+        unknown = [name for name in self.value if name not in allowed]
+        dot = f"{self.path}." if self.path else ""
+        if unknown and strict:
+            problem, fix = f"unknown key `{dot}{str(unknown[0])[:60]}`", did_you_mean(unknown[0], allowed) or self.fix
+            raise self.error(problem, source=self.source, expected=f"one of {', '.join(allowed)}", fix=fix)
+        for name in required:
+            if name not in self.value:
+                close = difflib.get_close_matches(name, [str(other) for other in unknown], n=1)
+                fix = f"did you mean it by {close[0]!r}?" if close else ""
+                raise self.error(f"key `{dot}{name}` is missing", source=self.source, fix=fix or self.fix)
+        values = {**defaults, **self.value}
+        return {name: self._child(values[name], f"{dot}{name}") for name in allowed if name in values}
+
+    def items(self, expected: str, least: int = 1, exactly: int = 0) -> list[Key]:
+        """The value's elements; an error unless it is a list of at least `least`, or (above 0) `exactly` so many."""
+        if not isinstance(self.value, list) or len(self.value) < least or exactly not in (0, len(self.value)):
+            raise self.wrong(expected)
+        return [self._child(value, f"{self.path}[{index}]") for index, value in enumerate(self.value)]
+
+    def number(self, of: Numbers = ANY, expected: str = "") -> Any:
+        """One of these numbers, int if they are whole, else float; `expected`: where more than that is."""
+        if not of.accepts(self.value):
+            raise self.wrong(expected or of.expected, of.meant(self.value))
+        return int(self.value) if of.whole else float(self.value)
+
+    def numbers(self, of: Numbers, expected: str, count: int = 0) -> list[Any]:
+        """A list of these numbers; exactly `count` of them unless that is 0."""
+        return [item.number(of, expected) for item in self.items(expected, exactly=count)]
+
+    def setting(self, setting: Setting) -> Any:
+        """A value of one of the planner's settings: of one a robot a list too, of a step a time as `45min` too."""
+        if setting.words and not setting.places:
+            return self.choice(setting.words)
+        if setting.time and isinstance(self.value, str) and seconds_of(self.value) is not None:
+            return self.value
+        value = tuple(self.value) if isinstance(self.value, list) else self.value
+        if setting.places and isinstance(value, tuple):
+            value = tuple(tuple(place) if isinstance(place, list) else place for place in value)
+        if not setting.accepts(value):
+            raise self.wrong(
+                setting.expected("null"), setting.numbers.meant(value) or did_you_mean(value, setting.words)
+            )
+        return setting.plain(value)
+
+    def text(self, expected: str) -> str:
+        """A string that is not empty."""
+        if not isinstance(self.value, str) or not self.value.strip():
+            raise self.wrong(expected)
+        return self.value
+
+    def choice(self, options: Iterable[str], before: Mapping[str, str] | None = None) -> str:
+        """One of `options`; `before`: words of earlier releases that are read too, with what they are now."""
+        options = list(options)
+        value = before[self.value] if before and isinstance(self.value, str) and self.value in before else self.value
+        if not isinstance(value, str) or value not in options:
+            raise self.wrong(" or ".join(options), did_you_mean(self.value, options))
+        return value
+
+    def file(self, expected: str, folder: Callable[[Path], bool] = lambda path: False) -> Path:
+        """A path, relative to the file that names it; the error names key and file when there is none.
+
+        `folder`: says whether a folder stands for the files in it.
+        """
+        path = Path(self.source).parent / self.text(expected)
+        problem = why_no_file(path)
+        if problem and not folder(path):
+            problem = f"`{self.path}`: {problem}: {printable(path)!r}"
+            raise self.error(problem, source=self.source, expected=expected)
+        return path
+
+    def _child(self, value: Any, path: str) -> Key:
+        return Key(value, path, self.source, self.error, self.fix)
+
+
+INTEGER, FLOAT = r"[-+]?[0-9]+", r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
+INFINITE = r"[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
+"""Numbers of YAML 1.2's core schema: `1e-3` is one, `1:30`, `0x1F` and `1_000` are text, `017` is seventeen."""
+TAG = "tag:yaml.org,2002:"
+
+
+class _Loader(yaml.SafeLoader):
+    """The safe loader with YAML 1.2's numbers, without dates, duplicate keys and sets, and bounded: reading takes time
+    and memory in proportion to the file, whatever its anchors, aliases and merge keys claim."""
+
+    yaml_constructors: ClassVar[dict[str | None, Any]] = {
+        tag: make
+        for tag, make in yaml.SafeLoader.yaml_constructors.items()
+        if tag is None or tag in {TAG + name for name in ("null", "str", "seq", "map")}
+    }
+    aliases = nodes = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        self.nodes += 1
+        self.aliases += self.check_event(yaml.AliasEvent)
+        for count, most, what in (self.nodes, MAX_NODES, "keys and values"), (self.aliases, MAX_ALIASES, "aliases"):
+            if count > most:
+                mark = self.peek_event().start_mark
+                raise yaml.MarkedYAMLError(problem=f"more than {most} {what}", problem_mark=mark)
+        return super().compose_node(parent, index)
+
+    def get_single_node(self) -> yaml.Node | None:
+        """The top node, refused if it holds itself, or more than MAX_NODES once aliases and merges are followed."""
+        top = super().get_single_node()
+        if top is not None:
+            self._expanded(top, {})
+        return top
+
+    def _expanded(self, node: yaml.Node, known: dict[yaml.Node, int]) -> int:
+        """How many nodes `node` and all under it are, aliases followed; `known`: 0 while one is being counted."""
+        if node not in known:
+            known[node] = 0
+            parts = node.value if isinstance(node, yaml.CollectionNode) else ()
+            parts = itertools.chain.from_iterable(parts) if isinstance(node, yaml.MappingNode) else parts
+            known[node] = 1 + sum(self._expanded(part, known) for part in parts)
+        if not 0 < known[node] <= MAX_NODES:
+            what = f"more than {MAX_NODES} keys and values, aliases followed" if known[node] else "it holds itself"
+            raise yaml.MarkedYAMLError(problem=what, problem_mark=node.start_mark)
+        return known[node]
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        if not isinstance(node, yaml.MappingNode):
+            raise yaml.MarkedYAMLError(problem="expected keys and values", problem_mark=node.start_mark)
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if key.tag != "tag:yaml.org,2002:merge" and isinstance(key.value, str):
+                if key.value in seen:
+                    raise yaml.MarkedYAMLError(problem=f"key {key.value!r} twice", problem_mark=key.start_mark)
+                seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+    def scalar(self, node: yaml.Node) -> bool | int | float:
+        """A boolean or a number; an error for one that only its tag calls so."""
+        text, kind = str(node.value), node.tag.removeprefix(TAG)
+        if kind == "bool" and text.lower() in self.bool_values:
+            return self.bool_values[text.lower()]
+        if kind in ("int", "float") and re.fullmatch(INTEGER if kind == "int" else FLOAT, text):
+            return int(text) if kind == "int" else float(text)
+        if kind == "float" and re.fullmatch(INFINITE, text):
+            return float(text.replace(".", ""))
+        raise yaml.MarkedYAMLError(problem=f"{text[:40]!r} is no {kind}", problem_mark=node.start_mark)
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in known if tag in (TAG + "bool", TAG + "null", TAG + "merge")]
+    for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+for _kind, _pattern, _first in (
+    ("int", INTEGER, "-+0123456789"),
+    ("float", f"{FLOAT}|{INFINITE}", "-+.0123456789"),
+):
+    _Loader.add_implicit_resolver(TAG + _kind, re.compile(rf"(?:{_pattern})\Z"), list(_first))
+for _kind in ("bool", "int", "float"):
+    _Loader.add_constructor(TAG + _kind, _Loader.scalar)
+
+
+def read_yaml(path: Path, error: type[InputError] = ScenarioError) -> Key:
+    """The top of a YAML file, numbers by YAML 1.2's core rules. Malformed text is an `error` naming file and line."""
+    problem = why_no_file(path)
+    if problem:
+        raise error(problem, source=printable(path), expected="a YAML file")
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(MAX_YAML_BYTES + 1)
+        if len(data) > MAX_YAML_BYTES:
+            raise error(f"more than {MAX_YAML_BYTES} bytes", source=path, expected="a small YAML file")
+        value = yaml.load(data.decode("utf-8-sig"), Loader=_Loader)  # a SafeLoader
+    except yaml.MarkedYAMLError as wrong:
+        mark = wrong.problem_mark or wrong.context_mark
+        line = f"line {mark.line + 1}: " if mark else ""
+        raise error(f"{line}{wrong.problem or wrong.context}", source=path, expected="YAML") from wrong
+    except InputError:
+        raise
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError, OSError) as wrong:
+        raise error(f"cannot be read as YAML ({wrong})", source=path, expected="YAML in UTF-8") from wrong
+    return Key(value, "", path, error)
+
+
+def named_files(value: Any, folder: Path) -> Iterator[Path]:
+    """Files in the `folder` that texts in a value, as YAML has it, name."""
+    if isinstance(value, str):
+        if value and why_no_file(folder / value) == "":
+            yield folder / value
+    elif isinstance(value, dict | list):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from named_files(item, folder)
+
+
+# What a cell, a point or a polygon may say a number of: its threat, its value, the chance that a visit detects.
+
+LARGEST_VALUE = 1e9
+"""Of a cell."""
+
+
+class Quantity(NamedTuple):
+    """A number that files may state.
+
+    Attributes:
+        name: of the property of a feature, and of the column of a points file (besides `strength`).
+        numbers: that it may be.
+    """
+
+    name: str
+    numbers: Numbers
+
+
+PROBABILITY = Numbers(0, 1 - 2**-25, below=True, said="a probability 0 <= p < 1")
+"""Of float64, which as float32 is below 1 too."""
+CHANCE = Numbers(0, 1, "a chance")
+CELL_SIZE = Numbers(1e-5, 1e6, "a number of metres")
+"""Side of a cell: centres differ in the micrometres that waypoints are written in."""
+FARTHEST = 1e9
+"""Largest coordinate accepted, in metres: beyond it float64 no longer tells the smallest cells apart."""
+DISTANCE = Numbers(CELL_SIZE.least, FARTHEST, "a number of metres")
+COORDINATE = Numbers(-FARTHEST, FARTHEST, said=f"metres, none beyond {FARTHEST:g}")
+POSE = f"three numbers [x, y, yaw], none beyond {FARTHEST:g}"
+SCALE = Numbers(1e-7, 1e4)
+"""Units of a CRS a metre: a degree has 1e5 metres, a foot 0.3."""
+SHARE = Numbers(0, 1, above=True)
+THREAT = Quantity("p", PROBABILITY)
+VALUE = Quantity("value", Numbers(0, LARGEST_VALUE))
+DETECT = Quantity("detect", CHANCE)
+SAMPLE = Quantity("value", ANY)
+"""What was measured at a place, before a rule makes p of it."""
+
+
+def first_of(wrong: NDArray[np.bool_]) -> tuple[tuple[int, int], str]:
+    """The first of some wrong cells `[H, W]`, for messages: (row, col), and "at [0, 3] (2 such cells)"."""
+    row, col = np.argwhere(wrong)[0].tolist()
+    return (row, col), f"at [{row}, {col}] ({counted(int(wrong.sum()), 'such cell')})"
+
+
+def checked_layer(
+    given: ArrayLike | None, of: Quantity, free: NDArray[np.bool_], source: str
+) -> NDArray[np.float64] | None:
+    """A number a free cell, float64 `[H, W]`, 0 on obstacles; None where nobody said. Raises WorldError.
+
+    `given`: `[H, W]`, or one number for all; `free`: bool `[H, W]`.
+    """
+    if given is None:
+        return None
+    try:
+        array = np.asarray(given)
+    except ValueError:
+        raise WorldError(f"{of.name} has rows of different lengths", source=source, expected="a grid [H, W]") from None
+    if array.dtype.kind not in "fiu":
+        raise WorldError(f"{of.name} holds {array.dtype}", source=source, expected="numbers")
+    if array.ndim and array.shape != free.shape:
+        expected = f"the map's, {list(free.shape)}"
+        raise WorldError(f"{of.name} has shape {list(array.shape)}", source=source, expected=expected)
+    unsaid = free & np.ma.getmaskarray(given) if isinstance(given, np.ma.MaskedArray) else np.zeros_like(free)
+    if unsaid.any():
+        where = first_of(unsaid)[1]
+        problem = f"{of.name} is masked {where}"
+        raise WorldError(
+            problem, source=source, expected="a number in every free cell", fix="fill it, as by .filled(1)"
+        )
+    layer = np.where(free, array.astype(np.float64), 0.0)
+    wrong = ~((layer >= 0) & (layer <= of.numbers.most))
+    if wrong.any():
+        at, where = first_of(wrong)
+        raise WorldError(f"{of.name} is {layer[at]:g} {where}", source=source, expected=of.numbers.expected)
+    if of is VALUE and not layer.any():
+        raise WorldError("value is 0 in every free cell", source=source, expected="a cell that is worth something")
+    layer.setflags(write=False)
+    return layer

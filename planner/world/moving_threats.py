@@ -1,0 +1,322 @@
+"""Threats that move: walkers and patrols, which stop robots that they meet (SPEC section 16).
+
+Robots plan on one map, the world's `threat`: that of the cells themselves joined with where movers are in the long run.
+Where they go does not depend on robots. Axis letters: `M` movers, `N` = H * W cells.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from planner.arguments import is_whole
+from planner.errors import WorldError
+from planner.formatting import counted
+from planner.ids import MAX_STEP
+from planner.world.keys import CHANCE, first_of
+
+ANYWHERE = -1
+"""The start of a mover that is nowhere in particular at first."""
+MOST_MOVERS = 1024
+BESIDE = [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
+
+
+@dataclass(frozen=True)
+class Mover:
+    """One of them.
+
+    Attributes:
+        hit: chance h that a robot which it meets is stopped. stay: of one that walks, chance to stay where it is.
+        start: the cell index where it is at first, or ANYWHERE.
+        route: of one that patrols, the cells of its closed route; else none.
+    """
+
+    hit: float
+    stay: float = 0.0
+    start: int = ANYWHERE
+    route: tuple[int, ...] = ()
+
+    @property
+    def patrols(self) -> bool:
+        """Whether it has a route."""
+        return len(self.route) > 0
+
+    @property
+    def place(self) -> int:
+        """Where it is at first: a cell, or its place on the route; ANYWHERE if that is drawn."""
+        return self.route.index(self.start) if self.patrols and self.start != ANYWHERE else self.start
+
+
+@dataclass(frozen=True, eq=False)
+class Movers:
+    """All of them, and the map that they move on.
+
+    Attributes:
+        own: float32 `[H, W]`, what the cells themselves stop a robot with; NaN = obstacle. members: the movers.
+        by_default: nobody said which of them robots plan on (`plan_on`), and the choice matters: some have no route.
+    """
+
+    own: NDArray[np.float32]
+    members: tuple[Mover, ...]
+    by_default: bool = False
+
+    @property
+    def said(self) -> str:
+        """They in words."""
+        kinds = {"walks": "walk", "patrols": "patrol"}
+        counts = (sum(one.patrols == of for one in self.members) for of in (False, True))
+        words = [f"{n} {one if n == 1 else many}" for n, (one, many) in zip(counts, kinds.items(), strict=True) if n]
+        hits = sorted({one.hit for one in self.members})
+        stop = f"{hits[0]:g}" if len(hits) == 1 else f"{hits[0]:g} to {hits[-1]:g}"
+        does = "stops a robot that it meets" if len(self.members) == 1 else "stop a robot that they meet"
+        return f"threats that move: {' and '.join(words)}, and {does} with chance {stop}"
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """They with the keys that a scenario has."""
+
+        def at(cell: int) -> list[int]:
+            return list(divmod(cell, self.own.shape[1]))
+
+        def kind(one: Mover) -> dict[str, Any]:
+            return {"patrol": [at(cell) for cell in one.route]} if one.patrols else {"walk": one.stay}
+
+        return [
+            kind(one) | {"start": "anywhere" if one.start == ANYWHERE else at(one.start), "h": one.hit}
+            for one in self.members
+        ]
+
+    @property
+    def sha256(self) -> str:
+        """Hash of all that is drawn of them."""
+        digest = hashlib.sha256(np.ascontiguousarray(self.own, dtype="<f4").tobytes())
+        for name, array in self.arrays().items():
+            if name != "movers_own":
+                digest.update(f"{name}{array.dtype.str}{array.shape}".encode() + array.tobytes())
+        return digest.hexdigest()
+
+    @cached_property
+    def weight(self) -> NDArray[np.int64]:
+        """int64 `[H, W]`: how often a walker is in each cell in the long run, to scale: free neighbours, at least 1."""
+        free = ~np.isnan(self.own)
+        around = ndimage.correlate(free.astype(np.int64), BESIDE, mode="constant")
+        return np.where(free, np.maximum(around, 1), 0)
+
+    def chances(self, mover: Mover) -> NDArray[np.float64]:
+        """float64 `[H, W]`: the share of all steps that it is in each cell, in the long run."""
+        if mover.patrols:
+            often = np.bincount(mover.route, minlength=self.own.size)
+            return often.reshape(self.own.shape) / len(mover.route)
+        weight = self.weight
+        if mover.start != ANYWHERE:
+            parts = ndimage.label(weight)[0]
+            weight = np.where(parts == parts.flat[mover.start], weight, 0)
+        return weight / weight.sum()
+
+    def joined(self, told: Iterable[Mover], source: str) -> NDArray[np.float32]:
+        """float32 `[H, W]`: p of a visit, these movers where they are in the long run. Raises WorldError for 1."""
+        passed = 1.0 - self.own.astype(np.float64)
+        for mover in told:
+            passed *= 1.0 - mover.hit * self.chances(mover)
+        threat = (1.0 - passed).astype(np.float32)
+        if (threat >= 1).any():
+            problem = f"the movers' h makes p 1 {first_of(threat >= 1)[1]}"
+            raise WorldError(problem, source=source, expected="below 1", fix="make it an obstacle, or h smaller")
+        threat = np.where(threat == self.own.astype(np.float64), self.own, threat)
+        threat.setflags(write=False)
+        return threat
+
+    def draws(self) -> None:
+        """Nothing is in doubt about the cells themselves."""
+        return
+
+    def arrays(self) -> dict[str, NDArray]:
+        """What the world file holds of them."""
+        each = self.members
+        routes = [cell for one in each for cell in one.route]
+        numbers = {"hit": [one.hit for one in each], "stay": [one.stay for one in each]}
+        places = {"start": [one.start for one in each], "length": [len(one.route) for one in each]}
+        return (
+            {"movers_own": self.own, "movers_routes": np.array(routes, dtype="<i8")}
+            | {f"movers_{name}": np.array(values, dtype="<f8") for name, values in numbers.items()}
+            | {f"movers_{name}": np.array(values, dtype="<i8") for name, values in places.items()}
+        )
+
+
+def movers_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source: str) -> Movers | None:
+    """The movers in the arrays of a world file; None if it names none. Raises WorldError."""
+    if "movers_own" not in arrays:
+        return None
+    free, own = ~np.isnan(threat), arrays["movers_own"]
+    kinds = {"hit": "f", "stay": "f", "start": "i", "length": "i", "routes": "i"}
+    given = {name: arrays.get(f"movers_{name}", np.zeros((0, 0))) for name in kinds}
+    flat = all(one.ndim == 1 and one.dtype.kind == kinds[name] for name, one in given.items())
+    alike = flat and len({len(given[name]) for name in ("hit", "stay", "start", "length")}) == 1
+    fits = own.dtype == np.float32 and own.shape == free.shape and np.array_equal(np.isnan(own), ~free)
+    lengths = given["length"]
+    if not alike or not fits or (lengths < 0).any() or int(lengths.sum()) != len(given["routes"]):
+        raise WorldError("movers_* do not fit the map", source=source, expected="arrays as World.save writes them")
+    routes = np.split(given["routes"].astype(np.int64), np.cumsum(lengths)[:-1])
+    hits, stays, starts = (given[name].tolist() for name in ("hit", "stay", "start"))
+    ways = (tuple(route.tolist()) for route in routes)
+    members = tuple(map(Mover, hits, stays, starts, ways))
+    return checked(Movers(own, members), source)
+
+
+def checked(movers: Movers, source: str, *, named: bool = True) -> Movers:
+    """The same movers, if each of them can be. `named`: errors say which one. Raises WorldError."""
+    if not 0 < len(movers.members) <= MOST_MOVERS:
+        expected = f"1 to {MOST_MOVERS}"
+        raise WorldError(counted(len(movers.members), "mover"), source=source, expected=expected)
+    for number, mover in enumerate(movers.members):
+        name = f"movers[{number}]"
+        for chance, value in (("h", mover.hit), ("walk", mover.stay)):
+            CHANCE.check(f"{name}.{chance}", value, WorldError, source)
+        problem = _misplaced(movers, mover)
+        if problem:
+            raise WorldError(f"{name}: {problem[0]}" if named else problem[0], source=source, expected=problem[1])
+    return movers
+
+
+def _misplaced(movers: Movers, mover: Mover) -> tuple[str, str] | None:
+    """What is wrong with where a mover is, and what was expected; None: nothing."""
+    shape, free = movers.own.shape, ~np.isnan(movers.own.ravel())
+
+    def at(cell: int) -> str:
+        return f"[{', '.join(map(str, divmod(cell, shape[1])))}]"
+
+    if mover.patrols:
+        blocked = [cell for cell in mover.route if not (0 <= cell < free.size and free[cell])]
+        if blocked:
+            return f"its route has {at(blocked[0])}, which is no free cell", "free cells"
+        for one, other in zip(mover.route, (*mover.route[1:], mover.route[0]), strict=True):
+            if sum(abs(a - b) for a, b in zip(divmod(one, shape[1]), divmod(other, shape[1]), strict=True)) != 1:
+                return f"its route goes from {at(one)} to {at(other)}", "a closed route: each cell beside the next"
+        if mover.start not in (ANYWHERE, *mover.route):
+            return f"it starts at {at(mover.start)}, off its route", "a cell of the route"
+        return None
+    if mover.start != ANYWHERE and not (0 <= mover.start < free.size and free[mover.start]):
+        return f"it starts at {at(mover.start)}, which is no free cell", "a free cell"
+    return None
+
+
+# Threats that change with time: p of a visit is that of the phase that its step is in (SPEC section 16).
+#
+# Axis letters: `P` phases, `N` = H * W cells.
+
+Foresight = Literal["now", "first", "worst"]
+PLAN_ON: tuple[Foresight, ...] = get_args(Foresight)
+MOST_PHASES = 1024
+SAID = {
+    "now": "all robots know of a change as it comes",
+    "first": "robots plan on the first map alone",
+    "worst": "robots plan on the worst of each cell",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Phases:
+    """The maps, and from when on each holds.
+
+    Attributes:
+        begins: int64 `[P]`, the step at which each phase begins, rising, the first 0.
+        threats: float32 `[P, H, W]`, p of a visit in each; NaN = obstacle, the same in all.
+        plan_on: "now": at the end of the step before a phase begins all robots believe its map; "first", "worst": they
+            go by the first map, or by the cell-wise maximum, for good.
+    """
+
+    begins: NDArray[np.int64]
+    threats: NDArray[np.float32]
+    plan_on: Foresight = "now"
+
+    @property
+    def said(self) -> str:
+        """They in words."""
+        steps = ", ".join(map(str, self.begins[1:5].tolist())) + ", ..." * (len(self.begins) > 5)
+        return f"threats that change at step {steps}; {SAID[self.plan_on]}"
+
+    @property
+    def told(self) -> bool:
+        """Whether robots are told of changes as they come."""
+        return self.plan_on == "now"
+
+    @property
+    def planned(self) -> NDArray[np.float32]:
+        """float32 `[H, W]`: what robots plan on at first."""
+        threat = self.most if self.plan_on == "worst" else self.threats[0].copy()
+        threat.setflags(write=False)
+        return threat
+
+    @property
+    def most(self) -> NDArray[np.float32]:
+        """float32 `[H, W]`: the cell-wise maximum."""
+        return np.asarray(self.threats.max(axis=0))
+
+    def number_at(self, steps: ArrayLike) -> NDArray[np.int64]:
+        """int64: the phase that each of these steps is in."""
+        return np.asarray(np.searchsorted(self.begins, steps, side="right") - 1, dtype=np.int64)
+
+    def to_json(self) -> dict[str, Any]:
+        """When they begin, and what robots plan on."""
+        return {"from": self.begins.tolist(), "plan_on": self.plan_on}
+
+    @property
+    def sha256(self) -> str:
+        """Hash of all of it."""
+        digest = hashlib.sha256(self.plan_on.encode())
+        for array in (self.begins.astype("<i8"), self.threats.astype("<f4")):
+            digest.update(f"{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+    def draws(self) -> None:
+        """Nothing is in doubt."""
+        return
+
+    def arrays(self) -> dict[str, NDArray]:
+        """What the world file holds of them."""
+        return {
+            "phases_from": self.begins.astype("<i8"),
+            "phases_threat": self.threats,
+            "phases_plan_on": np.array(self.plan_on),
+        }
+
+
+def check_phases(begins: Sequence[Any], threats: NDArray[np.float32], free: NDArray[np.bool_], source: str) -> None:
+    """Raise WorldError unless phases can begin at these steps; `threats` `[P, H, W]` are maps of worlds."""
+    if not 0 < len(begins) <= MOST_PHASES:
+        raise WorldError(f"{len(begins)} phases", source=source, expected=f"1 to {MOST_PHASES}")
+    for number, begin in enumerate(begins):
+        name, least = f"phases[{number}]", 0 if number == 0 else int(begins[number - 1]) + 1
+        if not is_whole(begin, least, MAX_STEP):
+            expected = f"a step, {least} to {MAX_STEP}" + ": phases are in order of time" * (number > 0)
+            raise WorldError(f"{name}.from is {begin!r:.40}", source=source, expected=expected)
+        differ = np.isnan(threats[number]) == free
+        if differ.any():
+            row, col = np.argwhere(differ)[0].tolist()
+            problem = f"{name} has {'an obstacle' if free[row, col] else 'none'} at [{row}, {col}]"
+            raise WorldError(problem, source=source, expected="the obstacles of the map: threats alone change")
+
+
+def phases_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source: str) -> Phases | None:
+    """The phases in the arrays of a world file; None if it names none. Raises WorldError."""
+    if "phases_threat" not in arrays:
+        return None
+    maps, begins = arrays["phases_threat"], arrays.get("phases_from", np.zeros(0))
+    plan_on = str(arrays.get("phases_plan_on", ""))
+    fits = begins.ndim == 1 and begins.dtype.kind == "i" and maps.shape == (len(begins), *threat.shape)
+    sound = maps.dtype == np.float32 and bool((np.isnan(maps) | ((maps >= 0) & (maps < 1))).all())
+    if not (fits and sound and plan_on in PLAN_ON and len(begins) and begins[0] == 0):
+        raise WorldError("phases_* do not fit the map", source=source, expected="arrays as World.save writes them")
+    check_phases(begins.tolist(), maps, ~np.isnan(threat), source)
+    found = Phases(begins.astype(np.int64), maps, next(word for word in PLAN_ON if word == plan_on))
+    if not np.array_equal(found.planned, threat, equal_nan=True):
+        raise WorldError(
+            "`threat` is not what its phases say", source=source, expected="arrays as World.save writes them"
+        )
+    return found

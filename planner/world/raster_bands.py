@@ -1,0 +1,574 @@
+"""The one band of a raster file: its numbers as physical values, and all the ways in which a file gives their place."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import MapError
+from planner.files import foreign_errors
+from planner.formatting import counted
+from planner.world.grid import (
+    TURN,
+    WGS84,
+    Bounds,
+    Frame,
+    Georeference,
+    near,
+    no_way,
+    rasterio_for,
+    reproject,
+    same_crs,
+    turn_of,
+)
+from planner.world.image_files import plausible
+
+# What the numbers of a raster mean: its scale, offset and unit, and numbers that stand for no data undeclared.
+
+LOWEST, HIGHEST = -12_000.0, 9_000.0
+"""Metres: no ground on Earth lies below or above."""
+FILL = (-9999, -99999, -999999, -32767, -32768, -(2**31), -(2**63))
+"""Numbers that files hold where nothing is known, whatever the type of their numbers."""
+OWN_FILL = {True: -10_000, False: -999}
+"""One more where none is declared: of heights (True), and of all else; a sea may be 999 m deep."""
+NEAR = 1.0
+"""How far from the first of FILL a number may be: -9999.9 and -9999.25 are in use."""
+HUGE = 1e20
+"""Magnitude from which a finite number stands for no data: 1e20, 9.97e36, and the largest float32 and float64."""
+MOST_NAMED = 2
+"""Different numbers that a note names one by one."""
+SAME_UNIT = 1e-5
+"""Relative difference of two units up to which they count as one: a foot and a US survey foot differ by 2e-6."""
+NO_UNIT = ("", "none", "unknown", "n a")
+
+METRE = {"": 1.0, "deci": 0.1, "centi": 0.01, "milli": 0.001, "kilo": 1000.0}
+LENGTHS = {
+    **dict.fromkeys(NO_UNIT, 1.0),
+    **{f"{prefix}{metre}": size for prefix, size in METRE.items() for metre in ("metre", "metres", "meter", "meters")},
+    **{f"{prefix[:1]}m": size for prefix, size in METRE.items()},
+    **dict.fromkeys(("ft", "foot", "feet", "international foot", "international feet", "ft int", "intl ft"), 0.3048),
+    **{
+        f"{before}{foot}{after}": 1200 / 3937
+        for foot in ("foot", "feet", "ft")
+        for before, after in (
+            ("us survey ", ""), ("survey ", ""), ("us ", ""), ("us", ""), ("", "us"), ("", " us"), ("", " us survey"),
+        )
+    },
+    **dict.fromkeys(("yd", "yard", "yards"), 0.9144),
+    **dict.fromkeys(("fathom", "fathoms"), 1.8288),
+}  # fmt: skip
+"""Metres of each unit of height, by its name in small letters without punctuation (`plain`)."""
+SHARES = {
+    **dict.fromkeys(NO_UNIT, 1.0),
+    **dict.fromkeys(("1", "0 1", "unity", "unitless", "dimensionless", "fraction", "ratio"), 1.0),
+    **dict.fromkeys(("probability", "probabilities", "chance", "p"), 1.0),
+    **dict.fromkeys(("%", "percent", "per cent", "percents", "percentage", "pct"), 0.01),
+    **dict.fromkeys(("‰", "per mille", "permille", "promille", "per mil", "permil", "per thousand"), 0.001),
+    **dict.fromkeys(("ppm", "parts per million"), 1e-6),
+}
+"""Of each unit of a probability, likewise."""
+
+
+class Meaning(NamedTuple):
+    """What the numbers of a raster are taken for.
+
+    Attributes:
+        name: in words.
+        units: factor of each unit that is understood, by its plain name; None: any unit will do.
+        expected, fix: for the error on another unit.
+    """
+
+    name: str
+    units: Mapping[str, float] | None = None
+    expected: str = ""
+    fix: str = ""
+
+
+PROBABILITIES = Meaning(
+    "probabilities", SHARES, "no unit, 1, percent, per mille or ppm",
+    "heights are given as `map: {elevation: ...}`, measured values by `raster:` and a `rule`",
+)  # fmt: skip
+HEIGHTS = Meaning(
+    "heights", LENGTHS, "m, dm, cm, mm, km, ft, US survey foot, yard or fathom", "convert it, or correct its unit"
+)
+AMOUNTS = Meaning("amounts")
+"""Measured values, which a rule makes probabilities of, and values of cells: in any unit."""
+
+
+class Unit(NamedTuple):
+    """The unit of heights that a coordinate reference system names: metres of one; negative: depths, downwards."""
+
+    name: str
+    size: float
+
+
+class Said(NamedTuple):
+    """What a file says about its numbers: value = scale * number + offset, in `unit`.
+
+    Attributes:
+        vertical: the unit of heights of its coordinate reference system, or None.
+        fill: numbers that its metadata name as no data, but no reader masks.
+        declared: whether it declares no data in a way that readers know.
+    """
+
+    scale: float = 1.0
+    offset: float = 0.0
+    unit: str = ""
+    vertical: Unit | None = None
+    fill: tuple[float, ...] = ()
+    declared: bool = False
+
+
+class Physical(NamedTuple):
+    """Values float64 `[H, W]` (NaN = no data), notes, and what undeclared voids there are, in words ("": none)."""
+
+    values: NDArray[np.float64]
+    notes: tuple[str, ...]
+    voids: str
+
+
+def plain(unit: str) -> str:
+    """A unit's name in small letters, without punctuation: `U.S. survey foot` and `us-survey-foot` are one."""
+    words = re.sub(r"[\s._()\[\]-]+", " ", unit.casefold()).strip()
+    return re.sub(r" (above|asl|a s l|amsl|msl|over)( .*)?$", "", re.sub(r"\bu s\b", "us", words))
+
+
+def physical(raw: NDArray, known: NDArray[np.bool_], said: Said, of: Meaning, source: str) -> Physical:
+    """The numbers `raw` `[H, W]` of a file, where they are `known`, as values: probabilities 0..1, metres, amounts.
+
+    Numbers that look like no data but are not declared so are NaN too (`Physical.voids`). Raises MapError for a unit
+    that is not understood, and a scale that is no number.
+    """
+    if not (math.isfinite(said.scale) and math.isfinite(said.offset) and said.scale != 0):
+        problem = f"says that its values are {said.scale:g} * number + {said.offset:g}"
+        raise MapError(problem, source=source, expected="a finite scale other than 0, and a finite offset")
+    factor, unit_notes = _factor(said, of, source)
+    is_scaled = (said.scale, said.offset) != (1, 0)
+    with np.errstate(over="ignore", invalid="ignore"):  # long doubles; infinite numbers
+        numbers = raw.astype(np.float64)
+        scaled = numbers * said.scale + said.offset if is_scaled else numbers
+        values = scaled / (1 / factor) if factor != 1 else scaled  # by 100 if percent: 7 % are 0.07 to the last bit
+    void = known & _voids(raw, (numbers, scaled, values), said, of)
+    notes = unit_notes
+    if is_scaled:
+        added = f" + {said.offset:g}" if said.offset else ""
+        notes = (f"as the file says, its values are {said.scale:g} * number{added}", *notes)
+    return Physical(np.where(known & ~void, values, np.nan), notes, _describe(numbers[void], of, source))
+
+
+def _factor(said: Said, of: Meaning, source: str) -> tuple[float, tuple[str, ...]]:
+    """What the values are multiplied by, and notes."""
+    name, vertical = plain(said.unit), said.vertical
+    own = None if vertical is None else plain(vertical.name)
+    if of is not HEIGHTS and name == own:
+        name = ""  # GDAL passes the vertical unit of the CRS on as that of every band
+    if of.units is None:
+        return 1.0, () if name in NO_UNIT else (f"its values are in {said.unit}",)
+    if of is HEIGHTS and vertical is not None:
+        size = of.units.get(name) if name not in (own, *NO_UNIT) else abs(vertical.size)
+        if size is None or abs(size / abs(vertical.size) - 1) > SAME_UNIT:
+            problem = f"its heights are in {said.unit!r}, but its CRS counts heights in {vertical.name!r}"
+            raise MapError(problem, source=source, expected="one unit", fix=of.fix)
+        return vertical.size, _unit_note(vertical.name, vertical.size)
+    factor = of.units.get(name)
+    if factor is None and of is PROBABILITIES and re.fullmatch(r"[0-9.]+(e-?[0-9]+)?", said.unit.strip().casefold()):
+        factor = float(said.unit)  # as UDUNITS writes percent: 0.01
+    if not factor:
+        problem = f"its values are in {said.unit!r}, taken for {of.name}"
+        raise MapError(problem, source=source, expected=of.expected, fix=of.fix)
+    return factor, _unit_note(said.unit, factor) if of is HEIGHTS else ()
+
+
+def _unit_note(unit: str, size: float) -> tuple[str, ...]:
+    if size == 1:
+        return ()
+    return (f"its heights are in {unit}, {size:.7g} m each" if size > 0 else f"its values are depths, in {unit}",)
+
+
+def _voids(raw: NDArray, stages: tuple[NDArray[np.float64], ...], said: Said, of: Meaning) -> NDArray[np.bool_]:
+    """bool `[H, W]`: numbers that stand for no data. `stages`: the file's numbers, scaled, and in the unit of `of`."""
+    numbers, scaled, values = stages
+    void = (np.abs(numbers) >= HUGE) & np.isfinite(numbers)
+    fill = FILL if said.declared else (*FILL, OWN_FILL[of is HEIGHTS])
+    for stage in {id(stage): stage for stage in (numbers, scaled, values)}.values():
+        low = stage < max(fill) + NEAR
+        if low.any():
+            void[low] |= np.isin(stage[low], fill) | (np.abs(stage[low] - FILL[0]) < NEAR)
+    if raw.dtype.kind in "iu" and not said.declared and (raw.dtype.itemsize > 1 or of is PROBABILITIES):
+        void |= numbers == float(np.iinfo(raw.dtype).max)
+    if of is HEIGHTS:
+        void |= (values < LOWEST) | (values > HIGHEST)
+    if of is PROBABILITIES:
+        void &= (values < 0) | (values > 1)
+    return void | np.isin(numbers, said.fill)
+
+
+def _describe(numbers: NDArray[np.float64], of: Meaning, source: str) -> str:
+    """Voids in words, by their numbers in the file; "" where there are none."""
+    if not numbers.size:
+        return ""
+    which = np.unique(numbers)
+    many = len(which) > MOST_NAMED
+    named = f"{which[0]:.7g} .. {which[-1]:.7g}" if many else ", ".join(f"{number:.7g}" for number in which)
+    what = "a mark of no data" + ", or no height on Earth" * (of is HEIGHTS)
+    fix, first = "write nan there", f"{which[0]:.17g}"
+    if source.casefold().endswith((".tif", ".tiff", ".asc")):
+        is_text = source.casefold().endswith(".asc")
+        fix = f"declare it: {f'NODATA_value {first} in its header' if is_text else edited(source, '--nodata', first)}"
+        fix += " (or another, if these are values)" * (of is not HEIGHTS)
+    if many and of is HEIGHTS:
+        fix = f"declare them, or their unit if they are no metres, as in {edited(source, '--units', 'cm')}"
+    return f"{counted(numbers.size, 'pixel')} of {named}, {what}, count as no data though none is declared; {fix}"
+
+
+def edited(source: str, option: str, value: str) -> str:
+    """The command of rasterio that sets what a GeoTIFF says of itself."""
+    name = re.split(r"[\\/]", source)[-1]
+    return f"`rio edit-info {option} {value} {name}`"
+
+
+# Rasters laid over other grids by their places on the Earth, as GDAL warps them.
+
+How = Literal["average", "sum", "bilinear", "nearest"]
+"""What a new pixel takes: the mean of all that it covers (probabilities), their sum, of each the part that it covers
+(amounts), the linear value at its centre (elevations), or the pixel under its centre (classes). What has no data is
+always the nearest's to say."""
+WORDS: dict[How, str] = {"average": "averaged", "sum": "summed up", "bilinear": "linear", "nearest": "nearest"}
+STRIP = 32
+"""Columns that are warped at a time: GDAL takes a stretch of a row for straight, up to an eighth of a pixel off."""
+LATTICE = 21
+"""Places a side of a raster that control points place, by which its edges are found."""
+SQUARE = 1e-6
+"""Relative difference of a pixel's sides up to which it counts as square."""
+
+
+class Band(NamedTuple):
+    """A raster as it is in its file, north up.
+
+    Attributes:
+        values: float64 `[H, W]`, physical values; NaN = no data.
+        bounds: its edges in its CRS; None where the file does not say. crs: None where it names none.
+        points: ground control points that its pixels are placed by; (): they fill the bounds evenly.
+        notes: what reading did that a user should know. voids: undeclared ones, in words.
+    """
+
+    values: NDArray[np.float64]
+    bounds: Bounds | None
+    crs: Any
+    points: tuple[Any, ...] = ()
+    notes: tuple[str, ...] = ()
+    voids: str = ""
+
+
+def side_of_pixels(shortest: float, cell_size: float | None) -> float:
+    """The largest part of `cell_size` that does not exceed the `shortest` side of a pixel; metres."""
+    if cell_size is None or cell_size <= shortest:
+        return shortest
+    return cell_size / math.ceil(cell_size / shortest - SQUARE)
+
+
+def affine(frame: Frame, place: Georeference) -> tuple[float, ...]:
+    """(a, b, c, d, e, f): a pixel's (col, row) becomes x = a col + b row + c, y = d col + e row + f, in the CRS."""
+    corner, right, down = place.to_crs(frame.at([0, 0, 1], [0, 1, 0]))
+    (a, d), (b, e) = right - corner, down - corner
+    return tuple(map(float, (a, b, corner[0], d, e, corner[1])))
+
+
+def edges_in(bounds: Bounds, crs: Any, target: str, source: str) -> Bounds:
+    """The rectangle (left, bottom, right, top) of the CRS `target` around `bounds`. Raises MapError."""
+    rasterio = rasterio_for("another coordinate reference system", source)
+    with no_way(crs, target, source):
+        edges: Bounds = rasterio.warp.transform_bounds(crs, target, *bounds)
+        if not np.isfinite(edges).all():
+            raise ValueError("its edges are nowhere in it")
+    return edges
+
+
+def span(
+    points: Sequence[Any], shape: tuple[int, int], crs: Any, target: str, source: str
+) -> tuple[Bounds, tuple[float, float]]:
+    """Where a raster `shape` that ground control points place lies in the CRS `target`, in its units.
+
+    Returns its edges (left, bottom, right, top), and the mean sides of a pixel (height, width). Raises MapError.
+    """
+    rasterio = rasterio_for("another coordinate reference system", source)
+    rows, cols = (ends.ravel() for ends in np.meshgrid(*(np.linspace(0, n, LATTICE) for n in shape), indexing="ij"))
+    with no_way(crs, target, source), rasterio.transform.GCPTransformer(points) as places:
+        found = np.stack(places.xy(rows.tolist(), cols.tolist(), offset="ul"), axis=-1)
+    found = reproject(found, crs.to_string(), target, source)
+    down, right, _ = np.linalg.lstsq(np.stack([rows, cols, np.ones(rows.shape)], axis=-1), found, rcond=None)[0]
+    (left, bottom), (east, top) = found.min(axis=0).tolist(), found.max(axis=0).tolist()
+    return (left, bottom, east, top), (float(np.hypot(*down)), float(np.hypot(*right)))
+
+
+def _off_the_seam(band: Band, place: Georeference, source: str) -> Band:
+    """A raster whose x goes on where that of its CRS comes round, in a CRS that comes round elsewhere; else itself.
+
+    GDAL asks such a raster for places on the other side alone, but where it is one of degrees without control points.
+    """
+    assert band.bounds is not None
+    crs, points = band.crs, band.points
+    turn = turn_of(crs.to_string())[0]
+    if not turn or same_crs(crs.to_string(), place.crs) or (crs.is_geographic and not points):
+        return band
+    text = crs.to_dict(projjson=True)
+    text = text.get("source_crs", text)
+    origins = [item for item in text.get("conversion", {}).get("parameters", []) if "ongitude" in item["name"]]
+    middle = 0.0 if crs.is_geographic else sum(item["value"] for item in origins)
+    middle = float(reproject([middle, 0.0], WGS84, crs.to_string(), source)[0])
+    if max(abs(band.bounds[0] - middle), abs(band.bounds[2] - middle)) <= turn / 2 or len(origins) > 1:
+        return band
+    rasterio, moved = rasterio_for("another coordinate reference system", source), -turn / 2
+    if crs.is_geographic:
+        about = (band.bounds[0] + band.bounds[2]) / 2
+        crs = rasterio.crs.CRS.from_string(f"+proj=longlat +datum=WGS84 +lon_wrap={about:.6f} +no_defs +type=crs")
+        found = reproject([[point.x, point.y] for point in points], band.crs.to_string(), WGS84, source)
+        found[:, 0] = near(found[:, 0], about, TURN)
+    else:
+        for item in origins:
+            item["value"] = float(near(item["value"] + TURN / 2, 0.0, TURN))
+        text.pop("id", None)
+        text["name"] = "about its own middle"  # else GDAL takes it for the CRS of the old name
+        crs = rasterio.crs.CRS.from_user_input(json.dumps(text))
+        found = np.array([[point.x + moved, point.y] for point in points])
+    points = tuple(
+        type(point)(point.row, point.col, *xy, point.z) for point, xy in zip(points, found.tolist(), strict=True)
+    )
+    left, bottom, right, top = band.bounds
+    return band._replace(crs=crs, points=points, bounds=(left + moved, bottom, right + moved, top))
+
+
+def lay_over(band: Band, frame: Frame, place: Georeference, how: How, source: str) -> NDArray[np.float64]:
+    """The raster on the pixels of `frame`, float64 `[H, W]`; NaN where it does not reach, or has no data.
+
+    Places are PROJ's own within 0.02 pixels of the file (0.06 where those have kilometres). XSCALE: GDAL would
+    guess how much coarser the new pixels are, strip by strip, and blur. Raises MapError for a CRS with no way from it.
+    """
+    rasterio = rasterio_for("another coordinate reference system", source)
+    band = _off_the_seam(band, place, source)
+    assert band.bounds is not None
+    left, bottom, right, top = band.bounds
+    rows, cols = band.values.shape
+    a, b, c, d, e, f = affine(frame, place)
+    laid = np.empty(frame.shape)
+    evenly = rasterio.Affine((right - left) / cols, 0, left, 0, (bottom - top) / rows, top)
+    keys = {
+        **({"gcps": band.points} if band.points else {"src_transform": evenly}),
+        "src_crs": band.crs, "src_nodata": math.nan, "dst_crs": place.crs, "dst_nodata": math.nan,
+    }  # fmt: skip
+    for start in range(0, frame.shape[1], STRIP):
+        keys["dst_transform"] = rasterio.Affine(a, b, c + a * start, d, e, f + d * start)
+        strip = laid[:, start : start + STRIP]
+        for method in dict.fromkeys((how, "nearest")):
+            part = np.full(strip.shape, math.nan)
+            keys["resampling"] = rasterio.warp.Resampling[method]
+            with no_way(band.crs, place.crs, source):
+                rasterio.warp.reproject(band.values, part, XSCALE=1, YSCALE=1, **keys)
+            if method == how:
+                strip[:] = part
+            else:
+                strip[np.isnan(part)] = math.nan
+    return laid
+
+
+EXACT = 0.1
+"""Pixels that control points may lie off a north-up grid that is then taken for their place, without resampling."""
+PACKED = {"scale_factor": "scale", "add_offset": "offset"}
+"""Items of metadata that NetCDF packs numbers by, and what a band calls them."""
+FILL_TAGS = ("_fillvalue", "missing_value")
+"""Items of metadata that name a number for no data."""
+UNIT_TAGS = ("units", "unit", "vertical_units", "vertical_unit", "z_units")
+"""Items of metadata that name the unit; from the third on, of heights alone."""
+UNPLACED = {
+    "RPC": ("rational polynomials (RPCs)", "gdalwarp -rpc -to RPC_DEM=dem.tif"),
+    "GEOLOCATION": ("a geolocation array", "gdalwarp -geoloc"),
+}
+"""Domains of metadata that give a place which is not read: in words, and the command that warps such a raster."""
+FINE, DEGREES = 0.005, 180.0
+"""Pixels below so many metres, within so many of (0, 0), are taken for degrees where the file names no CRS."""
+Place = tuple[Bounds | None, tuple[Any, ...], tuple[str, ...]]
+"""Bounds, control points (none: the bounds say it all), notes."""
+
+
+def read_band(path: Path, of: Meaning) -> Band:
+    """The band of a GeoTIFF or an Arc/Info ASCII grid. Raises MapError, also for a unit or a place that is not read."""
+    rasterio = rasterio_for(f"reading {path.suffix}", path, fix=", or convert to .npy")
+    driver = "AAIGrid" if path.suffix.lower() == ".asc" else "GTiff"
+    with foreign_errors("cannot be read as a raster", path, "GeoTIFF"), rasterio.open(path, driver=driver) as data:
+        plausible(data.width * data.height, path)
+        if data.count != 1 or np.dtype(data.dtypes[0]).kind not in "fiu":
+            problem = f"{data.count} bands of {data.dtypes[0]}"
+            raise MapError(problem, source=path, expected="one band of real numbers")
+        crs, vertical = _split(data.crs or data.gcps[1] or _crs_beside(path, data, rasterio), path, rasterio)
+        said = _said(data, vertical, of, path)
+        numbers = data.read(1, masked=True)
+        bounds, points, notes = _place(data, crs, path)
+        if not data.transform.is_identity and data.transform.e > 0:  # stored south-up
+            numbers = numbers[::-1]
+    values, more, voids = physical(np.ma.getdata(numbers), ~np.ma.getmaskarray(numbers), said, of, str(path))
+    feet = crs is not None and crs.is_projected and crs.linear_units_factor[1] != 1
+    if of is HEIGHTS and feet and said.vertical is None and plain(said.unit) in NO_UNIT:
+        unit, command = crs.linear_units_factor[0], edited(str(path), "--units", "ft")
+        more += (
+            f"its heights are taken for metres: they name no unit, though its CRS is in {unit} (if not: {command})",
+        )
+    return Band(values, bounds, crs, points, (*notes, *more), voids)
+
+
+def _said(data: Any, vertical: Unit | None, of: Meaning, path: Path) -> Said:
+    """What the file says about its numbers. Raises MapError where the band and its metadata contradict each other."""
+    tags = {name.casefold(): text for name, text in {**data.tags(), **data.tags(1)}.items()}
+    own = {"scale": data.scales[0], "offset": data.offsets[0]}
+    for tag, name in PACKED.items():
+        packed = _number(tags.get(tag, ""), own[name])
+        if packed != own[name]:
+            problem = f"its metadata name {tag} = {packed:g}, its band the {name} {own[name]:g}"
+            fix = f"set the band's {name} (gdal_edit.py -{name} {packed:g}), or take the item out"
+            raise MapError(problem, source=path, expected="the same twice", fix=fix)
+    fill = tuple(_number(tags[tag], math.nan) for tag in FILL_TAGS if tag in tags)
+    unit = _unit(data, tags, of, path)
+    declared = "all_valid" not in [flag.name for flag in data.mask_flag_enums[0]]
+    return Said(own["scale"], own["offset"], unit, vertical, fill, declared)
+
+
+def _unit(data: Any, tags: dict[str, str], of: Meaning, path: Path) -> str:
+    """The unit that a band, its metadata or its description name; "": none. Raises MapError where two of them differ.
+
+    A description ends in it, in brackets: `Elevation (feet)`. What is no unit there is a remark.
+    """
+    last = re.search(r"[(\[]([^()\[\]]+)[)\]]\s*$", data.descriptions[0] or "")
+    remark = last[1] if last and plain(last[1]) in {**LENGTHS, **(of.units or {})} else ""
+    named = [data.units[0] or "", *(tags.get(tag, "") for tag in UNIT_TAGS[: None if of is HEIGHTS else 2]), remark]
+    said = [unit for unit in named if plain(unit) not in NO_UNIT]
+    known = [(unit, of.units[plain(unit)]) for unit in said if of.units and plain(unit) in of.units]
+    for unit, size in known[1:]:
+        if abs(size / known[0][1] - 1) > SAME_UNIT:
+            problem = f"it names two units, {known[0][0]!r} and {unit!r}"
+            raise MapError(problem, source=path, expected="the same twice", fix=edited(str(path), "--units", unit))
+    return next(iter(said), next(filter(None, named), ""))
+
+
+def _number(text: str, otherwise: float) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return otherwise
+
+
+def _split(crs: Any, path: Path, rasterio: Any) -> tuple[Any, Unit | None]:
+    """The horizontal part of a CRS, and the unit that its heights are in, if it names one.
+
+    Vertical axes are found in PROJJSON: rasterio tells of horizontal ones alone.
+    """
+    if crs is None:
+        return None, _vertical_beside(path)
+    whole = crs.to_dict(projjson=True)
+    parts = _bare(whole).get("components", [whole])
+    upright = [axis for axis in _bare(parts[-1])["coordinate_system"]["axis"] if axis["direction"] in ("up", "down")]
+    if len(parts) > 1:
+        crs = rasterio.crs.CRS.from_user_input(json.dumps(parts[0]))
+    if not upright:
+        return crs, _vertical_beside(path)
+    unit = upright[0].get("unit", "metre")
+    name, size = (unit["name"], unit["conversion_factor"]) if isinstance(unit, dict) else (unit, 1.0)
+    return crs, Unit(name, -size if upright[0]["direction"] == "down" else size)
+
+
+def _bare(part: dict[str, Any]) -> dict[str, Any]:
+    """A CRS in PROJJSON, without the transformation that it may be bound to."""
+    bare: dict[str, Any] = part.get("source_crs", part)
+    return bare
+
+
+def _beside(path: Path) -> str:
+    """The text of the `.prj` beside a raster; "" where there is none, or it is a shapefile's."""
+    for suffix in (".prj", ".PRJ"):
+        beside = path.with_suffix(suffix)
+        if beside.is_file() and not path.with_suffix(".shp").exists():
+            return beside.read_text(encoding="utf-8", errors="replace")[: 2**14]
+    return ""
+
+
+def _crs_beside(path: Path, data: Any, rasterio: Any) -> Any:
+    """The CRS in the `.prj` beside a raster that is placed but names none: GDAL reads those of `.asc` alone."""
+    text = "" if data.transform.is_identity or path.suffix.lower() == ".asc" else _beside(path)
+    if not text:
+        return None
+    with foreign_errors("the .prj beside it cannot be read", path, "a CRS in WKT"):
+        return rasterio.crs.CRS.from_wkt(text, morph_from_esri_dialect=True)
+
+
+def _vertical_beside(path: Path) -> Unit | None:
+    """The unit of heights that the old kind of `.prj` names: `Zunits FEET`, or how many make a metre."""
+    found = re.search(r"^\s*zunits\s+(\S+)", _beside(path), re.IGNORECASE | re.MULTILINE)
+    if found is None or found[1].casefold() == "no":
+        return None
+    named = {"meters": ("metre", 1.0), "feet": ("foot", 0.3048)}.get(found[1].casefold())
+    many = _number(found[1], 0.0)
+    if named is None and not many > 0:
+        problem = f"the .prj beside it names Zunits {found[1][:20]}"
+        raise MapError(problem, source=path, expected="METERS, FEET, NO, or how many make a metre")
+    return Unit(*named) if named else Unit(f"1 / {many:g} m", 1 / many)
+
+
+def _place(data: Any, crs: Any, path: Path) -> Place:
+    """Where the band lies. Raises MapError for a place that is given in a way that is not read."""
+    transform, (points, _) = data.transform, data.gcps
+    if not transform.is_identity:
+        if transform.b or transform.d or not transform.a > 0 or not np.isfinite(transform).all():
+            raise MapError("is rotated or mirrored", source=path, fix="warp it north-up first (gdalwarp)")
+        bottom = min(transform.f, transform.f + data.height * transform.e)
+        right, top = transform.c + data.width * transform.a, bottom + data.height * abs(transform.e)
+        bounds = (transform.c, bottom, right, top)
+        if crs is None:
+            return bounds, (), _without_crs(bounds, transform.a, path)
+        elsewhere = "its CRS names no place on the Earth: its coordinates are taken for those of a frame of its own"
+        return bounds, (), () if crs.is_projected or crs.is_geographic else (elsewhere,)
+    if points:
+        return _by_points(points, crs, data.shape, path)
+    for domain, (words, command) in UNPLACED.items():
+        if data.tags(ns=domain):
+            raise MapError(f"is placed by {words}, not read here", source=path, fix=f"warp it first ({command})")
+    return None, (), ()
+
+
+def _without_crs(bounds: Bounds, side: float, path: Path) -> tuple[str, ...]:
+    """A note on a place in nobody's CRS. Raises MapError where it looks like degrees."""
+    if side < FINE and max(map(abs, bounds)) <= DEGREES:
+        fix = f"say it: {edited(str(path), '--crs', 'EPSG:4326')}"
+        problem = f"names no CRS, and pixels of {side:g} at {bounds[0]:g}, {bounds[1]:g} look like degrees"
+        raise MapError(problem, source=path, expected="a CRS", fix=fix)
+    return ("its coordinates are taken for metres of a frame of its own: it names no CRS",)
+
+
+def _by_points(points: list[Any], crs: Any, shape: tuple[int, int], path: Path) -> Place:
+    """The place that ground control points give: a north-up grid if they lie on one, else they are warped by."""
+    at = np.array([[point.col, point.row, 1.0] for point in points])
+    if crs is not None and (turn := turn_of(crs.to_string())[0]):
+        x = near([point.x for point in points], points[0].x, turn)  # across 180 neighbours stay neighbours
+        points = [
+            type(point)(point.row, point.col, float(to), point.y, point.z) for point, to in zip(points, x, strict=True)
+        ]
+    found = np.array([[point.x, point.y] for point in points])
+    given = counted(len(points), "ground control point")
+    if np.linalg.matrix_rank(at) < 3:
+        raise MapError(f"is placed by {given}", source=path, expected="three or more, not in one line")
+    if crs is None:
+        raise MapError(
+            "its ground control points name no CRS", source=path, fix="give them one (gdal_translate -a_srs)"
+        )
+    height, width = shape
+    (a, d), (b, e), (left, top) = np.linalg.lstsq(at, found, rcond=None)[0].tolist()
+    left, top = left + b * height / 2, top + d * width / 2
+    off = np.abs(at @ [[a, 0], [0, e], [left, top]] - found)
+    if a > 0 > e and (off <= EXACT * np.array([a, -e])).all():
+        return (left, top + height * e, left + width * a, top), (), (f"placed by its {given}, on a north-up grid",)
+    edges, _ = span(points, shape, crs, crs.to_string(), str(path))
+    return edges, tuple(points), (f"placed by its {given}",)

@@ -1,0 +1,429 @@
+"""Rasters of numbers: NumPy and text arrays, GeoTIFF; degrees become UTM, pixels that are not square are made so."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from planner.csv_tables import read_csv_grid
+from planner.errors import MapError
+from planner.files import check_file, read_npy
+from planner.world.grid import (
+    FREE,
+    OCCUPIED,
+    WGS84,
+    Bounds,
+    Frame,
+    Georeference,
+    Grid,
+    Ground,
+    degree_sides,
+    same_crs,
+    utm_zone,
+)
+from planner.world.keys import CELL_SIZE, COORDINATE
+from planner.world.raster_bands import (
+    HEIGHTS,
+    PROBABILITIES,
+    SQUARE,
+    WORDS,
+    Band,
+    How,
+    Meaning,
+    Said,
+    edges_in,
+    lay_over,
+    physical,
+    read_band,
+    side_of_pixels,
+    span,
+)
+from planner.world.world import MAX_CELLS
+
+GEO_SUFFIXES = (".tif", ".tiff", ".asc")
+"""Rasters that are read with rasterio."""
+SUFFIXES = (".npy", ".csv", *GEO_SUFFIXES)
+"""Rasters that can be read."""
+TRUE = 0.01
+"""Relative difference of a CRS's metre from one on the ground up to which nobody is told."""
+
+NO_PLACE = "gives no place: a pixel is 1 m, unless `resolution:` in `map:` says otherwise"
+CELL_ON_CELL = "{} gives no place: it is laid on the map cell on cell, its row 0 on the map's"
+
+
+@dataclass(frozen=True, eq=False)
+class Raster:
+    """Numbers on the ground, row 0 north.
+
+    Attributes:
+        values: float64 `[H, W]`; NaN = no data.
+        frame: where its square pixels lie in metres, or None when the file does not say.
+        bounds: (left, bottom, right, top) in the units of its own georeference, or None.
+        source: the file. notes: what reading did that a user should know.
+        voids: numbers that hold no data though the file does not say so, in words ("": there are none).
+        georeference: where the frame lies on the Earth, or None when the file does not say.
+    """
+
+    values: NDArray[np.float64]
+    frame: Frame | None
+    bounds: Bounds | None
+    source: str
+    notes: tuple[str, ...] = ()
+    georeference: Georeference | None = None
+    voids: str = ""
+
+
+def read_raster(
+    path: Path,
+    cell_size: float | None = None,
+    how: How = "average",
+    over: Ground | None = None,
+    of: Meaning = PROBABILITIES,
+) -> Raster:
+    """The raster in a `.npy`, `.csv`, `.tif` or `.asc` file, as values of what it is taken for (`of`).
+
+    Scale, offset and unit of a file are applied before all else, and voids that it does not declare hold no data. One
+    in degrees is warped to the UTM zone of its middle, as `how` says; where it reaches out of a zone it stays in
+    rows and columns of its degrees (`degree_raster`). Pixels that are not square become so: the nearest value, or
+    linear. The new pixel is the largest part of `cell_size` that does not exceed the shorter side of the old one (or
+    that side). A raster on other ground than the map `over` which it is laid, or on other pixels, is warped to the
+    map's pixels, where both say where they lie; one placed by ground control points too, or to a UTM zone. Raises
+    MapError for what cannot be read, a unit that is not understood, and when rasterio is needed and not installed.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise MapError(f"unknown raster format {path.suffix!r}", source=path, expected=" ".join(SUFFIXES))
+    check_file(path, "a raster")
+    if suffix in GEO_SUFFIXES:
+        band = read_band(path, of)
+        raster = _placed(band, str(path), cell_size, how, over)
+        placeless = "" if raster.frame is not None else NO_PLACE if over is None else CELL_ON_CELL.format(path.name)
+        notes = (*band.notes, *raster.notes, *filter(None, [placeless, band.voids]))
+        return replace(raster, notes=notes, voids=band.voids)
+    values, said = (read_npy(path, MAX_CELLS), ()) if suffix == ".npy" else read_csv_grid(path, MAX_CELLS)
+    if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "fiub":
+        raise MapError(f"holds {values.dtype} {values.shape}", source=path, expected="numbers [H, W]")
+    found = physical(values, np.ones(values.shape, dtype=bool), Said(), of, str(path))
+    return Raster(found.values, None, None, str(path), (*said, *filter(None, [found.voids])), voids=found.voids)
+
+
+def _placed(band: Band, source: str, cell_size: float | None, how: How, over: Ground | None) -> Raster:
+    """The band on pixels of its own, or on the map's where it lies on other ground or other pixels."""
+    grid = None if over is None else over.grid
+    if over is None or grid is None or grid.georeference is None or not _says_where(band) or _same(band, over):
+        return _on_the_ground(band, source, cell_size, how)
+    values = lay_over(band, grid.frame, grid.georeference, how, source)
+    note = f"{band.crs.to_string()[:40]}, {_size(band.values)} pixels, laid over the map's: {WORDS[how]}"
+    return Raster(values, grid.frame, grid.bounds, source, (note,), grid.georeference)
+
+
+def _says_where(band: Band) -> bool:
+    return band.bounds is not None and band.crs is not None and (band.crs.is_geographic or band.crs.is_projected)
+
+
+def _same(band: Band, over: Ground) -> bool:
+    """True for a raster of the map's own pixels or cells: its CRS, in metres, its edges within half a pixel."""
+    ours, place = over.grid.bounds, over.grid.georeference
+    if (
+        ours is None
+        or place is None
+        or band.points
+        or not band.crs.is_projected
+        or not same_crs(band.crs.to_string(), place.crs)
+    ):
+        return False
+    assert band.bounds is not None
+    pixel = (band.bounds[2] - band.bounds[0]) / band.values.shape[1]
+    near = np.abs(np.subtract(ours, band.bounds)).max() <= pixel / 2
+    return bool(near) and band.values.shape in (over.grid.frame.shape, over.frame.shape)
+
+
+def square_metres(
+    values: NDArray[np.float64], sides: tuple[float, float], cell_size: float | None, smooth: bool, source: str = ""
+) -> tuple[NDArray[np.float64], float]:
+    """Pixels of `sides` (height, width) metres as square ones: values float64 `[H', W']` and the new side in metres.
+
+    The upper-left corner stays; what does not fill a pixel at the far edges is dropped. Linear interpolation gives
+    NaN wherever a neighbour is NaN. A MapError if the result would be too large.
+    """
+    side = side_of_pixels(min(sides), cell_size)
+    height, width = (math.floor(n * length / side + SQUARE) for n, length in zip(values.shape, sides, strict=True))
+    _check_count(height, width, side, source)
+    rows = (np.arange(height) + 0.5) * side / sides[0] - 0.5
+    cols = (np.arange(width) + 0.5) * side / sides[1] - 0.5
+    if smooth:
+        grid = np.meshgrid(rows, cols, indexing="ij")
+        return ndimage.map_coordinates(values, grid, order=1, mode="nearest"), side
+    near = [np.clip(np.rint(at).astype(int), 0, n - 1) for at, n in zip((rows, cols), values.shape, strict=True)]
+    return values[np.ix_(*near)], side
+
+
+def _check_count(height: int, width: int, side: float, source: str) -> None:
+    if height < 1 or width < 1 or height * width > MAX_CELLS:
+        problem = f"{height} x {width} pixels after resampling to squares of {side:g} m"
+        raise MapError(problem, source=source, expected=f"1 to {MAX_CELLS} pixels")
+
+
+def _on_the_ground(band: Band, source: str, cell_size: float | None, how: How) -> Raster:
+    bounds, crs = band.bounds, band.crs
+    if bounds is None:
+        return Raster(band.values, None, None, source)
+    geographic = crs is not None and crs.is_geographic
+    if geographic and abs(math.degrees(crs.units_factor[1]) - 1) > SQUARE:
+        problem = f"its CRS counts in {crs.units_factor[0]}"
+        raise MapError(problem, source=source, expected="degrees or metres", fix="warp it first (gdalwarp -t_srs)")
+    zone = utm_zone(*bounds) if geographic else None
+    if zone is not None:
+        return _utm_raster(band, bounds, zone, source, cell_size, how)
+    if geographic and not band.points:
+        return degree_raster(band.values, bounds, crs.to_string(), source, cell_size, how)
+    unit = 1.0 if crs is None or geographic else float(crs.units_factor[1])
+    place = Georeference(crs.to_string(), scale=(1 / unit, 1 / unit)) if crs is not None and crs.is_projected else None
+    if band.points:
+        if place is None:
+            problem = "its control points are on no map projection" + ", and reach out of a UTM zone" * geographic
+            raise MapError(problem, source=source, fix="warp it first (gdalwarp -t_srs)")
+        raster = _warped(band, place, place.crs[:40], source, cell_size, how)
+    else:
+        (height, width), (left, bottom, right, top) = band.values.shape, np.multiply(bounds, unit).tolist()
+        sides = ((top - bottom) / height, (right - left) / width)
+        raster = ground_raster(band.values, sides, (left, bottom), bounds, source, cell_size, how, place)
+    if place is None:
+        return raster
+    assert raster.frame is not None
+    return replace(raster, notes=(*raster.notes, *true_metres(raster.frame, place, source, "gdalwarp -t_srs")))
+
+
+def _utm_raster(
+    band: Band, bounds: Bounds, zone: tuple[str, str], source: str, cell_size: float | None, how: How
+) -> Raster:
+    """A raster of degrees on square pixels of its UTM zone."""
+    place, where = Georeference(zone[1]), f"{zone[0]} ({zone[1]})"
+    if band.points:
+        return _warped(band, place, where, source, cell_size, how)
+    (west, south, east, north), (rows, cols) = bounds, band.values.shape
+    up, across = degree_sides((south + north) / 2)
+    sides = ((north - south) / rows * up, (east - west) / cols * across)
+    _check_sides(sides, source)
+    edges = edges_in(bounds, band.crs, place.crs, source)
+    return _warped(band, place, where, source, cell_size, how, (edges, sides))
+
+
+def _warped(
+    band: Band,
+    place: Georeference,
+    where: str,
+    source: str,
+    cell_size: float | None,
+    how: How,
+    spans: tuple[Bounds, tuple[float, float]] | None = None,
+) -> Raster:
+    """A raster on square pixels of a CRS, in metres, their edges whole multiples of their side.
+
+    `where`: the CRS in words. `spans`: the raster's edges there and the sides of its pixels (height, width), both in
+    units of the CRS; None: as its control points have them.
+    """
+    unit = 1 / place.scale[0]
+    found = span(band.points, band.values.shape, band.crs, place.crs, source) if spans is None else spans
+    edges, sides = unit * np.array(found[0]), (unit * found[1][0], unit * found[1][1])
+    _check_sides(sides, source)
+    side = side_of_pixels(min(sides), cell_size)
+    near = edges / side
+    left, bottom, right, top = *np.floor(near[:2] + SQUARE), *np.ceil(near[2:] - SQUARE)
+    height, width = int(top - bottom), int(right - left)
+    _check_count(height, width, side, source)
+    frame = Frame((height, width), side, (float(left * side), float(bottom * side), 0.0))
+    values = lay_over(band, frame, place, how, source)
+    note = (
+        f"{_size(band.values)} pixels of {sides[0]:.4g} x {sides[1]:.4g} m warped to {_size(values)} of {side:.4g} m "
+        f"in {where}, {WORDS[how]}; {int(np.isnan(values).sum())} hold no data"
+    )
+    west, south, east, north = (float(edge * side / unit) for edge in (left, bottom, right, top))
+    return Raster(values, frame, (west, south, east, north), source, (note,), place)
+
+
+def _size(values: NDArray) -> str:
+    return " x ".join(map(str, values.shape))
+
+
+def true_metres(frame: Frame, place: Georeference, source: str, command: str) -> tuple[str, ...]:
+    """A note where a metre of the CRS is more than 1 % off on the ground in the middle of the map, as in EPSG:3857.
+
+    `command`: the one that brings a file of this kind into another CRS.
+    """
+    rows, cols = np.array(frame.shape) / 2
+    (west, south), (east, north) = place.to_lonlat(frame.at([rows, rows], [cols - 0.5, cols + 0.5]), source)
+    up, across = degree_sides((south + north) / 2)
+    ratio = math.hypot((east - west) * across, (north - south) * up) / frame.size
+    if abs(ratio - 1) <= TRUE:
+        return ()
+    return (f"a metre of {place.crs[:40]} is {ratio:.3g} m on the ground here: warp it to UTM ({command})",)
+
+
+def degree_raster(
+    values: NDArray[np.float64], bounds: Bounds, crs: str, source: str, cell_size: float | None, how: How
+) -> Raster:
+    """A raster of degrees, within `bounds`, in metres east and north of its lower-left corner.
+
+    East is to scale on the middle latitude; a note says how far off it is at the edges. Every metre has its exact
+    longitude and latitude, so what goes back to degrees lies where it came from.
+    """
+    west, south, east, north = bounds
+    if south < -89 or north > 89:
+        raise MapError(f"lies at latitudes {south:g}..{north:g}", source=source, expected="-89..89 degrees")
+    up, across = degree_sides((south + north) / 2)
+    place = Georeference(crs, (west, south), (1 / across, 1 / up))
+    sides = ((north - south) / values.shape[0] * up, (east - west) / values.shape[1] * across)
+    raster = ground_raster(values, sides, (0.0, 0.0), bounds, source, cell_size, how, place)
+    off = max(abs(degree_sides(edge)[1] / across - 1) for edge in (south, north))
+    note = f"degrees: worked on in metres east and north of {describe(west, south)}, {100 * off:.2g} % off at the edges"
+    return replace(raster, notes=(*raster.notes, note))
+
+
+def describe(longitude: float, latitude: float) -> str:
+    """A place on the Earth in words: `36.6 N 84.4 W`."""
+    return f"{abs(latitude):.6g} {'NS'[latitude < 0]} {abs(longitude):.6g} {'EW'[longitude < 0]}"
+
+
+def ground_raster(
+    values: NDArray[np.float64],
+    sides: tuple[float, float],
+    corner: tuple[float, float],
+    bounds: Bounds | None,
+    source: str,
+    cell_size: float | None,
+    how: How,
+    georeference: Georeference | None = None,
+) -> Raster:
+    """A raster with pixels of `sides` (height, width) metres and its lower-left `corner`, made square if need be."""
+    _check_sides(sides, source)
+    if not all(map(COORDINATE.accepts, corner)):
+        problem = f"its lower-left corner is {corner[0]:g}, {corner[1]:g}"
+        raise MapError(problem, source=source, expected=COORDINATE.expected)
+    notes: tuple[str, ...] = ()
+    side = sides[0]
+    if abs(sides[1] / sides[0] - 1) > SQUARE:
+        old, top = values.shape, corner[1] + values.shape[0] * sides[0]
+        values, side = square_metres(values, sides, cell_size, how == "bilinear", source)
+        values = values * (side * side / (sides[0] * sides[1])) if how == "sum" else values
+        corner = (corner[0], top - values.shape[0] * side)
+        notes = (
+            f"{old[0]} x {old[1]} pixels of {sides[0]:.4g} x {sides[1]:.4g} m resampled to "
+            f"{values.shape[0]} x {values.shape[1]} of {side:.4g} m",
+        )
+    height, width = values.shape
+    return Raster(values, Frame((height, width), side, (*corner, 0.0)), bounds, source, notes, georeference)
+
+
+def _check_sides(sides: tuple[float, float], source: str) -> None:
+    if not all(map(CELL_SIZE.accepts, sides)):
+        raise MapError(f"pixels of {sides[0]:g} x {sides[1]:g} m", source=source, expected=CELL_SIZE.expected)
+
+
+# Elevation models as maps: obstacles where it is too steep, and what a threat sees from where it stands.
+
+BUILTIN = "builtin:"
+JACKSBORO = "jacksboro"
+"""The one elevation model that comes along, inside matplotlib: Jacksboro fault, Tennessee, about 32 x 30 km."""
+TALLEST = 1e6
+"""Metres above the ground that a threat may look from, at most."""
+SIGHT_SLACK = 1e-9
+"""Slope by which a ridge must rise above the line of sight to block it: rounding on level ground must not."""
+
+
+def elevation_grid(raster: Raster, resolution: float, max_slope_deg: float | None = None) -> Grid:
+    """An elevation raster as a map: pixels without data, or steeper than `max_slope_deg`, are obstacles.
+
+    `resolution`: metres a pixel of a file that does not say.
+    """
+    height, width = raster.values.shape
+    frame = Frame((height, width), resolution) if raster.frame is None else raster.frame
+    blocked = np.isnan(raster.values)
+    if blocked.all():
+        raise MapError("holds no elevation at all" + f": {raster.voids}" * bool(raster.voids), source=raster.source)
+    if max_slope_deg is not None:
+        blocked = blocked | (slope_degrees(raster.values, frame.size) > max_slope_deg)
+        if blocked.all():
+            problem = f"every pixel of {frame.size:g} m is steeper than {max_slope_deg:g} degrees, or without data"
+            raise MapError(problem, source=raster.source, fix="; ".join(raster.notes))
+    state = np.where(blocked, OCCUPIED, FREE).astype(np.uint8)
+    return Grid(
+        state, frame, raster.source, elevation=raster.values, bounds=raster.bounds, notes=raster.notes,
+        georeference=raster.georeference,
+    )  # fmt: skip
+
+
+def read_elevation(path: Path, cell_size: float | None = None) -> Raster:
+    """The elevation in a raster file, in metres; degrees and oblong pixels resampled linearly to square metres."""
+    return read_raster(path, cell_size, "bilinear", of=HEIGHTS)
+
+
+def jacksboro(cell_size: float | None = None) -> Raster:
+    """Matplotlib's sample elevation model `jacksboro_fault_dem.npz`, resampled from degrees to square metres."""
+    from matplotlib import cbook
+
+    archive: Any = cbook.get_sample_data("jacksboro_fault_dem.npz")
+    with archive as data:
+        values = data["elevation"].astype(np.float64)
+        west, step_east, step_north = (float(data[name]) for name in ("xmin", "dx", "dy"))
+        south = min(float(data["ymin"]), float(data["ymax"]))  # stored the wrong way round; row 0 is north
+    bounds = (west, south, west + values.shape[1] * step_east, south + values.shape[0] * step_north)
+    return degree_raster(values, bounds, WGS84, BUILTIN + JACKSBORO, cell_size, "bilinear")
+
+
+def slope_degrees(elevation: NDArray[np.float64], size: float) -> NDArray[np.float64]:
+    """Slope float64 `[H, W]` in degrees, from central differences over pixels of `size` metres (one-sided at edges).
+
+    A pixel without data takes the elevation of the nearest one that has some, for its neighbours' sake.
+    """
+    unknown = np.isnan(elevation)
+    if unknown.any():
+        nearest = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
+        elevation = elevation[tuple(nearest)]
+    rise = [np.gradient(elevation, size, axis=axis) for axis in (0, 1) if elevation.shape[axis] > 1]
+    return np.degrees(np.arctan(np.hypot(*rise) if len(rise) == 2 else np.abs(sum(rise) + np.zeros(elevation.shape))))
+
+
+def visible(
+    elevation: NDArray[np.float64], site: tuple[int, int], height: float, reach: float, size: float
+) -> NDArray[np.float64]:
+    """Metres from `site` (row, col) to every cell that it sees, float64 `[H, W]`; inf: hidden or beyond `reach` metres.
+
+    The eye is `height` metres above the site's cell of `size` metres; a cell is seen if the straight line to the
+    ground at its centre passes no higher ground, taken from the elevation `[H, W]` (linear between centres) at every
+    row or column it crosses, whichever are more. Ground without data (NaN) hides nothing. Cost O(cells in reach *
+    reach / size).
+    """
+    ground = np.where(np.isnan(elevation), -1e6, elevation)
+    eye = float(ground[site]) + height
+    rows, cols = np.indices(ground.shape).reshape(2, -1) - np.array(site)[:, None]
+    distance = np.hypot(rows, cols) * size
+    aims = np.flatnonzero(distance <= reach)
+    rows, cols, away = rows[aims], cols[aims], distance[aims]
+    steps = np.maximum(np.abs(rows), np.abs(cols))
+    slope = (ground.reshape(-1)[aims] - eye) / np.maximum(away, size / 2)
+    seen = np.ones(len(aims), dtype=bool)
+    for step in range(1, int(steps.max())):
+        on = np.flatnonzero(seen & (steps > step))
+        part = step / steps[on]
+        at = np.stack([site[0] + rows[on] * part, site[1] + cols[on] * part])
+        between = ndimage.map_coordinates(ground, at, order=1, mode="nearest")
+        seen[on] = (between - eye) / (away[on] * part) <= slope[on] + SIGHT_SLACK
+    result = np.full(ground.size, np.inf)
+    result[aims[seen]] = away[seen]
+    return result.reshape(ground.shape)
+
+
+def band_threat(distance: NDArray[np.float64], bands: Iterable[tuple[float, float]]) -> NDArray[np.float64]:
+    """p of every cell by its distance in metres: of `bands` (range, p), ranges rising, the first that reaches it."""
+    threat = np.zeros(distance.shape)
+    for reach, p in reversed(list(bands)):
+        threat[distance <= reach] = p
+    return threat

@@ -1,0 +1,498 @@
+"""Every input of the program as a world: scenario files (SPEC section 9) and all kinds of maps."""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+import math
+import os
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike, NDArray
+
+from planner.arguments import ANY, Numbers, argument, whole
+from planner.errors import InputError, MapError, ScenarioError, WorldError
+from planner.files import Json, atomic_write, check_file
+from planner.formatting import SPEEDS, STEP_SECONDS, TURNS, Pace
+from planner.settings import SETTINGS as KNOWN
+from planner.settings import Settings
+from planner.world.changing_maps import read_hazard, read_phases, read_uncertain
+from planner.world.features import KEYS as KNOWLEDGE
+from planner.world.features import read_knowledge, read_movers
+from planner.world.fields import BOUNDARIES, keep_out, read_field
+from planner.world.grid import WHOLE, Grid, Ground, coarsen
+from planner.world.image_files import read_datum
+from planner.world.keys import CELL_SIZE, PLACE, Key, read_yaml
+from planner.world.levels import RULES
+from planner.world.map_files import MAPS_KEY, YAML, is_bag, load_map, read_logged_map, world_grid
+from planner.world.raster_files import BUILTIN, JACKSBORO, elevation_grid, jacksboro, read_elevation
+from planner.world.robot_types import COMBINE, Matrix, checked_types, read_matrix
+from planner.world.threats import all_threats, layers, one_source
+from planner.world.world import MAX_ROBOTS, Team, World, check_starts
+
+# In whose words a scenario wants its answer, and the route that is to be safe: `metrics`, `route`, `route_xy`.
+
+METRICS = ("coverage", "search", "clearance")
+"""Whose words: of coverage planners, of search and rescue, of mine clearance."""
+METRICS_KEYS = ("metrics", "route", "route_xy")
+SAMPLES = 16
+"""Places looked at in each cell's length of a route."""
+
+
+def reported(keys: dict[str, Key], world: World) -> Json:
+    """`metrics` and `route` of `planner.world.world.Team`, those that the keys name."""
+    found: Json = {}
+    if "metrics" in keys:
+        found["metrics"] = keys["metrics"].choice(METRICS)
+    named = [name for name in METRICS_KEYS[1:] if name in keys]
+    if len(named) > 1:
+        raise keys["route"].wrong("route or route_xy, not both")
+    for name in named:
+        metres = name == "route_xy"
+        expected = f"a list of two {'[x, y] in metres' if metres else '[row, col]'} or more"
+        corners = [
+            item.numbers(Numbers(PLACE.least, PLACE.most), expected, 2) for item in keys[name].items(expected, 2)
+        ]
+        with keys[name].naming():
+            found["route"] = route_over(world, world.places(corners) if metres else np.array(corners) + 0.5)
+    return found
+
+
+def route_over(world: World, corners: ArrayLike) -> NDArray[np.int64]:
+    """The cells (row, col) int64 `[R, 2]` of a line through places in cells `[corners, 2]` (a centre is at .5).
+
+    Raises WorldError where it leaves the map or meets an obstacle.
+    """
+    places = np.asarray(corners, dtype=np.float64)
+    parts = []
+    for start, stop in itertools.pairwise(places):
+        count = SAMPLES * int(np.ceil(np.abs(stop - start).max())) + 1
+        if count > SAMPLES * (sum(world.shape) + 2):
+            raise WorldError("leaves the map", expected=f"places on the {world.shape[0]} x {world.shape[1]} cells")
+        parts.append(np.linspace(start, stop, count))
+    cells = np.floor(np.concatenate(parts)).astype(np.int64)
+    cells = cells[np.append(True, (np.diff(cells, axis=0) != 0).any(axis=1))]
+    off = ~((cells >= 0) & (cells < world.shape)).all(axis=1)
+    if off.any():
+        raise WorldError(f"leaves the map at {cells[off][0].tolist()}", expected="cells of the map")
+    blocked = ~world.free[tuple(cells.T)]
+    if blocked.any():
+        raise WorldError(f"meets an obstacle at {cells[blocked][0].tolist()}", expected="free cells all the way")
+    return cells
+
+
+def with_route(world: World, route: ArrayLike) -> World:
+    """The same world with a route that is to be safe, by (row, col) `[corners, 2]`. Raises WorldError."""
+    corners = np.asarray(route)
+    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 2 or corners.dtype.kind not in "iuf":
+        raise WorldError(f"route has shape {list(corners.shape)}", expected="two [row, col] or more")
+    try:
+        cells = route_over(world, np.clip(corners, -(2.0**31), 2.0**31) + 0.5)
+    except WorldError as error:
+        raise WorldError(f"route {error.problem}", source=world.source, expected=error.expected) from error
+    return replace(world, team=replace(world.team, route=cells))
+
+
+# How long a scenario says that a step takes: `step: {seconds: 2}`, or `speed: 0.5`, metres a second; and a `turn`.
+
+TIME_KEYS = ("step", "speed", "turn")
+CELLS_A_STEP = Numbers(0, 1, above=True)
+NEARLY = 0.02
+"""How far 1 / speed may be from a whole number of steps, of itself: 0.33 is a third."""
+
+
+def pace_in(keys: dict[str, Key], world: World) -> Pace:
+    """The pace that the keys name. Raises ScenarioError, also for a speed where nobody says how large cells are."""
+    turn = keys["turn"].number(TURNS) if "turn" in keys else 0.0
+    return Pace(_seconds_in(keys, world), turn)
+
+
+def steps_per_move(key: Key) -> Key:
+    """Cells a step, one number for all robots or one each, as whole steps a move. Raises ScenarioError."""
+    several = isinstance(key.value, list)
+    steps = []
+    for item in key.items("cells a step, one a robot") if several else [key]:
+        speed = item.number(CELLS_A_STEP)
+        steps.append(round(1 / speed))
+        if abs(steps[-1] * speed - 1) > NEARLY:
+            raise item.wrong("cells a step: 1, or 1 over a whole number, as 0.5", "or give steps_per_move: [2, 3]")
+    return Key(steps if several else steps[0], key.path, key.source)
+
+
+def _seconds_in(keys: dict[str, Key], world: World) -> float | None:
+    """Seconds a step; None: nobody says."""
+    if "step" in keys:
+        if "speed" in keys:
+            raise keys["speed"].wrong("none beside step", "leave one of the two out")
+        return keys["step"].mapping(("seconds",))["seconds"].number(STEP_SECONDS)
+    if "speed" not in keys:
+        return None
+    seconds = world.cell_size / keys["speed"].number(SPEEDS)
+    if not world.measured:
+        problem = "is given, but nobody says how many metres a cell has"
+        raise keys["speed"].fault(
+            problem, fix="give the metres of a pixel, `map: {file: ..., resolution: 0.5}`, or `step: {seconds: ...}`"
+        )
+    if not STEP_SECONDS.accepts(seconds):
+        raise keys["speed"].fault(f"makes a step take {seconds:g} s", STEP_SECONDS.expected)
+    return seconds
+
+
+DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
+"""Keys of a scenario file that are always there."""
+IN_DOUBT = ("hazard", "uncertain", "movers", "phases")
+"""Keys that say by what else than the threats robots are stopped, one of them at most."""
+SETTINGS = ("levels", "policy", "reserve", "worth", "plan_for", "wear", "deadline", "in_area")
+OF_ROBOTS = ("range", "susceptibility", "return_to", "recharge", "types", "steps_per_move", "radio")
+"""Settings of the planner that a scenario file may name, and those that stand under its key `robots`."""
+OPTIONAL = (
+    "cell_size", "datum", "keepout", "robots", *IN_DOUBT, "plan_on", "value", "detect", *KNOWLEDGE,
+    *METRICS_KEYS, *TIME_KEYS, *SETTINGS,
+)  # fmt: skip
+"""Keys that may be there."""
+OF_FIELDS = ("boundary", "direction", "swath")
+"""What may stand beside the polygons of a field."""
+OF_MAP = ("file", "elevation", "max_slope_deg", "resolution", "topic", "polygons", *OF_FIELDS)
+"""Keys that may stand under `map`."""
+DEGREES_ROUND = Numbers(-180, 180, "degrees")
+SMALL_ROBOT = 0.2
+"""Metres: a cell is a robot's footprint, and few are smaller."""
+USUAL_CELL = 0.5
+"""Metres: the side of a cell that is suggested where pixels are smaller than SMALL_ROBOT."""
+MANY_CELLS = 10_000
+"""Cells of a map, of a size that nobody gave, above which a note suggests larger ones."""
+ROBOT_IS = "so a robot is"
+"""Words of that note, and of no other."""
+CELLS_OF_A_MAP = "give `cell_size:` beside `map:`, the side of a cell in metres"
+
+
+def load_input(path: str | Path, cell_size: float | None = None) -> World:
+    """The world in any input file, with what it says of the team (`World.team`) and of the loading (`World.notes`).
+
+    Accepted are a scenario (a YAML file with the key `map`), a ROS map (a YAML file with the key `image`), world files
+    (.npz, .npy, .csv), MovingAI .map, pictures (dark = obstacle), GeoTIFF (threat probabilities, no data = obstacle).
+    A scenario's relative paths start from the folder of the name it was given by: for a symbolic link, the link's.
+    Raises InputError: one line naming the file, the value, what was expected, the fix.
+    """
+    path = Path(path)
+    if not is_bag(path):
+        check_file(path, "a scenario, a map or a world file")
+    top = read_yaml(path) if path.suffix.lower() in YAML else None
+    if top is None or _is_map(top):
+        keys = Key({}, "", path).mapping(defaults=DEFAULTS)
+        world = _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
+        return world if cell_size is not None else _with_size_note(world, bare=True)
+    if cell_size is not None:
+        raise ScenarioError(
+            "the scenario says what its cell_size is", source=path, fix=f"leave {argument('cell_size')} out"
+        )
+    world = read_scenario(top, path)
+    return world if "cell_size" in top.value else _with_size_note(world, bare=False)
+
+
+def _with_size_note(world: World, bare: bool) -> World:
+    note = _size_note(world, bare)
+    return replace(world, notes=(*world.notes, note)) if note else world
+
+
+def _size_note(world: World, bare: bool) -> str:
+    """What the cells of a map take a robot for, where they are smaller than most robots, or many; else "".
+
+    `bare`: the map is no part of a scenario, which would say how large its cells are.
+    """
+    (height, width), side, count = world.shape, world.cell_size, world.threat.size
+    if side >= SMALL_ROBOT and count <= MANY_CELLS:
+        return ""
+    many = math.ceil((count / MANY_CELLS) ** 0.5) if side >= SMALL_ROBOT else math.ceil(USUAL_CELL / side - WHOLE)
+    ratio = max(1, min(many, height, width))
+    larger = round(ratio * side, 9)
+    usual = argument("cell_size", larger) if bare else f"`cell_size: {larger:g}` in the scenario"
+    pixel = f"{side:g} m" if world.measured else f"{side:g} m (presumed)"
+    return (
+        f"{height} x {width} = {count:,} cells: a cell is a pixel of {pixel}, {ROBOT_IS} {side:g} m wide; give its "
+        f"footprint, {'usually ' * (side < SMALL_ROBOT)}{usual} ({(height // ratio) * (width // ratio):,} cells)"
+    )
+
+
+def place_of(name: str) -> str:
+    """How a scenario says what this key of one does, "" for no key of one."""
+    if name in OF_MAP:
+        return f"`map: {{file: ..., {name}: ...}}`"
+    return f"`{name}: ...` beside `map: ...`" if name in (*OPTIONAL, *DEFAULTS) else ""
+
+
+def read_scenario(top: Key, path: Path) -> World:
+    """What the keys of a scenario file say; relative paths start from its folder. Raises InputError."""
+    if isinstance(top.value, dict) and "map" not in top.value:
+        raise _no_map(top)
+    keys = top.mapping(("map",), optional=OPTIONAL, defaults=DEFAULTS)
+    cell_size = keys["cell_size"].number(CELL_SIZE) if "cell_size" in keys else None
+    unknown_free = keys["unknown"].choice(("obstacle", "free")) == "free"
+    grid = _map(keys["map"], cell_size)
+    if "datum" in keys:
+        if grid.georeference is not None:
+            raise keys["datum"].wrong("none: the map says where it lies", "leave it out")
+        grid = replace(grid, georeference=read_datum(keys["datum"]))
+    if "keepout" in keys:
+        grid = keep_out(keys["keepout"], grid)
+    return _scenario(coarsen(grid, cell_size, unknown_free), keys, path)
+
+
+def read_on(world: World, top: Key) -> World:
+    """The world with what these keys of a scenario say of its threats and its robots. Raises InputError."""
+    keys = top.mapping(optional=OPTIONAL, defaults=DEFAULTS)
+    return _scenario(coarsen(world_grid(world), None), keys, Path(top.source))
+
+
+def _no_map(top: Key) -> InputError:
+    """The error for a YAML file that is neither a scenario nor a ROS map."""
+    names = [str(name)[:60] for name in top.value]
+    close = [(name, key) for key in ("map", "image") for name in difflib.get_close_matches(key, names, n=1)]
+    fix = f"did you mean {close[0][1]!r} by {close[0][0]!r}?" if close else ""
+    fix = "it describes a rosbag2: name its folder" if "rosbag2_bagfile_information" in names else fix
+    expected = "the key map (a scenario) or image (a ROS map)"
+    return ScenarioError("is neither a scenario nor a ROS map", source=top.source, expected=expected, fix=fix)
+
+
+def _is_map(top: Key) -> bool:
+    """True for the YAML of a map by itself: of ROS, or of MAPS."""
+    return isinstance(top.value, dict) and bool({"image", MAPS_KEY} & top.value.keys()) and "map" not in top.value
+
+
+def _map(key: Key, cell_size: float | None) -> Grid:
+    """The map of a scenario: `{file: ...}` (or just the name), or `{elevation: ..., max_slope_deg: ...}`."""
+    if isinstance(key.value, str):
+        key = Key({"file": key.value}, key.path, key.source)
+    keys = key.mapping(optional=OF_MAP)
+    kind = one_source(key, ("file", "elevation", "polygons"))
+    if kind == "elevation":
+        return _elevation(key.mapping(optional=("elevation", "max_slope_deg", "resolution")), cell_size)
+    if kind == "polygons":
+        return _field(key.mapping(("polygons",), optional=OF_FIELDS), cell_size)
+    path = key.mapping(("file",), optional=("resolution", "topic"))["file"].file("a map file", folder=is_bag)
+    top = read_yaml(path, MapError) if path.suffix.lower() in YAML else None
+    if top is not None and isinstance(top.value, dict) and "map" in top.value and not _is_map(top):
+        raise keys["file"].wrong("a map", "this is a scenario: run it itself")
+    grid = _logged(path, keys["topic"]) if "topic" in keys else load_map(path, cell_size, top)
+    if "resolution" not in keys:
+        return grid
+    resolution = keys["resolution"].number(CELL_SIZE)
+    if grid.measured:
+        raise keys["resolution"].wrong(f"none: the file says that a pixel has {grid.frame.size:g} m", CELLS_OF_A_MAP)
+    return replace(grid, frame=replace(grid.frame, size=resolution), measured=True)
+
+
+def _logged(path: Path, topic: Key) -> Grid:
+    """The map on a topic of a log."""
+    if path.suffix.lower() != ".mcap" and not is_bag(path):
+        raise topic.wrong("none: the map is not in a log (.mcap)", "leave it out")
+    return read_logged_map(path, topic.text("the name of a topic, as /map")).grid()
+
+
+def _field(keys: dict[str, Key], cell_size: float | None) -> Grid:
+    key = keys["polygons"]
+    if cell_size is None:
+        raise key.fault("has no pixels", fix="give `cell_size:`, metres, beside `map:`")
+    boundary = keys["boundary"].choice(BOUNDARIES) if "boundary" in keys else BOUNDARIES[0]
+    direction = math.radians(keys["direction"].number(DEGREES_ROUND)) if "direction" in keys else 0.0
+    swath = keys["swath"].number(CELL_SIZE) if "swath" in keys else None
+    if swath is not None and (swath < cell_size or abs(swath / cell_size - round(swath / cell_size)) > WHOLE):
+        raise keys["swath"].fault(f"is {swath:g} m", f"a whole number of cells of {cell_size:g} m, `cell_size`")
+    return read_field(key.file("a file of polygons"), cell_size, boundary, direction, swath)
+
+
+def _elevation(keys: dict[str, Key], cell_size: float | None) -> Grid:
+    steepest = None
+    if "max_slope_deg" in keys:
+        steepest = keys["max_slope_deg"].number(Numbers(0, 90, "degrees", above=True))
+    expected = f"an elevation file, or {BUILTIN}{JACKSBORO}"
+    if keys["elevation"].text(expected).startswith(BUILTIN):
+        keys["elevation"].choice((BUILTIN + JACKSBORO,))
+        raster = jacksboro(cell_size)
+    else:
+        raster = read_elevation(keys["elevation"].file(expected), cell_size)
+    resolution = 1.0
+    if "resolution" in keys:
+        resolution = keys["resolution"].number(CELL_SIZE)
+        if raster.frame is not None:
+            raise keys["resolution"].wrong(f"none: the file says that a pixel has {raster.frame.size:g} m")
+    grid = elevation_grid(raster, resolution, steepest)
+    return replace(grid, measured=raster.frame is not None or "resolution" in keys)
+
+
+def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
+    sources = keys["threats"].items("a list of sources", least=0)
+    matrix = read_matrix(keys.get("robots"))
+    threat, notes, apart, by_type = all_threats(sources, keys["combine"].choice(COMBINE), ground, matrix)
+    frame = ground.frame
+    if not ground.free.any():  # what reading the map noted is why
+        raise WorldError("every cell is an obstacle", source=source, fix="; ".join(ground.notes))
+    cells = np.where(ground.free, threat, np.nan)
+    of_cells, more = layers(keys, ground)
+    world = World.create(
+        cells, None, frame.size, frame.origin, str(source), (*ground.notes, *notes, *more), ground.grid.georeference,
+        **of_cells,
+    )  # fmt: skip
+    world = replace(world, sources=apart, measured=ground.grid.measured)
+    world = _in_doubt(replace(world, pace=pace_in(keys, world)), ground, keys)
+    if "wear" in keys:
+        keys["wear"] = keys["wear"].mapping(("shape",))["shape"]
+    asked = _settings(SETTINGS, keys)
+    world = replace(world, team=Team(settings=asked, **reported(keys, world)))
+    world = _of_types(_in_the_dark(world, ground, keys), ground, matrix, by_type)
+    own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio
+    return _with_robots(world, keys["robots"], own) if "robots" in keys else world.with_starts(own)
+
+
+def _in_doubt(world: World, ground: Ground, keys: dict[str, Key]) -> World:
+    """The world with what the scenario, or its map's world file, says is in doubt about its threats."""
+    named = [name for name in IN_DOUBT if name in keys]
+    if ground.grid.doubt is not None:
+        if named or keys["threats"].value or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
+            problem = "brings hazards, uncertain maps, movers or phases along, which nothing can be added to"
+            raise MapError(problem, source=ground.grid.source, fix="use the world file by itself, as it is")
+        return replace(world, doubt=ground.grid.doubt)
+    if "plan_on" in keys and not {"movers", "phases"} & keys.keys():
+        raise keys["plan_on"].wrong("none without movers or phases", "of uncertain maps it stands under `uncertain`")
+    if len(named) > 1:
+        raise keys[named[1]].wrong(f"none beside {named[0]}", "leave one of the two out")
+    if "movers" in keys:
+        return read_movers(keys["movers"], keys.get("plan_on"), world)
+    if "phases" in keys:
+        return read_phases(keys, world, ground)
+    if "hazard" in keys:
+        return read_hazard(keys["hazard"], world, ground)
+    return read_uncertain(keys["uncertain"], world, ground, keys["combine"].value) if named else world
+
+
+def _in_the_dark(world: World, ground: Ground, keys: dict[str, Key]) -> World:
+    """The world with what the scenario, or its map's world file, does not tell the robots."""
+    if ground.grid.knowledge is None:
+        return read_knowledge(keys, world, load_input)
+    named = [name for name in KNOWLEDGE if name in keys]
+    if named or keys["threats"].value or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
+        problem = "brings a truth along that its robots are not told, which nothing can be added to"
+        raise MapError(problem, source=ground.grid.source, fix="use the world file by itself, as it is")
+    return replace(world, knowledge=ground.grid.knowledge)
+
+
+def _of_types(world: World, ground: Ground, matrix: Matrix, by_type: NDArray[np.float64]) -> World:
+    """The world with the types of robots that the scenario's matrix names, or its map's world file."""
+    if not matrix and ground.grid.types is None:
+        return world
+    if ground.grid.types is not None:
+        if matrix or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
+            problem = "brings types of robots along, which nothing can be added to"
+            raise MapError(problem, source=ground.grid.source, fix="use the world file by itself, as it is")
+        given = ground.grid.types.team
+        team = replace(world.team, settings={"types": given, **world.team.settings}) if given else world.team
+        return replace(world, types=ground.grid.types, team=team)
+    return replace(world, types=checked_types(tuple(matrix), by_type, world.free, world.source))
+
+
+def _same(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
+    return np.array_equal(one, other, equal_nan=True)
+
+
+def _with_robots(world: World, key: Key, own: NDArray[np.int64] | None) -> World:
+    """The world with the robots that its file names; `own`: the starts in its map's world file.
+
+    A `start` rule, or starts, replace those of the world file; a `count` alone must agree with them.
+    """
+    keys = key.mapping(optional=("count", "start", "starts", "starts_xy", "matrix", "speed", *OF_ROBOTS))
+    if "speed" in keys:
+        if "steps_per_move" in keys:
+            raise keys["speed"].wrong("none beside steps_per_move", "leave one of the two out")
+        keys["steps_per_move"] = steps_per_move(keys["speed"])
+    named = [name for name in ("start", "starts", "starts_xy") if name in keys]
+    if len(named) > 1:
+        raise key.wrong(f"one of start, starts and starts_xy, not both {named[0]} and {named[1]}")
+    world = replace(world, team=replace(world.team, settings={**world.team.settings, **_settings(OF_ROBOTS, keys)}))
+    count = None
+    if "count" in keys:
+        count = keys["count"].number(whole(1, MAX_ROBOTS))
+    if named == ["start"] or (not named and own is None):
+        if count is None:
+            raise key.wrong("a count, or starts")
+        rule = keys["start"].choice(RULES) if named else RULES[0]
+        return replace(world, team=replace(world.team, robots=count, start=rule))
+    starts = _starts(keys[named[0]], world) if named else own
+    assert starts is not None
+    if count not in (None, len(starts)):
+        fix = "leave out one of them" if named else f"or give start: {RULES[0]} to place the robots anew"
+        raise keys["count"].wrong(f"{len(starts)}, as there are {len(starts)} starts", fix)
+    return world.with_starts(starts)
+
+
+def _settings(names: Iterable[str], keys: dict[str, Key]) -> dict[str, Any]:
+    """Those of these settings of the planner that the keys name."""
+    return {name: keys[name].setting(KNOWN[name]) for name in names if name in keys}
+
+
+def _starts(key: Key, world: World) -> NDArray[np.int64]:
+    """Starts (row, col) int64 `[K, 2]` from `starts` or `starts_xy`, each on a free cell of the world."""
+    metres = key.path.endswith("_xy")
+    expected = "[x, y] in metres" if metres else "[row, col], whole numbers"
+    of = ANY if metres else PLACE
+    values = [item.numbers(of, expected, 2) for item in key.items(f"a list of {expected}")]
+    with key.naming():
+        return check_starts(world.to_cells(np.clip(values, -1e12, 1e12)) if metres else values, world.met, key.path)
+
+
+# What is written as a scenario file: one anew with other starts (`starts --scenario-out`), and a team's settings.
+
+PLACED = ("count", "start", "starts", "starts_xy")
+"""Keys of `robots` that say how many there are, and where."""
+
+
+def said(team: dict[str, Any], settings: Settings, pace: Pace) -> dict[str, Any]:
+    """The keys of a scenario that name these settings and this pace, and a `team`, keys of `robots`."""
+    usual = Settings()
+    given = {name: value for name, value in vars(settings).items() if value != getattr(usual, name)}
+    keys = {name: given[name] for name in SETTINGS if name in given}
+    keys |= {"wear": {"shape": settings.wear}} if "wear" in given else {}
+    keys |= {"step": {"seconds": pace.seconds}} if pace else {}
+    keys |= {"turn": pace.turn} if pace.turn else {}
+    return {"robots": team | {name: given[name] for name in OF_ROBOTS if name in given}} | keys
+
+
+def write_scenario(
+    out: Path,
+    source: Path,
+    starts: NDArray[np.int64],
+    settings: Settings,
+    pace: Pace,
+    cell_size: float | None = None,
+) -> None:
+    """Write the scenario `source`, or one of the bare map `source`, to `out` with `starts` `[K, 2]`, whole or not.
+
+    Files that it names are named from where `out` lies; comments are lost. Of the `settings` those that a scenario can
+    name are in it, and the pace. cell_size: of a bare map. Raises InputError.
+    """
+    top = read_yaml(source).value if source.suffix.lower() in YAML else None
+    if isinstance(top, dict) and "map" in top:
+        keys = _moved(top, source.parent, out.parent)
+    else:
+        keys = {"map": {"file": _moved(source.name, source.parent, out.parent)}}
+        keys |= {} if cell_size is None else {"cell_size": cell_size}
+    team = {name: key for name, key in keys.pop("robots", {}).items() if name not in (*PLACED, *OF_ROBOTS, "speed")}
+    keys = {name: key for name, key in keys.items() if name not in (*SETTINGS, *TIME_KEYS)}
+    keys |= said({"starts": starts.tolist()} | team, settings, pace)
+    with atomic_write(out) as stream:
+        yaml.safe_dump(keys, stream, sort_keys=False, default_flow_style=None, width=120)
+
+
+def _moved(value: Any, before: Path, after: Path) -> Any:
+    """A value with the names of files in it as they are seen from the folder `after` instead of `before`."""
+    if isinstance(value, dict):
+        return {name: _moved(item, before, after) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_moved(item, before, after) for item in value]
+    if isinstance(value, str) and value and not Path(value).is_absolute() and (before / value).is_file():
+        return Path(os.path.relpath(before.resolve() / value, after.resolve())).as_posix()
+    return value

@@ -1,0 +1,317 @@
+"""Maps that may be wrong: hazards that are there or not, and several maps one of which is true (SPEC section 13).
+
+Robots plan on one map, the world's `threat`; what a rollout meets is drawn once, by numbers of its own, and then visit
+by visit. Axis letters: `M` maps, `C` columns of their chances, `N` = H * W cells.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import betainc, betaincinv, ndtr, ndtri
+
+from planner.arguments import Numbers, check_word
+from planner.errors import WorldError
+from planner.failure_model import exposure_of
+from planner.world.keys import CHANCE, Quantity, checked_layer, first_of
+from planner.world.map_knowledge import Detector, Evidence, detector_in, evidence_of
+
+HazardKind = Literal["persistent", "consumed"]
+SpreadKind = Literal["lognormal", "beta"]
+Shared = Literal["common", "level"]
+HAZARDS: tuple[HazardKind, ...] = get_args(HazardKind)
+SPREADS: tuple[SpreadKind, ...] = get_args(SpreadKind)
+SHARED: tuple[Shared, ...] = get_args(Shared)
+HAZARD_DRAW, MAP_DRAW = 0, 1
+"""Second words of the counters under which the two kinds of numbers have their keys."""
+UNIT = 2**24
+"""A random number is a whole number of 1 / UNIT."""
+QUANTILES = 256
+"""Equally likely values that a spread is drawn from, each the mean of its part: so the mean over them is p itself."""
+MOST_CHANCES = 2**27
+"""Most chances that all maps together may hold."""
+AMOUNTS = Numbers(0, 1e6, "a standard deviation, or effective sample size,", above=True, below=True)
+MOST_LEVELS = 16
+"""Levels of a spread `by: level`: as many as the planner sees unless it is told otherwise, p = 0 counted."""
+LARGEST = float(np.nextafter(np.float32(1), np.float32(0)))
+
+
+class Draws(NamedTuple):
+    """What the engines need to draw a rollout's truth, in integers of 1 / UNIT. Axis `N`.
+
+    A visit's number u1 stops the robot iff it is below the bound that the rollout's number u2 of the cell allows:
+    with a `table` `table[u2 * M >> 24, column]`, else `bound` if u2 is below `there` and 0 if not.
+
+    Attributes:
+        purpose: of the key that u2 is drawn under (`planner.failure_model.own_key`).
+        counter: uint32 `[N]`, second counter word of u2; the first is the rollout's id.
+        there: uint32 `[N]`. bound: uint32 `[N]`, the largest that there may be.
+        table: uint32 `[M, C]`, no rows for hazards. column: int32 `[N]`.
+        spends: the first hit in a cell makes it harmless for the rest of the rollout.
+    """
+
+    purpose: int
+    counter: NDArray[np.uint32]
+    there: NDArray[np.uint32]
+    bound: NDArray[np.uint32]
+    table: NDArray[np.uint32]
+    column: NDArray[np.int32]
+    spends: bool
+
+    @property
+    def sha256(self) -> str:
+        """Hash of all of it."""
+        digest = hashlib.sha256(bytes((self.purpose, self.spends)))
+        for array in (self.counter, self.there, self.bound, self.table, self.column):
+            digest.update(np.ascontiguousarray(array, dtype="<u4").tobytes())
+        return digest.hexdigest()
+
+
+def certain_draws(threat: NDArray[np.float32]) -> Draws:
+    """Those of a known map `[N]`: what it says is always there."""
+    nothing = np.zeros(threat.size, dtype=np.uint32)
+    always = np.full_like(nothing, UNIT)
+    table = np.zeros((0, 0), dtype=np.uint32)
+    return Draws(HAZARD_DRAW, nothing, always, bounds_of(threat), table, nothing.astype(np.int32), spends=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Hazard:
+    """Whether a hazard is there is drawn once a rollout and cell; every visit to one that is stops the robot with h.
+
+    Attributes:
+        kind: "persistent", or "consumed": the first hit removes it.
+        q: float32 `[H, W]`, chance that it is there. h: float32 `[H, W]`, chance that a visit to it stops the robot.
+        learn: robots learn from what happens to them. detector: what else they learn from, or None.
+    """
+
+    kind: HazardKind
+    q: NDArray[np.float32]
+    h: NDArray[np.float32]
+    learn: bool = False
+    detector: Detector | None = None
+
+    @property
+    def said(self) -> str:
+        """It in words."""
+        removed = ", removed by the first hit" if self.kind == "consumed" else ""
+        return f"{self.kind} hazards: there or not for a whole run{removed}{self.learning}"
+
+    @property
+    def learning(self) -> str:
+        """What robots learn from, in words; "" where they learn nothing."""
+        has = "" if self.detector is None else f", and have {self.detector.said}"
+        return f"; robots learn from what happens to them{has}" if self.learn else ""
+
+    @property
+    def taught(self) -> str:
+        """What of it robots' decisions depend on besides `threat`: "" where they learn nothing."""
+        detector = [] if self.detector is None else self.detector.array().tolist()
+        return f"~{self.draws().sha256}{detector}" if self.learn else ""
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """What each happening says of a cell."""
+        return evidence_of(self.q, self.h, self.threat, self.kind == "consumed", self.detector)
+
+    @property
+    def threat(self) -> NDArray[np.float32]:
+        """float32 `[H, W]`, p = q * h, what the robots plan on."""
+        return (self.q.astype(np.float64) * self.h).astype(np.float32)
+
+    def draws(self) -> Draws:
+        """The draws of every cell."""
+        there, bound = bounds_of(self.q).ravel(), bounds_of(self.h).ravel()
+        cells = there.size
+        return Draws(
+            purpose=HAZARD_DRAW,
+            counter=np.arange(cells, dtype=np.uint32),
+            there=there,
+            bound=np.where(there > 0, bound, np.uint32(0)),
+            table=np.zeros((0, 0), dtype=np.uint32),
+            column=np.zeros(cells, dtype=np.int32),
+            spends=self.kind == "consumed",
+        )
+
+    def exposures(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """What a visit of each cell `[N]` adds if the hazard is there, and no table (`planner.failure_model`)."""
+        return exposure_of(np.where(self.q > 0, self.h, 0)).ravel(), np.zeros((0, 0), dtype=np.int64)
+
+    def arrays(self) -> dict[str, NDArray]:
+        """What the world file holds of it."""
+        found: dict[str, NDArray] = {"hazard_kind": np.array(self.kind), "hazard_q": self.q, "hazard_h": self.h}
+        found |= {"hazard_learn": np.array(True)} if self.learn else {}
+        return found | ({} if self.detector is None else {"hazard_detector": self.detector.array()})
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertain:
+    """Equally likely maps of one ground. A rollout's number picks the row; `by: level`, a number for each level.
+
+    Attributes:
+        chances: float32 `[M, C]`, p. column: int32 `[H, W]`, each cell's; NO_COLUMN on obstacles.
+        number: int32 `[H, W]`, which of the rollout's numbers picks the row for the cell: 0, or its level + 1.
+        said: where the maps are from, in words.
+    """
+
+    chances: NDArray[np.float32]
+    column: NDArray[np.int32]
+    number: NDArray[np.int32]
+    said: str
+
+    @property
+    def count(self) -> int:
+        """M."""
+        return len(self.chances)
+
+    @property
+    def whole(self) -> bool:
+        """True if one number picks the whole map: then there are M maps and no more."""
+        return not self.number.any()
+
+    def threat_at(self, rows: ArrayLike) -> NDArray[np.float32]:
+        """float32 `[H, W]`: the map of these rows `[numbers]`, one for each of a rollout's numbers; NaN: obstacle."""
+        row = np.atleast_1d(np.asarray(rows, dtype=np.int64))[self.number]
+        return np.where(self.column == NO_COLUMN, np.float32(np.nan), self.chances[row, self.column])
+
+    def plan_on(self, how: float | None) -> NDArray[np.float32]:
+        """float32 `[H, W]`: the mean of the maps, cell by cell; `how`: the value that this share of them stay below."""
+        if how is None:
+            each = self.chances.astype(np.float64).mean(axis=0).astype(np.float32)
+        else:
+            each = np.quantile(self.chances, how, axis=0, method="inverted_cdf")
+        return np.where(self.column == NO_COLUMN, np.float32(np.nan), each[self.column])
+
+    def draws(self) -> Draws:
+        """The draws of every cell."""
+        table, column = bounds_of(self.chances), np.maximum(self.column, 0).ravel()
+        bound = np.where(self.column.ravel() == NO_COLUMN, np.uint32(0), table.max(axis=0)[column])
+        nothing = np.zeros(column.size, dtype=np.uint32)
+        number = self.number.ravel().astype(np.uint32)
+        return Draws(MAP_DRAW, number, nothing, bound, table, column.astype(np.int32), spends=False)
+
+    def exposures(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The most that a visit of each cell `[N]` may add, and what each of the chances `[M, C]` does."""
+        doses = exposure_of(self.chances)
+        return np.where(self.column == NO_COLUMN, 0, doses.max(axis=0)[self.column]).ravel(), doses
+
+    def arrays(self) -> dict[str, NDArray]:
+        """What the world file holds of it."""
+        names = ("chances", "column", "number")
+        return {f"uncertain_{name}": getattr(self, name) for name in names} | {"uncertain_said": np.array(self.said)}
+
+
+NO_COLUMN = -1
+
+
+def bounds_of(chance: NDArray[np.float32]) -> NDArray[np.uint32]:
+    """uint32: a number of 24 bits is below it iff that many 1 / UNIT are below the chance; 0 for NaN."""
+    return np.ceil(np.nan_to_num(chance.astype(np.float64)) * UNIT).astype(np.uint32)
+
+
+def make_hazard(kind: str, q: ArrayLike, h: ArrayLike, free: NDArray[np.bool_], source: str) -> Hazard:
+    """A checked hazard on the free cells `[H, W]`; q and h are numbers or arrays like it. Raises WorldError."""
+    if kind not in HAZARDS:
+        raise WorldError(f"hazard kind is {kind!r}", source=source, expected=" or ".join(("independent", *HAZARDS)))
+    there, hit = (_chances(name, value, free, source) for name, value in (("q", q), ("h", h)))
+    with np.errstate(invalid="ignore"):
+        certain = (there * hit.astype(np.float64)).astype(np.float32) >= 1
+    if certain.any():
+        problem = f"hazard q * h is 1 {first_of(certain)[1]}"
+        raise WorldError(problem, source=source, expected="below 1", fix="make it an obstacle")
+    return Hazard(kind, there, hit)
+
+
+def _chances(name: str, value: ArrayLike, free: NDArray[np.bool_], source: str) -> NDArray[np.float32]:
+    """float32 `[H, W]`, NaN on obstacles: a chance 0 <= value <= 1 on every free cell, else a WorldError."""
+    layer = checked_layer(value, Quantity(f"hazard {name}", CHANCE), free, source)
+    chances = np.where(free, layer, np.nan).astype(np.float32)  # type: ignore[arg-type]
+    chances.setflags(write=False)
+    return chances
+
+
+def doubt_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source: str) -> Hazard | Uncertain | None:
+    """What the arrays of a world file say is in doubt about its map. Raises WorldError."""
+    free = ~np.isnan(threat)
+    if "hazard_kind" in arrays:
+        q, h = (arrays.get(f"hazard_{name}", np.array("missing")) for name in ("q", "h"))
+        hazard = make_hazard(str(arrays["hazard_kind"]), q, h, free, source)
+        learns = bool(np.any(arrays.get("hazard_learn", False)))
+        return replace(hazard, learn=learns, detector=detector_in(arrays, source)) if learns else hazard
+    if "uncertain_chances" not in arrays:
+        return None
+    chances, column, number = (arrays.get(f"uncertain_{name}", np.zeros(0)) for name in ("chances", "column", "number"))
+    whole = all(array.dtype.kind == "i" and array.shape == free.shape for array in (column, number))
+    fits = chances.ndim == 2 and chances.dtype == np.float32 and bool(((chances >= 0) & (chances < 1)).all())
+    if not (whole and fits and chances.size):
+        problem = "uncertain_chances, _column and _number do not fit the map"
+        raise WorldError(problem, source=source, expected="chances float32 [M, C], the others int32 [H, W]")
+    placed = np.where(free, (column >= 0) & (column < chances.shape[1]), column == NO_COLUMN)
+    if not placed.all() or number.min() < 0 or number.max() > MOST_LEVELS:
+        raise WorldError("uncertain_column or _number is out of range", source=source)
+    return Uncertain(
+        np.ascontiguousarray(chances),
+        column.astype(np.int32),
+        number.astype(np.int32),
+        str(arrays.get("uncertain_said", "maps of a world file")),
+    )
+
+
+def maps_of(maps: NDArray[np.float32], said: str) -> Uncertain:
+    """Equally likely maps float32 `[M, H, W]` of one ground, each with the obstacles of the first."""
+    free = ~np.isnan(maps[0])
+    column = np.full(free.shape, NO_COLUMN, dtype=np.int32)
+    column[free] = np.arange(int(free.sum()))
+    return Uncertain(np.ascontiguousarray(maps[:, free]), column, np.zeros(free.shape, dtype=np.int32), said)
+
+
+def spread_of(
+    threat: NDArray[np.float32], levels: NDArray[np.integer], kind: str, amount: float, by: str, source: str
+) -> tuple[Uncertain, int]:
+    """The maps of a spread on p, float32 `[H, W]`, and how many cells have values cut off below 1.
+
+    Args:
+        levels: int `[H, W]`, level of each free cell. by: "common", one number for the whole map, or "level".
+        kind: "lognormal", p times a factor of mean 1 whose logarithm has the standard deviation `amount`; or "beta",
+            of mean p and with an effective sample size of `amount`.
+
+    Raises WorldError for words and numbers that are none, or too many distinct chances.
+    """
+    check_word("kind", kind, SPREADS, WorldError, source)
+    check_word("by", by, SHARED, WorldError, source)
+    AMOUNTS.check("amount", amount, WorldError, source)
+    free = ~np.isnan(threat)
+    values, places = np.unique(threat[free], return_inverse=True)
+    if len(values) * QUANTILES > MOST_CHANCES:
+        most = MOST_CHANCES // QUANTILES
+        raise WorldError(f"{len(values)} distinct threats", source=source, expected=f"at most {most} with a spread")
+    chances = (_lognormal if kind == "lognormal" else _beta)(values.astype(np.float64), amount)
+    column = np.full(free.shape, NO_COLUMN, dtype=np.int32)
+    column[free] = places
+    number = np.where(free, levels + 1, 0) if by == "level" else np.zeros(free.shape)
+    cut = int(np.isin(column, np.flatnonzero((chances > LARGEST).any(axis=0))).sum())
+    said = f"{QUANTILES} equally likely values of a {kind} spread of {amount:g}, {by}"
+    table = np.minimum(chances, LARGEST).astype(np.float32)
+    return Uncertain(table, column, number.astype(np.int32), said), cut
+
+
+def _lognormal(p: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+    """float64 `[QUANTILES, C]`: means of p * exp(sigma * z - sigma**2 / 2) over equally likely parts of z."""
+    edges = ndtri(np.arange(QUANTILES + 1) / QUANTILES)
+    factor = QUANTILES * np.diff(ndtr(edges - sigma))
+    return factor[:, None] * p[None, :]
+
+
+def _beta(p: NDArray[np.float64], size: float) -> NDArray[np.float64]:
+    """float64 `[QUANTILES, C]`: means of Beta(p * size, (1 - p) * size) over equally likely parts; 0 where p is 0."""
+    safe, edges = p == 0, np.arange(QUANTILES + 1)[:, None] / QUANTILES
+    a = np.where(safe, 0.5, p) * size
+    b = size - a
+    means = QUANTILES * np.diff(betainc(a + 1, b, betaincinv(a, b, edges)), axis=0) * p
+    return np.where(safe, 0.0, means)

@@ -1,0 +1,524 @@
+"""The world: a grid of threat probabilities, where it lies on the ground, and the world file that holds it."""
+
+from __future__ import annotations
+
+import hashlib
+import reprlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from planner.arguments import Numbers, argument, check_each, exactly
+from planner.csv_tables import read_csv_grid
+from planner.errors import MapError, PlanError, WorldError
+from planner.failure_model import exposure_of
+from planner.files import atomic_write, check_file, check_new, npz_bytes, read_npy, read_npz
+from planner.formatting import TURNS, UNPACED, Pace, chance, html_of, pace_of, text_of
+from planner.world.grid import HOW_TO_GIVE_ONE, LONGEST, Frame, Georeference, principal
+from planner.world.keys import CELL_SIZE, COORDINATE, DETECT, POSE, SCALE, VALUE, checked_layer, first_of
+from planner.world.map_knowledge import Knowledge, knowledge_in
+from planner.world.moving_threats import Movers, Phases, movers_in, phases_in
+from planner.world.robot_types import RobotTypes, Sources, types_in
+from planner.world.uncertain_maps import Draws, Hazard, Uncertain, doubt_in
+
+MAX_CELLS = 2**26
+"""Largest grid accepted, in cells; a header that claims more is refused before memory is taken."""
+MAX_ROBOTS = 1024
+"""Most robots that the random-number counter can address (SPEC section 6)."""
+WORLD_FILES = (".npz", ".npy", ".csv")
+EXAMPLE = "example:"
+"""Prefix of the names of shipped examples."""
+FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
+
+
+@dataclass(frozen=True)
+class Team:
+    """What an input asks besides starts: how many robots, the rule that places them, planner settings, figures.
+
+    `metrics`: in which field's words it is answered, "" where it does not say; `route`: int64 `[R, 2]`, (row, col) of
+    the cells of the route that is to be safe, in order, or None.
+    """
+
+    robots: int | None = None
+    start: str = "upper-left"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    metrics: str = ""
+    route: NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A grid world `[H, W]`, row 0 at the top (largest y). Build it with `World.create`, which checks it.
+
+    Attributes:
+        threat: float32 `[H, W]`; NaN = obstacle, else the probability `0 <= p < 1` that one visit stops the robot.
+        starts: int64 `[K, 2]`, (row, col) of each robot, or None when the input names none.
+        cell_size: side of a cell in metres.
+        origin: (x, y, yaw) in metres and radians: the pose of the grid's lower-left corner in the map's frame.
+        source: where the world came from, for messages and plan files: a file, `example:NAME`, or a word.
+        notes: what loading did that a user should know (cells dropped, values clipped, ...).
+        team: what the input asks of the team.
+        georeference: where the map's frame lies on the Earth, or None when nobody said.
+        value: float64 `[H, W]`, what each cell is worth (0 on obstacles), or None: 1 each.
+        detect: float64 `[H, W]`, chance that a visit which the robot survives finds what is there, or None: 1 each.
+        doubt: hazards that are there or not, maps one of which is true, movers, or phases; robots plan on `threat`, and
+            what stops them is drawn from these. None: every visit is drawn for itself, from `threat`.
+        sources: what `threat` was combined from, where a scenario names polygons, points or sites.
+        knowledge: what is true, where robots are not told it: `threat` is then what they believe. None: they are.
+        types: what stops robots of each type, if there are types: `threat` is then the map's own p, all factors 1.
+        measured: somebody said what `cell_size` is; else it is presumed. pace: how long a step takes, if that was said.
+    """
+
+    threat: NDArray[np.float32]
+    starts: NDArray[np.int64] | None = None
+    cell_size: float = 1.0
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    source: str = "world"
+    notes: tuple[str, ...] = field(default=())
+    team: Team = Team()
+    georeference: Georeference | None = None
+    value: NDArray[np.float64] | None = None
+    detect: NDArray[np.float64] | None = None
+    doubt: Hazard | Uncertain | Movers | Phases | None = None
+    sources: Sources | None = None
+    knowledge: Knowledge | None = None
+    measured: bool = True
+    pace: Pace = UNPACED
+    types: RobotTypes | None = None
+
+    @staticmethod
+    def create(
+        threat: ArrayLike,
+        starts: ArrayLike | None = None,
+        cell_size: ArrayLike = 1.0,
+        origin: ArrayLike = (0.0, 0.0, 0.0),
+        source: str = "world",
+        notes: tuple[str, ...] = (),
+        georeference: Georeference | None = None,
+        value: ArrayLike | None = None,
+        detect: ArrayLike | None = None,
+    ) -> World:
+        """A checked world. Raises WorldError naming the first offending cell, start or number.
+
+        Threats that are 0 as float32 count as safe, with a note. Masked cells (`numpy.ma`) are obstacles. `value` and
+        `detect` are `[H, W]` or one number for all cells; on obstacles they may hold anything.
+        """
+        array, vanished = _checked_threat(threat, source)
+        (size,) = _reals("cell_size", cell_size, 1, CELL_SIZE, CELL_SIZE.expected, source)
+        x, y, yaw = _reals("origin", origin, 3, COORDINATE, POSE, source)
+        checked = None if starts is None else check_starts(starts, array, source)
+        if vanished:
+            notes = (*notes, f"{vanished} cells have a threat too small for 32-bit numbers: they count as safe (p = 0)")
+        world = World(array, checked, size, (x, y, yaw), source, tuple(notes), georeference=georeference)
+        return world.with_values(value, detect)
+
+    @property
+    def name(self) -> str:
+        """The file's name alone: a report is passed on, and whose folder it lay in is nobody's business."""
+        return Path(self.source).name or self.source
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        return (int(self.threat.shape[0]), int(self.threat.shape[1]))
+
+    @property
+    def frame(self) -> Frame:
+        """Where its cells lie."""
+        return Frame(self.shape, self.cell_size, self.origin)
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """bool `[H, W]`: cells that are not obstacles."""
+        return ~np.isnan(self.threat)
+
+    @property
+    def met(self) -> NDArray[np.float32]:
+        """float32 `[H, W]`, like `threat`: what robots meet in the cells at first, whatever they plan on."""
+        if self.movers is not None:
+            return self.movers.own
+        if self.phases is not None:
+            return self.phases.threats[0]
+        return self.threat if self.knowledge is None else self.knowledge.truth
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the threat array as little-endian float32 in C order (SPEC section 9): the identity of the map."""
+        return hashlib.sha256(np.ascontiguousarray(self.threat, dtype="<f4").tobytes()).hexdigest()
+
+    @property
+    def movers(self) -> Movers | None:
+        """Threats that move; None where there are none."""
+        return self.doubt if isinstance(self.doubt, Movers) else None
+
+    @property
+    def phases(self) -> Phases | None:
+        """Threats that change with time; None where they stay as they are."""
+        return self.doubt if isinstance(self.doubt, Phases) else None
+
+    @property
+    def by_phase(self) -> NDArray[np.float32]:
+        """float32 `[P, N]`: `met` in each phase; one where threats do not change."""
+        return (self.met if self.phases is None else self.phases.threats).reshape(-1, self.threat.size)
+
+    def visits(self, cells: NDArray[np.integer], steps: ArrayLike) -> NDArray[np.int64]:
+        """Where `by_phase` and `exposures`, flat, have visits of these cells (indices) at these steps."""
+        phase = 0 if self.phases is None else self.phases.number_at(steps)
+        return np.asarray(cells + phase * self.threat.size, dtype=np.int64)
+
+    @cached_property
+    def draws(self) -> Draws | None:
+        """How the engines draw what is true in a rollout; None where every visit is drawn from `threat`."""
+        return None if self.doubt is None else self.doubt.draws()
+
+    @cached_property
+    def exposures(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """What a visit of each cell `[N]`, in phases `[P N]`, adds to a robot's exposure; where maps differ the most,
+        and all of it."""
+        if self.doubt is None or isinstance(self.doubt, Movers | Phases):
+            return exposure_of(self.by_phase).ravel(), np.zeros((0, 0), dtype=np.int64)
+        return self.doubt.exposures()
+
+    @property
+    def luck_sha256(self) -> str:
+        """The identity of what robots meet: of the map, of what is in doubt about it or moves on it, and of what they
+        are not told."""
+        of = self.draws or self.movers or self.phases
+        drawn = "" if of is None else f"?{of.sha256}"
+        drawn += self.doubt.taught if isinstance(self.doubt, Hazard) else ""
+        drawn += "" if self.types is None else f"&{self.types.sha256}"
+        return self.sha256 + drawn + ("" if self.knowledge is None else f"!{self.knowledge.sha256}")
+
+    @cached_property
+    def _of_no_type(self) -> World:
+        return replace(self, types=None)
+
+    @cached_property
+    def _of_types(self) -> tuple[World, ...]:
+        """The world as it is to robots of each type."""
+        assert self.types is not None
+        return tuple(replace(self, threat=threat, types=None) for threat in self.types.threat)
+
+    def of_robots(self, types: str | tuple[str, ...] | None, robots: int) -> tuple[World, ...]:
+        """The world as it is to each robot of a team, by their types: one for all, or one each. Raises PlanError."""
+        if types is None:
+            return (self if self.types is None else self._of_no_type,) * robots
+        if self.types is None:
+            problem = f"{argument('types')} of a world that knows no types of robots"
+            raise PlanError(problem, source=self.source, fix="give the scenario `robots: {matrix: ...}`")
+        if self.doubt is not None or self.knowledge is not None:
+            problem = "robots of types presume one known map, every visit drawn for itself"
+            raise WorldError(problem, source=self.source, fix=f"leave {argument('types')} out")
+        names = (types,) * robots if isinstance(types, str) else types
+        check_each("types", names, robots, self.source, "type")
+        return tuple(self._of_types[self.types.number(name, self.source)] for name in names)
+
+    @property
+    def enterable(self) -> NDArray[np.bool_]:
+        """bool `[H, W]`: cells that are free in truth, or to robots that have seen nothing yet."""
+        return self.free | ~np.isnan(self.met)
+
+    @property
+    def learned_hazard(self) -> Hazard | None:
+        """The hazard that robots learn about, if they do."""
+        return self.doubt if isinstance(self.doubt, Hazard) and self.doubt.learn else None
+
+    @property
+    def is_learned(self) -> bool:
+        """Whether robots may come to believe another map on their way: they look about, or learn about a hazard."""
+        looks = self.knowledge is not None and self.knowledge.sense.range > 0
+        return looks or self.learned_hazard is not None
+
+    def check_settled(self, what: str, or_else: str = "") -> None:
+        """Raise WorldError if the map is in doubt: `what` presumes one known map, every visit drawn for itself.
+
+        `or_else`: what else may be left out, in words.
+        """
+        if self.doubt is not None:
+            problem = f"{what} presumes one known map, every visit drawn for itself; here: {self.doubt.said}"
+            named = {Movers: "`movers`", Phases: "`phases`"}.get(type(self.doubt), "`hazard` and `uncertain`")
+            raise WorldError(problem, source=self.source, fix=f"leave {named} out{or_else}")
+        self.check_told(what, or_else)
+        if self.types is not None:
+            problem = f"{what} presumes that a visit stops every robot with the same p; here: {self.types.said}"
+            raise WorldError(problem, source=self.source, fix="leave `matrix` and `types` out" + or_else)
+
+    def check_told(self, what: str, or_else: str = "") -> None:
+        """Raise WorldError if robots are not told the map, or learn about it; arguments as of `check_settled`."""
+        if self.learned_hazard is not None:
+            problem = f"{what} presumes robots that learn nothing; here: {self.learned_hazard.said}"
+            raise WorldError(problem, source=self.source, fix="leave `learn` out" + or_else)
+        if self.phases is not None and self.phases.told:
+            problem = f"{what} presumes threats that robots know beforehand; here: {self.phases.said}"
+            raise WorldError(problem, source=self.source, fix="give `plan_on: first` or `worst`" + or_else)
+        if self.knowledge is not None:
+            problem = f"{what} presumes a map that robots are told; here: {self.knowledge.said}"
+            raise WorldError(problem, source=self.source, fix="leave `truth`, `prior` and `sense` out" + or_else)
+
+    def check_alike(self, what: str) -> None:
+        """Raise WorldError if the map says what its cells are worth, or show: to `what` they are all alike."""
+        named = [of.name for of in (VALUE, DETECT) if getattr(self, of.name) is not None]
+        if named:
+            said = " and ".join(f"`{name}`" for name in named)
+            problem = f"{what} counts cells, which are all alike to it; here: {said}"
+            raise WorldError(problem, source=self.source, fix=f"leave {said} out; evaluate, size and front tell value")
+
+    @cached_property
+    def components(self) -> NDArray[np.int32]:
+        """int32 `[H, W]`: 4-connected components of the cells that truly are free, numbered from 1; 0 = obstacle."""
+        labels, _ = ndimage.label(~np.isnan(self.met), structure=FOUR_NEIGHBOURS)
+        return labels.astype(np.int32)
+
+    def accessible(self, starts: ArrayLike) -> NDArray[np.bool_]:
+        """bool `[H, W]`: truly free cells that some robot can reach from its start `[K, 2]`."""
+        rows, cols = check_starts(starts, self.met, self.source).T
+        reached = np.zeros(self.components.max() + 1, dtype=np.bool_)
+        reached[self.components[rows, cols]] = True
+        return reached[self.components]
+
+    def with_starts(self, starts: ArrayLike | None) -> World:
+        """The same world with other starts, checked."""
+        checked = None if starts is None else check_starts(starts, self.met, self.source)
+        return replace(self, starts=checked)
+
+    def to_xy(self, cells: ArrayLike) -> NDArray[np.float64]:
+        """Centres in metres, map frame, float64 `[..., 2]`, of cell indices `row * W + col`."""
+        rows, cols = np.divmod(np.asarray(cells, dtype=np.int64), self.shape[1])
+        return self.at(rows + 0.5, cols + 0.5)
+
+    def at(self, rows: ArrayLike, cols: ArrayLike) -> NDArray[np.float64]:
+        """(x, y) `[..., 2]` in metres, map frame, of places in cells from the upper-left corner; centres are at .5."""
+        return self.frame.at(rows, cols)
+
+    def to_lonlat(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Points (x, y) `[..., 2]` of the map's frame as (longitude, latitude) in degrees, WGS 84. Raises MapError.
+
+        Longitudes are in -180..180.
+        """
+        if self.georeference is None:
+            problem = "nobody says where the map lies on the Earth"
+            raise MapError(problem, source=self.source, expected="a georeferenced map", fix=HOW_TO_GIVE_ONE)
+        return principal(self.georeference.to_lonlat(points))
+
+    def places(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Places in cells (down, right) `[..., 2]` from the upper-left corner, of points (x, y) in metres."""
+        local = self.frame.local(points) / self.cell_size
+        return np.stack([self.shape[0] - local[..., 1], local[..., 0]], axis=-1)
+
+    def with_values(self, value: ArrayLike | None = None, detect: ArrayLike | None = None) -> World:
+        """The same world with other values and chances to detect, checked; `[H, W]` or one number, None = 1 each."""
+        free = self.free
+        worth = checked_layer(value, VALUE, free, self.source)
+        return replace(self, value=worth, detect=checked_layer(detect, DETECT, free, self.source))
+
+    def with_pace(
+        self, step_seconds: float | None = None, speed: float | None = None, turn: float | None = None
+    ) -> World:
+        """The same world, a step of which takes so many seconds, or as long as a cell at so many metres a second.
+
+        `turn`: steps that a quarter turn costs. What is not given is as it was. Raises UsageError, also for a speed
+        where nobody said how large cells are.
+        """
+        found = pace_of(step_seconds, speed, self.cell_size if self.measured else None)
+        TURNS.check("turn", turn, optional=True)
+        pace = found if found else self.pace
+        return replace(self, pace=replace(pace, turn=self.pace.turn if turn is None else float(turn)))
+
+    def to_cells(self, points: ArrayLike) -> NDArray[np.int64]:
+        """(row, col) int64 `[..., 2]` of the cells that hold points (x, y) in metres; they may lie off the map."""
+        return self.frame.pixels(points)
+
+    def _rows(self) -> list[tuple[str, str]]:
+        free, dangerous = self.free, self.threat > 0
+        worst = f", the worst {chance(float(self.threat[dangerous].max()))}" if dangerous.any() else ""
+        team = "" if self.team.robots is None else f"{self.team.robots}, placed by the rule {self.team.start!r}"
+        rows = [
+            ("cells", f"{self.shape[0]} x {self.shape[1]} of {self.cell_size:g} m, {int(free.sum()):,} of them free"),
+            ("threats", f"{int(dangerous.sum()):,} dangerous cells{worst}"),
+            (
+                "worth",
+                "" if self.value is None else f"{self.value.sum():g} in all, at most {self.value.max():g} a cell",
+            ),
+            ("detect", "" if self.detect is None else f"{self.detect[free].mean():.3g} a visit, on average"),
+            ("place", "" if self.georeference is None else f"in {self.georeference.crs[:60]}"),
+            ("step", f"{self.pace.seconds:g} s" if self.pace.seconds else ""),
+            (
+                "movers" if self.movers else "phases" if self.phases else "doubt",
+                "" if self.doubt is None else self.doubt.said,
+            ),
+            ("types", "" if self.types is None else ", ".join(self.types.names)),
+            ("told", "" if self.knowledge is None else self.knowledge.said),
+            ("robots", team if self.starts is None else f"{len(self.starts)}, starts {self.starts[:8].tolist()}"),
+            *(("note", note) for note in self.notes[:4]),
+        ]
+        return [(name, what) for name, what in rows if what]
+
+    def __repr__(self) -> str:
+        return text_of(f"World {self.source}", self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_of(f"World {self.source}", self._rows())
+
+    def save(self, path: str | Path, *, force: bool = False) -> None:
+        """Write the world file (`.npz`) of SPEC section 9, whole or not at all; `force`: as of `Plan.save`."""
+        check_new(path, force=force)
+        with atomic_write(Path(path), "wb") as out:
+            out.write(self.to_bytes())
+
+    def to_bytes(self) -> bytes:
+        """The world file itself, the same for the same world."""
+        return npz_bytes(**self.arrays())
+
+    def arrays(self) -> dict[str, Any]:
+        """What the world file holds."""
+        starts = {} if self.starts is None else {"starts": self.starts}
+        origin = np.array(self.origin, dtype=np.float64)
+        place = {} if self.georeference is None else {f"crs{end}": np.array(v) for end, v in _place(self.georeference)}
+        doubt = {} if self.doubt is None else self.doubt.arrays()
+        doubt |= {} if self.knowledge is None else self.knowledge.arrays()
+        if self.types is not None:
+            doubt |= replace(self.types, team=self.team.settings.get("types") or self.types.team).arrays()
+        layers = {of.name: layer for of in (VALUE, DETECT) if (layer := getattr(self, of.name)) is not None}
+        threat = {"threat": self.threat, "cell_size": np.float64(self.cell_size), "origin": origin}
+        return threat | starts | place | doubt | layers
+
+
+def check_starts(starts: ArrayLike, threat: NDArray[np.float32], source: str) -> NDArray[np.int64]:
+    """Starts as int64 `[K, 2]`, each on a free cell of `threat`; WorldError names the robot that is not."""
+    given = np.asarray(starts)
+    if np.ma.is_masked(starts):
+        raise WorldError("starts hold masked values", source=source, expected="[row, col] of every robot")
+    if given.ndim != 2 or given.shape[1] != 2 or len(given) == 0:
+        raise WorldError(f"starts have shape {given.shape}", source=source, expected="one [row, col] a robot: [K, 2]")
+    if len(given) > MAX_ROBOTS:
+        raise WorldError(f"{len(given)} robots", source=source, expected=f"at most {MAX_ROBOTS}")
+    if given.dtype.kind not in "iu" and not (given.dtype.kind == "f" and (given == np.round(given)).all()):
+        raise WorldError("starts are not whole numbers", source=source, expected="[row, col] as integers")
+    height, width = threat.shape
+    for robot, (row, col) in enumerate(given.tolist()):
+        if not (0 <= row < height and 0 <= col < width):
+            raise WorldError(
+                f"robot {robot} starts at [{row:.15g}, {col:.15g}], outside the map",
+                source=source,
+                expected=f"row 0..{height - 1} and col 0..{width - 1}",
+            )
+        if np.isnan(threat[int(row), int(col)]):
+            raise WorldError(
+                f"robot {robot} starts at [{int(row)}, {int(col)}], an obstacle",
+                source=source,
+                expected="a free cell",
+                fix=f"move the start, or leave {argument('starts')} out and use {argument('robots')}",
+            )
+    return given.astype(np.int64)
+
+
+def _reals(name: str, value: ArrayLike, count: int, of: Numbers, expected: str, source: str) -> list[float]:
+    """`count` of these numbers (no strings, booleans or complex ones) as floats, else a WorldError."""
+    try:
+        given = np.asarray(value)
+    except ValueError:  # lists of unequal length
+        given = np.empty(0)
+    found = [float(n) for n in given.reshape(-1)] if given.dtype.kind in "fiu" and given.size == count else []
+    if not found or not all(map(of.accepts, found)):
+        raise WorldError(f"{name} is {_shown(value)}", source=source, expected=expected)
+    return found
+
+
+def _shown(value: ArrayLike) -> str:
+    return reprlib.repr(value.tolist() if isinstance(value, np.ndarray | np.generic) and value.size < 10 else value)
+
+
+def _fix_of(threat: float) -> str:
+    """What to write instead of a threat that is none."""
+    if threat == 1:
+        return "p = 1 is an obstacle: write NaN"
+    if threat == -1:
+        return "-1 is an obstacle in .csv files alone: write NaN"
+    return "it rounds to 1: write at most 0.9999999" if 0.9 < threat < 1 else ""
+
+
+def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32], int]:
+    """The threat array, and how many of its threats are too small for float32."""
+    try:
+        array = np.asarray(threat)
+    except ValueError:
+        raise WorldError("threat has rows of different lengths", source=source, expected="a grid [H, W]") from None
+    if isinstance(threat, np.ma.MaskedArray) and array.dtype.kind in "fiub":
+        array = np.where(np.ma.getmaskarray(threat), np.nan, array)
+    if array.ndim != 2 or array.size == 0:
+        raise WorldError(f"threat has shape {array.shape}", source=source, expected="a grid [H, W] of at least 1 x 1")
+    if array.size > MAX_CELLS:
+        raise WorldError(f"{array.size} cells", source=source, expected=f"at most {MAX_CELLS}", fix="coarsen the map")
+    if array.dtype.kind not in "fiub":
+        raise WorldError(f"threat holds {array.dtype}", source=source, expected="numbers")
+    with np.errstate(over="ignore", under="ignore"):
+        values = array.astype(np.float32)
+    wrong = ~np.isnan(values) & ~((values >= 0) & (values < 1))
+    if wrong.any():
+        at, where = first_of(wrong)
+        p, expected = float(array[at]), "a probability 0 <= p < 1 as float32, or NaN for an obstacle"
+        raise WorldError(f"threat is {exactly(p)} {where}", source=source, expected=expected, fix=_fix_of(p))
+    if np.isnan(values).all():
+        raise WorldError("every cell is an obstacle", source=source, expected="at least one free cell")
+    canonical = np.where(np.isnan(values), np.float32(np.nan), values + np.float32(0.0)).astype(np.float32)
+    canonical.setflags(write=False)
+    return canonical, int(((canonical == 0) & (array != 0)).sum())
+
+
+def load_world_file(path: str | Path) -> World:
+    """Read a world file: `.npz` (SPEC section 9), a bare `.npy` threat array, or a `.csv` of it (-1 or nan = obstacle).
+
+    Raises MapError if the file cannot be read, WorldError if what it holds is no world.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in WORLD_FILES:
+        raise MapError(f"unknown world format {path.suffix!r}", source=path, expected=" ".join(WORLD_FILES))
+    check_file(path, "a world file")
+    if suffix == ".npz":
+        return world_of(read_npz(path, 8 * MAX_CELLS), str(path))
+    if suffix == ".npy":
+        return replace(World.create(read_npy(path, MAX_CELLS), source=str(path)), measured=False)
+    values, notes = read_csv_grid(path, MAX_CELLS)
+    values = np.where(values == -1, np.nan, values)
+    return replace(World.create(values, source=str(path), notes=notes), measured=False)
+
+
+def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
+    """The world in the arrays of a world file. Raises MapError or WorldError."""
+    if "threat" not in arrays:
+        raise MapError(f"holds {sorted(arrays)}", source=source, expected="an array named 'threat'")
+    size, origin = arrays.get("cell_size", 1.0), arrays.get("origin", np.zeros(3))
+    place = _georeference(arrays, source) if "crs" in arrays else None
+    world = World.create(arrays["threat"], None, size, origin, source, georeference=place)
+    if "truth" in arrays:
+        truth = _checked_threat(arrays["truth"], f"{source}: truth")[0]
+        world = replace(world, knowledge=knowledge_in({**arrays, "truth": truth}, world.threat, source))
+    if "starts" in arrays:
+        world = replace(world, starts=check_starts(arrays["starts"], world.met, source))
+    changing = movers_in(arrays, world.met, source) or phases_in(arrays, world.met, source)
+    doubt, types = changing or doubt_in(arrays, world.met, source), types_in(arrays, world.free, source)
+    world = replace(world, doubt=doubt, measured="cell_size" in arrays, types=types)
+    return world.with_values(arrays.get("value"), arrays.get("detect"))
+
+
+def _place(georeference: Georeference) -> tuple[tuple[str, Any], ...]:
+    """What the world file holds of a georeference: the ends of the names `crs`, `crs_origin`, `crs_scale`."""
+    return ("", georeference.crs), ("_origin", georeference.origin), ("_scale", georeference.scale)
+
+
+def _georeference(arrays: Mapping[str, NDArray], source: str) -> Georeference:
+    crs = arrays["crs"]
+    if crs.dtype.kind != "U" or crs.size != 1 or not 0 < len(str(crs.item())) <= LONGEST:
+        raise WorldError(f"crs is {_shown(crs)[:60]}", source=source, expected="the text of a CRS, as 'EPSG:32633'")
+    pairs = []
+    for name, default, of in (("crs_origin", (0.0, 0.0), COORDINATE), ("crs_scale", (1.0, 1.0), SCALE)):
+        x, y = _reals(name, arrays.get(name, default), 2, of, "two numbers, x and y", source)
+        pairs.append((x, y))
+    return Georeference(str(crs.item()), *pairs)
