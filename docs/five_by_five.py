@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 import mrac_jax as mrac
+from planner.mrac.board import Recorder
 from planner.mrac.problem import prepare
-from planner.mrac.recorder import Recorder
 from planner.mrac.simulate import Hit, never_hit, simulate
-from planner.trace import EventKind, Trace
+from planner.tally import EventKind, Trace
 
 X = np.nan
 threat = np.array(

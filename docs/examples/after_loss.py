@@ -13,16 +13,16 @@ from typing import get_args
 import numpy as np
 
 import mrac_jax as mrac
+from analysis.estimators.racing import order_areas
+from analysis.estimators.trial import Trial
 from analysis.sampling import RolloutChoices
-from analysis.statistics.estimate import over_maps
-from analysis.trials.ordering import order_areas
-from analysis.trials.trial import Trial
-from planner.kernels.tables import AllPairs
+from analysis.statistics.estimates import over_maps
 from planner.mrac.make_plan import allocated_plan, make_plan
-from planner.plans.state import MissionState
+from planner.plan.state import MissionState
 from planner.settings import MOST_PRIORITY, Settings
-from planner.worlds.generate import Kind, ThreatPattern, random_world
-from planner.worlds.starts import place_starts
+from planner.simulator.tables import AllPairs
+from planner.world.generate import Kind, ThreatPattern, random_world
+from planner.world.levels import place_starts
 
 CHOICES = RolloutChoices(rollouts=4096, seed=10**6)
 

@@ -16,15 +16,15 @@ from typing import get_args
 import numpy as np
 
 import mrac_jax as mrac
+from analysis.estimators.racing import order_areas
 from analysis.sampling import RolloutChoices
-from analysis.statistics.estimate import over_maps
-from analysis.theory.any_strategy import any_strategy
-from analysis.trials.ordering import order_areas
-from planner.kernels.tables import AllPairs
+from analysis.statistics.estimates import over_maps
+from analysis.theory.upper_bound import any_strategy
 from planner.mrac.make_plan import make_plan
 from planner.settings import Settings
-from planner.worlds.generate import Kind, ThreatPattern, random_world
-from planner.worlds.starts import place_starts
+from planner.simulator.tables import AllPairs
+from planner.world.generate import Kind, ThreatPattern, random_world
+from planner.world.levels import place_starts
 
 TRIES = {1: 300, 2: 300, 4: 400, 8: 300, 20: 25}
 """Orders of areas that are tried, by the robots of the team; of other teams as of the next smaller."""

@@ -10,8 +10,8 @@ import sys
 import numpy as np
 
 import mrac_jax as mrac
-from analysis.statistics.estimate import over_maps
-from planner.worlds.generate import Kind, ThreatPattern, random_threats
+from analysis.statistics.estimates import over_maps
+from planner.world.generate import Kind, ThreatPattern, random_threats
 
 KINDS: tuple[Kind, ...] = ("contiguous", "scattered")
 LEVELS = (0.02, 0.05, 0.1)

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 import mrac_jax as mrac
 from planner.mrac.make_plan import make_plan
 from planner.rollouts.engine import Rolling, make_engine
-from planner.worlds.generate import ThreatPattern, random_world
-from planner.worlds.starts import place_starts
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
 
 ROBOTS = 8
 NAMES = ("planned on p", "planned on p joined")

@@ -11,8 +11,8 @@ from collections.abc import Iterable
 import numpy as np
 
 import mrac_jax as mrac
-from analysis.statistics.estimate import over_maps
-from planner.worlds.generate import Kind, ThreatPattern, random_threats, random_world
+from analysis.statistics.estimates import over_maps
+from planner.world.generate import Kind, ThreatPattern, random_threats, random_world
 
 KINDS: tuple[Kind, ...] = ("contiguous", "scattered")
 NAMES = ("quarter turns", "moves", "time with turns", "visited")
