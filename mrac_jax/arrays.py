@@ -77,7 +77,7 @@ HostArrays: TypeAlias = dict[str, Any]
 """NumPy arrays and scalars by the names of the fields that they are for."""
 STATIC = {"static": True}
 """Of fields of tables that programs are compiled for; all others are data."""
-AnyTables = TypeVar("Tables")
+AnyTables = TypeVar("AnyTables")
 
 
 def padded(values: NDArray, size: int, fill: int = 0, dtype: type = np.int32) -> NDArray:

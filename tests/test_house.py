@@ -116,11 +116,11 @@ def test_kits_know_no_answer_and_answers_no_command() -> None:
 
 
 def test_oracles_never_see_an_engine() -> None:
-    engines = ("planner.rollouts", "mrac_jax", "jax", "planner.kernels")
+    engines = ("planner.rollouts", "mrac_jax", "jax", "planner.simulator")
     for path in (*(ROOT / "analysis" / "theory").rglob("*.py"), *(ROOT / "tests").glob("oracle_*.py")):
         assert not {module for module in imports_of(path) if module.startswith(engines)}, path
     readable = "planner.mrac.simulate"
-    for path in (ROOT / "planner" / "kernels").rglob("*.py"):
+    for path in (ROOT / "planner" / "simulator").rglob("*.py"):
         assert readable not in imports_of(path), path
 
 

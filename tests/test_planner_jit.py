@@ -28,7 +28,7 @@ IN_FLOATING_POINT = """
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
 import planner.simulator.areas, planner.simulator.failure_sampling, planner.simulator.paths, planner.simulator.rollouts
-import planner.simulator.runs, planner.simulator.areas, planner.simulator.visits
+import planner.simulator.runs, planner.simulator.visits
 from planner.simulator.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.world.world import World
@@ -36,8 +36,8 @@ from planner.world.world import World
 world = World.create([[0.0, 0.1, 0.0]])
 run_range(compile_closed_loop(make_plan(world, [[0, 0]]), world), 1, 0, 2, threads=1)
 seen = 0
-for room in ("areas", "luck", "paths", "rollouts", "runs", "trace", "visits"):
-    for name, function in vars(getattr(planner.kernels, room)).items():
+for room in ("areas", "failure_sampling", "paths", "rollouts", "runs", "visits"):
+    for name, function in vars(getattr(planner.simulator, room)).items():
         if isinstance(function, Dispatcher) and name not in ("least_word", "mass_stopped"):  # which round
             for compiled in function.overloads.values():
                 for variable, kind in compiled.type_annotation.typemap.items():

@@ -132,5 +132,5 @@ def test_plans_that_have_no_closed_loop_are_refused() -> None:
 def test_the_oracles_see_no_engine() -> None:
     """`test_house` looks at those of `analysis.theory`."""
     for path in Path(__file__).parent.glob("oracle_*.py"):
-        engines = ("planner.rollouts", "planner.kernels", "mrac_jax", "jax")
+        engines = ("planner.rollouts", "planner.simulator", "mrac_jax", "jax")
         assert not [module for module in imports_of(path) if module.startswith(engines)]

@@ -271,7 +271,7 @@ def _lines(stream: BinaryIO) -> Iterator[str]:
         yield line.decode("utf-8", "replace")
 
 
-def _tell(lines: Iterable[Json], pace: Pace) -> None:
+def _tell(lines: Iterable[dict[str, Any]], pace: Pace) -> None:
     for line in lines:
         print(json.dumps(with_minutes(line, pace), allow_nan=False, separators=(",", ":")), flush=True)  # noqa: T201
 

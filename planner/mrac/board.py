@@ -51,7 +51,7 @@ class Robot:
         ahead: cells of its path still to enter, the next one last; the first one is its target.
         to_do: cells of its coverage path when it was computed, with `path` as long as `since`.
         held: kept from areas at risk (`reserve`), until it gets one.
-        moves: that it can still make (`range`). aside: it makes no progress, and gets nothing (`planner.missions`).
+        moves: that it can still make (`range`). aside: it makes no progress, and gets nothing (`planner.mission`).
         turned: for home: it gets nothing any more. charges: unless it is charged there, at the step `ready`.
         path: its cell at every step so far. legs: its travel and cover legs.
         asked: after how many changes of the board, and where, it was asked what it would take `first` (`choose`).

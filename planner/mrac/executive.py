@@ -1,7 +1,7 @@
 """Algorithm 2's decisions, robot by robot: what each is to do next, and what follows from what happened to it.
 
 The seam that everything which runs a team shares (SPEC section 5): a simulator answers with luck (`simulate`), a
-mission with what its robots report (`planner.missions`).
+mission with what its robots report (`planner.mission`).
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ def _share_out(entries: int, work: Callable[[int, int], None]) -> None:
 
 
 @threaded
-def _fill(part, parts, near, entry, cost, hop, ranked):  # type: ignore[no-untyped-def]
+def _fill(part, parts, near, entry, cost, hop, ranked):
     """Every so many-th BLOCK of sources.
 
     Dijkstra as in `planner.mrac.paths.search_within`, but to all cells: they leave the queue in rising order of cost,
@@ -153,7 +153,7 @@ def _fill(part, parts, near, entry, cost, hop, ranked):  # type: ignore[no-untyp
 
 
 @threaded
-def _nearest(part, parts, cost, order, begin, area_cost, area_entry):  # type: ignore[no-untyped-def]
+def _nearest(part, parts, cost, order, begin, area_cost, area_entry):
     """Every so many-th row of the tables of areas; among cells of equal cost the first."""
     for source in range(part, len(cost), parts):
         for area in range(len(begin) - 1):

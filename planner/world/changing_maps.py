@@ -99,7 +99,7 @@ FROM_SOURCES = "threats"
 """Instead of a number or a raster: the chances that the scenario's `threats` give."""
 AMOUNT = {"lognormal": "sigma", "beta": "sample_size"}
 """The key that says how wide each kind of spread is."""
-PLAN_ON = Numbers(0, 1, above=True, below=True, said="mean, or a number between 0 and 1")
+PLANNED_QUANTILE = Numbers(0, 1, above=True, below=True, said="mean, or a number between 0 and 1")
 PRIOR_LAST = "; a prior is given after the maps"
 
 
@@ -164,7 +164,7 @@ def with_spread(world: World, kind: str, amount: float, by: str = "common", plan
 
 
 def _uncertain_world(world: World, uncertain: Uncertain, plan_on: float | None) -> World:
-    PLAN_ON.check("plan_on", plan_on, WorldError, world.source, optional=True)
+    PLANNED_QUANTILE.check("plan_on", plan_on, WorldError, world.source, optional=True)
     return replace(world, threat=_frozen(uncertain.plan_on(plan_on)), doubt=uncertain)
 
 
@@ -216,7 +216,7 @@ def read_uncertain(key: Key, world: World, ground: Ground, combine: str) -> Worl
         raise key.wrong("either maps or spread")
     plan_on = None
     if "plan_on" in keys and keys["plan_on"].value != "mean":
-        plan_on = keys["plan_on"].number(PLAN_ON)
+        plan_on = keys["plan_on"].number(PLANNED_QUANTILE)
     with key.naming():
         if "spread" in keys:
             return _read_spread(keys["spread"], world, plan_on)
