@@ -1,9 +1,9 @@
 """What one should do: what of the coverage costs no robot, or next to none, and what the rest costs.
 
 A quick front (`analysis.search.pareto`): some tens to a thousand rollouts of each setting, by an eighth of those that
-the answer took at most, on the ids 0, 1, .... What is advised is rolled out beside the plan on the same luck, so that the
-difference is sharp. Where the plan loses few robots itself, another setting is advised only if it covers more for sure,
-and is not seen to lose more.
+the answer took at most, on the ids 0, 1, .... What is advised is rolled out beside the plan with common random
+numbers, so that the difference is sharp. Where the plan loses few robots itself, another setting is advised only if
+it covers more for sure, and is not seen to lose more.
 """
 
 from __future__ import annotations
