@@ -104,7 +104,7 @@ def test_blocks_of_outcomes_are_aligned_however_they_come(monkeypatch: pytest.Mo
         for start in range(0, 26, cut):
             messages += columns.add(rolling.part_of(results, start, min(start + cut, 26)))
         messages += columns.rest()
-        seen.append([rolling.schemas.Outcomes.FromString(message.data) for message in messages])
+        seen.append([rolling.topics.Outcomes.FromString(message.data) for message in messages])
     assert seen[0] == seen[1] == seen[2]
     assert [block.first for block in seen[0]] == [7, 10, 20, 30]
     assert [len(block.visited) for block in seen[0]] == [3, 10, 10, 3]

@@ -11,7 +11,7 @@ import numpy as np
 
 from analysis.estimators.racing import is_best
 from analysis.estimators.trial import TreeTruth
-from analysis.evaluation import charts as maps
+from analysis.evaluation import charts
 from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.charts import distribution, over_time, over_time_words
 from analysis.evaluation.figures import BEFORE, BEYOND, Chance, Rest
@@ -465,16 +465,16 @@ def report(evaluation: Evaluation, theory: bool = False) -> Report:
             *(line for found in outputs for line in found.alternatives),
             *filter(None, (limit, *(line for found in outputs for line in found.leads))),
         ],
-        figures=_key_figures(evaluation), picture=lambda: maps.plan_map(evaluation),
+        figures=_key_figures(evaluation), picture=lambda: charts.plan_map(evaluation),
         below=lambda: [chart for found in outputs for chart in found.below],
         parts=[
             Part("Chances and coverage", answer_tables(evaluation), list(filter(None, own))),
             *([] if rest is None else [Part(rest.title, notes=list(rest_words(evaluation, rest)),
-                                            drawn=lambda: [maps.rest_map(evaluation, rest)])]),
+                                            drawn=lambda: [charts.rest_map(evaluation, rest)])]),
             Part("Coverage over time", drawn=lambda: [over_time(evaluation)], lead=over_time_words(evaluation)),
             Part("Single runs", drawn=lambda: distribution(evaluation), lead="How far one run may be from the mean."),
             Part("Cell by cell", notes=() if certain else list(cell_words(evaluation)),
-                 drawn=lambda: [maps.maps(evaluation)], whole=worst_cells(evaluation)),
+                 drawn=lambda: [charts.maps(evaluation)], whole=worst_cells(evaluation)),
             Part("Robots", [robots_table(evaluation)], aside=True),
             *([formulas_part(evaluation, theory)] if theory or not certain else []),
         ],
@@ -561,14 +561,14 @@ def _key_figures(evaluation: Evaluation) -> list[KeyFigure]:
 def _pictures(evaluation: Evaluation, rest: Rest | None) -> Mapping[str, Callable[[], Pictured]]:
     """What draws each picture, by file name."""
     out: dict[str, Callable[[], Pictured]] = {
-        "world.png": lambda: maps.world_drawn(evaluation),
-        "covered.png": lambda: maps.covered(evaluation),
-        "losses.png": lambda: maps.losses(evaluation),
+        "world.png": lambda: charts.world_drawn(evaluation),
+        "covered.png": lambda: charts.covered(evaluation),
+        "losses.png": lambda: charts.losses(evaluation),
         "distribution.png": lambda: distribution(evaluation, picture=True),
         "over_time.png": lambda: [over_time(evaluation)],
     }
     for found in evaluation.blocks:
         for name, make in found.layers.items():
-            out[name] = partial(maps.with_route, evaluation, make)
+            out[name] = partial(charts.with_route, evaluation, make)
         out |= found.pictures
-    return out if rest is None else out | {"rest.png": lambda: maps.rest_picture(evaluation, rest)}
+    return out if rest is None else out | {"rest.png": lambda: charts.rest_picture(evaluation, rest)}

@@ -23,7 +23,7 @@ from analysis.page.charts import Chart, Series
 from analysis.report.answer import json_end
 from analysis.report.model import Part, Report
 from analysis.sampling import RolloutChoices
-from analysis.statistics import control_variate as pooled_control
+from analysis.statistics import control_variate
 from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import check_maps, generated_case
 from analysis.sweeps.engine import Done, Finished, Job, Swept, run_cases, stored_luck
@@ -123,7 +123,7 @@ def put_right(columns: dict[Key, NDArray[np.float64]], rollouts: int) -> None:
     """Add each map's "mean" to its "run": less what its luck is worth, by all maps together; by step the same."""
     for _, loop, figure in [key for key in columns if key[0] == "beside"]:
         means, errors = columns["beside", loop, figure], columns["errors", loop, figure]
-        columns["mean", loop, figure], _ = pooled_control.put_right(means, errors, len(means) * (rollouts - 1))
+        columns["mean", loop, figure], _ = control_variate.put_right(means, errors, len(means) * (rollouts - 1))
 
 
 def runs_of(tally: Tally, free: int) -> dict[str, NDArray[np.int64]]:

@@ -16,7 +16,7 @@ from analysis.inputs import input_path
 from analysis.recording import contents
 from analysis.recording.frames import make_frames
 from analysis.recording.log_writer import CHUNK_SIZE, LogWriter
-from analysis.recording.viewers import topics as schemas
+from analysis.recording.viewers import topics
 from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.topics import Clock, Message, Stage, layout_json, type_of
 from analysis.report.answer import Answer
@@ -274,7 +274,7 @@ def part_of(results: RolloutResults, start: int, stop: int) -> RolloutResults:
 def _outcome_message(results: RolloutResults, start: int, stop: int) -> Message:
     part = part_of(results, start, stop)
     columns = {name: getattr(part, name).astype(np.int64).tolist() for name in OUTCOME_COLUMNS}
-    return Message("/outcomes", 0, schemas.Outcomes(first=part.start, **columns).SerializeToString())
+    return Message("/outcomes", 0, topics.Outcomes(first=part.start, **columns).SerializeToString())
 
 
 MOST_SECONDS = 2.0**31 - 1

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrac_jax.arrays import Array, HostArrays, on_host, two_words
-from mrac_jax.closed_loop import rules as attentive
-from mrac_jax.closed_loop import rules as search
+from mrac_jax.closed_loop import rules
 from mrac_jax.closed_loop.areas import settle
 from mrac_jax.closed_loop.beginning import COPIED, NO_HIT, first_lanes, halted, lanes_of, lanes_off, nominal_of
 from mrac_jax.closed_loop.returning import charge
@@ -94,7 +93,7 @@ def run(tables: LaneTables, snapshots: Lanes, lanes: Lanes, sums: Sums, queue: Q
         pace: static.
     """
 
-    find = search.search_find if tables.policy is None else attentive.attentive_find
+    find = rules.search_find if tables.policy is None else rules.attentive_find
 
     def goes_on(state: tuple[Lanes, Sums]) -> jax.Array:
         lanes, sums = state

@@ -30,9 +30,7 @@ from analysis.recording.frames import (
     event_line,
     make_frames,
 )
-from analysis.recording.viewers import topics as colours
-from analysis.recording.viewers import topics as drawn_ros
-from analysis.recording.viewers import topics as schemas
+from analysis.recording.viewers import topics
 from analysis.recording.viewers.topics import FRAME, Clock, Message, Place, Stage, occupancy_grid
 from planner.ids import NO_AREA, NO_ROBOT, NO_STEP
 from planner.plan.plan import headings
@@ -97,8 +95,8 @@ class MapDrawer:
             return
         places, self.changed = self._at[cells], True
         self._first[places] = robots
-        self._rgba[places, :3], self._rgba[places, 3] = colours.robots_rgb(robots), SOLID
-        self._plates[places, :3], self._plates[places, 3] = colours.robots_rgb(robots), OPAQUE
+        self._rgba[places, :3], self._rgba[places, 3] = topics.robots_rgb(robots), SOLID
+        self._plates[places, :3], self._plates[places, 3] = topics.robots_rgb(robots), OPAQUE
 
     def hold(self, areas: AreaMap) -> None:
         """Who holds what from now on."""
@@ -106,9 +104,9 @@ class MapDrawer:
         unseen = self._first == NO_ROBOT
         at = self._at[unseen]
         owned, inside = areas.held[at] != Held.UNASSIGNED, areas.area[at] != NO_AREA
-        rgb = np.where(owned[:, None], colours.robots_rgb(areas.robot[at]), np.array(colours.OPEN_AREA, dtype=np.uint8))
+        rgb = np.where(owned[:, None], topics.robots_rgb(areas.robot[at]), np.array(topics.OPEN_AREA, dtype=np.uint8))
         self._rgba[unseen, :3], self._rgba[unseen, 3] = rgb, np.where(inside, np.where(owned, PALE, FAINT), 0)
-        self._plates[unseen, :3], self._plates[unseen, 3] = colours.pale(rgb), np.where(inside & owned, OPAQUE, 0)
+        self._plates[unseen, :3], self._plates[unseen, 3] = topics.pale(rgb), np.where(inside & owned, OPAQUE, 0)
 
     def believe(self, threat: NDArray[np.float32], seen: NDArray[np.bool_]) -> None:
         """From now on this is the map, float32 `[H, W]`, NaN = obstacle, and these cells of it are known."""
@@ -139,7 +137,7 @@ class MapDrawer:
     def obstacles(self, time: int) -> Any:
         """foxglove.Grid, red green blue alpha; alpha 0 where free."""
         rgba = np.zeros((*self.world.shape, 4), dtype=np.uint8)
-        rgba[np.isnan(self._threat)] = colours.OBSTACLE
+        rgba[np.isnan(self._threat)] = topics.OBSTACLE
         return self._send("obstacles", time, np.flipud(rgba))
 
     def truth(self, time: int, threat: NDArray[np.float32]) -> Any:
@@ -147,8 +145,8 @@ class MapDrawer:
         cells, known = np.zeros(threat.shape, dtype=TRUTH), np.nan_to_num(threat, nan=0.0)
         cells["threat"] = known
         share = known[..., None] / max(float(known.max()), 1e-9)
-        low, high = (np.array(rgb) for rgb in colours.THREAT)
-        rgb = np.where(np.isnan(threat)[..., None], colours.OBSTACLE[:3], np.round(low + (high - low) * share))
+        low, high = (np.array(rgb) for rgb in topics.THREAT)
+        rgb = np.where(np.isnan(threat)[..., None], topics.OBSTACLE[:3], np.round(low + (high - low) * share))
         _map_paint(cells, rgb, OPAQUE)
         return self._send("truth", time, np.flipud(cells))
 
@@ -159,7 +157,7 @@ class MapDrawer:
         """
         cells = np.zeros(when.shape, dtype=FOG)
         cells["seen_at"] = np.where(self._unknown, NO_STEP, when)
-        _map_paint(cells, np.array(colours.FOG[:3]), np.where(self._unknown, colours.FOG[3], 0))
+        _map_paint(cells, np.array(topics.FOG[:3]), np.where(self._unknown, topics.FOG[3], 0))
         return self._send("fog", time, np.flipud(cells))
 
     def visited(self, time: int) -> Any:
@@ -244,12 +242,12 @@ class MoverDrawer:
         add_fields(self._cloud, _MOVERS_POINT)
         self._points = np.zeros(ways.shape[1], dtype=_MOVERS_POINT)
         self._points["z"], self._points["alpha"] = MOVERS_HEIGHT * world.cell_size, 255
-        self._points["red"], self._points["green"], self._points["blue"] = colours.MOVER
+        self._points["red"], self._points["green"], self._points["blue"] = topics.MOVER
         for number in range(ways.shape[1]):
             cube = self._scene.entities.add(frame_id=FRAME, id=f"mover {number}").cubes.add()
             cube.pose.orientation.w, cube.pose.position.z = 1.0, MOVERS_HEIGHT * world.cell_size
             cube.size.x = cube.size.y = cube.size.z = SIDE * world.cell_size
-            cube.color.r, cube.color.g, cube.color.b = (part / 255 for part in colours.MOVER)
+            cube.color.r, cube.color.g, cube.color.b = (part / 255 for part in topics.MOVER)
             cube.color.a = 1.0
 
     def messages(self, time: int, step: int) -> Iterator[tuple[str, Any]]:
@@ -316,7 +314,7 @@ class RobotDrawer:
         ball.size.x = ball.size.y = ball.size.z = self._ball
         text.font_size, text.scale_invariant = LABEL_PIXELS, True
         for drawn in (ball, text):
-            _robots_paint(drawn.color, colours.robot_rgb(robot))
+            _robots_paint(drawn.color, topics.robot_rgb(robot))
         ball.pose.position.z, text.pose.position.z = ROBOTS_HEIGHT * self._size, ROBOTS_HEIGHT * self._size + self._ball
 
     def messages(self, time: int, step: int) -> Iterator[tuple[str, Any]]:
@@ -341,7 +339,7 @@ class RobotDrawer:
         points = self._points
         points["x"], points["y"] = self.xy[step].T
         rgb = np.where(
-            alive[:, None], colours.robots_rgb(points["robot"].astype(np.int32)), np.array(colours.LOST, dtype=np.uint8)
+            alive[:, None], topics.robots_rgb(points["robot"].astype(np.int32)), np.array(topics.LOST, dtype=np.uint8)
         )
         points["red"], points["green"], points["blue"] = rgb.T
         self._cloud.data = points.tobytes()
@@ -354,8 +352,8 @@ class RobotDrawer:
 
     def _cross_out(self, entity: Any) -> None:
         ball, text = entity.spheres[0], entity.texts[0]
-        _robots_paint(ball.color, colours.LOST)
-        _robots_paint(text.color, colours.LOST)
+        _robots_paint(ball.color, topics.LOST)
+        _robots_paint(text.color, topics.LOST)
         text.text = f"× {text.text}"  # noqa: RUF001
         line = entity.lines.add(type=LinePrimitive.LINE_LIST, thickness=0.25 * self._ball)
         line.pose.orientation.w = 1.0
@@ -374,7 +372,7 @@ class RobotDrawer:
         cos, sin = np.cos(yaw) * size / 2, np.sin(yaw) * size / 2
         grid = voxel_grid(Place(x - cos + sin, y - sin - cos, VOXEL_AT * size, yaw, size), (1, 1), ROBOTS_VOXEL_HEIGHT)
         grid.timestamp.FromNanoseconds(time)
-        grid.data = bytes((*(colours.ALIVE if self._alive[step, robot] else colours.LOST), 255))
+        grid.data = bytes((*(topics.ALIVE if self._alive[step, robot] else topics.LOST), 255))
         return grid
 
 
@@ -389,7 +387,7 @@ class PathLines:
             entity = self._scene.entities.add(frame_id=FRAME, id=f"{name} {robot}")
             line = entity.lines.add(type=LinePrimitive.LINE_STRIP, thickness=pixels, scale_invariant=True)
             line.pose.orientation.w = 1.0
-            _robots_paint(line.color, colours.robot_rgb(robot), alpha)
+            _robots_paint(line.color, topics.robot_rgb(robot), alpha)
 
     def message(self, time: int, paths: Sequence[NDArray[np.int64]]) -> Any:
         """The lines of paths `[P]` (cells), through their corners; each begins with what it was the last time."""
@@ -489,7 +487,7 @@ class RolloutDrawer:
             before = stage.plan.state.visited.astype(np.int32)
             self.map.first_visit(before, np.full_like(before, trace.cells.shape[1]))
         height, width = stage.world.shape
-        start = schemas.Start(rollout=trace.rollout, robots=trace.cells.shape[1], cells=trace.cells[0].tolist())
+        start = topics.Start(rollout=trace.rollout, robots=trace.cells.shape[1], cells=trace.cells[0].tolist())
         start.height, start.width, start.accessible = height, width, self.accessible
         start.loop, start.seed, start.step_seconds = stage.loop, stage.seed, self.step_seconds
         yield "/rollout/start", start
@@ -502,7 +500,7 @@ class RolloutDrawer:
         yield "/plans", lines.message(time, paths)
         for number, path in enumerate(paths[:MOST_PATHS]):
             xy, yaw = stage.world.to_xy(path.astype(np.int32)), headings(path.astype(np.int64), stage.world)
-            yield f"/robots/{number}/plan", drawn_ros.path(time, self.stamps[: len(path)], xy, yaw)
+            yield f"/robots/{number}/plan", topics.path(time, self.stamps[: len(path)], xy, yaw)
 
     def _known(self, time: int) -> Said:
         """The map as robots know it."""
@@ -521,7 +519,7 @@ class RolloutDrawer:
     def _data(self, time: int, step: int) -> Said:
         """The exact topics of one step, and the events in words."""
         trace, frames = self.trace, self.frames
-        state = schemas.Step(rollout=trace.rollout, step=step, cells=trace.cells[step].tolist())
+        state = topics.Step(rollout=trace.rollout, step=step, cells=trace.cells[step].tolist())
         state.doing.extend(trace.doing[step].tolist())
         state.areas.extend(trace.areas[step].tolist())
         state.visited, state.survived = int(frames.visited[step]), int(frames.survived[step])
@@ -529,7 +527,7 @@ class RolloutDrawer:
         yield "/rollout/step", state
         for row in trace.events[self.cuts[step] : self.cuts[step + 1]]:
             _, robot, kind, area, other = row.tolist()
-            event = schemas.Event(rollout=trace.rollout, step=step, robot=robot, kind=kind, area=area, other=other)
+            event = topics.Event(rollout=trace.rollout, step=step, robot=robot, kind=kind, area=area, other=other)
             yield "/rollout/event", event
             line = event_line(row, self.stage.world, self.stage.plan)
             yield "/events", _log(time, line.level, f"robot {robot}", line.text)
@@ -563,8 +561,8 @@ class RolloutDrawer:
         if self._looks(step, self.paths_every):
             yield from self._paths(time, step)
         covered = (frames.visited[step] / self.accessible, frames.survived[step] / self.accessible)
-        yield "/coverage", drawn_ros.array(*covered)
-        stats = schemas.Stats(rollout=trace.rollout, step=step, alive=float(frames.alive_count[step]))
+        yield "/coverage", topics.array(*covered)
+        stats = topics.Stats(rollout=trace.rollout, step=step, alive=float(frames.alive_count[step]))
         stats.coverage_visited, stats.coverage_survived = covered
         stats.unassigned_areas = float(self.open_areas)
         stats.doing.extend(Doing(doing).name.lower() for doing in trace.doing[step, :MOST_WORDS].tolist())
@@ -578,7 +576,7 @@ class RolloutDrawer:
         for robot in range(min(self.trace.cells.shape[1], MOST_PATHS)):
             entered = np.flatnonzero(self.frames.moved[: step + 1, robot])
             xy, yaw = self.robots.xy[entered, robot], self.robots.yaw[entered, robot]
-            yield f"/robots/{robot}/driven", drawn_ros.path(time, self.stamps[entered], xy, yaw)
+            yield f"/robots/{robot}/driven", topics.path(time, self.stamps[entered], xy, yaw)
 
     def _end(self, time: int) -> Said:
         trace, frames = self.trace, self.frames
@@ -586,7 +584,7 @@ class RolloutDrawer:
         ended = self.stage.plan.ending(trace.outcome)
         text, level = end_text(trace, ended, visited, survived, self.accessible, alive), Log.INFO
         yield "/events", _log(time, Log.ERROR if ended in ENDS_WITH_ERROR else level, "rollout", text)
-        end = schemas.End(rollout=trace.rollout, outcome=int(trace.outcome), time=trace.time, visited=visited)
+        end = topics.End(rollout=trace.rollout, outcome=int(trace.outcome), time=trace.time, visited=visited)
         end.survived, end.alive = survived, alive
         end.area_of.extend(trace.area_of.tolist())
         yield "/rollout/end", end
