@@ -30,6 +30,8 @@ from numba.core.caching import NullCache
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.serialize import dumps
 
+from planner.jit_features import FeatureCompiler
+
 # Files of compiled code, kept between runs: read only if they are whole and nobody else's, else made again.
 #
 # Compiled code that is damaged ends the process, and whoever can write it can run anything: so a file carries the hash
@@ -237,8 +239,6 @@ class Listener(Protocol):
 
 OF_JAX: list[Listener] = []
 """Who is told of what JAX compiles."""
-OF_THIS_PROCESS = "(of this process)"
-"""In the name of a type: code for it is of no use to another process, and not kept."""
 UNCOUNTED: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
 
 
@@ -249,7 +249,7 @@ def _rebuild(target: Any, reduced: Any) -> Any:
 def _compilers() -> tuple[type, type, type, Rebuild]:
     """Those of parts, of programs and of all else, and what rebuilds a part."""
     if not numba.__version__.startswith(KNOWN):
-        return Compiler, Compiler, Compiler, _rebuild
+        return FeatureCompiler, FeatureCompiler, Compiler, _rebuild
     from planner import jit_parts
 
     return jit_parts.PartCompiler, jit_parts.ProgramCompiler, jit_parts.QuickCompiler, jit_parts.rebuild_part
@@ -360,8 +360,6 @@ class _KeptCode(NullCache):
         return str(self._folder.path)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        if OF_THIS_PROCESS in str(sig):
-            return None
         target_context.refresh()
         key = self._key(sig, target_context.codegen())
         content = self._folder.read(self._file(key))
@@ -375,11 +373,7 @@ class _KeptCode(NullCache):
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        if (
-            OF_THIS_PROCESS in str(sig)
-            or data.library.has_dynamic_globals
-            or any(not lifted.can_cache for lifted in data.lifted)
-        ):
+        if data.library.has_dynamic_globals or any(not lifted.can_cache for lifted in data.lifted):
             return
         key = self._key(sig, data.codegen)
         self._folder.write(self._file(key), dumps((key, data._reduce())))

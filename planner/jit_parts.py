@@ -13,11 +13,13 @@ from typing import Any
 
 from llvmlite import binding  # type: ignore[import-untyped]
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler, CompileResult, Flags
+from numba.core.compiler import CompileResult, Flags
 from numba.core.cpu import CPUContext
 from numba.core.types import Integer, Literal
 from numba.core.types.common import Buffer
 from numba.core.types.containers import BaseTuple
+
+from planner.jit_features import FeatureCompiler
 
 
 class QuickFlags(Flags):
@@ -32,7 +34,7 @@ class QuickFlags(Flags):
         return isinstance(other, QuickFlags) and self._values == other._values
 
 
-class QuickCompiler(Compiler):
+class QuickCompiler(FeatureCompiler):
     """Numba's compiler with such options."""
 
     def __init__(

@@ -26,7 +26,6 @@ from planner.rollouts.engine import closed_loop_engine
 from planner.settings import Settings
 from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
 from planner.simulator.loop import ClosedLoop
-from planner.simulator.policy import Followed
 from planner.tally import EventKind, Outcome
 
 SHAPE = (150, 8)
@@ -147,7 +146,7 @@ def with_an_if(offer: Offer) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
 def test_what_the_lanes_cannot_follow_is_numba_s(order: Any, words: str) -> None:
     loop = loop_of(first_worlds(1)[0])
     assert loop.policy is not None
-    loop = replace(loop, policy=loop.policy._replace(rule=Followed(Rule("own", order))))
+    loop = replace(loop, rule=Rule("own", order))
     with pytest.raises(WorldError, match=words + ".*engine='numba'"):
         closed_loop_engine(loop, 1, "jax")
     assert closed_loop_engine(loop, 1, "auto").name == "numba"

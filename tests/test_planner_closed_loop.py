@@ -24,7 +24,7 @@ from planner.plan.plan import Plan
 from planner.settings import Settings
 from planner.simulator import return_home as remember
 from planner.simulator.closed_loop import compile_closed_loop, new_cells, run_range
-from planner.simulator.loop import COMMON, FULL, PLAIN_PROGRAM, ClosedLoop, program_of, typed
+from planner.simulator.loop import FEATURES, PROGRAMS, ClosedLoop, typed, with_features
 from planner.simulator.runners import KNOWN, LEAST_SHARED, _in_rounds, remember_alike
 from planner.simulator.state import first_room, largest_set, make_state, make_work
 from planner.simulator.tables import most_cost
@@ -376,17 +376,22 @@ def test_a_plan_for_another_map_is_refused() -> None:
         compile_closed_loop(plan, World.create(np.zeros((3, 2))))
 
 
+def features_of(loop: ClosedLoop) -> int:
+    """How many features the program of the loop has."""
+    tables = with_features(loop.tables)
+    return sum(getattr(tables, name) is not None for name in FEATURES)
+
+
 @pytest.mark.parametrize("policy", ["mrac", "per_cell"])
 def test_the_programs_of_common_and_of_plain_missions_are_the_whole_one(
     policy: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     world = random_world(pattern=ThreatPattern(seed=3))
     plan = make_plan(world, place_starts(world, 4)[0], Settings(policy=policy))
-    assert program_of(compile_closed_loop(plan, world).tables) == COMMON
+    assert features_of(compile_closed_loop(plan, world)) == 0
     found = run_range(compile_closed_loop(plan, world), 7, 0, 3000, singles=True)
-    for program in (PLAIN_PROGRAM, FULL):
-        for module in ("loop", "runners"):
-            monkeypatch.setattr(f"planner.simulator.{module}.program_of", lambda tables, program=program: program)
+    for program in PROGRAMS[1:]:
+        monkeypatch.setattr("planner.simulator.loop.PROGRAMS", (program,))
         again = run_range(compile_closed_loop(plan, world), 7, 0, 3000, singles=True)
         assert found[0] == again[0]
         assert all(map(np.array_equal, vars(found[1]).values(), vars(again[1]).values()))
@@ -395,24 +400,23 @@ def test_the_programs_of_common_and_of_plain_missions_are_the_whole_one(
 @pytest.mark.parametrize(
     ("settings", "tabled", "program"),
     [
-        (Settings(), None, COMMON),
-        (Settings(), False, PLAIN_PROGRAM),
-        (Settings(transit="area"), None, PLAIN_PROGRAM),
+        (Settings(), None, PROGRAMS[0]),
+        (Settings(), False, PROGRAMS[1]),
+        (Settings(transit="area"), None, PROGRAMS[1]),
     ],
 )
 def test_common_missions_search_for_nothing(settings: Settings, tabled: bool | None, program: int) -> None:
     world = random_world()
     plan = make_plan(world, place_starts(world, 4)[0], settings)
-    assert program_of(compile_closed_loop(plan, world, tabled=tabled).tables) == program
+    assert features_of(compile_closed_loop(plan, world, tabled=tabled)) == program
 
 
 @pytest.mark.parametrize("settings", [Settings(return_to="home"), Settings(radio=5.0)])
 def test_other_missions_share_the_whole_program(settings: Settings) -> None:
     world = random_world()
     starts = place_starts(world, 4)[0]
-    tables, bare = (compile_closed_loop(make_plan(world, starts, of), world).tables for of in (settings, Settings()))
-    assert (program_of(tables), program_of(bare)) == (FULL, COMMON)
-    assert typeof(typed(tables, program_of(tables))) == typeof(typed(bare))
-    assert len({typeof(typed(bare, program)) for program in (COMMON, PLAIN_PROGRAM, FULL)}) == 3
-    with pytest.raises(AssertionError):  # what is there cannot be left out
-        typed(tables, PLAIN_PROGRAM)
+    loops = [compile_closed_loop(make_plan(world, starts, of), world) for of in (settings, Settings())]
+    assert list(map(features_of, loops)) == [PROGRAMS[-1], PROGRAMS[0]]
+    others = (Settings(steps_per_move=(1, 2, 1, 1)), Settings(wear=2.0))
+    more = [compile_closed_loop(make_plan(world, starts, of), world) for of in others]
+    assert len({typeof(typed(with_features(loop.tables))) for loop in (loops[0], *more)}) == 1

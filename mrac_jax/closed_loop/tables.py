@@ -184,7 +184,7 @@ def lane_policy(loop: ClosedLoop, level: NDArray[np.int32], robots: int) -> Lane
         value=padded(policy.value, len(level)) if len(policy.value) else None,
         scale=np.int32(policy.scale),
         beyond=np.int32(policy.beyond),
-        order=policy.rule.order,
+        order=loop.rule.order,
         looks_again=policy.looks_again,
         breaks_off=policy.breaks_off,
     )

@@ -18,12 +18,11 @@ from planner.simulator.paths import (
     open_at,
     row_from,
     row_if_asked,
-    searches,
     seek,
     set_out,
     walk_back,
 )
-from planner.simulator.range_budget import affords, comes_home
+from planner.simulator.range_budget import affords
 from planner.simulator.robot_types import hears, moves_until, own, own_level
 from planner.simulator.state import (
     AREA,
@@ -178,7 +177,7 @@ def give(s, robot, area):
 def find_affordable(t, s, w, robot):
     """The same by `costs_from` the robot, of what one that comes home can afford, and by its own levels."""
     here = np.int64(s.robots[robot, CELL])
-    if not searches(t):
+    if not t.searches:
         row = own(t, robot, here)
         return affordable(t, s, w, robot, t.cost_to[row], t.area_cost[row], t.area_entry[row])
     row = row_from(t, s, w, here)
@@ -193,7 +192,7 @@ def affordable(t, s, w, robot, costs, area_costs, area_entries):
         if not holds(s.open, area):
             continue
         level, root = own_level(t, robot, s.areas[area, LEVEL]), np.int64(s.areas[area, ROOT])
-        if len(s.mind) > 0:  # areas gain cells: none is a part of one of t = 0
+        if t.learns:  # areas gain cells: none is a part of one of t = 0
             cell = cheapest_cell(costs, s, area)
             cost = np.int64(costs[cell]) if cell != NONE else np.int64(NONE)
         else:
@@ -204,22 +203,22 @@ def affordable(t, s, w, robot, costs, area_costs, area_entries):
             cell = cheapest_cell(costs, s, area)
             cost = np.int64(costs[cell])
         better = cost >= 0 and (level < best_level or cost < best_cost)
-        if better and (not comes_home(t) or affords(t, s, w, robot, cell)):
+        if better and (not t.returns or affords(t, s, w, robot, cell)):
             best, best_level, best_cost, best_cell = np.int64(area), level, cost, cell
     return best, best_cell
 
 
-@spliced
+@kernel
 def find_next_area(t, s, w, robot):
     """(area, cell) of the next area by (level, cost, id), NONE if none is reachable."""
     if not hears(t, s, robot):
         return np.int64(NONE), np.int64(NONE)
-    if comes_home(t) or len(t.type_of) > 0:
+    if t.returns or t.mixed:
         return find_affordable(t, s, w, robot)
     here = np.int64(s.robots[robot, CELL])
-    if not searches(t):
+    if not t.searches:
         return look_up_next_area(s, t.cost_to[here], t.area_cost[here], t.area_entry[here])
-    if len(s.mind) > 0:  # areas gain cells: none is a part of one of t = 0
+    if t.learns:  # areas gain cells: none is a part of one of t = 0
         return search_next_area(t, s, w, here)
     row = row_if_asked(t, s, w, here)
     if row != NONE:
@@ -452,14 +451,14 @@ def replace(t, s, w, area, split):
 def costs_from(t, s, w, robot):
     """The cost from the robot's cell to every cell, NONE if unreachable; without tables a row for two robots' time."""
     here = np.int64(s.robots[robot, CELL])
-    return t.cost_to[own(t, robot, here)] if not searches(t) else w.rows[row_from(t, s, w, here)]
+    return t.cost_to[own(t, robot, here)] if not t.searches else w.rows[row_from(t, s, w, here)]
 
 
 @kernel
 def is_within(t, s, w, helper, target, most):
     """Whether `target` is at most `most` moves from the helper; without tables the last answer was `costs_from` it."""
     here = s.robots[helper, CELL]
-    if searches(t):
+    if t.searches:
         return walk_back(t, s, w, here, target, s.legs[helper]) <= most
     for _ in range(most):
         if here == target:
@@ -505,7 +504,7 @@ def owner_to_share_with(t, s, w, helper, costs):
         better = (level, cost, area) < (best_level, best_cost, best_area)
         # Steps are counted along the path only where the cost does not tell: a step costs 1 at least.
         near = better and (cost <= left or is_within(t, s, w, helper, cell, left))  # a step costs 1 at least
-        if near and (not comes_home(t) or affords(t, s, w, helper, cell)):
+        if near and (not t.returns or affords(t, s, w, helper, cell)):
             best, best_level, best_cost, best_area = owner, level, cost, area
     return best
 
@@ -527,7 +526,7 @@ def choose_parts(s, owner_costs, helper_costs, first, parts):
 @rare_kernel
 def share(t, s, w, log, helper):
     """`Find Area To Share`: 1 if the helper got a part, 0 if there is nothing to share, NONE if there is no room."""
-    if not hears(t, s, helper) or (searches(t) and not any_to_share(t, s, helper)):  # nothing to search for
+    if not hears(t, s, helper) or (t.searches and not any_to_share(t, s, helper)):  # nothing to search for
         return 0
     # Two rows at once: there is always room for two, and the last answer's is not thrown out (`rows.row_from`).
     helper_costs = costs_from(t, s, w, helper)
@@ -550,5 +549,5 @@ def share_between(t, s, w, log, helper, owner, helper_costs):
         target = entry_of(t, s, w, robot, part)
         note(log, s, robot, ALLOCATED_EVENT, part, target)
         if s.robots[robot, DOING] != STARTING:
-            set_out(t, s, w, robot, target, searches(t))
+            set_out(t, s, w, robot, target, t.searches)
     return 1

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.ids import NONE
-from planner.jit import kernel, program, rare_kernel, spliced
+from planner.jit import kernel, program, rare_kernel
 from planner.policies.limits import is_dangerous
 from planner.simulator.areas import (
     ALLOCATED_EVENT,
@@ -37,9 +37,8 @@ from planner.simulator.next_area import (
     is_full,
     see,
 )
-from planner.simulator.paths import entry_of, go_on, list_to_do, next_leg, searches, set_out
+from planner.simulator.paths import entry_of, go_on, list_to_do, next_leg, set_out
 from planner.simulator.policy import is_danger, offer_of
-from planner.simulator.range_budget import comes_home
 from planner.simulator.return_home import call_home, charge, end_range, go_home, may_be_charged, stay, turn_home, turns
 from planner.simulator.robot_types import came_back, drives_back, hears, on_turn, own, own_turn
 from planner.simulator.rollouts import begin_next, go_on_with, level_of
@@ -102,7 +101,7 @@ def begin(t, s, w):
         if s.robots[robot, DOING] == STARTING:
             s.robots[robot, DOING] = TRAVELING
             target = entry_of(t, s, w, robot, np.int64(s.robots[robot, AREA]))
-            set_out(t, s, w, robot, target, searches(t))
+            set_out(t, s, w, robot, target, t.searches)
         else:
             s.robots[robot, DOING] = IDLE
 
@@ -172,7 +171,7 @@ def share_or_rest(t, p, s, w, log, robot):
         if area != NONE:
             note(log, s, robot, REFUSED_EVENT, area, target)
     s.robots[robot, DOING] = DONE
-    if comes_home(t) and would_be_charged(t, p, s, w, robot):
+    if t.returns and would_be_charged(t, p, s, w, robot):
         turn_home(t, s, w, log, robot, True)
     else:
         waits(t, s, robot)
@@ -190,7 +189,7 @@ def allocate_next(t, p, s, w, log, robot, idle):
     else:
         area, target, cost = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))
     if area == NONE and idle and not s.robots[robot, HELD]:
-        if comes_home(t) and would_be_charged(t, p, s, w, robot):
+        if t.returns and would_be_charged(t, p, s, w, robot):
             turn_home(t, s, w, log, robot, True)
         return 0
     if area == NONE:
@@ -202,7 +201,7 @@ def allocate_next(t, p, s, w, log, robot, idle):
     return 1
 
 
-@spliced
+@rare_kernel
 def look_again(t, p, s, w, log, robot):
     """Before a danger: another area may be better by now, or none worth it; answers as `share_or_rest`."""
     own = np.int64(s.robots[robot, AREA])
@@ -229,13 +228,13 @@ def aim(t, s, w, how, robot):
     if s.robots[robot, DOING] == TRAVELING:
         costs = costs_from(t, s, w, robot)
         target, _ = see(t, s, costs, robot, np.int64(s.robots[robot, CELL]), np.int64(s.robots[robot, AREA]))
-        set_out(t, s, w, robot, target, searches(t))
+        set_out(t, s, w, robot, target, t.searches)
     else:
         s.robots[robot, AHEAD] = 0
         next_leg(t, s, w, how, robot)
 
 
-@spliced
+@rare_kernel
 def look_up(t, p, s, w, log, how, robot):
     """What the robot notices before it moves; answers as `share_or_rest`."""
     robots, got = s.robots, 0
@@ -265,7 +264,7 @@ def arrive(t, p, s, w, log, how, robot):
     return 0
 
 
-@spliced
+@rare_kernel
 def go(t, p, s, w, log, how, robot, step, cell):
     """After entering a cell; answers as `share_or_rest`."""
     robots = s.robots
@@ -330,7 +329,7 @@ def is_news(s, robot, cell):
     return home & VISITED == 0 and home >> AREA_BITS != s.robots[robot, AREA]
 
 
-@spliced
+@kernel
 def walk_alone(t, p, s, c, w, how, robot, step, size):
     """Steps after `step` in which a robot just moves over safe cells, nobody else does; the last of them.
 
@@ -366,7 +365,7 @@ def how_over(t, p, s, w):
     return np.int64(NOT_WORTH_THE_RISK) if over == NO_PROGRESS and could_go_on(t, p, s, w) else over
 
 
-@spliced
+@kernel
 def ending(t, p, s, w, how, step):
     """How the run ends after this step, NONE if it goes on."""
     outcome = end_of(t, s, how, step)
@@ -385,25 +384,25 @@ def advance(t, p, s, c, w, log, how, ids):
     # What `first_of_idle` keeps is of one level of the stack, and scratch is of the thread.
     for other in range(len(robots)):
         w.kept[other, 0] = NONE
-    if len(s.mind) > 0:
+    if t.learns:
         recall(t, s, w)
     while True:
         if verdict == ACTS:
             while bits == 0:
                 word += 1
                 if word == len(s.movers):
-                    if len(s.entered) > 0:
+                    if t.moving:
                         marks[PROGRESS] = progress
                         verdict = after_turns(t, s, c, w, how, ids, size)
                         if verdict != ACTS:
                             break
-                    if len(s.mind) > 0:
+                    if t.learns:
                         got = learn(t, p, s, w, log, how, ids)
                         if got == NONE:
                             return AREAS_FULL
                         progress |= got
                     marks[QUIET] = 0 if progress else marks[QUIET] + 1
-                    if comes_home(t):
+                    if t.returns:
                         if not call_home(t, s, w, log, how_over(t, p, s, w)):
                             return AREAS_FULL
                         unsettle(s)
@@ -425,14 +424,14 @@ def advance(t, p, s, c, w, log, how, ids):
                 continue
             robot = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
-            marks[ROBOT] = robot if comes_home(t) else marks[ROBOT]
+            marks[ROBOT] = robot if t.returns else marks[ROBOT]
             got = 0
             if not holds(s.movers, robot):
                 stays = not drives_back(t, s, robot)
                 if stays:
                     got = allocate_next(t, p, s, w, log, robot, np.bool_(True))
             else:
-                charging = comes_home(t) and robots[robot, DOING] == CHARGING
+                charging = t.returns and robots[robot, DOING] == CHARGING
                 if charging:
                     progress = np.int64(1)
                     if charge(t, s, log, robot, step):
@@ -444,7 +443,7 @@ def advance(t, p, s, c, w, log, how, ids):
                     marks[NOW] = 0
                 stays = charging or not holds(s.movers, robot)
                 s.team[robot, UNTIL] += stays and not charging  # it has not moved in this step
-                if comes_home(t) and not stays and step > 0:
+                if t.returns and not stays and step > 0:
                     how_turns = turns(t, s, robot, step) if has_area(robots, robot) else 0
                     if how_turns > 0:
                         if got == NONE or not turn_home(t, s, w, log, robot, how_turns > 1):
@@ -477,9 +476,9 @@ def advance(t, p, s, c, w, log, how, ids):
         else:
             if verdict == PASSED:
                 verdict = np.int64(ACTS)
-                if len(s.entered) == 0:
+                if not t.moving:
                     survive(s, c, step, cell, size)
-                    if len(s.odds) > 0:
+                    if t.estimates:
                         take_note(t, s, cell)
             if robots[robot, DOING] == RETURNING:
                 go_home(t, s, log, robot)
@@ -509,5 +508,5 @@ def run_attentive(t, p, c, waiting, tasks, taken, stack, w, log, how, ids, singl
             found = advance(tables, policy, s, counts, work, logged, options, ids)
             if found == AREAS_FULL:
                 return NONE
-            level, top = go_on_with(s, counts, stack, ids, singles, options, top, last, found)
+            level, top = go_on_with(tables, s, counts, stack, ids, singles, options, top, last, found)
     return max(top, 0)

@@ -84,6 +84,7 @@ def compile_closed_loop(
         max_steps=problem.max_steps,
         first_only=first_only,
         stay_inside=settings.transit == "area",
+        rule=rule,
         policy=make_policy(problem, cells, tables) if rule.attentive else None,
         state=plan.state,
         purpose=purpose_of(world),

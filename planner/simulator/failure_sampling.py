@@ -201,7 +201,7 @@ def least_word(exposure):
 @kernel
 def fresh(t, robot, exposure):
     """What the robot's exposure is to one that neither wears nor is susceptible: see `planner.failure_model`."""
-    return exposure if len(t.times) == 0 else _fresh(t, robot, exposure)
+    return exposure if not t.wears else _fresh(t, robot, exposure)
 
 
 @rare_kernel
@@ -212,7 +212,7 @@ def _fresh(t, robot, exposure):
 @rare_kernel
 def mass_stopped(t, s, robot, place, mass):
     """Of a tree's branch of this mass, as much as a visit stops, which adds to what the robot has borne; rounded."""
-    if len(t.times) == 0:
+    if not t.wears:
         return np.int64(t.chance[place] * mass + 0.5)
     before = fresh(t, robot, s.team[robot, BORNE])
     s.team[robot, BORNE] += t.exposure[place]
@@ -233,7 +233,7 @@ def stopped_from(t, s, c, w, how, ids, step, robot, cell, place):
         c.histories[2] += 1
         return last - mass_stopped(t, s, robot, place, last - first)
     # What is true of the cell differs from rollout to rollout, so no limit serves the whole set.
-    if len(t.own_counter) > 0:
+    if t.doubtful:
         return part_in_doubt(t, ids, w, how, first, last, step, robot, cell)
     if len(t.exposure) == 0:
         # u < p with u = word >> 8: turned over, small words become large ones, and one comparison serves both lucks.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -14,6 +15,7 @@ from planner.errors import UsageError
 from planner.failure_model import PLAIN, Bearing
 from planner.ids import LuckName
 from planner.plan.state import MissionState
+from planner.policies.rule import Rule
 from planner.rollout_sampling import first_places
 from planner.simulator.policy import Policy
 from planner.simulator.state import DETECTS, GOAL, TRUTH, State, Tables, first_state
@@ -25,46 +27,49 @@ from planner.world.world import World
 
 # The programs that missions run: one for common missions, one for other plain ones, one for the rest.
 #
-# Part of `planner.simulator.rollouts`, which see. A program is compiled for the types of the arrays that it is handed.
-# Those that its missions do without are read-only: so their type says that they are empty
-# (`planner.simulator.struct_pointers`), and
-# what asks for them is left out.
+# A program is compiled for the types of its arguments. A feature that none of its missions has is None: its code is
+# left out.
 
 Arrays = TypeVar("Arrays", bound=tuple)
 
-COMMON, PLAIN_PROGRAM, FULL = range(3)
-"""Programs, the smallest first."""
-WITHOUT = {Tables: ("entry", "truths"), State: ("legs", "entered")}
-"""The fields from which on all are empty in a COMMON and in a PLAIN mission. PLAIN: on a map that robots are told,
-without threats that move or change, whose robots are alike, do not wear, hear each other everywhere and stay where they
-end. COMMON: besides, all distances are in tables, the map is certain, no hit makes a cell harmless, no path is given.
-"""
+FEATURES: dict[str, Callable[[Tables], bool]] = {
+    "follows": lambda t: len(t.given) > 0,
+    "walks": lambda t: len(t.entry) > 0,
+    "searches": lambda t: len(t.entry) > 0 and not len(t.cost_to),
+    "doubtful": lambda t: len(t.own_counter) > 0,
+    "spends": lambda t: len(t.spent) > 0,
+    "wears": lambda t: len(t.times) > 0,
+    "moving": lambda t: len(t.movers) > 0,
+    "mixed": lambda t: len(t.type_of) > 0,
+    "paced": lambda t: len(t.pace) > 0,
+    "radio": lambda t: len(t.reach) > 0,
+    "returns": lambda t: len(t.home_cost) > 0,
+    "learns": lambda t: len(t.truths) > 0,
+    "estimates": lambda t: len(t.odds) > 0,
+    "phased": lambda t: len(t.phases) > 0,
+}
+PROGRAMS = 0, list(FEATURES).index("wears"), len(FEATURES)
+"""How many of the FEATURES each program has: none; those of large or uncertain maps and of external paths; all. Each
+further program would be compiled for its missions alone."""
 
 
-def program_of(tables: Tables) -> int:
-    """The program of a mission: the smallest that has all that its tables hold."""
-    last = max(place for place, field in enumerate(tables) if field.size)
-    return sum(Tables._fields.index(name) <= last for name in WITHOUT[Tables])
+def with_features(tables: Tables) -> Tables:
+    """The tables of the smallest program that has all features of the mission."""
+    has = {name: test(tables) for name, test in FEATURES.items()}
+    known = min(size for size in PROGRAMS if not any(list(has.values())[size:]))
+    return tables._replace(**(dict.fromkeys(has) | dict(list(has.items())[:known])))
 
 
-def typed(given: Arrays, program: int = FULL) -> Arrays:
-    """The same named tuple with arrays of the types that the program is compiled for.
-
-    They are contiguous and writable, but for those that the program does without, which have to be empty.
-    """
-    without = WITHOUT.get(type(given), ())[program:]
-    last = given._fields.index(without[0]) if without else len(given)  # type: ignore[attr-defined]
-    fields = [
-        np.require(field, requirements=("C", "W"))
-        if isinstance(field, np.ndarray) and not field.flags.carray
-        else field
-        for field in given
-    ]
-    for place in range(last, len(fields)):
-        assert not fields[place].size, given._fields[place]  # type: ignore[attr-defined]
-        fields[place] = np.empty_like(fields[place])
-        fields[place].flags.writeable = False
-    return type(given)(*fields)
+def typed(given: Arrays) -> Arrays:
+    """The same named tuple with contiguous, writable arrays: the types that programs are compiled for."""
+    return type(given)(
+        *(
+            np.require(field, requirements=("C", "W"))
+            if isinstance(field, np.ndarray) and not field.flags.carray
+            else field
+            for field in given
+        )
+    )
 
 
 NO_COUNTS = np.zeros(0, dtype=np.int64)
@@ -91,7 +96,7 @@ class ClosedLoop:
         identity: hash of everything that its rollouts depend on besides the seed.
         shape: (H, W). cells: int64 `[A]`, index of each accessible cell.
         tables: what every rollout reads. max_steps: T_max. first_only: `threat_checks="first_visit"`.
-        stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule.
+        stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule. rule: of both.
         weights: what cells add to the sums that are kept of single rollouts; survived visits are then counted too.
         luck: by which robots are stopped. bearing: what they bear.
         purpose: of the key under which is drawn what is in doubt about the map (`planner.world.uncertain_maps.Draws`).
@@ -107,6 +112,7 @@ class ClosedLoop:
     max_steps: int
     first_only: bool
     stay_inside: bool
+    rule: Rule
     policy: Policy | None = None
     state: MissionState | None = None
     weights: Weights | None = None
@@ -178,7 +184,7 @@ class ClosedLoop:
                 set_back_to(self.state, first, self.tables, self.cells)
             levels = 1 if self.doubt is None else len(self.tables.truths)
             rows = (row[None] if levels == 1 else np.repeat(row[None], levels, axis=0) for row in first)
-            self._first[room] = typed(State._make(rows), program_of(self.tables))
+            self._first[room] = typed(State._make(rows))
             if self.learns:
                 self._first[room].mind[:, TRUTH] = np.arange(levels)
         return self._first[room]

@@ -14,7 +14,7 @@ from planner.ids import NONE
 from planner.jit import kernel, rare_kernel
 from planner.simulator.areas import SURPRISED_EVENT, close, has_area, note, reopen, room_of
 from planner.simulator.failure_sampling import own_word, threefry
-from planner.simulator.range_budget import comes_home, find_ways_home, moves_home
+from planner.simulator.range_budget import find_ways_home, moves_home
 from planner.simulator.robot_types import own
 from planner.simulator.state import (
     AHEAD,
@@ -154,7 +154,7 @@ def recall(t, s, w):
             if w.source_of[row] != NONE:
                 w.row_of[w.source_of[row]] = w.source_of[row] = NONE
         w.last[0] = NONE
-        if comes_home(t):
+        if t.returns:
             find_ways_home(t, s, w)
 
 
@@ -412,7 +412,7 @@ def phase_at(t, step):
 @kernel
 def visit_of(t, s, robot, cell):
     """Where `Tables.bound`, `exposure` and `chance` have a visit of the cell by the robot in this step."""
-    return own(t, robot, cell) if len(t.phases) == 0 else cell + len(t.near) * phase_at(t, s.marks[STEP])
+    return own(t, robot, cell) if not t.phased else cell + len(t.near) * phase_at(t, s.marks[STEP])
 
 
 @rare_kernel
@@ -436,9 +436,9 @@ def foresee(t, s, w):
 @kernel
 def learns_of(t, s, w, how, ids):
     """`look_about`, or the same of the evidence or of phases, by which nothing is ever seen."""
-    if len(t.phases) > 0:
+    if t.phased:
         return foresee(t, s, w), False
-    return look_about(t, s, w) if len(s.odds) == 0 else (reckon(t, s, w, how, ids), False)
+    return look_about(t, s, w) if not t.estimates else (reckon(t, s, w, how, ids), False)
 
 
 @kernel
@@ -480,7 +480,7 @@ def read(t, s, how, rollout, robot):
     here = s.robots[robot, CELL]
     for place in range(t.view_begin[here], t.view_begin[here + 1]):
         cell = np.int64(t.in_view[place])
-        there = own_word(t, how, rollout, cell) < t.there[cell] and not (len(s.spent) > 0 and holds(s.spent, cell))
+        there = own_word(t, how, rollout, cell) < t.there[cell] and not (t.spends and holds(s.spent, cell))
         word = threefry(key0, key1, np.uint32(robot), t.own_counter[cell])[0] >> np.uint32(8)
         alarm = np.int64(word) < t.lessons[DETECTS if there else ERRS]
         add(s, cell, t.lessons[ALARM] if alarm else -t.lessons[SILENCE])

@@ -12,9 +12,9 @@ from planner.jit import kernel, rare_kernel
 from planner.policies.limits import is_dangerous
 from planner.policies.rule import Offer, price
 from planner.simulator.areas import any_to_share, costs_from, has_area, is_within, make_lowest, may_be_shared
-from planner.simulator.paths import one_cell, row_from, searches, seek, set_out
+from planner.simulator.paths import one_cell, row_from, seek, set_out
 from planner.simulator.policy import is_before, is_danger, offer_of, refuses
-from planner.simulator.range_budget import affords, comes_home, moves_home
+from planner.simulator.range_budget import affords, moves_home
 from planner.simulator.robot_types import hears, moves_until, own, own_level
 from planner.simulator.state import (
     AHEAD,
@@ -66,7 +66,7 @@ def bound_of(t, s, robot, here, area):
 
     The cell is the area's target if it is an unvisited one of the area. Without tables nothing is known.
     """
-    if searches(t):
+    if t.searches:
         return np.int64(len(s.order)), np.int64(0)
     root, row = np.int64(s.areas[area, ROOT]), own(t, robot, here)
     return np.int64(t.area_entry[row, root]), np.int64(t.area_cost[row, root])
@@ -90,7 +90,7 @@ def see(t, s, costs, robot, here, area):
 @kernel
 def is_too_far_from_home(t, p, s, w, robot, here, target, offer, refusing):
     """Whether a robot that comes home leaves an area alone: it cannot afford it, or refuses it for the way home."""
-    if not comes_home(t):
+    if not t.returns:
         return False
     if not affords(t, s, w, robot, target):
         return True
@@ -247,7 +247,7 @@ def first_area(t, p, s, w, robot, its_own, refusing):
     if its_own != NONE:  # its target stays the same on the way there, until it is visited, or costs are others
         cell = np.int64(s.robots[robot, TARGET])
         cost = np.int64(costs[cell])
-        if s.home[cell] & VISITED or len(s.mind) > 0:
+        if s.home[cell] & VISITED or t.learns:
             cell, cost = see(t, s, costs, robot, here, its_own)
         offer = offer_of(t, p, s, robot, its_own, cost)
         before = goes_first(p, offer, its_own, first, best, refusing)
@@ -264,7 +264,7 @@ def first_area(t, p, s, w, robot, its_own, refusing):
         if all_seen:
             return best, target, first.cost
     level = least_open(p, s)
-    mixed = len(t.type_of) > 0 and s.marks[OPEN] > 0  # levels of areas are in the order of nobody's own
+    mixed = t.mixed and s.marks[OPEN] > 0  # levels of areas are in the order of nobody's own
     for further in range(2):
         # First by bounds from the tables alone; cells are looked at only of what may still go before.
         for closely in range(2):
@@ -285,7 +285,7 @@ def first_of_idle(t, p, s, w, robot):
     if not hears(t, s, robot):
         return np.int64(NONE), np.int64(NONE), np.int64(FAR)
     # CHANGES counts whatever could alter the answer, so an equal count means the same answer.
-    if kept[0] != s.marks[CHANGES] or kept[1] != here or comes_home(t):  # what it can afford changes by itself
+    if kept[0] != s.marks[CHANGES] or kept[1] != here or t.returns:  # what it can afford changes by itself
         area, target, cost = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))
         kept[0], kept[1], kept[2], kept[3], kept[4] = s.marks[CHANGES], here, area, target, cost
     return kept[2], kept[3], kept[4]
@@ -329,7 +329,7 @@ def first_to_share(t, p, s, w, helper):
 @kernel
 def head_for(t, s, w, robot, target):
     """Begin the way to a cell."""
-    searched = searches(t)
+    searched = t.searches
     if searched:
         here = np.int64(s.robots[robot, CELL])
         if w.row_of[here] != NONE:

@@ -175,12 +175,6 @@ ONE_CELL = -2
 
 
 @kernel
-def searches(t):
-    """Whether there are no tables of distances: then there is `entry`, and where that is known not to be, no search."""
-    return len(t.entry) > 0 and len(t.cost_to) == 0
-
-
-@kernel
 def any_of(area):
     """All cells of the area."""
     return np.int64(area) << AREA_BITS | VISITED | SURVIVED | TO_DO, np.int64(VISITED | SURVIVED | TO_DO)
@@ -235,7 +229,7 @@ def seek_near(t, s, w, here, goal, inside, most):
     one unit away (safe ones) go through a queue in layers, the others through a heap.
     """
     distance, seen, queue = w.distance, w.seen, w.queue
-    near, entries = s.near if len(s.mind) > 0 else t.near, s.entry if len(s.mind) > 0 else t.entry
+    near, entries = s.near if t.learns else t.near, s.entry if t.learns else t.entry
     w.stamp[0] += 1
     stamp, here = w.stamp[0], np.int64(here)
     distance[here], seen[here], seen[len(t.near)] = 0, stamp, stamp  # what is blocked is met already
@@ -344,7 +338,7 @@ def row_from(t, s, w, here):
         if w.source_of[row] != NONE:
             w.row_of[w.source_of[row]] = NONE
         w.source_of[row], w.row_of[here] = here, row
-        if len(s.mind) == 0:
+        if not t.learns:
             fill_row(t, w, here, row)
         else:
             fill_row_believed(t, s, w, here, row)
@@ -436,7 +430,7 @@ def last_cost(w, cell):
 @kernel
 def walk_back(t, s, w, here, target, leg):
     """Write the last answer's path from `here` to `target` into `leg` `[A]`, last cell first; returns its steps."""
-    steps, cell, entry = 0, np.int64(target), s.entry if len(s.mind) > 0 else t.entry
+    steps, cell, entry = 0, np.int64(target), s.entry if t.learns else t.entry
     while cell != here:
         leg[steps] = cell
         steps += 1
@@ -480,7 +474,7 @@ def cheapest_cell(costs, s, area):
 def entry_of(t, s, w, robot, area):
     """The cheapest cell of an area that the robot can reach."""
     here = s.robots[robot, CELL]
-    if not searches(t):
+    if not t.searches:
         row = own(t, robot, here)
         cell = np.int64(t.area_entry[row, s.areas[area, ROOT]])
         return cell if np.int64(s.home[cell]) >> AREA_BITS == area else cheapest_cell(t.cost_to[row], s, area)
@@ -562,7 +556,7 @@ def adjacent(t, s, here, wanted):
 def set_out_far(t, s, w, how, robot):
     """The same where none is adjacent."""
     here, area = s.robots[robot, CELL], np.int64(s.robots[robot, AREA])
-    if len(t.entry) == 0:
+    if not t.walks:
         set_out(t, s, w, robot, look_up_nearest(t, s, own(t, robot, here), area), False)
     else:
         set_out(t, s, w, robot, search_nearest(t, s, w, how, here, area), True)

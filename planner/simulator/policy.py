@@ -1,88 +1,64 @@
-"""A policy as kernels follow it: the rule's own `order`, compiled for the rule, and the limits on the team.
+"""A policy as the compiled simulator follows it: the order of the rule, and the limits on the team.
 
-Part of `planner.simulator.attentive`, which see. The rule is told by the type of `Policy.rule`: a program is compiled
-for
-each, and found in the cache. A user's own rule is compiled in every process, since nobody knows what it depends on.
+One program follows all built-in rules, a second one the rules of users, whose orders it calls through a pointer.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
-from numba import typeof, types
+from numba import types
 from numba.core.errors import NumbaError
-from numba.extending import NativeValue, models, overload, register_jitable, register_model, typeof_impl, unbox
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from planner.errors import PlanError
-from planner.jit import OF_THIS_PROCESS, UNCOUNTED, kernel, rare_kernel
+from planner.jit import UNCOUNTED, kernel, rare_kernel
 from planner.mrac.problem import Problem
 from planner.policies import RULES
 from planner.policies.limits import NO_REFUSAL, is_dangerous, is_refused, most_at_risk
 from planner.policies.rule import Offer, Rule, price
+from planner.policies.rules import by_cost_and_frontier, by_cost_per_cell
 from planner.simulator.robot_types import own, own_level
 from planner.simulator.state import BEGIN, DEAD, DOING, END, LEFT_IN, LEVEL, SEEN, VISITED
-from planner.simulator.struct_pointers import Handed
 from planner.simulator.tables import Tables
 
-for _stated in (price, is_dangerous, is_refused):
+for _stated in (price, is_dangerous, is_refused, by_cost_per_cell, by_cost_and_frontier):
     register_jitable(**UNCOUNTED)(_stated)
 
-_ORDERS: dict[str, Callable[[Offer], Any]] = {}
-"""What rules order areas by, by the names of their types."""
+OF_OFFER = types.int64(*[types.int64] * (1 + len(Offer._fields)))
+"""Signature of `Policy.own`."""
 
 
-class Followed:
-    """A rule for kernels, by its `name` and `order`; `kind` names its type."""
+def as_function(rule: Rule) -> Any:
+    """The order of a user's own rule as a function with a C signature: programs are not compiled anew for each rule.
 
-    def __init__(self, rule: Rule) -> None:
-        self.name, self.order = rule.name, rule.order
-        if rule.name in RULES and RULES[rule.name] is rule:
-            self.kind = f"rule {rule.name}"
-        else:
-            self.kind = f"rule {rule.name} {OF_THIS_PROCESS} {id(rule.order):x}"
-        if self.kind not in _ORDERS:
-            _ORDERS[self.kind] = register_jitable(**UNCOUNTED)(rule.order)
+    Arguments: which of the four numbers of `Rule.order`, and those of an `Offer`. Raises PlanError for an order that is
+    not arithmetic.
+    """
+    order = register_jitable(**UNCOUNTED)(rule.order)
 
+    def number(which, level, cost, unvisited, entry, value, beyond, frontier, surcharge):  # type: ignore[no-untyped-def]
+        (one, two), (three, four) = order(Offer(level, cost, unvisited, entry, value, beyond, frontier, surcharge))
+        return np.int64(one if which == 0 else two if which == 1 else three if which == 2 else four)
 
-class RuleType(types.Type):
-    """The type of a rule: nothing but its name."""
-
-    def __init__(self, kind: str) -> None:
-        super().__init__(name=kind)
-
-
-register_model(RuleType)(models.OpaqueModel)
-
-
-@typeof_impl.register(Followed)
-def _typeof(rule: Followed, _context: Any) -> RuleType:
-    return RuleType(rule.kind)
-
-
-@unbox(RuleType)
-def _unbox(_kind: RuleType, _value: Any, context: Any) -> NativeValue:
-    return NativeValue(context.context.get_dummy_value())
-
-
-def order_of(rule: Followed, offer: Offer) -> Any:
-    """The fractions that the rule orders an offer by."""
-    return _ORDERS[rule.kind](offer)
-
-
-@overload(order_of, jit_options=UNCOUNTED, strict=False)
-def _compiled_order_of(rule: Any, offer: Any) -> Any:
-    order = _ORDERS[rule.name]
-    return lambda rule, offer: order(offer)
+    try:
+        return numba.cfunc(OF_OFFER, error_model="numpy")(number)
+    except NumbaError as error:
+        raise PlanError(
+            f"the order of rule {rule.name} cannot be compiled",
+            expected="arithmetic of an Offer: two pairs (numerator, denominator)",
+            fix="roll it out with planner.mrac.simulate.ReferenceLoop",
+        ) from error
 
 
 class Policy(NamedTuple):
     """What an attentive robot decides by. Axes: `A` accessible cells, `K` robots, `L` threat levels.
 
     Attributes:
-        rule: orders areas. looks_again, breaks_off, by_price: as in `Rule`. limited: whether areas are ever refused.
+        looks_again, breaks_off, looks_ahead, by_price: as in `Rule`. limited: whether areas are ever refused.
         entry: int64 `[L]`, cost of entering a cell of each level. danger: bool `[A]`, cells of a dangerous level.
         cells: n of the whole map. theta: the price per new cell from which an area is refused.
         worth: whether robots say what they refuse.
@@ -90,11 +66,12 @@ class Policy(NamedTuple):
         value: int64 `[A]`, what cells count; empty: 1 each. scale, beyond: as in `planner.mrac.problem.Problem`.
         view_begin, in_view: as of `Tables`, if the rule looks ahead and robots learn, else empty.
         stamp: int64 `[A + 1]`, scratch of a thread: the last offer that a cell was counted for; last: offers.
+        is_own, own: whether the rule is a user's own, and what it orders offers by (`as_function`); else None.
     """
 
-    rule: Followed
     looks_again: bool
     breaks_off: bool
+    looks_ahead: bool
     by_price: bool
     limited: bool
     entry: NDArray[np.int64]
@@ -109,6 +86,8 @@ class Policy(NamedTuple):
     view_begin: NDArray[np.int64]
     in_view: NDArray[Any]
     stamp: NDArray[np.int64]
+    is_own: bool | None = None
+    own: Any = None
 
 
 def dangerous(problem: Problem, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -122,10 +101,11 @@ def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables) -> P
     rule, settings, unknown = problem.rule, problem.settings, problem.unknown
     ahead = slice(None if rule.looks_ahead and (unknown is None or unknown.looks) else 0)
     alive = range(len(problem.starts) + 1 if settings.reserve is not None else 0)
-    policy = Policy(
-        rule=Followed(rule),
+    is_own = RULES.get(rule.name) is not rule
+    return Policy(
         looks_again=rule.looks_again,
         breaks_off=rule.breaks_off,
+        looks_ahead=rule.looks_ahead,
         by_price=rule.by_price,
         limited=rule.limited and problem.theta < NO_REFUSAL,
         entry=problem.entry,
@@ -140,23 +120,9 @@ def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables) -> P
         view_begin=tables.view_begin[ahead],
         in_view=tables.in_view[ahead],
         stamp=np.zeros(len(cells) + 1, dtype=np.int64)[ahead],
+        is_own=True if is_own else None,
+        own=as_function(rule) if is_own else None,
     )
-    if RULES.get(rule.name) is not rule:
-        _check_order(policy)
-    return policy
-
-
-def _check_order(policy: Policy) -> None:
-    """Raise PlanError for an order that is not arithmetic."""
-    offer = typeof(Offer(*map(np.int64, (0, 1, 1, 1, 1, 0, 0, 0))))
-    try:
-        is_before.compile((Handed(typeof(policy)), offer, offer, types.boolean))  # type: ignore[attr-defined]
-    except NumbaError as error:
-        raise PlanError(
-            f"the order of rule {policy.rule.name} cannot be compiled",
-            expected="arithmetic of an Offer: two pairs (numerator, denominator)",
-            fix="roll it out with planner.mrac.simulate.ReferenceLoop",
-        ) from error
 
 
 @rare_kernel
@@ -176,7 +142,7 @@ def offer_of(t, p, s, robot, area, cost):
     level, left = own_level(t, robot, s.areas[area, LEVEL]), np.int64(s.areas[area, LEFT_IN])
     value = value_left(p, s, area) if len(p.value) > 0 else left
     shown = frontier(p, s, area) if len(p.view_begin) > 0 else np.int64(0)
-    more = surcharge(t, p, s, robot, area) if len(t.type_of) > 0 else np.int64(0)
+    more = surcharge(t, p, s, robot, area) if t.mixed else np.int64(0)
     return Offer(level, np.int64(cost), left, p.entry[level], value, np.int64(p.beyond), shown, more)
 
 
@@ -211,13 +177,28 @@ def frontier(p, s, area):
 @kernel
 def is_danger(t, p, s, robot, cell):
     """Whether the cell is of a dangerous level, as the robot knows it."""
-    return s.level[cell] > 0 if len(s.mind) > 0 else p.danger[own(t, robot, cell)]
+    return s.level[cell] > 0 if t.learns else p.danger[own(t, robot, cell)]
+
+
+@kernel
+def order_of(p, offer):
+    """The fractions that the rule orders an offer by."""
+    if p.is_own:
+        return own_order(p, offer)
+    return by_cost_and_frontier(offer) if p.looks_ahead else by_cost_per_cell(offer)
+
+
+@rare_kernel
+def own_order(p, o):
+    """The same of a user's own rule."""
+    given = o.level, o.cost, o.unvisited, o.entry, o.value, o.beyond, o.frontier, o.surcharge
+    return (p.own(0, *given), p.own(1, *given)), (p.own(2, *given), p.own(3, *given))
 
 
 @kernel
 def is_before(p, one, other, by_id):
     """Whether the rule puts one offer before the other; `by_id`: where it does not tell them apart."""
-    mine, theirs = order_of(p.rule, one), order_of(p.rule, other)
+    mine, theirs = order_of(p, one), order_of(p, other)
     left, right = mine[0][0] * theirs[0][1], theirs[0][0] * mine[0][1]
     if left != right:
         return left < right

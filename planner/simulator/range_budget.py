@@ -11,15 +11,9 @@ import numpy as np
 from planner.ids import NONE
 from planner.jit import kernel, rare_kernel
 from planner.mrac.paths import pop, push
-from planner.simulator.paths import searches, walk_back
+from planner.simulator.paths import walk_back
 from planner.simulator.robot_types import own, own_turn
 from planner.simulator.state import AHEAD, CELL, LAST_STEP, NEXT, NOW, ROBOT, STEP, TARGET, UNLIMITED, UNTIL, holds
-
-
-@kernel
-def comes_home(t):
-    """Whether robots come home."""
-    return len(t.home_cost) > 0
 
 
 @kernel
@@ -80,7 +74,7 @@ def affords(t, s, w, robot, target):
     here = np.int64(s.robots[robot, CELL])
     last = own_turn(t, robot, t.limits[LAST_STEP]) - own_turn(t, robot, s.marks[STEP] - s.marks[NOW])
     left = min(own_moves(t, s, robot), last) - way
-    if searches(t):
+    if t.searches:
         return walk_back(t, s, w, here, target, w.stack) <= left
     for _ in range(left):
         if here == target:

@@ -20,8 +20,8 @@ from planner.simulator.areas import (
     note,
     replace,
 )
-from planner.simulator.paths import adjacent, look_up_nearest, searches, seek, to_do_in, to_do_of, walk_back
-from planner.simulator.range_budget import can_go_on, comes_home, moves_home, own_moves
+from planner.simulator.paths import adjacent, look_up_nearest, seek, to_do_in, to_do_of, walk_back
+from planner.simulator.range_budget import can_go_on, moves_home, own_moves
 from planner.simulator.robot_types import own_turn
 from planner.simulator.state import (
     AHEAD,
@@ -66,7 +66,7 @@ def leave(t, s, w, log, robot, area):
 @rare_kernel
 def stay(t, s, w, log, robot):
     """The robot is at the end of its range: it neither moves nor waits for an area. False: no room for areas."""
-    if comes_home(t) and moves_home(t, robot, np.int64(s.robots[robot, CELL])) == 0:
+    if t.returns and moves_home(t, robot, np.int64(s.robots[robot, CELL])) == 0:
         return turn_home(t, s, w, log, robot, t.limits[RECHARGE] > 0)
     area = np.int64(s.robots[robot, AREA]) if has_area(s.robots, robot) else np.int64(NONE)
     drop(s.movers, robot)
@@ -317,7 +317,7 @@ def new_path(t, s, w, here, area, count):
 @rare_kernel
 def append_far_leg(t, s, w, here, area, end, room):
     """The cheapest cell to do, where none is adjacent, and where the leg there ends behind `end`; not beyond `room`."""
-    if not searches(t):
+    if not t.searches:
         target, cell = look_up_nearest(t, s, here, area), np.int64(here)
         while cell != target and end <= room:
             cell = np.int64(t.hop_to[target, cell])

@@ -16,25 +16,25 @@ from planner.simulator.state import CELL, CHANGES, DEAD, DOING, NEXT, OPEN, UNTI
 @kernel
 def own(t, robot, cell):
     """The row of the cell in tables that are by type."""
-    return np.int64(cell) if len(t.type_of) == 0 else np.int64(cell) + t.type_of[robot] * len(t.near)
+    return np.int64(cell) if not t.mixed else np.int64(cell) + t.type_of[robot] * len(t.near)
 
 
 @kernel
 def own_level(t, robot, level):
     """What an area of this level is to the robot, 0 = safe."""
-    return np.int64(level) if len(t.type_of) == 0 else t.own_level[t.type_of[robot], level]
+    return np.int64(level) if not t.mixed else t.own_level[t.type_of[robot], level]
 
 
 @kernel
 def own_turn(t, robot, step):
     """The turns that the robot has had by the end of this step, that of t = 0 left out."""
-    return np.int64(step) if len(t.pace) == 0 else np.int64(step) // t.pace[robot]
+    return np.int64(step) if not t.paced else np.int64(step) // t.pace[robot]
 
 
 @kernel
 def on_turn(t, step, word, bits):
     """Those of the robots, bits of a word of them, that have a turn in this step."""
-    return bits if len(t.pace) == 0 else bits & turns_in(t, step, word)
+    return bits if not t.paced else bits & turns_in(t, step, word)
 
 
 @rare_kernel
@@ -50,7 +50,7 @@ def turns_in(t, step, word):
 @kernel
 def moves_until(t, helper, owner, moves):
     """The moves that the helper makes while the owner makes so many."""
-    return moves if len(t.pace) == 0 else moves * t.pace[owner] // t.pace[helper]
+    return moves if not t.paced else moves * t.pace[owner] // t.pace[helper]
 
 
 # Who hears whom (SPEC section 22): `planner.mrac.choose` for one robot of a set.
@@ -61,13 +61,13 @@ def moves_until(t, helper, owner, moves):
 @kernel
 def hears(t, s, robot):
     """Whether the robot is in touch with a base, by way of others that are alive: only then it takes over."""
-    return len(t.reach) == 0 or _is_in_chain(t, s, robot)
+    return not t.radio or _is_in_chain(t, s, robot)
 
 
 @kernel
 def drives_back(t, s, robot):
     """Whether a robot that waits makes a move back, to hear of areas that nobody has: into its next cell, then."""
-    return len(t.reach) > 0 and _has_way_back(t, s, robot)
+    return t.radio and _has_way_back(t, s, robot)
 
 
 @rare_kernel
@@ -83,7 +83,7 @@ def _has_way_back(t, s, robot):
 @kernel
 def came_back(t, s, robot):
     """Whether the robot has just made such a move."""
-    return len(t.reach) > 0 and holds(s.waiting, robot)
+    return t.radio and holds(s.waiting, robot)
 
 
 @rare_kernel

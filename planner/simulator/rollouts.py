@@ -90,7 +90,7 @@ def copy_row(of, to, count):
 
 
 @kernel
-def copy_state(of, to):
+def copy_state(t, of, to):
     """Copy what is in use of a level."""
     areas = of.marks[AREAS]
     copy_row(of.home, to.home, len(of.home))
@@ -110,7 +110,7 @@ def copy_state(of, to):
     copy_row(of.spent, to.spent, len(of.spent))
     copy_row(of.passes, to.passes, len(of.passes))
     copy_row(of.entered, to.entered, len(of.entered))
-    if len(of.mind) > 0:
+    if t.learns:
         copy_mind(of, to)
 
 
@@ -172,15 +172,15 @@ def begin_next(t, stack, waiting, tasks, taken, w):
     if task >= len(tasks):
         return False
     first = hand(level_of(stack, 0))
-    copy_state(hand(level_of(waiting, tasks[task, 0])), first)
+    copy_state(t, hand(level_of(waiting, tasks[task, 0])), first)
     first.marks[FIRST], first.marks[LAST] = tasks[task, 1], tasks[task, 2]
-    if len(first.mind) > 0:
+    if t.learns:
         take_over(t, first, w)
     return True
 
 
 @kernel
-def go_on_with(s, c, stack, ids, singles, how, top, last, found):
+def go_on_with(t, s, c, stack, ids, singles, how, top, last, found):
     """The level that goes on, NONE if none does, and the topmost level in use, after `found`.
 
     Those who were hit have a copy of the state in a new level and go on with it, or are put aside there; the others
@@ -195,7 +195,7 @@ def go_on_with(s, c, stack, ids, singles, how, top, last, found):
     # Who passed keeps the level and waits; who was hit goes on first, so levels never outnumber the robots.
     s.marks[VERDICT], top = PASSED, top + 1
     hit = hand(level_of(stack, top))
-    copy_state(s, hit)
+    copy_state(t, s, hit)
     hit.marks[FIRST], hit.marks[LAST], hit.marks[VERDICT] = s.marks[LAST], last, HIT
     if how.aside == 0:
         return top, top
@@ -224,5 +224,5 @@ def run_set(t, c, waiting, tasks, taken, stack, w, log, how, ids, singles):
             found = advance(tables, s, counts, work, logged, options, ids)
             if found == AREAS_FULL:
                 return NONE
-            level, top = go_on_with(s, counts, stack, ids, singles, options, top, last, found)
+            level, top = go_on_with(tables, s, counts, stack, ids, singles, options, top, last, found)
     return max(top, 0)

@@ -23,7 +23,7 @@ from planner.ids import NO_AREA, NONE
 from planner.rollout_sampling import MEETING_DRAW, MOVE_DRAW, rows_met
 from planner.simulator.areas import Log, make_log
 from planner.simulator.attentive import run_attentive
-from planner.simulator.loop import NO_COUNTS, ClosedLoop, program_of, typed
+from planner.simulator.loop import NO_COUNTS, ClosedLoop, typed, with_features
 from planner.simulator.rollouts import run_set
 from planner.simulator.state import (
     AREA_BITS,
@@ -284,7 +284,7 @@ class Runner:
     def __init__(self, loop: ClosedLoop, seed: int, most: int, known: list[Work] | None = None) -> None:
         """`most`: rollouts of a set. `known`: scratch of earlier calls, one of which is taken."""
         self._loop, self._seed, self._most = loop, seed, most
-        self._tables, policy = typed(_own_tables(loop), program_of(loop.tables)), loop.policy
+        self._tables, policy = typed(with_features(_own_tables(loop))), loop.policy
         self._policy = None if policy is None else typed(policy._replace(stamp=policy.stamp.copy()))
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         moving = [own_key(seed, draw) for draw in (MOVE_DRAW, MEETING_DRAW, READING_DRAW)]

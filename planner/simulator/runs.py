@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.ids import NONE
-from planner.jit import kernel, rare_kernel, spliced
+from planner.jit import kernel, rare_kernel
 from planner.simulator.areas import ALLOCATED_EVENT, find_next_area, give, has_area, look, note, share
 from planner.simulator.failure_sampling import fresh
 from planner.simulator.map_belief import forget_news, is_lost, learns_of, recall, revise, take_note
@@ -23,12 +23,10 @@ from planner.simulator.paths import (
     go_on,
     list_to_do,
     next_leg,
-    searches,
     set_out,
     set_out_far,
     to_do_in,
 )
-from planner.simulator.range_budget import comes_home
 from planner.simulator.return_home import (
     call_home,
     can_be_remembered,
@@ -138,7 +136,7 @@ def after_turns(t, s, c, w, how, ids, size):
     return verdict
 
 
-@spliced
+@kernel
 def take_next_area(t, s, w, log, robot):
     """`Allocate Next Area`: whether the robot got one."""
     if s.marks[OPEN] == 0:
@@ -147,7 +145,7 @@ def take_next_area(t, s, w, log, robot):
     if area == NONE:
         return False
     give(s, robot, area)
-    set_out(t, s, w, robot, cell, searches(t))
+    set_out(t, s, w, robot, cell, t.searches)
     note(log, s, robot, ALLOCATED_EVENT, area, cell)
     return True
 
@@ -163,7 +161,7 @@ def would_be_charged(t, s, w, robot):
     return area != NONE
 
 
-@spliced
+@rare_kernel
 def settle(t, s, w, log, how, robot):
     """What a robot does at the end of its path or leg, or while it waits, all of it in the same step.
 
@@ -180,7 +178,7 @@ def settle(t, s, w, log, how, robot):
         if doing == STARTING:
             robots[robot, DOING] = TRAVELING
             target = entry_of(t, s, w, robot, robots[robot, AREA])
-            set_out(t, s, w, robot, target, searches(t))
+            set_out(t, s, w, robot, target, t.searches)
         if doing in (STARTING, TRAVELING):
             if robots[robot, CELL] != robots[robot, TARGET]:
                 return got
@@ -195,7 +193,7 @@ def settle(t, s, w, log, how, robot):
         if take_next_area(t, s, w, log, robot):
             got = 1
         elif doing in (IDLE, DONE):
-            if comes_home(t) and would_be_charged(t, s, w, robot):
+            if t.returns and would_be_charged(t, s, w, robot):
                 turn_home(t, s, w, log, robot, True)
             return got
         else:
@@ -204,7 +202,7 @@ def settle(t, s, w, log, how, robot):
                 return NONE
             if shared == 0:
                 robots[robot, DOING] = DONE
-                if comes_home(t) and would_be_charged(t, s, w, robot):
+                if t.returns and would_be_charged(t, s, w, robot):
                     turn_home(t, s, w, log, robot, True)
                 else:
                     waits(t, s, robot)
@@ -285,7 +283,7 @@ def awaits_update(t, s):
 @kernel
 def end_of(t, s, how, step):
     """How the run ends after this step, NONE if it goes on."""
-    if comes_home(t):
+    if t.returns:
         return end_at_home(t, s, how, step)
     over = is_over(t, s)
     return STEP_LIMIT if over == NONE and step >= how.max_steps else over
@@ -316,9 +314,9 @@ def only_mover(t, s, log):
     # bits & (bits - 1) takes the lowest bit away: 0 if it was the only one. One word of robots is enough for most
     # teams.
     alone = bits != 0 and bits & (bits - ONE) == 0 and (s.marks[OPEN] == 0 or s.waiting[0] == 0)
-    noted = len(log.frames) > 0 or len(s.passes) > 0 or len(s.entered) > 0 or len(s.mind) > 0
-    differ = len(t.pace) + len(t.type_of) + len(t.phases) > 0
-    if not alone or len(s.movers) != 1 or noted or comes_home(t) or differ:
+    noted = len(log.frames) > 0 or len(s.passes) > 0 or t.moving or t.learns
+    differ = len(t.pace) + len(t.type_of) + t.phased
+    if not alone or len(s.movers) != 1 or noted or t.returns or differ:
         return NONE
     robot = lowest_bit(bits)
     return robot if s.robots[robot, DOING] != FOLLOWING else NONE
@@ -327,7 +325,7 @@ def only_mover(t, s, log):
 @kernel
 def bears(t, s, how, robot, cell):
     """Whether it is known that a visit of the dangerous cell stops nobody of the set; the robot has then borne it."""
-    if len(t.exposure) == 0 or len(t.own_counter) > 0 or how.first_only or s.home[cell] & UNSAFE == VISITED:
+    if len(t.exposure) == 0 or t.doubtful or how.first_only or s.home[cell] & UNSAFE == VISITED:
         return False
     # The robot's own sum decides, not this visit: below the least tolerance of the set nobody is looked at.
     borne = s.team[robot, BORNE] + t.exposure[own(t, robot, cell)]
@@ -337,7 +335,7 @@ def bears(t, s, how, robot, cell):
     return True
 
 
-@spliced
+@kernel
 def walk_alone(t, s, c, w, how, robot, step, size):
     """Steps after `step` in which a robot just moves, nobody else does; the last of them.
 
@@ -389,7 +387,7 @@ def walk_alone(t, s, c, w, how, robot, step, size):
     return step
 
 
-@spliced
+@rare_kernel
 def advance(t, s, c, w, log, how, ids):
     """Go on with a set until its end, an Outcome, or until some of it are hit: PARTED. CUT, AREAS_FULL: as they say."""
     marks, robots = s.marks, s.robots
@@ -397,22 +395,22 @@ def advance(t, s, c, w, log, how, ids):
     # A set goes on in the middle of a step: after the check of the robot at which it parted.
     word, cell, progress, moves = robot // WORD, robots[robot, CELL], marks[PROGRESS], True
     bits = actors(t, s, word, robot % WORD if verdict != ACTS else NONE)
-    returns = comes_home(t)
+    returns = t.returns
     if is_meeting(s):
         word, bits, verdict = len(s.movers) - 1, np.uint64(0), ACTS if verdict == PASSED else verdict
-    if len(s.mind) > 0:
+    if t.learns:
         recall(t, s, w)
     while True:
         if verdict == ACTS:
             while bits == 0:
                 word += 1
                 if word == len(s.movers):
-                    if len(s.entered) > 0:
+                    if t.moving:
                         marks[PROGRESS] = progress
                         verdict = after_turns(t, s, c, w, how, ids, size)
                         if verdict != ACTS:
                             break
-                    if len(s.mind) > 0:
+                    if t.learns:
                         got = learn(t, s, w, log, how, ids)
                         if got == NONE:
                             return AREAS_FULL
@@ -471,9 +469,9 @@ def advance(t, s, c, w, log, how, ids):
             continue
         if verdict == PASSED:
             verdict = ACTS
-            if len(s.entered) == 0:
+            if not t.moving:
                 survive(s, c, step, cell, size)
-                if len(s.odds) > 0:
+                if t.estimates:
                     take_note(t, s, cell)
         if returns and moves and robots[robot, DOING] == RETURNING:
             go_home(t, s, log, robot)

@@ -190,6 +190,11 @@ class Tables(NamedTuple):
             first step (`planner.simulator.range_budget.find_ways_home`). All empty where robots stay where they end
             (`planner.simulator.return_home`), but for home_of and onward where they drive back
             (`planner.simulator.robot_types`).
+        follows .. phased: the features of a mission, None where a program does without one: none of its code is
+            compiled (`planner.jit.FoldAbsent`). Robots follow external paths; legs are searched for; there are no
+            tables of distances; the map is uncertain; a loss makes a cell harmless; robots wear or differ in
+            susceptibility; threats move; robots differ in type; in speed; radio has a range; robots return to base;
+            they learn the map; they estimate hazards; threats change by phases.
     """
 
     near: NDArray
@@ -254,6 +259,20 @@ class Tables(NamedTuple):
     home_steps: NDArray
     home_cost: NDArray
     onward: NDArray
+    follows: bool | None = None
+    walks: bool | None = None
+    searches: bool | None = None
+    doubtful: bool | None = None
+    spends: bool | None = None
+    wears: bool | None = None
+    moving: bool | None = None
+    mixed: bool | None = None
+    paced: bool | None = None
+    radio: bool | None = None
+    returns: bool | None = None
+    learns: bool | None = None
+    estimates: bool | None = None
+    phased: bool | None = None
 
 
 class How(NamedTuple):
@@ -555,10 +574,7 @@ def make_state(first: State, levels: int) -> State:
     """A stack of so many levels, fewer where they would not fit in STATE_BYTES; `first`: what sets begin with."""
     a_level = sum(row[:1].nbytes for row in first)
     levels = min(levels, max(1, STATE_BYTES // a_level))
-    stack = State._make(np.empty((levels, *row.shape[1:]), dtype=row.dtype) for row in first)
-    for row, of in zip(stack, first, strict=True):
-        row.flags.writeable = of.flags.writeable
-    return stack
+    return State._make(np.empty((levels, *row.shape[1:]), dtype=row.dtype) for row in first)
 
 
 def largest_set(state: State, most: int) -> int:

@@ -45,11 +45,6 @@ def _follows(kind: types.Type) -> bool:
     return isinstance(kind, types.Array) and kind.layout == "C"
 
 
-def _is_absent(kind: types.Type) -> bool:
-    """Whether it is of arrays that are empty wherever the program runs: read-only (`planner.simulator.loop`)."""
-    return _follows(kind) and not kind.mutable
-
-
 @register_model(Handed)
 class _Address(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Handed) -> None:
@@ -57,9 +52,7 @@ class _Address(models.PrimitiveModel):
         for field in kind.of.types:
             model = manager.lookup(field)
             value = model.get_value_type()
-            if _is_absent(field):
-                value = ir.LiteralStructType([])
-            elif _follows(field):
+            if _follows(field):
                 words = [value.elements[model.get_field_position(part)] for part in ("data", "shape")]
                 value = ir.LiteralStructType(words)
             kept.append(value)
@@ -73,8 +66,7 @@ class _Fields(AttributeTemplate):
     def generic_resolve(self, kind: Handed, name: str) -> Any:
         if name not in kind.of.fields:
             return None
-        field = kind.of.types[kind.of.fields.index(name)]
-        return field.copy(readonly=False) if _is_absent(field) else field
+        return kind.of.types[kind.of.fields.index(name)]
 
 
 @lower_getattr_generic(Handed)
@@ -83,9 +75,6 @@ def _load_field(context: Any, builder: Any, kind: Handed, address: Any, name: st
     field, stored = kind.of.types[place], cgutils.gep_inbounds(builder, address, 0, place)
     if not _follows(field):
         return builder.load(stored)
-    if _is_absent(field):
-        pointer = context.get_data_type(field.dtype).as_pointer()
-        return _array(context, builder, field, pointer(None), [ir.Constant(ir.IntType(64), 0)] * field.ndim)
     data = builder.load(cgutils.gep_inbounds(builder, stored, 0, 0))
     shape = [builder.load(cgutils.gep_inbounds(builder, stored, 0, 1, axis)) for axis in range(field.ndim)]
     length = LENGTHS.get((kind.of.instance_class, name))
@@ -116,8 +105,6 @@ def _hand(typing_context: Any, values: Any) -> Any:
         address = cgutils.alloca_once(builder, context.get_value_type(kind).pointee)
         for place, field in enumerate(values.types):
             value, to = builder.extract_value(args[0], place), cgutils.gep_inbounds(builder, address, 0, place)
-            if _is_absent(field):
-                continue  # nothing is kept of it
             if _follows(field):
                 array = context.make_array(field)(context, builder, value)
                 builder.store(array.data, cgutils.gep_inbounds(builder, to, 0, 0))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.ids import NONE
-from planner.jit import kernel, rare_kernel, spliced
+from planner.jit import kernel, rare_kernel
 from planner.simulator.areas import COMPLETED_EVENT, HIT_EVENT, close, has_area, note
 from planner.simulator.failure_sampling import stopped_from
 from planner.simulator.map_belief import visit_of
@@ -83,7 +83,7 @@ def count_pass(s, cell):
 @kernel
 def is_complete(t, s):
     """Whether every cell that can truly be reached is visited."""
-    return s.marks[COVERED] == t.limits[GOAL] if len(s.mind) > 0 else s.marks[UNFINISHED] == 0
+    return s.marks[COVERED] == t.limits[GOAL] if t.learns else s.marks[UNFINISHED] == 0
 
 
 @kernel
@@ -137,7 +137,7 @@ def prune(t, s, c, how, cell, hit_from):
     return PASSED if rest > 0 else HIT
 
 
-@spliced
+@kernel
 def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     """Move into the cell: HIT or PASSED, ACTS if there is no danger; PARTED, since some of the set are hit; or CUT."""
     marks = s.marks
@@ -148,11 +148,11 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     place = visit_of(t, s, robot, cell)
     safe = t.bound[place] == 0
     # Where threats change, a robot may have been stopped in what is safe by now.
-    verdict = ACTS if safe and len(t.phases) == 0 else PASSED
-    survives = verdict == ACTS and len(s.entered) == 0
+    verdict = ACTS if safe and not t.phased else PASSED
+    survives = verdict == ACTS and not t.moving
     if survives:
         count_pass(s, cell)
-    elif len(s.entered) > 0:
+    elif t.moving:
         put(s.entered, robot)
     if fresh:
         visit(s, c, log, step, robot, cell, size, VISITED | SURVIVED if survives else VISITED)
@@ -163,7 +163,7 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
             marks[UNSURVIVED] += 1
     elif survives and s.home[cell] & SURVIVED == 0:  # a robot of another type was stopped there
         mark_survived(s, c, step, cell, size)
-    if not safe and (fresh or not how.first_only) and not (len(s.spent) > 0 and holds(s.spent, cell)):
+    if not safe and (fresh or not how.first_only) and not (t.spends and holds(s.spent, cell)):
         hit_from = stopped_from(t, s, c, w, how, ids, step, robot, cell, place)
         # All of them are hit alike: still one run, so nothing has to be copied.
         if hit_from == marks[FIRST] and how.aside == 0:
@@ -175,7 +175,7 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
     return verdict
 
 
-@spliced
+@rare_kernel
 def lose(t, s, c, w, log, robot, size):
     """The robot is stopped in its cell, and what it leaves unvisited of its area becomes areas. False: no room.
 
@@ -184,15 +184,15 @@ def lose(t, s, c, w, log, robot, size):
     cell, area = s.robots[robot, CELL], np.int64(s.robots[robot, AREA])
     owns, followed = has_area(s.robots, robot), s.robots[robot, DOING] == FOLLOWING
     c.stops[cell] += size
-    if len(s.spent) > 0:
+    if t.spends:
         put(s.spent, cell)
-    if len(s.odds) > 0:
+    if t.estimates:
         s.odds[cell] = t.lessons[AT_STOP]
     s.marks[ALIVE] -= 1
     drop(s.movers, robot)
     drop(s.waiting, robot)
     s.robots[robot, DOING] = DEAD
-    s.marks[CHANGES] += len(t.type_of) > 0  # prices go by who is alive
+    s.marks[CHANGES] += np.int64(t.mixed)  # prices go by who is alive
     note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
     # Nobody is left to take what it leaves.
     if s.marks[ALIVE] == 0 and len(log.events) == 0:
