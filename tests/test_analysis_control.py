@@ -43,7 +43,7 @@ FIGURES = ("visited", "survived", "time", "alive", "complete")
 def engine_of(world: World, robots: int, policy: str = "mrac", seed: int = 0) -> Engine:
     """Of the closed loop by tolerance."""
     plan = make_plan(world, place_starts(world, robots)[0], Settings(policy=policy))
-    return make_engine(plan, world, Rolling(seed=seed, luck="tolerance"), "numba")
+    return make_engine(plan, world, Rolling(seed=seed), "numba")
 
 
 def broken(total: NDArray[np.float64], robots: int) -> NDArray[np.float64]:
@@ -192,7 +192,7 @@ def test_evaluate_goes_by_it(capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_deadline_s_and_other_threats_have_it_too() -> None:
     world = load_world_file(CONTIGUOUS)
     plan = make_plan(world, place_starts(world, 8)[0])
-    choices = RolloutChoices(rollouts=2048, deadline=60, luck="tolerance")
+    choices = RolloutChoices(rollouts=2048, deadline=60)
     answer = evaluate(world, plan, choices, threat_scale=(0.5,))
     by_step = evaluate(world, plan, replace(choices, luck="step"), threat_scale=(0.5,))
     mine, theirs = (one.outputs["threat_scale"].as_json()[0]["coverage"]["visited"]["se"] for one in (answer, by_step))
@@ -205,9 +205,9 @@ def test_differences_are_put_right_too() -> None:
     world = load_world_file(SCATTERED)
     starts = place_starts(world, 8)[0]
     plans = [make_plan(world, starts, Settings(policy=policy)) for policy in ("mrac", "per_cell")]
-    answer = compare(*(make_side(world, plan, RolloutChoices(rollouts=4096, luck="tolerance")) for plan in plans))
+    answer = compare(*(make_side(world, plan, RolloutChoices(rollouts=4096)) for plan in plans))
     sums = [sides.reshape(-1, len(COLUMNS)) for sides in answer.by_luck]
-    engines = [make_engine(plan, world, Rolling(luck="tolerance"), "numba").results(0, 4096) for plan in plans]
+    engines = [make_engine(plan, world, Rolling(), "numba").results(0, 4096) for plan in plans]
     y = (engines[1].visited - engines[0].visited) / answer.a.cells
     mean, error, variance = fitted(y, (luck_classes(0, 0, 4096, 8) + 0.5) / CLASSES_A_NAT, 8)
     found = answer.difference("visited")

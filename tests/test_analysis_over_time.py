@@ -68,7 +68,7 @@ def test_the_band_is_that_of_the_same_ids_cut_off_at_every_step(
 
 def test_the_band_of_robots_that_wear_is_that_of_robots_that_wear(world: World) -> None:
     plan = make_plan(world, place_starts(world, 3)[0], Settings(wear=3.0, susceptibility=(1.0, 4.0, 0.5)))
-    choices = RolloutChoices(loop="open", rollouts=120, luck="tolerance")
+    choices = RolloutChoices(loop="open", rollouts=120)
     band, roll_out = band_of(world, plan, choices), make_roll_out(world, plan, choices)
     for place in range(0, len(band.steps), 25):
         cut = list(roll_out(replace(choices, rollouts=BAND_LEAST), int(band.steps[place])))[-1].tally

@@ -116,7 +116,7 @@ def tables_with_groups(compiled: CompiledPlan, most_pair_rows: int) -> ModeTable
 @pytest.mark.parametrize("engine", ["numba", "jax"])
 def test_single_robots_and_pairs_give_one_tally(engine: str) -> None:
     plan, world, _ = fixture("scattered-20x20-1000", 8)
-    whole = rollouts(compile_plan(plan, world), seed=3, count=20_000, mode="tolerance", engine=engine)
+    whole = rollouts(compile_plan(plan, world), seed=3, count=20_000, engine=engine)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiled_module, "make_groups", lambda depth: make_groups(depth, 0))
         patch.setattr("mrac_jax.open_loop.MOST_FUSED_WORDS", 0)
@@ -124,7 +124,7 @@ def test_single_robots_and_pairs_give_one_tally(engine: str) -> None:
         patch.setattr("planner.rollouts.open_loop_numba.BLOCK_WORDS", BLOCK_WORDS[:1])
         single = compile_plan(plan, world)
         assert single.tables("tolerance").groups.members == 1
-        assert rollouts(single, seed=3, count=20_000, mode="tolerance", engine=engine) == whole
+        assert rollouts(single, seed=3, count=20_000, engine=engine) == whole
 
 
 def test_identity_is_of_threats_and_paths() -> None:

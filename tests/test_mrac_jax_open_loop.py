@@ -170,7 +170,7 @@ def test_parts_in_any_order_add_to_the_whole(engine: str) -> None:
     compiled = compiled_fixture("scattered-14x23-1002", 8)
 
     def part(start: int, stop: int) -> Tally:
-        return rollouts(compiled, seed=1, start=start, count=stop - start, mode="tolerance", engine=engine)
+        return rollouts(compiled, seed=1, start=start, count=stop - start, engine=engine)
 
     parts = part(9000, 9001) + part(0, 4096) + part(9001, 20_000) + part(4096, 9000)
     assert parts == part(0, 20_000)
@@ -224,11 +224,11 @@ def test_one_compilation_serves_plans_of_one_bucket() -> None:
         compiled_fixture("tiny-2x8-25", 5),
     ]
     run = open_loop.jitted(open_loop.advance, open_loop.JaxOpenLoop(compiled[0], 0, "tolerance").batch)
-    rollouts(compiled[1], seed=0, count=10, mode="tolerance", engine="jax")
+    rollouts(compiled[1], seed=0, count=10, engine="jax")
     before = run._cache_size()
     for seed in (0, 1, 2):
-        rollouts(compiled[1], seed=seed, count=5000 * (seed + 1), mode="tolerance", engine="jax")
-        rollouts(compiled[2], seed=seed, count=5000 * (seed + 1), mode="tolerance", engine="jax")
+        rollouts(compiled[1], seed=seed, count=5000 * (seed + 1), engine="jax")
+        rollouts(compiled[2], seed=seed, count=5000 * (seed + 1), engine="jax")
     assert run._cache_size() == before
 
 
@@ -237,9 +237,9 @@ def test_jit_equals_no_jit() -> None:
 
     world = World.create(np.array([[0.3, 0.0, 0.2, 0.1]], dtype=np.float32))
     compiled = compile_plan(plan_of(world, [[1, 0], [1, 2, 3], [1, 2]]), world)
-    jitted = rollouts(compiled, seed=3, count=100, mode="tolerance", engine="jax")
+    jitted = rollouts(compiled, seed=3, count=100, engine="jax")
     with jax.disable_jit():
-        assert rollouts(compiled, seed=3, count=100, mode="tolerance", engine="jax") == jitted
+        assert rollouts(compiled, seed=3, count=100, engine="jax") == jitted
 
 
 @pytest.mark.parametrize("mode", ["fast", "step"])
@@ -257,8 +257,8 @@ from test_mrac_jax_open_loop import compiled_fixture
 from rolling import rollouts
 compiled = compiled_fixture("tiny-6x3-20", 5)
 assert len(jax.devices()) == 2
-whole = rollouts(compiled, seed=5, start=77, count=40_000, mode="tolerance", engine="numba")
-assert rollouts(compiled, seed=5, start=77, count=40_000, mode="tolerance", engine="jax") == whole
+whole = rollouts(compiled, seed=5, start=77, count=40_000, engine="numba")
+assert rollouts(compiled, seed=5, start=77, count=40_000, engine="jax") == whole
 """
 
 
@@ -301,10 +301,10 @@ def test_flags_of_jax_change_no_count(name: str) -> None:
     plan, world = waiting_plan()
     compiled = compile_plan(plan, world)
     with getattr(jax, name)(FLAGS[name]):
-        found = rollouts(compiled, seed=3, count=400, mode="tolerance", engine="jax")
+        found = rollouts(compiled, seed=3, count=400, engine="jax")
         walk_of = jax.jit(lambda seen: seen[:, 3].argmax().astype("int32").repeat(2) % 5)  # east, west, ...
         judged = roll_policy(CoverageEnv(world, 2), walk_of if name != "disable_jit" else None, 1, 40)
-    assert found == rollouts(compiled, seed=3, count=400, mode="tolerance", engine="numba")
+    assert found == rollouts(compiled, seed=3, count=400, engine="numba")
     same = roll_policy(CoverageEnv(world, 2), walk_of if name != "disable_jit" else None, 1, 40)
     assert all((one == other).all() for one, other in zip(judged, same, strict=True))
 

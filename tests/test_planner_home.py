@@ -371,7 +371,7 @@ def test_worth_counts_the_way_home() -> None:
 
 def test_the_settings_of_a_front_are_missions_that_end_at_home() -> None:
     world, starts = drawn(7)
-    settings, choices = Settings(return_to="nearest"), RolloutChoices(rollouts=256, exact="never", luck="tolerance")
+    settings, choices = Settings(return_to="nearest"), RolloutChoices(rollouts=256, exact="never")
     ladders = Ladders(reserves=(), worths=(), landmarks=(0.5,))
     front = find_front(world, starts, settings, choices, ladders=ladders)
     ended = [point for point in front.points if point.setting.deadline is not None]
@@ -389,7 +389,7 @@ def test_robots_know_the_deadline_of_an_answer() -> None:
     """By a deadline `evaluate` answers as for a plan with that deadline; who does not know it is still away then."""
     world, starts = drawn(7)
     blind = make_plan(world, starts, Settings(return_to="home"))
-    choices = RolloutChoices(rollouts=256, exact="never", luck="tolerance", deadline=30)
+    choices = RolloutChoices(rollouts=256, exact="never", deadline=30)
     told = evaluate(world, blind, choices, band=False, advice=False)
     knows = evaluate(
         world, make_plan(world, starts, Settings(return_to="home", deadline=30)), replace(choices, deadline=None)

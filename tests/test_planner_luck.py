@@ -130,8 +130,8 @@ def test_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
     assert tolerances(seed, range(16), robots)[: len(answers["tolerance"])].tolist() == answers["tolerance"][:16]
     assert {str(cell): int(world.exposures[0][cell]) for cell in map(int, answers["exposure"])} == answers["exposure"]
     plan = make_plan(world, world.starts)
-    readable = ReferenceLoop(plan, world, luck="tolerance")
-    loop = compile_closed_loop(plan, world, luck="tolerance")
+    readable = ReferenceLoop(plan, world)
+    loop = compile_closed_loop(plan, world)
     _, singles = run_range(loop, seed, 0, len(answers["rollouts"]), singles=True, threads=1)
     assert singles is not None
     for one in answers["rollouts"]:
@@ -171,8 +171,8 @@ def test_compiled_rollouts_are_the_readable_ones(
     for seed in range(3):
         world = random_world(8, 9, ThreatPattern(("contiguous", "scattered")[seed % 2], 4, seed=seed))
         plan = make_plan(world, place_starts(world, (2, 5, 9)[seed])[0], Settings(**settings))
-        loop = compile_closed_loop(plan, world, luck="tolerance", **how)
-        readable = ReferenceLoop(plan, world, luck="tolerance", first_only=how.get("first_only", False))
+        loop = compile_closed_loop(plan, world, **how)
+        readable = ReferenceLoop(plan, world, first_only=how.get("first_only", False))
         for trace in trace_rollouts(loop, 5, range(8)):
             assert trace == readable.trace(5, trace.rollout), (seed, trace.rollout)
         whole, singles = run_range(loop, 5, 0, 600, threads=1, singles=True)
@@ -189,7 +189,7 @@ def test_compiled_rollouts_are_the_readable_ones(
 def test_maps_in_doubt_are_borne_rollout_by_rollout(name: str) -> None:
     world = WORLDS[name]
     plan = make_plan(world, place_starts(world, 4)[0], Settings())
-    loop, readable = compile_closed_loop(plan, world, luck="tolerance"), ReferenceLoop(plan, world, luck="tolerance")
+    loop, readable = compile_closed_loop(plan, world), ReferenceLoop(plan, world)
     tally, singles = run_range(loop, 5, 0, 300, singles=True, threads=1)
     assert singles is not None
     for rollout in range(50):
@@ -217,16 +217,14 @@ def test_tallies_of_two_lucks_do_not_add() -> None:
     plan = make_plan(world, place_starts(world, 2)[0])
     keys = [compile_closed_loop(plan, world, luck=luck).empty_tally(0).key for luck in ("step", "tolerance")]
     assert keys[0] != keys[1]
-    assert isinstance(compile_closed_loop(plan, world, luck="tolerance").empty_tally(0), Tally)
+    assert isinstance(compile_closed_loop(plan, world).empty_tally(0), Tally)
 
 
 @pytest.mark.parametrize("name", ["persistent", "level", None])
 def test_open_and_closed_loop_of_one_robot_share_their_luck(name: str | None) -> None:
     world = random_world(9, 9, ThreatPattern("scattered", 4, seed=2)) if name is None else WORLDS[name]
     plan = make_plan(world, place_starts(world, 1)[0])
-    one, other = (
-        make_engine(plan, world, Rolling(loop, seed=8, luck="tolerance"), "numba").results(0, 400) for loop in LOOPS
-    )
+    one, other = (make_engine(plan, world, Rolling(loop, seed=8), "numba").results(0, 400) for loop in LOOPS)
     for what in ("visited", "survived", "alive"):
         assert np.array_equal(getattr(one, what), getattr(other, what)), what
     assert len(np.unique(one.visited)) > 5
@@ -234,7 +232,7 @@ def test_open_and_closed_loop_of_one_robot_share_their_luck(name: str | None) ->
 
 def test_a_loop_by_another_luck_is_the_one_made_by_it() -> None:
     world, plan = scattered()
-    made = compile_closed_loop(plan, world, luck="tolerance")
+    made = compile_closed_loop(plan, world)
     other = compile_closed_loop(plan, world).by("tolerance", world)
     assert run_range(other, 2, 0, 500)[0] == run_range(made, 2, 0, 500)[0]
 
@@ -254,7 +252,7 @@ def test_answers_say_their_luck(loop: Any) -> None:
     said = {luck: answer.to_json() for luck, answer in found.items()}
     assert [said[luck]["luck"] for luck in LUCKS] == list(LUCKS)
     assert said["tolerance"]["mode"] == "tolerance"
-    engine = make_engine(plan, world, Rolling(loop, seed=0, luck="tolerance"), "numba")
+    engine = make_engine(plan, world, Rolling(loop, seed=0), "numba")
     counts = replace(found["tolerance"].tally, by_luck=np.empty(0, np.int64))  # its sums by luck: test_analysis_control
     assert counts == engine.tally(0, 2000) != found["step"].tally
     band = found["tolerance"].outputs["band"]
@@ -266,7 +264,7 @@ def test_recordings_keep_their_luck(tmp_path: Path) -> None:
     world, plan = scattered()
     for loop in LOOPS:
         path = tmp_path / f"{loop}.mcap"
-        record(world, plan, Request(ids=(3, 5), loop=loop, seed=9, luck="tolerance"), path)
+        record(world, plan, Request(ids=(3, 5), loop=loop, seed=9), path)
         found = replay(path)
         assert found.identical, found.difference
         assert found.settings.luck == "tolerance"

@@ -128,7 +128,7 @@ def test_the_open_loop(tmp_path: Path, foreign: bool) -> None:
     chosen = foreign_plan(world, plan) if foreign else plan
     request = Request(picks=parse_picks("worst"), evaluated=500, outcomes=True, loop="open", seed=SEED)
     done = record(world, chosen, request, tmp_path / "r.mcap")
-    truth = rollout_results(compile_plan(chosen, world), seed=SEED, count=500, mode="tolerance")
+    truth = rollout_results(compile_plan(chosen, world), seed=SEED, count=500)
     found = read_outcomes(tmp_path / "r.mcap")
     assert np.array_equal(found.visited, truth.visited)
     (one,) = read_rollouts(tmp_path / "r.mcap")

@@ -373,7 +373,7 @@ sweep: {loop: [open, closed]}
     means = [row.estimate("visited").mean for row in rows]
     plan = mrac.plan(world, robots=2, plan_for="open", effort=200)
     for mean, loop in zip(means, ("open", "closed"), strict=True):
-        answer = mrac.evaluate(world, plan, loop=loop, luck="tolerance", rollouts=200, engine="numba")  # type: ignore[arg-type]
+        answer = mrac.evaluate(world, plan, loop=loop, rollouts=200, engine="numba")  # type: ignore[arg-type]
         visited = answer.tally.visited  # counted: what is reported is exact
         cells = np.average(np.arange(len(visited)), weights=visited)
         assert mean == pytest.approx(cells / world.accessible(plan.starts).sum(), abs=1e-12)
