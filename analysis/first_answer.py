@@ -45,7 +45,7 @@ def roll_out_readably() -> None:
     """
     os.nice(19)
     plan, world, choices = pickle.load(sys.stdin.buffer)
-    loop = ReferenceLoop(plan, world, first_only=choices.first_only, luck=choices.luck)
+    loop = ReferenceLoop(plan, world, first_only=choices.first_only)
     for rollout in range(2**32):
         sys.stdout.write(f"{int(loop.run(choices.seed, rollout).visited.sum())}\n")
         sys.stdout.flush()

@@ -8,16 +8,16 @@ from typing import Any
 from planner.rollouts import engine as engines
 from planner.rollouts.engine import Chunk, closed_loop_engine, open_loop_engine
 from planner.rollouts.names import EngineName
-from planner.rollouts.open_loop import CompiledPlan, Mode
+from planner.rollouts.open_loop import CompiledPlan
 from planner.simulator.loop import ClosedLoop
 from planner.tally import RolloutResults, Tally
 
 
 def run_chunks(
-    compiled: CompiledPlan, *, seed: int, count: int, mode: Mode = "fast", engine: EngineName = "auto", **how: Any
+    compiled: CompiledPlan, *, seed: int, count: int, engine: EngineName = "auto", **how: Any
 ) -> Iterator[Chunk]:
     """The open loop, chunk by chunk; `how`: as in `planner.rollouts.engine.run_chunks`."""
-    return engines.run_chunks(open_loop_engine(compiled, seed, mode, engine), count, **how)
+    return engines.run_chunks(open_loop_engine(compiled, seed, engine), count, **how)
 
 
 def run_closed_chunks(
@@ -34,7 +34,7 @@ def rollouts(compiled: CompiledPlan, *, seed: int, count: int, **how: Any) -> Ta
 
 
 def rollout_results(
-    compiled: CompiledPlan, *, seed: int, count: int, start: int = 0, mode: Mode = "fast", engine: EngineName = "auto"
+    compiled: CompiledPlan, *, seed: int, count: int, start: int = 0, engine: EngineName = "auto"
 ) -> RolloutResults:
     """Every single rollout of the open loop."""
-    return open_loop_engine(compiled, seed, mode, engine).results(start, count)
+    return open_loop_engine(compiled, seed, engine).results(start, count)

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import pytest
 from oracle_tree import closed_loop_exact
+from per_visit import uniform
 from samples import samples
 from scipy import stats
 
@@ -31,7 +32,6 @@ from analysis.statistics.estimates import (
 )
 from analysis.theory.exact import open_loop_exact
 from planner.errors import UsageError
-from planner.failure_model import uniform
 from planner.ids import LuckName
 from planner.mrac.make_plan import make_plan
 from planner.world.world import World

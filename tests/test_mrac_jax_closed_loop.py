@@ -320,12 +320,6 @@ def test_what_the_lanes_cannot_do_is_a_clear_error(loop: ClosedLoop) -> None:
     world = World.create(wide)
     with pytest.raises(WorldError, match=r"10002 of them accessible; expected at most 10000 .*engine='numba'"):
         JaxClosedLoop(compile_closed_loop(make_plan(world, np.array([[0, 0]])), world, tabled=False), 1)
-    by_step = survey_world("crossings-2").loop(luck="step")
-    with pytest.raises(
-        UsageError, match=r"engine='jax' with luck='step'; expected luck='tolerance'; use engine='numba'"
-    ):
-        closed_loop_engine(by_step, 5, "jax")
-    assert closed_loop_engine(by_step, 5).name == "numba"
     one = survey_world("crossings-2")
     inside = replace(one, settings=replace(one.settings, transit="area")).loop()
     with pytest.raises(UsageError, match=r"engine='jax' with transit='area'; expected .*; use engine='numba'"):

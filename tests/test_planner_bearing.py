@@ -15,7 +15,7 @@ from doubt import WORLDS
 from test_planner_luck import NAMES, known, mean, world_of
 
 from analysis.theory.exact import open_loop_exact
-from planner.errors import PlanError, ScenarioError, StateError, UsageError
+from planner.errors import PlanError, ScenarioError, StateError
 from planner.failure_model import CERTAIN, MOST, PLAIN, Bearing, tolerance_of, unworn, wear_nodes, worn
 from planner.failure_model import susceptible as made_susceptible
 from planner.mrac.make_plan import make_plan
@@ -267,13 +267,6 @@ def test_a_scenario_says_what_its_robots_bear(tmp_path: Path) -> None:
             load_input(file)
 
 
-@pytest.mark.parametrize("what", [{"wear": 2.0}, {"susceptibility": (1.0, 0.5)}])
-def test_luck_by_step_is_refused_in_words(what: dict[str, Any]) -> None:
-    plan = make_plan(ROW, ROW.starts, Settings(**what))
-    for loop in ("closed", "open"):
-        with pytest.raises(UsageError, match=r"(wear|counts).*luck='step'"):
-            make_engine(plan, ROW, Rolling(loop, luck="step"), "numba")
-    with pytest.raises(UsageError, match="luck='step'"):
-        ReferenceLoop(plan, ROW, luck="step")
+def test_susceptibilities_of_another_team_are_refused() -> None:
     with pytest.raises(PlanError, match="2 robots for a team of 1"):
         make_plan(ROW, ROW.starts[:1], Settings(susceptibility=(1.0, 0.5)))

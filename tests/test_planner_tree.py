@@ -12,7 +12,6 @@ from test_planner_luck import NAMES, known, world_of
 import mrac_jax as mrac
 from analysis.estimators.trial import SLACK, closed_tree
 from planner.errors import UsageError
-from planner.ids import LUCKS
 from planner.mrac.make_plan import make_plan
 from planner.settings import Settings
 from planner.simulator.closed_loop import compile_closed_loop, run_range
@@ -48,15 +47,14 @@ CASES: tuple[tuple[int, dict[str, Any], bool], ...] = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("luck", LUCKS)
 @pytest.mark.parametrize(("robots", "settings", "first_only"), CASES)
 def test_trees_are_what_the_readable_simulator_enumerates(
-    robots: int, settings: dict[str, Any], first_only: bool, luck: Any
+    robots: int, settings: dict[str, Any], first_only: bool
 ) -> None:
     world = random_world(4, 5, ThreatPattern("scattered", 3, (0.1, 0.3), 5), obstacles=0.1, threats=0.3)
     plan = make_plan(world, place_starts(world, robots)[0], Settings(**settings))
     oracle = closed_loop_exact(plan, world, first_only=first_only)
-    tree = grow_tree(compile_closed_loop(plan, world, first_only=first_only, luck=luck), 1e-7, 10**6)
+    tree = grow_tree(compile_closed_loop(plan, world, first_only=first_only), 1e-7, 10**6)
     assert tree is not None
     for figure in ("visited", "survived"):
         low, high = tree.covered(figure)

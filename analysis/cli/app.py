@@ -55,7 +55,7 @@ from analysis.cli.options import (
 from analysis.cli.recording import inspect, record, recover, replay
 from analysis.utils.notes import elsewhere, say
 from planner.arguments import COMMAND_LINE
-from planner.errors import InputError, UsageError
+from planner.errors import PER_VISIT, InputError, UsageError
 from planner.settings import BEST
 
 if TYPE_CHECKING:
@@ -457,7 +457,8 @@ for command in (*PLANS, *MISSIONS, reproduce, results):
 
 
 LEFT = {"graph": "orienteering on graphs left with release 0.4; use release 0.3"}
-"""Commands of older releases, and where they are."""
+LEFT |= dict.fromkeys(("--luck", "--mode"), PER_VISIT)
+"""Commands and options of older releases, and where they are."""
 
 
 def _missing(error: MissingArgumentError) -> str:
@@ -470,6 +471,8 @@ def _missing(error: MissingArgumentError) -> str:
 def _unknown(error: UnknownOptionError) -> str:
     """The line for an option that a command does not have: what is meant, if need be another command's option."""
     given, command = (error.token.keyword or error.token.value).split("=")[0], " ".join(error.command_chain or ())
+    if given in LEFT:
+        return f"{given}: {LEFT[given]}"
     options = {
         name: [one for argument in app[name].assemble_argument_collection() for one in argument.names if one[:1] == "-"]
         for name in app

@@ -53,8 +53,7 @@ class Evaluation(Answer):
 
     Attributes:
         world, plan: what was evaluated. closed_form: the open loop's exact values. formulas: the paper's.
-        loop: "open" or "closed". mode: "tolerance"; by step "fast" or "step" (closed: "step").
-        engine: "jax" or "numba". seed: of the rollouts.
+        loop: "open" or "closed". engine: "jax" or "numba". seed: of the rollouts.
         tally: the counts. outputs: what else was asked for, by key (`analysis.evaluation.outputs`).
         choices: what was asked for. closed: the closed loop's expected values where they are known exactly, else None.
         seconds: spent on rollouts, compilation left out. compile_seconds: spent on that.
@@ -71,7 +70,6 @@ class Evaluation(Answer):
     closed_form: OpenLoopExact
     formulas: Bounds
     loop: Literal["open", "closed"]
-    mode: str
     engine: str
     seed: int
     tally: Tally
@@ -262,7 +260,7 @@ class Evaluation(Answer):
 
     @cached_property
     def control(self) -> dict[str, Controlled]:
-        """How the luck of the rollouts is taken into account, by figure; empty where it is not: by step, of few."""
+        """How the luck of the rollouts is taken into account, by figure; empty where it is not: of few."""
         sampled = [figure for figure in ("visited", "survived", "time", "alive") if getattr(self.exact, figure) is None]
         found = {figure: of_tally(self.tally, figure) for figure in sampled}
         return {figure: one for figure, one in found.items() if one is not None and not self.certain}

@@ -62,8 +62,6 @@ def evaluate(
     choices = choices.timed(world.pace)
     check_deadline(plan, choices)
     plan = knowing_deadline(world, plan, choices)
-    if world.doubt is not None and choices.luck == "step":
-        choices = replace(choices, mode="step")
     wanted = _wanted(choices, {"team": bool(alike(plan))} | asked, world)
     certain = is_certain(world, plan, choices.loop)
     if certain:
@@ -97,7 +95,6 @@ def evaluate(
         closed_form=exact,
         formulas=bounds,
         loop=choices.loop,
-        mode=choices.drawn,
         engine=last.engine,
         seed=choices.seed,
         tally=last.tally,

@@ -338,8 +338,6 @@ def to_json(evaluation: Evaluation) -> Json:
     lost = None if known.alive is None else tally.robots - known.alive
     out: Json = {
         "loop": evaluation.loop,
-        "mode": evaluation.mode,
-        "luck": evaluation.choices.luck,
         "engine": evaluation.engine,
         "robots": len(plan.robots),
         "starts": plan.starts,
@@ -493,7 +491,7 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
     """What was evaluated, and how."""
     cells, plan, tally, world = evaluation.cells, evaluation.plan, evaluation.tally, evaluation.world
     ground = f" ({_area(cells['accessible'] * world.cell_size**2)})" if world.cell_size != 1 else ""
-    loop = f"open loop, {evaluation.mode} mode" if evaluation.loop == "open" else "closed loop"
+    loop = f"{evaluation.loop} loop"
     tree = evaluation.closed.tree if isinstance(evaluation.closed, TreeTruth) else None
     whole = ""
     if tree is not None:

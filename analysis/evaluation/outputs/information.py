@@ -290,7 +290,7 @@ class Experience(Output):
         run.doing("the same team, told where hazards are")
         told = told_of_hazards(world, plan, choices, min(count, MOST_MAPS))
         run.doing("what is known in the end")
-        loop, ends = compile_closed_loop(plan, world, luck=choices.luck), min(count, MOST_ENDS)
+        loop, ends = compile_closed_loop(plan, world), min(count, MOST_ENDS)
         prior = np.where(world.free, hazard.q, np.nan).astype(np.float64).ravel()
         posterior, entropy = prior.copy(), entropy_of(prior)
         if loop.learns:
