@@ -34,10 +34,9 @@ def nothing_compiled(monkeypatch: MonkeyPatch) -> None:
     monkeypatch.setattr(first_answer, "PAUSE", 0.0)
 
 
-@pytest.mark.parametrize("luck", ["step", "tolerance"])
-def test_it_is_that_of_the_engines_after_so_few(monkeypatch: MonkeyPatch, luck: str) -> None:
+def test_it_is_that_of_the_engines_after_so_few(monkeypatch: MonkeyPatch) -> None:
     nothing_compiled(monkeypatch)
-    choices = RolloutChoices(seed=7, luck=luck)  # type: ignore[arg-type]
+    choices = RolloutChoices(seed=7)
     told: list[str] = []
     enough = threading.Event()
 

@@ -45,7 +45,6 @@ def test_rollouts_come_back_as_they_were(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("few_lanes", "small_traces")
 def test_same_input_same_bytes_whatever_the_engine(tmp_path: Path) -> None:
     choices = {"ids": (), "picks": parse_picks("worst,best,random"), "evaluated": 300, "outcomes": True}
-    choices["luck"] = "tolerance"
     small_recording(tmp_path / "a.mcap", **choices)
     small_recording(tmp_path / "b.mcap", **choices)
     small_recording(tmp_path / "jax.mcap", **choices, engine="jax")
