@@ -59,7 +59,7 @@ def own_key(seed: int, purpose: int) -> tuple[int, int]:
     return int(x0), int(x1)
 
 
-# Luck by tolerance (SPEC section 14): what a robot bears, and what a visit adds, in whole units of 2**-32 nat.
+# Failure thresholds (SPEC section 14): what a robot bears, and what a visit adds, in whole units of 2**-32 nat.
 #
 # Independent checks are the same law as one number a robot: a visit of threat p adds e(p) = -ln(1 - p) to its exposure,
 # and the visit at which the exposure reaches the robot's tolerance, an Exp(1) amount drawn once a rollout, stops it.

@@ -21,7 +21,7 @@ from unittest import mock
 
 import numpy as np
 from movers import moving_world
-from per_visit import VisitLoop
+from rolling import VisitLoop
 
 from planner.errors import InputError
 from planner.mrac.make_plan import make_plan

@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from per_visit import VisitDraws
+from rolling import VisitDraws
 
 from planner.errors import StateError
 from planner.mission.mission import Mission

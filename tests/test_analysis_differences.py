@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from per_visit import uniform
+from rolling import uniform
 from scipy import stats
 
 from analysis.statistics.differences import Paired, difference

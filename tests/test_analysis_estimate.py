@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import pytest
 from oracle_tree import closed_loop_exact
-from per_visit import uniform
+from rolling import uniform
 from samples import samples
 from scipy import stats
 

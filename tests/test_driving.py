@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from killed_mission import small_case
-from per_visit import VisitLoop
+from rolling import VisitLoop
 from test_planner_mission import obey
 
 import mrac_jax as mrac

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from per_visit import VisitLoop
+from rolling import VisitLoop
 from test_mrac_jax_missions import same
 from test_planner_home import KINDS, WATCHFUL, corridor, drawn
 from test_planner_mission import obey

@@ -12,8 +12,8 @@ from closed_loop_compare import assert_same_trace
 from movers import moving_world
 from numpy.typing import NDArray
 from oracle_tree import Tree as ReadableTree
-from per_visit import VisitLoop
 from plan_files import load_plan
+from rolling import VisitLoop
 
 from analysis.comparison import compare, make_side
 from analysis.estimators.trial import Trial

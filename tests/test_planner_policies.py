@@ -18,8 +18,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from oracle_markov import closed_loop_chain, solve_chain
 from oracle_tree import closed_loop_exact
-from per_visit import VisitLoop
 from plan_files import load_plan
+from rolling import VisitLoop
 from validate import validate
 
 import mrac_jax as mrac

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from oracle_tree import closed_loop_exact
-from per_visit import VisitLoop
+from rolling import VisitLoop
 from test_planner_mission import SETTINGS as DRIVEN
 from test_planner_mission import case
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from per_visit import uniform
+from rolling import uniform
 
 from planner.failure_model import key_of, threefry2x32
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from per_visit import uniform
+from rolling import uniform
 
 from analysis.experiments.reproduction import COVERAGE, Finding, Point, StatementVerdict, columns_of, findings, runs_of
 from analysis.statistics.estimates import over_maps

@@ -302,7 +302,7 @@ class Chunk:
 
 
 def run_by_luck(engine: Engine, seed: int, start: int, count: int) -> tuple[Tally, RolloutResults]:
-    """What `engine.run` says of rollouts by tolerance, in the tally their sums by luck too."""
+    """What `engine.run` says of rollouts, in the tally their sums by luck too."""
     tally, results = engine.run(start, count)
     return replace(tally, by_luck=sums_by_luck(results, seed, tally.robots)), results
 
@@ -326,7 +326,7 @@ def run_chunks(
             it.
         checkpoints: numbers of rollouts (counted from `start`) at which a chunk must end, for stopping rules.
         results: also hand over every single rollout.
-        by_luck: the seed of rollouts by tolerance, whose sums by luck the tally is to have too (`run_by_luck`).
+        by_luck: the seed of the rollouts, whose sums by luck the tally is to have too (`run_by_luck`).
 
     Raises UsageError for ids or a chunk that are none.
     """

@@ -50,7 +50,7 @@ def luck_classes(seed: int, start: int, count: int, robots: int) -> NDArray[np.i
 
 
 def sums_by_luck(results: RolloutResults, seed: int, robots: int) -> NDArray[np.int64]:
-    """int64 `[classes * len(COLUMNS)]`, as `Tally.by_luck` has them, of rollouts by tolerance of so many robots."""
+    """int64 `[classes * len(COLUMNS)]`, as `Tally.by_luck` has them, of rollouts of so many robots."""
     classes = luck_classes(seed, results.start, len(results.visited), robots)
     sums = np.zeros((int(classes.max(initial=-1)) + 1, len(COLUMNS)), dtype=np.int64)
     figures = (results.visited, results.survived, results.time, results.alive, results.outcome)
