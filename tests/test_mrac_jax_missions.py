@@ -71,9 +71,7 @@ def one_program(monkeypatch: pytest.MonkeyPatch) -> None:
     def able(loop: ClosedLoop, seed: int, least: tuple[int, int] = (1, 1)) -> LaneTables:
         tables = lane_tables(loop, seed, least)
         size, robots = tables.size, np.zeros(len(tables.starts), dtype=np.int32)
-        no_doubt = luck_tables(
-            (with_hazard(World.create([[0.0]]), "persistent", 0.0),), np.zeros(size, dtype=np.int64), "tolerance"
-        )
+        no_doubt = luck_tables((with_hazard(World.create([[0.0]]), "persistent", 0.0),), np.zeros(size, dtype=np.int64))
         drawn = loop.tables._replace(**no_doubt | {"there": np.full(size, UNIT, dtype=np.uint32)})
         return replace(
             tables,

@@ -98,7 +98,7 @@ def test_frequencies_of_every_hit_pattern(engine: str) -> None:
     plan, world = waiting_plan()
     compiled = compile_plan(plan, world)
     chances: Counter[tuple[int, int, int, int]] = Counter()
-    threat = [t.astype(float) for t in compiled.danger_threat]
+    threat = [world.threat.ravel()[cells].astype(float) for cells in compiled.danger_cell]
     for outcomes in itertools.product(*(range(len(t) + 1) for t in threat)):
         chance = 1.0
         for mine, outcome in zip(threat, outcomes, strict=True):

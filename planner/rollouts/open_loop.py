@@ -59,7 +59,6 @@ class CompiledPlan:
         entries: every entry of the nominal paths.
         danger_step: per robot int64 `[D]`, the steps of its dangerous entries.
         danger_cell: per robot int64 `[D]`, the cells entered there.
-        danger_threat: per robot float32 `[D]`, their threats, the largest that they may have.
         last_move: int64 `[K]`, the step of each robot's last move.
     """
 
@@ -72,7 +71,6 @@ class CompiledPlan:
     entries: Entries
     danger_step: tuple[NDArray[np.int64], ...]
     danger_cell: tuple[NDArray[np.int64], ...]
-    danger_threat: tuple[NDArray[np.float32], ...]
     last_move: NDArray[np.int64]
 
     @property
@@ -155,9 +153,6 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
         entries=found,
         danger_step=tuple(found.step[mine] for mine in per_robot),
         danger_cell=tuple(found.cell[mine] for mine in per_robot),
-        danger_threat=tuple(
-            of[world.visits(found.cell[mine], found.step[mine])] for of, mine in zip(own, per_robot, strict=True)
-        ),
         last_move=moves,
     )
 
