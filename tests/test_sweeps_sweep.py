@@ -351,7 +351,7 @@ def test_plans_for_the_open_loop_are_swept_in_both_loops(tmp_path: Path) -> None
     world = random_world(6, 8, ThreatPattern(seed=4, levels=(0.3, 0.5)))
     world.save(tmp_path / "world.npz")
     text = """
-base: {input: world.npz, robots: 2, plan_for: open, effort: 200, luck: tolerance}
+base: {input: world.npz, robots: 2, plan_for: open, effort: 200}
 rollouts: 200
 sweep: {loop: [open, closed]}
 """
