@@ -80,7 +80,7 @@ def evaluation_of(alive: list[int], threat: float = 0.3) -> Evaluation:
         empty, alive=np.array(alive), visited=visited, survived=survived, time=time, outcomes=outcomes, ids=((0, runs),)
     )
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
-    return Evaluation(world, plan, exact, bounds, "closed", "step", "numba", 0, tally, 1.0, 0.0)
+    return Evaluation(world, plan, exact, bounds, "closed", "numba", 0, tally, 1.0, 0.0)
 
 
 SAID = {
