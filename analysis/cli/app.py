@@ -145,7 +145,7 @@ def evaluate(
 
     with show_progress() as progress:
         answer = evaluate_plan(
-            world, made, choices, progress=progress, doing=progress.doing, early=progress.doing, bound=bound or None,
+            world, made, choices, progress=progress, doing=progress.doing, bound=bound or None,
             band=out is not None, advice=advice, first=None if as_json else show_first, **asked,
         )  # fmt: skip
     said, shown = report(answer, theory), printed[0] if printed else None

@@ -12,7 +12,6 @@ from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.evaluation.outputs.table import OUTPUTS
 from analysis.evaluation.outputs.what_if import alike
-from analysis.first_answer import first_answers
 from analysis.sampling import RolloutChoices, Stage, check_deadline, knowing_deadline, make_roll_out
 from analysis.statistics.control_variate import tally_mean
 from analysis.statistics.estimates import FIRST_LOOK, looks
@@ -41,7 +40,6 @@ def evaluate(
     *,
     progress: ProgressCallback | None = None,
     doing: Doing | None = None,
-    early: Doing | None = None,
     first: Callable[[Evaluation], None] | None = None,
     bound: bool | None = None,
     **asked: Any,
@@ -54,7 +52,6 @@ def evaluate(
 
     Args:
         progress, doing: told how far it has come, and in words what begins.
-        early: told a first answer, in words, again and again while code is compiled (`analysis.first_answer`).
         first: given the answer before `late` outputs are measured, where there are any.
         bound: whether the bound for every strategy is worked out, as `flow` of `analysis.theory.upper_bound`.
         asked: further outputs by their key in `OUTPUTS`, with what its `measure` takes: `threat_scale=(0.5, 2)`.
@@ -73,17 +70,15 @@ def evaluate(
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
     last, partial, closed, rolled, kept = None, False, None, choices, AllPairs()
     try:
-        with first_answers(world, plan, choices, None if certain else early) as end_first:
-            roll_out = make_roll_out(world, plan, choices, kept=kept)  # an engine that cannot do it says so at once
-            if choices.loop == "closed":
-                closed = closed_truth(plan, world, exact, choices, kept, FINE_SECONDS)
-            is_all = isinstance(closed, TreeTruth) and closed.is_all and wanted.keys() <= CONTENT
-            if is_all and choices.precision is not None:
-                rolled = replace(choices, rollouts=TO_LOOK_AT, precision=None)
-            begin("rollouts")
-            for stage in until_enough(roll_out(rolled, None), rolled, tell):
-                end_first()
-                last = stage
+        roll_out = make_roll_out(world, plan, choices, kept=kept)  # an engine that cannot do it says so at once
+        if choices.loop == "closed":
+            closed = closed_truth(plan, world, exact, choices, kept, FINE_SECONDS)
+        is_all = isinstance(closed, TreeTruth) and closed.is_all and wanted.keys() <= CONTENT
+        if is_all and choices.precision is not None:
+            rolled = replace(choices, rollouts=TO_LOOK_AT, precision=None)
+        begin("rollouts")
+        for stage in until_enough(roll_out(rolled, None), rolled, tell):
+            last = stage
     except KeyboardInterrupt:
         partial = True
     if last is None:
