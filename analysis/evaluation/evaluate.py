@@ -40,7 +40,7 @@ def evaluate(
     *,
     progress: ProgressCallback | None = None,
     doing: Doing | None = None,
-    first: Callable[[Evaluation], None] | None = None,
+    show: Callable[[Evaluation], None] | None = None,
     bound: bool | None = None,
     **asked: Any,
 ) -> Evaluation:
@@ -52,7 +52,7 @@ def evaluate(
 
     Args:
         progress, doing: told how far it has come, and in words what begins.
-        first: given the answer before `late` outputs are measured, where there are any.
+        show: given the answer before the `bound` and `late` outputs are worked out, and again with each of these.
         bound: whether the bound for every strategy is worked out, as `flow` of `analysis.theory.upper_bound`.
         asked: further outputs by their key in `OUTPUTS`, with what its `measure` takes: `threat_scale=(0.5, 2)`.
     """
@@ -106,15 +106,17 @@ def evaluate(
         choices=choices,
         bound=bound,
     )
+    if show is not None:
+        show(answer)
     if bound:
         begin("the bound for every strategy")
         answer.limit  # noqa: B018 - worked out here, where progress is told
-    if not late:
-        return answer
-    if first is not None:
-        first(answer)
-    more, partial = _measured(late, run, partial)
-    return answer.with_outputs(more, partial)
+    for key, value in late.items():
+        more, partial = _measured({key: value}, run, partial)
+        answer = answer.with_outputs(more, partial)
+        if more and show is not None:
+            show(answer)
+    return answer
 
 
 def _measured(wanted: dict[str, Any], run: Run, partial: bool) -> tuple[dict[str, Output], bool]:
