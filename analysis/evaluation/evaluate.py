@@ -15,7 +15,6 @@ from analysis.evaluation.outputs.what_if import alike
 from analysis.sampling import RolloutChoices, Stage, check_deadline, knowing_deadline, make_roll_out
 from analysis.statistics.control_variate import tally_mean
 from analysis.statistics.estimates import FIRST_LOOK, looks
-from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
 from analysis.utils.notes import Doing, ProgressCallback, quiet
 from planner.arguments import argument
@@ -67,7 +66,7 @@ def evaluate(
         choices = replace(choices, rollouts=1, precision=None, seconds=None)
     begin, tell = doing or quiet, progress or quiet
     begin("exact values")
-    exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
+    exact = open_loop_exact(plan, world)
     last, partial, closed, rolled, kept = None, False, None, choices, AllPairs()
     try:
         roll_out = make_roll_out(world, plan, choices, kept=kept)  # an engine that cannot do it says so at once
@@ -90,7 +89,6 @@ def evaluate(
         world=world,
         plan=plan,
         closed_form=exact,
-        formulas=bounds,
         loop=choices.loop,
         mode=choices.drawn,
         engine=last.engine,
