@@ -73,8 +73,8 @@ def run_ranges(
 
     Args:
         work: runs a range. start, count: the ids.
-        chunk: ids a range, rounded up to whole units; None = one unit, then more, up to MOST_CHUNK, for as long as a
-            range takes less than a quarter of a second.
+        chunk: ids a range, rounded up to whole units; None = one unit, then as many as take about
+            CHUNK_SECONDS, MOST_CHUNK at most.
         checkpoints: numbers of ids (counted from `start`) at which a range must end, for stopping rules.
         unit: ranges end at its multiples.
     """
@@ -87,7 +87,7 @@ def run_ranges(
         result = work(position, stop - position)
         took = time.perf_counter() - clock
         yield position, stop - position, result, took
-        if chunk is None and took < CHUNK_SECONDS / 2:
+        if chunk is None:
             size = max(size, min(int((stop - position) * CHUNK_SECONDS / max(took, 1e-9)), MOST_CHUNK))
         position = stop
 
