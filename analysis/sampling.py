@@ -135,7 +135,7 @@ class Stage:
 
 RollOut = Callable[[RolloutChoices, int | None], Iterator[Stage]]
 """Rolls out as many as the choices ask for, cut off at a step if one is given; yields where it stands after every
-chunk, the numbers of `looks()` among them."""
+chunk, with a precision after the numbers of `looks()` among them."""
 Roll = Callable[[int, int], RolloutResults]
 """`roll(start, count)`: what each of those rollouts came to."""
 
@@ -227,7 +227,8 @@ def make_roll_out(
         most = choices.rollouts if choices.precision is None else MOST_ROLLOUTS
         controlled = choices.loop == "closed" and most >= LEAST
         by_luck = choices.seed if controlled else None
-        for chunk in run_chunks(engine, most, checkpoints=looks(), by_luck=by_luck):
+        marks = () if choices.precision is None else looks()
+        for chunk in run_chunks(engine, most, checkpoints=marks, by_luck=by_luck):
             yield Stage(chunk.tally, engine.name, chunk.seconds, tables_seconds + chunk.compile_seconds)
 
     return roll_out

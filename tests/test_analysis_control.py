@@ -62,9 +62,11 @@ def fitted(y: NDArray, total: NDArray[np.float64], robots: int) -> tuple[float, 
     return float(found[0]), float(np.sqrt(variance * np.linalg.inv(pieces.T @ pieces)[0, 0])), variance
 
 
-def test_classes_are_of_the_tolerances() -> None:
-    expected = tolerances(7, np.arange(100, 600), 5).sum(axis=1) * CLASSES_A_NAT // UNIT
-    assert np.array_equal(luck_classes(7, 100, 500, 5), expected)
+@pytest.mark.parametrize(("start", "robots"), [(100, 5), (0, 40), (345_731_000, 8)])
+def test_classes_are_of_the_tolerances(start: int, robots: int) -> None:
+    """Also of rollout 345,731,376, whose total in whole units is in another class than the logarithm in floats."""
+    expected = tolerances(7, np.arange(start, start + 500), robots).sum(axis=1) * CLASSES_A_NAT // UNIT
+    assert np.array_equal(luck_classes(7, start, 500, robots), expected)
 
 
 @pytest.mark.parametrize("robots", [1, 3, 8, 40])

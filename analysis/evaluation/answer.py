@@ -18,7 +18,7 @@ from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, home_of, make_singles
 from analysis.statistics.control_variate import Controlled, of_tally
 from analysis.statistics.estimates import Amount, Estimate, exactly
-from analysis.theory.bounds import Bounds
+from analysis.theory.bounds import Bounds, all_bounds
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.upper_bound import AnyStrategy, any_strategy, trimmed
@@ -52,7 +52,7 @@ class Evaluation(Answer):
     """One evaluated plan.
 
     Attributes:
-        world, plan: what was evaluated. closed_form: the open loop's exact values. formulas: the paper's.
+        world, plan: what was evaluated. closed_form: the open loop's exact values.
         loop: "open" or "closed". engine: "jax" or "numba". seed: of the rollouts.
         tally: the counts. outputs: what else was asked for, by key (`analysis.evaluation.outputs`).
         choices: what was asked for. closed: the closed loop's expected values where they are known exactly, else None.
@@ -68,7 +68,6 @@ class Evaluation(Answer):
     world: World
     plan: Plan
     closed_form: OpenLoopExact
-    formulas: Bounds
     loop: Literal["open", "closed"]
     engine: str
     seed: int
@@ -234,6 +233,11 @@ class Evaluation(Answer):
             return Limits(ideal, None, ideal, ideal_one)
         least = Amount.of(self.limit.cells, self.tally.accessible)
         return Limits(least, None if self.limit.flow is None else least, ideal, ideal_one)
+
+    @cached_property
+    def formulas(self) -> Bounds:
+        """The paper's formulas."""
+        return all_bounds(self.plan, self.world)
 
     @cached_property
     def limit(self) -> AnyStrategy | None:

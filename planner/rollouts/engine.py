@@ -36,7 +36,8 @@ from planner.world.world import World
 # Ranges of rollout ids to run one after the other, each as many as take about half a second.
 
 MOST_SEED = 2**64
-CHUNK_SECONDS = 0.5
+CHUNK_SECONDS, MOST_CHUNK = 0.5, 2**21
+"""A range takes about so long, and has at most so many ids, for memory."""
 CELLS_A_CALL = 2**21
 """Cells that rollouts cover, about, in a call that is worth while: 4,096 rollouts of 500 cells."""
 Result = TypeVar("Result")
@@ -72,8 +73,8 @@ def run_ranges(
 
     Args:
         work: runs a range. start, count: the ids.
-        chunk: ids a range, rounded up to whole units; None = one unit, then twice as many for as long as a range takes
-            less than a quarter of a second.
+        chunk: ids a range, rounded up to whole units; None = one unit, then as many as take about
+            CHUNK_SECONDS, MOST_CHUNK at most.
         checkpoints: numbers of ids (counted from `start`) at which a range must end, for stopping rules.
         unit: ranges end at its multiples.
     """
@@ -86,9 +87,9 @@ def run_ranges(
         result = work(position, stop - position)
         took = time.perf_counter() - clock
         yield position, stop - position, result, took
+        if chunk is None:
+            size = max(size, min(int((stop - position) * CHUNK_SECONDS / max(took, 1e-9)), MOST_CHUNK))
         position = stop
-        if chunk is None and took < CHUNK_SECONDS / 2:
-            size *= 2
 
 
 # The compiled classical simulator (`planner.simulator.closed_loop`) as an engine.
@@ -338,8 +339,9 @@ def run_chunks(
 
     check_range(start, count, chunk, 0)
     clock = time.perf_counter()
-    # Compiles, apart from what is timed; asking for it again changes no count.
-    work(start, min(count, 1))
+    # Compiles, apart from what is timed; asking for it again changes no count. Two rollouts where they are cheap: the
+    # columns of a single one are contiguous, those of more are not, and Numba would compile for either.
+    work(start, min(count, engine.least, 2))
     compile_seconds = time.perf_counter() - clock
     tally, seconds = None, 0.0
 

@@ -171,6 +171,7 @@ class Deadline(Output):
     losses: float | None = None
     over: bool = False
     tree: Tree | None = None
+    late = False
 
     @classmethod
     def measure(cls, asked: int, run: Run) -> Iterator[Self]:
