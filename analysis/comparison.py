@@ -1,6 +1,6 @@
 """Two plans, settings, teams or maps on common random numbers: how far apart they are, and how sure that is.
 
-Rollout r of both sides meets the same luck: one u(r, t, i) for robot i at step t (SPEC section 6). What
+Rollout r of both sides meets the same luck: one threshold for robot i (SPEC section 14). What
 happens to both alike drops out of the difference, so its interval is narrower than that of independent runs.
 """
 
@@ -84,8 +84,7 @@ class Comparison(Answer):
     Attributes:
         a, b: the sides. pairs: by figure, sums of A's (x) and B's (y).
         ahead, behind: rollouts in which B visits a larger, a smaller fraction than A.
-        by_luck: sums of A's and B's figures by the luck of the larger team (`planner.rollouts.threshold_classes`);
-        empty by step.
+        by_luck: sums of A's and B's figures by the luck of the larger team (`planner.rollouts.threshold_classes`).
         seconds: of rolling out. partial: it was interrupted.
         certain: nothing can happen to either side: every run is the one that was compared.
     """
@@ -249,18 +248,16 @@ def compare(a: Side, b: Side, progress: ProgressCallback | None = None, kept: Al
     """Both sides on the same rollouts: as many as A's choices ask for, or until the difference is as precise.
 
     `precision`: of the difference of mean visited coverage.
-    Raises UsageError for sides of other rollouts, or of other luck: rollout r of one is then not that of the other.
+    Raises UsageError for sides of other rollouts: rollout r of one is then not that of the other.
     `kept`: where tables that do not depend on the team are kept.
     One rollout where nothing can happen to either side. An interruption (KeyboardInterrupt) leaves what was done,
     `partial`; if that is nothing, it is raised again.
     """
     choices = a.choices
-    for name in ("seed", "luck", "rollouts", "precision"):
+    for name in ("seed", "rollouts", "precision"):
         mine, theirs = getattr(choices, name), getattr(b.choices, name)
         if mine != theirs:
             raise UsageError(f"the sides differ in {name}: {mine} and {theirs}", expected="the same rollouts of both")
-    if a.choices.loop != b.choices.loop and choices.luck == "step":
-        a, b = (replace(side, choices=replace(side.choices, mode="step")) for side in (a, b))
     certain = all(is_certain(side.world, side.plan, side.choices.loop) for side in (a, b))
     if certain:
         choices = replace(choices, rollouts=1, precision=None, seconds=None)
@@ -296,10 +293,7 @@ def _add(so_far: Comparison, a: RolloutResults, b: RolloutResults, seconds: floa
     mine, theirs = a.visited.astype(np.int64) * so_far.b.cells, b.visited.astype(np.int64) * so_far.a.cells
     ahead, behind = int((theirs > mine).sum()), int((theirs < mine).sum())
     found = replace(so_far, pairs=pairs, ahead=so_far.ahead + ahead, behind=so_far.behind + behind, seconds=seconds)
-    choices = so_far.a.choices
-    if choices.luck != "tolerance":
-        return found
-    sums = (sums_by_luck(side, choices.seed, most_robots(so_far.a, so_far.b)) for side in (a, b))
+    sums = (sums_by_luck(side, so_far.a.choices.seed, most_robots(so_far.a, so_far.b)) for side in (a, b))
     one, other = (add_padded(before, more) for before, more in zip(so_far.by_luck, sums, strict=True))
     return replace(found, by_luck=(one, other))
 
@@ -421,13 +415,12 @@ def _is_vague(answer: Comparison, figure: str) -> bool:
 def _said(side: Side) -> str:
     plan, choices = side.plan, side.choices
     made = plan.origin if plan.is_foreign else counted(len(plan.areas), "area")
-    mode = "" if choices.luck == "tolerance" else f", {choices.drawn} mode"
-    loop = f"open loop{mode}" if choices.loop == "open" else "closed loop"
     first = ", first visits only" if choices.first_only else ""
     by = "" if choices.deadline is None else f", by step {choices.deadline}{side.world.pace.also(choices.deadline)}"
     who = f"{side.world.source}, {counted(len(plan.robots), 'robot')}"
     means = bearing_words(plan, side.world)
-    return f"{who}, {made}, {span_words(plan, side.world.pace)}; {loop}{first}{by}{'; ' if means else ''}{means}"
+    span = span_words(plan, side.world.pace)
+    return f"{who}, {made}, {span}; {choices.loop} loop{first}{by}{'; ' if means else ''}{means}"
 
 
 def _pace(answer: Comparison) -> Pace:
@@ -515,8 +508,6 @@ def _side_json(answer: Comparison, side: Side) -> Json:
         "starts": plan.starts,
         "accessible": side.cells,
         "loop": choices.loop,
-        "mode": choices.drawn,
-        "luck": choices.luck,
         "threat_checks": "first_visit" if choices.first_only else "every_visit",
         "deadline": choices.deadline,
         "plan_for": plan.plan_for,

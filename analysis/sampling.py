@@ -15,7 +15,7 @@ from analysis.utils.compiling import compiles_for
 from planner.arguments import POSITIVE, SEED, Numbers, argument, as_whole, check_word, whole
 from planner.errors import UsageError
 from planner.formatting import SPANS, Pace, seconds_of
-from planner.ids import LUCKS, MAX_STEP, MOST_ROLLOUTS, LuckName
+from planner.ids import MAX_STEP, MOST_ROLLOUTS
 from planner.plan.plan import Plan
 from planner.rollouts.names import ENGINES, EngineName, check_jax
 from planner.tally import RolloutResults, Tally
@@ -23,7 +23,6 @@ from planner.world.world import World
 
 if TYPE_CHECKING:
     from planner.rollouts.engine import Engine
-    from planner.rollouts.open_loop import Mode
     from planner.simulator.tables import AllPairs
 
 PRECISION = 0.001
@@ -48,11 +47,9 @@ class RolloutChoices:
         rollouts: how many, when `precision` is None.
         precision: stop when the half-width of the 95 % interval of mean visited coverage (a fraction) is below this.
         seconds: of rolling out, after which it stops too, as soon as what is under way is done; None: no limit.
-        mode: of luck by step in the open loop: "fast" (None) or "step". engine: "auto", "jax" or "numba".
-        seed: of the rollouts.
+        engine: "auto", "jax" or "numba". seed: of the rollouts.
         deadline: a step at which coverage is reported too, or None; before it is `timed` also a time, as "45min".
         first_only: only the first visit of a cell by anybody can stop a robot; closed loop.
-        luck: how it is decided who is stopped (`planner.failure_model`).
         exact: whether the closed loop's exact values are looked for: "auto" for EXACT_SECONDS, "never", or the seconds.
     """
 
@@ -60,12 +57,10 @@ class RolloutChoices:
     rollouts: int = 100_000
     precision: float | None = None
     seconds: float | None = None
-    mode: Mode | None = None
     engine: EngineName = "auto"
     seed: int = 0
     deadline: Any = None
     first_only: bool = False
-    luck: LuckName = "tolerance"
     exact: Exactness = "auto"
 
     def __post_init__(self) -> None:
@@ -83,13 +78,6 @@ class RolloutChoices:
         return (self.seed + 1) % 2**64
 
     @property
-    def drawn(self) -> str:
-        """How luck is drawn, as results name it: "tolerance", or of luck by step the mode."""
-        if self.luck == "tolerance":
-            return self.luck
-        return self.mode or "fast" if self.loop == "open" else "step"
-
-    @property
     def exact_seconds(self) -> float:
         """Of looking for the closed loop's exact values."""
         return {"auto": EXACT_SECONDS, "never": 0.0}[self.exact] if isinstance(self.exact, str) else self.exact
@@ -97,20 +85,9 @@ class RolloutChoices:
     def check(self) -> None:
         """Raise UsageError for an unknown word, a value out of range, or a combination that has no answer."""
         check_word("loop", self.loop, ("open", "closed"))
-        check_word("luck", self.luck, LUCKS)
-        if self.mode is not None:
-            check_word("mode", self.mode, ("fast", "step"))
-            if self.luck == "tolerance":
-                problem = f"{argument('mode', self.mode)} is for luck by step"
-                raise UsageError(problem, fix=f"leave it out, or use {argument('luck', 'step')}")
         check_word("engine", self.engine, ENGINES)
         if self.engine == "jax":
             check_jax()
-            if self.luck == "step":
-                problem = f"{argument('engine', 'jax')} with {argument('luck', 'step')}"
-                raise UsageError(
-                    problem, expected=argument("luck", "tolerance"), fix=f"use {argument('engine', 'numba')}"
-                )
         whole(1, MOST_ROLLOUTS).check("rollouts", self.rollouts)
         PRECISIONS.check("precision", self.precision, optional=True)
         POSITIVE.check("seconds", self.seconds, optional=True)
@@ -124,11 +101,6 @@ class RolloutChoices:
         if self.first_only and self.loop == "open":
             problem = f"{argument('first_only', True)} needs the closed loop"
             raise UsageError(problem, fix=f"use {argument('loop', 'closed')}")
-
-
-def luck_of(luck: LuckName | None, mode: Mode | None) -> LuckName:
-    """The luck that is meant: tolerance, or where a mode of luck by step is given, that."""
-    return luck or ("tolerance" if mode is None else "step")
 
 
 def how_much(
@@ -152,7 +124,7 @@ def how_much(
 class Stage:
     """Where a run of rollouts stands: its tally, the engine's name, seconds of running and of compiling.
 
-    The closed loop's tally by tolerance has its sums by luck too (`analysis.statistics.control_variate`).
+    The closed loop's tally has its sums by luck too (`analysis.statistics.control_variate`).
     """
 
     tally: Tally
@@ -163,7 +135,7 @@ class Stage:
 
 RollOut = Callable[[RolloutChoices, int | None], Iterator[Stage]]
 """Rolls out as many as the choices ask for, cut off at a step if one is given; yields where it stands after every
-chunk, the numbers of `looks()` among them."""
+chunk, with a precision after the numbers of `looks()` among them."""
 Roll = Callable[[int, int], RolloutResults]
 """`roll(start, count)`: what each of those rollouts came to."""
 
@@ -218,7 +190,7 @@ def make_engine_for(
     from planner.rollouts.engine import Rolling, make_engine
 
     compiles_for(plan, choices.loop)
-    how = Rolling(choices.loop, choices.mode or "fast", choices.first_only, choices.seed, choices.luck)
+    how = Rolling(choices.loop, choices.first_only, choices.seed)
     engine = make_engine(plan, world, how, choices.engine, kept)
     return engine if threats is None else engine.under(threats)
 
@@ -253,9 +225,10 @@ def make_roll_out(
             raise ValueError(f"made for {made_for}, called with {choices}")
         engine = whole if until is None else whole.until(until)
         most = choices.rollouts if choices.precision is None else MOST_ROLLOUTS
-        controlled = choices.loop == "closed" and choices.luck == "tolerance" and most >= LEAST
+        controlled = choices.loop == "closed" and most >= LEAST
         by_luck = choices.seed if controlled else None
-        for chunk in run_chunks(engine, most, checkpoints=looks(), by_luck=by_luck):
+        marks = () if choices.precision is None else looks()
+        for chunk in run_chunks(engine, most, checkpoints=marks, by_luck=by_luck):
             yield Stage(chunk.tally, engine.name, chunk.seconds, tables_seconds + chunk.compile_seconds)
 
     return roll_out

@@ -30,12 +30,9 @@ from mrac_jax.arrays import (
 )
 from mrac_jax.process import fixed_flags
 from mrac_jax.runtime import keep_jax_programs
-from planner.arguments import argument
-from planner.errors import UsageError
 from planner.failure_model import key_of_luck, own_key
 from planner.rollouts.open_loop import (
     CompiledPlan,
-    Mode,
     RangeCounts,
     available_cores,
     outcomes_of,
@@ -192,7 +189,7 @@ def power_bucket(size: int, least: int = 1) -> int:
 
 
 def pad_tables(compiled: CompiledPlan, seed: int) -> PaddedTables:
-    """The tables by tolerance with every size rounded up.
+    """The tables with every size rounded up.
 
     What the padding holds, and why it changes no count:
 
@@ -204,7 +201,7 @@ def pad_tables(compiled: CompiledPlan, seed: int) -> PaddedTables:
     - entries of all robots after the last one of a map in doubt: not counted, nobody is stopped.
     - histogram bins beyond the largest value: never reached.
     """
-    tables = compiled.tables("tolerance")
+    tables = compiled.tables
     groups, events, guide = tables.groups, tables.events, tables.guide
     group_pad = size_bucket(groups.count) - groups.count
     slot_pad = group_pad * groups.members
@@ -213,7 +210,7 @@ def pad_tables(compiled: CompiledPlan, seed: int) -> PaddedTables:
     weights = (events.visited_weight, events.survived_weight)
     planes = size_bucket(max(LEAST_PLANES, *(plane_count(weight) for weight in weights)))
     shown = [weight_planes(weight, max(words, weighted), planes)[:, :weighted] for weight in weights]
-    counter, draws = words_of(groups, "tolerance")[0], compiled.world.draws
+    counter, draws = words_of(groups), compiled.world.draws
     nothing = np.zeros((len(counter), 1), np.uint32)
     return on_host(
         PaddedTables,
@@ -449,11 +446,8 @@ class JaxOpenLoop:
     """
 
     @fixed_flags()
-    def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode) -> None:
-        """Raises UsageError for a mode that is not `tolerance`, and where JAX cannot run."""
-        if mode != "tolerance":
-            what, fix = f"{argument('engine', 'jax')} with luck by {mode}", f"use {argument('engine', 'numba')}"
-            raise UsageError(what, expected=argument("luck", "tolerance"), fix=fix)
+    def __init__(self, compiled: CompiledPlan, seed: int) -> None:
+        """Raises UsageError where JAX cannot run."""
         keep_jax_programs()
         self.compiled, self.seed = compiled, seed
         self.padded = pad_tables(compiled, seed)
@@ -473,7 +467,7 @@ class JaxOpenLoop:
             with ThreadPoolExecutor(len(parts)) as pool:
                 done = list(pool.map(lambda stream: self._part(stream, *parts[stream]), range(len(parts))))
         total = jax.tree.map(lambda *leaves: sum(leaves), *done)
-        compiled, tables = self.compiled, self.compiled.tables("tolerance")
+        compiled, tables = self.compiled, self.compiled.tables
         visited = total.visited[:-1].reshape(2, -1)
         return RangeCounts(
             rollouts=count,
@@ -503,7 +497,7 @@ class JaxOpenLoop:
 
     def _luck(self, first: int) -> Luck:
         """Of the batch that begins with this id, where each has its own (NumPy)."""
-        key, joint = np.array(key_of_luck(self.seed), dtype=np.uint32), self.compiled.tables("tolerance").joint
+        key, joint = np.array(key_of_luck(self.seed), dtype=np.uint32), self.compiled.tables.joint
         if joint is None:
             return on_host(Luck, key=key, left=None)
         ids = np.arange(first, first + self.batch)

@@ -21,6 +21,10 @@ def visible(text: str, kept: str = "\n\t") -> str:
     return text if text.isprintable() else "".join(map(shown, text))
 
 
+PER_VISIT = "random numbers for each visit left with release 0.4; use release 0.3"
+"""What is said to files and options that ask for them."""
+
+
 class MracError(Exception):
     """Base of every error that this project raises on purpose."""
 

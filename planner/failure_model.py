@@ -17,18 +17,13 @@ from scipy.special import gamma
 
 from planner.arguments import argument, check_each
 from planner.errors import UsageError
-from planner.ids import LuckName
 
 # Threefry-2x32 with 20 rounds (Salmon et al. 2011), the project's one source of randomness, in NumPy.
 #
-# A draw is addressed by (seed, rollout, step, robot), so it never depends on what was drawn before (SPEC section 6).
+# A draw is addressed by (seed, rollout, robot), so it never depends on what was drawn before (SPEC section 6).
 
 ROTATIONS = (13, 15, 26, 6, 17, 29, 16, 24)
 KEY_PARITY = 0x1BD11BDA
-ROBOT_STRIDE = 1024
-"""Robots that one step's counters hold: counter = (rollout, step * ROBOT_STRIDE + robot)."""
-FAST_COUNTER = 2**32 - 1
-"""The fast open loop draws word x1 of counter (rollout, FAST_COUNTER - robot)."""
 OWN_KEYS = 0x48415A44
 """First counter word of the keys for hazards and maps."""
 
@@ -64,14 +59,7 @@ def own_key(seed: int, purpose: int) -> tuple[int, int]:
     return int(x0), int(x1)
 
 
-def uniform(seed: int, rollout: ArrayLike, step: ArrayLike, robot: ArrayLike) -> NDArray[np.float32]:
-    """u(r, t, i) in [0, 1), float32: robot i entering a cell of threat p at step t is stopped iff u < p."""
-    counter1 = np.asarray(step, np.uint32) * np.uint32(ROBOT_STRIDE) + np.asarray(robot, np.uint32)
-    x0, _ = threefry2x32(key_of(seed), np.asarray(rollout, np.uint32), counter1)
-    return (x0 >> np.uint32(8)).astype(np.float32) * np.float32(2.0**-24)
-
-
-# Luck by tolerance (SPEC section 14): what a robot bears, and what a visit adds, in whole units of 2**-32 nat.
+# Failure thresholds (SPEC section 14): what a robot bears, and what a visit adds, in whole units of 2**-32 nat.
 #
 # Independent checks are the same law as one number a robot: a visit of threat p adds e(p) = -ln(1 - p) to its exposure,
 # and the visit at which the exposure reaches the robot's tolerance, an Exp(1) amount drawn once a rollout, stops it.
@@ -153,9 +141,9 @@ def least_word(exposure: ArrayLike) -> NDArray[np.int64]:
     return high
 
 
-def key_of_luck(seed: int, luck: LuckName = "tolerance") -> tuple[int, int]:
-    """The key under which tolerances are drawn; by step, the seed's own."""
-    return own_key(seed, LUCK_DRAW) if luck == "tolerance" else key_of(seed)
+def key_of_luck(seed: int) -> tuple[int, int]:
+    """The key under which tolerances are drawn."""
+    return own_key(seed, LUCK_DRAW)
 
 
 def tolerances(seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]:
@@ -278,15 +266,6 @@ class Bearing:
     def check(self, robots: int, source: str = "") -> None:
         """Raise PlanError where it is of another team."""
         check_each("susceptibility", self.susceptibility, robots, source)
-
-    def check_luck(self, luck: LuckName) -> None:
-        """Raise UsageError for luck that does not know what robots have borne."""
-        if luck != "tolerance" and not self.is_even:
-            raise UsageError(
-                f"{self.said}, with {argument('luck', luck)}",
-                expected="luck that knows what each robot has borne",
-                fix=f"use {argument('luck', 'tolerance')}",
-            )
 
     def check_known(self, what: str) -> None:
         """Raise UsageError where `what` presumes that every visit of a cell stops any robot with the chance p."""

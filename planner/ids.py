@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
-
 NONE = -1
 """None of whatever is meant; the kernels, where one number may be of several kinds, say only this."""
 NO_CELL = NO_AREA = NO_ROBOT = NO_STEP = NO_ROLLOUT = NONE
@@ -23,9 +21,3 @@ LEAST_SHAPE, MOST_SHAPE = 0.25, 16.0
 """Of what robots that wear bear (`planner.failure_model`)."""
 LEAST_SUSCEPTIBILITY, MOST_SUSCEPTIBILITY = 1 / 64, 64.0
 """How often exposure counts on a robot."""
-
-
-# How it is decided who is stopped: by the robot's tolerance (`planner.failure_model`), or by a number for every visit.
-
-LuckName = Literal["tolerance", "step"]
-LUCKS: tuple[LuckName, ...] = get_args(LuckName)

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import WorldError
-from planner.failure_model import PLAIN, Bearing, exposure_of, own_key, threefry2x32, uniform
-from planner.ids import LuckName
+from planner.failure_model import PLAIN, Bearing, exposure_of, own_key, threefry2x32
 from planner.world.map_knowledge import READING_DRAW
 from planner.world.moving_threats import ANYWHERE, Movers, Phases
 from planner.world.uncertain_maps import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Uncertain, bounds_of
@@ -22,13 +21,10 @@ from planner.world.world import World
 class Luck:
     """One rollout's. Ask in the order of the run: what was hit may be gone, and robots have borne what they met."""
 
-    def __init__(
-        self, world: World, seed: int, rollout: int, luck: LuckName = "tolerance", bearing: Bearing = PLAIN
-    ) -> None:
-        bearing.check_luck(luck)
+    def __init__(self, world: World, seed: int, rollout: int, bearing: Bearing = PLAIN) -> None:
         types = bearing.types
         self._own = world.of_robots(types, len(types) if isinstance(types, tuple) else 1)
-        self._world, self._seed, self._rollout, self._bearing, self._luck = world, seed, rollout, bearing, luck
+        self._world, self._seed, self._rollout, self._bearing = world, seed, rollout, bearing
         self._tolerance: dict[int, int] = {}
         self._spent: set[int] = set()
         self._exposure: defaultdict[int, int] = defaultdict(int)
@@ -42,8 +38,7 @@ class Luck:
     def hits(self, robot: int, step: int, cell: int) -> bool:
         """Whether the robot is stopped as it enters the cell at this step."""
         chance = self._chance(robot, cell, step)
-        stops = self._by_tolerance if self._luck == "tolerance" else self._by_step
-        if chance == 0 or not stops(robot, step, chance):
+        if chance == 0 or not self._reaches_threshold(robot, chance):
             return False
         if isinstance(self._world.doubt, Hazard) and self._world.doubt.kind == "consumed":
             self._spent.add(cell)
@@ -60,17 +55,14 @@ class Luck:
         chances = np.array([doubt.detector.false_alarm, doubt.detector.detect], dtype=np.float32)
         return (words >> np.uint32(8)) < bounds_of(chances)[there.astype(np.intp)]
 
-    def _by_step(self, robot: int, step: int, chance: np.float32) -> bool:
-        return bool(uniform(self._seed, self._rollout, step, robot) < chance)
-
-    def _by_tolerance(self, robot: int, step: int, chance: np.float32) -> bool:
+    def _reaches_threshold(self, robot: int, chance: np.float32) -> bool:
         if robot not in self._tolerance:
             self._tolerance[robot] = int(self._bearing.tolerances(self._seed, [self._rollout], robot + 1)[0, robot])
         self._exposure[robot] += _exposure(chance)
         return self._exposure[robot] >= self._tolerance[robot]
 
     def borne(self, robot: int) -> int:
-        """The robot's exposure so far, that before the rollout included; by tolerance."""
+        """The robot's exposure so far, that before the rollout included."""
         return self._exposure[robot] + (self._bearing.begun[robot] if self._bearing.begun else 0)
 
     def _chance(self, robot: int, cell: int, step: int) -> np.float32:

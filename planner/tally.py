@@ -271,9 +271,9 @@ def _axes(kind: type[Tally]) -> dict[str, str]:
     return {name: hint.__metadata__[0] for name, hint in hints if hasattr(hint, "__metadata__")}
 
 
-def tally_key(plan: str, loop: str, mode: str, seed: int) -> str:
-    """The identity of what is rolled out: hash of world and plan, "open" or "closed", mode, seed."""
-    return f"{plan}/{loop}/{mode}/{seed}"
+def tally_key(plan: str, loop: str, seed: int) -> str:
+    """The identity of what is rolled out: hash of world and plan, "open" or "closed", how failures are drawn, seed."""
+    return f"{plan}/{loop}/tolerance/{seed}"
 
 
 def _merge_ids(left: Iterable[tuple[int, int]], right: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], ...]:

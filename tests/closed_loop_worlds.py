@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.ids import NO_ROBOT, LuckName
+from planner.ids import NO_ROBOT
 from planner.mrac.make_plan import make_plan
 from planner.plan.plan import Plan
 from planner.settings import Settings
@@ -78,9 +78,9 @@ class SurveyWorld:
         """Algorithm 1's allocation and the nominal run."""
         return make_plan(self.world, self.starts, self.settings)
 
-    def loop(self, plan: Plan | None = None, luck: LuckName = "tolerance") -> ClosedLoop:
+    def loop(self, plan: Plan | None = None) -> ClosedLoop:
         """The compiled classical simulator of the plan (None: of its own)."""
-        return compile_closed_loop(plan or self.plan(), self.world, first_only=self.first_only, luck=luck)
+        return compile_closed_loop(plan or self.plan(), self.world, first_only=self.first_only)
 
     def digest(self) -> str:
         """Hash of everything that its rollouts depend on, but for METIS."""

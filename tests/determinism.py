@@ -21,6 +21,7 @@ from unittest import mock
 
 import numpy as np
 from movers import moving_world
+from rolling import VisitLoop
 
 from planner.errors import InputError
 from planner.mrac.make_plan import make_plan
@@ -32,7 +33,7 @@ from planner.plan_team import plan_team
 from planner.policies import RULES
 from planner.policies.rules import ORDERS
 from planner.rollouts.engine import Engine, Rolling, closed_loop_engine, make_engine, open_loop_engine
-from planner.rollouts.open_loop import MODES, compile_plan
+from planner.rollouts.open_loop import compile_plan
 from planner.settings import Settings
 from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
 from planner.world.changing_maps import with_hazard, with_maps, with_spread
@@ -134,8 +135,8 @@ def drawn(number: int, refused: Counter[str]) -> Drawn:
             starts = place_starts(world, robots := draw.randint(1, 5))[0]
             plan = plan_team(world, starts, settings(draw, robots), None)
             how = Rolling(
-                loop=draw.choice(("closed", "closed", "closed", "open")), mode=draw.choice(MODES), seed=number,
-                first_only=draw.random() < 0.2, luck=draw.choice(("tolerance", "step")),
+                loop=draw.choice(("closed", "closed", "closed", "open")), seed=number,
+                first_only=draw.random() < 0.2,
             )  # fmt: skip
             make_engine(plan, world, how, "numba")
         except InputError as error:
@@ -152,13 +153,12 @@ def unequal(number: int, *, jax: bool, refused: Counter[str]) -> Iterator[str]:
     tally, singles = whole.run(0, ROLLOUTS)
     others: dict[str, Engine] = {"the plan of a file": make_engine(read, world, how, "numba")}
     if how.loop == "open":
-        mode = "tolerance" if how.luck == "tolerance" else how.mode if world.doubt is None else "step"
         compiled = compile_plan(plan, world)
-        others |= {f"{n} threads": open_loop_engine(compiled, how.seed, mode, "numba", n) for n in (1, 2)}
+        others |= {f"{n} threads": open_loop_engine(compiled, how.seed, "numba", n) for n in (1, 2)}
     else:
         yield from unlike_readable(world, plan, how)
         for tabled in (True, False):
-            loop = compile_closed_loop(plan, world, first_only=how.first_only, luck=how.luck, tabled=tabled)
+            loop = compile_closed_loop(plan, world, first_only=how.first_only, tabled=tabled)
             name = f"{1 + tabled} threads, {'' if tabled else 'no '}tables"
             others[name] = closed_loop_engine(loop, how.seed, "numba", 1 + tabled)
     if jax:
@@ -178,26 +178,27 @@ def unequal(number: int, *, jax: bool, refused: Counter[str]) -> Iterator[str]:
 
 def unlike_readable(world: World, plan: Plan, how: Rolling) -> Iterator[str]:
     """The closed loop against the readable one, and that one gone on with from a state."""
-    readable = ReferenceLoop(plan, world, first_only=how.first_only, luck=how.luck)
-    loop = compile_closed_loop(plan, world, first_only=how.first_only, luck=how.luck)
+    readable = ReferenceLoop(plan, world, first_only=how.first_only)
+    loop = compile_closed_loop(plan, world, first_only=how.first_only)
     for mine in trace_rollouts(loop, how.seed, range(TRACED)):
         if mine != (trace := readable.trace(how.seed, mine.rollout)):
             yield f"readable, rollout {mine.rollout}"
             return
-    if how.luck != "step":  # by tolerance robots forget what they bore
-        return
+    uncut = VisitLoop(plan, world, first_only=how.first_only)  # a state has no thresholds, so that rests draw them anew
+    trace = uncut.trace(how.seed, TRACED - 1)
     try:
-        state = readable.state_at(trace.time // 2, how.seed, TRACED - 1)
+        state = uncut.state_at(trace.time // 2, how.seed, TRACED - 1)
         if state is None:
             return
         read = parse_state(json.loads(json.dumps(state.to_json())), world, "file")
         rest = make_plan(world, read.starts, plan.settings, state=read)
     except InputError:  # what has no state
         return
-    again = ReferenceLoop(rest, world, first_only=how.first_only, luck="step").trace(how.seed, TRACED - 1)
-    compiled = compile_closed_loop(rest, world, first_only=how.first_only, luck="step")
-    if trace_rollouts(compiled, how.seed, [TRACED - 1])[0] != again:
+    compiled = compile_closed_loop(rest, world, first_only=how.first_only)
+    readable = ReferenceLoop(rest, world, first_only=how.first_only)
+    if trace_rollouts(compiled, how.seed, [TRACED - 1])[0] != readable.trace(how.seed, TRACED - 1):
         yield "the rest, readable and compiled"
+    again = VisitLoop(rest, world, first_only=how.first_only).trace(how.seed, TRACED - 1)
     if not np.array_equal(again.cells[state.step :], trace.cells[state.step :]) or again.outcome != trace.outcome:
         yield f"gone on with from step {state.step}"
 

@@ -5,7 +5,6 @@ For a process of its own, in which Numba compiles nothing.
 
 from __future__ import annotations
 
-import itertools
 import sys
 from dataclasses import replace
 from typing import Any
@@ -15,12 +14,11 @@ import numpy as np
 from closed_loop_worlds import limited, survey_worlds
 from numba import config
 
-from planner.ids import LUCKS
 from planner.mrac.make_plan import make_plan
 from planner.rollouts import open_loop_numba as numba_draws
 from planner.rollouts import open_loop_numba as numba_engine
 from planner.rollouts import open_loop_numba as numba_scores
-from planner.rollouts.open_loop import Mode, compile_plan
+from planner.rollouts.open_loop import compile_plan
 from planner.settings import Settings
 from planner.simulator import closed_loop, runners
 from planner.world.levels import place_starts
@@ -29,7 +27,6 @@ from planner.world.world import World
 POLICIES: tuple[dict[str, Any], ...] = (
     {}, {"policy": "per_cell"}, {"policy": "per_cell", "reserve": 0.5, "worth": 9.0},
 )  # fmt: skip
-MODES: tuple[Mode, ...] = ("tolerance", "fast", "step")
 KERNELS: dict[Any, tuple[str, ...]] = {
     runners: ("run_set", "run_attentive"),
     numba_engine: ("_count_drawn_once", "_count_joint"),
@@ -103,14 +100,13 @@ def main(count: int) -> None:
 
 
 def run(world: World, starts: Any, settings: Settings, first_only: bool) -> None:
-    """Open loop in every mode, closed loop with tables and without, by rows and by far searches."""
+    """Open loop, closed loop with tables and without, by rows and by far searches."""
     plan = make_plan(world, starts, settings)
     compiled = compile_plan(plan, world)
     with np.errstate(over="ignore"):
-        for mode in MODES if world.draws is None else ("tolerance", "step"):
-            numba_engine.NumbaOpenLoop(compiled, SEED, mode, threads=1).results(0, ROLLOUTS)
-        for (tabled, limits), luck in zip(DISTANCES, itertools.cycle(LUCKS), strict=False):
-            loop = closed_loop.compile_closed_loop(plan, world, first_only=first_only, tabled=tabled, luck=luck)
+        numba_engine.NumbaOpenLoop(compiled, SEED, threads=1).results(0, ROLLOUTS)
+        for tabled, limits in DISTANCES:
+            loop = closed_loop.compile_closed_loop(plan, world, first_only=first_only, tabled=tabled)
             if limits is not None:
                 loop = limited(loop, *limits)
             closed_loop.run_range(loop, SEED, 0, ROLLOUTS, threads=1, singles=True)

@@ -8,11 +8,12 @@ import sys
 import time
 from pathlib import Path
 
+from rolling import VisitDraws
+
 from planner.errors import StateError
 from planner.mission.mission import Mission
 from planner.mrac.make_plan import make_plan
 from planner.plan.plan import Plan
-from planner.rollout_sampling import Luck
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.world import World
@@ -32,7 +33,7 @@ def drive_by_luck(file: Path, seed: int) -> None:
         if not error.problem.startswith(("every cell in reach is visited", "every robot is dead")):
             raise
         return
-    luck, width = Luck(world, seed, 0, "step"), world.shape[1]
+    luck, width = VisitDraws(world, seed, 0), world.shape[1]
     while mission.outcome is None:
         mission.save(file)
         for robot in range(mission.robots):

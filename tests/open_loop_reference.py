@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.failure_model import key_of, threefry2x32, uniform
+from planner.failure_model import key_of, threefry2x32
 from planner.plan.plan import Plan, RobotPlan
 from planner.tally import Outcome, Tally
 from planner.world.world import World, load_world_file
@@ -32,12 +32,6 @@ def plan_of(world: World, paths: list[list[int]]) -> Plan:
     return Plan(world.shape, world.sha256, None, robots)
 
 
-def step_stops(world: World, seed: int) -> Stop:
-    """`step` mode: stopped iff u(r, t, i) < p."""
-    threat = world.threat.reshape(-1)
-    return lambda rollout, robot, step, cell: bool(uniform(seed, rollout, step, robot) < threat[cell])
-
-
 def tolerance_stops(plan: Plan, world: World, seed: int) -> Stop:
     """Stopped by the entry at which the sum of -ln(1 - p) over the robot's entries reaches -ln of its word / 2**32."""
     threat = world.threat.reshape(-1).astype(np.float64)
@@ -56,35 +50,6 @@ def tolerance_stops(plan: Plan, world: World, seed: int) -> Stop:
         return float(-np.log((int(threefry2x32((key[0], key[1]), rollout, robot)[0]) + 0.5) / 2**32))
 
     return lambda rollout, robot, step, cell: borne[robot][step] >= tolerance(rollout, robot)
-
-
-def stops_of(mode: str, plan: Plan, world: World, seed: int) -> Stop:
-    """Who is stopped in a mode of the open loop."""
-    if mode == "step":
-        return step_stops(world, seed)
-    return (tolerance_stops if mode == "tolerance" else fast_stops)(plan, world, seed)
-
-
-def fast_stops(plan: Plan, world: World, seed: int) -> Stop:
-    """`fast` mode: stopped at the first entry after which the chance of being alive is not above the word / 2**32."""
-    threat = world.threat.reshape(-1).astype(np.float64)
-    alive_after: list[dict[int, int]] = []
-    for robot in plan.robots:
-        chance, after = 1.0, {}
-        for step, cell in enumerate(robot.path.tolist()):
-            if step == 0 or cell != robot.path[step - 1]:
-                chance *= 1.0 - threat[cell]
-                after[step] = int(chance * 2**32)
-        alive_after.append(after)
-
-    @cache
-    def word(rollout: int, robot: int) -> int:
-        return int(threefry2x32(key_of(seed), rollout, 2**32 - 1 - robot)[1])
-
-    def stops(rollout: int, robot: int, step: int, cell: int) -> bool:
-        return word(rollout, robot) >= alive_after[robot][step]
-
-    return stops
 
 
 def walk(plan: Plan, world: World, ids: range, stops: Stop, key: str) -> Tally:

@@ -5,19 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.failure_model import key_of, threefry2x32
+from planner.mrac.simulate import ReferenceLoop
+from planner.rollout_sampling import Luck
 from planner.rollouts import engine as engines
 from planner.rollouts.engine import Chunk, closed_loop_engine, open_loop_engine
 from planner.rollouts.names import EngineName
-from planner.rollouts.open_loop import CompiledPlan, Mode
+from planner.rollouts.open_loop import CompiledPlan
 from planner.simulator.loop import ClosedLoop
 from planner.tally import RolloutResults, Tally
 
 
 def run_chunks(
-    compiled: CompiledPlan, *, seed: int, count: int, mode: Mode = "fast", engine: EngineName = "auto", **how: Any
+    compiled: CompiledPlan, *, seed: int, count: int, engine: EngineName = "auto", **how: Any
 ) -> Iterator[Chunk]:
     """The open loop, chunk by chunk; `how`: as in `planner.rollouts.engine.run_chunks`."""
-    return engines.run_chunks(open_loop_engine(compiled, seed, mode, engine), count, **how)
+    return engines.run_chunks(open_loop_engine(compiled, seed, engine), count, **how)
 
 
 def run_closed_chunks(
@@ -34,7 +40,39 @@ def rollouts(compiled: CompiledPlan, *, seed: int, count: int, **how: Any) -> Ta
 
 
 def rollout_results(
-    compiled: CompiledPlan, *, seed: int, count: int, start: int = 0, mode: Mode = "fast", engine: EngineName = "auto"
+    compiled: CompiledPlan, *, seed: int, count: int, start: int = 0, engine: EngineName = "auto"
 ) -> RolloutResults:
     """Every single rollout of the open loop."""
-    return open_loop_engine(compiled, seed, mode, engine).results(start, count)
+    return open_loop_engine(compiled, seed, engine).results(start, count)
+
+
+# A random number for every visit, in the place of a failure threshold a robot: so release 0.3 could draw, and so the
+# fixtures were made that have no runs with thresholds. A rollout drawn like this goes on from a state as if it had not
+# been cut, where a threshold is drawn anew.
+
+
+def uniform(seed: int, rollout: ArrayLike, step: ArrayLike, robot: ArrayLike) -> NDArray[np.float32]:
+    """u(r, t, i) in [0, 1), float32: a visit of threat p by robot i at step t destroys it iff u < p."""
+    counter = np.asarray(step, np.uint32) * np.uint32(1024) + np.asarray(robot, np.uint32)
+    word, _ = threefry2x32(key_of(seed), np.asarray(rollout, np.uint32), counter)
+    return (word >> np.uint32(8)).astype(np.float32) * np.float32(2.0**-24)
+
+
+class VisitDraws(Luck):
+    """Failures of one rollout, visit by visit."""
+
+    _step = 0
+
+    def hits(self, robot: int, step: int, cell: int) -> bool:
+        self._step = step
+        return super().hits(robot, step, cell)
+
+    def _reaches_threshold(self, robot: int, chance: np.float32) -> bool:
+        return bool(uniform(self._seed, self._rollout, self._step, robot) < chance)
+
+
+class VisitLoop(ReferenceLoop):
+    """The closed loop of the readable simulator by these draws."""
+
+    def _luck_of(self, seed: int, rollout: int) -> Luck:
+        return VisitDraws(self._world, seed, rollout, self._bearing)

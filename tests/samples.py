@@ -21,7 +21,7 @@ SINGLE = {"visited": "visited", "survived": "survived", "time": "time", "alive":
 def samples(engine: Engine, count: int, seed: int | None, first: int = 0) -> Iterator[Tally]:
     """So many samples of LEAST rollouts each, from id `first` on: their histograms, and nothing by step or cell.
 
-    `seed`: of luck by tolerance, by which figures are summed up too; None: by step.
+    `seed`: of the thresholds, by whose total figures are summed up too; None: they are not.
     """
     for start in range(0, count, AT_ONCE):
         many = min(AT_ONCE, count - start)

@@ -166,7 +166,7 @@ def test_the_folder_is_written_and_its_page_shows_no_failure(maps: dict[str, str
 
 
 def test_luck_has_no_part_in_it(maps: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
-    words = ("--luck", "tolerance", "--rollouts", "5000", "--json")
+    words = ("--rollouts", "5000", "--json")
     answer = answer_of(capsys, "evaluate", maps["safe"], "--robots", "2", *words)
     assert answer["coverage"]["visited"]["ci95"] == [1.0, 1.0] and answer["control"] is None
 

@@ -23,11 +23,12 @@ from analysis.evaluation.evaluate import evaluate, too_few, until_enough
 from analysis.evaluation.outputs.over_time import Deadline
 from analysis.sampling import PRECISION, RolloutChoices, how_much, make_roll_out
 from analysis.statistics.estimates import looks
+from planner.errors import PER_VISIT
 from planner.world.world import World, load_world_file
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
 KEYS = {
-    "loop", "mode", "engine", "robots", "starts", "cells", "rollouts", "seed", "coverage", "time", "outcomes", "alive",
+    "loop", "engine", "robots", "starts", "cells", "rollouts", "seed", "coverage", "time", "outcomes", "alive",
     "bounds", "exact", "rollouts_per_second", "compile_seconds", "version",
 }  # fmt: skip
 
@@ -40,7 +41,7 @@ def answer(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
 def test_open_loop_answer_is_the_closed_form(capsys: pytest.CaptureFixture[str]) -> None:
     found = answer(capsys, WORLD, "--robots", "8", "--loop", "open", "--rollouts", "20000")
     assert found.keys() >= KEYS
-    assert (found["loop"], found["mode"], found["robots"], found["rollouts"]) == ("open", "tolerance", 8, 20000)
+    assert (found["loop"], found["robots"], found["rollouts"]) == ("open", 8, 20000)
     known = load_fixture("contiguous-14x23-1000-k8").answers
     assert found["cells"] == known["cells"]
     assert found["starts"] == known["starts"]
@@ -58,7 +59,7 @@ def test_open_loop_answer_is_the_closed_form(capsys: pytest.CaptureFixture[str])
 
 def test_closed_loop_is_the_default_and_differs_from_the_open(capsys: pytest.CaptureFixture[str]) -> None:
     found = answer(capsys, WORLD, "--robots", "8", "--rollouts", "8192", "--seed", "7")
-    assert (found["loop"], found["mode"]) == ("closed", "tolerance")
+    assert found["loop"] == "closed"
     mean, se = load_fixture("contiguous-14x23-1000-k8").answers["closed_loop_sampled"]["visited"]
     accessible = found["cells"]["accessible"]
     sampled = found["coverage"]["visited"]
@@ -68,8 +69,7 @@ def test_closed_loop_is_the_default_and_differs_from_the_open(capsys: pytest.Cap
 
 def test_one_robot_is_the_same_in_both_loops(capsys: pytest.CaptureFixture[str]) -> None:
     both = [
-        answer(capsys, WORLD, "--loop", loop, "--mode", "step", "--rollouts", "4096", "--exact", "never")
-        for loop in ("open", "closed")
+        answer(capsys, WORLD, "--loop", loop, "--rollouts", "1000", "--exact", "never") for loop in ("open", "closed")
     ]
     assert both[0]["robots"] == 1
     assert both[0]["coverage"] == both[1]["coverage"]
@@ -77,7 +77,7 @@ def test_one_robot_is_the_same_in_both_loops(capsys: pytest.CaptureFixture[str])
 
 
 def test_engines_count_the_same(capsys: pytest.CaptureFixture[str]) -> None:
-    words = (WORLD, "--robots", "3", "--loop", "open", "--luck", "tolerance", "--rollouts", "5000", "--deadline", "60")
+    words = (WORLD, "--robots", "3", "--loop", "open", "--rollouts", "5000", "--deadline", "60")
     numba, jax = (answer(capsys, *words, "--engine", engine) for engine in ("numba", "jax"))
     for key in ("coverage", "time", "outcomes", "alive", "deadline"):
         assert numba[key] == jax[key], key
@@ -274,7 +274,9 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("evaluate WORLD --density 1e9", "--density 1e+09; expected"),
         ("evaluate WORLD --max-steps 0", "--max-steps 0; expected a whole number, 1 to 4194302"),
         ("evaluate WORLD --risk brave", "risk"),
-        ("evaluate WORLD --loop closed --mode fast", "open loop"),
+        *((f"evaluate WORLD {left}", PER_VISIT) for left in ("--luck step", "--luck=tolerance", "--mode fast")),
+        ("record WORLD --luck step --out x.mcap", PER_VISIT),
+        ("front WORLD --luck step", PER_VISIT),
         ("evaluate WORLD --loop open --threat-checks first_visit", "closed loop"),
         ("evaluate WORLD --engine numbat", "engine"),
         ("evaluate WORLD --plan nowhere.json", "no such file"),
@@ -539,7 +541,7 @@ def test_a_plan_of_another_planner_takes_open_loop_options(tmp_path: Path, capsy
     plan = tmp_path / "other.json"
     plan.write_text('{"paths": [[[0, 0], [0, 1]]]}')
     words = (str(tmp_path / "world.npz"), "--plan", str(plan), "--rollouts", "64")
-    assert answer(capsys, *words, "--luck", "tolerance", "--engine", "jax")["engine"] == "jax"
+    assert answer(capsys, *words, "--engine", "jax")["engine"] == "jax"
     closed = answer(capsys, *words, "--loop", "closed")  # the robot goes on to the cell that its path leaves out
     assert closed["coverage"]["visited"]["mean"] > 0.9 > closed["exact"]["open_loop"]["visited"] / 3
     assert run(["evaluate", *words, "--loop", "closed"]) == 0

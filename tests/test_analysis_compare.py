@@ -50,13 +50,13 @@ def compared(robots: tuple[int, int], choices: RolloutChoices) -> Comparison:
 
 
 def test_a_difference_is_that_of_the_rollouts_one_by_one() -> None:
-    choices = RolloutChoices(rollouts=6000, seed=3, luck="step")
+    choices = RolloutChoices(rollouts=1000, seed=3)
     found = compared((3, 4), choices)
-    singles = [make_singles(*team(k), choices)(0, 6000) for k in (3, 4)]
+    singles = [make_singles(*team(k), choices)(0, 1000) for k in (3, 4)]
     apart = (singles[1].visited.astype(int) - singles[0].visited) / found.a.cells
     estimate = found.difference("visited").estimate
     assert estimate.mean == pytest.approx(apart.mean(), rel=1e-12)
-    assert estimate.se == pytest.approx(apart.std(ddof=1) / np.sqrt(6000), rel=1e-9)
+    assert estimate.se == pytest.approx(apart.std(ddof=1) / np.sqrt(1000), rel=1e-9)
     assert (found.ahead, found.behind) == (int((apart > 0).sum()), int((apart < 0).sum()))
     alive = found.difference("alive").estimate
     assert alive.mean == pytest.approx((singles[1].alive.astype(int) - singles[0].alive).mean())
@@ -206,9 +206,7 @@ def test_engines_give_the_same_comparison() -> None:
     world = World.create(np.where(np.indices((5, 6)).sum(axis=0) % 3 == 1, 0.2, 0.0))
     plans = [make_plan(world, [[0, 0], [4, 5], [0, 5]][:robots]) for robots in (2, 3)]
     found = [
-        compare(
-            *(make_side(world, plan, RolloutChoices(rollouts=512, engine=engine, luck="tolerance")) for plan in plans)
-        )
+        compare(*(make_side(world, plan, RolloutChoices(rollouts=512, engine=engine)) for plan in plans))
         for engine in ("numba", "jax")
     ]
     assert found[0].pairs == found[1].pairs
@@ -224,11 +222,11 @@ def test_precision_is_of_the_difference_and_looked_at_after_doubling() -> None:
 
 @pytest.mark.parametrize(
     ("other", "said"),
-    [({"seed": 2}, "seed: 1 and 2"), ({"luck": "step"}, "luck: tolerance and step"),
-     ({"rollouts": 64}, "rollouts: 512 and 64"), ({"precision": 0.1}, "precision: None and 0.1")],
+    [({"seed": 2}, "seed: 1 and 2"), ({"rollouts": 64}, "rollouts: 512 and 64"),
+     ({"precision": 0.1}, "precision: None and 0.1")],
 )  # fmt: skip
 def test_sides_of_other_rollouts_are_refused(other: dict[str, Any], said: str) -> None:
-    """Rollout r of both must meet the same luck, drawn in the same way."""
+    """Rollout r of both must meet the same luck."""
     mine = RolloutChoices(rollouts=512, seed=1)
     with pytest.raises(UsageError, match=f"the sides differ in {said}; expected the same rollouts"):
         compare(*(make_side(*team(3), choices) for choices in (mine, replace(mine, **other))))
@@ -270,8 +268,8 @@ def test_the_command_on_teams_settings_plans_and_loops(capsys: pytest.CaptureFix
     found = answer(capsys, WORLD, str(stays), "--loop", "open", "--rollouts", "512")
     assert found["b"]["settings"] is None and found["difference"]["visited"]["ci95"][1] < 0
 
-    assert run(["compare", WORLD, "--robots", "3", "--b.loop", "open", "--luck", "step", "--rollouts", "512"]) == 0
-    assert "open loop, step mode" in " ".join(capsys.readouterr().out.split())
+    assert run(["compare", WORLD, "--robots", "3", "--b.loop", "open", "--rollouts", "512"]) == 0
+    assert "; open loop" in " ".join(capsys.readouterr().out.split())
     assert run(["compare", WORLD, "--robots", "3", "--deadline", "40", "--b.density", "8", "--rollouts", "512"]) == 0
     assert "by step 40" in " ".join(capsys.readouterr().out.split())
 
@@ -320,7 +318,7 @@ def test_who_comes_home_is_compared_too(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def test_what_never_happens_is_said_in_a_word() -> None:
-    found = compared((3, 4), RolloutChoices(rollouts=6000, seed=3, luck="step"))
+    found = compared((3, 4), RolloutChoices(rollouts=6000, seed=3))
     runs = [replace(found, ahead=ahead, behind=behind) for ahead, behind in ((6000, 0), (1, 0), (0, 0), (5999, 1))]
     assert [headline(one).rpartition("; ")[2] for one in runs] == [
         "it is always ahead, never behind.",
@@ -335,15 +333,15 @@ def test_a_share_of_runs_is_the_only_percentage_of_the_sentence() -> None:
         (4, r"points of coverage \(.* \.\. .*"),
         (6000, r"on average \(B - A: [\d.]+ \.\. [\d.]+"),
     ):
-        found = compared((3, 4), RolloutChoices(rollouts=rollouts, seed=3, luck="step"))
+        found = compared((3, 4), RolloutChoices(rollouts=rollouts, seed=3))
         vars(found)["exact_difference"] = lambda figure: None
         said = headline(found)
         assert re.search(rf"{between}, confidence 0\.95\); (it|B) is ahead in ", said) and "95 %" not in said
 
 
 def test_rollouts_that_are_too_few_to_tell_are_said_to_be() -> None:
-    choices = RolloutChoices(rollouts=4, seed=3, luck="step")
+    choices = RolloutChoices(rollouts=4, seed=3)
     few = report(compared((3, 4), choices)).notes
     assert any(note.startswith("too few rollouts to compare ") and "time, steps" in note for note in few)
-    many = report(compared((3, 4), RolloutChoices(rollouts=6000, seed=3, luck="step"))).notes
+    many = report(compared((3, 4), RolloutChoices(rollouts=6000, seed=3))).notes
     assert not any("too few" in note for note in many)

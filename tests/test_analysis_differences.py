@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rolling import uniform
 from scipy import stats
 
 from analysis.statistics.differences import Paired, difference
-from planner.failure_model import uniform
 
 
 def draws(rollouts: int) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,9 @@ from page_reader import Reader
 
 import mrac_jax as mrac
 from analysis.cli.app import run
+from analysis.evaluation import answer
 from analysis.evaluation.outputs.advice import Advice
+from analysis.evaluation.outputs.what_if import ThreatScale
 from analysis.report.html import page_of
 from analysis.sampling import RolloutChoices
 from analysis.search import pareto as search
@@ -412,7 +414,7 @@ def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
     assert run(words) == 0
     shown = capsys.readouterr().out
     line = f"`--policy per_cell --worth {advice['worth']:g}`"
-    assert line in " ".join(shown.split()) and shown.index("--worth") < shown.index("Chances in %")
+    assert line in " ".join(shown.split()) and shown.index("--worth") > shown.index("Coverage, %")
     told = mrac.evaluate(world, rollouts=8192, band=False)
     (lead,) = told.outputs["advice"].blocks().alternatives
     assert re.match(r"To cover [\d.]+ % and lose .*: `policy='per_cell', worth=\d+`[;.]", lead)
@@ -420,32 +422,42 @@ def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
     assert escape(lead) in told._repr_html_()
 
 
-@pytest.mark.parametrize("quick", [True, False])
-def test_the_answer_is_printed_before_its_alternatives_are_looked_for(
-    quick: bool, capsys: pytest.CaptureFixture[str], world_file: str, monkeypatch: pytest.MonkeyPatch
+def test_the_answer_is_printed_before_anything_else_is_worked_out(
+    capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At least the headline; where they take long, all but them. Nothing is printed twice."""
-    words, measure, before = ["evaluate", world_file, "--rollouts", "2048"], Advice.measure, list[str]()
+    """The summary and its tables, then the tables of other threats, the alternatives and the bound; nothing twice."""
+    words = ["evaluate", world_file, "--rollouts", "2048", "--threat-scale", "0.5"]
+    shown = list[str]()
 
-    def watched(*given: Any) -> Any:
-        before.append(capsys.readouterr().out)
-        return measure(*given)
+    def watch(owner: Any, name: str) -> None:
+        work = getattr(owner, name)
+        monkeypatch.setattr(owner, name, lambda *given: shown.append(capsys.readouterr().out) or work(*given))
 
-    monkeypatch.setattr("analysis.evaluation.outputs.advice.is_quick", lambda found: quick)
-    monkeypatch.setattr(Advice, "measure", watched)
-    assert run(words) == 0
-    first, rest = before[0], capsys.readouterr().out
-    assert first.startswith("2 robots visit ") and rest.count("To cover ") == 1
-    assert ("Chances in %" in first, "Chances in %" in rest) == (not quick, quick)
-    assert "To cover " not in first and "2 robots visit" not in rest
-    if quick:
-        assert rest.index("To cover ") < rest.index("Chances in %")
-    monkeypatch.undo()
-    assert run(words) == 0
-    rate = re.compile(r"[\d,]+ a second")
-    whole = capsys.readouterr().out
-    in_parts, at_once = (sorted(rate.sub("", " ".join(said.split())).split()) for said in (first + rest, whole))
-    assert in_parts == at_once
+    watch(ThreatScale, "measure")
+    watch(Advice, "measure")
+    watch(answer, "any_strategy")
+    assert run([*words, "--out", str(tmp_path)]) == 0
+    first, scaled, advised, bound = *shown, capsys.readouterr().out
+    assert first.startswith("2 robots visit ") and "Chances in %" in first and "Coverage, %" in first
+    assert scaled.startswith("\nIf every threat") and advised.startswith("\nTo cover ")
+    assert bound.startswith("\nNo strategy visits more than ")
+    whole = " ".join((tmp_path / "evaluation.txt").read_text().split())
+    rest = " ".join((scaled + advised + bound).split())
+    assert sorted(whole.split()) == sorted(f"{first} {rest}".split())
+
+
+def test_alternatives_that_are_interrupted_leave_the_answer(
+    capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*given: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Advice, "measure", interrupted)
+    assert run(["evaluate", world_file, "--rollouts", "2048", "--out", str(tmp_path)]) == 130
+    shown, (saved, page) = capsys.readouterr().out, ((tmp_path / name) for name in ("evaluation.json", "index.html"))
+    assert shown.count("2 robots visit ") == shown.count("Chances in %") == 1
+    assert "Interrupted: this is what was done until then." in shown
+    assert json.loads(saved.read_text())["partial"] and page.is_file()
 
 
 def test_files_are_written_though_the_reader_has_gone(

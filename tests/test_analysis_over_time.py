@@ -27,8 +27,7 @@ CHOICES = [
     RolloutChoices(loop="closed", rollouts=120),
     RolloutChoices(loop="closed", rollouts=120, first_only=True, seed=5),
     RolloutChoices(loop="open", rollouts=120),
-    RolloutChoices(loop="open", rollouts=120, luck="step", mode="step", seed=5, deadline=30),
-    RolloutChoices(loop="open", rollouts=120, luck="step", seed=7),
+    RolloutChoices(loop="open", rollouts=120, seed=5, deadline=30),
 ]
 
 
@@ -52,7 +51,7 @@ def band_of(world: World, plan: Plan, choices: RolloutChoices) -> Band:
     return found
 
 
-@pytest.mark.parametrize("choices", CHOICES, ids=lambda choices: f"{choices.loop}-{choices.drawn}-{choices.seed}")
+@pytest.mark.parametrize("choices", CHOICES, ids=lambda choices: f"{choices.loop}-{choices.seed}")
 def test_the_band_is_that_of_the_same_ids_cut_off_at_every_step(
     world: World, plan: Plan, choices: RolloutChoices
 ) -> None:
@@ -68,7 +67,7 @@ def test_the_band_is_that_of_the_same_ids_cut_off_at_every_step(
 
 def test_the_band_of_robots_that_wear_is_that_of_robots_that_wear(world: World) -> None:
     plan = make_plan(world, place_starts(world, 3)[0], Settings(wear=3.0, susceptibility=(1.0, 4.0, 0.5)))
-    choices = RolloutChoices(loop="open", rollouts=120, luck="tolerance")
+    choices = RolloutChoices(loop="open", rollouts=120)
     band, roll_out = band_of(world, plan, choices), make_roll_out(world, plan, choices)
     for place in range(0, len(band.steps), 25):
         cut = list(roll_out(replace(choices, rollouts=BAND_LEAST), int(band.steps[place])))[-1].tally

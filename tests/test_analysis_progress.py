@@ -47,8 +47,8 @@ def test_every_part_of_an_evaluation_is_announced_and_none_claims_to_be_over_ear
     assert [told[place] for place in parts] == [
         "exact values",
         "rollouts",
-        "rollouts under 0.5 times the threats",
         "rollouts up to the deadline, step 3",
+        "rollouts under 0.5 times the threats",
         "coverage over time",
     ]
     for first, last in zip(parts[1:], [*parts[2:], len(told)], strict=True):

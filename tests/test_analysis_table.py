@@ -40,7 +40,7 @@ def answers(world: World) -> dict[str, Evaluation]:
     known = {"deadline": 40, "rollouts": 200}
     return {
         "closed": evaluate(world, plan, RolloutChoices(**known), threat_scale=(0.5, 2.0)),
-        "controlled": evaluate(world, plan, RolloutChoices(**(known | {"rollouts": 1024}), luck="tolerance")),
+        "controlled": evaluate(world, plan, RolloutChoices(**(known | {"rollouts": 1024}))),
         "open": evaluate(world, plan, RolloutChoices(loop="open", **known), threat_scale=(0.5,)),
     }
 

@@ -41,7 +41,7 @@ def test_the_map_s_own_threats_change_nothing(loop) -> None:
 def test_no_threats_lose_nobody_and_more_lose_more(engine) -> None:
     world = World.create(np.where(np.indices((5, 6)).sum(axis=0) % 3 == 1, 0.2, 0.0))
     plan = make_plan(world, [[0, 0], [4, 5], [0, 5]])
-    choices = RolloutChoices(rollouts=1024, seed=4, engine=engine, luck="tolerance")
+    choices = RolloutChoices(rollouts=1024, seed=4, engine=engine)
     answer = evaluate(world, plan, choices, threat_scale=(0.0, 0.5, 1.0, 4.9))
     none, *others = (scaled.tally for scaled in answer.outputs["threat_scale"].scaled)
     assert none.rollouts == none.outcomes[Outcome.COMPLETE] == none.alive[3] == 1  # every run is the same: one is run

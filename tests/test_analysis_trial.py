@@ -245,9 +245,9 @@ def test_robots_that_wear_and_differ(capsys: pytest.CaptureFixture[str], tmp_pat
     front = mrac.front(WORLD, 2, worths=[8], reserves=[], **bears)
     plain = mrac.front(WORLD, 2, worths=[8], reserves=[])
     assert front.points[0].coverage.mean != plain.points[0].coverage.mean
-    by_step = mrac.front(WORLD, 2, worths=[8], reserves=[], luck="step", exact="never", rollouts=2000)
+    sampled = mrac.front(WORLD, 2, worths=[8], reserves=[], exact="never", rollouts=2000)
     truth = {point.setting: point for point in plain.points}
-    same = [point for point in by_step.points if point.setting in truth]
+    same = [point for point in sampled.points if point.setting in truth]
     assert same
     assert all(close(truth[point.setting].coverage, point.coverage, 1e-4) for point in same)
     WORLD.save(tmp_path / "world.npz")

@@ -115,9 +115,7 @@ def test_engines_count_survived_visits_alike(policy: str) -> None:
         plan = make_plan(world, fixture.starts[:3], Settings(policy=policy))
         units = Units.of(Worth.of(world))
         runs = [
-            make_engine(plan, world, Rolling(seed=4, luck="tolerance"), name)
-            .weighing(units.covered, units.found)
-            .run(100, 700)
+            make_engine(plan, world, Rolling(seed=4), name).weighing(units.covered, units.found).run(100, 700)
             for name in ("numba", "jax")
         ]
         (tally, singles), (other, theirs) = runs

@@ -70,7 +70,7 @@ def evaluation_of(alive: list[int], threat: float = 0.3) -> Evaluation:
     world = World.create(np.full((3, max(3, robots)), threat))
     plan = make_plan(world, place_starts(world, robots)[0])
     cells = int(world.accessible(plan.starts).sum())
-    empty = Tally.empty(tally_key("test", "closed", "step", 0), world.shape, robots, cells, plan.makespan)
+    empty = Tally.empty(tally_key("test", "closed", 0), world.shape, robots, cells, plan.makespan)
     runs = sum(alive)
     visited, survived, time = empty.visited.copy(), empty.survived.copy(), empty.time.copy()
     visited[cells] = survived[cells] = time[3] = runs
@@ -80,7 +80,7 @@ def evaluation_of(alive: list[int], threat: float = 0.3) -> Evaluation:
         empty, alive=np.array(alive), visited=visited, survived=survived, time=time, outcomes=outcomes, ids=((0, runs),)
     )
     exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
-    return Evaluation(world, plan, exact, bounds, "closed", "step", "numba", 0, tally, 1.0, 0.0)
+    return Evaluation(world, plan, exact, bounds, "closed", "numba", 0, tally, 1.0, 0.0)
 
 
 SAID = {

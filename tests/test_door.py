@@ -102,10 +102,6 @@ WRONG = {
     "nan": (lambda world, plan: mrac.evaluate(world, plan, threat_scale=[np.nan]), "threat_scale=nan"),
     "word": (lambda world, plan: mrac.evaluate(world, plan, threat_scale=["much"]), "threat_scale='much'"),
     "engine": (lambda world, plan: mrac.evaluate(world, plan, engine="cuda"), "'auto' or 'jax' or 'numba'"),
-    "by step": (
-        lambda world, plan: mrac.evaluate(world, engine="jax", luck="step"),
-        "engine='jax' with luck='step'; expected luck='tolerance'; use engine='numba'",
-    ),
     "text": (lambda world, plan: mrac.plan(world, "3"), "robots='3'; expected a whole number"),
     "two teams": (lambda world, plan: mrac.plan(world, 2, starts=[[0, 0]] * 3), "robots=2 contradicts the 3 starts"),
     "obstacle": (

@@ -223,7 +223,6 @@ def test_searches_pass_every_option_on(monkeypatch: pytest.MonkeyPatch) -> None:
         "deadline": 300,
         "first_visit": False,
         "engine": "numba",
-        "luck": "tolerance",
         "exact": "never",
     }
     rooms = {

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from killed_mission import small_case
+from rolling import VisitLoop
 from test_planner_mission import obey
 
 import mrac_jax as mrac
@@ -27,7 +28,6 @@ from analysis.sampling import RolloutChoices, make_singles
 from planner.errors import InputError, StateError, UsageError, WorldError
 from planner.files import CHECKSUM
 from planner.mission.map_updates import ended
-from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.tally import Outcome
 from planner.world.generate import Stream, ThreatPattern, random_world
@@ -61,7 +61,7 @@ def kill_mission(kills: int, folder: Path, seed: int) -> int:
     done = subprocess.run(command, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
     assert not done.stderr and 0 < done.returncode <= kills
     world, plan = small_case(seed)
-    whole = ReferenceLoop(plan, world, luck="step").run(seed, 0)
+    whole = VisitLoop(plan, world).run(seed, 0)
     said = json.loads(file.read_text())
     assert said["step"] == whole.time
     assert said["visited"] == np.flatnonzero(whole.visited).tolist()

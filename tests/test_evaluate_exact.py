@@ -102,7 +102,7 @@ def test_chances_and_quantiles_are_those_of_a_brute_force_enumeration(seed: int)
 def test_what_a_tree_left_makes_chances_intervals_that_are_certain() -> None:
     world = random_world(14, 14, ThreatPattern("scattered", 4, (0.1, 0.2), 3), threats=0.3)
     plan = mrac.plan(world, 3)
-    loop = compile_closed_loop(plan, world, luck="tolerance")
+    loop = compile_closed_loop(plan, world)
     fine, coarse = (Tree(Runner(loop, 0, 4).grow(WHOLE, WHOLE // of, 10**7), WHOLE // of) for of in (10**12, 1000))
     assert coarse.left > 10 * SLACK > 0
     sampled = mrac.evaluate(world, plan, rollouts=64, exact="never", **QUIET).figures

@@ -45,7 +45,7 @@ TRACED = range(16)
 
 def compare(one: SurveyWorld, rollouts: int, traced: Sequence[int] = ()) -> RolloutResults:
     """Every count, result and chosen trace of the JAX engine is the compiled simulator's; returns the results."""
-    loop = one.loop(luck="tolerance")
+    loop = one.loop()
     engine = JaxClosedLoop(loop, one.seed, streams=1, lanes=LANES)
     results = assert_same_runs(engine, loop, rollouts, one.name)
     for mine, theirs in zip(engine.traces(traced), trace_rollouts(loop, one.seed, traced), strict=True):
@@ -80,7 +80,7 @@ def test_equals_the_compiled_simulator_on_every_kind_of_world() -> None:
 @pytest.mark.slow
 def test_equals_the_compiled_simulator_on_the_whole_survey(capsys: pytest.CaptureFixture[str]) -> None:
     worlds, rollouts = survey_worlds(), 1000
-    tables = [lane_tables(one.loop(luck="tolerance"), one.seed) for one in worlds]
+    tables = [lane_tables(one.loop(), one.seed) for one in worlds]
     shapes = {(one.size, len(one.cell_at), len(one.starts), one.levels) for one in tables}
     counts = dict.fromkeys(("bisected", "divided", "stuck", "dead in the completing step", "idle at the start"), 0)
     events = 0
@@ -93,9 +93,7 @@ def test_equals_the_compiled_simulator_on_the_whole_survey(capsys: pytest.Captur
         last = (results.outcome == Outcome.COMPLETE) & (results.alive == 0)
         counts["dead in the completing step"] += int(last.sum()) if one.accessible >= 10 else 0
         counts["idle at the start"] += rollouts if idle_at_start(plan) else 0
-        events += sum(
-            len(trace.events) for trace in trace_rollouts(one.loop(luck="tolerance"), one.seed, (0, 1, 500, 999))
-        )
+        events += sum(len(trace.events) for trace in trace_rollouts(one.loop(), one.seed, (0, 1, 500, 999)))
     with capsys.disabled():
         print(f"\n{len(worlds)} worlds x {rollouts} rollouts, {len(shapes)} + 1 shapes, {events} events: {counts}")  # noqa: T201
     assert len(worlds) >= 200 and len(shapes) + 1 <= MOST_SHAPES
@@ -106,13 +104,13 @@ def test_equals_the_compiled_simulator_on_the_whole_survey(capsys: pytest.Captur
 def beyond_a_word() -> ClosedLoop:
     """More robots than a word has bits."""
     world = random_world(11, 13, ThreatPattern("scattered", seed=4), threats=0.1)
-    return compile_closed_loop(make_plan(world, place_starts(world, 45)[0]), world, luck="tolerance")
+    return compile_closed_loop(make_plan(world, place_starts(world, 45)[0]), world)
 
 
 @pytest.fixture(scope="module")
 def loop() -> ClosedLoop:
     """A world in which robots share, with five of them."""
-    return survey_world("crossings-2").loop(luck="tolerance")
+    return survey_world("crossings-2").loop()
 
 
 def test_chunks_streams_and_lanes_change_nothing(loop: ClosedLoop) -> None:
@@ -206,7 +204,7 @@ def test_compiled_once_for_a_shape(loop: ClosedLoop) -> None:
 
 @pytest.mark.usefixtures("small_traces")
 def test_traces_of_any_ids_in_any_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    loop = survey_world("mazes-2").loop(luck="tolerance")
+    loop = survey_world("mazes-2").loop()
     ids = (2**32 - 1, 0, *range(40, 57), 45)
     expected = trace_rollouts(loop, 9, ids)
     for few in (expected[:16], expected[16:]):  # traced in one call each: both need the room that the others have
@@ -249,7 +247,7 @@ def test_lanes_begin_at_the_first_hit(loop: ClosedLoop) -> None:
 @pytest.mark.usefixtures("few_lanes")
 def test_few_snapshots_deadlines_and_other_threats_change_nothing(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     one = survey_world(name)
-    loop, safer = one.loop(luck="tolerance"), World.create(one.world.threat * np.float32(0.1))
+    loop, safer = one.loop(), World.create(one.world.threat * np.float32(0.1))
     steps = nominal_of(loop, LANES).begins
     for cut in (0, 1, int(steps[len(steps) // 2]), int(steps[-1])):
         assert_same_runs(
@@ -267,9 +265,7 @@ def test_few_snapshots_deadlines_and_other_threats_change_nothing(name: str, mon
 def test_where_nobody_is_hit_no_lane_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     safe = survey_world("safe-1")
     calls = count_dispatches(monkeypatch)
-    assert_same_runs(
-        JaxClosedLoop(safe.loop(luck="tolerance"), 5, streams=1, lanes=LANES), safe.loop(luck="tolerance"), 10_000
-    )
+    assert_same_runs(JaxClosedLoop(safe.loop(), 5, streams=1, lanes=LANES), safe.loop(), 10_000)
     assert len(calls) == 1  # the nominal run
 
 
@@ -277,7 +273,7 @@ def test_tables_are_as_large_as_what_is_accessible() -> None:
     threat = np.full((400, 400), np.nan, dtype=np.float32)
     threat[0, :], threat[:, 399] = 0.0, 0.001
     world = World.create(threat)
-    loop = compile_closed_loop(make_plan(world, np.array([[0, 0], [0, 5]])), world, luck="tolerance")
+    loop = compile_closed_loop(make_plan(world, np.array([[0, 0], [0, 5]])), world)
     tables = lane_tables(loop, 0)
     assert len(loop.cells) == 799 and tables.size == 896
     assert sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(tables)) < 7 * 896**2 + 2**20
@@ -323,17 +319,9 @@ def test_what_the_lanes_cannot_do_is_a_clear_error(loop: ClosedLoop) -> None:
     wide = np.zeros((2, 5001), dtype=np.float32)
     world = World.create(wide)
     with pytest.raises(WorldError, match=r"10002 of them accessible; expected at most 10000 .*engine='numba'"):
-        JaxClosedLoop(
-            compile_closed_loop(make_plan(world, np.array([[0, 0]])), world, tabled=False, luck="tolerance"), 1
-        )
-    by_step = survey_world("crossings-2").loop(luck="step")
-    with pytest.raises(
-        UsageError, match=r"engine='jax' with luck='step'; expected luck='tolerance'; use engine='numba'"
-    ):
-        closed_loop_engine(by_step, 5, "jax")
-    assert closed_loop_engine(by_step, 5).name == "numba"
+        JaxClosedLoop(compile_closed_loop(make_plan(world, np.array([[0, 0]])), world, tabled=False), 1)
     one = survey_world("crossings-2")
-    inside = replace(one, settings=replace(one.settings, transit="area")).loop(luck="tolerance")
+    inside = replace(one, settings=replace(one.settings, transit="area")).loop()
     with pytest.raises(UsageError, match=r"engine='jax' with transit='area'; expected .*; use engine='numba'"):
         closed_loop_engine(inside, 5, "jax")
     assert closed_loop_engine(inside, 5).name == "numba"

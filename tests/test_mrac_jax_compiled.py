@@ -12,8 +12,9 @@ from rolling import rollouts, run_chunks
 
 from mrac_jax.open_loop import jitted, pad_tables, size_bucket
 from planner.errors import PlanError, UsageError
+from planner.failure_model import exposure_of, least_word
 from planner.rollouts import open_loop as compiled_module
-from planner.rollouts.open_loop import CompiledPlan, ModeTables, compile_plan, share_out, survival_thresholds
+from planner.rollouts.open_loop import CompiledPlan, OpenLoopTables, compile_plan, share_out
 from planner.rollouts.open_loop_events import Guide, make_guide
 from planner.rollouts.open_loop_numba import BLOCK_WORDS
 from planner.rollouts.open_loop_trace import make_groups
@@ -50,7 +51,8 @@ def guide_outcomes(guide: Guide, slot: int, words: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", THREATS)
 def test_guide_counts_thresholds_exactly(name: str) -> None:
     threat = THREATS[name].astype(np.float32)
-    sets = [survival_thresholds(threat), survival_thresholds(threat[: len(threat) // 2])]
+    whole = least_word(np.cumsum(exposure_of(threat))).astype(np.uint64)
+    sets = [whole, whole[: len(threat) // 2]]
     random = np.random.default_rng(0)
     near = [np.clip(sets[0].astype(np.int64) + shift, 0, 2**32 - 1) for shift in (-1, 0, 1)]
     powers = [2 ** np.arange(32, dtype=np.int64) + shift for shift in (-1, 0, 1)]
@@ -63,11 +65,6 @@ def test_guide_counts_thresholds_exactly(name: str) -> None:
         assert np.array_equal(guide_outcomes(guide, slot, words), expected)
 
 
-def test_thresholds_are_survival_in_units_of_2_to_the_minus_32() -> None:
-    assert survival_thresholds(np.array([0.5, 0.5, 0.25], np.float32)).tolist() == [2**31, 2**30, 3 * 2**28]
-    assert survival_thresholds(np.array([1e-30], np.float32)).tolist() == [2**32]
-
-
 @pytest.mark.parametrize("threat", [0.0, 1e-30, 2.0**-24, 0.04, 0.3, 0.5, 1 - 2.0**-24])
 def test_step_bound_is_the_float_comparison(threat: float) -> None:
     p = np.float32(threat)
@@ -76,7 +73,7 @@ def test_step_bound_is_the_float_comparison(threat: float) -> None:
     assert np.array_equal(words.astype(np.float32) * np.float32(2.0**-24) < p, words < bound)
 
 
-def scores_of(tables: ModeTables, outcomes: tuple[int, ...]) -> tuple[int, int, int, int]:
+def scores_of(tables: OpenLoopTables, outcomes: tuple[int, ...]) -> tuple[int, int, int, int]:
     """(visited, survived, time, alive) of one combination of the robots' outcomes, from the tables alone."""
     groups, events = tables.groups, tables.events
     rows = groups.first_row.copy()
@@ -106,25 +103,25 @@ def test_every_combination_of_outcomes_scores_as_walked(name: str, robots: int, 
         assert list(scores_of(tables, outcomes)) == walked
 
 
-def tables_with_groups(compiled: CompiledPlan, most_pair_rows: int) -> ModeTables:
+def tables_with_groups(compiled: CompiledPlan, most_pair_rows: int) -> OpenLoopTables:
     """The tables with robots paired or not, whatever the plan's size."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiled_module, "make_groups", lambda depth: make_groups(depth, most_pair_rows))
-        return compiled_module._make_tables(compiled, "step")
+        return compiled_module._make_tables(compiled)
 
 
 @pytest.mark.parametrize("engine", ["numba", "jax"])
 def test_single_robots_and_pairs_give_one_tally(engine: str) -> None:
     plan, world, _ = fixture("scattered-20x20-1000", 8)
-    whole = rollouts(compile_plan(plan, world), seed=3, count=20_000, mode="tolerance", engine=engine)
+    whole = rollouts(compile_plan(plan, world), seed=3, count=20_000, engine=engine)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiled_module, "make_groups", lambda depth: make_groups(depth, 0))
         patch.setattr("mrac_jax.open_loop.MOST_FUSED_WORDS", 0)
         patch.setattr("mrac_jax.open_loop.jitted", cache(jitted.__wrapped__))
         patch.setattr("planner.rollouts.open_loop_numba.BLOCK_WORDS", BLOCK_WORDS[:1])
         single = compile_plan(plan, world)
-        assert single.tables("tolerance").groups.members == 1
-        assert rollouts(single, seed=3, count=20_000, mode="tolerance", engine=engine) == whole
+        assert single.tables.groups.members == 1
+        assert rollouts(single, seed=3, count=20_000, engine=engine) == whole
 
 
 def test_identity_is_of_threats_and_paths() -> None:
@@ -147,7 +144,6 @@ def test_plans_that_cannot_be_rolled_out() -> None:
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ({"mode": "slow"}, "mode"),
         ({"engine": "torch"}, "engine"),
         ({"seed": -1}, "seed"),
         ({"start": 2**32 - 1, "count": 2}, "rollouts"),

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rolling import VisitLoop
 from test_mrac_jax_missions import same
 from test_planner_home import KINDS, WATCHFUL, corridor, drawn
 from test_planner_mission import obey
@@ -85,7 +86,7 @@ def test_missions_under_way_go_on_and_who_is_cut_off_stays() -> None:
     for number, seed in product((0, 2, 5), (4, 5)):
         world, starts = drawn(seed)
         settings = Settings(**KINDS[number])
-        whole = ReferenceLoop(make_plan(world, starts, settings), world, luck="step")
+        whole = VisitLoop(make_plan(world, starts, settings), world)
         last = whole.trace(0, 0).time
         for step in {4, last // 2, last - 5, last - 1}:
             state = whole.state_at(step, 0, 0)
@@ -109,7 +110,7 @@ def test_missions_under_way_go_on_and_who_is_cut_off_stays() -> None:
 def test_a_rest_in_which_nothing_is_entered_counts_nothing() -> None:
     world, starts = drawn(4)
     settings = Settings(**KINDS[2])
-    state = ReferenceLoop(make_plan(world, starts, settings), world, luck="step").state_at(34, 0, 0)
+    state = VisitLoop(make_plan(world, starts, settings), world).state_at(34, 0, 0)
     assert state is not None
     read = parse_state(state.to_json(), world, "state")
     nominal = nominal_of(compile_closed_loop(allocated_plan(world, read.starts, settings, read), world), 8)

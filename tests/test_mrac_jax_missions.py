@@ -55,15 +55,13 @@ def same(loop: ClosedLoop, seed: int, rollouts: int, what: object, traced: tuple
 
 def in_doubt(name: str, **settings: Any) -> ClosedLoop:
     world = DOUBTS[name]()
-    return compile_closed_loop(
-        make_plan(world, place_starts(world, 3)[0], Settings(**settings)), world, luck="tolerance"
-    )
+    return compile_closed_loop(make_plan(world, place_starts(world, 3)[0], Settings(**settings)), world)
 
 
 def given(world: World, seed: int) -> ClosedLoop:
     """Two robots and more on paths that wander."""
     plan = wanderings(world, 2 + seed % 3, 6 * (seed % 5), np.random.default_rng(seed))
-    return compile_closed_loop(plan, world, first_only=seed % 3 == 0, luck="tolerance")
+    return compile_closed_loop(plan, world, first_only=seed % 3 == 0)
 
 
 @pytest.fixture
@@ -73,9 +71,7 @@ def one_program(monkeypatch: pytest.MonkeyPatch) -> None:
     def able(loop: ClosedLoop, seed: int, least: tuple[int, int] = (1, 1)) -> LaneTables:
         tables = lane_tables(loop, seed, least)
         size, robots = tables.size, np.zeros(len(tables.starts), dtype=np.int32)
-        no_doubt = luck_tables(
-            (with_hazard(World.create([[0.0]]), "persistent", 0.0),), np.zeros(size, dtype=np.int64), "tolerance"
-        )
+        no_doubt = luck_tables((with_hazard(World.create([[0.0]]), "persistent", 0.0),), np.zeros(size, dtype=np.int64))
         drawn = loop.tables._replace(**no_doubt | {"there": np.full(size, UNIT, dtype=np.uint32)})
         return replace(
             tables,
@@ -103,7 +99,7 @@ def test_robots_that_wear_and_differ() -> None:
     lost = 0
     for seed, name in enumerate(WORN):
         world, plan = worn_plan(name)
-        loop = compile_closed_loop(plan, world, first_only=seed % 3 == 0, luck="tolerance")
+        loop = compile_closed_loop(plan, world, first_only=seed % 3 == 0)
         results = same(loop, seed, 200, name)
         lost += int((results.alive < loop.robots).sum())
     assert lost > 50 * len(WORN)
@@ -119,7 +115,7 @@ def test_robots_that_wear_go_on_with_what_they_have_borne() -> None:
         robot["exposure"] = 0.1 * number
     state, settings = parse_state(said, world, "state.json"), Settings(wear=2.0, susceptibility=1.5)
     rest = make_plan(world, state.starts, settings, state=state)
-    loop = compile_closed_loop(rest, world, luck="tolerance")
+    loop = compile_closed_loop(rest, world)
     assert any(loop.bearing.begun)
     same(loop, 3, 200, "worn before", traced=(0, 1))
 
@@ -141,11 +137,11 @@ def states(name: str) -> list[tuple[World, Plan]]:
 def test_robots_with_a_range_from_the_start_and_from_a_state() -> None:
     for seed in range(2):
         world, plan = ranged(seed, 3, (9, 14, 40))
-        results = same(compile_closed_loop(plan, world, luck="tolerance"), seed, 100, seed)
+        results = same(compile_closed_loop(plan, world), seed, 100, seed)
         assert results.visited.max() <= 3 + 9 + 14 + 40
     rests = states("mrac, range")[::6]
     for number, (world, rest) in enumerate(rests):
-        same(compile_closed_loop(rest, world, first_only=number % 2 == 1, luck="tolerance"), 3, 100, number)
+        same(compile_closed_loop(rest, world, first_only=number % 2 == 1), 3, 100, number)
     assert len(rests) > 2
 
 
@@ -164,8 +160,8 @@ def test_a_way_that_is_not_the_safest_one_is_an_error() -> None:
     state = parse_state(said, world, "state.json")
     plan = make_plan(world, state.starts, Settings(), state=state)
     with pytest.raises(WorldError, match="robot 0 is not on the safest way to cell 4"):
-        make_engine(plan, world, Rolling("closed", luck="tolerance"), "jax")
-    assert make_engine(plan, world, Rolling("closed", luck="tolerance")).name == "numba"
+        make_engine(plan, world, Rolling("closed"), "jax")
+    assert make_engine(plan, world, Rolling("closed")).name == "numba"
 
 
 def test_more_maps_than_numbers_of_24_bits_are_an_error() -> None:
@@ -191,7 +187,7 @@ def test_ranges_event_for_event(more: dict[str, Any]) -> None:
         robots = 1 + seed % 4
         for moves in (1, 9, tuple(range(5, 5 + 9 * robots, 9))):
             world, plan = ranged(seed, robots, moves, **more)
-            same(compile_closed_loop(plan, world, luck="tolerance"), seed, 300, (seed, moves), traced=(0, 1))
+            same(compile_closed_loop(plan, world), seed, 300, (seed, moves), traced=(0, 1))
 
 
 @pytest.mark.slow
@@ -204,4 +200,4 @@ def test_given_paths_event_for_event() -> None:
 @pytest.mark.parametrize("name", [name for name, given in SETTINGS.items() if given.get("transit") != "area"])
 def test_missions_go_on_event_for_event(name: str) -> None:
     for number, (world, rest) in enumerate(states(name)):
-        same(compile_closed_loop(rest, world, luck="tolerance"), 3, 300, (name, number), traced=(0, 1, 299))
+        same(compile_closed_loop(rest, world), 3, 300, (name, number), traced=(0, 1, 299))

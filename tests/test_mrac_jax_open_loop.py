@@ -13,22 +13,18 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from open_loop_reference import fixture, plan_of, stops_of, walk
+from open_loop_reference import fixture, plan_of, tolerance_stops, walk
 from rolling import rollout_results, rollouts, run_chunks
 
 from analysis.policy_evaluation.policy_evaluation import roll_policy
 from mrac_jax import runtime as accelerators
 from mrac_jax.environment.coverage_env import CoverageEnv
-from planner.errors import UsageError
-from planner.rollouts.engine import choose_engine, open_loop_engine
-from planner.rollouts.open_loop import CompiledPlan, Mode, compile_plan
+from planner.rollouts.engine import choose_engine
+from planner.rollouts.open_loop import CompiledPlan, compile_plan
 from planner.tally import Outcome, Tally, tally_key
 from planner.world.world import World
 
-MODES = ("tolerance", "fast", "step")
 ENGINES = ("numba", "jax")
-BOTH = [*((mode, "numba") for mode in MODES), ("tolerance", "jax")]
-"""JAX draws by tolerance alone."""
 STANDARD_ERRORS = 5.0
 WALKED = [
     ("tiny-2x8-25", 5),  # starts on threats, shared starts
@@ -64,11 +60,11 @@ SEED = 7 * 2**32 + 5
 
 
 @cache
-def walked(name: str, robots: int, mode: str) -> Tally:
+def walked(name: str, robots: int) -> Tally:
     """The plain walk, which no engine has a part in, and which takes longer than all of them."""
     plan, world, _ = fixture(name, robots)
-    stops = stops_of(mode, plan, world, SEED)
-    key = tally_key(compile_plan(plan, world).identity, "open", mode, SEED)
+    stops = tolerance_stops(plan, world, SEED)
+    key = tally_key(compile_plan(plan, world).identity, "open", SEED)
     ids = range(4000, 4150) if name.startswith("tiny") else range(4089, 4105)  # from two blocks
     return walk(plan, world, ids, stops, key)
 
@@ -83,28 +79,26 @@ def walked(name: str, robots: int, mode: str) -> Tally:
 )
 def test_equals_a_plain_walk_count_for_count(name: str, robots: int, engine: str) -> None:
     compiled = compiled_fixture(name, robots)
-    for mode in MODES if engine == "numba" else MODES[:1]:
-        expected = walked(name, robots, mode)
-        [(start, stop)] = expected.ids
-        found = rollouts(compiled, seed=SEED, start=start, count=stop - start, mode=mode, engine=engine)
-        assert found == expected
+    expected = walked(name, robots)
+    [(start, stop)] = expected.ids
+    assert rollouts(compiled, seed=SEED, start=start, count=stop - start, engine=engine) == expected
 
 
-@pytest.mark.parametrize(("mode", "engine"), BOTH)
-def test_waits_returns_and_shared_dangerous_starts(mode: str, engine: str) -> None:
+@pytest.mark.parametrize("engine", ENGINES)
+def test_waits_returns_and_shared_dangerous_starts(engine: str) -> None:
     plan, world = waiting_plan()
     compiled = compile_plan(plan, world)
-    stops = stops_of(mode, plan, world, 3)
-    expected = walk(plan, world, range(400), stops, tally_key(compiled.identity, "open", mode, 3))
-    assert rollouts(compiled, seed=3, count=400, mode=mode, engine=engine) == expected
+    stops = tolerance_stops(plan, world, 3)
+    expected = walk(plan, world, range(400), stops, tally_key(compiled.identity, "open", 3))
+    assert rollouts(compiled, seed=3, count=400, engine=engine) == expected
 
 
-@pytest.mark.parametrize(("mode", "engine"), BOTH)
-def test_frequencies_of_every_hit_pattern(mode: str, engine: str) -> None:
+@pytest.mark.parametrize("engine", ENGINES)
+def test_frequencies_of_every_hit_pattern(engine: str) -> None:
     plan, world = waiting_plan()
     compiled = compile_plan(plan, world)
     chances: Counter[tuple[int, int, int, int]] = Counter()
-    threat = [t.astype(float) for t in compiled.danger_threat]
+    threat = [world.threat.ravel()[cells].astype(float) for cells in compiled.danger_cell]
     for outcomes in itertools.product(*(range(len(t) + 1) for t in threat)):
         chance = 1.0
         for mine, outcome in zip(threat, outcomes, strict=True):
@@ -118,7 +112,7 @@ def test_frequencies_of_every_hit_pattern(mode: str, engine: str) -> None:
         end = [int(np.flatnonzero(getattr(tally, name))[0]) for name in ("visited", "survived", "time", "alive")]
         chances[tuple(end)] += chance
     count = 200_000
-    found = rollout_results(compiled, seed=11, count=count, mode=mode, engine=engine)
+    found = rollout_results(compiled, seed=11, count=count, engine=engine)
     seen = Counter(zip(found.visited, found.survived, found.time, found.alive, strict=True))
     assert set(seen) <= set(chances)
     assert sum(chances.values()) == pytest.approx(1.0)
@@ -127,8 +121,7 @@ def test_frequencies_of_every_hit_pattern(mode: str, engine: str) -> None:
         assert abs(seen[end] / count - chance) <= STANDARD_ERRORS * error + 1e-12
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_coverage_of_every_cell_is_the_closed_form(mode: str) -> None:
+def test_coverage_of_every_cell_is_the_closed_form() -> None:
     plan, world, _ = fixture("contiguous-14x23-1000", 8)
     missed = np.ones((2, world.threat.size))
     for robot in plan.robots:
@@ -142,26 +135,25 @@ def test_coverage_of_every_cell_is_the_closed_form(mode: str) -> None:
             seen.add(cell)
             survival = passed
     count = 300_000
-    tally = rollouts(compile_plan(plan, world), seed=4, count=count, mode=mode, engine="numba")
+    tally = rollouts(compile_plan(plan, world), seed=4, count=count, engine="numba")
     for chance, covered in zip(1.0 - missed, (tally.covered_visited, tally.covered_survived), strict=True):
         error = np.sqrt(chance * (1 - chance) / count)
         assert (np.abs(covered / count - chance) <= STANDARD_ERRORS * error + 1e-9).all()
 
 
-@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(
     ("name", "robots"),
     [("contiguous-20x20-1001", 8), ("scattered-20x20-1000", 2), ("contiguous-20x20-1000", 1), ("tiny-6x3-20", 5)],
 )
-def test_engines_and_chunks_agree_count_for_count(name: str, robots: int, mode: str) -> None:
+def test_engines_and_chunks_agree_count_for_count(name: str, robots: int) -> None:
     compiled = compiled_fixture(name, robots)
     start = 3 * 4096 + 100
     numba, jax = (40_000, "numba", (4096, 12_345)), (3000, "jax", (None, 2000))
-    for count, engine, chunks in (numba, jax) if mode == "tolerance" else (numba,):
-        whole = rollouts(compiled, seed=9, start=start, count=count, mode=mode, engine="numba")
+    for count, engine, chunks in (numba, jax):
+        whole = rollouts(compiled, seed=9, start=start, count=count, engine="numba")
         assert whole.rollouts == count and whole.outcomes.sum() == count
         for chunk in chunks:
-            again = rollouts(compiled, seed=9, start=start, count=count, mode=mode, engine=engine, chunk=chunk)
+            again = rollouts(compiled, seed=9, start=start, count=count, engine=engine, chunk=chunk)
             assert again == whole
 
 
@@ -170,19 +162,17 @@ def test_parts_in_any_order_add_to_the_whole(engine: str) -> None:
     compiled = compiled_fixture("scattered-14x23-1002", 8)
 
     def part(start: int, stop: int) -> Tally:
-        return rollouts(compiled, seed=1, start=start, count=stop - start, mode="tolerance", engine=engine)
+        return rollouts(compiled, seed=1, start=start, count=stop - start, engine=engine)
 
     parts = part(9000, 9001) + part(0, 4096) + part(9001, 20_000) + part(4096, 9000)
     assert parts == part(0, 20_000)
     assert parts.ids == ((0, 20_000),)
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_single_rollouts_add_up_to_the_tally(mode: str) -> None:
+def test_single_rollouts_add_up_to_the_tally() -> None:
     compiled = compiled_fixture("contiguous-20x20-1002", 8)
-    tally = rollouts(compiled, seed=6, start=50, count=9000, mode=mode, engine="numba")
-    engines = [engine for mine, engine in BOTH if mine == mode]
-    found = [rollout_results(compiled, seed=6, start=50, count=9000, mode=mode, engine=e) for e in engines]
+    tally = rollouts(compiled, seed=6, start=50, count=9000, engine="numba")
+    found = [rollout_results(compiled, seed=6, start=50, count=9000, engine=engine) for engine in ENGINES]
     for name in ("visited", "survived", "time", "alive", "outcome"):
         assert np.array_equal(getattr(found[0], name), getattr(found[-1], name))
         values = getattr(found[0], name).astype(np.int64)
@@ -193,7 +183,7 @@ def test_single_rollouts_add_up_to_the_tally(mode: str) -> None:
 
 def test_last_ids_of_all() -> None:
     compiled = compiled_fixture("tiny-4x8-12", 2)
-    how = {"seed": 0, "start": 2**32 - 5000, "count": 5000, "mode": "tolerance"}
+    how = {"seed": 0, "start": 2**32 - 5000, "count": 5000}
     tallies = [rollouts(compiled, engine=engine, **how) for engine in ENGINES]  # type: ignore[arg-type]
     assert tallies[0] == tallies[1]
     assert tallies[0].ids == ((2**32 - 5000, 2**32),)
@@ -223,12 +213,12 @@ def test_one_compilation_serves_plans_of_one_bucket() -> None:
         compiled_fixture("tiny-3x6-21", 5),
         compiled_fixture("tiny-2x8-25", 5),
     ]
-    run = open_loop.jitted(open_loop.advance, open_loop.JaxOpenLoop(compiled[0], 0, "tolerance").batch)
-    rollouts(compiled[1], seed=0, count=10, mode="tolerance", engine="jax")
+    run = open_loop.jitted(open_loop.advance, open_loop.JaxOpenLoop(compiled[0], 0).batch)
+    rollouts(compiled[1], seed=0, count=10, engine="jax")
     before = run._cache_size()
     for seed in (0, 1, 2):
-        rollouts(compiled[1], seed=seed, count=5000 * (seed + 1), mode="tolerance", engine="jax")
-        rollouts(compiled[2], seed=seed, count=5000 * (seed + 1), mode="tolerance", engine="jax")
+        rollouts(compiled[1], seed=seed, count=5000 * (seed + 1), engine="jax")
+        rollouts(compiled[2], seed=seed, count=5000 * (seed + 1), engine="jax")
     assert run._cache_size() == before
 
 
@@ -237,17 +227,9 @@ def test_jit_equals_no_jit() -> None:
 
     world = World.create(np.array([[0.3, 0.0, 0.2, 0.1]], dtype=np.float32))
     compiled = compile_plan(plan_of(world, [[1, 0], [1, 2, 3], [1, 2]]), world)
-    jitted = rollouts(compiled, seed=3, count=100, mode="tolerance", engine="jax")
+    jitted = rollouts(compiled, seed=3, count=100, engine="jax")
     with jax.disable_jit():
-        assert rollouts(compiled, seed=3, count=100, mode="tolerance", engine="jax") == jitted
-
-
-@pytest.mark.parametrize("mode", ["fast", "step"])
-def test_luck_by_step_is_numba_s(mode: Mode) -> None:
-    compiled = compiled_fixture("tiny-4x8-12", 2)
-    with pytest.raises(UsageError, match=f"engine='jax' with luck by {mode}.*use engine='numba'"):
-        open_loop_engine(compiled, 0, mode, "jax")
-    assert open_loop_engine(compiled, 0, mode).name == "numba"
+        assert rollouts(compiled, seed=3, count=100, engine="jax") == jitted
 
 
 DEVICES = """
@@ -257,8 +239,8 @@ from test_mrac_jax_open_loop import compiled_fixture
 from rolling import rollouts
 compiled = compiled_fixture("tiny-6x3-20", 5)
 assert len(jax.devices()) == 2
-whole = rollouts(compiled, seed=5, start=77, count=40_000, mode="tolerance", engine="numba")
-assert rollouts(compiled, seed=5, start=77, count=40_000, mode="tolerance", engine="jax") == whole
+whole = rollouts(compiled, seed=5, start=77, count=40_000, engine="numba")
+assert rollouts(compiled, seed=5, start=77, count=40_000, engine="jax") == whole
 """
 
 
@@ -301,10 +283,10 @@ def test_flags_of_jax_change_no_count(name: str) -> None:
     plan, world = waiting_plan()
     compiled = compile_plan(plan, world)
     with getattr(jax, name)(FLAGS[name]):
-        found = rollouts(compiled, seed=3, count=400, mode="tolerance", engine="jax")
+        found = rollouts(compiled, seed=3, count=400, engine="jax")
         walk_of = jax.jit(lambda seen: seen[:, 3].argmax().astype("int32").repeat(2) % 5)  # east, west, ...
         judged = roll_policy(CoverageEnv(world, 2), walk_of if name != "disable_jit" else None, 1, 40)
-    assert found == rollouts(compiled, seed=3, count=400, mode="tolerance", engine="numba")
+    assert found == rollouts(compiled, seed=3, count=400, engine="numba")
     same = roll_policy(CoverageEnv(world, 2), walk_of if name != "disable_jit" else None, 1, 40)
     assert all((one == other).all() for one, other in zip(judged, same, strict=True))
 

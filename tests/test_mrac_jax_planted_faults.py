@@ -182,7 +182,7 @@ def worlds() -> Iterator[SurveyWorld]:
 
 def rolled_out(package: str, one: SurveyWorld, traced: int) -> tuple[Any, Any, list[Any]]:
     """Tally, results and the first traces of the package's engine."""
-    loop = one.loop(luck="tolerance")
+    loop = one.loop()
     if package == "planner":
         return *run_range(loop, one.seed, 0, ROLLOUTS, singles=True), trace_rollouts(loop, one.seed, range(traced))
     from conftest import LANES  # not by the other engine's processes, which need neither this nor JAX

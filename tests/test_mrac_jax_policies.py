@@ -38,7 +38,7 @@ LIMITED: list[dict[str, Any]] = [
 
 def loop_of(one: SurveyWorld, **asked: Any) -> ClosedLoop:
     plan = make_plan(one.world, one.starts, replace(one.settings, **{"policy": "per_cell"} | asked))
-    return compile_closed_loop(plan, one.world, first_only=one.first_only, luck="tolerance")
+    return compile_closed_loop(plan, one.world, first_only=one.first_only)
 
 
 def test_counts_are_the_compiled_simulator_s(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,7 +103,7 @@ def test_a_rule_of_the_user_s_own() -> None:
         lambda offer: ((offer.cost * 3 - offer.unvisited, offer.unvisited), (-offer.unvisited, 7)),
     ):
         plan = make_plan(fixture.world, fixture.starts, Settings(policy=Rule("own", order)), fixture.allocation)
-        same(compile_closed_loop(plan, fixture.world, luck="tolerance"), 5, 200, "own rule", traced=(0, 199))
+        same(compile_closed_loop(plan, fixture.world), 5, 200, "own rule", traced=(0, 199))
 
 
 def test_fractions_are_compared_exactly() -> None:

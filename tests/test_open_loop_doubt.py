@@ -9,7 +9,6 @@ from doubt import WORLDS, expected, one_of, open_loop, persistent
 from open_loop_reference import plan_of as external_plan
 
 from analysis.theory.exact import open_loop_exact
-from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
 from planner.plan.plan import Plan
 from planner.rollout_sampling import Luck
@@ -39,12 +38,10 @@ def test_engines_count_what_the_readable_luck_says(name: str) -> None:
         visited, survived, alive = play(Luck(world, 4, rollout).hits)
         assert [found.visited[rollout], found.survived[rollout], found.alive[rollout]] == [visited, survived, alive]
     assert np.count_nonzero(tally.visited) > 4
-    parts = open_loop_engine(compile_plan(plan, world), 4, "tolerance", "numba", threads=2)
+    parts = open_loop_engine(compile_plan(plan, world), 4, "numba", threads=2)
     assert parts.tally(0, 77) + parts.tally(77, 123) == tally
     trace = next(iter(engine.traces([9])))
     assert len(np.unique(trace.cells)) == found.visited[9]
-    with pytest.raises(UsageError, match="use mode step"):
-        open_loop_engine(compile_plan(plan, world), 4, "fast", "numba")
 
 
 @pytest.mark.parametrize(
@@ -52,7 +49,7 @@ def test_engines_count_what_the_readable_luck_says(name: str) -> None:
 )
 def test_jax_counts_the_same(name: str) -> None:
     compiled = compile_plan(plan_of(WORLDS[name]), WORLDS[name])
-    engines = [open_loop_engine(compiled, 4, "tolerance", engine) for engine in ("numba", "jax")]
+    engines = [open_loop_engine(compiled, 4, engine) for engine in ("numba", "jax")]
     assert engines[1].tally(0, 777) + engines[1].tally(777, 9223) == engines[0].tally(0, 10_000)
     if name != "consumed":  # a program of its own
         assert_same_results(*(engine.results(70, 3000) for engine in engines))

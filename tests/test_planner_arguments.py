@@ -30,7 +30,6 @@ WORLD = World.create(np.zeros((2, 3)))
         ({"loop": None}, "loop=None; expected 'open' or 'closed'"),
         ({"loop": "opn"}, "did you mean 'open'?"),
         ({"loop": ["open"]}, "loop=['open']"),
-        ({"mode": "quick"}, "mode='quick'; expected 'fast' or 'step'"),
         ({"engine": "cuda"}, "engine='cuda'; expected 'auto' or 'jax' or 'numba'"),
         ({"rollouts": 0}, "rollouts=0; expected a whole number, 1 to 4294967296"),
         ({"rollouts": 1e6 + 0.5}, "rollouts=1000000.5; expected a whole number"),

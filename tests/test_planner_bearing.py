@@ -15,7 +15,7 @@ from doubt import WORLDS
 from test_planner_luck import NAMES, known, mean, world_of
 
 from analysis.theory.exact import open_loop_exact
-from planner.errors import PlanError, ScenarioError, StateError, UsageError
+from planner.errors import PlanError, ScenarioError, StateError
 from planner.failure_model import CERTAIN, MOST, PLAIN, Bearing, tolerance_of, unworn, wear_nodes, worn
 from planner.failure_model import susceptible as made_susceptible
 from planner.mrac.make_plan import make_plan
@@ -72,7 +72,7 @@ def test_worn_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
     (world, plan), wear, seed = worn_plan(name), known(name)["wear"], known(name)["seed"]
     found = plan.bearing.tolerances(seed, range(len(wear["tolerance"])), len(plan.robots))
     assert found.tolist() == wear["tolerance"]
-    readable, loop = ReferenceLoop(plan, world, luck="tolerance"), compile_closed_loop(plan, world, luck="tolerance")
+    readable, loop = ReferenceLoop(plan, world), compile_closed_loop(plan, world)
     _, singles = run_range(loop, seed, 0, len(wear["rollouts"]), singles=True, threads=1)
     assert singles is not None
     for one in wear["rollouts"]:
@@ -87,7 +87,7 @@ def test_worn_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_worn_means_are_those_of_everything_that_can_happen(name: str) -> None:
     (world, plan), exact = worn_plan(name), known(name)["wear"]["exact"]
-    tree = grow_tree(compile_closed_loop(plan, world, luck="tolerance"), 1e-6, 10**6)
+    tree = grow_tree(compile_closed_loop(plan, world), 1e-6, 10**6)
     assert tree is not None
     for figure in ("visited", "survived"):
         low, high = tree.covered(figure)
@@ -127,7 +127,7 @@ def test_the_closed_form_is_everything_that_can_happen_and_what_rollouts_show(sh
     exact = open_loop_exact(plan, ROW)
     found = [exact.visited, exact.survived, float(exact.survival.sum())]
     assert found == pytest.approx([visited, survived, alive], abs=1e-6)  # the scale is a multiple of 2**-20
-    tally = make_engine(plan, ROW, Rolling("open", seed=5, luck="tolerance"), "numba").tally(0, 60_000)
+    tally = make_engine(plan, ROW, Rolling("open", seed=5), "numba").tally(0, 60_000)
     for what, value in (("visited", visited), ("survived", survived), ("alive", alive), ("time", exact.mean_time)):
         middle, se = mean(getattr(tally, what))
         assert abs(middle - value) <= 5 * se, what
@@ -146,7 +146,7 @@ def test_shape_1_and_susceptibility_1_change_no_bit() -> None:
     starts = place_starts(world, 3)[0]
     for loop in ("closed", "open"):
         plain, ones = (
-            make_engine(make_plan(world, starts, settings), world, Rolling(loop, seed=1, luck="tolerance"), "numba")
+            make_engine(make_plan(world, starts, settings), world, Rolling(loop, seed=1), "numba")
             for settings in (Settings(), Settings(wear=1.0, susceptibility=(1.0, 1.0, 1.0)))
         )
         assert counts_of(plain.tally(0, 3000)) == counts_of(ones.tally(0, 3000))
@@ -160,8 +160,8 @@ def test_compiled_rollouts_of_worn_robots_are_the_readable_ones(settings: dict[s
         bears = Settings(wear=(3.0, 0.5)[seed], susceptibility=(1.0, 0.3, 5.0), **settings)
         plan = make_plan(world, place_starts(world, 3)[0], bears)
         loop, readable = (
-            compile_closed_loop(plan, world, luck="tolerance"),
-            ReferenceLoop(plan, world, luck="tolerance"),
+            compile_closed_loop(plan, world),
+            ReferenceLoop(plan, world),
         )
         for trace in trace_rollouts(loop, 5, range(6)):
             assert trace == readable.trace(5, trace.rollout), (seed, trace.rollout)
@@ -178,10 +178,10 @@ def test_compiled_rollouts_of_worn_robots_are_the_readable_ones(settings: dict[s
 def test_worn_robots_on_maps_in_doubt(name: str) -> None:
     world = WORLDS[name]
     plan = make_plan(world, place_starts(world, 2)[0], Settings(wear=2.0, susceptibility=(0.5, 3.0)))
-    loop, readable = compile_closed_loop(plan, world, luck="tolerance"), ReferenceLoop(plan, world, luck="tolerance")
+    loop, readable = compile_closed_loop(plan, world), ReferenceLoop(plan, world)
     _, singles = run_range(loop, 5, 0, 100, singles=True, threads=1)
     assert singles is not None
-    opened = make_engine(plan, world, Rolling("open", seed=5, luck="tolerance"), "numba")
+    opened = make_engine(plan, world, Rolling("open", seed=5), "numba")
     alone = opened.results(0, 40)
     for rollout in range(40):
         run = readable.run(5, rollout)
@@ -194,23 +194,23 @@ def test_worn_robots_on_maps_in_doubt(name: str) -> None:
 
 def test_the_rest_of_a_mission_goes_on_from_what_was_borne() -> None:
     plan = make_plan(ROW, ROW.starts[:1], Settings(wear=1.5, susceptibility=0.5))
-    whole, step = ReferenceLoop(plan, ROW, luck="tolerance"), 3
+    whole, step = ReferenceLoop(plan, ROW), 3
     state = next(filter(None, (whole.state_at(step, 1, rollout) for rollout in range(50))))
     borne = state.robots[0].exposure
     assert borne == sum(ROW.exposures[0][cell] for cell in plan.robots[0].path[: step + 1]) > 0
     saved = parse_state(json.loads(json.dumps(state.to_json())), ROW, "state")
     assert saved.robots[0].exposure == borne
     rest = make_plan(ROW, saved.starts, plan.settings, state=saved)
-    loop = compile_closed_loop(rest, ROW, luck="tolerance")
+    loop = compile_closed_loop(rest, ROW)
     tally, singles = run_range(loop, 9, 0, 20_000, singles=True)
     assert singles is not None
-    run = ReferenceLoop(rest, ROW, luck="tolerance").run(9, 7)
+    run = ReferenceLoop(rest, ROW).run(9, 7)
     assert [run.visited.sum(), run.time] == [singles.visited[7], singles.time[7]]
     exact = open_loop_exact(rest, ROW)
     for what, value in (("visited", exact.visited), ("survived", exact.survived), ("alive", exact.survival.sum())):
         middle, se = mean(getattr(tally, what))
         assert abs(middle - value) <= 5 * se, what
-    _, singles = run_range(compile_closed_loop(plan, ROW, luck="tolerance"), 2, 0, 20_000, singles=True)
+    _, singles = run_range(compile_closed_loop(plan, ROW), 2, 0, 20_000, singles=True)
     assert singles is not None
     alike = singles.visited[(singles.time > step) | (singles.alive > 0)]
     assert abs(alike.mean() - exact.visited) <= 5 * alike.std() / math.sqrt(len(alike))
@@ -244,7 +244,7 @@ def test_plan_files_and_paths_of_others_keep_what_robots_bear(tmp_path: Path) ->
     foreign.save(tmp_path / "saved.json")
     assert read_plan(tmp_path / "saved.json", ROW).bearing == foreign.bearing
     tallies = [
-        make_engine(one, ROW, Rolling(loop, seed=1, luck="tolerance"), "numba").tally(0, 500)
+        make_engine(one, ROW, Rolling(loop, seed=1), "numba").tally(0, 500)
         for one in (foreign, foreign.of_robots(susceptibility=1.0))
         for loop in ("open", "closed")
     ]
@@ -267,13 +267,6 @@ def test_a_scenario_says_what_its_robots_bear(tmp_path: Path) -> None:
             load_input(file)
 
 
-@pytest.mark.parametrize("what", [{"wear": 2.0}, {"susceptibility": (1.0, 0.5)}])
-def test_luck_by_step_is_refused_in_words(what: dict[str, Any]) -> None:
-    plan = make_plan(ROW, ROW.starts, Settings(**what))
-    for loop in ("closed", "open"):
-        with pytest.raises(UsageError, match=r"(wear|counts).*luck='step'"):
-            make_engine(plan, ROW, Rolling(loop, luck="step"), "numba")
-    with pytest.raises(UsageError, match="luck='step'"):
-        ReferenceLoop(plan, ROW, luck="step")
+def test_susceptibilities_of_another_team_are_refused() -> None:
     with pytest.raises(PlanError, match="2 robots for a team of 1"):
         make_plan(ROW, ROW.starts[:1], Settings(susceptibility=(1.0, 0.5)))

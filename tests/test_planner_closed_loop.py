@@ -15,12 +15,12 @@ from numba import typeof
 from rolling import run_closed_chunks
 
 from planner.errors import PlanError
-from planner.failure_model import uniform
 from planner.mrac.make_plan import make_plan
 from planner.mrac.paths import BLOCKED, neighbour_table
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
 from planner.plan.plan import Plan
+from planner.rollout_sampling import Luck
 from planner.settings import Settings
 from planner.simulator import return_home as remember
 from planner.simulator.closed_loop import compile_closed_loop, new_cells, run_range
@@ -38,7 +38,7 @@ COLUMNS = ("visited", "survived", "time", "alive", "outcome", "bisected", "divid
 
 def fed(fixture: Fixture) -> ClosedLoop:
     plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
-    return compile_closed_loop(plan, fixture.world, luck="step")
+    return compile_closed_loop(plan, fixture.world)
 
 
 def readable_run(
@@ -47,14 +47,16 @@ def readable_run(
     """One rollout of the readable simulator, and its counts per cell and step."""
     assert plan.settings is not None
     problem = prepare(world, plan.starts, plan.settings)
-    threat = world.threat.ravel()
     steps = problem.max_steps + 1
-    counts = {name: np.zeros(threat.size, int) for name in ("visits", "stops", "covered_visited", "covered_survived")}
+    counts = {
+        name: np.zeros(world.threat.size, int) for name in ("visits", "stops", "covered_visited", "covered_survived")
+    }
     counts |= {name: np.zeros(steps, int) for name in ("new_visited", "new_survived")}
+    luck = Luck(world, seed, rollout)
 
     def hit(robot: int, step: int, cell: int) -> bool:
         fresh = counts["covered_visited"][cell] == 0
-        stopped = bool(uniform(seed, rollout, step, robot) < threat[cell]) and (fresh or not first_only)
+        stopped = (fresh or not first_only) and luck.hits(robot, step, cell)
         counts["visits"][cell] += 1
         counts["stops"][cell] += stopped
         counts["new_visited"][step] += fresh
@@ -72,7 +74,7 @@ def compare(
     world: World, plan: Plan, rollouts: int, seed: int = 3, first_only: bool = False, tabled: bool = True
 ) -> Tally:
     """Compiled and readable runs of the same ids: every outcome and every count equal."""
-    loop = compile_closed_loop(plan, world, first_only=first_only, luck="step", tabled=tabled)
+    loop = compile_closed_loop(plan, world, first_only=first_only, tabled=tabled)
     tally, singles = run_range(loop, seed, 0, rollouts, singles=True)
     assert singles is not None
     total: dict[str, np.ndarray] = {}
@@ -89,8 +91,8 @@ def compare(
     return tally
 
 
-def test_seeded_runs_are_the_fixtures(fixture: Fixture) -> None:
-    known = fixture.answers["seeded_runs"]
+def test_threshold_runs_are_the_fixtures(fixture: Fixture) -> None:
+    known = fixture.answers["threshold_runs"]
     _, singles = run_range(fed(fixture), known["seed"], 0, len(known["runs"]), singles=True)
     assert singles is not None
     columns = [getattr(singles, name) for name in known["columns"]]

@@ -13,6 +13,7 @@ from movers import moving_world
 from numpy.typing import NDArray
 from oracle_tree import Tree as ReadableTree
 from plan_files import load_plan
+from rolling import VisitLoop
 
 from analysis.comparison import compare, make_side
 from analysis.estimators.trial import Trial
@@ -295,12 +296,12 @@ def test_what_does_not_know_the_way_home_says_so() -> None:
 
 
 def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped() -> None:
-    """On the way home, too, and once all are called: the rest is the uncut run's, in both engines."""
+    """On the way home, too, and once all are called: the rest is the uncut run's; both engines run the same rest."""
     returning = 0
     for number, seed in ((0, 4), (2, 5), (5, 7)):
         world, starts = drawn(seed)
         plan = make_plan(world, starts, Settings(**KINDS[number]))
-        whole = ReferenceLoop(plan, world, luck="step")
+        whole = VisitLoop(plan, world)
         for rollout in range(3):
             trace = whole.trace(0, rollout)
             for step in {4, trace.time // 2, trace.time - 5, trace.time - 1}:
@@ -309,11 +310,13 @@ def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped() -> None:
                     continue
                 read = parse_state(state.to_json(), world, "state")
                 rest = allocated_plan(world, read.starts, Settings(**KINDS[number]), read)
-                again = ReferenceLoop(rest, world, luck="step").trace(0, rollout)
+                again = VisitLoop(rest, world).trace(0, rollout)
                 np.testing.assert_array_equal(again.cells[step:], trace.cells[step:])
                 assert again.outcome == trace.outcome
-                compiled = compile_closed_loop(rest, world, luck="step", tabled=seed % 2 == 0)
-                assert_same_trace(trace_rollouts(compiled, 0, [rollout])[0], again)
+                compiled = compile_closed_loop(rest, world, tabled=seed % 2 == 0)
+                assert_same_trace(
+                    trace_rollouts(compiled, 0, [rollout])[0], ReferenceLoop(rest, world).trace(0, rollout)
+                )
                 returning += any(robot.status == "returning" for robot in read.robots)
     assert returning > 5
 
@@ -371,7 +374,7 @@ def test_worth_counts_the_way_home() -> None:
 
 def test_the_settings_of_a_front_are_missions_that_end_at_home() -> None:
     world, starts = drawn(7)
-    settings, choices = Settings(return_to="nearest"), RolloutChoices(rollouts=256, exact="never", luck="tolerance")
+    settings, choices = Settings(return_to="nearest"), RolloutChoices(rollouts=256, exact="never")
     ladders = Ladders(reserves=(), worths=(), landmarks=(0.5,))
     front = find_front(world, starts, settings, choices, ladders=ladders)
     ended = [point for point in front.points if point.setting.deadline is not None]
@@ -389,7 +392,7 @@ def test_robots_know_the_deadline_of_an_answer() -> None:
     """By a deadline `evaluate` answers as for a plan with that deadline; who does not know it is still away then."""
     world, starts = drawn(7)
     blind = make_plan(world, starts, Settings(return_to="home"))
-    choices = RolloutChoices(rollouts=256, exact="never", luck="tolerance", deadline=30)
+    choices = RolloutChoices(rollouts=256, exact="never", deadline=30)
     told = evaluate(world, blind, choices, band=False, advice=False)
     knows = evaluate(
         world, make_plan(world, starts, Settings(return_to="home", deadline=30)), replace(choices, deadline=None)

@@ -78,9 +78,8 @@ def agree(kind: str, number: int, rollouts: int = 2) -> NDArray[np.int64]:
     make, by = DRAWN[kind]
     world, starts, settings = make(number)
     given = HOMES[number // 3 % len(HOMES)]
-    plan, luck = make_plan(world, starts, replace(settings, **given)), "step" if number % 7 == 0 else "tolerance"
-    luck = "tolerance" if settings.wear != 1 else luck
-    loop, readable = compile_closed_loop(plan, world, luck=luck), ReferenceLoop(plan, world, luck=luck)  # type: ignore[arg-type]
+    plan = make_plan(world, starts, replace(settings, **given))
+    loop, readable = compile_closed_loop(plan, world), ReferenceLoop(plan, world)
     traces = trace_rollouts(loop, number, range(rollouts))
     runs, known = zip(*(followed(readable, number, rollout) for rollout in range(rollouts)), strict=True)
     assert traces == list(known), number

@@ -1,8 +1,9 @@
-"""Luck by tolerance: numbers against an independent implementation's, engines against its rollouts and each other."""
+"""Failure thresholds: numbers against an independent implementation's, engines against its rollouts and each other."""
 
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from decimal import Context, Decimal
 from functools import cache
@@ -12,13 +13,13 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 from doubt import WORLDS
+from recordings import rewrite
 
 import mrac_jax as mrac
 from analysis.recording import contents
 from analysis.recording.record import Request, record
-from analysis.recording.replay import replay
-from analysis.sampling import RolloutChoices
-from analysis.sweeps.cases import Team, run_key
+from analysis.recording.replay import inspect, replay
+from planner.errors import PER_VISIT, InputError
 from planner.failure_model import (
     CERTAIN,
     LEAST,
@@ -31,7 +32,6 @@ from planner.failure_model import (
     tolerances,
     worn,
 )
-from planner.ids import LUCKS
 from planner.jit import compiled
 from planner.mrac.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
@@ -40,7 +40,7 @@ from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
 from planner.simulator import failure_sampling as kernels
 from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.tally import WORDS_OF_0_3, Outcome, Tally
+from planner.tally import WORDS_OF_0_3, Outcome
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.world import World
@@ -130,8 +130,8 @@ def test_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
     assert tolerances(seed, range(16), robots)[: len(answers["tolerance"])].tolist() == answers["tolerance"][:16]
     assert {str(cell): int(world.exposures[0][cell]) for cell in map(int, answers["exposure"])} == answers["exposure"]
     plan = make_plan(world, world.starts)
-    readable = ReferenceLoop(plan, world, luck="tolerance")
-    loop = compile_closed_loop(plan, world, luck="tolerance")
+    readable = ReferenceLoop(plan, world)
+    loop = compile_closed_loop(plan, world)
     _, singles = run_range(loop, seed, 0, len(answers["rollouts"]), singles=True, threads=1)
     assert singles is not None
     for one in answers["rollouts"]:
@@ -171,8 +171,8 @@ def test_compiled_rollouts_are_the_readable_ones(
     for seed in range(3):
         world = random_world(8, 9, ThreatPattern(("contiguous", "scattered")[seed % 2], 4, seed=seed))
         plan = make_plan(world, place_starts(world, (2, 5, 9)[seed])[0], Settings(**settings))
-        loop = compile_closed_loop(plan, world, luck="tolerance", **how)
-        readable = ReferenceLoop(plan, world, luck="tolerance", first_only=how.get("first_only", False))
+        loop = compile_closed_loop(plan, world, **how)
+        readable = ReferenceLoop(plan, world, first_only=how.get("first_only", False))
         for trace in trace_rollouts(loop, 5, range(8)):
             assert trace == readable.trace(5, trace.rollout), (seed, trace.rollout)
         whole, singles = run_range(loop, 5, 0, 600, threads=1, singles=True)
@@ -189,7 +189,7 @@ def test_compiled_rollouts_are_the_readable_ones(
 def test_maps_in_doubt_are_borne_rollout_by_rollout(name: str) -> None:
     world = WORLDS[name]
     plan = make_plan(world, place_starts(world, 4)[0], Settings())
-    loop, readable = compile_closed_loop(plan, world, luck="tolerance"), ReferenceLoop(plan, world, luck="tolerance")
+    loop, readable = compile_closed_loop(plan, world), ReferenceLoop(plan, world)
     tally, singles = run_range(loop, 5, 0, 300, singles=True, threads=1)
     assert singles is not None
     for rollout in range(50):
@@ -200,43 +200,14 @@ def test_maps_in_doubt_are_borne_rollout_by_rollout(name: str) -> None:
     assert run_range(loop, 5, 0, 100, threads=2)[0] + run_range(loop, 5, 100, 200)[0] == tally
 
 
-@pytest.mark.parametrize("name", [None, *WORLDS])
-def test_both_lucks_have_one_law(name: str | None) -> None:
-    world = random_world(9, 9, ThreatPattern("scattered", 4, seed=2)) if name is None else WORLDS[name]
-    plan = make_plan(world, place_starts(world, 3)[0], Settings())
-    one, other = (
-        run_range(compile_closed_loop(plan, world, luck=luck), 11, 0, 30_000)[0] for luck in ("step", "tolerance")
-    )
-    for what in ("visited", "survived", "time", "alive"):
-        (mine, se), (theirs, other_se) = mean(getattr(one, what)), mean(getattr(other, what))
-        assert abs(mine - theirs) <= 5 * np.hypot(se, other_se), what
-
-
-def test_tallies_of_two_lucks_do_not_add() -> None:
-    world = random_world(6, 6, ThreatPattern("scattered", 4, seed=2))
-    plan = make_plan(world, place_starts(world, 2)[0])
-    keys = [compile_closed_loop(plan, world, luck=luck).empty_tally(0).key for luck in ("step", "tolerance")]
-    assert keys[0] != keys[1]
-    assert isinstance(compile_closed_loop(plan, world, luck="tolerance").empty_tally(0), Tally)
-
-
 @pytest.mark.parametrize("name", ["persistent", "level", None])
 def test_open_and_closed_loop_of_one_robot_share_their_luck(name: str | None) -> None:
     world = random_world(9, 9, ThreatPattern("scattered", 4, seed=2)) if name is None else WORLDS[name]
     plan = make_plan(world, place_starts(world, 1)[0])
-    one, other = (
-        make_engine(plan, world, Rolling(loop, seed=8, luck="tolerance"), "numba").results(0, 400) for loop in LOOPS
-    )
+    one, other = (make_engine(plan, world, Rolling(loop, seed=8), "numba").results(0, 400) for loop in LOOPS)
     for what in ("visited", "survived", "alive"):
         assert np.array_equal(getattr(one, what), getattr(other, what)), what
     assert len(np.unique(one.visited)) > 5
-
-
-def test_a_loop_by_another_luck_is_the_one_made_by_it() -> None:
-    world, plan = scattered()
-    made = compile_closed_loop(plan, world, luck="tolerance")
-    other = compile_closed_loop(plan, world).by("tolerance", world)
-    assert run_range(other, 2, 0, 500)[0] == run_range(made, 2, 0, 500)[0]
 
 
 def scattered() -> tuple[World, Plan]:
@@ -245,42 +216,33 @@ def scattered() -> tuple[World, Plan]:
 
 
 @pytest.mark.parametrize("loop", LOOPS)
-def test_answers_say_their_luck(loop: Any) -> None:
+def test_answers_are_the_engine_s(loop: Any) -> None:
     world, plan = scattered()
-    found = {
-        luck: mrac.evaluate(world, plan, loop=loop, rollouts=2000, luck=luck, advice=False, engine="numba")
-        for luck in LUCKS
-    }
-    said = {luck: answer.to_json() for luck, answer in found.items()}
-    assert [said[luck]["luck"] for luck in LUCKS] == list(LUCKS)
-    assert said["tolerance"]["mode"] == "tolerance"
-    engine = make_engine(plan, world, Rolling(loop, seed=0, luck="tolerance"), "numba")
-    counts = replace(found["tolerance"].tally, by_luck=np.empty(0, np.int64))  # its sums by luck: test_analysis_control
-    assert counts == engine.tally(0, 2000) != found["step"].tally
-    band = found["tolerance"].outputs["band"]
+    found = mrac.evaluate(world, plan, loop=loop, rollouts=2000, advice=False, engine="numba")
+    engine = make_engine(plan, world, Rolling(loop, seed=0), "numba")
+    counts = replace(found.tally, by_luck=np.empty(0, np.int64))  # its sums by luck: test_analysis_control
+    assert counts == engine.tally(0, 2000)
+    band = found.outputs["band"]
     middle = -(-band.rollouts // 2) - 1
     assert band.median[-1] == np.sort(engine.results(0, band.rollouts).visited)[middle]
 
 
-def test_recordings_keep_their_luck(tmp_path: Path) -> None:
+def test_a_recording_that_names_no_randomness_is_opened_and_not_replayed(tmp_path: Path) -> None:
     world, plan = scattered()
     for loop in LOOPS:
         path = tmp_path / f"{loop}.mcap"
-        record(world, plan, Request(ids=(3, 5), loop=loop, seed=9, luck="tolerance"), path)
+        record(world, plan, Request(ids=(3, 5), loop=loop, seed=9), path)
         found = replay(path)
         assert found.identical, found.difference
-        assert found.settings.luck == "tolerance"
     said = found.settings.to_json()
-    del said["luck"]
-    assert contents.read_settings(json.dumps(said).encode(), "old").luck == "step"
-
-
-def test_sweeps_keep_the_keys_of_what_was_stored() -> None:
-    world, _ = scattered()
-    team = Team(world, place_starts(world, 3)[0], Settings())
-    keys = {run_key(team, RolloutChoices(**luck)) for luck in ({}, {"luck": "step"}, {"luck": "tolerance"})}
-    assert len(keys) == 2
-    assert len({run_key(team, RolloutChoices("open", luck=luck)) for luck in LUCKS} - keys) == 2
+    assert said["luck"] == "tolerance"
+    for words in ({"luck": "step"}, {}):
+        data = json.dumps({name: value for name, value in said.items() if name != "luck"} | words).encode()
+        assert contents.read_settings(data, "old").per_visit
+        rewrite(path, tmp_path / "old.mcap", attachments={contents.SETTINGS: data})
+        assert inspect(tmp_path / "old.mcap").settings.to_json()["luck"] == "step"
+        with pytest.raises(InputError, match=re.escape(PER_VISIT)):
+            replay(tmp_path / "old.mcap")
 
 
 def test_a_robot_bears_the_same_in_teams_of_every_size() -> None:

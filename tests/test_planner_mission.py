@@ -92,7 +92,7 @@ def assert_driven_is_the_closed_loop(world: World, plan: Plan, seed: int, rollou
     """Event for event, asking for orders before each robot moves."""
     recorder, loop = Recorder(), ReferenceLoop(plan, world)
     mission = Mission(world, plan, recorder=recorder, patience=None)
-    luck = Luck(world, seed, rollout, "tolerance", plan.bearing)
+    luck = Luck(world, seed, rollout, plan.bearing)
     while mission.outcome is None:
         step_by_luck(mission, luck, doubled=rollout % 2 == 1)
     assert mission.orders() == {}
@@ -142,7 +142,7 @@ def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], tmp_pa
     for seed in range(2):
         world, plan = case(seed, **more)
         whole = ReferenceLoop(plan, world).run(seed, 1)
-        luck, mission = Luck(world, seed, 1, "tolerance", plan.bearing), Mission(world, plan)
+        luck, mission = Luck(world, seed, 1, plan.bearing), Mission(world, plan)
         while mission.outcome is None:
             robots = list(mission.orders().values())
             for number, order in enumerate(robots):

@@ -17,7 +17,6 @@ from oracle_movers import outcomes
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
 from planner.failure_model import threefry2x32
-from planner.ids import LuckName
 from planner.mrac.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan, RobotPlan
@@ -48,12 +47,10 @@ ROLLOUTS = 20_000
 SMALL = World.create([[0.0, 0.1, np.nan], [0.2, 0.0, 0.0], [np.nan, 0.3, 0.0]])
 
 
-def assert_equal_runs(
-    world: World, plan: Plan, seed: int, first_only: bool = False, luck: LuckName = "tolerance", tabled: bool = True
-) -> None:
+def assert_equal_runs(world: World, plan: Plan, seed: int, first_only: bool = False, tabled: bool = True) -> None:
     """Eight rollouts of the compiled simulator are the readable ones: events, figures, counts by cell."""
-    readable = ReferenceLoop(plan, world, first_only=first_only, luck=luck)
-    loop = compile_closed_loop(plan, world, first_only=first_only, luck=luck, tabled=tabled)
+    readable = ReferenceLoop(plan, world, first_only=first_only)
+    loop = compile_closed_loop(plan, world, first_only=first_only, tabled=tabled)
     runs, known = zip(*(followed(readable, seed, rollout) for rollout in range(8)), strict=True)
     for mine, trace in zip(trace_rollouts(loop, seed, range(8)), known, strict=True):
         assert_same_trace(mine, trace)
@@ -69,7 +66,7 @@ def check_worlds(seeds: range) -> None:
     for seed in seeds:
         world = moving_world(seed, plan_on=PLAN_ON[seed % 3])
         plan = make_plan(world, place_starts(world, 1 + seed % 5)[0], Settings(**KINDS[seed % len(KINDS)]))
-        assert_equal_runs(world, plan, seed, seed % 4 == 3, ("tolerance", "step")[seed % 5 == 4])
+        assert_equal_runs(world, plan, seed, seed % 4 == 3)
 
 
 def test_compiled_runs_are_the_readable_ones() -> None:

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from oracle_markov import closed_loop_chain, solve_chain
 from oracle_tree import closed_loop_exact
 from plan_files import load_plan
+from rolling import VisitLoop
 from validate import validate
 
 import mrac_jax as mrac
@@ -28,7 +29,7 @@ from planner.mrac.choose import first_area
 from planner.mrac.executive import Executive
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
-from planner.mrac.simulate import ReferenceLoop, never_hit, play_step
+from planner.mrac.simulate import ReferenceLoop, Run, never_hit, play_step
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.policies import RULES
@@ -74,18 +75,27 @@ def check_runs(name: str, case: dict[str, Any], runs: int) -> None:
     assert plan.outcome == CODES[nominal["outcome"]].word
     assert (plan.time, plan.shares) == (nominal["time"], nominal["shares"])
     assert {item.rule for item in validate(plan, fixture.world)} <= {"area-order"}  # the allocation is the fixture's
-    seeded = case["seeded_runs"]
+    reference: ReferenceLoop = (ReferenceLoop if "threshold_runs" in case else VisitLoop)(plan, fixture.world)
+    fixed = case.get("threshold_runs") or case["seeded_runs"]
+    for rollout, expected in enumerate(fixed["runs"][:runs]):
+        assert columns_of(reference.run(fixed["seed"], rollout)) == expected, rollout
+    readable = ReferenceLoop(plan, fixture.world)
     for tabled in (True, False):
-        loop = compile_closed_loop(plan, fixture.world, luck="step", tabled=tabled)
-        singles = run_range(loop, seeded["seed"], 0, len(seeded["runs"]), singles=True)[1]
+        loop = compile_closed_loop(plan, fixture.world, tabled=tabled)
+        singles = run_range(loop, fixed["seed"], 0, len(fixed["runs"]), singles=True)[1]
         assert singles is not None
         columns = (singles.visited, singles.survived, singles.time, singles.alive, map(CODES.index, singles.outcome))
-        assert [list(row) for row in zip(*columns, strict=True)] == seeded["runs"]
-    reference = ReferenceLoop(plan, fixture.world, luck="step")
-    for rollout, expected in enumerate(seeded["runs"][:runs]):
-        run = reference.run(seeded["seed"], rollout)
-        found = [int(run.visited.sum()), int(run.survived.sum()), run.time, int(run.alive.sum())]
-        assert [*found, CODES.index(run.outcome)] == expected, rollout
+        found = [list(row) for row in zip(*columns, strict=True)]
+        if "threshold_runs" in case:
+            assert found == fixed["runs"]
+        else:
+            assert found[:runs] == [columns_of(readable.run(fixed["seed"], rollout)) for rollout in range(runs)]
+
+
+def columns_of(run: Run) -> list[int]:
+    """A run as the fixtures have it."""
+    counts = [int(run.visited.sum()), int(run.survived.sum()), run.time, int(run.alive.sum())]
+    return [*counts, CODES.index(run.outcome)]
 
 
 @pytest.mark.parametrize("name", TINY)

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from conftest import NAMES, Fixture, load_fixture
 
-from planner.failure_model import uniform
 from planner.mrac.make_plan import allocate, make_plan, nominal_run
 from planner.mrac.problem import prepare
-from planner.mrac.simulate import simulate
+from planner.mrac.simulate import ReferenceLoop, simulate
 from planner.settings import Settings
 from planner.tally import Outcome
 from planner.world.generate import ThreatPattern, random_world
@@ -28,16 +27,12 @@ def test_nominal_run_is_the_fixtures(fixture: Fixture) -> None:
 
 
 @pytest.mark.parametrize("most", [3, pytest.param(None, marks=pytest.mark.slow)])
-def test_seeded_runs_are_the_fixtures(fixture: Fixture, most: int | None) -> None:
-    problem = prepare(fixture.world, fixture.starts, Settings())
-    threat = fixture.world.threat.ravel()
-    known = fixture.answers["seeded_runs"]
+def test_threshold_runs_are_the_fixtures(fixture: Fixture, most: int | None) -> None:
+    plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
+    readable = ReferenceLoop(plan, fixture.world)
+    known = fixture.answers["threshold_runs"]
     for rollout, expected in enumerate(known["runs"][:most]):
-
-        def hit(robot: int, step: int, cell: int, rollout: int = rollout) -> bool:
-            return bool(uniform(known["seed"], rollout, step, robot) < threat[cell])
-
-        run = simulate(problem, fixture.allocation, hit=hit)
+        run = readable.run(known["seed"], rollout)
         found = [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome]
         assert [int(value) for value in found] == expected, rollout
 

@@ -114,7 +114,7 @@ def test_the_open_loop_of_slow_robots_covers_as_much_but_later() -> None:
     world, starts, _ = drawn(5)
     plan = make_plan(world, starts, Settings(steps_per_move=(1, 2, 4)))
     exact = open_loop_exact(plan, world)
-    tally = make_engine(plan, world, Rolling("open", seed=5, luck="tolerance"), "numba").tally(0, 40_000)
+    tally = make_engine(plan, world, Rolling("open", seed=5), "numba").tally(0, 40_000)
     cells = np.arange(len(tally.visited))
     middle = float(tally.visited @ cells / 40_000)
     se = float(np.sqrt(tally.visited @ (cells - middle) ** 2)) / 40_000

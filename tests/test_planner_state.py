@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from oracle_tree import closed_loop_exact
+from rolling import VisitLoop
 from test_planner_mission import SETTINGS as DRIVEN
 from test_planner_mission import case
 
@@ -47,7 +48,7 @@ def test_a_rollout_goes_on_as_if_it_had_not_been_cut(more: dict[str, Any]) -> No
     cuts = 0
     for seed in range(3):
         world, plan = case(seed, **more)
-        whole = ReferenceLoop(plan, world, luck="step")  # by tolerance robots forget what they bore
+        whole = VisitLoop(plan, world)  # a state has no thresholds, so that rests draw them anew
         for rollout in range(2 if seed == 2 else 1):
             uncut = whole.run(seed, rollout)
             for step in STEPS[(seed + rollout) % 2 :: 2]:
@@ -57,24 +58,19 @@ def test_a_rollout_goes_on_as_if_it_had_not_been_cut(more: dict[str, Any]) -> No
                     continue
                 cuts += 1
                 rest = rest_of(world, state, **more)
-                readable = ReferenceLoop(rest, world, luck="step")
-                run = readable.run(seed, rollout)
+                run = VisitLoop(rest, world).run(seed, rollout)
                 assert (run.outcome, run.time) == (uncut.outcome, uncut.time)
                 for name in ("visited", "survived", "alive"):
                     np.testing.assert_array_equal(getattr(run, name), getattr(uncut, name))
                 for before, after in zip(uncut.paths, run.paths, strict=True):
                     np.testing.assert_array_equal(before[step + 1 :], after[step + 1 :])
-                loop = compile_closed_loop(rest, world, luck="step", tabled=seed != 1)
+                readable = ReferenceLoop(rest, world)
+                run = readable.run(seed, rollout)
+                loop = compile_closed_loop(rest, world, tabled=seed != 1)
                 tally, singles = run_range(loop, seed, rollout, 4, singles=True, threads=1)
                 assert singles is not None
                 found = [int(getattr(singles, name)[0]) for name in ("visited", "survived", "time", "alive", "outcome")]
-                assert found == [
-                    uncut.visited.sum(),
-                    uncut.survived.sum(),
-                    uncut.time,
-                    uncut.alive.sum(),
-                    uncut.outcome,
-                ]
+                assert found == [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome]
                 for trace in trace_rollouts(loop, seed, (rollout, rollout + 1)):
                     assert trace == readable.trace(seed, trace.rollout), (seed, rollout, step)
                     frames = make_frames(trace, state)
@@ -83,7 +79,7 @@ def test_a_rollout_goes_on_as_if_it_had_not_been_cut(more: dict[str, Any]) -> No
                     assert frames.visited[step] == len(state.visited)
                 assert tally.new_visited.sum() == tally.visited @ np.arange(len(tally.visited))
                 assert tally.new_survived.sum() == tally.survived @ np.arange(len(tally.survived))
-                assert new_cells(loop, seed, rollout, 1)[0].sum() == uncut.visited.sum()
+                assert new_cells(loop, seed, rollout, 1)[0].sum() == run.visited.sum()
     assert cuts > 4
 
 

@@ -120,7 +120,7 @@ def test_every_rollout_covers_what_it_covers_open_loop_and_more() -> None:
     for seed in range(8):
         world = map_of(seed)
         plan = wanderings(world, 3, 20, np.random.default_rng(seed))
-        alone = make_engine(plan, world, Rolling("open", "step", seed=SEED), "numba").results(0, 500)
+        alone = make_engine(plan, world, Rolling("open", seed=SEED), "numba").results(0, 500)
         closed = make_engine(plan, world, Rolling("closed", seed=SEED), "numba").results(0, 500)
         gained = np.concatenate([gained, closed.visited - alone.visited])
     assert gained.min() >= 0

@@ -59,7 +59,7 @@ def test_overlapping_ids_are_an_error(first: tuple[int, int], second: tuple[int,
 
 
 def test_different_things_are_an_error() -> None:
-    for other in (replace(EMPTY, key=tally_key("plan", "open", "step", 0)), replace(EMPTY, shape=(3, 2))):
+    for other in (replace(EMPTY, key=tally_key("plan", "closed", 1)), replace(EMPTY, shape=(3, 2))):
         with pytest.raises(TallyError, match="different things"):
             EMPTY + other
     with pytest.raises(TallyError, match="different teams"):

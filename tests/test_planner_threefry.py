@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rolling import uniform
 
-from planner.failure_model import key_of, threefry2x32, uniform
+from planner.failure_model import key_of, threefry2x32
 
 # Random123's known answers for threefry2x32, 20 rounds: (counter, key, result).
 KNOWN = [

@@ -12,7 +12,6 @@ from test_planner_luck import NAMES, known, world_of
 import mrac_jax as mrac
 from analysis.estimators.trial import SLACK, closed_tree
 from planner.errors import UsageError
-from planner.ids import LUCKS
 from planner.mrac.make_plan import make_plan
 from planner.settings import Settings
 from planner.simulator.closed_loop import compile_closed_loop, run_range
@@ -31,7 +30,7 @@ def mean(masses: np.ndarray) -> float:
 @pytest.mark.parametrize("name", NAMES)
 def test_expectations_are_those_of_an_independent_enumeration(name: str) -> None:
     world, exact = world_of(name), known(name)["exact"]
-    loop = compile_closed_loop(make_plan(world, world.starts), world, luck="tolerance")
+    loop = compile_closed_loop(make_plan(world, world.starts), world)
     tree = grow_tree(loop, 1e-7, 10**6)
     assert tree is not None
     for figure in ("visited", "survived"):
@@ -48,15 +47,14 @@ CASES: tuple[tuple[int, dict[str, Any], bool], ...] = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("luck", LUCKS)
 @pytest.mark.parametrize(("robots", "settings", "first_only"), CASES)
 def test_trees_are_what_the_readable_simulator_enumerates(
-    robots: int, settings: dict[str, Any], first_only: bool, luck: Any
+    robots: int, settings: dict[str, Any], first_only: bool
 ) -> None:
     world = random_world(4, 5, ThreatPattern("scattered", 3, (0.1, 0.3), 5), obstacles=0.1, threats=0.3)
     plan = make_plan(world, place_starts(world, robots)[0], Settings(**settings))
     oracle = closed_loop_exact(plan, world, first_only=first_only)
-    tree = grow_tree(compile_closed_loop(plan, world, first_only=first_only, luck=luck), 1e-7, 10**6)
+    tree = grow_tree(compile_closed_loop(plan, world, first_only=first_only), 1e-7, 10**6)
     assert tree is not None
     for figure in ("visited", "survived"):
         low, high = tree.covered(figure)
@@ -80,7 +78,7 @@ def test_trees_are_what_the_readable_simulator_enumerates(
 def test_a_tree_is_what_rollouts_come_to_cell_by_cell() -> None:
     world = random_world(12, 12, ThreatPattern("contiguous", 5, (0.05, 0.1, 0.2), 3))
     plan = make_plan(world, place_starts(world, 2)[0])
-    loop = compile_closed_loop(plan, world, luck="tolerance")
+    loop = compile_closed_loop(plan, world)
     tree, count = grow_tree(loop, SLACK * len(loop.cells), 10**6), 100_000
     assert tree is not None
     tally = run_range(loop, 6, 0, count)[0]
@@ -103,7 +101,7 @@ def test_a_tree_is_what_rollouts_come_to_cell_by_cell() -> None:
 
 def test_what_is_left_out_is_between_least_and_most() -> None:
     world = random_world(14, 14, ThreatPattern("scattered", 4, (0.1, 0.2), 3), threats=0.3)
-    loop = compile_closed_loop(make_plan(world, place_starts(world, 3)[0]), world, luck="tolerance")
+    loop = compile_closed_loop(make_plan(world, place_starts(world, 3)[0]), world)
     fine, coarse = grow_tree(loop, 1e-4, 10**7), grow_tree(loop, 1.0, 10**7)
     assert fine is not None
     assert coarse is not None
@@ -129,7 +127,7 @@ def test_what_is_left_out_is_between_least_and_most() -> None:
 
 def test_nothing_is_left_out_of_teams_of_two() -> None:
     world = random_world(20, 20, ThreatPattern("scattered", seed=1))
-    loop = compile_closed_loop(make_plan(world, place_starts(world, 2)[0]), world, luck="tolerance")
+    loop = compile_closed_loop(make_plan(world, place_starts(world, 2)[0]), world)
     tree = grow_tree(loop, 1.0, 10**6)
     assert tree is not None
     assert tree.left == 0
@@ -138,7 +136,7 @@ def test_nothing_is_left_out_of_teams_of_two() -> None:
 
 def test_no_tree_is_grown_where_all_is_left_at_the_first_cut() -> None:
     world = random_world(20, 20, ThreatPattern(seed=1))
-    loop = compile_closed_loop(make_plan(world, place_starts(world, 8)[0]), world, luck="tolerance")
+    loop = compile_closed_loop(make_plan(world, place_starts(world, 8)[0]), world)
     assert grow_tree(loop, 0.03, 10**9) is None
 
 
@@ -147,7 +145,7 @@ def test_no_tree_where_maps_are_in_doubt_or_teams_too_large() -> None:
     assert closed_tree(make_plan(world, place_starts(world, 20)[0]), world) is None
     doubt = with_hazard(World.create([[0.0, 0.2, 0.0]]), "persistent", 0.5)
     assert closed_tree(make_plan(doubt, [[0, 0]]), doubt) is None
-    loop = compile_closed_loop(make_plan(doubt, [[0, 0]]), doubt, luck="tolerance")
+    loop = compile_closed_loop(make_plan(doubt, [[0, 0]]), doubt)
     assert grow_tree(loop, 1.0, 1000) is None
 
 

@@ -145,7 +145,7 @@ def test_robots_of_one_type_are_robots_of_none_on_its_map() -> None:
             assert [r.path.tolist() for r in one.robots] == [r.path.tolist() for r in none.robots]
             for loop in ("closed", "open"):
                 tallies = [
-                    make_engine(plan, on, Rolling(loop, seed=3, luck="tolerance"), "numba").tally(0, 2000)
+                    make_engine(plan, on, Rolling(loop, seed=3), "numba").tally(0, 2000)
                     for plan, on in ((one, world), (none, plain))
                 ]
                 assert replace(tallies[0], key="") == replace(tallies[1], key="")
@@ -168,7 +168,7 @@ def test_the_open_loop_is_everything_that_can_happen_to_each_robot_alone() -> No
     exact = open_loop_exact(plan, world)
     assert exact.visited == pytest.approx((1 - missed).sum(), rel=1e-9)
     assert exact.survival.prod() == pytest.approx(alive, rel=1e-9)
-    tally = make_engine(plan, world, Rolling("open", seed=5, luck="tolerance"), "numba").tally(0, 40_000)
+    tally = make_engine(plan, world, Rolling("open", seed=5), "numba").tally(0, 40_000)
     shares = tally.visited / tally.visited.sum()
     cells = np.arange(len(shares))
     middle = float(shares @ cells)

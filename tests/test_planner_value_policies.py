@@ -108,7 +108,7 @@ def test_the_lanes_count_the_same(limits: dict[str, Any]) -> None:
         world = one.world.with_values(values_of(one.world, number))
         try:
             plan = make_plan(world, one.starts, Settings(**limits))
-            engine = JaxClosedLoop(compile_closed_loop(plan, world, luck="tolerance"), 7, streams=1, lanes=64)
+            engine = JaxClosedLoop(compile_closed_loop(plan, world), 7, streams=1, lanes=64)
         except WorldError:
             continue
         tally, results = engine.run(0, 128)

@@ -96,7 +96,7 @@ def test_events_that_do_not_fit_are_refused() -> None:
 @pytest.mark.parametrize("robots", [1, 4])
 def test_open_loop_traces_come_to_what_the_engine_counts(robots: int) -> None:
     world, plan = small_task(robots, (9, 14), seed=6)
-    results = rollout_results(compile_plan(plan, world), seed=9, start=100, count=60, mode="tolerance")
+    results = rollout_results(compile_plan(plan, world), seed=9, start=100, count=60)
     for place, rollout in enumerate(range(100, 160)):
         trace = open_loop_trace(plan, world, 9, rollout)
         frames = make_frames(trace)

@@ -45,7 +45,6 @@ def test_rollouts_come_back_as_they_were(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("few_lanes", "small_traces")
 def test_same_input_same_bytes_whatever_the_engine(tmp_path: Path) -> None:
     choices = {"ids": (), "picks": parse_picks("worst,best,random"), "evaluated": 300, "outcomes": True}
-    choices["luck"] = "tolerance"
     small_recording(tmp_path / "a.mcap", **choices)
     small_recording(tmp_path / "b.mcap", **choices)
     small_recording(tmp_path / "jax.mcap", **choices, engine="jax")
@@ -128,7 +127,7 @@ def test_the_open_loop(tmp_path: Path, foreign: bool) -> None:
     chosen = foreign_plan(world, plan) if foreign else plan
     request = Request(picks=parse_picks("worst"), evaluated=500, outcomes=True, loop="open", seed=SEED)
     done = record(world, chosen, request, tmp_path / "r.mcap")
-    truth = rollout_results(compile_plan(chosen, world), seed=SEED, count=500, mode="tolerance")
+    truth = rollout_results(compile_plan(chosen, world), seed=SEED, count=500)
     found = read_outcomes(tmp_path / "r.mcap")
     assert np.array_equal(found.visited, truth.visited)
     (one,) = read_rollouts(tmp_path / "r.mcap")

@@ -31,7 +31,7 @@ from planner.mcap import LogMessage
 @pytest.fixture(scope="module")
 def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recording") / "good.mcap"
-    small_recording(path, picks=parse_picks("worst,best"), ids=(), evaluated=200, outcomes=True, luck="tolerance")
+    small_recording(path, picks=parse_picks("worst,best"), ids=(), evaluated=200, outcomes=True)
     return path
 
 
@@ -71,7 +71,7 @@ def test_replays_on_fifty_worlds_and_both_engines(tmp_path: Path, one: Any) -> N
 
 def check_world(folder: Path, one: Any, engines: tuple[Any, ...]) -> None:
     """A recording of each engine is the same file, and each engine replays it."""
-    request = Request(ids=(0, 5), seed=one.seed, first_only=one.first_only, luck="tolerance")
+    request = Request(ids=(0, 5), seed=one.seed, first_only=one.first_only)
     files = []
     for engine in engines:
         path = folder / f"{engine}.mcap"

@@ -11,12 +11,10 @@ from PIL import Image
 from refusals import refused
 
 from analysis.cli.app import run
-from analysis.experiments import reproduction
 from analysis.experiments.reproduction import SETTINGS, Reproduction, Setting, put_right, reproduce
 from analysis.statistics.control_variate import expected_pieces, pieces
 from analysis.statistics.estimates import over_maps
-from analysis.sweeps.engine import run_cases
-from analysis.sweeps.store import Memory, Store
+from analysis.sweeps.store import Store
 from analysis.theory.exact import open_loop_exact
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
@@ -92,15 +90,6 @@ def test_intervals_over_maps_hold_and_the_control_does_not_bend_them() -> None:
                 moved = np.concatenate([means for means, _ in found]) - raw
                 assert held >= 0.95 - 3 * (0.95 * 0.05 / groups) ** 0.5, (setting, loop, figure)
                 assert abs(moved.mean()) <= 4 * moved.std() / len(moved) ** 0.5, (setting, loop, figure)
-
-
-def test_a_store_of_an_earlier_release_is_gone_on_with_by_step() -> None:
-    with Memory() as store:
-        jobs = reproduction._jobs(SETTINGS["fig7"], 1, 4, 0, "step")
-        begun = run_cases(jobs, store, processes=1)
-        again = reproduce("fig7", maps=2, rollouts=4, store=store, processes=1)
-        assert again.finished.reused == begun.rollouts > 0
-        assert {run.what["mode"] for run in store.runs()} == {"step"}
 
 
 @pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])

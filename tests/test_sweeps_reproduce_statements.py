@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rolling import uniform
 
 from analysis.experiments.reproduction import COVERAGE, Finding, Point, StatementVerdict, columns_of, findings, runs_of
 from analysis.statistics.estimates import over_maps
 from analysis.sweeps.store import Run
 from analysis.sweeps.store_files import sums_of
-from planner.failure_model import uniform
 from planner.mrac.make_plan import make_plan
 from planner.simulator.closed_loop import compile_closed_loop, run_range
 from planner.world.world import World

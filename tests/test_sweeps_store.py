@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from analysis.cli.app import run
 from analysis.sampling import RolloutChoices
 from analysis.sweeps import store as store_file
 from analysis.sweeps.cases import (
@@ -34,6 +37,7 @@ from analysis.sweeps.spec import read_spec
 from analysis.sweeps.store import Memory, Store, StoreError
 from analysis.sweeps.store_files import add_sums, joined, pack, sums_of, unpack, without
 from analysis.sweeps.sweep import Sweep, run_sweep
+from planner.errors import PER_VISIT
 from planner.tally import Tally
 
 CASE = generated_case("contiguous", 0.2, 2, seed=3, size=(7, 9))
@@ -76,8 +80,6 @@ def test_key_is_of_content_alone() -> None:
     base = key_of()
     assert key_of(replace(CASE, labels=(("other", 1),))) == base
     assert base != key_of(model=RolloutChoices(seed=6)) != key_of(model=RolloutChoices(seed=5, loop="open"))
-    by_step = [RolloutChoices(loop="open", seed=5, luck="step", mode=mode) for mode in (None, "fast", "step")]
-    assert len({key_of(model=model) for model in by_step}) == 2
     assert key_of(model=RolloutChoices(first_only=True, seed=5)) != base != key_of(replace(CASE, robots=3))
     team = Places().team(CASE)
     again = Team(team.world, team.starts.copy(), team.settings)
@@ -410,3 +412,25 @@ def test_runs_of_a_store_that_was_merged_are_told_apart_too(tmp_path: Path) -> N
             assert store.merge(earlier)[0] == 5
         found = collect(store, {"return_to": ("home",)})
         assert [(row.labels["rules"], row.maps) for row in found.rows] == [("0.4", 1), ("before 0.4", 1)]
+
+
+@pytest.mark.parametrize("mode", ["step", "fast"])
+def test_a_store_of_rollouts_drawn_visit_by_visit_names_the_release(
+    mode: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old = tmp_path / "old.store"
+    shutil.copy(EARLIER_STORE, old)
+    with closing(sqlite3.connect(old)) as connection, connection:
+        connection.execute(f"""UPDATE runs SET what = replace(what, '"tolerance"', '"{mode}"') WHERE rowid = 2""")
+    for opened in (Store.open, Store.rescue):
+        with pytest.raises(StoreError, match=re.escape(PER_VISIT)):
+            opened(old)
+    (tmp_path / "sweep.yaml").write_text(SAME)
+    for words in (
+        ["results", old],
+        ["results", tmp_path / "new", "--merge", old],
+        ["sweep", tmp_path / "sweep.yaml", "--store", old],
+    ):
+        assert run([str(word) for word in words]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line == f"error: {old}: {PER_VISIT}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from dataclasses import replace
+import re
 from pathlib import Path
 from typing import Any, get_args
 
@@ -28,7 +28,7 @@ from analysis.sweeps.results import KEPT, Moments, collect, figures_of, single_m
 from analysis.sweeps.spec import read_spec
 from analysis.sweeps.store import Memory, Store
 from analysis.sweeps.sweep import run_sweep
-from planner.errors import InputError
+from planner.errors import PER_VISIT, InputError, ScenarioError
 from planner.mrac.make_plan import make_plan
 from planner.rollouts.threshold_classes import luck_classes
 from planner.settings import Settings
@@ -292,24 +292,11 @@ def test_no_collapse_on_one_map_where_every_rollout_is_the_same(tmp_path: Path) 
         assert found.mean == 1 and found.ci95[0] == pytest.approx(1 + math.log(0.025) / 100)
 
 
-def test_a_store_begun_by_step_is_gone_on_with_by_step(tmp_path: Path) -> None:
-    """So a sweep of a release before 0.3, whose luck was by step, is not begun again; one that says its luck is."""
-    text = SPEC.replace("threat_checks: [every_visit, first_visit]", "loop: [closed, open]")
-    spec, old = (
-        read_spec(spec_file(tmp_path, words)) for words in (text, text.replace("base: {", "base: {luck: step, "))
-    )
-    with Memory() as store:
-        begun = run_sweep(replace(old, maps=2), store, processes=1)
-        on = run_sweep(spec, store, processes=1)
-        assert on.finished.reused == begun.finished.rollouts
-        assert {run.what["mode"] for run in store.runs()} == {"step", "fast"}
-        means = [[row.estimate("visited") for row in each.rows] for each in (on, run_sweep(old, store, processes=1))]
-        assert means[0] == means[1]
-        said = run_sweep(replace(spec, base=spec.base | {"luck": "tolerance"}), store, processes=1)
-        assert said.finished.reused == 0 and {run.what["mode"] for run in store.runs()} == {"step", "fast", "tolerance"}
-    with Memory() as store:
-        run_sweep(replace(spec, maps=2), store, processes=1)
-        assert {run.what["mode"] for run in store.runs()} == {"tolerance"}
+@pytest.mark.parametrize("luck", ["step", "tolerance"])
+def test_a_spec_that_names_the_randomness_names_the_release(luck: str, tmp_path: Path) -> None:
+    for text in (SPEC.replace("base: {", f"base: {{luck: {luck}, "), f"{SPEC}  luck: [{luck}]\n"):
+        with pytest.raises(ScenarioError, match=re.escape(PER_VISIT)):
+            read_spec(spec_file(tmp_path, text))
 
 
 def test_scenarios_and_plans_of_others(tmp_path: Path) -> None:
@@ -364,7 +351,7 @@ def test_plans_for_the_open_loop_are_swept_in_both_loops(tmp_path: Path) -> None
     world = random_world(6, 8, ThreatPattern(seed=4, levels=(0.3, 0.5)))
     world.save(tmp_path / "world.npz")
     text = """
-base: {input: world.npz, robots: 2, plan_for: open, effort: 200, luck: tolerance}
+base: {input: world.npz, robots: 2, plan_for: open, effort: 200}
 rollouts: 200
 sweep: {loop: [open, closed]}
 """
@@ -373,7 +360,7 @@ sweep: {loop: [open, closed]}
     means = [row.estimate("visited").mean for row in rows]
     plan = mrac.plan(world, robots=2, plan_for="open", effort=200)
     for mean, loop in zip(means, ("open", "closed"), strict=True):
-        answer = mrac.evaluate(world, plan, loop=loop, luck="tolerance", rollouts=200, engine="numba")  # type: ignore[arg-type]
+        answer = mrac.evaluate(world, plan, loop=loop, rollouts=200, engine="numba")  # type: ignore[arg-type]
         visited = answer.tally.visited  # counted: what is reported is exact
         cells = np.average(np.arange(len(visited)), weights=visited)
         assert mean == pytest.approx(cells / world.accessible(plan.starts).sum(), abs=1e-12)

@@ -14,7 +14,6 @@ from typing import Any, Literal, TypedDict, TypeVar
 from analysis.sampling import Exactness
 from analysis.utils.notes import ProgressCallback, UnknownArgument
 from analysis.utils.progress import OnInterrupt
-from planner.ids import LuckName
 from planner.policies.rules import InAreaOrder
 from planner.rollouts.names import EngineName
 from planner.settings import Policy
@@ -58,7 +57,6 @@ class RolledOptions(TypedDict, total=False):
     deadline: int | str | None
     first_visit: bool
     engine: EngineName
-    luck: LuckName | None
     exact: Exactness
     progress: ProgressCallback | bool | None
     on_interrupt: OnInterrupt

@@ -19,7 +19,6 @@ from analysis.utils.progress import OnInterrupt, ask
 from planner.arguments import argument, as_whole
 from planner.errors import UsageError
 from planner.files import check_new
-from planner.ids import LuckName
 from planner.mission.mission import PATIENCE
 from planner.plan.plan import Plan
 from planner.plan.state import MissionState
@@ -139,8 +138,8 @@ def plan(
         deadline: the step at which the mission is ended: the plan, and all that is made of it, keep to it. Here as
             everywhere it may be a time, "45min", where the world knows how long a step takes (`load`).
         wear: shape of the Weibull amount of exposure that robots bear; above 1 they wear out, and p is a dose.
-        susceptibility: how many times exposure counts, one number for all, or one a robot. No decision knows the two;
-            rollouts need `luck="tolerance"`.
+        susceptibility: how many times exposure counts, one number for all, or one a robot. No decision knows the
+            two.
         return_to: robots come home, "home" to their own starts, to the "nearest" start of anybody, or of the bases
             `[[row, col], ...]`: they turn once everything is covered or nothing more can be done, or while range and
             deadline still leave them the way.
@@ -221,7 +220,6 @@ def record(
     loop: Loop | None = None,
     seed: int = 0,
     engine: EngineName = "auto",
-    luck: LuckName = "tolerance",
     first_visit: bool = False,
     step_seconds: float | None = None,
     force: bool = False,
@@ -236,7 +234,7 @@ def record(
             (default: those three). outcomes: keep what each of the `rollouts` came to (`read_outcomes`).
         step_seconds: how long a step takes in the viewer; None: as long as the world says, or 1.
         force: replace a recording or layout that is there already; without it that is an InputError.
-        loop, seed, engine, luck, first_visit, progress, on_interrupt: as of `evaluate`.
+        loop, seed, engine, first_visit, progress, on_interrupt: as of `evaluate`.
     """
     from analysis.recording.names import SUFFIX, check_name, layout_name
     from analysis.recording.record import Request, parse_picks
@@ -254,7 +252,7 @@ def record(
         made = not given.is_foreign
         seconds = of.with_pace(step_seconds).pace.seconds or 1.0
         how: Any = {"loop": loop or given.usual_loop, "seed": seed, "step_seconds": seconds, "made": made}
-        how |= {"outcomes": outcomes, "engine": engine, "luck": luck, "first_only": first_visit}
+        how |= {"outcomes": outcomes, "engine": engine, "first_only": first_visit}
         request = Request(chosen, picks, count, **how)
         done = record_rollouts(of, given, request, path, progress=tell, doing=doing)
         write_layout(layout_name(done.path), of, len(given.robots))

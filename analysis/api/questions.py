@@ -14,12 +14,11 @@ from numpy.typing import ArrayLike
 from analysis.api.options import FrontOptions, Loop, SearchOptions, SizeOptions, takes
 from analysis.api.plans import check_world, judge, plan, plan_of, settings_of
 from analysis.evaluation.answer import Evaluation
-from analysis.sampling import Exactness, RolloutChoices, how_much, luck_of
+from analysis.sampling import Exactness, RolloutChoices, how_much
 from analysis.utils.notes import Doing, ProgressCallback, UnknownArgument
 from analysis.utils.progress import Found, OnInterrupt, ask
 from planner.arguments import argument, check_word
 from planner.errors import UsageError
-from planner.ids import LuckName
 from planner.plan.plan import Plan
 from planner.plan.state import MissionState
 from planner.rollouts.names import EngineName
@@ -53,8 +52,6 @@ def evaluate(
     precision: float | None = None,
     seconds: float | None = None,
     exact: Exactness = "auto",
-    mode: Literal["fast", "step"] | None = None,
-    luck: LuckName | None = None,
     engine: EngineName = "auto",
     seed: int = 0,
     deadline: int | str | None = None,
@@ -83,10 +80,7 @@ def evaluate(
         seconds: of rolling out, after which it stops too.
         exact: whether the closed loop's exact values, which small teams have, are looked for: "auto" for about 2 s,
             "never", or for about so many seconds. The same work on every machine, so that no answer depends on it.
-        luck: "tolerance": a number for every robot says how much danger it bears before it is stopped; "step": one for
-            every visit, as releases before 0.3 had it. The law is the same. None: tolerance.
-        mode: of luck by step in the open loop: "fast" or "step". seed: of the rollouts.
-        engine: "auto" takes JAX where it has an accelerator, else Numba.
+        engine: "auto" takes JAX where it has an accelerator, else Numba. seed: of the rollouts.
         deadline: a step at which coverage is reported too; robots that come home know it, and are home by then.
         first_visit: only the first visit of a cell by anybody can stop a robot.
         threat_scale: also if all threats are so many times the map's.
@@ -121,9 +115,8 @@ def evaluate(
         doing("planning")
         of, made = plan_of(world, plan) if state is None else (world, _rest(world, state))
         choices = RolloutChoices(
-            loop=loop or made.usual_loop, **amount, exact=exact, mode=mode, luck=luck_of(luck, mode), engine=engine,
-            seed=seed,
-            deadline=deadline, first_only=first_visit,
+            loop=loop or made.usual_loop, **amount, exact=exact, engine=engine, seed=seed, deadline=deadline,
+            first_only=first_visit,
         )  # fmt: skip
         return evaluate_plan(of, made, choices, bound=bound, progress=tell, doing=doing, **asked)
 
@@ -166,8 +159,6 @@ def compare(
     precision: float | None = None,
     seconds: float | None = None,
     exact: Exactness = "auto",
-    mode: Literal["fast", "step"] | None = None,
-    luck: LuckName | None = None,
     engine: EngineName = "auto",
     seed: int = 0,
     deadline: int | str | None = None,
@@ -184,7 +175,7 @@ def compare(
         rollouts: how many; or `precision`: until the 95 % interval of the difference of mean coverage is within so much
             of it. Neither: 100,000, as far as 10 seconds go.
         first_visit: as of `evaluate`, of both; `first_visit_b`: of b alone.
-        seconds, exact, mode, luck, engine, seed, deadline, progress, on_interrupt: as of `evaluate`.
+        seconds, exact, engine, seed, deadline, progress, on_interrupt: as of `evaluate`.
     """
     from analysis.comparison import Side, make_side
     from analysis.comparison import compare as compare_sides
@@ -197,8 +188,8 @@ def compare(
     def make(side: tuple[World, Plan | str | Path | int | None], loop: Loop | None, first_only: bool) -> Side:
         world, plan = plan_of(*side)
         choices = RolloutChoices(
-            loop=loop or plan.usual_loop, **amount, mode=mode, luck=luck_of(luck, mode), engine=engine, seed=seed,
-            deadline=deadline, first_only=first_only,
+            loop=loop or plan.usual_loop, **amount, engine=engine, seed=seed, deadline=deadline,
+            first_only=first_only,
         )  # fmt: skip
         return make_side(world, plan, choices)
 
@@ -254,8 +245,7 @@ def _settings(world: World, options: Mapping[str, Any]) -> Settings:
 def _rollouts(options: Mapping[str, Any], **how: Any) -> RolloutChoices:
     """The rollouts among the options; `how`: more of them. Raises UsageError."""
     given = {name: options[name] for name in ("seed", "engine", "deadline", "exact")}
-    luck = luck_of(options["luck"], how.get("mode"))
-    return RolloutChoices(first_only=options["first_visit"], **{**given, "luck": luck, **how})
+    return RolloutChoices(first_only=options["first_visit"], **{**given, **how})
 
 
 def _ask(search: Callable[..., Answered], options: Mapping[str, Any]) -> Answered:
@@ -277,7 +267,6 @@ def size(
     loop: Loop | None = None,
     rollouts: int | None = None,
     precision: float | None = None,
-    mode: Literal["fast", "step"] | None = None,
     **options: Unpack[SizeOptions],
 ) -> TeamSize:
     """The smallest team that covers `target` on average, or with the chance `confidence`; `complete`: every cell.
@@ -285,8 +274,8 @@ def size(
     Args:
         meaning: of "covered". most: robots to look at.
         starts: `[[row, col], ...]`, of which a team takes the first; default: the world's own, else its start rule.
-        loop, mode: as of `evaluate`. rollouts: of each team, at most (default: 100,000); or `precision`.
-        options: settings, as of `plan`; seed, deadline, first_visit, engine, luck, exact (of each team), progress,
+        loop: as of `evaluate`. rollouts: of each team, at most (default: 100,000); or `precision`.
+        options: settings, as of `plan`; seed, deadline, first_visit, engine, exact (of each team), progress,
             on_interrupt, as of `evaluate`.
     """
     from analysis.search.team_size import find_size, make_goal
@@ -295,7 +284,7 @@ def size(
     goal = make_goal(target, confidence, complete, meaning, most)
     amount = how_much(rollouts, precision, None, usual=100_000) | {"seconds": None}
     loop = loop or ("open" if settings.plan_for == "open" else "closed")
-    choices = _rollouts(options, loop=loop, mode=mode, **amount)
+    choices = _rollouts(options, loop=loop, **amount)
     if starts is not None:
         world = world.with_starts(check_starts(starts, world.met, "starts"))
 
@@ -324,7 +313,7 @@ def front(
             that loses the fewest with so much covered. `answer.picked` is it, `answer.plan_of(answer.picked)` its plan.
         reserves, worths: to look at (default: as the map suggests).
         rollouts: of each setting, the same for all; None: 4,096, fewer above 2,048 accessible cells.
-        options: settings, as of `plan`; deadline, at which every mission ends; seed, first_visit, engine, luck, exact
+        options: settings, as of `plan`; deadline, at which every mission ends; seed, first_visit, engine, exact
             (of all that is compared together), progress, on_interrupt, as of `evaluate`.
     """
     from analysis.search.pareto import Ladders, find_front, make_goal, usual_rollouts

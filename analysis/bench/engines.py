@@ -146,10 +146,10 @@ def contenders(world: World, plan: Plan, loop: str) -> Iterator[Contender]:
     make: Callable[[EngineName, int | None], Engine]
     if loop == "open":
         compiled = compile_plan(plan, world)
-        make = lambda engine, threads: open_loop_engine(compiled, SEED, "tolerance", engine, threads)  # noqa: E731
+        make = lambda engine, threads: open_loop_engine(compiled, SEED, engine, threads)  # noqa: E731
         slow = naive([robot.path[: compiled.last_step + 1] for robot in plan.robots], world.threat.reshape(-1))
     else:
-        closed = compile_closed_loop(plan, world, luck="tolerance")
+        closed = compile_closed_loop(plan, world)
         make = lambda engine, threads: closed_loop_engine(closed, SEED, engine, threads)  # noqa: E731
         slow = readable(world, plan)
     if world.threat.size <= LARGE:

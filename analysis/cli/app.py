@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -18,7 +19,7 @@ from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, Unknow
 
 from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, may_replace, output_console
 from analysis.cli.decisions import Altitude, attack, clear, drive, export, starts, studio
-from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, First, deliver, print_json
+from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json, show
 from analysis.cli.experiments import reproduce, results, suite, sweep
 from analysis.cli.groups import (
     Checking,
@@ -55,12 +56,13 @@ from analysis.cli.options import (
 from analysis.cli.recording import inspect, record, recover, replay
 from analysis.utils.notes import elsewhere, say
 from planner.arguments import COMMAND_LINE
-from planner.errors import InputError, UsageError
+from planner.errors import PER_VISIT, InputError, UsageError
 from planner.settings import BEST
 
 if TYPE_CHECKING:
     from analysis.comparison import Side
     from analysis.evaluation.answer import Evaluation
+    from analysis.report.model import Report
     from planner.world.world import World
 
 NO_CACHE_OPTION = "--no-cache"
@@ -110,7 +112,6 @@ def evaluate(
     from analysis.cli.progress import load_or_make_plan
     from analysis.evaluation.evaluate import check_asked
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
-    from analysis.evaluation.outputs.advice import is_quick
     from analysis.evaluation.outputs.information import parse_ranges
     from analysis.evaluation.outputs.what_if import parse_scales
     from analysis.evaluation.report import report
@@ -136,22 +137,24 @@ def evaluate(
     world, made, notes = load_or_make_plan(wanted, plan, state, first=first, seconds=sought)
     notes = tuple(note for note in notes if note not in told)
     choices = what.choices(made.is_foreign, None)
-    printed: list[First] = []
+    earlier: Report | None = None
 
-    def show_first(found: Evaluation) -> None:
-        printed.append(First(report(found, theory), tables=not is_quick(found)))
-        with progress.paused():
-            printed[0].show()
+    def show_soon(found: Evaluation) -> None:
+        nonlocal earlier
+        so_far = report(found, theory, bounds=False)
+        with progress.paused(), suppress(BrokenPipeError):  # the end of the command says that nobody reads it
+            show(so_far, as_json=False, earlier=earlier)
+        earlier = so_far
 
     with show_progress() as progress:
         answer = evaluate_plan(
-            world, made, choices, progress=progress, doing=progress.doing, early=progress.doing, bound=bound or None,
-            band=out is not None, advice=advice, first=None if as_json else show_first, **asked,
+            world, made, choices, progress=progress, doing=progress.doing, bound=bound or None,
+            band=out is not None, advice=advice, show=None if as_json else show_soon, **asked,
         )  # fmt: skip
-    said, shown = report(answer, theory), printed[0] if printed else None
     return deliver(
-        answer, said, out=out, as_json=as_json, notes=notes, source=source, beside=(plan, state), first=shown
-    )
+        answer, report(answer, theory), out=out, as_json=as_json, notes=notes, source=source, beside=(plan, state),
+        earlier=earlier,
+    )  # fmt: skip
 
 
 @app.command
@@ -457,7 +460,8 @@ for command in (*PLANS, *MISSIONS, reproduce, results):
 
 
 LEFT = {"graph": "orienteering on graphs left with release 0.4; use release 0.3"}
-"""Commands of older releases, and where they are."""
+LEFT |= dict.fromkeys(("--luck", "--mode"), PER_VISIT)
+"""Commands and options of older releases, and where they are."""
 
 
 def _missing(error: MissingArgumentError) -> str:
@@ -470,6 +474,8 @@ def _missing(error: MissingArgumentError) -> str:
 def _unknown(error: UnknownOptionError) -> str:
     """The line for an option that a command does not have: what is meant, if need be another command's option."""
     given, command = (error.token.keyword or error.token.value).split("=")[0], " ".join(error.command_chain or ())
+    if given in LEFT:
+        return f"{given}: {LEFT[given]}"
     options = {
         name: [one for argument in app[name].assemble_argument_collection() for one in argument.names if one[:1] == "-"]
         for name in app

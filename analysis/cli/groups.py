@@ -25,9 +25,7 @@ from analysis.cli.options import (
     Hits,
     Kind,
     Loop,
-    Luck,
     Meaning,
-    Mode,
     Names,
     Number,
     Numbers,
@@ -211,9 +209,6 @@ class Rollouts(_Rolled):
     """What is rolled out.
 
     Attributes:
-        luck: Who is stopped: by how much danger each robot bears (tolerance, the default), or by a number for every
-            visit (step), as before 0.3. The law is the same; differences on common luck are sharper by tolerance.
-        mode: Luck by step in the open loop: one draw a robot (fast), or one a dangerous entry (step).
         rollouts: How many (default: 100000).
         precision: Instead of a number: stop when the half-width of the 95 % interval of mean coverage is below this.
         deadline: Report coverage by the end of this step too, or by a time: 45min, 1h30min, 90s. Robots that come home
@@ -224,8 +219,6 @@ class Rollouts(_Rolled):
     """
 
     loop: RunLoop = None
-    luck: Annotated[Luck | None, Parameter(group=ROLLOUTS)] = None
-    mode: Annotated[Mode, Parameter(group=ROLLOUTS)] = None
     rollouts: Annotated[Whole, Parameter(group=ROLLOUTS)] = None
     precision: Annotated[Number, Parameter(group=ROLLOUTS)] = None
     deadline: Annotated[Deadline, Parameter(group=ROLLOUTS)] = None
@@ -245,12 +238,7 @@ class Rollouts(_Rolled):
 
         `usual`: rollouts if nothing else is asked for; None: until they are precise enough.
         """
-        from analysis.sampling import luck_of
-
-        loop = self.loop or ("open" if foreign else "closed")
-        if loop == "closed" and self.mode == "fast":
-            raise UsageError("--mode fast is for the open loop", fix="leave it out, or use --loop open")
-        return self.rolled(loop=loop, luck=luck_of(self.luck, self.mode), **self.amount(usual))
+        return self.rolled(loop=self.loop or ("open" if foreign else "closed"), **self.amount(usual))
 
 
 @Parameter(name="*")
@@ -284,7 +272,6 @@ class CommonLuck(_Rolled):
         rollouts: The same for all that is compared (default: 4096).
         deadline: End every mission at this step, or by a time: 45min, 1h30min, 90s.
         engine: Which engine; the counts are the same (default: auto).
-        luck: By which robots are stopped: step as before 0.3 (default: tolerance).
         exact: Instead of rollouts look for exact values, which small teams have: auto (about 2 s for all that is
             compared), never, or for about so many seconds.
     """
@@ -294,7 +281,6 @@ class CommonLuck(_Rolled):
     seed: Seed = None
     engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Hits = "every_visit"
-    luck: Annotated[Luck, Parameter(group=ROLLOUTS)] = "tolerance"
     exact: Annotated[Exact, Parameter(group=ROLLOUTS)] = "auto"
 
     def choices(self, usual: int | None = None) -> RolloutChoices:

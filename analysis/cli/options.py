@@ -15,7 +15,6 @@ from cyclopts import Group, Parameter, Token
 from planner.arguments import did_you_mean
 from planner.errors import UsageError
 from planner.formatting import SPANS, seconds_of
-from planner.ids import LUCKS, LuckName
 from planner.rollouts.names import ENGINES, EngineName
 
 if TYPE_CHECKING:
@@ -152,8 +151,6 @@ Number = Annotated[float | None, Parameter(converter=number)]
 Text = Annotated[str | None, Parameter(converter=verbatim)]
 OutPath = Annotated[Path | None, Parameter(converter=path, group=OUTPUT)]
 Loop = Annotated[Literal["closed", "open"] | None, Parameter(converter=one_of("closed", "open"))]
-Mode = Annotated[Literal["fast", "step"] | None, Parameter(converter=one_of("fast", "step"))]
-Luck = Annotated[LuckName, Parameter(converter=one_of(*LUCKS))]
 Meaning = Annotated[Literal["visited", "survived"], Parameter(converter=one_of("visited", "survived"))]
 Kind = Annotated[Literal["contiguous", "scattered"], Parameter(converter=one_of("contiguous", "scattered"))]
 Removed = Annotated[Literal["areas", "sources"] | None, Parameter(converter=one_of("areas", "sources"))]
@@ -251,7 +248,6 @@ class Recording:
         rollouts: Evaluated for pick, tally and outcomes (default: 4096; with --ids and without --outcomes none).
         outcomes: Keep what every evaluated rollout came to.
         engine: Which engine; the file is the same (default: auto, numba).
-        luck: By which robots are stopped: tolerance, or step as before 0.3 (default: tolerance).
     """
 
     ids: Annotated[Text, Parameter(group=RECORDING)] = None
@@ -262,7 +258,6 @@ class Recording:
     seed: Seed = None
     engine: Annotated[Engine, Parameter(group=ROLLOUTS)] = "auto"
     threat_checks: Hits = "every_visit"
-    luck: Annotated[Luck, Parameter(group=ROLLOUTS)] = "tolerance"
 
     def request(self, foreign: bool, step_seconds: float | None = None) -> Request:
         """The same as a plain type, checked, but for the plan's origin.
@@ -287,7 +282,6 @@ class Recording:
             seed=self.seed or 0,
             engine=self.engine,
             first_only=self.threat_checks == "first_visit",
-            luck=self.luck,
             step_seconds=1.0 if step_seconds is None else step_seconds,
         )
         request.check()

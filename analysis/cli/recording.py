@@ -106,7 +106,7 @@ def record(
     asked = [str(file) for file in (picture, animation) if file is not None]
     if asked and not done.partial:
         say([f"drawing {' and '.join(asked)} ..."])
-        stage = Stage(world, made, request.loop, request.seed, request.first_only, request.luck)
+        stage = Stage(world, made, request.loop, request.seed, request.first_only)
         try:
             for drawing in save_pictures(done.first, stage, picture, animation):
                 say([f"wrote {drawing}"])

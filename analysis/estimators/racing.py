@@ -1,7 +1,7 @@
 """The best of many on common luck: successive halving, with verdicts that hold together.
 
 Where all are known exactly (`analysis.estimators.trial`) there is nothing to race for. Else
-all contenders roll out the same ids with the same seed, so robot i meets the same luck in all of them (SPEC section 6)
+all contenders roll out the same ids with the same seed, so robot i meets the same luck in all of them (SPEC section 14)
 and what they differ in is what is compared. At every look the better half goes on, with twice the rollouts (Karnin,
 Koren & Somekh, "Almost optimal exploration in multi-armed bandits", ICML 2013). That one is put aside is no verdict:
 whether the best beats it is said by an interval of their paired difference, and all of these hold together with 95 %.

@@ -127,7 +127,7 @@ def _loop_of(plan: Plan, world: World, first_only: bool, kept: AllPairs | None) 
     if (world.doubt is not None and world.phases is None) or int(world.accessible(plan.starts).sum()) > MOST_CELLS:
         return None
     try:
-        return compile_closed_loop(plan, world, first_only=first_only, kept=kept, luck="tolerance")
+        return compile_closed_loop(plan, world, first_only=first_only, kept=kept)
     except PlanError:  # a rule that is not compiled
         return None
 
@@ -298,10 +298,10 @@ def stated(between: Between, unit: float, most: float) -> Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """The same figures of `n` rollouts, put right by their luck where that is by tolerance.
+    """The same figures of `n` rollouts, put right by their luck in the closed loop.
 
     Attributes:
-        tally, results: of them; results may be left out where nothing is compared. seed: of luck by tolerance, or None.
+        tally, results: of them; results may be left out where nothing is compared. seed: of the closed loop, or None.
         valued: the map has values. certain: every run is the same. seconds: that they took.
     """
 
@@ -387,7 +387,7 @@ class Sampled:
         return float({"value": UNITS, "lost": self.tally.robots}.get(figure, self.tally.accessible))
 
     def _luck(self, *columns: NDArray[np.int64]) -> CommonLuck | None:
-        """Sums of one column, or of two, by the luck of their rollouts; None of few, or of luck by step."""
+        """Sums of one column, or of two, by the luck of their rollouts; None of few, or of the open loop."""
         n = len(columns[0])
         if self.seed is None or n < LEAST:
             return None
@@ -425,9 +425,8 @@ class Trial:
         self._last: tuple[tuple[int, int], Sampled | None] = ((0, 0), None)
         self.loop = None
         if choices.loop == "closed":
-            how = choices
             compiles_for(plan)
-            self.loop = loop or compile_closed_loop(plan, world, first_only=how.first_only, kept=kept, luck=how.luck)
+            self.loop = loop or compile_closed_loop(plan, world, first_only=choices.first_only, kept=kept)
             whole: Engine = closed_loop_engine(self.loop, choices.seed, choices.engine)
         else:
             whole = make_engine_for(world, plan, choices)
@@ -508,7 +507,7 @@ class Trial:
 
     @property
     def _luck_seed(self) -> int | None:
-        return self.choices.seed if self.loop is not None and self.choices.luck == "tolerance" else None
+        return None if self.loop is None else self.choices.seed
 
     @property
     def _valued(self) -> bool:

@@ -18,7 +18,7 @@ from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, home_of, make_singles
 from analysis.statistics.control_variate import Controlled, of_tally
 from analysis.statistics.estimates import Amount, Estimate, exactly
-from analysis.theory.bounds import Bounds
+from analysis.theory.bounds import Bounds, all_bounds
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.formulas import FORMULAS
 from analysis.theory.upper_bound import AnyStrategy, any_strategy, trimmed
@@ -52,9 +52,8 @@ class Evaluation(Answer):
     """One evaluated plan.
 
     Attributes:
-        world, plan: what was evaluated. closed_form: the open loop's exact values. formulas: the paper's.
-        loop: "open" or "closed". mode: "tolerance"; by step "fast" or "step" (closed: "step").
-        engine: "jax" or "numba". seed: of the rollouts.
+        world, plan: what was evaluated. closed_form: the open loop's exact values.
+        loop: "open" or "closed". engine: "jax" or "numba". seed: of the rollouts.
         tally: the counts. outputs: what else was asked for, by key (`analysis.evaluation.outputs`).
         choices: what was asked for. closed: the closed loop's expected values where they are known exactly, else None.
         seconds: spent on rollouts, compilation left out. compile_seconds: spent on that.
@@ -69,9 +68,7 @@ class Evaluation(Answer):
     world: World
     plan: Plan
     closed_form: OpenLoopExact
-    formulas: Bounds
     loop: Literal["open", "closed"]
-    mode: str
     engine: str
     seed: int
     tally: Tally
@@ -238,6 +235,11 @@ class Evaluation(Answer):
         return Limits(least, None if self.limit.flow is None else least, ideal, ideal_one)
 
     @cached_property
+    def formulas(self) -> Bounds:
+        """The paper's formulas."""
+        return all_bounds(self.plan, self.world)
+
+    @cached_property
     def limit(self) -> AnyStrategy | None:
         """The bounds for every strategy; None where they presume more (`settled`), of first visits, in mid-mission."""
         if self.choices.first_only or not self.settled or self.plan.state is not None:
@@ -262,7 +264,7 @@ class Evaluation(Answer):
 
     @cached_property
     def control(self) -> dict[str, Controlled]:
-        """How the luck of the rollouts is taken into account, by figure; empty where it is not: by step, of few."""
+        """How the luck of the rollouts is taken into account, by figure; empty where it is not: of few."""
         sampled = [figure for figure in ("visited", "survived", "time", "alive") if getattr(self.exact, figure) is None]
         found = {figure: of_tally(self.tally, figure) for figure in sampled}
         return {figure: one for figure, one in found.items() if one is not None and not self.certain}

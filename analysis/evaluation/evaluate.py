@@ -12,11 +12,9 @@ from analysis.evaluation.answer import Evaluation
 from analysis.evaluation.outputs.output import Output, Run
 from analysis.evaluation.outputs.table import OUTPUTS
 from analysis.evaluation.outputs.what_if import alike
-from analysis.first_answer import first_answers
 from analysis.sampling import RolloutChoices, Stage, check_deadline, knowing_deadline, make_roll_out
 from analysis.statistics.control_variate import tally_mean
 from analysis.statistics.estimates import FIRST_LOOK, looks
-from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
 from analysis.utils.notes import Doing, ProgressCallback, quiet
 from planner.arguments import argument
@@ -41,8 +39,7 @@ def evaluate(
     *,
     progress: ProgressCallback | None = None,
     doing: Doing | None = None,
-    early: Doing | None = None,
-    first: Callable[[Evaluation], None] | None = None,
+    show: Callable[[Evaluation], None] | None = None,
     bound: bool | None = None,
     **asked: Any,
 ) -> Evaluation:
@@ -54,36 +51,31 @@ def evaluate(
 
     Args:
         progress, doing: told how far it has come, and in words what begins.
-        early: told a first answer, in words, again and again while code is compiled (`analysis.first_answer`).
-        first: given the answer before `late` outputs are measured, where there are any.
+        show: given the answer before the `bound` and `late` outputs are worked out, and again with each of these.
         bound: whether the bound for every strategy is worked out, as `flow` of `analysis.theory.upper_bound`.
         asked: further outputs by their key in `OUTPUTS`, with what its `measure` takes: `threat_scale=(0.5, 2)`.
     """
     choices = choices.timed(world.pace)
     check_deadline(plan, choices)
     plan = knowing_deadline(world, plan, choices)
-    if world.doubt is not None and choices.luck == "step":
-        choices = replace(choices, mode="step")
     wanted = _wanted(choices, {"team": bool(alike(plan))} | asked, world)
     certain = is_certain(world, plan, choices.loop)
     if certain:
         choices = replace(choices, rollouts=1, precision=None, seconds=None)
     begin, tell = doing or quiet, progress or quiet
     begin("exact values")
-    exact, bounds = open_loop_exact(plan, world), all_bounds(plan, world)
+    exact = open_loop_exact(plan, world)
     last, partial, closed, rolled, kept = None, False, None, choices, AllPairs()
     try:
-        with first_answers(world, plan, choices, None if certain else early) as end_first:
-            roll_out = make_roll_out(world, plan, choices, kept=kept)  # an engine that cannot do it says so at once
-            if choices.loop == "closed":
-                closed = closed_truth(plan, world, exact, choices, kept, FINE_SECONDS)
-            is_all = isinstance(closed, TreeTruth) and closed.is_all and wanted.keys() <= CONTENT
-            if is_all and choices.precision is not None:
-                rolled = replace(choices, rollouts=TO_LOOK_AT, precision=None)
-            begin("rollouts")
-            for stage in until_enough(roll_out(rolled, None), rolled, tell):
-                end_first()
-                last = stage
+        roll_out = make_roll_out(world, plan, choices, kept=kept)  # an engine that cannot do it says so at once
+        if choices.loop == "closed":
+            closed = closed_truth(plan, world, exact, choices, kept, FINE_SECONDS)
+        is_all = isinstance(closed, TreeTruth) and closed.is_all and wanted.keys() <= CONTENT
+        if is_all and choices.precision is not None:
+            rolled = replace(choices, rollouts=TO_LOOK_AT, precision=None)
+        begin("rollouts")
+        for stage in until_enough(roll_out(rolled, None), rolled, tell):
+            last = stage
     except KeyboardInterrupt:
         partial = True
     if last is None:
@@ -95,9 +87,7 @@ def evaluate(
         world=world,
         plan=plan,
         closed_form=exact,
-        formulas=bounds,
         loop=choices.loop,
-        mode=choices.drawn,
         engine=last.engine,
         seed=choices.seed,
         tally=last.tally,
@@ -111,15 +101,17 @@ def evaluate(
         choices=choices,
         bound=bound,
     )
+    if show is not None:
+        show(answer)
     if bound:
         begin("the bound for every strategy")
         answer.limit  # noqa: B018 - worked out here, where progress is told
-    if not late:
-        return answer
-    if first is not None:
-        first(answer)
-    more, partial = _measured(late, run, partial)
-    return answer.with_outputs(more, partial)
+    for key, value in late.items():
+        more, partial = _measured({key: value}, run, partial)
+        answer = answer.with_outputs(more, partial)
+        if more and show is not None:
+            show(answer)
+    return answer
 
 
 def _measured(wanted: dict[str, Any], run: Run, partial: bool) -> tuple[dict[str, Output], bool]:

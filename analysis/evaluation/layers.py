@@ -126,8 +126,6 @@ def picked(world: World, plan: Plan, choices: RolloutChoices, total: int) -> tup
     few = int(np.clip(WORK // ((plan.makespan + 1) * len(plan.robots)), *FEW))
     count = min(total, max(few, min(total // SHARE, MOST)))
     choices = replace(choices, deadline=None)
-    if choices.luck == "step":
-        choices = replace(choices, mode="step")
     engine = make_engine_for(world, plan, choices)
     results, picker = engine.results(0, count), Picker(engine.accessible)
     picker.add(results)

@@ -338,8 +338,6 @@ def to_json(evaluation: Evaluation) -> Json:
     lost = None if known.alive is None else tally.robots - known.alive
     out: Json = {
         "loop": evaluation.loop,
-        "mode": evaluation.mode,
-        "luck": evaluation.choices.luck,
         "engine": evaluation.engine,
         "robots": len(plan.robots),
         "starts": plan.starts,
@@ -450,13 +448,17 @@ def _known_json(truth: Truth) -> float | list[float]:
     return truth.value if truth.low == truth.high else [truth.low, truth.high]
 
 
-def report(evaluation: Evaluation, theory: bool = False) -> Report:
-    """The answer beside the map and the plan, the figures behind it, then why; `theory`: formulas, unfolded."""
+def report(evaluation: Evaluation, theory: bool = False, bounds: bool = True) -> Report:
+    """The answer beside the map and the plan, the figures behind it, then why.
+
+    `theory`: formulas, unfolded. `bounds`: False leaves out bounds and formulas, which may take seconds to work out.
+    """
     world, plan, certain, outputs = evaluation.world, evaluation.plan, evaluation.certain, evaluation.blocks
     rest, looked_at = evaluation.rest, _looked_at(evaluation)
     said = losses_words, chances_words, gain_words, interval_words, quantile_words
     own = () if certain else (*(say(evaluation) for say in said), *(note for found in outputs for note in found.notes))
-    home, limit = ("", "") if certain else (home_words(evaluation), limit_words(evaluation))
+    home = "" if certain else home_words(evaluation)
+    limit = limit_words(evaluation) if bounds and not certain else ""
     return Report(
         "evaluation", "evaluate", asked(world, len(plan.robots), "how much is covered?"), headline(evaluation),
         lambda: to_json(evaluation),
@@ -476,7 +478,7 @@ def report(evaluation: Evaluation, theory: bool = False) -> Report:
             Part("Cell by cell", notes=() if certain else list(cell_words(evaluation)),
                  drawn=lambda: [charts.maps(evaluation)], whole=worst_cells(evaluation)),
             Part("Robots", [robots_table(evaluation)], aside=True),
-            *([formulas_part(evaluation, theory)] if theory or not certain else []),
+            *([formulas_part(evaluation, theory)] if bounds and (theory or not certain) else []),
         ],
         notes=evaluation.notes,
         warnings=["Interrupted: this is what was done until then."] * evaluation.partial,
@@ -493,7 +495,7 @@ def _looked_at(evaluation: Evaluation) -> dict[str, str]:
     """What was evaluated, and how."""
     cells, plan, tally, world = evaluation.cells, evaluation.plan, evaluation.tally, evaluation.world
     ground = f" ({_area(cells['accessible'] * world.cell_size**2)})" if world.cell_size != 1 else ""
-    loop = f"open loop, {evaluation.mode} mode" if evaluation.loop == "open" else "closed loop"
+    loop = f"{evaluation.loop} loop"
     tree = evaluation.closed.tree if isinstance(evaluation.closed, TreeTruth) else None
     whole = ""
     if tree is not None:

@@ -71,7 +71,7 @@ def _coverage_table(evaluation: Evaluation, more: Sequence[Row]) -> Table:
 
 def _chances_table(evaluation: Evaluation) -> Table:
     """What a decision hangs on: chances of coverage, losses, time."""
-    found, exact, bounds = _beside(evaluation), evaluation.closed_form, evaluation.formulas
+    found, exact = _beside(evaluation), evaluation.closed_form
     named = ("sampled" if found.visited.known is None else "chance", "95 % interval")
     table = _table(evaluation, "Chances in %, losses and time", named)
     chances = {f"chance to visit {100 * x:g} % or more": found.visited.at_least[x] for x in AT_LEAST[:-1]}
@@ -80,8 +80,7 @@ def _chances_table(evaluation: Evaluation) -> Table:
     chances |= {f"chance that it {evaluation.plan.clause_of(outcome)}": chance for outcome, chance in ends.items()}
     for name, chance in chances.items():
         _add(table, evaluation, name, "", chance.columns())
-    some_left = bounds.team_survival if evaluation.settled else exact.some_left
-    known = in_percent(some_left, 2)
+    known = in_percent(exact.some_left, 2)
     _add(table, evaluation, "chance that a robot is left at the end", known, found.some_left.columns())
     robots = len(evaluation.plan.robots)
     known = "" if math.isnan(exact.expected_losses) else f"{of_all(exact.expected_losses, robots)} of {robots}"

@@ -26,7 +26,7 @@ from analysis.sampling import RolloutChoices
 from analysis.statistics import control_variate
 from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import check_maps, generated_case
-from analysis.sweeps.engine import Done, Finished, Job, Swept, run_cases, stored_luck
+from analysis.sweeps.engine import Done, Finished, Job, Swept, run_cases
 from analysis.sweeps.results import KEPT, figures_of
 from analysis.sweeps.store import Memory, Run, Store
 from analysis.utils.folder import csv_text
@@ -35,7 +35,6 @@ from analysis.utils.tables import make_table
 from planner.arguments import check_word
 from planner.files import Json
 from planner.formatting import counted, in_percent, percent
-from planner.ids import LuckName
 from planner.tally import Tally, add_padded
 from planner.world.generate import Kind
 
@@ -120,7 +119,7 @@ def columns_of(run: Run, tally: Tally, loop: str, free: int) -> dict[Key, Any]:
 
 
 def put_right(columns: dict[Key, NDArray[np.float64]], rollouts: int) -> None:
-    """Add each map's "mean" to its "run": less what its luck is worth, by all maps together; by step the same."""
+    """Add each map's "mean" to its "run": less what its luck is worth, by all maps together."""
     for _, loop, figure in [key for key in columns if key[0] == "beside"]:
         means, errors = columns["beside", loop, figure], columns["errors", loop, figure]
         columns["mean", loop, figure], _ = control_variate.put_right(means, errors, len(means) * (rollouts - 1))
@@ -433,9 +432,8 @@ def reproduce(
         if progress is not None:
             progress(done.jobs, done.total, done.seconds)
 
-    luck = stored_luck(next(_jobs(settings, maps, rollouts, seed)), held)
     finished = run_cases(
-        _jobs(settings, maps, rollouts, seed, luck),
+        _jobs(settings, maps, rollouts, seed),
         held,
         processes=processes,
         scheduler=scheduler,
@@ -448,12 +446,10 @@ def reproduce(
     return Reproduction(names, points, done, rollouts, seed, finished)
 
 
-def _jobs(
-    settings: tuple[Setting, ...], maps: int, rollouts: int, seed: int, luck: LuckName = "tolerance"
-) -> Iterator[Job]:
+def _jobs(settings: tuple[Setting, ...], maps: int, rollouts: int, seed: int) -> Iterator[Job]:
     """Map after map, so that an interruption leaves whole maps."""
     for number in range(seed, seed + maps):
-        models = tuple(RolloutChoices(seed=number, first_only=only, luck=luck) for only in (False, True))
+        models = tuple(RolloutChoices(seed=number, first_only=only) for only in (False, True))
         for setting in settings:
             yield Job(generated_case(setting.kind, setting.ratio, setting.robots, number), models, rollouts)
 

@@ -20,7 +20,7 @@ from analysis.theory.bounds import Bounds
 from planner.arguments import is_whole
 from planner.errors import InputError
 from planner.files import Json, npz_bytes, unpack_npz
-from planner.ids import LUCKS, MAX_PLAN_BYTES, LuckName
+from planner.ids import MAX_PLAN_BYTES
 from planner.mcap import LogMessage
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
@@ -30,7 +30,7 @@ from planner.world.world import MAX_CELLS, MAX_ROBOTS, World, world_of
 FORMAT, VERSION = "mrac-recording", 2
 """Version 2 added drawn topics (/areas_voxels and the robots' voxels); the data topics are those of version 1."""
 METADATA = "mrac-jax"
-_TOLD = ("format", "version", "mrac_jax", "loop", "mode", "luck", "threat_checks", "seed", "ids", "evaluated",
+_TOLD = ("format", "version", "mrac_jax", "loop", "luck", "threat_checks", "seed", "ids", "evaluated",
          "step_seconds")  # fmt: skip
 """Settings that the metadata record tells too."""
 WORLD, PLAN, SETTINGS, TALLY, TALLY_CELLS = "world.npz", "plan.json", "settings.json", "tally.json", "tally-cells.npz"
@@ -57,7 +57,8 @@ class Settings:
         step_seconds: time of a step.
         plan: "made": by the planner, of the world and the plan's settings; "given": from a plan file.
         version: of the format. Drawn topics differ between versions, data topics do not.
-        luck: by which robots were stopped; older files, which do not say, were by step.
+        per_visit: whether a random number for each visit said which robots were lost, as in files before 0.3, which
+            say nothing of it; they are read and not replayed.
     """
 
     loop: Literal["closed", "open"]
@@ -71,11 +72,12 @@ class Settings:
     plan: Literal["made", "given"]
     mrac_jax: str = ""
     version: int = VERSION
-    luck: LuckName = "step"
+    per_visit: bool = False
 
     def to_json(self) -> Json:
         """The object of `settings.json`."""
-        return {"format": FORMAT, "version": self.version, **asdict(self), "mode": self.luck}
+        said = asdict(self) | {"luck": "step" if self.per_visit else "tolerance"}
+        return {"format": FORMAT, "version": self.version} | {name: said[name] for name in said if name != "per_visit"}
 
 
 def own_version() -> str:
@@ -171,16 +173,16 @@ def read_settings(data: bytes, source: str) -> Settings:
         "step_seconds": lambda v: isinstance(v, int | float) and STEP_SECONDS[0] <= v <= STEP_SECONDS[1],
         "plan": lambda v: v in ("made", "given"),
         "mrac_jax": lambda v: isinstance(v, str),
-        "luck": lambda v: v in LUCKS,
+        "luck": lambda v: v in ("tolerance", "step"),
     }
     given.setdefault("luck", "step")
     for name, is_right in kinds.items():
         if name not in given or not is_right(given[name]):
             problem = f"{name} is {_short(repr(given.get(name)))}"
             raise InputError(problem, source=where, expected="a value that record wrote")
-    values = {name: given[name] for name in (*kinds, "version")}
+    values = {name: given[name] for name in (*kinds, "version") if name != "luck"}
     values["ids"], values["step_seconds"] = tuple(given["ids"]), float(given["step_seconds"])
-    return Settings(**values)
+    return Settings(**values, per_visit=given["luck"] == "step")
 
 
 def read_json(data: bytes, source: str) -> Any:

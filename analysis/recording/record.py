@@ -29,7 +29,7 @@ from planner.errors import UsageError
 from planner.failure_model import key_of, threefry2x32
 from planner.files import why_no_file
 from planner.formatting import UNPACED, Pace
-from planner.ids import BLOCK, LUCKS, NO_ROLLOUT, LuckName
+from planner.ids import BLOCK, NO_ROLLOUT
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan, is_certain
 from planner.plan.state import MissionState
@@ -151,7 +151,7 @@ class Request:
         picks: out of the evaluated ones. evaluated: how many, ids from 0; 0: only those in `ids`.
         outcomes: keep every evaluated rollout's outcome.
         loop, seed, engine, first_only: as in `analysis.evaluation.evaluate`; no byte of the file depends on the engine.
-        luck: by which robots are stopped. step_seconds: time of a step.
+        step_seconds: time of a step.
         made: the plan is the planner's own, not a given one.
         scenario: the text of the scenario file, if there is one.
     """
@@ -164,7 +164,6 @@ class Request:
     seed: int = 0
     engine: EngineName = "auto"
     first_only: bool = False
-    luck: LuckName = "tolerance"
     step_seconds: float = 1.0
     made: bool = True
     scenario: bytes | None = None
@@ -173,7 +172,7 @@ class Request:
         """What the file says of it, once it is known which rollouts it holds."""
         return contents.Settings(
             self.loop, "first_visit" if self.first_only else "every_visit", self.seed, ids, picks, self.evaluated,
-            self.outcomes, self.step_seconds, "made" if self.made else "given", contents.own_version(), luck=self.luck,
+            self.outcomes, self.step_seconds, "made" if self.made else "given", contents.own_version(),
         )  # fmt: skip
 
     def check(self) -> None:
@@ -181,7 +180,6 @@ class Request:
         low, high = contents.STEP_SECONDS
         check_word("loop", self.loop, ("closed", "open"))
         check_word("engine", self.engine, ENGINES)
-        check_word("luck", self.luck, LUCKS)
         SEED.check("seed", self.seed)
         Numbers(low, high, "seconds").check("step_seconds", self.step_seconds)
         if not self.ids and not self.picks:
@@ -200,7 +198,7 @@ def engine_of(world: World, plan: Plan, request: Request) -> Engine:
     from planner.rollouts.engine import Rolling, make_engine
 
     compiles_for(plan, request.loop)
-    how = Rolling(request.loop, "step", request.first_only, request.seed, request.luck)
+    how = Rolling(request.loop, request.first_only, request.seed)
     return make_engine(plan, world, how, request.engine)
 
 
@@ -386,7 +384,7 @@ def _write(
     done.evaluate_seconds = time.perf_counter() - began
     done.settings = request.settings(ids, picks)
     _describe(log, done.settings, done.tally, world, plan)
-    stage = Stage(world, plan, request.loop, request.seed, request.first_only, request.luck)
+    stage = Stage(world, plan, request.loop, request.seed, request.first_only)
     doing(f"writing rollout 1 of {len(ids)}")
     for trace, messages in recorded_messages(stage, engine.traces(ids), request.step_seconds):
         row = _row(trace, picks, stage)
@@ -450,7 +448,7 @@ def state_of_rollout(world: World, plan: Plan, request: Request, step: int) -> M
         raise UsageError(f"{said} without one closed-loop rollout", expected=f"{argument('ids')} with one number")
     if plan.state is not None and step <= plan.state.step:
         raise UsageError(said, expected=f"a step after the state's, {plan.state.step}")
-    loop = ReferenceLoop(plan, world, first_only=request.first_only, luck=request.luck)
+    loop = ReferenceLoop(plan, world, first_only=request.first_only)
     found = loop.state_at(step, request.seed, request.ids[0])
     if found is None:
         raise UsageError(

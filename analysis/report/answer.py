@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from html import escape
 from importlib import import_module
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from rich.console import Console
+from rich.table import Table
 
 from analysis.report.minutes import with_minutes
 from analysis.report.model import Report
@@ -57,31 +58,36 @@ def rows_of(report: Report) -> Rows:
     return [*figures, *(("note", note) for note in report.notes)]
 
 
-def print_report(report: Report, console: Console, headline: bool = True) -> None:
+def print_report(report: Report, console: Console, earlier: Report | None = None) -> None:
     """For a person at a terminal: the answer, how sure it is, what was looked at, tables and how to read them.
 
-    `headline`: whether the answer itself is printed; it may stand there already.
+    `earlier`: a report of less, which was printed already: its lines and tables are left out.
     """
-    above = [""] if report.last else [*report.heading, *report.took]
-    print_lines(console, (*[report.headline] * headline, *report.findings, *above))
+    printed = [] if earlier is None else [_content(one) for one in _printed(earlier)]
+    new = [one for one in _printed(report) if _content(one) not in printed]
+    if printed and new:
+        console.print()
+    for one in new:
+        if isinstance(one, str):
+            print_lines(console, [one])
+        else:
+            console.print(one)
+
+
+def _printed(report: Report) -> Iterator[str | Table]:
+    """The lines and tables of a terminal, in order."""
+    yield from (report.headline, *report.findings)
+    yield from [""] if report.last else [*report.heading, *report.took]
     for part in report.parts:
         if not part.aside:
-            for table in part.tables:
-                console.print(table)
-            print_lines(console, part.notes)
-    print_lines(console, [*report.last, *(f"note: {note}" for note in report.notes), *report.warnings])
+            yield from part.tables
+            yield from part.notes
+    yield from (*report.last, *(f"note: {note}" for note in report.notes), *report.warnings)
 
 
-def print_more(report: Report, first: Report, console: Console) -> None:
-    """The lines that a report has beyond those of a first one, which was printed; tables are the same."""
-    printed = set(_lines(first))
-    more = [line for line in _lines(report) if line not in printed]
-    print_lines(console, ["", *more] if more else [])
-
-
-def _lines(report: Report) -> list[str]:
-    notes = (note for part in report.parts if not part.aside for note in part.notes)
-    return [report.headline, *report.findings, *notes, *(f"note: {note}" for note in report.notes), *report.warnings]
+def _content(one: str | Table) -> object:
+    """A line, or a table's title and cells, to compare."""
+    return one if isinstance(one, str) else (one.title, [[column.header, *column.cells] for column in one.columns])
 
 
 def save_report(

@@ -1,6 +1,6 @@
 """Coverage against robots lost against time: one team on one map under many policies, on common random numbers.
 
-Every setting rolls out the same ids with the same seed, so robot i meets the same luck in all of them (SPEC section 6)
+Every setting rolls out the same ids with the same seed, so robot i meets the same luck in all of them (SPEC section 14)
 and what they differ in is the setting.
 """
 

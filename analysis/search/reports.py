@@ -272,8 +272,6 @@ def _size_json(size: TeamSize) -> Json:
         },
         "seed": choices.seed,
         "loop": choices.loop,
-        "mode": choices.drawn,
-        "luck": choices.luck,
         "engine": size.engine or None,
         **json_end(size, size.notes),
     }

@@ -1,7 +1,7 @@
 """How many robots are needed: the smallest team whose expected coverage, or whose chance of it, reaches a target.
 
 Every team is planned anew for its starts, the first so many of one list, and rolled out with the same seed: robot i
-meets the same luck in teams of every size (SPEC section 6), so that the curve over the teams is smooth.
+meets the same luck in teams of every size (SPEC section 14), so that the curve over the teams is smooth.
 """
 
 from __future__ import annotations

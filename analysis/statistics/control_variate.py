@@ -1,4 +1,4 @@
-"""Means of rollouts by tolerance, put right by how lucky the teams were: the control by total tolerance.
+"""Means of rollouts, put right by how lucky the teams were: the control by total tolerance.
 
 What a team covers goes with how much its robots bear together, S, and E[S] is known. So where the rollouts happened to
 be luckier than they should, their mean is taken down by what that luck is worth: `mean(y) - b (mean(g(S)) - E[g(S)])`,

@@ -31,7 +31,7 @@ from analysis.utils.progress import run_loop
 from planner.arguments import argument, is_whole
 from planner.errors import InputError, UsageError
 from planner.files import Json
-from planner.ids import BLOCK, LuckName
+from planner.ids import BLOCK
 from planner.plan.plan import Plan
 from planner.plan_team import plan_team, read_plan_on
 from planner.policies import DEFAULT
@@ -174,7 +174,7 @@ class Team:
 def labels_of(case: Case, team: Team, model: RolloutChoices) -> dict[str, Label]:
     """What a run is found by: the case's labels, the number of robots, how it is rolled out."""
     checks = "first_visit" if model.first_only else "every_visit"
-    drawn: dict[str, Label] = {"loop": model.loop, "mode": model.drawn, "threat_checks": checks}
+    drawn: dict[str, Label] = {"loop": model.loop, "threat_checks": checks}
     told = dict(case.labels) | {"robots": len(team.starts)} | drawn | {"rollout_seed": model.seed}
     rules = _rules(team, model)
     return told if rules == BEFORE else told | {RULES: RELEASES[rules]}
@@ -261,7 +261,7 @@ def run_key(team: Team, model: RolloutChoices, rules: int | None = None) -> str:
     runs which
     no change of the rules concerns keep their keys.
     """
-    drawn = {"loop": model.loop, "first_only": model.first_only, "seed": model.seed, "mode": model.drawn}
+    drawn = {"loop": model.loop, "first_only": model.first_only, "seed": model.seed, "mode": "tolerance"}
     said = {"semantics": rules or _rules(team, model), "team": team.identity, "model": drawn}
     return hashlib.sha256(canonical(said).encode()).hexdigest()
 
@@ -369,7 +369,7 @@ def _tasks_run(wanted: Wanted, task: Task, loops: _Loops) -> RunResult:
     from planner.rollouts.engine import run_by_luck
 
     engine = loops.of(wanted.model)
-    controlled = wanted.model.luck == "tolerance" and wanted.model.loop == "closed"
+    controlled = wanted.model.loop == "closed"
     tallies = tuple(
         run_by_luck(engine, wanted.model.seed, start, stop - start)[0]
         if controlled
@@ -399,7 +399,7 @@ class _Loops:
             problem, begun = _allocated(_Same(alike.identity, alike))
             own = problem if team.settings == alike.settings else None
             begun = replace(begun, settings=team.settings)
-            self._closed = self._compiled(begun, "tolerance", own)
+            self._closed = self._compiled(begun, own)
             self._plan = with_nominal_run(begun, self._closed)
         else:
             self._plan = team.build()
@@ -412,24 +412,23 @@ class _Loops:
 
         world = self._team.world
         if model.loop == "open":
-            drawn: Any = model.drawn
-            return open_loop_engine(compile_plan(self._plan, world), model.seed, drawn, "numba", 1)
+            return open_loop_engine(compile_plan(self._plan, world), model.seed, "numba", 1)
         return closed_loop_engine(self.closed(model), model.seed, "numba", threads=1)
 
     def closed(self, model: RolloutChoices) -> ClosedLoop:
         """A model's closed loop."""
         if self._closed is None:
-            self._closed = self._compiled(self._plan, model.luck)
+            self._closed = self._compiled(self._plan)
         loop = self._closed
         if model.first_only:
             loop = loop.again(identity=f"{loop.identity}!first_visit", first_only=True)
-        return loop if model.luck == loop.luck else loop.by(model.luck, self._team.world)
+        return loop
 
-    def _compiled(self, plan: Plan, luck: LuckName, problem: Problem | None = None) -> ClosedLoop:
+    def _compiled(self, plan: Plan, problem: Problem | None = None) -> ClosedLoop:
         from planner.simulator.closed_loop import compile_closed_loop
 
         kept = _of_world(self._team.world.sha256).pairs
-        return compile_closed_loop(plan, self._team.world, kept=kept, luck=luck, problem=problem)
+        return compile_closed_loop(plan, self._team.world, kept=kept, problem=problem)
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ from analysis.sweeps.store_files import cut
 from analysis.utils.pool import Pool, wanted_processes
 from planner.errors import UsageError
 from planner.formatting import counted
-from planner.ids import BLOCK, MOST_ROLLOUTS, LuckName
+from planner.ids import BLOCK, MOST_ROLLOUTS
 from planner.rule_versions import BEFORE, NOW, RELEASES
 
 if TYPE_CHECKING:
@@ -68,19 +68,6 @@ class Job:
     def __post_init__(self) -> None:
         if not 1 <= self.rollouts <= MOST_ROLLOUTS:
             raise UsageError(f"{self.rollouts} rollouts", expected=f"1 to {MOST_ROLLOUTS}")
-
-
-def stored_luck(job: Job, store: Store) -> LuckName:
-    """By step where the store holds that of the job and nothing by tolerance: so was all luck before release 0.3.
-
-    What was begun then is gone on with.
-    """
-    team = Places().team(job.case)
-    by_step, by_tolerance = (
-        any(store.run(run_key(team, replace(model, luck=luck))) is not None for model in job.models)
-        for luck in ("step", "tolerance")
-    )
-    return "step" if by_step and not by_tolerance else "tolerance"
 
 
 @dataclass(frozen=True)

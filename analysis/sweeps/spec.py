@@ -30,9 +30,9 @@ from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import BESIDE, MOST_MAPS, Case, Generated, Label, Places, Written, canonical
 from analysis.sweeps.engine import Job
 from planner.arguments import ANY, FRACTION, SEED, Numbers, did_you_mean, whole
-from planner.errors import InputError, ScenarioError, UsageError
+from planner.errors import PER_VISIT, InputError, ScenarioError, UsageError
 from planner.files import Json
-from planner.ids import LUCKS, MOST_ROLLOUTS
+from planner.ids import MOST_ROLLOUTS
 from planner.policies import DEFAULT
 from planner.rollouts.engine import MOST_SEED
 from planner.settings import SETTINGS as PLANNER_SETTINGS
@@ -71,6 +71,10 @@ def _word(*words: str) -> Reader:
     return lambda key: key.choice(words)
 
 
+def _left(key: Key) -> str:
+    raise key.error(f"`{key.path}`: {PER_VISIT}", source=key.source)
+
+
 def _one_of(numbers: Numbers) -> Reader:
     return lambda key: key.number(numbers)
 
@@ -100,7 +104,7 @@ PLANNER: dict[str, Reader] = {name: _of(setting) for name, setting in PLANNER_SE
 MODEL: dict[str, Reader] = {
     "loop": _word("closed", "open"),
     "threat_checks": _word("every_visit", "first_visit"),
-    "luck": _word(*LUCKS),
+    "luck": _left,
     "seed": _one_of(SEED),
 }
 SETTINGS = {**INPUT, **WORLD, **PAPER, **UNSAID, **TEAM, **PLANNER, **MODEL}
@@ -141,7 +145,7 @@ def label_of(name: str, value: Any, folder: Path) -> Label:
 def model_of(values: Mapping[str, Any], offset: int) -> RolloutChoices:
     """The model of some settings; `offset`, the map's number, goes to the seed: no two maps are to share their luck."""
     first_only = values.get("threat_checks") == "first_visit"
-    given = {name: values[name] for name in ("loop", "luck") if name in values}
+    given = {name: values[name] for name in ("loop",) if name in values}
     return RolloutChoices(seed=(values.get("seed", 0) + offset) % MOST_SEED, first_only=first_only, **given)
 
 

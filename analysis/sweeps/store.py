@@ -23,7 +23,7 @@ from urllib.parse import quote
 
 from analysis.sweeps.cases import Label, RunResult, canonical
 from analysis.sweeps.store_files import Ranges, add_sums, joined, pack, rows_of, sums_of, unpack, without
-from planner.errors import InputError
+from planner.errors import PER_VISIT, InputError
 from planner.files import Json, printable, why_no_file
 from planner.formatting import counted
 from planner.ids import BLOCK
@@ -271,20 +271,29 @@ class Store:
     @classmethod
     def open(cls, path: str | Path, *, write: bool = True) -> Store:
         """The store in this file; with `write` it is made if there is none. Raises StoreError."""
-        return cls(open_file(Path(path), write=write), Path(path))
+        return cls(open_file(Path(path), write=write), Path(path))._by_thresholds()
 
     @classmethod
     def rescue(cls, path: str | Path) -> Store:
         """The store in this file, to be merged into another: whatever is still intact of it. Raises StoreError."""
         try:
-            return cls.open(path, write=False)
+            store = cls(open_file(Path(path), write=False), Path(path))
         except StoreError as error:
             try:
                 connection = open_file(Path(path), write=False, whole=False)
-                return cls(connection, Path(path), f"{error.source}: {error.problem}")
+                store = cls(connection, Path(path), f"{error.source}: {error.problem}")
             except StoreError as again:
                 fix = "take an older copy, or run the sweep again into another store"
                 raise StoreError(again.problem, source=again.source, expected=again.expected, fix=fix) from error
+        return store._by_thresholds()
+
+    def _by_thresholds(self) -> Store:
+        """Itself; raises StoreError where it holds rollouts with random numbers for each visit."""
+        with suppress(sqlite3.DatabaseError):  # damage is told of where its rows are read
+            if self._connection.execute(_BY_VISITS).fetchone():
+                self.close()
+                raise StoreError(PER_VISIT, source=printable(self.path or "store"))
+        return self
 
     def close(self) -> None:
         """Let go of the file."""
@@ -442,7 +451,9 @@ class Store:
         """A run's labels and facts, without reading its blocks. Raises StoreError for a damaged one."""
         if not _is_run(row):
             raise damaged(self.path, f"run {str(row[0])[:12]}")
-        return json.loads(row[2]), json.loads(row[3])
+        what = json.loads(row[2])
+        what.pop("mode", None)  # of 0.3, which drew in other ways too
+        return what, json.loads(row[3])
 
     def _parts(self, key: str) -> Iterator[tuple[Any, Any]]:
         """(ids, sums) of the blocks of a run. Raises StoreError for a damaged one."""
@@ -488,6 +499,7 @@ def _is_run(row: tuple[Any, ...]) -> bool:
     return checksum(*row[:-1]) == row[-1]
 
 
+_BY_VISITS = """SELECT 1 FROM runs WHERE what LIKE '%"mode":"fast"%' OR what LIKE '%"mode":"step"%' LIMIT 1"""
 _RUNS = "SELECT key, identity, what, facts, checksum FROM runs"
 _BLOCKS = "SELECT key, block, ids, sums, tally, checksum FROM blocks"
 _SUMS = "SELECT key, block, ids, sums, length(tally), checksum FROM blocks"

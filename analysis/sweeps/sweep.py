@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from analysis.sweeps.cases import MOST_MAPS
-from analysis.sweeps.engine import Done, Finished, Swept, run_cases, stored_luck
+from analysis.sweeps.engine import Done, Finished, Swept, run_cases
 from analysis.sweeps.results import Row, figures_of, outcomes_of, single_map
 from analysis.sweeps.spec import Spec
 from analysis.sweeps.store import Store, StoreError
@@ -130,7 +130,6 @@ def run_sweep(
     Raises InputError.
     """
     check_precision(precision)
-    spec = as_stored(spec, store)
     clock, sums = time.perf_counter(), Finished(0, 0, 0, 0.0)
     for asked, maps in _stretches(spec):
         if maps.start == 0:  # a single map's are looked at anew when it has more rollouts
@@ -157,13 +156,6 @@ def check_precision(precision: float | None) -> None:
     """Raise UsageError for what is no precision that can be asked for."""
     if precision is not None and not 0 < precision < 1:
         raise UsageError(argument("precision", precision), expected="a fraction of the accessible cells in (0, 1)")
-
-
-def as_stored(spec: Spec, store: Store) -> Spec:
-    """The spec with the luck of what the store holds of it, where it says nothing of luck."""
-    if "luck" in spec.base or any(name == "luck" for name, _ in spec.swept):
-        return spec
-    return replace(spec, base=spec.base | {"luck": stored_luck(next(spec.jobs()), store)})
 
 
 def _stretches(spec: Spec) -> Iterator[tuple[Spec, range]]:

@@ -263,8 +263,8 @@ class JaxClosedLoop:
 
     @fixed_flags()
     def __init__(self, loop: ClosedLoop, seed: int, *, streams: int | None = None, lanes: int | None = None) -> None:
-        """Raises WorldError for a world that the lanes have no room for, UsageError for luck by step, for legs that
-        stay in their area, and where JAX cannot run.
+        """Raises WorldError for a world that the lanes have no room for, UsageError for legs that stay in their
+        area, and where JAX cannot run.
 
         Args:
             loop: what to roll out. seed: 0 <= seed < 2**64.

@@ -336,13 +336,10 @@ def step_bucket(max_steps: int, cells: int) -> int:
 
 def check_supported(loop: ClosedLoop) -> None:
     """Raise WorldError for a world that the lanes have no room for: a large map, or costs beyond 30 bits; and for a
-    policy that they do not follow (`check_policy`). Raise UsageError for luck that is not what robots bear, and for
-    legs that are to stay in their area.
+    policy that they do not follow (`check_policy`). Raise UsageError for legs that are to stay
+    in their area, and for robots that differ.
     """
     fix = f"use {argument('engine', 'numba')}"
-    if loop.luck != "tolerance":
-        what = f"{argument('engine', 'jax')} with {argument('luck', loop.luck)}"
-        raise UsageError(what, expected=argument("luck", "tolerance"), fix=fix)
     if loop.stay_inside:
         what = f"{argument('engine', 'jax')} with {argument('transit', 'area')}"
         raise UsageError(what, expected=argument("transit", "grid"), fix=fix)

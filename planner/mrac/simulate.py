@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from planner.arguments import argument
 from planner.errors import StateError
 from planner.failure_model import MOST
-from planner.ids import NO_AREA, NO_ROBOT, LuckName
+from planner.ids import NO_AREA, NO_ROBOT
 from planner.mrac.areas import allocate_areas_to_robots, bisect, find_areas, metis_parts
 from planner.mrac.board import Recorder, Robot, Stretch, is_home
 from planner.mrac.executive import Executive, Split
@@ -370,18 +370,16 @@ class ReferenceLoop:
 
     Args:
         plan: this project's, made for `world`, or the paths of another planner (`planner.mrac.problem`).
-        first_only: `threat_checks="first_visit"`. luck: by which robots are stopped.
+        first_only: `threat_checks="first_visit"`.
 
     Raises:
         PlanError: a plan for another map.
     """
 
-    def __init__(self, plan: Plan, world: World, *, first_only: bool = False, luck: LuckName = "tolerance") -> None:
+    def __init__(self, plan: Plan, world: World, *, first_only: bool = False) -> None:
         self._problem, self._areas = ready_loop(plan, world)
         check_counters(world, len(plan.robots), self._problem.max_steps)
         check_every_visit(world, first_only)
-        plan.bearing.check_luck(luck)
-        self._luck: LuckName = luck
         self._bearing = plan.bearing
         self._world, self._first_only, self._state = world, first_only, plan.state
 
@@ -414,7 +412,7 @@ class ReferenceLoop:
             yield team
 
     def _luck_of(self, seed: int, rollout: int) -> Luck:
-        return Luck(self._world, seed, rollout, self._luck, self._bearing)
+        return Luck(self._world, seed, rollout, self._bearing)
 
     def _truth(self, seed: int, rollout: int) -> int:
         """Which of the maps in doubt is true, 0 where there is one."""

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import UsageError, WorldError
-from planner.ids import BLOCK, MOST_ROLLOUTS, LuckName
+from planner.ids import BLOCK, MOST_ROLLOUTS
 from planner.plan.plan import Plan
 from planner.rollouts.names import ENGINES, EngineName, check_jax, of_jax
 from planner.rollouts.nominal_run import NominalRun, is_nominal
-from planner.rollouts.open_loop import MODES, CompiledPlan, Mode, OpenLoop, compile_plan
+from planner.rollouts.open_loop import CompiledPlan, OpenLoop, compile_plan
 from planner.rollouts.open_loop_numba import NumbaOpenLoop
 from planner.rollouts.threshold_classes import sums_by_luck
 from planner.simulator import closed_loop
@@ -36,7 +36,8 @@ from planner.world.world import World
 # Ranges of rollout ids to run one after the other, each as many as take about half a second.
 
 MOST_SEED = 2**64
-CHUNK_SECONDS = 0.5
+CHUNK_SECONDS, MOST_CHUNK = 0.5, 2**21
+"""A range takes about so long, and has at most so many ids, for memory."""
 CELLS_A_CALL = 2**21
 """Cells that rollouts cover, about, in a call that is worth while: 4,096 rollouts of 500 cells."""
 Result = TypeVar("Result")
@@ -72,8 +73,8 @@ def run_ranges(
 
     Args:
         work: runs a range. start, count: the ids.
-        chunk: ids a range, rounded up to whole units; None = one unit, then twice as many for as long as a range takes
-            less than a quarter of a second.
+        chunk: ids a range, rounded up to whole units; None = one unit, then as many as take about
+            CHUNK_SECONDS, MOST_CHUNK at most.
         checkpoints: numbers of ids (counted from `start`) at which a range must end, for stopping rules.
         unit: ranges end at its multiples.
     """
@@ -86,9 +87,9 @@ def run_ranges(
         result = work(position, stop - position)
         took = time.perf_counter() - clock
         yield position, stop - position, result, took
+        if chunk is None:
+            size = max(size, min(int((stop - position) * CHUNK_SECONDS / max(took, 1e-9)), MOST_CHUNK))
         position = stop
-        if chunk is None and took < CHUNK_SECONDS / 2:
-            size *= 2
 
 
 # The compiled classical simulator (`planner.simulator.closed_loop`) as an engine.
@@ -172,7 +173,7 @@ class Engine(Protocol):
         ...
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
-        """Those rollouts in full, in the order given. The open loop has none in `fast` mode."""
+        """Those rollouts in full, in the order given."""
         ...
 
     def until(self, step: int) -> Engine:
@@ -197,15 +198,13 @@ class Rolling:
 
     Attributes:
         loop: "open": follow the plan until stopped; "closed": reallocate and share at run time.
-        mode: of the open loop. first_only: closed loop: only the first visit of a cell by anybody can stop a robot.
-        seed: 0 <= seed < 2**64. luck: by which robots are stopped; of the open loop, `tolerance` is a mode of its own.
+        first_only: closed loop: only the first visit of a cell by anybody can stop a robot.
+        seed: 0 <= seed < 2**64.
     """
 
     loop: Literal["open", "closed"] = "closed"
-    mode: Mode = "fast"
     first_only: bool = False
     seed: int = 0
-    luck: LuckName = "tolerance"
 
 
 class Chosen(NamedTuple):
@@ -221,42 +220,37 @@ def make_engine(
     """The engine for this plan. JAX is imported only if it is asked for, or installed with an accelerator.
 
     `kept`: where the closed loop's all-pairs tables are kept for other teams on the same map.
-    Raises InputError for a plan that cannot be rolled out so, UsageError for an engine, mode or seed that is none.
+    Raises InputError for a plan that cannot be rolled out so, UsageError for an engine or seed that is none.
     """
     if how.loop == "open":
-        mode: Mode = how.mode if world.doubt is None else "step"  # robots that share what is true have no other
-        mode = "tolerance" if how.luck == "tolerance" else mode
-        return open_loop_engine(compile_plan(plan, world), how.seed, mode, engine)
-    loop = compile_closed_loop(plan, world, first_only=how.first_only, kept=kept, luck=how.luck)
+        return open_loop_engine(compile_plan(plan, world), how.seed, engine)
+    loop = compile_closed_loop(plan, world, first_only=how.first_only, kept=kept)
     make = partial(closed_loop_engine, loop, how.seed, engine)
     return NominalRun(world, plan, loop, how.seed, make) if engine == "auto" and is_nominal(plan, world) else make()
 
 
 def open_loop_engine(
-    compiled: CompiledPlan, seed: int, mode: Mode = "fast", engine: EngineName = "auto", threads: int | None = None
+    compiled: CompiledPlan, seed: int, engine: EngineName = "auto", threads: int | None = None
 ) -> Engine:
     """The engine of a compiled plan's open loop; `threads`: of Numba, None for all cores.
 
-    Other modes than `tolerance`, or more maps in doubt than JAX has numbers for, are an error for `engine="jax"`, and
-    Numba's for "auto".
+    More maps in doubt than JAX has numbers for are an error for `engine="jax"`, and Numba's for "auto".
     """
-    if mode not in MODES:
-        raise UsageError(f"mode is {mode!r}", expected=" or ".join(MODES))
     check_range(0, 0, None, seed)
-    return _first_that_can(OPEN_LOOP, engine, compiled, seed, mode, threads)
+    return _first_that_can(OPEN_LOOP, engine, compiled, seed, threads)
 
 
 def closed_loop_engine(loop: ClosedLoop, seed: int, engine: EngineName = "auto", threads: int | None = None) -> Engine:
     """The engine of a closed loop; `threads`: of Numba, None for all cores.
 
-    Luck by step, or a world that JAX's lanes have no room for, is an error for `engine="jax"`, and Numba's for "auto".
+    A world that JAX's lanes have no room for is an error for `engine="jax"`, and Numba's for "auto".
     """
     check_range(0, 0, None, seed)
     return _first_that_can(CLOSED_LOOP, engine, loop, seed, threads)
 
 
 def _first_that_can(makers: Mapping[str, Callable[..., Engine]], engine: EngineName, *given: Any) -> Engine:
-    """The engine that a name means; for "auto" Numba's where that one has no room for the world, or other luck."""
+    """The engine that a name means; for "auto" Numba's where that one has no room for the world."""
     try:
         return makers[choose_engine(engine).name](*given)
     except (UsageError, WorldError):
@@ -265,11 +259,9 @@ def _first_that_can(makers: Mapping[str, Callable[..., Engine]], engine: EngineN
     return makers["numba"](*given)
 
 
-OPEN_LOOP: dict[str, Callable[[CompiledPlan, int, Mode, int | None], Engine]] = {
-    "jax": lambda plan, seed, mode, threads: OpenLoop(plan, seed, mode, "jax", of_jax("open loop")),
-    "numba": lambda plan, seed, mode, threads: OpenLoop(
-        plan, seed, mode, "numba", partial(NumbaOpenLoop, threads=threads)
-    ),
+OPEN_LOOP: dict[str, Callable[[CompiledPlan, int, int | None], Engine]] = {
+    "jax": lambda plan, seed, threads: OpenLoop(plan, seed, "jax", of_jax("open loop")),
+    "numba": lambda plan, seed, threads: OpenLoop(plan, seed, "numba", partial(NumbaOpenLoop, threads=threads)),
 }
 CLOSED_LOOP: dict[str, Callable[[ClosedLoop, int, int | None], Engine]] = {
     "jax": lambda loop, seed, threads: of_jax("closed loop")(loop, seed),
@@ -311,7 +303,7 @@ class Chunk:
 
 
 def run_by_luck(engine: Engine, seed: int, start: int, count: int) -> tuple[Tally, RolloutResults]:
-    """What `engine.run` says of rollouts by tolerance, in the tally their sums by luck too."""
+    """What `engine.run` says of rollouts, in the tally their sums by luck too."""
     tally, results = engine.run(start, count)
     return replace(tally, by_luck=sums_by_luck(results, seed, tally.robots)), results
 
@@ -335,7 +327,7 @@ def run_chunks(
             it.
         checkpoints: numbers of rollouts (counted from `start`) at which a chunk must end, for stopping rules.
         results: also hand over every single rollout.
-        by_luck: the seed of rollouts by tolerance, whose sums by luck the tally is to have too (`run_by_luck`).
+        by_luck: the seed of the rollouts, whose sums by luck the tally is to have too (`run_by_luck`).
 
     Raises UsageError for ids or a chunk that are none.
     """
@@ -347,8 +339,9 @@ def run_chunks(
 
     check_range(start, count, chunk, 0)
     clock = time.perf_counter()
-    # Compiles, apart from what is timed; asking for it again changes no count.
-    work(start, min(count, 1))
+    # Compiles, apart from what is timed; asking for it again changes no count. Two rollouts where they are cheap: the
+    # columns of a single one are contiguous, those of more are not, and Numba would compile for either.
+    work(start, min(count, engine.least, 2))
     compile_seconds = time.perf_counter() - clock
     tally, seconds = None, 0.0
 

@@ -95,7 +95,7 @@ class NominalRun:
         """Those rollouts in full, in the order given."""
         if self.loop.max_steps < self.plan.time:
             return self._full.traces(rollouts)
-        once = ReferenceLoop(self.plan, self.world, luck=self.loop.luck).trace(self.seed, 0)
+        once = ReferenceLoop(self.plan, self.world).trace(self.seed, 0)
         return (replace(once, rollout=rollout) for rollout in rollouts)
 
     def until(self, step: int) -> NominalRun:

@@ -22,15 +22,15 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Literal, Protocol, get_args
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.arguments import argument
 from planner.errors import PlanError, UsageError
-from planner.failure_model import FAST_COUNTER, Bearing, least_word
-from planner.ids import BLOCK, MAX_STEP, LuckName
+from planner.failure_model import Bearing, least_word
+from planner.ids import BLOCK, MAX_STEP
 from planner.plan.plan import Plan, entries, last_move
 from planner.rollouts.open_loop_events import (
     WORD_BITS,
@@ -44,20 +44,13 @@ from planner.rollouts.open_loop_events import (
 )
 from planner.rollouts.open_loop_trace import Entries, Groups, make_groups, open_loop_trace
 from planner.tally import Outcome, RolloutResults, Tally, Trace, tally_key
-from planner.world.uncertain_maps import certain_draws
+from planner.world.uncertain_maps import UNIT
 from planner.world.world import World
-
-Mode = Literal["tolerance", "fast", "step"]
-MODES: tuple[Mode, ...] = get_args(Mode)
-"""How a rollout's luck is drawn: one number a robot (SPEC section 14), another one (section 6), or one an entry."""
-WORD = 2**32
-STEP_UNIT = 2**24
-"""u(r, t, i) is a whole number of 1 / STEP_UNIT."""
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledPlan:
-    """What the open loop needs of a plan, independent of the mode; the tables of a mode are made on first use.
+    """What the open loop needs of a plan; the tables that engines read are made on first use.
 
     Attributes:
         plan, world: what was compiled.
@@ -66,7 +59,6 @@ class CompiledPlan:
         entries: every entry of the nominal paths.
         danger_step: per robot int64 `[D]`, the steps of its dangerous entries.
         danger_cell: per robot int64 `[D]`, the cells entered there.
-        danger_threat: per robot float32 `[D]`, their threats, the largest that they may have.
         last_move: int64 `[K]`, the step of each robot's last move.
     """
 
@@ -79,7 +71,6 @@ class CompiledPlan:
     entries: Entries
     danger_step: tuple[NDArray[np.int64], ...]
     danger_cell: tuple[NDArray[np.int64], ...]
-    danger_threat: tuple[NDArray[np.float32], ...]
     last_move: NDArray[np.int64]
 
     @property
@@ -88,19 +79,12 @@ class CompiledPlan:
         return len(self.last_move)
 
     @cached_property
-    def _tables(self) -> dict[Mode, ModeTables]:
-        return {}
+    def tables(self) -> OpenLoopTables:
+        """What an engine reads, made once."""
+        return _make_tables(self)
 
-    def tables(self, mode: Mode) -> ModeTables:
-        """The tables of a mode, made once."""
-        if mode not in self._tables:
-            self._tables[mode] = _make_tables(self, mode)
-        return self._tables[mode]
-
-    def thresholds(self, mode: Mode) -> list[NDArray[np.uint64]]:
-        """Per robot uint64 `[D]`: it gets past a dangerous entry iff its word is below; not of mode `step`."""
-        if mode == "fast":
-            return [survival_thresholds(threat) for threat in self.danger_threat]
+    def thresholds(self) -> list[NDArray[np.uint64]]:
+        """Per robot uint64 `[D]`: it gets past a dangerous entry iff its word is below; of a certain map."""
         bearing, own = self.plan.bearing, self.world.of_robots(self.plan.bearing.types, self.robots)
         visits = map(self.world.visits, self.danger_cell, self.danger_step)
         borne = [bearing.fresh(np.cumsum(own[k].exposures[0][each]), k) for k, each in enumerate(visits)]
@@ -116,20 +100,18 @@ class CompiledPlan:
 
 
 @dataclass(frozen=True, eq=False)
-class ModeTables:
-    """Everything an engine reads to score rollouts in one mode. The draw's tables are by slot.
+class OpenLoopTables:
+    """Everything an engine reads to score rollouts. The draw's tables are by slot.
 
     Attributes:
-        mode: how luck is drawn.
         groups: the robots of each slot, and the rows.
         events: which joint events there are and how event counts become the tally's arrays.
         time: uint32 `[R]`, last step at which a robot of the group moves.
         alive: uint32 `[R]`, robots of the group that were not stopped.
-        guide: outcomes by inverse survival, where one number a robot is drawn; else None.
-        joint: what is drawn entry by entry: in `step` mode, and where the map is in doubt; else None.
+        guide: outcomes by inverse survival, where the map is certain; else None.
+        joint: what is drawn entry by entry, where the map is in doubt; else None.
     """
 
-    mode: Mode
     groups: Groups
     events: Events
     time: NDArray[np.uint32]
@@ -141,7 +123,7 @@ class ModeTables:
 def compile_plan(plan: Plan, world: World) -> CompiledPlan:
     """The plan's open loop as arrays. Raises PlanError if the plan is for another map or leaves the free cells.
 
-    Cost: O(entries of all paths); the events of a mode (on first use) O(first entries).
+    Cost: O(entries of all paths); the events (on first use) O(first entries).
     """
     plan.require(world)
     if plan.state is not None:
@@ -157,7 +139,7 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
         _check_path(robot, path, threat)
     own = [of.by_phase.ravel() for of in world.of_robots(plan.bearing.types, len(paths))]
     if world.draws is not None:
-        own = [world.draws.bound.astype(np.float32) / np.float32(STEP_UNIT)] * len(paths)
+        own = [world.draws.bound.astype(np.float32) / np.float32(UNIT)] * len(paths)
     found = _find_entries(paths, world, own)
     per_robot = [found.dangerous & (found.robot == robot) for robot in range(len(paths))]
     moves = np.array([last_move(path) for path in paths], dtype=np.int64)
@@ -171,32 +153,13 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
         entries=found,
         danger_step=tuple(found.step[mine] for mine in per_robot),
         danger_cell=tuple(found.cell[mine] for mine in per_robot),
-        danger_threat=tuple(
-            of[world.visits(found.cell[mine], found.step[mine])] for of, mine in zip(own, per_robot, strict=True)
-        ),
         last_move=moves,
     )
 
 
-def luck_of(mode: Mode) -> LuckName:
-    """Whose key luck is drawn under."""
-    return "tolerance" if mode == "tolerance" else "step"
-
-
-def words_of(groups: Groups, mode: Mode) -> tuple[NDArray[np.uint32], bool]:
-    """Second counter word of each slot's one number, uint32 `[S]`, and whether it is Threefry's second word."""
-    robot = np.maximum(groups.slot_robot, 0)
-    return (FAST_COUNTER - robot if mode == "fast" else robot).astype(np.uint32), mode == "fast"
-
-
-def survival_thresholds(threat: NDArray[np.float32]) -> NDArray[np.uint64]:
-    """T[j] = floor(2**32 * prod(1 - p of the first j + 1 dangerous entries)), uint64 `[D]`, non-increasing.
-
-    The robot gets past dangerous entry j iff its word x1 < T[j]; the products are float64 of the float32 threats. T[j]
-    is 2**32 (always passed) only where the product rounds to 1. Every engine compares with these integers.
-    """
-    survival = np.cumprod(1.0 - threat.astype(np.float64))
-    return np.floor(survival * float(WORD)).astype(np.uint64)
+def words_of(groups: Groups) -> NDArray[np.uint32]:
+    """Second counter word of each slot's one number, uint32 `[S]`."""
+    return np.maximum(groups.slot_robot, 0).astype(np.uint32)
 
 
 def _check_path(robot: int, path: NDArray[np.int64], threat: NDArray[np.float32]) -> None:
@@ -234,21 +197,12 @@ def _identity(world: World, paths: list[NDArray[np.int64]], bearing: Bearing) ->
     return digest.hexdigest()
 
 
-def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
-    """The tables of one mode. Outcomes that no 32-bit word reaches are left out, but in `step` mode."""
-    compiled.plan.bearing.check_luck(luck_of(mode))
+def _make_tables(compiled: CompiledPlan) -> OpenLoopTables:
+    """The tables of a plan. On a certain map, outcomes that no 32-bit word reaches are left out."""
     draws = compiled.world.draws
-    if draws is not None and mode == "fast":
-        problem = "mode 'fast' draws every robot for itself, and here they share what is true"
-        raise UsageError(problem, fix="use mode step")
     dangers = np.array([len(steps) for steps in compiled.danger_step], dtype=np.int64)
-    if compiled.plan.bearing.types is not None and mode == "step":
-        problem = f"luck by step in the open loop, with {argument('types')}"
-        raise UsageError(problem, fix=f"use {argument('luck', 'tolerance')}")
-    if draws is None and mode == "step":
-        draws = certain_draws(compiled.world.by_phase.ravel())
     drawn_once = draws is None
-    thresholds = compiled.thresholds(mode) if drawn_once else []
+    thresholds = compiled.thresholds() if drawn_once else []
     # A threshold of 0 is passed by no word: what lies beyond needs no rows.
     depth = np.array([np.count_nonzero(t) for t in thresholds], dtype=np.int64) if drawn_once else dangers
     groups = make_groups(depth)
@@ -258,12 +212,10 @@ def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
         for steps, move, deep in zip(compiled.danger_step, compiled.last_move, depth, strict=True)
     ]
     alive = [(np.arange(deep + 1) == many).astype(np.int64) for deep, many in zip(depth, dangers, strict=True)]
-    exposures = compiled.world.exposures if mode == "tolerance" else None
     # Draws of cells, or of cells in each phase.
     visits = compiled.world.visits(compiled.entries.cell, compiled.entries.step)
     drawn = replace(compiled.entries, cell=visits)
-    return ModeTables(
-        mode=mode,
+    return OpenLoopTables(
         groups=groups,
         events=events,
         time=groups.rows(times, np.maximum),
@@ -271,7 +223,9 @@ def _make_tables(compiled: CompiledPlan, mode: Mode) -> ModeTables:
         guide=make_guide([thresholds[r] if r >= 0 else thresholds[0][:0] for r in groups.slot_robot])
         if drawn_once
         else None,
-        joint=None if draws is None else joint_draws(draws, exposures, drawn, groups, compiled.plan.bearing),
+        joint=None
+        if draws is None
+        else joint_draws(draws, compiled.world.exposures, drawn, groups, compiled.plan.bearing),
     )
 
 
@@ -301,7 +255,7 @@ class RangeCounts:
 
 
 class OpenLoopKernel(Protocol):
-    """What counts for one compiled plan, seed and mode."""
+    """What counts for one compiled plan and seed."""
 
     def counts(self, start: int, count: int) -> RangeCounts:
         """The counts of rollouts `start .. start + count - 1`."""
@@ -312,9 +266,9 @@ class OpenLoopKernel(Protocol):
         ...
 
 
-def tally_of(compiled: CompiledPlan, mode: Mode, seed: int, start: int, counts: RangeCounts) -> Tally:
+def tally_of(compiled: CompiledPlan, seed: int, start: int, counts: RangeCounts) -> Tally:
     """The tally of the rollouts `start .. start + counts.rollouts - 1`."""
-    tables = compiled.tables(mode)
+    tables = compiled.tables
     sources = source_counts(tables.groups, counts.rows, counts.events, counts.rollouts)
     complete = int(counts.visited[-1])
     stopped = int(counts.alive[0]) - counts.complete_dead
@@ -323,7 +277,7 @@ def tally_of(compiled: CompiledPlan, mode: Mode, seed: int, start: int, counts: 
     outcomes[Outcome.ALL_ROBOTS_LOST] = stopped
     outcomes[Outcome.END_OF_PATHS] = counts.rollouts - complete - stopped
     return Tally(
-        key=tally_key(compiled.identity, "open", mode, seed),
+        key=tally_key(compiled.identity, "open", seed),
         shape=compiled.shape,
         ids=((start, start + counts.rollouts),) if counts.rollouts else (),
         visited=counts.visited,
@@ -373,23 +327,23 @@ def plane_count(weight: NDArray[np.int64]) -> int:
 
 # The open loop as an engine: the kernels of either back end count, this makes tallies, results and traces of it.
 
-MakeKernel = Callable[[CompiledPlan, int, Mode], OpenLoopKernel]
+MakeKernel = Callable[[CompiledPlan, int], OpenLoopKernel]
 
 
 class OpenLoop:
-    """One compiled plan, seed and mode (see `planner.rollouts.engine.Engine`)."""
+    """One compiled plan and seed (see `planner.rollouts.engine.Engine`)."""
 
     least = BLOCK
 
-    def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode, name: str, make_kernel: MakeKernel) -> None:
+    def __init__(self, compiled: CompiledPlan, seed: int, name: str, make_kernel: MakeKernel) -> None:
         """`make_kernel`: what counts; `name`: of it, for messages. No count depends on either."""
-        self.compiled, self.seed, self.mode, self.name = compiled, seed, mode, name
+        self.compiled, self.seed, self.name = compiled, seed, name
         self.accessible, self._make_kernel = compiled.accessible, make_kernel
-        self._kernel = make_kernel(compiled, seed, mode)
+        self._kernel = make_kernel(compiled, seed)
 
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""
-        return tally_of(self.compiled, self.mode, self.seed, start, self._kernel.counts(start, count))
+        return tally_of(self.compiled, self.seed, start, self._kernel.counts(start, count))
 
     def results(self, start: int, count: int) -> RolloutResults:
         """What each of those rollouts came to."""
@@ -400,19 +354,17 @@ class OpenLoop:
         return self.tally(start, count), self.results(start, count)
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
-        """Those rollouts in full, in the order given. Raises UsageError in `fast` mode, which knows no steps."""
-        if self.mode == "fast":
-            raise UsageError(f"traces in {self.mode!r} mode", expected="mode 'step'")
-        plan, world, luck = self.compiled.plan, self.compiled.world, luck_of(self.mode)
-        return (open_loop_trace(plan, world, self.seed, one, luck) for one in rollouts)
+        """Those rollouts in full, in the order given."""
+        plan, world = self.compiled.plan, self.compiled.world
+        return (open_loop_trace(plan, world, self.seed, one) for one in rollouts)
 
     def until(self, step: int) -> OpenLoop:
         """The same rollouts cut off at the end of `step`."""
-        return OpenLoop(self.compiled.until(step), self.seed, self.mode, self.name, self._make_kernel)
+        return OpenLoop(self.compiled.until(step), self.seed, self.name, self._make_kernel)
 
     def under(self, truth: World) -> OpenLoop:
         """The same paths under the threats of `truth`."""
-        return OpenLoop(self.compiled.under(truth), self.seed, self.mode, self.name, self._make_kernel)
+        return OpenLoop(self.compiled.under(truth), self.seed, self.name, self._make_kernel)
 
     def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> OpenLoop:
         """There is nothing to sample: `analysis.theory.exact` knows it exactly. Raises UsageError."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from planner.failure_model import ROBOT_STRIDE, Bearing
+from planner.failure_model import Bearing
 from planner.rollouts.open_loop_trace import Entries, Groups
 from planner.world.uncertain_maps import Draws
 
@@ -359,10 +359,9 @@ class JointDraws(NamedTuple):
 
     Attributes:
         slot: int32 `[E]`, the robot's slot. place: int32 `[E]`, how many dangerous entries it made before.
-        counter: uint32 `[E]`, counter word of the visit. own_counter, there, bound, column: `[E]`, of the cell.
-        spot: int32 `[E]`, number of the cell among those entered. table: uint32 `[M, C]`.
-        exposure: int64 `[E]`, what the visit adds; doses: int64 `[M, C]`, if the map is one of several. Empty: luck is
-            by step. robot: uint32 `[S]`, of each slot, whose tolerance it is.
+        own_counter, there, column: `[E]`, of the cell. spot: int32 `[E]`, number of the cell among those entered.
+        exposure: int64 `[E]`, what the visit adds; doses: int64 `[M, C]`, if the map is one of several.
+        robot: uint32 `[S]`, of each slot, whose tolerance it is.
         nodes, times: what robots bear (`planner.failure_model`): `wear_nodes`, and int64 `[S]`, susceptibilities.
         last: int32 `[S]`, the outcome of a slot that nothing stops.
         spots: cells that are kept for each rollout: 0 unless the first hit makes a cell harmless.
@@ -370,13 +369,10 @@ class JointDraws(NamedTuple):
 
     slot: NDArray[np.int32]
     place: NDArray[np.int32]
-    counter: NDArray[np.uint32]
     own_counter: NDArray[np.uint32]
     there: NDArray[np.uint32]
-    bound: NDArray[np.uint32]
     column: NDArray[np.int32]
     spot: NDArray[np.int32]
-    table: NDArray[np.uint32]
     exposure: NDArray[np.int64]
     doses: NDArray[np.int64]
     robot: NDArray[np.uint32]
@@ -386,11 +382,9 @@ class JointDraws(NamedTuple):
     spots: int
 
 
-def joint_draws(
-    draws: Draws, exposures: Exposures | None, entries: Entries, groups: Groups, bearing: Bearing
-) -> JointDraws:
-    """The draws of the dangerous ones among the entries; `exposures`: of the world, where luck is by tolerance."""
-    exposure, doses = exposures or (np.zeros(0, dtype=np.int64), np.zeros((0, 0), dtype=np.int64))
+def joint_draws(draws: Draws, exposures: Exposures, entries: Entries, groups: Groups, bearing: Bearing) -> JointDraws:
+    """The draws of the dangerous ones among the entries; `exposures`: of the world."""
+    exposure, doses = exposures
     robot, step, cell = (one[entries.dangerous] for one in (entries.robot, entries.step, entries.cell))
     slot_of = groups.slot_of
     many = np.bincount(robot, minlength=len(slot_of))
@@ -403,14 +397,11 @@ def joint_draws(
     return JointDraws(
         slot=slot_of[robot].astype(np.int32),
         place=place[order].astype(np.int32),
-        counter=(step * ROBOT_STRIDE + robot).astype(np.uint32),
         own_counter=draws.counter[cell],
         there=draws.there[cell],
-        bound=draws.bound[cell],
         column=draws.column[cell],
         spot=spot.astype(np.int32),
-        table=draws.table,
-        exposure=exposure[cell] if len(exposure) else exposure,
+        exposure=exposure[cell],
         doses=doses,
         robot=np.maximum(groups.slot_robot, 0).astype(np.uint32),
         nodes=bearing.nodes,

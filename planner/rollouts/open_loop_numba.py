@@ -15,13 +15,10 @@ from numpy.typing import NDArray
 from planner.failure_model import key_of_luck, own_key, unworn
 from planner.jit import program, rare_kernel
 from planner.rollouts.open_loop import (
-    WORD,
     CompiledPlan,
-    Mode,
-    ModeTables,
+    OpenLoopTables,
     RangeCounts,
     available_cores,
-    luck_of,
     outcomes_of,
     plane_count,
     share_out,
@@ -84,12 +81,12 @@ def drawn_once_rows(key, first, draw, words, rows):  # type: ignore[no-untyped-d
 
     `draw`: see `draw_arguments`; `words`: uint32 `[L]`, room for the words of one slot.
     """
-    members, first_row, stride, counter, second, mantissa, bisections, table, threshold = draw
+    members, first_row, stride, counter, mantissa, bisections, table, threshold = draw
     for group in range(rows.shape[0]):
         rows[group, :] = first_row[group]
         for member in range(members):
             slot = group * members + member
-            _words(key[0], key[1], first, counter[slot], second, words)
+            _words(key[0], key[1], first, counter[slot], words)
             step = np.int32(stride[group, member])
             if bisections == 0:
                 _add_packed(words, table[slot], np.uint32(31 - mantissa), step, rows[group])
@@ -100,12 +97,11 @@ def drawn_once_rows(key, first, draw, words, rows):  # type: ignore[no-untyped-d
 
 
 @rare_kernel
-def _words(key0, key1, first, counter, second, words):  # type: ignore[no-untyped-def]
-    """The first words of the counters, or the second ones where all bits of `second` are set."""
+def _words(key0, key1, first, counter, words):  # type: ignore[no-untyped-def]
+    """The first words of the counters."""
     wide_vectors()
     for lane in range(words.shape[0]):
-        x0, x1 = threefry(key0, key1, np.uint32(first + np.uint32(lane)), counter)
-        words[lane] = np.uint32(x0 ^ np.uint32(np.uint32(x0 ^ x1) & second))
+        words[lane] = threefry(key0, key1, np.uint32(first + np.uint32(lane)), counter)[0]
 
 
 @rare_kernel
@@ -145,8 +141,8 @@ def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type:
 
     `alive`, `borne`, `spent`: bool and int64 `[S]`, bool `[cells]`, room for one rollout; no cells: none is spent.
     """
-    members, first_row, stride, entry, table, exposure, doses, (robot, nodes, times), last = draw
-    slots, places, counters, own_counters, theres, bounds, columns, spots = entry
+    members, first_row, stride, entry, exposure, doses, (robot, nodes, times), last = draw
+    slots, places, own_counters, theres, columns, spots = entry
     for lane in range(size):
         rollout = np.uint32(first + np.uint32(lane))
         alive[:], spent[:], borne[:] = True, False, 0
@@ -160,14 +156,9 @@ def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type:
             if not alive[slot] or (len(spent) > 0 and spent[spots[number]]):
                 continue
             word = np.int64(threefry(own[0], own[1], rollout, own_counters[number])[0] >> np.uint32(8))
-            if len(exposure) > 0:
-                borne[slot] += as_it_is(exposure, doses, theres, columns, number, word)
-                reached = unworn(borne[slot], nodes, times[slot])
-                hit = reached >= tolerance(threefry(key[0], key[1], rollout, robot[slot])[0])
-            else:
-                bound = as_it_is(bounds, table, theres, columns, number, word)
-                hit = threefry(key[0], key[1], rollout, counters[number])[0] >> np.uint32(8) < bound
-            if hit:
+            borne[slot] += as_it_is(exposure, doses, theres, columns, number, word)
+            reached = unworn(borne[slot], nodes, times[slot])
+            if reached >= tolerance(threefry(key[0], key[1], rollout, robot[slot])[0]):
                 alive[slot] = False
                 group, member = slot // members, slot % members
                 rows[group, lane] -= np.int32(stride[group, member] * (last[slot] - places[number]))
@@ -213,7 +204,7 @@ class Scoring:
         return by_bit.reshape(self.words, 32)[self.columns].reshape(-1)
 
 
-def make_scoring(tables: ModeTables) -> Scoring:
+def make_scoring(tables: OpenLoopTables) -> Scoring:
     """The tables as the kernels want them: words in blocks, those with weights apart if they are many."""
     events = tables.events
     rows, words = events.bits.shape
@@ -417,13 +408,13 @@ def _count_events(union, words, nibbles, octets, event_sum):  # type: ignore[no-
 
 
 class NumbaOpenLoop:
-    """The Numba engine for one plan, seed and mode (see `planner.rollouts.open_loop.OpenLoopKernel`)."""
+    """The Numba engine for one plan and seed (see `planner.rollouts.open_loop.OpenLoopKernel`)."""
 
-    def __init__(self, compiled: CompiledPlan, seed: int, mode: Mode, threads: int | None = None) -> None:
-        self.compiled, self.mode = compiled, mode
-        self.tables = compiled.tables(mode)
+    def __init__(self, compiled: CompiledPlan, seed: int, threads: int | None = None) -> None:
+        self.compiled = compiled
+        self.tables = compiled.tables
         self.threads = threads or available_cores()
-        self._key = tuple(np.uint32(half) for half in key_of_luck(seed, luck_of(mode)))
+        self._key = tuple(np.uint32(half) for half in key_of_luck(seed))
         self._scoring = make_scoring(self.tables)
         self._draw = draw_arguments(self.tables)
         draws = compiled.world.draws
@@ -472,25 +463,16 @@ class NumbaOpenLoop:
         return sums
 
 
-def draw_arguments(tables: ModeTables) -> tuple[Any, ...]:
+def draw_arguments(tables: OpenLoopTables) -> tuple[Any, ...]:
     """What `numba_draws.drawn_once_rows` or `joint_rows` reads."""
     groups = tables.groups
     place = (groups.members, groups.first_row.astype(np.int32), groups.stride.astype(np.int32))
     if tables.joint is not None:
-        *entry, table, exposure, doses, robot, nodes, times, last, _ = tables.joint
-        return (*place, tuple(entry), table, exposure, doses, (robot, nodes, times), last)
-    counter, second = words_of(groups, tables.mode)
+        *entry, exposure, doses, robot, nodes, times, last, _ = tables.joint
+        return (*place, tuple(entry), exposure, doses, (robot, nodes, times), last)
     guide = tables.guide
     assert guide is not None  # there is one of the two
-    return (
-        *place,
-        counter,
-        np.uint32(WORD - 1 if second else 0),
-        guide.mantissa,
-        guide.bisections,
-        guide.table,
-        guide.threshold,
-    )
+    return (*place, words_of(groups), guide.mantissa, guide.bisections, guide.table, guide.threshold)
 
 
 @program

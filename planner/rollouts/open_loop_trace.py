@@ -1,6 +1,6 @@
-"""The open loop as a trace: every robot on its nominal path until it is stopped, by tolerance or by step.
+"""The open loop as a trace: every robot on its nominal path until it is stopped.
 
-What it comes to is what the open loop's engines count in that mode for the same seed and rollout. Axis letters: `K`
+What it comes to is what the open loop's engines count for the same seed and rollout. Axis letters: `K`
 robots, `T` = time + 1 steps.
 """
 
@@ -12,20 +12,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.ids import NO_AREA, NO_ROBOT, LuckName
+from planner.ids import NO_AREA, NO_ROBOT
 from planner.plan.plan import Plan, RobotPlan, last_move
 from planner.rollout_sampling import Luck
 from planner.tally import Doing, EventKind, Outcome, Trace
 from planner.world.world import World
 
 
-def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int, luck: LuckName = "tolerance") -> Trace:
+def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int) -> Trace:
     """One rollout of the plan's open loop in full.
 
     Nothing is reallocated: a stopped robot's area stays its own. ALLOCATED events tell when a robot turns to the next
     area of its plan. The areas are those at the end of the nominal run. The plan of another planner has none.
     """
-    stops = _stops(plan, Luck(world, seed, rollout, luck, plan.bearing))
+    stops = _stops(plan, Luck(world, seed, rollout, plan.bearing))
     ends = [last_move(robot.path) if stop is None else stop for robot, stop in zip(plan.robots, stops, strict=True)]
     time = max(ends)
     area_of = _area_of(plan, world)

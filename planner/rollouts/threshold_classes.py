@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.failure_model import UNIT, key_of_luck
+from planner.failure_model import UNIT, key_of_luck, tolerances
 from planner.jit import program
-from planner.simulator.failure_sampling import threefry, tolerance
+from planner.simulator.failure_sampling import threefry
 from planner.tally import Outcome, RolloutResults
 
 CLASSES_A_NAT = 8
@@ -23,34 +23,49 @@ COLUMNS = ("rollouts", "visited", "survived", "time", "alive", "complete")
 WIDTH = UNIT // CLASSES_A_NAT
 STRIP = 512
 """Rollouts of which a robot's words are drawn at a time."""
+FACTORS = 16
+"""Uniform numbers, each at least 2**-33, whose product is a float64 in full precision."""
+NEAR = 2.0**-28
+"""Of a class and robot: a total so near to the border of two classes is added up in whole units."""
 
 
 @program
-def _add_classes(key0, key1, first, robots, words, classes):  # type: ignore[no-untyped-def]
-    """The class int64 `[B]` of every rollout from id `first` on; `words`, uint32 `[STRIP]`: scratch."""
-    for begin in range(0, classes.shape[0], STRIP):
-        strip = classes[begin : begin + STRIP]
-        strip[:] = 0
-        for robot in range(robots):
+def _multiply(key0, key1, first, robot_from, robot_to, words, products):  # type: ignore[no-untyped-def]
+    """The product float64 `[B]` of the robots' uniform numbers, of every rollout from id `first` on.
+
+    `words`, uint32 `[STRIP]`: scratch.
+    """
+    for begin in range(0, products.shape[0], STRIP):
+        strip = products[begin : begin + STRIP]
+        strip[:] = 1.0
+        for robot in range(robot_from, robot_to):
             for number in range(len(strip)):  # apart from what follows, so that LLVM draws several at a time
                 rollout = np.uint32(first + np.uint32(begin + number))
                 words[number] = threefry(key0, key1, rollout, np.uint32(robot))[0]
             for number in range(len(strip)):
-                strip[number] += tolerance(words[number])
-        for number in range(len(strip)):
-            strip[number] //= WIDTH
+                strip[number] *= (words[number] + 0.5) * 2.0**-32
 
 
 def luck_classes(seed: int, start: int, count: int, robots: int) -> NDArray[np.int64]:
-    """int64 `[count]`, floor(total tolerance of robots 0 .. robots - 1 * CLASSES_A_NAT) of rollouts from `start` on."""
-    key, classes = key_of_luck(seed), np.empty(count, dtype=np.int64)
-    words = np.empty(STRIP, dtype=np.uint32)
-    _add_classes(np.uint32(key[0]), np.uint32(key[1]), np.uint32(start), robots, words, classes)
+    """int64 `[count]`, floor(total tolerance of robots 0 .. robots - 1 * CLASSES_A_NAT) of rollouts from `start` on.
+
+    A total is minus the logarithm of a product. Tolerances are rounded to whole units, by at most .52 of one. Floats
+    decide only where neither rounding matters, so every platform finds the same classes.
+    """
+    key0, key1 = (np.uint32(word) for word in key_of_luck(seed))
+    totals, products, words = np.zeros(count), np.empty(count), np.empty(STRIP, dtype=np.uint32)
+    for robot in range(0, robots, FACTORS):
+        _multiply(key0, key1, np.uint32(start), robot, min(robot + FACTORS, robots), words, products)
+        totals -= np.log(products, out=products)
+    totals *= CLASSES_A_NAT
+    classes = totals.astype(np.int64)
+    near = np.flatnonzero(np.abs(totals - np.rint(totals)) < robots * NEAR)
+    classes[near] = tolerances(seed, start + near, robots).sum(axis=1) // WIDTH
     return classes
 
 
 def sums_by_luck(results: RolloutResults, seed: int, robots: int) -> NDArray[np.int64]:
-    """int64 `[classes * len(COLUMNS)]`, as `Tally.by_luck` has them, of rollouts by tolerance of so many robots."""
+    """int64 `[classes * len(COLUMNS)]`, as `Tally.by_luck` has them, of rollouts of so many robots."""
     classes = luck_classes(seed, results.start, len(results.visited), robots)
     sums = np.zeros((int(classes.max(initial=-1)) + 1, len(COLUMNS)), dtype=np.int64)
     figures = (results.visited, results.survived, results.time, results.alive, results.outcome)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlanError
-from planner.ids import NO_AREA, LuckName
+from planner.ids import NO_AREA
 from planner.mrac.problem import Problem, check_every_visit, ready_loop
 from planner.plan.plan import Area, Plan, RobotPlan, last_move
 from planner.plan.state import MissionState
@@ -42,7 +42,6 @@ def compile_closed_loop(
     first_only: bool = False,
     tabled: bool | None = None,
     kept: AllPairs | None = None,
-    luck: LuckName = "tolerance",
     problem: Problem | None = None,
 ) -> ClosedLoop:
     """The closed loop from the plan's allocation. Raises PlanError for a plan of another map.
@@ -50,10 +49,9 @@ def compile_closed_loop(
     Robots with paths of another planner follow them first (`planner.mrac.problem`).
 
     `tabled`: distances from all-pairs tables, or searched for on demand; None: tables up to MOST_TABLED cells. No
-    rollout depends on it. `kept`: where all-pairs tables are kept for other teams on the same map. `luck`: by which
-    robots are stopped. `problem`: the plan's own, if it is at hand.
+    rollout depends on it. `kept`: where all-pairs tables are kept for other teams on the same map. `problem`: the
+    plan's own, if it is at hand.
     """
-    plan.bearing.check_luck(luck)
     problem, areas = ready_loop(plan, world) if problem is None else (problem, plan.areas)
     settings, rule = problem.settings, problem.rule
     if not isinstance(settings.in_area, str) or not (rule.nearest or (rule.attentive and rule.exact)):
@@ -75,7 +73,7 @@ def compile_closed_loop(
                 expected=f"types x cells x cells up to {MOST_TABLED**2:,}",
                 fix="coarsen the map",
             )
-    tables = make_tables(problem, cells, areas, tabled, kept, luck, plan.bearing)
+    tables = make_tables(problem, cells, areas, tabled, kept, plan.bearing)
     return ClosedLoop(
         identity=_identity(problem, areas, first_only, plan.state),
         shape=world.shape,
@@ -88,7 +86,6 @@ def compile_closed_loop(
         policy=make_policy(problem, cells, tables) if rule.attentive else None,
         state=plan.state,
         purpose=purpose_of(world),
-        luck=luck,
         bearing=plan.bearing,
         movers=world.movers,
         doubt=world.doubt if learns and isinstance(world.doubt, Uncertain) else None,
@@ -242,7 +239,7 @@ def tally_from(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[
     passes = loop.weights is not None
     last = len(counts.time) - int((counts.time[::-1] > 0).argmax())
     return Tally(
-        key=tally_key(loop.identity, "closed", loop.luck, seed),
+        key=tally_key(loop.identity, "closed", seed),
         shape=loop.shape,
         ids=((start, start + count),),
         visited=counts.visited,

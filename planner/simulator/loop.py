@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.failure_model import PLAIN, Bearing
-from planner.ids import LuckName
 from planner.plan.state import MissionState
 from planner.policies.rule import Rule
 from planner.rollout_sampling import first_places
@@ -98,7 +97,7 @@ class ClosedLoop:
         tables: what every rollout reads. max_steps: T_max. first_only: `threat_checks="first_visit"`.
         stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule. rule: of both.
         weights: what cells add to the sums that are kept of single rollouts; survived visits are then counted too.
-        luck: by which robots are stopped. bearing: what they bear.
+        bearing: what robots bear.
         purpose: of the key under which is drawn what is in doubt about the map (`planner.world.uncertain_maps.Draws`).
         state: of the mission that rollouts go on from; None: they begin at t = 0.
         movers: threats that move, which are told for each rollout; None: there are none.
@@ -117,7 +116,6 @@ class ClosedLoop:
     state: MissionState | None = None
     weights: Weights | None = None
     purpose: int = 0
-    luck: LuckName = "tolerance"
     bearing: Bearing = PLAIN
     movers: Movers | None = None
     doubt: Uncertain | None = None
@@ -165,7 +163,7 @@ class ClosedLoop:
     @property
     def keeps_tolerances(self) -> bool:
         """True if what is left of each robot's tolerance is kept for every rollout: they bear different things."""
-        return self.in_doubt and self.luck == "tolerance"
+        return self.in_doubt
 
     @property
     def keeps_apart(self) -> bool:
@@ -207,7 +205,7 @@ class ClosedLoop:
 
     def empty_tally(self, seed: int) -> Tally:
         """The tally of no rollouts."""
-        key = tally_key(self.identity, "closed", self.luck, seed)
+        key = tally_key(self.identity, "closed", seed)
         return Tally.empty(key, self.shape, self.robots, self.accessible)
 
     def until(self, step: int) -> ClosedLoop:
@@ -222,14 +220,8 @@ class ClosedLoop:
 
     def under(self, world: World) -> ClosedLoop:
         """The same decisions, but robots are stopped by the threats of `world`, a map of the same cells."""
-        tables = self.tables._replace(**luck_tables(self._kinds(world), self.cells, self.luck))
+        tables = self.tables._replace(**luck_tables(self._kinds(world), self.cells))
         return replace(self, identity=f"{self.identity}~{world.luck_sha256}", tables=tables, purpose=purpose_of(world))
-
-    def by(self, luck: LuckName, world: World) -> ClosedLoop:
-        """The same on its own map, `world`, by this luck."""
-        self.bearing.check_luck(luck)
-        tables = self.tables._replace(**luck_tables(self._kinds(world), self.cells, luck))
-        return self.again(luck=luck, tables=tables)
 
     def _kinds(self, world: World) -> tuple[World, ...]:
         return kinds_of(world, self.bearing.types, self.robots)

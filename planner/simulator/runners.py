@@ -288,7 +288,7 @@ class Runner:
         self._policy = None if policy is None else typed(policy._replace(stamp=policy.stamp.copy()))
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         moving = [own_key(seed, draw) for draw in (MOVE_DRAW, MEETING_DRAW, READING_DRAW)]
-        keys = [np.uint32(half) for key in (key_of_luck(seed, loop.luck), own, *moving) for half in key]
+        keys = [np.uint32(half) for key in (key_of_luck(seed), own, *moving) for half in key]
         options = loop.max_steps, loop.first_only, loop.stay_inside, 0
         self._how = How._make((*keys[:4], *options, *keys[4:], 0, 0))
         remembers = loop.policy is None and not (loop.stay_inside or loop.learns or loop.comes_home or loop.is_mixed)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.failure_model import PLAIN, Bearing
-from planner.ids import NO_CELL, LuckName
+from planner.ids import NO_CELL
 from planner.mrac.areas import BY_INDEX
 from planner.mrac.choose import reach_of
 from planner.mrac.executive import STUCK_AFTER
@@ -105,7 +105,6 @@ def make_tables(
     areas: tuple[Area, ...],
     tabled: bool,
     kept: AllPairs | None = None,
-    luck: LuckName = "tolerance",
     bearing: Bearing = PLAIN,
 ) -> Tables:
     """The tables of a problem with this allocation.
@@ -116,7 +115,7 @@ def make_tables(
         areas: the areas at t = 0 in id order.
         tabled: with all-pairs tables (6 to 12 bytes a pair of cells), else for searches (a few hundred bytes a cell);
             not of robots that learn.
-        kept: where all-pairs tables are kept from team to team. luck: by which robots are stopped.
+        kept: where all-pairs tables are kept from team to team.
         bearing: what they bear.
     """
     compact = np.full(problem.costs.size, NO_CELL, dtype=np.int32)
@@ -157,7 +156,7 @@ def make_tables(
         entry=entry if searches else entry[:0],
         **_for_searches(near, entry[: 0 if tabled or unknown else len(cells)], narrow),
         **_learning(unknown, problem.entry, cells, compact, narrow),
-        **luck_tables(_kinds(problem), cells, luck),
+        **luck_tables(_kinds(problem), cells),
         **bearing_tables(bearing, len(problem.starts)),
         **mover_tables(problem.world, compact, len(cells)),
         type_of=np.zeros(0, dtype=np.int64) if problem.own is None else problem.own.of,
@@ -288,17 +287,16 @@ def _kinds(problem: Problem) -> tuple[World, ...]:
     return kinds_of(problem.world, problem.settings.types, len(problem.starts))
 
 
-def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64], luck: LuckName) -> dict[str, NDArray]:
+def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str, NDArray]:
     """The fields of `Tables` that say how a visit of each of `cells` `[A]` is drawn, type after type."""
     if len(kinds) > 1:
-        tables = [luck_tables((kind,), cells, luck) for kind in kinds]
+        tables = [luck_tables((kind,), cells) for kind in kinds]
         return tables[0] | {
             name: np.concatenate([of[name] for of in tables]) for name in ("exposure", "chance", "bound")
         }
     (world,) = kinds
-    draws, exposure, doses = world.draws, np.zeros(0, dtype=np.int64), np.zeros((0, 0), dtype=np.int64)
-    if luck == "tolerance":
-        exposure, doses = world.exposures[0].reshape(-1, world.threat.size)[:, cells].ravel(), world.exposures[1]
+    draws, (exposure, doses) = world.draws, world.exposures
+    exposure = exposure.reshape(-1, world.threat.size)[:, cells].ravel()
     spends = draws is not None and draws.spends
     spent = np.zeros(-(-len(cells) // WORD) if spends else 0, dtype=np.uint64)
     drawn: dict[str, NDArray] = {"spent": spent, "exposure": exposure, "doses": doses}

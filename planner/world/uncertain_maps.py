@@ -73,14 +73,6 @@ class Draws(NamedTuple):
         return digest.hexdigest()
 
 
-def certain_draws(threat: NDArray[np.float32]) -> Draws:
-    """Those of a known map `[N]`: what it says is always there."""
-    nothing = np.zeros(threat.size, dtype=np.uint32)
-    always = np.full_like(nothing, UNIT)
-    table = np.zeros((0, 0), dtype=np.uint32)
-    return Draws(HAZARD_DRAW, nothing, always, bounds_of(threat), table, nothing.astype(np.int32), spends=False)
-
-
 @dataclass(frozen=True, eq=False)
 class Hazard:
     """Whether a hazard is there is drawn once a rollout and cell; every visit to one that is stops the robot with h.

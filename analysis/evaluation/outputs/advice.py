@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from analysis.page.charts import Chart, Series
 from analysis.search.pareto import Figures, Goal, Point, Setting, efficient, knee, quick_points, settings_of
 from analysis.statistics.control_variate import tally_mean
 from analysis.statistics.estimates import Estimate, exactly, losses_said
-from analysis.utils.compiling import not_compiled
 from analysis.utils.tables import without_level
 from planner.arguments import COMMAND_LINE, argument
 from planner.errors import PlanError, WorldError
@@ -28,9 +27,6 @@ from planner.files import Json
 from planner.formatting import counted, percent
 from planner.plan.plan import Plan
 from planner.policies import RULES
-
-if TYPE_CHECKING:
-    from analysis.evaluation.answer import Evaluation
 
 FEWEST = 64
 """Rollouts of a plan below which nobody asks what would be better."""
@@ -63,7 +59,6 @@ class Advice(Output):
     rollouts: int
     advised: Point | None = None
     difference: Estimate | None = None
-    late = True
 
     @classmethod
     def measure(cls, asked: bool, run: Run) -> Iterator[Self]:
@@ -191,11 +186,6 @@ class Advice(Output):
             return "no robot" if losses.ci95[1] == 0 else f"no robot in {self.rollouts:,} runs"
         said = losses_said(losses, self.robots, mean_only=True)
         return f"{said} on average" if said[0].isdigit() else said
-
-
-def is_quick(answer: Evaluation) -> bool:
-    """Whether other settings are known seconds after the answer: no code is compiled, no long run repeated."""
-    return answer.seconds <= SECONDS and not not_compiled(("per_cell", "mrac"))
 
 
 def _covered(coverage: Estimate) -> str:

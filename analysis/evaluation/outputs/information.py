@@ -11,19 +11,15 @@ from functools import cached_property
 from importlib.util import find_spec
 from itertools import pairwise
 from math import inf, isinf
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from matplotlib.colors import Normalize
 from numpy.typing import NDArray
 
 from analysis.estimators.racing import only, told_of_drawn, told_of_hazards, with_eyes
 from analysis.estimators.trial import Measured, Sampled, Trial, alike
 from analysis.evaluation.outputs.output import Blocks, Output, Run
-from analysis.exporting import raster
 from analysis.page.charts import Chart, Series
-from analysis.page.maps import CellLayer, threat_layer
-from analysis.pictures.style import COVERED, LOSSES
 from analysis.statistics.estimates import Estimate, more_said
 from analysis.utils.tables import make_table
 from planner.arguments import argument, numbers_of
@@ -37,6 +33,9 @@ from planner.world.features import seeing, with_sense
 from planner.world.map_knowledge import RANGE, Sense, chance_of
 from planner.world.uncertain_maps import Hazard, Uncertain
 from planner.world.world import World
+
+if TYPE_CHECKING:  # it takes matplotlib
+    from analysis.page.maps import CellLayer
 
 MOST_RANGES = 20
 LEAST = 1024
@@ -226,6 +225,8 @@ class Knowledge(Output):
 
 
 def _believed(world: World, plan: Plan) -> CellLayer:
+    from analysis.page.maps import threat_layer
+
     same = world.knowledge is not None and world.knowledge.may_be_blind(world.free)
     dark = "They know the obstacles." if same else "Dark: the true obstacles, of which they believe otherwise."
     about = f"The chance that one visit stops a robot, as robots think before they see anything. {dark}"
@@ -290,7 +291,7 @@ class Experience(Output):
         run.doing("the same team, told where hazards are")
         told = told_of_hazards(world, plan, choices, min(count, MOST_MAPS))
         run.doing("what is known in the end")
-        loop, ends = compile_closed_loop(plan, world, luck=choices.luck), min(count, MOST_ENDS)
+        loop, ends = compile_closed_loop(plan, world), min(count, MOST_ENDS)
         prior = np.where(world.free, hazard.q, np.nan).astype(np.float64).ravel()
         posterior, entropy = prior.copy(), entropy_of(prior)
         if loop.learns:
@@ -371,12 +372,17 @@ class Experience(Output):
         ]
         files: dict[str, Callable[[], str | bytes]] = {}
         if find_spec("rasterio") is not None:
+            from analysis.exporting import raster
+
             bands = np.stack([self.prior, self.posterior, self.entropy])
             files["posterior.tif"] = lambda: raster(self.world, BANDS, bands)
         layers = {"posterior.png": lambda: self._posterior(), "entropy.png": lambda: self._entropy()}
         return Blocks(leads=leads, tables=[table], notes=notes, layers=layers, files=files)
 
     def _posterior(self) -> CellLayer:
+        from analysis.page.maps import CellLayer
+        from analysis.pictures.style import LOSSES
+
         about = (
             f"The chance that a hazard is there, as the team knows it at the end of a run; mean of {self.ends:,} runs."
         )
@@ -386,6 +392,11 @@ class Experience(Output):
         )
 
     def _entropy(self) -> CellLayer:
+        from matplotlib.colors import Normalize
+
+        from analysis.page.maps import CellLayer
+        from analysis.pictures.style import COVERED
+
         about = f"Bits; 1: as likely there as not, 0: the team is sure. Mean of {self.ends:,} runs."
         scale = Normalize(0, 1)
         return CellLayer(

@@ -90,8 +90,8 @@ class Output(ABC):
 
     own_rollouts = True
     """It rolls out more, so that it is left out after an interruption."""
-    late = False
-    """It adds nothing to the tables and takes a while: the answer is shown before it is measured."""
+    late = True
+    """The summary and the tables of coverage and chances do without it: they are shown before it is measured."""
 
     @classmethod
     def check(cls, asked: Any, world: World) -> None:

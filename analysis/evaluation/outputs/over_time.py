@@ -23,10 +23,9 @@ from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.statistics.estimates import QUANTILES, Estimate, mean_of, robots_words
 from analysis.theory.verdicts import MEANINGS, longest_run
 from analysis.utils.tables import make_table
-from planner.failure_model import FAST_COUNTER, key_of, threefry2x32, uniform
 from planner.files import Json
 from planner.formatting import TURNS, UNPACED, Pace, counted, percent
-from planner.plan.plan import Drive, Plan, RobotPlan, drive_of
+from planner.plan.plan import Drive, Plan, drive_of
 from planner.rollouts.engine import run_ranges
 from planner.simulator.exact_tree import Tree
 from planner.simulator.tables import AllPairs
@@ -105,7 +104,7 @@ def closed_loop_curves(
     """Of the closed loop, by the compiled simulator whatever the engine: they agree rollout for rollout."""
     from planner.simulator.closed_loop import compile_closed_loop, new_cells
 
-    loop = compile_closed_loop(plan, world, first_only=choices.first_only, kept=kept, luck=choices.luck)
+    loop = compile_closed_loop(plan, world, first_only=choices.first_only, kept=kept)
 
     def curves(start: int, count: int) -> NDArray[np.int32]:
         out = np.empty((count, len(steps)), dtype=np.int32)
@@ -117,7 +116,7 @@ def closed_loop_curves(
 
 
 def open_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: NDArray[np.int64]) -> Curves:
-    """Of the open loop, from the step at which each robot is stopped; each kind of luck draws differently."""
+    """Of the open loop, from the step at which each robot is stopped."""
     firsts = [np.unique(robot.path, return_index=True) for robot in plan.robots]
     robot = np.concatenate([np.full(len(cells), number) for number, (cells, _) in enumerate(firsts)])
     cell, entered = (np.concatenate([first[part] for first in firsts]) for part in (0, 1))
@@ -125,11 +124,10 @@ def open_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: N
     robot, entered = robot[order], entered[order]
     cell_begins = np.flatnonzero(np.diff(cell[order], prepend=-1))
     seen_at = np.searchsorted(steps, entered).astype(np.int32)  # the first step looked at by whose end it is visited
-    stop_of = {"tolerance": _tolerance_stops, "fast": _fast_stops, "step": _step_stops}[choices.drawn]
 
     def few(start: int, count: int) -> NDArray[np.int32]:
         ids = np.arange(start, start + count, dtype=np.uint32)
-        stops = np.stack([stop_of(plan, k, world, choices.seed, ids) for k in range(len(plan.robots))], axis=1)
+        stops = np.stack([_stops(plan, k, world, choices.seed, ids) for k in range(len(plan.robots))], axis=1)
         at = np.where(entered <= stops[:, robot], seen_at, len(steps))
         first = np.minimum.reduceat(at, cell_begins, axis=1)
         bins = len(steps) + 1
@@ -143,43 +141,12 @@ def open_loop_curves(world: World, plan: Plan, choices: RolloutChoices, steps: N
     return curves
 
 
-def _dangerous(robot: RobotPlan, world: World) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Steps at which the robot enters a dangerous cell, and the threats there."""
-    steps = robot.entered
-    threat = world.threat.reshape(-1)[robot.path[steps]]
-    return steps[threat > 0], threat[threat > 0]
-
-
-def _fast_stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """The step at which the robot is stopped in each rollout, `[B]`, NEVER where it is not: one draw a rollout."""
-    from planner.rollouts.open_loop import survival_thresholds
-
-    steps, threat = _dangerous(plan.robots[robot], world)
-    _, words = threefry2x32(key_of(seed), ids, np.uint32(FAST_COUNTER - robot))
-    falling = -survival_thresholds(threat).astype(np.int64)
-    passed = np.searchsorted(falling, -words.astype(np.int64), side="left")  # thresholds above the word
-    return np.append(steps, NEVER)[passed]
-
-
-def _tolerance_stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """The same by the robot's tolerance."""
+def _stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """The step at which the robot is stopped in each rollout, `[B]`, NEVER where it is not."""
     steps = plan.robots[robot].entered
     borne = np.cumsum(world.exposures[0][plan.robots[robot].path[steps]])
     tolerances = plan.bearing.tolerances(seed, ids, robot + 1)[:, robot]
     return np.append(steps, NEVER)[np.searchsorted(borne, tolerances, side="left")]
-
-
-def _step_stops(plan: Plan, robot: int, world: World, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """The same by one draw for each dangerous entry, some entries of those still going at a time."""
-    steps, threat = _dangerous(plan.robots[robot], world)
-    stops, going = np.full(len(ids), NEVER), np.arange(len(ids))
-    for at in range(0, len(steps), 64):
-        now = slice(at, at + 64)
-        hit = uniform(seed, ids[going, None], steps[now], robot) < threat[now]
-        hurt = hit.any(axis=1)
-        stops[going[hurt]] = steps[now][hit[hurt].argmax(axis=1)]
-        going = going[~hurt]
-    return stops
 
 
 # Coverage by a deadline: the same rollouts, cut off at the end of a step.
@@ -204,6 +171,7 @@ class Deadline(Output):
     losses: float | None = None
     over: bool = False
     tree: Tree | None = None
+    late = False
 
     @classmethod
     def measure(cls, asked: int, run: Run) -> Iterator[Self]:
@@ -286,8 +254,6 @@ class Turning(Output):
     @classmethod
     def measure(cls, asked: float, run: Run) -> Iterator[Self]:
         plan, choices = run.plan, replace(run.choices, deadline=None)
-        if choices.luck == "step":
-            choices = replace(choices, mode="step")
         worth = int(np.clip(WORK // ((plan.makespan + 1) * len(plan.robots)), TURNING_LEAST, TURNING_MOST))
         count = min(run.last.tally.rollouts, worth)
         run.doing(f"turns of {counted(count, 'rollout')}")

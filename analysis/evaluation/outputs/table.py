@@ -10,8 +10,8 @@ from analysis.evaluation.outputs.value import Value
 from analysis.evaluation.outputs.what_if import MapDoubt, Mates, ThreatScale
 
 OUTPUTS: dict[str, type[Output]] = {
-    "threat_scale": ThreatScale,
     "deadline": Deadline,
+    "threat_scale": ThreatScale,
     "value": Value,
     "turn": Turning,
     "band": Band,

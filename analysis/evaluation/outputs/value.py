@@ -297,8 +297,7 @@ class Value(ValueFigures, Output):
         units = Units.of(worth)
         counted, columns = units.roll_out(run)
         found, rest = found_chances(counted, worth)
-        luck = run.choices.seed if run.choices.luck == "tolerance" else None
-        covered, known = (units.estimate(column, run.certain, tally.robots, luck) for column in columns)
+        covered, known = (units.estimate(column, run.certain, tally.robots, run.choices.seed) for column in columns)
         (low, high), total = known.ci95, worth.total
         least = low + rest if run.certain else low
         known = Estimate(min(known.mean + rest, total), known.se, (min(least, total), min(high + rest, total)))
@@ -374,10 +373,10 @@ class Units:
         covered, found = (np.concatenate(column) for column in zip(*parts, strict=True))
         return tally, (covered, found)
 
-    def estimate(self, column: NDArray[np.int64], certain: bool, robots: int, seed: int | None) -> Estimate:
-        """The mean of units `[B]` of rollouts 0 .. B - 1, as a value; `seed`: of luck by tolerance, or None."""
+    def estimate(self, column: NDArray[np.int64], certain: bool, robots: int, seed: int) -> Estimate:
+        """The mean of units `[B]` of rollouts 0 .. B - 1, as a value; `seed`: of their thresholds."""
         count, luck = len(column), None
-        if seed is not None and count >= LEAST:
+        if count >= LEAST:
             luck = CommonLuck.of(robots, luck_classes(seed, 0, count, robots), column, column)
         return mean_value(column, self.worth.total, len(self.covered), certain, luck)
 

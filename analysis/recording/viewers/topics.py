@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from analysis.recording.frames import AreaMap, Discovery, area_maps, discovery_of, learned_maps
 from analysis.recording.log_writer import LogSchema
 from planner.files import Json, atomic_write
-from planner.ids import LuckName
 from planner.mrac.problem import ready_loop
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Area, Plan
@@ -234,7 +233,7 @@ class Stage:
     """What all rollouts of a file share.
 
     Attributes:
-        loop: "closed" or "open". seed: of the rollouts. first_only, luck: as of `Request`.
+        loop: "closed" or "open". seed: of the rollouts. first_only: as of `Request`.
         areas: those at t = 0.
     """
 
@@ -243,7 +242,6 @@ class Stage:
     loop: str
     seed: int
     first_only: bool = False
-    luck: LuckName = "tolerance"
 
     @cached_property
     def areas(self) -> tuple[Area, ...]:
@@ -255,7 +253,7 @@ class Stage:
     def area_maps(self, trace: Trace) -> Iterator[AreaMap]:
         """Who holds what, at the end of step 0 and of every later step that changes it; nothing without areas."""
         if self.rearranges:
-            loop = ReferenceLoop(self.plan, self.world, first_only=self.first_only, luck=self.luck)
+            loop = ReferenceLoop(self.plan, self.world, first_only=self.first_only)
             return learned_maps(loop.teams(self.seed, trace.rollout))
         return area_maps(trace, self.areas, self.plan.state) if self.areas else iter(())
 
