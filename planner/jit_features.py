@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba.core import ir, types
+from numba.core import ir
 from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.ir_utils import get_definition, guard
+from numba.core.types.containers import BaseNamedTuple
+from numba.core.types.misc import NoneType
 from numba.core.untyped_passes import InlineInlinables, WithLifting
 
 
 @register_pass(mutates_CFG=False, analysis_only=False)
-class FoldAbsent(FunctionPass):  # type: ignore[misc]
+class FoldAbsent(FunctionPass):
     """A field of a named tuple that is None is False, before types are found: Numba then drops what asks for it."""
 
     _name = "fold_absent"
@@ -42,9 +44,9 @@ def _is_absent(code: Any, kinds: Any, value: Any) -> bool:
     kind = kinds[of.index] if isinstance(of, ir.Arg) else None
     kind = getattr(kind, "of", kind)
     return (
-        isinstance(kind, types.BaseNamedTuple)
+        isinstance(kind, BaseNamedTuple)
         and value.attr in kind.fields
-        and isinstance(kind.types[kind.fields.index(value.attr)], types.NoneType)
+        and isinstance(kind.types[kind.fields.index(value.attr)], NoneType)
     )
 
 
@@ -55,7 +57,7 @@ class FoldAbsentAgain(FoldAbsent):
     _name = "fold_absent_again"
 
 
-class FeatureCompiler(Compiler):  # type: ignore[misc]
+class FeatureCompiler(Compiler):
     """Numba's compiler with this pass."""
 
     def define_pipelines(self) -> list[Any]:

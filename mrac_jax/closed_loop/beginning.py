@@ -61,7 +61,7 @@ def begun_values(tables: LaneTables, loop: ClosedLoop) -> HostArrays:
         (padded(is_open[area], tables.size, dtype=np.bool_), OPEN),
     )
     records, ids = np.zeros(tables.size, dtype=np.uint32), np.zeros(tables.size, dtype=np.int32)
-    records[lowest] = state.areas[:given, classical.LEFT_IN] + ((loop.tables.owner.astype(np.int64) + 1) << OWNER_SHIFT)
+    records[lowest] = state.areas["left"][:given] + ((loop.tables.owner.astype(np.int64) + 1) << OWNER_SHIFT)
     ids[lowest] = np.arange(given)
     safe = (tables.level == 0) & ~visited
     values = {
@@ -72,15 +72,15 @@ def begun_values(tables: LaneTables, loop: ClosedLoop) -> HostArrays:
         "looked": np.bool_(False),
         "safe_left": np.int32(safe[: len(area)].sum()),
         "passes": survived.astype(np.uint8),
-        "waiting": np.int32(marks[classical.OPEN]),
-        "step": np.int32(marks[classical.STEP]),
-        "quiet": np.int32(marks[classical.QUIET]),
+        "waiting": np.int32(marks["open"]),
+        "step": np.int32(marks["step"]),
+        "quiet": np.int32(marks["quiet"]),
         "progress": np.bool_(False),
-        "unvisited": np.int32(len(area) - marks[classical.COVERED]),
-        "survived": np.int32(marks[classical.COVERED] - marks[classical.UNSURVIVED]),
-        "made": np.int32(marks[classical.AREAS]),
+        "unvisited": np.int32(len(area) - marks["covered"]),
+        "survived": np.int32(marks["covered"] - marks["unsurvived"]),
+        "made": np.int32(marks["areas"]),
         **dict.fromkeys(("bisected", "divided"), np.int32(0)),
-        "outcome": np.int32(0 if tables.homes is None else marks[classical.OVER] - 1),
+        "outcome": np.int32(0 if tables.homes is None else marks["over"] - 1),
     }
     acting = values["traveling"] | values["covering"] | values["held"] | values["returning"]
     acting |= values["hopeful"] if is_open.any() else 0
@@ -95,8 +95,8 @@ def begun_values(tables: LaneTables, loop: ClosedLoop) -> HostArrays:
 
 def _of_robots(tables: LaneTables, loop: ClosedLoop, state: State, lowest: NDArray[np.int64]) -> HostArrays:
     """Where robots are and what they have and do; lowest: the lowest cell of each area."""
-    words = (classical.DOING, classical.CELL, classical.TARGET, classical.AREA, classical.LEFT, classical.HELD)
-    doing, cell, target, area, to_do, held = state.robots.astype(np.int64).T[list(words)]
+    words = ("doing", "cell", "target", "area", "left", "held")
+    doing, cell, target, area, to_do, held = (state.robots[word].astype(np.int64) for word in words)
     has_area = np.isin(doing, (classical.STARTING, classical.TRAVELING, classical.COVERING))
     for robot in np.flatnonzero(doing == classical.STARTING):  # others know where they go
         members = np.flatnonzero(areas_at(loop) == area[robot])
@@ -104,9 +104,7 @@ def _of_robots(tables: LaneTables, loop: ClosedLoop, state: State, lowest: NDArr
     duty = np.where(has_area, lowest[np.where(has_area, area, 0)] | to_do << OWNER_SHIFT, tables.none)
     returns = doing == classical.RETURNING
     on_its_way = (has_area | returns) & (loop.state is not None)
-    left = np.minimum(
-        state.team[:, classical.UNTIL] - np.where(on_its_way, state.marks[classical.STEP] - 1, 0), MAX_STEP + 1
-    )
+    left = np.minimum(state.robots["until"] - np.where(on_its_way, state.marks["step"] - 1, 0), MAX_STEP + 1)
     acts = np.unpackbits((state.movers | state.waiting).view(np.uint8), bitorder="little")[: len(doing)] > 0
     lives = acts & ~returns & (left > 0)
     of = {

@@ -27,7 +27,7 @@ from planner.policies.limits import NO_REFUSAL
 from planner.policies.rule import Offer, price
 from planner.simulator.closed_loop import MOST_TABLED
 from planner.simulator.loop import ClosedLoop
-from planner.simulator.state import LAST_STEP, MOST_PASSES, RECHARGE
+from planner.simulator.state import MOST_PASSES
 
 # Ways home as tables that every lane reads (SPEC section 19): `planner.mrac.home_paths` for lanes. NumPy alone.
 #
@@ -103,9 +103,9 @@ def lane_homes(loop: ClosedLoop, size: int, robots: int, sets: tuple[int, ...]) 
         base=flat(base, size - 1, np.uint16),
         moves=moves.reshape(-1),
         need=np.pad(need, ((0, more), (0, 0), (0, 0))).reshape(-1),
-        last=np.int32(tables.limits[LAST_STEP]),
+        last=np.int32(tables.last_step),
         furthest=np.int32(tables.home_steps.max()),
-        recharge=np.int32(tables.limits[RECHARGE]) if tables.limits[RECHARGE] else None,
+        recharge=np.int32(tables.recharge) if tables.recharge else None,
     )
 
 
@@ -199,10 +199,10 @@ def check_policy(loop: ClosedLoop) -> None:
     if policy is None:
         return
     try:
-        jax.eval_shape(policy.rule.order, Offer(*[jax.ShapeDtypeStruct((1,), np.int32)] * 6))
+        jax.eval_shape(loop.rule.order, Offer(*[jax.ShapeDtypeStruct((1,), np.int32)] * 6))
     except (TypeError, OverflowError) as error:
         raise WorldError(
-            f"the order of rule {policy.rule.name} cannot be traced by JAX", expected="arithmetic alone", fix=fix
+            f"the order of rule {loop.rule.name} cannot be traced by JAX", expected="arithmetic alone", fix=fix
         ) from error
     longest = int(loop.tables.cost_to.max()) * (1 + loop.comes_home)  # a way home may get dearer by as much
     sizes = np.bincount(loop.tables.level, weights=np.diff(loop.tables.begin), minlength=len(policy.entry))
@@ -215,12 +215,12 @@ def check_policy(loop: ClosedLoop) -> None:
                     said = (level, longest, left, int(entry), value, policy.beyond)
                     offer = Offer(*map(np.int32, said))
                     np.int32(policy.scale if policy.worth else 1) * price(offer)
-                    denominators = [int(denominator) for _, denominator in policy.rule.order(offer)]
+                    denominators = [int(denominator) for _, denominator in loop.rule.order(offer)]
                     if max(denominators) > (LARGEST if len(policy.value) else LARGEST_DENOMINATOR):
                         raise OverflowError
     except (FloatingPointError, OverflowError) as error:
         raise WorldError(
-            f"prices of areas too large for policy {policy.rule.name} to be compared in 32 bits",
+            f"prices of areas too large for policy {loop.rule.name} to be compared in 32 bits",
             expected=f"numerators below 2**31, denominators up to {LARGEST_DENOMINATOR} for the closed loop in JAX",
             fix=f"{fix}, or raise the smallest threats",
         ) from error

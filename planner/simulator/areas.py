@@ -23,31 +23,15 @@ from planner.simulator.paths import (
     walk_back,
 )
 from planner.simulator.range_budget import affords
-from planner.simulator.robot_types import hears, moves_until, own, own_level
+from planner.simulator.robot_types import hears, moves_until, own, own_level, own_turn
 from planner.simulator.state import (
-    AREA,
     AREA_BITS,
-    AREAS,
-    BEGIN,
-    BISECTED,
-    CELL,
-    CHANGES,
     COVERING,
-    DIVIDED,
-    DOING,
-    END,
     FAR,
-    LEFT_IN,
-    LEVEL,
-    LOWEST,
     ONE,
-    OPEN,
-    ROOT,
     STARTING,
-    STEP,
     TO_DO,
     TRAVELING,
-    UNFINISHED,
     VISITED,
     WORD,
     drop,
@@ -96,25 +80,25 @@ def note(log, s, robot, kind, area, other):
         place = log.events[0, 0] + 1
         log.events[0, 0] = place
         if place < len(log.events):
-            log.events[place, 0], log.events[place, 1], log.events[place, 2] = s.marks[STEP], robot, kind
+            log.events[place, 0], log.events[place, 1], log.events[place, 2] = s.marks.step, robot, kind
             log.events[place, 3], log.events[place, 4] = area, other
 
 
 @kernel
 def has_area(robots, robot):
     """Whether the robot has an area."""
-    doing = robots[robot, DOING]
+    doing = robots[robot].doing
     return doing in (TRAVELING, COVERING, STARTING)
 
 
 @kernel
-def look(log, s, step):
+def write_frame(log, s, step):
     """Write down where every robot is and what it does at the end of a step."""
     if step < len(log.frames):
         for robot in range(len(s.robots)):
-            log.frames[step, FRAME_CELL, robot] = s.robots[robot, CELL]
-            log.frames[step, FRAME_DOING, robot] = s.robots[robot, DOING]
-            log.frames[step, FRAME_AREA, robot] = s.robots[robot, AREA] if has_area(s.robots, robot) else NONE
+            log.frames[step, FRAME_CELL, robot] = s.robots[robot].cell
+            log.frames[step, FRAME_DOING, robot] = s.robots[robot].doing
+            log.frames[step, FRAME_AREA, robot] = s.robots[robot].area if has_area(s.robots, robot) else NONE
 
 
 @kernel
@@ -129,54 +113,61 @@ def close(s, area):
     if holds(s.open, area):
         drop(s.open, area)
         drop(s.lowest, area)
-        s.marks[OPEN] -= 1
-        s.marks[CHANGES] += 1
+        s.marks.open -= 1
+        s.marks.changes += 1
+
+
+@kernel
+def unsettle(s):
+    """Every robot compares its area with others again: an area has come, or costs have changed."""
+    s.marks.arrivals += 1
 
 
 @kernel
 def reopen(s, area):
     """Put an area into the pool."""
-    level = np.int64(s.areas[area, LEVEL])
+    level = np.int64(s.areas[area].level)
     put(s.open, area)
-    s.marks[OPEN] += 1
-    s.marks[CHANGES] += 1
+    s.marks.open += 1
+    s.marks.changes += 1
+    unsettle(s)
     # `lowest` is kept up to date only while that is cheap; else it is told anew when it is asked for.
-    if level < s.marks[LOWEST]:
+    if level < s.marks.lowest:
         make_lowest(s)
-    elif level == s.marks[LOWEST]:
+    elif level == s.marks.lowest:
         put(s.lowest, area)
 
 
 @rare_kernel
 def make_lowest(s):
     """Tell the unassigned areas of the lowest level apart."""
-    s.marks[LOWEST] = FAR
-    for word in range((s.marks[AREAS] + WORD - 1) // WORD):
+    s.marks.lowest = FAR
+    for word in range((s.marks.areas + WORD - 1) // WORD):
         s.lowest[word], bits = 0, s.open[word]
         while bits != 0:
             area = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
-            level = np.int64(s.areas[area, LEVEL])
-            if level < s.marks[LOWEST]:
-                s.marks[LOWEST] = level
+            level = np.int64(s.areas[area].level)
+            if level < s.marks.lowest:
+                s.marks.lowest = level
                 for before in range(word + 1):
                     s.lowest[before] = 0
-            if level == s.marks[LOWEST]:
+            if level == s.marks.lowest:
                 put(s.lowest, area)
 
 
 @kernel
 def give(s, robot, area):
     close(s, area)
-    s.robots[robot, AREA] = area
-    if s.robots[robot, DOING] != STARTING:
-        s.robots[robot, DOING] = TRAVELING
+    s.robots[robot].area = area
+    if s.robots[robot].doing != STARTING:
+        s.robots[robot].doing = TRAVELING
 
 
 @rare_kernel
 def find_affordable(t, s, w, robot):
     """The same by `costs_from` the robot, of what one that comes home can afford, and by its own levels."""
-    here = np.int64(s.robots[robot, CELL])
+    here = np.int64(s.robots[robot].cell)
     if not t.searches:
         row = own(t, robot, here)
         return affordable(t, s, w, robot, t.cost_to[row], t.area_cost[row], t.area_entry[row])
@@ -188,10 +179,10 @@ def find_affordable(t, s, w, robot):
 def affordable(t, s, w, robot, costs, area_costs, area_entries):
     """As `look_up_among`, of all unassigned areas."""
     best, best_level, best_cost, best_cell = np.int64(NONE), FAR, FAR, np.int64(NONE)
-    for area in range(s.marks[AREAS]):
+    for area in range(s.marks.areas):
         if not holds(s.open, area):
             continue
-        level, root = own_level(t, robot, s.areas[area, LEVEL]), np.int64(s.areas[area, ROOT])
+        level, root = own_level(t, robot, s.areas[area].level), np.int64(s.areas[area].root)
         if t.learns:  # areas gain cells: none is a part of one of t = 0
             cell = cheapest_cell(costs, s, area)
             cost = np.int64(costs[cell]) if cell != NONE else np.int64(NONE)
@@ -215,7 +206,7 @@ def find_next_area(t, s, w, robot):
         return np.int64(NONE), np.int64(NONE)
     if t.returns or t.mixed:
         return find_affordable(t, s, w, robot)
-    here = np.int64(s.robots[robot, CELL])
+    here = np.int64(s.robots[robot].cell)
     if not t.searches:
         return look_up_next_area(s, t.cost_to[here], t.area_cost[here], t.area_entry[here])
     if t.learns:  # areas gain cells: none is a part of one of t = 0
@@ -247,13 +238,13 @@ def look_up_further(s, costs, area_costs, area_entries):
 def look_up_among(s, areas, costs, area_costs, area_entries):
     """The same of these areas."""
     best, best_level, best_cost, best_cell = np.int64(NONE), FAR, FAR, np.int64(NONE)
-    for word in range((s.marks[AREAS] + WORD - 1) // WORD):
+    for word in range((s.marks.areas + WORD - 1) // WORD):
         bits = areas[word]
         while bits != 0:
             area = word * WORD + lowest_bit(bits)
             bits &= bits - ONE
-            level = np.int64(s.areas[area, LEVEL])
-            root = np.int64(s.areas[area, ROOT])
+            level = np.int64(s.areas[area].level)
+            root = np.int64(s.areas[area].root)
             cost, cell = np.int64(area_costs[root]), np.int64(area_entries[root])
             if level > best_level or (level == best_level and cost > best_cost):
                 continue
@@ -272,9 +263,9 @@ def search_next_area(t, s, w, here):
     done = np.int64(NONE)
     while True:
         level = FAR
-        for area in range(s.marks[AREAS]):
-            if holds(s.open, area) and done < s.areas[area, LEVEL] < level:
-                level = np.int64(s.areas[area, LEVEL])
+        for area in range(s.marks.areas):
+            if holds(s.open, area) and done < s.areas[area].level < level:
+                level = np.int64(s.areas[area].level)
         if level == FAR:
             return NONE, NONE
         cell = seek(t, s, w, here, open_at(level), np.int64(NONE))
@@ -308,7 +299,7 @@ def flood(t, s, w, first, of, mark):
 def list_unvisited(s, w, area):
     """The area's unvisited cells, rising, into `listed`; returns how many."""
     count = 0
-    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
+    for place in range(s.areas[area].begin, s.areas[area].end):
         cell = s.order[place]
         if s.home[cell] & VISITED == 0:
             w.listed[count] = cell
@@ -402,7 +393,7 @@ def largest_rest(t, s, w, area, count, grown):
 def replace(t, s, w, area, split):
     """Complete an area; its unvisited cells become new areas. Returns (first new id, how many); NONE: no room."""
     areas, marks = s.areas, s.marks
-    first_new, parts, begin = marks[AREAS], 0, np.int64(areas[area, BEGIN])
+    first_new, parts, begin = marks.areas, 0, np.int64(areas[area].begin)
     count = list_unvisited(s, w, area)
     for index in range(count):
         cell = w.listed[index]
@@ -410,25 +401,27 @@ def replace(t, s, w, area, split):
             # Room for this part and for one more that a bisection may make.
             if first_new + parts + 2 > room_of(s):
                 return np.int64(NONE), 0
-            areas[first_new + parts, LEFT_IN] = flood(t, s, w, cell, area, first_new + parts)
+            areas[first_new + parts].left = flood(t, s, w, cell, area, first_new + parts)
             parts += 1
     if split:
-        marks[BISECTED if parts == 1 else DIVIDED] += 1
-        if parts == 1:
+        if parts > 1:
+            marks.divided += 1
+        else:
+            marks.bisected += 1
             bisect(t, s, w, first_new, count)
             parts = 2
-            areas[first_new, LEFT_IN] = areas[first_new + 1, LEFT_IN] = 0
+            areas[first_new].left = areas[first_new + 1].left = 0
             for index in range(count):
-                areas[np.int64(s.home[w.listed[index]]) >> AREA_BITS, LEFT_IN] += 1
+                areas[np.int64(s.home[w.listed[index]]) >> AREA_BITS].left += 1
     for new in range(first_new, first_new + parts):
-        areas[new, BEGIN] = areas[new, END] = begin
-        begin += areas[new, LEFT_IN]
-        areas[new, LEVEL], areas[new, ROOT] = areas[area, LEVEL], areas[area, ROOT]
+        areas[new].begin = areas[new].end = begin
+        begin += areas[new].left
+        areas[new].level, areas[new].root = areas[area].level, areas[area].root
         if new % WORD == 0:
             s.open[new // WORD] = s.lowest[new // WORD] = 0
     if parts == 1:
-        begin = np.int64(areas[first_new, BEGIN])
-        areas[first_new, END] = begin + count
+        begin = np.int64(areas[first_new].begin)
+        areas[first_new].end = begin + count
         for index in range(count):
             s.order[begin + index] = w.listed[index]
     else:
@@ -436,28 +429,28 @@ def replace(t, s, w, area, split):
             cell = w.listed[index]
             new = np.int64(s.home[cell]) >> AREA_BITS
             # `listed` rises, so each part's segment does: ties stay those of SPEC section 3.
-            s.order[areas[new, END]] = cell
-            areas[new, END] += 1
-    marks[AREAS] += parts
+            s.order[areas[new].end] = cell
+            areas[new].end += 1
+    marks.areas += parts
     for new in range(first_new, first_new + parts):
         reopen(s, new)
-    marks[UNFINISHED] += parts - (1 if count > 0 else 0)
+    marks.unfinished += parts - (1 if count > 0 else 0)
     close(s, area)
-    areas[area, LEFT_IN] = 0
+    areas[area].left = 0
     return first_new, parts
 
 
 @spliced
 def costs_from(t, s, w, robot):
     """The cost from the robot's cell to every cell, NONE if unreachable; without tables a row for two robots' time."""
-    here = np.int64(s.robots[robot, CELL])
+    here = np.int64(s.robots[robot].cell)
     return t.cost_to[own(t, robot, here)] if not t.searches else w.rows[row_from(t, s, w, here)]
 
 
 @kernel
 def is_within(t, s, w, helper, target, most):
     """Whether `target` is at most `most` moves from the helper; without tables the last answer was `costs_from` it."""
-    here = s.robots[helper, CELL]
+    here = s.robots[helper].cell
     if t.searches:
         return walk_back(t, s, w, here, target, s.legs[helper]) <= most
     for _ in range(most):
@@ -470,10 +463,7 @@ def is_within(t, s, w, helper, target, most):
 @kernel
 def may_be_shared(t, s, owner, helper):
     return (
-        owner != helper
-        and has_area(s.robots, owner)
-        and s.areas[s.robots[owner, AREA], LEFT_IN] >= 2
-        and hears(t, s, owner)
+        owner != helper and has_area(s.robots, owner) and s.areas[s.robots[owner].area].left >= 2 and hears(t, s, owner)
     )
 
 
@@ -493,14 +483,14 @@ def owner_to_share_with(t, s, w, helper, costs):
     for owner in range(len(s.robots)):
         if not may_be_shared(t, s, owner, helper):
             continue
-        area = np.int64(s.robots[owner, AREA])
-        level = own_level(t, helper, s.areas[area, LEVEL])
+        area = np.int64(s.robots[owner].area)
+        level = own_level(t, helper, s.areas[area].level)
         if level > best_level:
             continue
         cell = cheapest_cell(costs, s, area)
         if cell == NONE:
             continue
-        cost, left = np.int64(costs[cell]), moves_until(t, helper, owner, np.int64(s.areas[area, LEFT_IN]))
+        cost, left = np.int64(costs[cell]), moves_until(t, helper, owner, np.int64(s.areas[area].left))
         better = (level, cost, area) < (best_level, best_cost, best_area)
         # Steps are counted along the path only where the cost does not tell: a step costs 1 at least.
         near = better and (cost <= left or is_within(t, s, w, helper, cell, left))  # a step costs 1 at least
@@ -538,7 +528,7 @@ def share(t, s, w, log, helper):
 def share_between(t, s, w, log, helper, owner, helper_costs):
     """The owner's area is split between the two; `helper_costs`: `costs_from` the helper. 1; NONE: there is no room."""
     owner_costs = costs_from(t, s, w, owner)
-    area = np.int64(s.robots[owner, AREA])
+    area = np.int64(s.robots[owner].area)
     first, parts = replace(t, s, w, area, np.bool_(True))
     if first == NONE:
         return NONE
@@ -548,6 +538,25 @@ def share_between(t, s, w, log, helper, owner, helper_costs):
         give(s, robot, part)
         target = entry_of(t, s, w, robot, part)
         note(log, s, robot, ALLOCATED_EVENT, part, target)
-        if s.robots[robot, DOING] != STARTING:
+        if s.robots[robot].doing != STARTING:
             set_out(t, s, w, robot, target, t.searches)
     return 1
+
+
+@kernel
+def waits(t, s, robot):
+    """The robot, which moved, has no area from here on."""
+    if holds(s.movers, robot):
+        drop(s.movers, robot)
+        put(s.waiting, robot)
+        # Moves that are left do not run out with the turns: a number of them, not the turn of the last one.
+        s.robots[robot].until -= own_turn(t, robot, s.marks.step)
+
+
+@kernel
+def moves_on(t, s, robot):
+    """The robot, which waited, has an area and moves from the next step on."""
+    if holds(s.waiting, robot):
+        drop(s.waiting, robot)
+        put(s.movers, robot)
+        s.robots[robot].until += own_turn(t, robot, s.marks.step)

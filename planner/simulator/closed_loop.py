@@ -21,7 +21,7 @@ from planner.simulator.areas import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_lo
 from planner.simulator.loop import NO_COUNTS, ClosedLoop, known_cells, purpose_of
 from planner.simulator.policy import make_policy
 from planner.simulator.runners import Runner, on_threads, run_sets, singles_of
-from planner.simulator.state import GOAL, Counts
+from planner.simulator.state import Counts
 from planner.simulator.tables import AllPairs, first_frames, make_tables
 from planner.tally import EventKind, Outcome, RolloutResults, Tally, Trace, tally_key
 from planner.world.uncertain_maps import Uncertain
@@ -266,9 +266,7 @@ def nominal_trace(loop: ClosedLoop) -> Trace:
     tables = loop.tables
     safe = tables._replace(bound=np.zeros_like(tables.bound), movers=tables.movers[:0])
     if loop.learns and not len(tables.phases):  # threats change whatever happens
-        limits = tables.limits.copy()
-        limits[GOAL] = len(tables.order)
-        safe = safe._replace(truths=tables.belief[None], limits=limits)
+        safe = safe._replace(truths=tables.belief[None], goal=len(tables.order))
     policy = None if loop.policy is None else loop.policy._replace(view_begin=loop.policy.view_begin[:0])
     begin = replace if loop.learns or loop.movers is not None else ClosedLoop.again
     return trace_rollouts(begin(loop, tables=safe, movers=None, doubt=None, policy=policy), 0, (0,))[0]

@@ -16,7 +16,7 @@ from numba.extending import intrinsic, overload, register_jitable
 
 from planner.failure_model import LOGARITHMS, MOST, log_units, threefry2x32, unworn
 from planner.jit import UNCOUNTED, kernel, program, rare_kernel
-from planner.simulator.state import BEARS, BORNE, FIRST, LAST, highest_bit
+from planner.simulator.state import highest_bit
 
 # Several rollouts at a time drawn for and parted, in vector registers.
 #
@@ -214,9 +214,9 @@ def mass_stopped(t, s, robot, place, mass):
     """Of a tree's branch of this mass, as much as a visit stops, which adds to what the robot has borne; rounded."""
     if not t.wears:
         return np.int64(t.chance[place] * mass + 0.5)
-    before = fresh(t, robot, s.team[robot, BORNE])
-    s.team[robot, BORNE] += t.exposure[place]
-    more = fresh(t, robot, s.team[robot, BORNE]) - before
+    before = fresh(t, robot, s.robots[robot].borne)
+    s.robots[robot].borne += t.exposure[place]
+    more = fresh(t, robot, s.robots[robot].borne) - before
     return np.int64(-math.expm1(-more * 2.0**-32) * mass + 0.5)
 
 
@@ -228,38 +228,34 @@ def stopped_from(t, s, c, w, how, ids, step, robot, cell, place):
     ones are to stop. By tolerance the word is the robot's, and none but who may be at the end of it is looked at.
     A tree has no ids: as many of its mass are stopped as the chance says. `place`: of the visit (`visit_of`).
     """
-    first, last = s.marks[FIRST], s.marks[LAST]
+    first, last = s.marks.first, s.marks.last
     if how.cut > 0:
         c.histories[2] += 1
         return last - mass_stopped(t, s, robot, place, last - first)
     # What is true of the cell differs from rollout to rollout, so no limit serves the whole set.
     if t.doubtful:
         return part_in_doubt(t, ids, w, how, first, last, step, robot, cell)
-    if len(t.exposure) == 0:
-        # u < p with u = word >> 8: turned over, small words become large ones, and one comparison serves both lucks.
-        limit = np.uint32((2**32 - (np.int64(t.bound[place]) << 8)) & (2**32 - 1))
-        return part(ids, w.words, how, first, last, np.uint32(step * 1024 + robot), limit, ALL_BITS)
-    s.team[robot, BORNE] += t.exposure[place]
-    borne = fresh(t, robot, s.team[robot, BORNE])
+    s.robots[robot].borne += t.exposure[place]
+    borne = fresh(t, robot, s.robots[robot].borne)
     # Most visits end here, whatever the size of the set.
-    if borne < s.team[robot, BEARS]:
+    if borne < s.robots[robot].bears:
         return last
-    return look(s, w, how, ids, robot, borne)
+    return draw_group(s, w, how, ids, robot, borne)
 
 
 @rare_kernel
-def look(s, w, how, ids, robot, borne):
+def draw_group(s, w, how, ids, robot, borne):
     """`stopped_from` by the tolerances of the set."""
-    first, last = s.marks[FIRST], s.marks[LAST]
+    first, last = s.marks.first, s.marks.last
     if last - first == 1:
         # Of a single rollout the tolerance is known for good: its words are drawn once a robot.
-        s.team[robot, BEARS] = tolerance(threefry(how.key0, how.key1, ids[first], np.uint32(robot))[0])
-        return first if borne >= s.team[robot, BEARS] else last
+        s.robots[robot].bears = tolerance(threefry(how.key0, how.key1, ids[first], np.uint32(robot))[0])
+        return first if borne >= s.robots[robot].bears else last
     if last - first < GROUP:
-        hit_from, s.team[robot, BEARS] = part_few(ids, w.words, how, first, last, robot, borne)
+        hit_from, s.robots[robot].bears = part_few(ids, w.words, how, first, last, robot, borne)
         return hit_from
     # Who goes on bears more than this; how much more is not worth finding out for many.
-    s.team[robot, BEARS] = borne + 1
+    s.robots[robot].bears = borne + 1
     return part(ids, w.words, how, first, last, np.uint32(robot), np.uint32(least_word(borne)), NO_BITS)
 
 
@@ -315,16 +311,10 @@ def part_in_doubt(t, ids, w, how, first, last, step, robot, cell):
     By tolerance what is left of a robot's is kept for every rollout.
     """
     mine, room = ids[first:last], w.words[: last - first]
-    counter = np.uint32(step * 1024 + robot)
     for index in range(len(mine)):
-        if len(t.exposure) > 0:
-            left = w.left[mine[index] - w.begin[0]]
-            left[robot] -= as_it_is(t.exposure, t.doses, t.there, t.column, cell, own_word(t, how, mine[index], cell))
-            room[index] = left[robot] > 0
-        else:
-            word = threefry(how.key0, how.key1, mine[index], counter)[0] >> np.uint32(8)
-            own = own_word(t, how, mine[index], cell)
-            room[index] = word >= as_it_is(t.bound, t.table, t.there, t.column, cell, own)
+        left = w.left[mine[index] - w.begin[0]]
+        left[robot] -= as_it_is(t.exposure, t.doses, t.there, t.column, cell, own_word(t, how, mine[index], cell))
+        room[index] = left[robot] > 0
     return first + split_ids(mine, room, 1)
 
 

@@ -17,7 +17,7 @@ from planner.plan.state import MissionState
 from planner.policies.rule import Rule
 from planner.rollout_sampling import first_places
 from planner.simulator.policy import Policy
-from planner.simulator.state import DETECTS, GOAL, TRUTH, State, Tables, first_state
+from planner.simulator.state import DETECTS, TRUTH, State, Tables, first_state
 from planner.simulator.tables import kinds_of, luck_tables, set_back_to
 from planner.tally import Tally, tally_key
 from planner.world.moving_threats import Movers
@@ -54,9 +54,10 @@ further program would be compiled for its missions alone."""
 
 def with_features(tables: Tables) -> Tables:
     """The tables of the smallest program that has all features of the mission."""
-    has = {name: test(tables) for name, test in FEATURES.items()}
+    has: dict[str, Any] = {name: test(tables) for name, test in FEATURES.items()}
     known = min(size for size in PROGRAMS if not any(list(has.values())[size:]))
-    return tables._replace(**(dict.fromkeys(has) | dict(list(has.items())[:known])))
+    features: dict[str, Any] = dict.fromkeys(has) | dict(list(has.items())[:known])
+    return tables._replace(**features)
 
 
 def typed(given: Arrays) -> Arrays:
@@ -123,7 +124,7 @@ class ClosedLoop:
     @property
     def accessible(self) -> int:
         """Cells that can truly be visited."""
-        return int(self.tables.limits[GOAL])
+        return self.tables.goal
 
     @property
     def learns(self) -> bool:

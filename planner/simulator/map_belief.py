@@ -17,38 +17,21 @@ from planner.simulator.failure_sampling import own_word, threefry
 from planner.simulator.range_budget import find_ways_home, moves_home
 from planner.simulator.robot_types import own
 from planner.simulator.state import (
-    AHEAD,
     ALARM,
-    ALIVE,
-    AREA,
     AREA_BITS,
-    AREAS,
-    BEGIN,
     BELIEF,
-    CELL,
-    CHANGES,
     COVERING,
     DEAD,
     DETECTS,
-    DOING,
     DONE,
-    END,
     ERRS,
-    FIRST,
-    LEFT,
-    LEFT_IN,
     LESS,
-    LEVEL,
     LOOKED,
     MORE,
-    NEXT,
     OUT,
     RETURNING,
-    ROBOT,
-    ROOT,
     SEEN,
     SILENCE,
-    STEP,
     SURVIVED,
     TO_DO,
     TRUTH,
@@ -70,8 +53,8 @@ def look_about(t, s, w):
     """
     truth, count, fresh = t.truths[s.mind[TRUTH]], 0, False
     for robot in range(len(s.robots)):
-        here = s.robots[robot, CELL]
-        if s.robots[robot, DOING] == DEAD or s.known[here] & LOOKED:
+        here = s.robots[robot].cell
+        if s.robots[robot].doing == DEAD or s.known[here] & LOOKED:
             continue
         s.known[here] |= LOOKED
         for place in range(t.view_begin[here], t.view_begin[here + 1]):
@@ -114,16 +97,16 @@ def revise(t, s, w, log, count):
     w.minds[0] += 1
     s.mind[BELIEF] = w.minds[0]
     recall(t, s, w)
-    s.marks[ROBOT] = len(s.robots)  # all have had their turns
+    s.marks.robot = len(s.robots)  # all have had their turns
     for robot in range(len(s.robots)):
-        if s.robots[robot, DOING] == RETURNING:
+        if s.robots[robot].doing == RETURNING:
             head_home(t, s, robot)
     label_parts(t, s, w)
     tell_fates(s)
     if not take_out(t, s, w) or not take_in(t, s, w):
         return False
     lay_out(s)
-    s.marks[CHANGES] += 1
+    s.marks.changes += 1
     return True
 
 
@@ -137,12 +120,12 @@ def forget_news(w, count):
 @kernel
 def head_home(t, s, robot):
     """On its way home the robot goes on as it leads now; who is cut off stays."""
-    here = np.int64(s.robots[robot, CELL])
+    here = np.int64(s.robots[robot].cell)
     if moves_home(t, robot, here) > 0:
-        s.robots[robot, NEXT] = t.onward[t.home_of[robot], here]
+        s.robots[robot].next = t.onward[t.home_of[robot], here]
     else:
         drop(s.movers, robot)
-        s.robots[robot, DOING] = DONE
+        s.robots[robot].doing = DONE
 
 
 @rare_kernel
@@ -175,8 +158,8 @@ def label_parts(t, s, w):
         part[cell] = 0
     part[len(t.near)] = NONE  # what is blocked is no cell to go on from
     for robot in range(len(s.robots)):
-        first = s.robots[robot, CELL]
-        if s.robots[robot, DOING] == DEAD or part[first] > 0:
+        first = s.robots[robot].cell
+        if s.robots[robot].doing == DEAD or part[first] > 0:
             continue
         parts += 1
         part[first], stack[0], top = parts, first, 1
@@ -193,12 +176,12 @@ def label_parts(t, s, w):
 @kernel
 def tell_fates(s):
     """`State.fate` of every area; ROOT of those of nobody: no part of the map yet."""
-    for area in range(s.marks[AREAS]):
-        s.fate[area], s.areas[area, ROOT] = WHOLE if holds(s.open, area) else GONE, 0
+    for area in range(s.marks.areas):
+        s.fate[area], s.areas[area].root = WHOLE if holds(s.open, area) else GONE, 0
     s.fate[room_of(s)] = GONE
     for robot in range(len(s.robots)):
-        area = s.robots[robot, AREA]
-        if has_area(s.robots, robot) and s.areas[area, LEFT_IN] > 0:
+        area = s.robots[robot].area
+        if has_area(s.robots, robot) and s.areas[area].left > 0:
             s.fate[area] = OWNED + robot
 
 
@@ -209,7 +192,7 @@ def let_go(s, cell):
     if home & VISITED:
         flags &= home
     else:
-        s.areas[home >> AREA_BITS, LEFT_IN] -= 1
+        s.areas[home >> AREA_BITS].left -= 1
         s.known[cell] |= OUT
     s.home[cell] = room_of(s) << AREA_BITS | flags
 
@@ -223,18 +206,18 @@ def take_out(t, s, w):
             continue
         if fate >= OWNED:
             robot = fate - OWNED
-            if w.gone[cell] or w.part[cell] != w.part[s.robots[robot, CELL]]:
-                if s.home[cell] & TO_DO and s.robots[robot, DOING] == COVERING:
-                    s.robots[robot, LEFT] -= 1
+            if w.gone[cell] or w.part[cell] != w.part[s.robots[robot].cell]:
+                if s.home[cell] & TO_DO and s.robots[robot].doing == COVERING:
+                    s.robots[robot].left -= 1
                 let_go(s, cell)
             continue
         area = s.home[cell] >> AREA_BITS
-        if s.areas[area, ROOT] == 0:
-            s.areas[area, ROOT] = w.part[cell]
-        if w.gone[cell] or w.part[cell] == 0 or w.part[cell] != s.areas[area, ROOT]:
+        if s.areas[area].root == 0:
+            s.areas[area].root = w.part[cell]
+        if w.gone[cell] or w.part[cell] == 0 or w.part[cell] != s.areas[area].root:
             s.fate[area] = BROKEN
     room = True
-    for area in range(s.marks[AREAS]):
+    for area in range(s.marks.areas):
         if room and s.fate[area] == BROKEN:
             room = fall_apart(t, s, w, area)
     return room
@@ -243,7 +226,7 @@ def take_out(t, s, w):
 @kernel
 def fall_apart(t, s, w, area):
     """An area of nobody becomes the components of its unvisited cells that stay; the first goes on as the area."""
-    begin, end = s.areas[area, BEGIN], s.areas[area, END]
+    begin, end = s.areas[area].begin, s.areas[area].end
     for place in range(begin, end):
         cell = s.order[place]
         if s.home[cell] & VISITED or w.gone[cell] or w.part[cell] == 0:
@@ -266,11 +249,11 @@ def fall_apart(t, s, w, area):
                     w.seen[cell], w.stack[tail] = stamp, cell
                     tail += 1
         if number == NONE:
-            new = append(s, s.areas[area, LEVEL])
+            new = append(s, s.areas[area].level)
             if new == NONE:
                 return False
             hold(s, w, new, tail)
-            s.areas[area, LEFT_IN] -= tail
+            s.areas[area].left -= tail
         number = NONE
     s.fate[area] = WHOLE
     if number != NONE:
@@ -282,14 +265,14 @@ def fall_apart(t, s, w, area):
 @kernel
 def append(s, level):
     """A new area of nobody, without cells yet; NONE: no room."""
-    new = s.marks[AREAS]
+    new = s.marks.areas
     if new + 1 >= room_of(s):
         return NONE
-    s.areas[new, BEGIN] = s.areas[new, END] = s.areas[new, LEFT_IN] = s.areas[new, ROOT] = 0
-    s.areas[new, LEVEL], s.fate[new] = level, WHOLE
+    s.areas[new].begin = s.areas[new].end = s.areas[new].left = s.areas[new].root = 0
+    s.areas[new].level, s.fate[new] = level, WHOLE
     if new % WORD == 0:
         s.open[new // WORD] = s.lowest[new // WORD] = 0
-    s.marks[AREAS] = new + 1
+    s.marks.areas = new + 1
     reopen(s, new)
     return new
 
@@ -301,7 +284,7 @@ def hold(s, w, area, count):
         cell = w.stack[place]
         s.home[cell] = area << AREA_BITS
         s.known[cell] &= SEEN | LOOKED
-    s.areas[area, LEFT_IN] += count
+    s.areas[area].left += count
 
 
 @kernel
@@ -356,39 +339,39 @@ def merge(s, area, into):
     for cell in range(len(s.level)):
         if s.home[cell] >> AREA_BITS == area:
             s.home[cell] = into << AREA_BITS | s.home[cell] & (VISITED | SURVIVED)
-    s.areas[into, LEFT_IN] += s.areas[area, LEFT_IN]
-    s.areas[area, LEFT_IN], s.fate[area] = 0, GONE
+    s.areas[into].left += s.areas[area].left
+    s.areas[area].left, s.fate[area] = 0, GONE
     close(s, area)
 
 
 @kernel
 def lay_out(s):
     """`order` anew, the cells of every area rising."""
-    for area in range(s.marks[AREAS]):
-        s.areas[area, END] = 0
+    for area in range(s.marks.areas):
+        s.areas[area].end = 0
     out = room_of(s)
     for cell in range(len(s.level)):
         area = s.home[cell] >> AREA_BITS
         if area != out:
-            s.areas[area, END] += 1
+            s.areas[area].end += 1
     begin = 0
-    for area in range(s.marks[AREAS]):
-        size = s.areas[area, END]
-        s.areas[area, BEGIN] = s.areas[area, END] = begin
+    for area in range(s.marks.areas):
+        size = s.areas[area].end
+        s.areas[area].begin = s.areas[area].end = begin
         begin += size
     for cell in range(len(s.level)):
         area = s.home[cell] >> AREA_BITS
         if area != out:
-            s.order[s.areas[area, END]] = cell
-            s.areas[area, END] += 1
+            s.order[s.areas[area].end] = cell
+            s.areas[area].end += 1
 
 
 @kernel
 def is_lost(s, w, robot):
     """Whether a cell of the leg that the robot is on surprises, or cannot be reached any more."""
-    me, mine = s.robots[robot], w.part[s.robots[robot, CELL]]
-    lost = w.gone[me[NEXT]] != 0 or w.part[me[NEXT]] != mine
-    for place in range(me[AHEAD]):
+    me, mine = s.robots[robot], w.part[s.robots[robot].cell]
+    lost = w.gone[me.next] != 0 or w.part[me.next] != mine
+    for place in range(me.ahead):
         cell = s.legs[robot, place]
         lost = lost or w.gone[cell] != 0 or w.part[cell] != mine
     return lost
@@ -412,15 +395,15 @@ def phase_at(t, step):
 @kernel
 def visit_of(t, s, robot, cell):
     """Where `Tables.bound`, `exposure` and `chance` have a visit of the cell by the robot in this step."""
-    return own(t, robot, cell) if not t.phased else cell + len(t.near) * phase_at(t, s.marks[STEP])
+    return own(t, robot, cell) if not t.phased else cell + len(t.near) * phase_at(t, s.marks.step)
 
 
 @rare_kernel
 def foresee(t, s, w):
     """At the end of a step: how many cells surprise, which `w.news` lists, of the phase that the next one begins."""
-    next_step, count = s.marks[STEP] + 1, 0
+    next_step, count = s.marks.step + 1, 0
     phase = phase_at(t, next_step)
-    if s.marks[ALIVE] > 0 and t.phases[phase] == next_step:
+    if s.marks.alive > 0 and t.phases[phase] == next_step:
         for cell in range(len(t.near)):
             count = believe(t, s, w, cell, t.truths[phase, cell], count)
     return count
@@ -458,16 +441,16 @@ def take_note(t, s, cell):
 @rare_kernel
 def reckon(t, s, w, how, ids):
     """How many cells surprise, which `w.news` lists: of robots' own, and of those in range of their detectors."""
-    if s.marks[ALIVE] == 0:
+    if s.marks.alive == 0:
         return 0
     reads, count = t.lessons[DETECTS] > 0, 0
     for robot in range(len(s.robots)):
-        if reads and s.robots[robot, DOING] != DEAD:
-            read(t, s, how, ids[s.marks[FIRST]], robot)
+        if reads and s.robots[robot].doing != DEAD:
+            read(t, s, how, ids[s.marks.first], robot)
     for robot in range(len(s.robots)):
-        here = np.int64(s.robots[robot, CELL])
+        here = np.int64(s.robots[robot].cell)
         count = heed(t, s, w, here, count)
-        if reads and s.robots[robot, DOING] != DEAD:
+        if reads and s.robots[robot].doing != DEAD:
             for place in range(t.view_begin[here], t.view_begin[here + 1]):
                 count = heed(t, s, w, np.int64(t.in_view[place]), count)
     return count
@@ -476,8 +459,8 @@ def reckon(t, s, w, how, ids):
 @kernel
 def read(t, s, how, rollout, robot):
     """A robot's readings of a step."""
-    key0, key1 = threefry(how.read0, how.read1, rollout, np.uint32(s.marks[STEP]))
-    here = s.robots[robot, CELL]
+    key0, key1 = threefry(how.read0, how.read1, rollout, np.uint32(s.marks.step))
+    here = s.robots[robot].cell
     for place in range(t.view_begin[here], t.view_begin[here + 1]):
         cell = np.int64(t.in_view[place])
         there = own_word(t, how, rollout, cell) < t.there[cell] and not (t.spends and holds(s.spent, cell))

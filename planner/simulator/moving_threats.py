@@ -12,20 +12,13 @@ from planner.jit import kernel, rare_kernel
 from planner.simulator.failure_sampling import split_ids, threefry
 from planner.simulator.state import (
     ACTS,
-    CELL,
     DEAD,
-    DOING,
-    FIRST,
     HIT,
     HITS,
-    LAST,
     PARTED,
-    ROAMED,
-    ROBOT,
     ROUTE,
     ROUTE_LENGTH,
     STAYS,
-    STEP,
     holds,
 )
 
@@ -33,7 +26,7 @@ from planner.simulator.state import (
 @kernel
 def is_meeting(s):
     """Whether movers have moved in this step: robots have had their turns."""
-    return s.marks[ROAMED] > s.marks[STEP]
+    return s.marks.roamed > s.marks.step
 
 
 @kernel
@@ -59,7 +52,7 @@ def roam(t, s, w, how, ids, step):
     """The movers of the set's rollouts move."""
     movers = len(t.movers)
     stays, where = w.moves[0], w.moves[1]
-    for place in range(s.marks[FIRST], s.marks[LAST]):
+    for place in range(s.marks.first, s.marks.last):
         at = w.at[ids[place] - w.begin[0]]
         # By itself, so that several are drawn at a time.
         for number in range(movers):
@@ -85,7 +78,7 @@ def first_met(t, s, w, how, rollout, step, after):
         if w.here[cell] == 0:
             continue
         for robot in range(max(w.here[cell] - 1, after + 1), least):
-            if robots[robot, CELL] == cell and robots[robot, DOING] != DEAD:
+            if robots[robot].cell == cell and robots[robot].doing != DEAD:
                 counter = np.uint32((step * movers + number) * len(robots) + robot)
                 word = threefry(how.meet0, how.meet1, rollout, counter)[0] >> np.uint32(8)
                 if np.int64(word) < t.movers[number, HITS]:
@@ -100,22 +93,22 @@ def look_out(t, s, w, how, ids, first, last, after):
     robots = s.robots
     for back in range(len(robots)):
         robot = len(robots) - 1 - back
-        if robots[robot, DOING] != DEAD:
-            w.here[robots[robot, CELL]] = robot + 1
+        if robots[robot].doing != DEAD:
+            w.here[robots[robot].cell] = robot + 1
     for place in range(first, last):
-        w.met[ids[place] - w.begin[0]] = first_met(t, s, w, how, ids[place], s.marks[STEP], after)
+        w.met[ids[place] - w.begin[0]] = first_met(t, s, w, how, ids[place], s.marks.step, after)
     for robot in range(len(robots)):
-        w.here[robots[robot, CELL]] = 0
+        w.here[robots[robot].cell] = 0
 
 
 @rare_kernel
 def meet(t, s, w, how, ids):
     """Go on with the meetings of a step: HIT or PARTED, the robot being marked; ACTS when nobody is met any more."""
     marks = s.marks
-    first, last = marks[FIRST], marks[LAST]
+    first, last = marks.first, marks.last
     if not is_meeting(s):
-        roam(t, s, w, how, ids, marks[STEP])
-        marks[ROAMED] = marks[STEP] + 1
+        roam(t, s, w, how, ids, marks.step)
+        marks.roamed = marks.step + 1
         look_out(t, s, w, how, ids, first, last, np.int64(-1))
     next_one = np.int64(len(s.robots))
     for place in range(first, last):
@@ -127,14 +120,14 @@ def meet(t, s, w, how, ids):
         room[index] = w.met[mine[index] - w.begin[0]] != next_one
     hit_from = first + split_ids(mine, room, 1)
     look_out(t, s, w, how, ids, hit_from, last, next_one)
-    marks[ROBOT] = next_one
+    marks.robot = next_one
     if hit_from == first:
         return HIT
-    marks[LAST] = hit_from
+    marks.last = hit_from
     return PARTED
 
 
 @kernel
 def has_entered(s, robot):
     """Whether the robot is alive and has entered its cell in this step."""
-    return holds(s.entered, robot) and s.robots[robot, DOING] != DEAD
+    return holds(s.entered, robot) and s.robots[robot].doing != DEAD

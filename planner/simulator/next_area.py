@@ -1,6 +1,6 @@
 """The area that an attentive robot would take next, in kernels: the unassigned ones as it sees them.
 
-Part of `planner.simulator.attentive`, which see. Targets are the cheapest *unvisited* cells.
+Part of `planner.simulator.replanning`, which see. Targets are the cheapest *unvisited* cells.
 """
 
 from __future__ import annotations
@@ -17,28 +17,11 @@ from planner.simulator.policy import is_before, is_danger, offer_of, refuses
 from planner.simulator.range_budget import affords, moves_home
 from planner.simulator.robot_types import hears, moves_until, own, own_level
 from planner.simulator.state import (
-    AHEAD,
-    ALIVE,
-    AREA,
     AREA_BITS,
-    AREAS,
-    BEGIN,
-    CELL,
-    CHANGES,
-    DOING,
-    END,
     FAR,
-    HELD,
     IDLE,
-    LEFT_IN,
-    LEVEL,
-    LOWEST,
-    NEXT,
     ONE,
-    OPEN,
     RETURNING,
-    ROOT,
-    TARGET,
     TO_DO,
     VISITED,
     WORD,
@@ -51,7 +34,7 @@ from planner.simulator.state import (
 def cheapest_unvisited(costs, s, area):
     """(cell, cost): the area's unvisited cell of least cost in `costs` `[A]`, lowest index first; NONE if none is."""
     best, best_cost = NONE, FAR
-    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
+    for place in range(s.areas[area].begin, s.areas[area].end):
         cell = np.int64(s.order[place])
         if s.home[cell] & VISITED == 0:
             cost = np.int64(costs[cell])
@@ -68,7 +51,7 @@ def bound_of(t, s, robot, here, area):
     """
     if t.searches:
         return np.int64(len(s.order)), np.int64(0)
-    root, row = np.int64(s.areas[area, ROOT]), own(t, robot, here)
+    root, row = np.int64(s.areas[area].root), own(t, robot, here)
     return np.int64(t.area_entry[row, root]), np.int64(t.area_cost[row, root])
 
 
@@ -133,14 +116,14 @@ def is_below(t, p, s, here, first, best, level):
 @kernel
 def least_open(p, s):
     """The least level of an unassigned area, L if there is none."""
-    if s.marks[OPEN] == 0:
+    if s.marks.open == 0:
         return np.int64(len(p.entry))
     bits = np.uint64(0)
-    for word in range((s.marks[AREAS] + WORD - 1) // WORD):
+    for word in range((s.marks.areas + WORD - 1) // WORD):
         bits |= s.lowest[word]
     if bits == 0:
         make_lowest(s)
-    return np.int64(s.marks[LOWEST])
+    return np.int64(s.marks.lowest)
 
 
 @kernel
@@ -170,7 +153,7 @@ def first_among(t, p, s, w, costs, robot, here, further, closely, best, target, 
     ones; and whether there are some that may go before it, but for a look at their cells: `closely`, they have it.
     """
     unseen = False
-    for word in range((s.marks[AREAS] + WORD - 1) // WORD):
+    for word in range((s.marks.areas + WORD - 1) // WORD):
         bits = s.open[word] & ~s.lowest[word] if further else s.lowest[word]
         while bits != 0:
             area = np.int64(word * WORD + lowest_bit(bits))
@@ -222,7 +205,7 @@ def first_ranked(t, p, s, w, costs, robot, here, best, target, first, refusing):
             break
         best, target, first, _ = look_at(t, p, s, w, costs, robot, here, area, True, best, target, first, refusing)
         place = next_ranked(t, s, here, place + 1)
-    for word in range(given // WORD, (s.marks[AREAS] + WORD - 1) // WORD):
+    for word in range(given // WORD, (s.marks.areas + WORD - 1) // WORD):
         bits = s.open[word]
         if word == given // WORD:
             bits &= ~np.uint64(0) << np.uint64(given % WORD)
@@ -240,12 +223,12 @@ def first_area(t, p, s, w, robot, its_own, refusing):
     `its_own`: an area that is among them, or NONE. `refusing`: areas that cost more than a robot is worth are not.
     """
     best, target, first = np.int64(NONE), np.int64(NONE), offer_of(t, p, s, robot, 0, FAR)
-    if (s.marks[OPEN] == 0 and its_own == NONE) or not hears(t, s, robot):
+    if (s.marks.open == 0 and its_own == NONE) or not hears(t, s, robot):
         return best, target, first.cost
-    here = np.int64(s.robots[robot, CELL])
+    here = np.int64(s.robots[robot].cell)
     costs = costs_from(t, s, w, robot)
     if its_own != NONE:  # its target stays the same on the way there, until it is visited, or costs are others
-        cell = np.int64(s.robots[robot, TARGET])
+        cell = np.int64(s.robots[robot].target)
         cost = np.int64(costs[cell])
         if s.home[cell] & VISITED or t.learns:
             cell, cost = see(t, s, costs, robot, here, its_own)
@@ -264,7 +247,7 @@ def first_area(t, p, s, w, robot, its_own, refusing):
         if all_seen:
             return best, target, first.cost
     level = least_open(p, s)
-    mixed = t.mixed and s.marks[OPEN] > 0  # levels of areas are in the order of nobody's own
+    mixed = t.mixed and s.marks.open > 0  # levels of areas are in the order of nobody's own
     for further in range(2):
         # First by bounds from the tables alone; cells are looked at only of what may still go before.
         for closely in range(2):
@@ -281,19 +264,19 @@ def first_area(t, p, s, w, robot, its_own, refusing):
 @rare_kernel
 def first_of_idle(t, p, s, w, robot):
     """The same of a robot that waits, kept until an unassigned area comes, goes, or loses a cell to do."""
-    kept, here = w.kept[robot], np.int64(s.robots[robot, CELL])
+    kept, here = w.kept[robot], np.int64(s.robots[robot].cell)
     if not hears(t, s, robot):
         return np.int64(NONE), np.int64(NONE), np.int64(FAR)
     # CHANGES counts whatever could alter the answer, so an equal count means the same answer.
-    if kept[0] != s.marks[CHANGES] or kept[1] != here or t.returns:  # what it can afford changes by itself
+    if kept[0] != s.marks.changes or kept[1] != here or t.returns:  # what it can afford changes by itself
         area, target, cost = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))
-        kept[0], kept[1], kept[2], kept[3], kept[4] = s.marks[CHANGES], here, area, target, cost
+        kept[0], kept[1], kept[2], kept[3], kept[4] = s.marks.changes, here, area, target, cost
     return kept[2], kept[3], kept[4]
 
 
 # What an attentive robot may take next, in kernels: sharing, and the limits on the team.
 #
-# Part of `planner.simulator.attentive`, which see.
+# Part of `planner.simulator.replanning`, which see.
 
 
 @rare_kernel
@@ -306,12 +289,12 @@ def first_to_share(t, p, s, w, helper):
     if not any_to_share(t, s, helper) or not hears(t, s, helper):
         return best, best_cost
     costs = costs_from(t, s, w, helper)
-    here, held = np.int64(s.robots[helper, CELL]), s.robots[helper, HELD] != 0
+    here, held = np.int64(s.robots[helper].cell), s.robots[helper].held != 0
     for owner in range(len(s.robots)):
         if not may_be_shared(t, s, owner, helper):
             continue
-        area = np.int64(s.robots[owner, AREA])
-        level, most = own_level(t, helper, s.areas[area, LEVEL]), np.int64(s.areas[area, LEFT_IN])
+        area = np.int64(s.robots[owner].area)
+        level, most = own_level(t, helper, s.areas[area].level), np.int64(s.areas[area].left)
         most = moves_until(t, helper, owner, most)
         if held and (level > 0 or bound_of(t, s, helper, here, area)[1] > most):
             continue
@@ -331,7 +314,7 @@ def head_for(t, s, w, robot, target):
     """Begin the way to a cell."""
     searched = t.searches
     if searched:
-        here = np.int64(s.robots[robot, CELL])
+        here = np.int64(s.robots[robot].cell)
         if w.row_of[here] != NONE:
             row_from(t, s, w, here)
         else:
@@ -343,8 +326,8 @@ def head_for(t, s, w, robot, target):
 def is_at_risk(t, p, s, robot):
     """Whether the robot has a dangerous area, or a dangerous cell on the rest of its way."""
     me = s.robots[robot]
-    cell = np.int64(me[NEXT])
-    if me[DOING] == RETURNING:
+    cell = np.int64(me.next)
+    if me.doing == RETURNING:
         found = is_danger(t, p, s, robot, cell)
         while not found and moves_home(t, robot, cell) > 0:
             cell = np.int64(t.onward[t.home_of[robot], cell])
@@ -352,14 +335,14 @@ def is_at_risk(t, p, s, robot):
         return found
     if not has_area(s.robots, robot):
         return False
-    found = own_level(t, robot, s.areas[me[AREA], LEVEL]) > 0 or is_danger(t, p, s, robot, cell)
-    if me[AHEAD] > 0:
-        for place in range(me[AHEAD]):
+    found = own_level(t, robot, s.areas[me.area].level) > 0 or is_danger(t, p, s, robot, cell)
+    if me.ahead > 0:
+        for place in range(me.ahead):
             found = found or is_danger(t, p, s, robot, s.legs[robot, place])
         return found
     # With tables the rest of the way is not written down: it is walked.
-    while not found and cell != me[TARGET]:
-        cell = np.int64(t.hop_to[own(t, robot, me[TARGET]), cell])
+    while not found and cell != me.target:
+        cell = np.int64(t.hop_to[own(t, robot, me.target), cell])
         found = p.danger[own(t, robot, cell)]
     return found
 
@@ -367,7 +350,7 @@ def is_at_risk(t, p, s, robot):
 @rare_kernel
 def is_full(t, p, s, robot):
     """Whether as many other robots are at risk as may be."""
-    at_risk, most = 0, p.most[s.marks[ALIVE]]
+    at_risk, most = 0, p.most[s.marks.alive]
     for other in range(len(s.robots)):
         if other != robot and is_at_risk(t, p, s, other):
             at_risk += 1
@@ -386,7 +369,7 @@ def has_to_wait(t, p, s, w, robot, area, cost):
         return True
     for other in range(len(s.robots)):
         # One that waits, or will without danger, and would take a better offer goes first (`reserve`).
-        rests = s.robots[other, DOING] == IDLE or holds(s.waiting, other)
+        rests = s.robots[other].doing == IDLE or holds(s.waiting, other)
         if p.breaks_off and has_area(s.robots, other):
             rests = not is_at_risk(t, p, s, other)
         if other != robot and rests:
@@ -400,7 +383,7 @@ def has_to_wait(t, p, s, w, robot, area, cost):
 def could_go_on(t, p, s, w):
     """Whether a robot that can move can reach an unassigned area, where some are refused."""
     for robot in range(len(s.robots) if p.limited else 0):
-        able = (holds(s.movers, robot) and s.robots[robot, DOING] != RETURNING) or holds(s.waiting, robot)
+        able = (holds(s.movers, robot) and s.robots[robot].doing != RETURNING) or holds(s.waiting, robot)
         if able and first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(False))[0] != NONE:
             return True
     return False

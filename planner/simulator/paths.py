@@ -14,27 +14,12 @@ from planner.jit import kernel, rare_kernel, threaded
 from planner.mrac.paths import TOO_FAR, UNREACHED, SafeParts, danger_ahead, far_search, pop, push
 from planner.simulator.robot_types import own
 from planner.simulator.state import (
-    AHEAD,
-    AREA,
     AREA_BITS,
-    AREAS,
-    BEGIN,
-    CELL,
-    END,
     FAR,
-    LEFT,
-    LEVEL,
-    NEAR,
-    NEXT,
-    PATH,
-    PATIENCE,
     RANKED,
-    ROOT,
     SURVIVED,
-    TARGET,
     TO_DO,
     VISITED,
-    WIDE,
     holds,
 )
 
@@ -207,7 +192,7 @@ def is_goal(s, cell, goal):
     if goal[0] == ONE_CELL:
         return cell == goal[1]
     area = home >> AREA_BITS
-    return holds(s.open, area) and s.areas[area, LEVEL] == goal[1]
+    return holds(s.open, area) and s.areas[area].level == goal[1]
 
 
 @kernel
@@ -217,7 +202,7 @@ def seek(t, s, w, here, goal, inside):
     `inside`: the area that a way may not leave, or NONE.
     """
     w.last[0] = NONE
-    cell = seek_near(t, s, w, here, goal, inside, t.limits[NEAR] if inside == NONE else len(t.near))
+    cell = seek_near(t, s, w, here, goal, inside, t.nearby if inside == NONE else len(t.near))
     return seek_far(t, s, w, here, goal) if cell == TOO_FAR else cell
 
 
@@ -280,7 +265,7 @@ def seek_far(t, s, w, here, goal):
     """The same where it is far: safe components that lie between are passed as one."""
     count = mark_goal(s, w, goal)
     w.stamp[0] += 1
-    parts = SafeParts(t.node, t.beside, t.border, t.limits[WIDE], w.to_go, w.touched)
+    parts = SafeParts(t.node, t.beside, t.border, t.wide, w.to_go, w.touched)
     ahead = danger_ahead(
         here, w.rank, w.stack[:count], t.near, t.entry, w.stamp[0], w.heap_cost, w.heap_cell, parts
     )  # fmt: skip
@@ -298,7 +283,7 @@ def seek_far(t, s, w, here, goal):
 @kernel
 def mark_goal(s, w, goal):
     """List the goal's cells in `stack`, and rank them by area; returns how many."""
-    count, last = 0, np.int64(s.marks[AREAS])
+    count, last = 0, np.int64(s.marks.areas)
     if goal[0] == ONE_CELL:
         w.stack[0], w.rank[goal[1]] = goal[1], 0
         return 1
@@ -307,9 +292,9 @@ def mark_goal(s, w, goal):
         first = goal[0] >> AREA_BITS
         last = first + 1
     for area in range(first, last):
-        if goal[0] == NONE and not (holds(s.open, area) and s.areas[area, LEVEL] == goal[1]):
+        if goal[0] == NONE and not (holds(s.open, area) and s.areas[area].level == goal[1]):
             continue
-        for place in range(s.areas[area, BEGIN], s.areas[area, END]):
+        for place in range(s.areas[area].begin, s.areas[area].end):
             cell = np.int64(s.order[place])
             if is_goal(s, cell, goal):
                 w.stack[count], w.rank[cell] = cell, area
@@ -413,7 +398,7 @@ def spread(t, w, here, costs):
 @kernel
 def row_if_asked(t, s, w, here):
     """The number of the row from `here` if it is kept, or has been asked for often enough by now, else NONE."""
-    if w.row_of[here] == NONE and w.asked[here] < t.limits[PATIENCE]:
+    if w.row_of[here] == NONE and w.asked[here] < t.patience:
         w.asked[here] += np.uint8(1)
         return np.int64(NONE)
     return row_from(t, s, w, here)
@@ -457,7 +442,7 @@ def cheapest_cell(costs, s, area):
 
     Its cells rise, and are reached from anywhere if one of them is.
     """
-    begin, end = np.int64(s.areas[area, BEGIN]), np.int64(s.areas[area, END])
+    begin, end = np.int64(s.areas[area].begin), np.int64(s.areas[area].end)
     best = np.int64(s.order[begin])
     least = costs[best]
     # An area is connected: if one cell cannot be reached none can.
@@ -473,10 +458,10 @@ def cheapest_cell(costs, s, area):
 @rare_kernel
 def entry_of(t, s, w, robot, area):
     """The cheapest cell of an area that the robot can reach."""
-    here = s.robots[robot, CELL]
+    here = s.robots[robot].cell
     if not t.searches:
         row = own(t, robot, here)
-        cell = np.int64(t.area_entry[row, s.areas[area, ROOT]])
+        cell = np.int64(t.area_entry[row, s.areas[area].root])
         return cell if np.int64(s.home[cell]) >> AREA_BITS == area else cheapest_cell(t.cost_to[row], s, area)
     if w.row_of[here] != NONE:
         return cheapest_cell(w.rows[row_from(t, s, w, here)], s, area)
@@ -487,41 +472,41 @@ def entry_of(t, s, w, robot, area):
 def set_out(t, s, w, robot, target, searched):
     """Begin a leg, along the tables or the last answer's path, which began where the robot is."""
     robots = s.robots
-    here, ahead = robots[robot, CELL], 0
-    robots[robot, TARGET] = robots[robot, NEXT] = target
+    here, ahead = robots[robot].cell, 0
+    robots[robot].target = robots[robot].next = target
     if here != target:
         if searched:
             ahead = walk_back(t, s, w, here, target, s.legs[robot]) - 1
-            robots[robot, NEXT] = s.legs[robot, ahead]
+            robots[robot].next = s.legs[robot, ahead]
         else:
             # By target: a whole leg stays in one row of the table.
-            robots[robot, NEXT] = t.hop_to[own(t, robot, target), here]
-    robots[robot, AHEAD], robots[robot, PATH] = ahead, 0
+            robots[robot].next = t.hop_to[own(t, robot, target), here]
+    robots[robot].ahead, robots[robot].path = ahead, 0
 
 
 @kernel
 def go_on(t, s, w, robot):
     """The robot is on its leg: what it enters next."""
     robots = s.robots
-    ahead = robots[robot, AHEAD]
+    ahead = robots[robot].ahead
     if ahead == 0:
-        robots[robot, NEXT] = t.hop_to[own(t, robot, robots[robot, TARGET]), robots[robot, CELL]]
+        robots[robot].next = t.hop_to[own(t, robot, robots[robot].target), robots[robot].cell]
     else:
-        robots[robot, AHEAD] = ahead - 1
-        path = robots[robot, PATH]
-        robots[robot, NEXT] = s.legs[robot, ahead - 1] if path == 0 else w.paths[w.ends[path] - ahead]
+        robots[robot].ahead = ahead - 1
+        path = robots[robot].path
+        robots[robot].next = s.legs[robot, ahead - 1] if path == 0 else w.paths[w.ends[path] - ahead]
 
 
 @kernel
 def list_to_do(s, robot):
     """The cells to do are the area's unvisited cells at this moment."""
-    area, left = s.robots[robot, AREA], 0
-    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
+    area, left = s.robots[robot].area, 0
+    for place in range(s.areas[area].begin, s.areas[area].end):
         cell = s.order[place]
         if s.home[cell] & VISITED == 0:
             s.home[cell] |= TO_DO
             left += 1
-    s.robots[robot, LEFT] = left
+    s.robots[robot].left = left
 
 
 @kernel
@@ -535,9 +520,9 @@ def next_leg(t, s, w, how, robot):
     """The leg to the cheapest cell to do, lowest index first; an adjacent one, by its side, is always the cheapest."""
     robots = s.robots
     # Cells of an area cost the same to enter, so nothing beats a neighbour.
-    cell = adjacent(t, s, robots[robot, CELL], to_do_in(robots[robot, AREA]))
+    cell = adjacent(t, s, robots[robot].cell, to_do_in(robots[robot].area))
     if cell != NONE:
-        robots[robot, TARGET] = robots[robot, NEXT] = cell
+        robots[robot].target = robots[robot].next = cell
     else:
         set_out_far(t, s, w, how, robot)
 
@@ -555,7 +540,7 @@ def adjacent(t, s, here, wanted):
 @rare_kernel
 def set_out_far(t, s, w, how, robot):
     """The same where none is adjacent."""
-    here, area = s.robots[robot, CELL], np.int64(s.robots[robot, AREA])
+    here, area = s.robots[robot].cell, np.int64(s.robots[robot].area)
     if not t.walks:
         set_out(t, s, w, robot, look_up_nearest(t, s, own(t, robot, here), area), False)
     else:
@@ -568,14 +553,14 @@ def look_up_nearest(t, s, row, area):
 
     In a safe area it is looked for among the cells ranked by cost; before a dangerous one come too many safe cells.
     """
-    if s.areas[area, LEVEL] == 0:
+    if s.areas[area].level == 0:
         wanted = to_do_in(area)
         for place in range(t.ranked.shape[1]):
             cell = t.ranked[row, place]
             if np.int64(s.home[cell]) >> 2 == wanted:
                 return np.int64(cell)
     best, least = NONE, FAR
-    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
+    for place in range(s.areas[area].begin, s.areas[area].end):
         cell = s.order[place]
         if s.home[cell] & TO_DO and t.cost_to[row, cell] < least:
             best, least = np.int64(cell), np.int64(t.cost_to[row, cell])

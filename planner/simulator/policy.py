@@ -22,7 +22,7 @@ from planner.policies.limits import NO_REFUSAL, is_dangerous, is_refused, most_a
 from planner.policies.rule import Offer, Rule, price
 from planner.policies.rules import by_cost_and_frontier, by_cost_per_cell
 from planner.simulator.robot_types import own, own_level
-from planner.simulator.state import BEGIN, DEAD, DOING, END, LEFT_IN, LEVEL, SEEN, VISITED
+from planner.simulator.state import DEAD, SEEN, VISITED
 from planner.simulator.tables import Tables
 
 for _stated in (price, is_dangerous, is_refused, by_cost_per_cell, by_cost_and_frontier):
@@ -40,7 +40,7 @@ def as_function(rule: Rule) -> Any:
     """
     order = register_jitable(**UNCOUNTED)(rule.order)
 
-    def number(which, level, cost, unvisited, entry, value, beyond, frontier, surcharge):  # type: ignore[no-untyped-def]
+    def number(which, level, cost, unvisited, entry, value, beyond, frontier, surcharge):
         (one, two), (three, four) = order(Offer(level, cost, unvisited, entry, value, beyond, frontier, surcharge))
         return np.int64(one if which == 0 else two if which == 1 else three if which == 2 else four)
 
@@ -129,7 +129,7 @@ def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables) -> P
 def value_left(p, s, area):
     """What the unvisited cells of an area are worth."""
     total = np.int64(0)
-    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
+    for place in range(s.areas[area].begin, s.areas[area].end):
         cell = np.int64(s.order[place])
         if s.home[cell] & VISITED == 0:
             total += p.value[cell]
@@ -139,7 +139,7 @@ def value_left(p, s, area):
 @kernel
 def offer_of(t, p, s, robot, area, cost):
     """An area as the rule sees it, its target being at this cost from the robot."""
-    level, left = own_level(t, robot, s.areas[area, LEVEL]), np.int64(s.areas[area, LEFT_IN])
+    level, left = own_level(t, robot, s.areas[area].level), np.int64(s.areas[area].left)
     value = value_left(p, s, area) if len(p.value) > 0 else left
     shown = frontier(p, s, area) if len(p.view_begin) > 0 else np.int64(0)
     more = surcharge(t, p, s, robot, area) if t.mixed else np.int64(0)
@@ -149,12 +149,12 @@ def offer_of(t, p, s, robot, area, cost):
 @rare_kernel
 def surcharge(t, p, s, robot, area):
     """How much less a robot alive of another type would pay for the area's cells to do."""
-    level = np.int64(s.areas[area, LEVEL])
+    level = np.int64(s.areas[area].level)
     mine = least = p.entry[own_level(t, robot, level)]
     for other in range(len(s.robots)):
-        if s.robots[other, DOING] != DEAD:
+        if s.robots[other].doing != DEAD:
             least = min(least, p.entry[own_level(t, other, level)])
-    return (mine - least) * np.int64(s.areas[area, LEFT_IN])
+    return (mine - least) * np.int64(s.areas[area].left)
 
 
 @rare_kernel
@@ -162,7 +162,7 @@ def frontier(p, s, area):
     """How many cells that nobody has seen are seen from the area's cells to do."""
     last, shown = len(p.stamp) - 1, np.int64(0)
     p.stamp[last] += 1
-    for place in range(s.areas[area, BEGIN], s.areas[area, END]):
+    for place in range(s.areas[area].begin, s.areas[area].end):
         cell = np.int64(s.order[place])
         if s.home[cell] & VISITED:
             continue

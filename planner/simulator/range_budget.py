@@ -13,7 +13,7 @@ from planner.jit import kernel, rare_kernel
 from planner.mrac.paths import pop, push
 from planner.simulator.paths import walk_back
 from planner.simulator.robot_types import own, own_turn
-from planner.simulator.state import AHEAD, CELL, LAST_STEP, NEXT, NOW, ROBOT, STEP, TARGET, UNLIMITED, UNTIL, holds
+from planner.simulator.state import holds
 
 
 @kernel
@@ -55,11 +55,11 @@ def find_ways_home(t, s, w):
 @kernel
 def own_moves(t, s, robot):
     """The moves that are left of its range to a robot that decides, or that another one asks about."""
-    until, step, acts = s.team[robot, UNTIL], s.marks[STEP], s.marks[ROBOT]
+    until, step, acts = s.robots[robot].until, s.marks.step, s.marks.robot
     if holds(s.waiting, robot):
         return until
     now = own_turn(t, robot, step)
-    to_move = robot > acts or (robot == acts and s.marks[NOW] > 0)
+    to_move = robot > acts or (robot == acts and s.marks.now > 0)
     return until - now + (to_move and step > 0 and now > own_turn(t, robot, step - 1))
 
 
@@ -69,10 +69,10 @@ def affords(t, s, w, robot, target):
     `costs_from` it.
     """
     way = moves_home(t, robot, target)
-    if s.marks[UNLIMITED] > 0 or way < 0:
+    if s.marks.unlimited > 0 or way < 0:
         return True
-    here = np.int64(s.robots[robot, CELL])
-    last = own_turn(t, robot, t.limits[LAST_STEP]) - own_turn(t, robot, s.marks[STEP] - s.marks[NOW])
+    here = np.int64(s.robots[robot].cell)
+    last = own_turn(t, robot, t.last_step) - own_turn(t, robot, s.marks.step - s.marks.now)
     left = min(own_moves(t, s, robot), last) - way
     if t.searches:
         return walk_back(t, s, w, here, target, w.stack) <= left
@@ -87,7 +87,7 @@ def affords(t, s, w, robot, target):
 def can_go_on(t, s, robot, left):
     """Whether the robot, with so many moves left after the next, could come home from every cell of its leg's rest."""
     me = s.robots[robot]
-    ahead, cell, target = np.int64(me[AHEAD]), np.int64(me[NEXT]), np.int64(me[TARGET])
+    ahead, cell, target = np.int64(me.ahead), np.int64(me.next), np.int64(me.target)
     while moves_home(t, robot, cell) <= left:
         if cell == target:
             return True

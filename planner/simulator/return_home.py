@@ -24,30 +24,12 @@ from planner.simulator.paths import adjacent, look_up_nearest, seek, to_do_in, t
 from planner.simulator.range_budget import can_go_on, moves_home, own_moves
 from planner.simulator.robot_types import own_turn
 from planner.simulator.state import (
-    AHEAD,
-    AREA,
-    AT_HOME,
-    CELL,
     CHARGING,
     DEAD,
-    DOING,
     DONE,
     FAR,
-    HELD,
-    LAST_STEP,
-    LEFT,
-    LEFT_IN,
-    NEXT,
-    OPEN,
-    OVER,
-    PATH,
-    READY,
-    RECHARGE,
     RETURNING,
-    STEP,
-    TARGET,
     TO_DO,
-    UNTIL,
     drop,
     holds,
     put,
@@ -66,81 +48,81 @@ def leave(t, s, w, log, robot, area):
 @rare_kernel
 def stay(t, s, w, log, robot):
     """The robot is at the end of its range: it neither moves nor waits for an area. False: no room for areas."""
-    if t.returns and moves_home(t, robot, np.int64(s.robots[robot, CELL])) == 0:
-        return turn_home(t, s, w, log, robot, t.limits[RECHARGE] > 0)
-    area = np.int64(s.robots[robot, AREA]) if has_area(s.robots, robot) else np.int64(NONE)
+    if t.returns and moves_home(t, robot, np.int64(s.robots[robot].cell)) == 0:
+        return turn_home(t, s, w, log, robot, t.recharge > 0)
+    area = np.int64(s.robots[robot].area) if has_area(s.robots, robot) else np.int64(NONE)
     drop(s.movers, robot)
     drop(s.waiting, robot)
-    s.robots[robot, DOING] = DONE
-    note(log, s, robot, RANGE_ENDED_EVENT, area, s.robots[robot, CELL])
+    s.robots[robot].doing = DONE
+    note(log, s, robot, RANGE_ENDED_EVENT, area, s.robots[robot].cell)
     return area == NONE or leave(t, s, w, log, robot, area)
 
 
 @rare_kernel
 def end_range(t, s, w, log, robot):
     """The same of a robot that waits and has made a move, if that was its last. False: no room for areas."""
-    s.team[robot, UNTIL] -= 1
-    return s.team[robot, UNTIL] > 0 or stay(t, s, w, log, robot)
+    s.robots[robot].until -= 1
+    return s.robots[robot].until > 0 or stay(t, s, w, log, robot)
 
 
 @rare_kernel
 def turns(t, s, robot, step):
     """Whether the robot, which has yet to move in this step, turns for home: 1; to be charged there: 2; else 0."""
     now = own_turn(t, robot, step)
-    own = s.team[robot, UNTIL] - now
-    if can_go_on(t, s, robot, min(own, own_turn(t, robot, t.limits[LAST_STEP]) - now)):
+    own = s.robots[robot].until - now
+    if can_go_on(t, s, robot, min(own, own_turn(t, robot, t.last_step) - now)):
         return 0
-    return 2 if t.limits[RECHARGE] > 0 and own + 1 < t.range[robot] and not can_go_on(t, s, robot, own) else 1
+    return 2 if t.recharge > 0 and own + 1 < t.range[robot] and not can_go_on(t, s, robot, own) else 1
 
 
 @kernel
 def arrive(t, s, log, robot):
     """The robot is home, for good or until it has its range again."""
-    note(log, s, robot, HOME_EVENT, np.int64(NONE), np.int64(s.robots[robot, CELL]))
+    note(log, s, robot, HOME_EVENT, np.int64(NONE), np.int64(s.robots[robot].cell))
     drop(s.movers, robot)
-    s.robots[robot, DOING] = DONE
-    if s.team[robot, READY] > 0 and s.marks[OVER] == 0:
-        s.robots[robot, DOING], s.team[robot, READY] = CHARGING, s.marks[STEP] + t.limits[RECHARGE]
+    s.robots[robot].doing = DONE
+    if s.robots[robot].ready > 0 and s.marks.over == 0:
+        s.robots[robot].doing, s.robots[robot].ready = CHARGING, s.marks.step + t.recharge
         put(s.movers, robot)
 
 
 @kernel
 def charge(t, s, log, robot, step):
     """A step at the base; whether the robot has its range again, as one that may move from the next step on."""
-    if step < s.team[robot, READY]:
+    if step < s.robots[robot].ready:
         return False
-    s.team[robot, READY], s.team[robot, UNTIL] = 0, t.range[robot] + own_turn(t, robot, step)
-    note(log, s, robot, CHARGED_EVENT, np.int64(NONE), np.int64(s.robots[robot, CELL]))
+    s.robots[robot].ready, s.robots[robot].until = 0, t.range[robot] + own_turn(t, robot, step)
+    note(log, s, robot, CHARGED_EVENT, np.int64(NONE), np.int64(s.robots[robot].cell))
     return True
 
 
 @kernel
 def may_be_charged(t, s, robot):
     """Whether a robot for which nothing is left has made moves, and is charged at its base."""
-    return t.limits[RECHARGE] > 0 and s.marks[OPEN] > 0 and own_moves(t, s, robot) < t.range[robot]
+    return t.recharge > 0 and s.marks.open > 0 and own_moves(t, s, robot) < t.range[robot]
 
 
 @rare_kernel
 def turn_home(t, s, w, log, robot, charges):
     """The robot turns for home, for good unless it is charged there. False: no room for what is left of its area."""
     me = s.robots[robot]
-    cell, owns, area = np.int64(me[CELL]), has_area(s.robots, robot), np.int64(me[AREA])
+    cell, owns, area = np.int64(me.cell), has_area(s.robots, robot), np.int64(me.area)
     onward, base = t.onward[t.home_of[robot]], cell
     while moves_home(t, robot, base) > 0:
         base = np.int64(onward[base])
     note(log, s, robot, TURNED_HOME_EVENT, area if owns else np.int64(NONE), base)
     if holds(s.waiting, robot):
-        s.team[robot, UNTIL] += own_turn(t, robot, s.marks[STEP])  # as of one that moves from the next step on
+        s.robots[robot].until += own_turn(t, robot, s.marks.step)  # as of one that moves from the next step on
     drop(s.movers, robot)
     drop(s.waiting, robot)
-    me[DOING], me[HELD] = DONE, 0
-    s.team[robot, READY] = FAR if charges else 0
+    me.doing, me.held = DONE, 0
+    s.robots[robot].ready = FAR if charges else 0
     if owns and not leave(t, s, w, log, robot, area):
         return False
     if moves_home(t, robot, cell) == 0:
         arrive(t, s, log, robot)
     elif base != cell:
-        me[DOING], me[NEXT] = RETURNING, onward[cell]
+        me.doing, me.next = RETURNING, onward[cell]
         put(s.movers, robot)
     return True
 
@@ -149,16 +131,16 @@ def turn_home(t, s, w, log, robot, charges):
 def go_home(t, s, log, robot):
     """The robot, which is on its way home, has entered its next cell: there it is, or what it enters next."""
     me = s.robots[robot]
-    cell = np.int64(me[CELL])
+    cell = np.int64(me.cell)
     arrives = moves_home(t, robot, cell) == 0
-    if not arrives and own_turn(t, robot, s.marks[STEP]) != s.team[robot, UNTIL]:
-        me[NEXT] = t.onward[t.home_of[robot], cell]
+    if not arrives and own_turn(t, robot, s.marks.step) != s.robots[robot].until:
+        me.next = t.onward[t.home_of[robot], cell]
         return
     if arrives:
         arrive(t, s, log, robot)
         return
     drop(s.movers, robot)
-    me[DOING] = DONE
+    me.doing = DONE
     note(log, s, robot, RANGE_ENDED_EVENT, np.int64(NONE), cell)
 
 
@@ -169,17 +151,17 @@ def call_home(t, s, w, log, over):
     False: no room for areas.
     """
     marks = s.marks
-    if marks[OVER] > 0:
+    if marks.over > 0:
         return True
-    marks[OVER] = over + 1
+    marks.over = over + 1
     for robot in range(len(s.robots)):
-        waits, way = holds(s.waiting, robot), moves_home(t, robot, np.int64(s.robots[robot, CELL]))
-        left = own_turn(t, robot, t.limits[LAST_STEP]) - own_turn(t, robot, marks[STEP])
+        waits, way = holds(s.waiting, robot), moves_home(t, robot, np.int64(s.robots[robot].cell))
+        left = own_turn(t, robot, t.last_step) - own_turn(t, robot, marks.step)
         late = waits and way > 0 and left <= way
-        doing = s.robots[robot, DOING]
+        doing = s.robots[robot].doing
         if doing == CHARGING and over != NONE:
             drop(s.movers, robot)
-            s.robots[robot, DOING] = DONE
+            s.robots[robot].doing = DONE
         turned = not waits and (not holds(s.movers, robot) or doing in (RETURNING, CHARGING))
         if not turned and (late or over != NONE) and not turn_home(t, s, w, log, robot, False):
             return False
@@ -200,9 +182,9 @@ def count_home(t, s):
     """At the end of a run: robots alive that are at one of their bases."""
     count = 0
     for robot in range(len(s.robots)):
-        at_base = moves_home(t, robot, np.int64(s.robots[robot, CELL])) == 0
-        count += s.robots[robot, DOING] != DEAD and at_base
-    s.marks[AT_HOME] = count
+        at_base = moves_home(t, robot, np.int64(s.robots[robot].cell)) == 0
+        count += s.robots[robot].doing != DEAD and at_base
+    s.marks.at_home = count
 
 
 # Coverage paths remembered: robots mostly begin to cover what one before them has covered from the same cell.
@@ -222,25 +204,25 @@ MIX = np.uint64(0x9E3779B97F4A7C15)
 @kernel
 def can_be_remembered(s, w, robot):
     """Whether the path that covers what is unvisited of the robot's area is worth it."""
-    return len(w.paths) > 0 and s.areas[s.robots[robot, AREA], LEFT_IN] >= FEWEST
+    return len(w.paths) > 0 and s.areas[s.robots[robot].area].left >= FEWEST
 
 
 @rare_kernel
 def remember(t, s, w, robot):
     """Begin to cover the area's unvisited cells along a path that was remembered or is now; False: no room for it."""
     me = s.robots[robot]
-    here, area = np.int64(me[CELL]), np.int64(me[AREA])
+    here, area = np.int64(me.cell), np.int64(me.area)
     count = list_unvisited(s, w, area)
     slot = slot_of(w, here, count)
     if w.slots[slot] == 0:
         w.slots[slot] = new_path(t, s, w, here, area, count)
     path = np.int64(w.slots[slot])
     begin, end = w.ends[max(path, 1) - 1] + KEY + count, w.ends[path]
-    if path == 0 or begin == end:
+    if path == 0:
         return False
     target = w.paths[end - 1]
     s.home[target] |= TO_DO
-    me[PATH], me[LEFT], me[AHEAD], me[NEXT], me[TARGET] = path, 1, end - begin - 1, w.paths[begin], target
+    me.path, me.left, me.ahead, me.next, me.target = path, 1, end - begin - 1, w.paths[begin], target
     return True
 
 
@@ -277,10 +259,7 @@ def is_of(w, key, here, count):
 
 @kernel
 def new_path(t, s, w, here, area, count):
-    """Algorithm 3's path from `here` through the cells that are `listed`; its number, 0 if there is no room for it.
-
-    One that is too long for AHEAD to count its moves is remembered without them.
-    """
+    """Algorithm 3's path from `here` through the cells that are `listed`; its number, 0 if there is no room for it."""
     path = w.remembered[0]
     key = w.ends[path - 1]
     begin = key + KEY + count
@@ -290,8 +269,7 @@ def new_path(t, s, w, here, area, count):
     for place in range(count):
         w.paths[key + KEY + place] = w.listed[place]
         s.home[w.listed[place]] |= TO_DO
-    end, cell, wanted = begin, here, to_do_in(area)
-    room = min(len(w.paths), begin + 2 ** (8 * s.robots.itemsize) - 1)
+    end, cell, wanted, room = begin, here, to_do_in(area), len(w.paths)
     for _ in range(count):
         target = adjacent(t, s, cell, wanted)
         if target == NONE:
@@ -304,11 +282,8 @@ def new_path(t, s, w, here, area, count):
         s.home[target] ^= TO_DO
         cell = target
         if end > room:
-            if room == len(w.paths):
-                w.remembered[0] = len(w.ends)  # and no path after it
-                return 0
-            end = begin
-            break
+            w.remembered[0] = len(w.ends)  # and no path after it
+            return 0
     w.ends[path] = end
     w.remembered[0] = path + 1
     return path

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.jit import kernel, rare_kernel
-from planner.simulator.state import CELL, CHANGES, DEAD, DOING, NEXT, OPEN, UNTIL, holds, put
+from planner.simulator.state import DEAD, holds, put
 
 
 @kernel
@@ -73,11 +73,11 @@ def drives_back(t, s, robot):
 @rare_kernel
 def _has_way_back(t, s, robot):
     me = s.robots[robot]
-    if s.marks[OPEN] == 0 or s.team[robot, UNTIL] == 0 or not holds(s.waiting, robot) or _is_in_chain(t, s, robot):
+    if s.marks.open == 0 or s.robots[robot].until == 0 or not holds(s.waiting, robot) or _is_in_chain(t, s, robot):
         return False
-    me[NEXT] = t.onward[t.home_of[robot], me[CELL]]
-    s.marks[CHANGES] += 1  # what it visits on its way makes offers worse
-    return me[NEXT] != me[CELL]
+    me.next = t.onward[t.home_of[robot], me.cell]
+    s.marks.changes += 1  # what it visits on its way makes offers worse
+    return me.next != me.cell
 
 
 @kernel
@@ -93,7 +93,7 @@ def _is_in_chain(t, s, robot):
     while found and not holds(s.heard, robot):
         found = False
         for one in range(len(s.robots)):
-            if not holds(s.heard, one) and s.robots[one, DOING] != DEAD and _is_near(t, s, one):
+            if not holds(s.heard, one) and s.robots[one].doing != DEAD and _is_near(t, s, one):
                 put(s.heard, one)
                 found = True
     return holds(s.heard, robot)
@@ -102,12 +102,12 @@ def _is_in_chain(t, s, robot):
 @kernel
 def _is_near(t, s, one):
     """Whether a base, or a robot that is heard, is near enough."""
-    row, col = t.place[s.robots[one, CELL], 0], t.place[s.robots[one, CELL], 1]
+    row, col = t.place[s.robots[one].cell, 0], t.place[s.robots[one].cell, 1]
     for base in range(len(t.bases)):
         if (row - t.bases[base, 0]) ** 2 + (col - t.bases[base, 1]) ** 2 <= t.reach[0]:
             return True
     for other in range(len(s.robots)):
-        cell = s.robots[other, CELL]
+        cell = s.robots[other].cell
         if holds(s.heard, other) and (row - t.place[cell, 0]) ** 2 + (col - t.place[cell, 1]) ** 2 <= t.reach[0]:
             return True
     return False

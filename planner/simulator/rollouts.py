@@ -3,7 +3,7 @@
 A run is the same for all rollouts as long as they are hit alike. So one simulation carries a set of rollouts; where a
 robot enters a dangerous cell each of them draws, and the set parts: who is not hit waits with a copy of the state,
 the others go on. At the end of a run the set is counted, and those who came to wait last go on, depth first. No count
-depends on the order. How a set runs: `planner.simulator.runs`. Axis letters as in `planner.simulator.state`.
+depends on the order. How a set runs: `planner.simulator.step`. Axis letters as in `planner.simulator.state`.
 """
 
 from __future__ import annotations
@@ -16,38 +16,21 @@ from numba import types
 from numba.extending import intrinsic, overload
 
 from planner.ids import NONE
-from planner.jit import kernel, program, rare_kernel
+from planner.jit import kernel, program, rare_kernel, spliced
 from planner.simulator.map_belief import take_over
-from planner.simulator.runs import advance
 from planner.simulator.state import (
-    AHEAD,
-    ALIVE,
-    AREA_WORDS,
-    AREAS,
     AREAS_FULL,
-    AT_HOME,
-    BISECTED,
-    COVERED,
     CUT,
-    DIVIDED,
-    FIRST,
     HIT,
-    LAST,
-    LEVEL,
     NOWHERE_LEVEL,
     OUT,
     PARTED,
     PASSED,
-    PATH,
-    ROBOT_WORDS,
-    STEP,
-    TEAM_WORDS,
-    UNSURVIVED,
-    VERDICT,
     VISITED,
     WORD,
     State,
 )
+from planner.simulator.step import advance
 from planner.simulator.struct_pointers import flat, hand
 
 
@@ -71,12 +54,12 @@ def _compiled_take(taken):
     return lambda taken: _add_one(taken)
 
 
-@kernel
+@spliced
 def level_of(stack, level):
     """One level of the stack."""
     return State(
         stack.home[level], stack.order[level], stack.areas[level], stack.robots[level], stack.marks[level],
-        stack.team[level], stack.movers[level], stack.waiting[level], stack.open[level], stack.lowest[level],
+        stack.movers[level], stack.waiting[level], stack.open[level], stack.lowest[level],
         stack.passes[level], stack.legs[level], stack.spent[level], stack.entered[level], stack.heard[level],
         stack.near[level], stack.entry[level], stack.level[level], stack.known[level], stack.fate[level],
         stack.mind[level], stack.odds[level],
@@ -91,18 +74,16 @@ def copy_row(of, to, count):
 
 @kernel
 def copy_state(t, of, to):
-    """Copy what is in use of a level."""
-    areas = of.marks[AREAS]
+    """Copy what is in use of a level, but for its `marks`: Numba copies records as elements of arrays alone."""
+    areas = of.marks.areas
     copy_row(of.home, to.home, len(of.home))
     copy_row(of.order, to.order, len(of.order))
-    copy_row(flat(of.areas), flat(to.areas), areas * AREA_WORDS)
-    copy_row(flat(of.robots), flat(to.robots), len(of.robots) * ROBOT_WORDS)
+    copy_row(of.areas, to.areas, areas)
+    copy_row(of.robots, to.robots, len(of.robots))
     for robot in range(of.legs.shape[0]):
         # A remembered path lies in `Work`, which levels share.
-        if of.robots[robot, PATH] == 0:
-            copy_row(of.legs[robot], to.legs[robot], of.robots[robot, AHEAD])
-    copy_row(of.marks, to.marks, len(of.marks))
-    copy_row(flat(of.team), flat(to.team), len(of.team) * TEAM_WORDS)
+        if of.robots[robot].path == 0:
+            copy_row(of.legs[robot], to.legs[robot], of.robots[robot].ahead)
     copy_row(of.movers, to.movers, len(of.movers))
     copy_row(of.waiting, to.waiting, len(of.waiting))
     copy_row(of.open, to.open, (areas + WORD - 1) // WORD)
@@ -123,13 +104,13 @@ def copy_mind(of, to):
     copy_row(of.known, to.known, len(of.known))
     copy_row(of.mind, to.mind, len(of.mind))
     copy_row(of.odds, to.odds, len(of.odds))
-    to.areas[len(to.areas) - 1, LEVEL] = NOWHERE_LEVEL
+    to.areas[len(to.areas) - 1].level = NOWHERE_LEVEL
 
 
 @rare_kernel
 def count_passes(s, c, ids, singles):
     """Add a set's survived visits by cell, and what its cells add up to in each of its rollouts."""
-    first, last, covered, found = s.marks[FIRST], s.marks[LAST], np.int64(0), np.int64(0)
+    first, last, covered, found = s.marks.first, s.marks.last, np.int64(0), np.int64(0)
     for cell in range(len(s.passes)):
         passes = np.int64(s.passes[cell])
         for times in range(passes):
@@ -146,23 +127,23 @@ def count_passes(s, c, ids, singles):
 @kernel
 def count_set(s, c, ids, singles, outcome):
     """Add a set at the end of its run."""
-    marks, first, last = s.marks, s.marks[FIRST], s.marks[LAST]
-    size, covered, safely = last - first, marks[COVERED], marks[COVERED] - marks[UNSURVIVED]
+    marks, first, last = s.marks, s.marks.first, s.marks.last
+    size, covered, safely = last - first, marks.covered, marks.covered - marks.unsurvived
     c.visited[covered] += size
     c.survived[safely] += size
-    c.time[marks[STEP]] += size
-    c.alive[marks[ALIVE]] += size
+    c.time[marks.step] += size
+    c.alive[marks.alive] += size
     c.outcomes[outcome] += size
     if len(c.home) > 0:
-        c.home[marks[AT_HOME]] += size
+        c.home[marks.at_home] += size
     c.histories[0] += 1
     if len(s.passes) > 0:
         count_passes(s, c, ids, singles)
     if len(singles.numbers) > 0:
         for place in range(first, last):
             single = singles.numbers[ids[place] - singles.start]
-            single[0], single[1], single[2], single[3] = covered, safely, marks[STEP], marks[ALIVE]
-            single[4], single[5], single[6], single[7] = outcome, marks[BISECTED], marks[DIVIDED], marks[AT_HOME]
+            single[0], single[1], single[2], single[3] = covered, safely, marks.step, marks.alive
+            single[4], single[5], single[6], single[7] = outcome, marks.bisected, marks.divided, marks.at_home
 
 
 @kernel
@@ -173,14 +154,15 @@ def begin_next(t, stack, waiting, tasks, taken, w):
         return False
     first = hand(level_of(stack, 0))
     copy_state(t, hand(level_of(waiting, tasks[task, 0])), first)
-    first.marks[FIRST], first.marks[LAST] = tasks[task, 1], tasks[task, 2]
+    stack.marks[0] = waiting.marks[tasks[task, 0]]
+    first.marks.first, first.marks.last = tasks[task, 1], tasks[task, 2]
     if t.learns:
         take_over(t, first, w)
     return True
 
 
 @kernel
-def go_on_with(t, s, c, stack, ids, singles, how, top, last, found):
+def go_on_with(t, s, c, stack, level, ids, singles, how, top, last, found):
     """The level that goes on, NONE if none does, and the topmost level in use, after `found`.
 
     Those who were hit have a copy of the state in a new level and go on with it, or are put aside there; the others
@@ -190,29 +172,31 @@ def go_on_with(t, s, c, stack, ids, singles, how, top, last, found):
         if found != CUT:
             count_set(s, c, ids, singles, found)
         # Its ids are counted: the level is empty.
-        s.marks[LAST] = s.marks[FIRST]
+        s.marks.last = s.marks.first
         return (top - 1, top - 1) if how.aside == 0 else (NONE, top)
     # Who passed keeps the level and waits; who was hit goes on first, so levels never outnumber the robots.
-    s.marks[VERDICT], top = PASSED, top + 1
+    s.marks.verdict, top = PASSED, top + 1
     hit = hand(level_of(stack, top))
     copy_state(t, s, hit)
-    hit.marks[FIRST], hit.marks[LAST], hit.marks[VERDICT] = s.marks[LAST], last, HIT
+    stack.marks[top] = stack.marks[level]
+    hit.marks.first, hit.marks.last, hit.marks.verdict = s.marks.last, last, HIT
     if how.aside == 0:
         return top, top
-    return 0 if top < how.aside and s.marks[LAST] > s.marks[FIRST] else NONE, top
+    return 0 if top < how.aside and s.marks.last > s.marks.first else NONE, top
 
 
 @program
-def run_set(t, c, waiting, tasks, taken, stack, w, log, how, ids, singles):
+def run_set(t, p, c, waiting, tasks, taken, stack, w, log, how, ids, singles):
     """Rollouts `ids`, uint32 `[B]`, which become disordered, with a stack of `planner.simulator.state.State`.
 
     `tasks`, int64 `[N, 3]`: a level of the stack `waiting` to go on from, and which of the ids do; `taken`, int64
     `[1]`: how many of them some thread has begun with. `how.aside`: 0, or of one task, how many sets of those who are
     the first to be hit are put aside at most: in levels 1, 2, .. of the stack, whoever is left then in level 0.
-    `singles`: what is kept of each rollout. Returns how many sets were put aside, NONE if a
-    rollout needed more areas than the state has room for (the counts are then void).
+    `p`: the policy, None: the paper's rule. `singles`: what is kept of each rollout. Returns how many sets were put
+    aside, NONE if a rollout needed more areas than the state has room for (the counts are then void).
     """
     tables, counts, work, logged, options = hand(t), hand(c), hand(w), hand(log), hand(how)
+    policy = hand(p)
     top = 0
     # Threads share `taken`, which they raise atomically: no task is run twice.
     while begin_next(tables, stack, waiting, tasks, taken, work):
@@ -220,9 +204,9 @@ def run_set(t, c, waiting, tasks, taken, stack, w, log, how, ids, singles):
         while level >= 0:
             # By address: fifty arrays by value would cost more than most kernels do.
             s = hand(level_of(stack, level))
-            last = s.marks[LAST]
-            found = advance(tables, s, counts, work, logged, options, ids)
+            last = s.marks.last
+            found = advance(tables, policy, s, counts, work, logged, options, ids)
             if found == AREAS_FULL:
                 return NONE
-            level, top = go_on_with(tables, s, counts, stack, ids, singles, options, top, last, found)
+            level, top = go_on_with(tables, s, counts, stack, level, ids, singles, options, top, last, found)
     return max(top, 0)

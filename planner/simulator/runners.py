@@ -22,19 +22,12 @@ from planner.failure_model import LEAST, key_of_luck, own_key
 from planner.ids import NO_AREA, NONE
 from planner.rollout_sampling import MEETING_DRAW, MOVE_DRAW, rows_met
 from planner.simulator.areas import Log, make_log
-from planner.simulator.attentive import run_attentive
 from planner.simulator.loop import NO_COUNTS, ClosedLoop, typed, with_features
 from planner.simulator.rollouts import run_set
 from planner.simulator.state import (
     AREA_BITS,
-    BEARS,
-    FIRST,
-    LAST,
     MOST_PASSES,
-    ROBOT,
     SINGLES,
-    STEP,
-    VERDICT,
     Counts,
     How,
     Singles,
@@ -180,7 +173,7 @@ class _Team:
         """The same, but who is the first to be hit in the same place stays together."""
         ids, together = self.ids[:, :count]
         share, levels = -(-count // len(self.runners)), len(self.waiting.marks) // len(self.runners)
-        self.waiting.marks[:, [FIRST, LAST]] = 0
+        self.waiting.marks["first"] = self.waiting.marks["last"] = 0
 
         def put_aside(runner: Runner, number: int) -> bool:
             first, mine = number * share, slice(number * levels, (number + 1) * levels)
@@ -188,12 +181,13 @@ class _Team:
             some[:] = np.arange(start + first, start + first + len(some), dtype=np.uint32)
             stack = State._make(row[mine] for row in self.waiting)
             used = runner.put_aside(some, stack, self.singles)
-            stack.marks[: used + 1, [FIRST, LAST]] += first
+            stack.marks["first"][: used + 1] += first
+            stack.marks["last"][: used + 1] += first
             return used != NONE
 
         if not all(list(self.pool.map(put_aside, self.runners, range(len(self.runners))))):
             return False
-        self.waiting.team[:, :, BEARS] = LEAST  # threads met different rollouts of a set
+        self.waiting.robots["bears"] = LEAST  # threads met different rollouts of a set
         parts, tasks = sets_of_tasks(ids, self.waiting.marks, self.runners[0].largest_set)
         ends = np.cumsum([0, *map(len, parts)])
         cuts = np.searchsorted(ends, np.linspace(0, ends[-1], len(self.runners) + 1)).tolist()
@@ -231,15 +225,16 @@ def sets_of_truths(ids: NDArray[np.uint32], doubt: Uncertain, seed: int) -> Task
 
 
 def sets_of_tasks(
-    ids: NDArray[np.uint32], marks: NDArray[np.int64], most: int
+    ids: NDArray[np.uint32], marks: NDArray[np.void], most: int
 ) -> tuple[list[NDArray[np.uint32]], Tasks]:
     """The ids in parts, set by set, and a task for each set, largest first; of more than `most` rollouts, several.
 
-    `marks` `[L, MARKS]` of the states that were put aside say which of the ids they are of, none if it has no more.
+    `marks` `[L]` of the states that were put aside say which of the ids they are of, none if it has no more.
     Nobody had been hit before: who acts in which step, and what became of it, says all of the state.
     """
-    left = marks[:, LAST] > marks[:, FIRST]
-    told = np.column_stack([np.flatnonzero(left), marks[left][:, [FIRST, LAST, STEP, ROBOT, VERDICT]]])
+    left = marks["last"] > marks["first"]
+    words = ("first", "last", "step", "robot", "verdict")
+    told = np.column_stack([np.flatnonzero(left), *(marks[left][word] for word in words)])
     sets: dict[tuple[int, ...], tuple[int, list[NDArray[np.uint32]]]] = {}
     for row, first, last, *which in told.tolist():
         sets.setdefault(tuple(which), (row, []))[1].append(ids[first:last])
@@ -402,5 +397,4 @@ class Runner:
     ) -> int:
         """`run_set`, by the loop's policy."""
         given = (self.counts, waiting, *tasks, stack, self.work, log, how, ids, singles)
-        tables, policy = self._tables, self._policy
-        return run_set(tables, *given) if policy is None else run_attentive(tables, policy, *given)
+        return int(run_set(self._tables, self._policy, *given))

@@ -118,10 +118,6 @@ MOST_PASSES = 8
 """Survived visits of a cell that are told apart; what further ones add to a chance to detect is bounded
 (`analysis.evaluation.outputs.value`)."""
 
-NEAR, WIDE, PATIENCE, GOAL, LAST_STEP, RECHARGE, QUIET_STEPS, LAST_UPDATE, LIMITS = range(9)
-"""`Tables.limits` of searches, the cells that can truly be visited, when robots know that the mission ends, steps
-that they are charged, steps without progress that end a run, and the step of the last announced map update."""
-
 
 class Tables(NamedTuple):
     """What every rollout reads.
@@ -142,11 +138,11 @@ class Tables(NamedTuple):
             component at its end, `[A + 1]`. kind: like near `[A]`; cells of one kind cost the same to enter,
             `kind_cost` `[C]`, and there are `kind_begin` `[C]` cells of the kinds before it, both int64. All empty
             where there are tables.
-        limits: int64 `[LIMITS]`. NEAR: cells that a search passes before it is one for what is far; WIDE: as of
-            `SafeParts`; PATIENCE: searches from a cell before its costs to all are kept. GOAL: cells that count.
-            LAST_STEP: by which robots that come home are to be there; RECHARGE: steps until they have their range
-            again, 0: they do not. QUIET_STEPS: steps in a row without progress after which a run ends, unless an
-            announced phase that changes the map begins later: LAST_UPDATE is the step of the last one, 0: none.
+        nearby: cells that a search passes before it is one for what is far. wide: as of `SafeParts`. patience: searches
+            from a cell before its costs to all are kept. goal: cells that count. last_step: by which robots that return
+            to base are to be there. recharge: steps until they have their range again, 0: they do not. quiet_steps:
+            steps in a row without progress after which a run ends, unless an announced phase that changes the map
+            begins later: last_update is the step of the last one, 0: none.
         truths: int16 `[M, A]`, level of each cell in each map that may be true, NONE of an obstacle, of robots that
             learn it; belief: int16 `[A]`, what they believe before the first step; price: int64 `[L]`, cost of entering
             a cell of each level; in_view: like near, what is seen from each cell, from `view_begin` int64 `[A + 1]` on
@@ -206,7 +202,6 @@ class Tables(NamedTuple):
     area_entry: NDArray
     foremost: NDArray
     counted: NDArray
-    limits: NDArray
     bound: NDArray
     exposure: NDArray
     chance: NDArray
@@ -259,6 +254,14 @@ class Tables(NamedTuple):
     home_steps: NDArray
     home_cost: NDArray
     onward: NDArray
+    nearby: int = 0
+    wide: int = 0
+    patience: int = 0
+    goal: int = 0
+    last_step: int = 0
+    recharge: int = 0
+    quiet_steps: int = 0
+    last_update: int = 0
     follows: bool | None = None
     walks: bool | None = None
     searches: bool | None = None
@@ -306,26 +309,67 @@ class How(NamedTuple):
 
 VISITED, SURVIVED, TO_DO, AREA_BITS = 1, 2, 4, 3
 """`home`: the area of a cell above AREA_BITS flags, the last of which is of the path that covers the area."""
-BEGIN, END, LEVEL, LEFT_IN, ROOT, AREA_WORDS = range(6)
-"""`areas`: segment of `order`, level, unvisited cells, the area of t = 0 whose cells these are."""
-CELL, NEXT, TARGET, DOING, AREA, LEFT, AHEAD, HELD, SURE, PATH, ROBOT_WORDS = range(11)
-"""`robots`: where, the cell that it enters next, end of the current leg, what, which area (if it has one), cells still
-to do on the coverage path, how many cells of `legs` or of the remembered path PATH come after NEXT (0: the leg is one
-move, or in `hop_to`), whether it is held (`reserve`), whether it need not look again
-(`planner.simulator.attentive.decide`), and the number of that path."""
-UNTIL, BORNE, BEARS, READY, TEAM_WORDS = range(5)
-"""`team`: the turn (`own_turn`) of the last move of a robot that moves from now on, of who waits the moves left; the
-exposure that it has borne; no rollout of the set has less tolerance; the step in which it has its range again, at a
-base, before that FAR if it is to be charged there, else 0."""
-STEP, ROBOT, VERDICT, QUIET, PROGRESS, FIRST, LAST = range(7)
-AREAS, OPEN, LOWEST, UNFINISHED, ALIVE, BISECTED, DIVIDED, CHANGES, COVERED, UNSURVIVED, ROAMED = range(7, 18)
-OVER, AT_HOME, NOW, UNLIMITED, MARKS = range(18, 23)
-"""`marks`: who acts in which step and what became of it, steps without progress, progress in this one, the set's part
-of the ids; areas so far, unassigned ones, the level of `State.lowest`, areas with unvisited cells, robots alive, areas
-shared by bisection, areas shared that lay in several components already, changes of the unassigned areas, cells
-visited, those of them in which nobody has survived yet, the steps that movers have made; 0, or the outcome and 1 once
-all turn for home, at the end how many are there; 1 while a robot decides that moves in the same step; and 1 while it
-may choose what it cannot afford."""
+WHOLE, LONG = np.int32, np.int64
+ROBOT = np.dtype(
+    [
+        ("cell", WHOLE),  # where it is
+        ("next", WHOLE),  # the cell that it enters next
+        ("target", WHOLE),  # the end of the current leg
+        ("doing", WHOLE),
+        ("area", WHOLE),  # its area, if it has one
+        ("left", WHOLE),  # cells still to do on its coverage path
+        ("ahead", WHOLE),  # cells of `legs`, or of path `path`, after `next`; 0: one move, or in `hop_to`
+        ("held", WHOLE),  # whether the cap on robots at risk keeps it from dangerous areas
+        ("sure", WHOLE),  # it need not compare its area with others again until there are more `arrivals` than this
+        ("path", WHOLE),  # number of its remembered coverage path, 0: none
+        ("until", LONG),  # turn (`own_turn`) of the last move of a robot that moves; of one that waits, moves left
+        ("borne", LONG),  # its cumulative hazard
+        ("bears", LONG),  # no rollout of the group has a lower failure threshold
+        ("ready", LONG),  # step in which it has its range again; FAR before it is at a base; 0: it is not recharged
+    ],
+    align=True,
+)
+AREA = np.dtype(
+    [
+        ("begin", WHOLE),  # its segment of `order`
+        ("end", WHOLE),
+        ("level", WHOLE),
+        ("left", WHOLE),  # unvisited cells
+        ("root", WHOLE),  # the area of t = 0 whose cells these are
+    ],
+    align=True,
+)
+GROUP = np.dtype(
+    [
+        (name, LONG)
+        for name in (
+            "step",
+            "robot",  # that acts in this step
+            "verdict",  # what became of it: ACTS, HIT or PASSED
+            "quiet",  # steps in a row without progress
+            "progress",  # whether this step has made any
+            "first",  # the group's part of the ids
+            "last",
+            "areas",  # so far
+            "open",  # unassigned areas
+            "lowest",  # the level of `State.lowest`
+            "unfinished",  # areas with unvisited cells
+            "alive",
+            "bisected",  # areas shared by bisection
+            "divided",  # areas shared that lay in several components already
+            "changes",  # of the unassigned areas
+            "arrivals",  # areas that became unassigned
+            "covered",  # cells visited
+            "unsurvived",  # those of them in which no robot has survived yet
+            "roamed",  # steps that moving threats have made
+            "over",  # 0, or the outcome plus 1 once all robots return to base
+            "at_home",  # robots at base at the end
+            "now",  # 1 while a robot decides that moves in the same step
+            "unlimited",  # 1 while a robot may choose what is out of its range
+        )
+    ],
+    align=True,
+)
 STAYS, HITS, ROUTE, ROUTE_LENGTH, MOVER_WORDS = range(5)
 """`Tables.movers`: of 24 bits that are below, one that walks stays, and who is met is stopped; where its route begins
 in `routes`, and how many cells it has, 0: it walks."""
@@ -335,6 +379,8 @@ silence takes, and of how many of 2**24 readings the alarms are, where a hazard 
 SEEN, LOOKED, OUT = 1, 2, 4
 TRUTH, BELIEF, MIND = range(3)
 """`mind`: which of the maps is true; the number of the belief, of which a thread has kept its rows."""
+RESTS, GAINS, MOVES, NO_ROOM = 0, 1, 2, -1
+"""The turn of a robot: it stays, gets an area and stays, or moves; or there is no room for areas."""
 ACTS, HIT, PASSED = range(3)
 """VERDICT: the next robot acts; the robot is hit in the cell that it has entered; it is not."""
 WORD = 64
@@ -346,13 +392,11 @@ class State(NamedTuple):
     Attributes:
         home: uint16 or uint32 `[A + 1]`, each cell's area and flags; the last one stands for what is blocked.
         order: like home `[A]`, the cells area by area; what is completed is not kept in order.
-        areas: like home `[room, AREA_WORDS]`. robots: like home `[K, ROBOT_WORDS]`.
+        areas: AREA `[room]`. robots: ROBOT `[K]`. marks: GROUP.
         legs: like home `[K, A]`, the cells of legs that were searched for, last first; else empty.
-        marks: int64 `[MARKS]`.
-        team: int64 `[K, TEAM_WORDS]`, what of robots takes more bits.
         movers, waiting: uint64 `[K / 64]`, bits of the robots that move, and of those that could take an area.
         open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area hold anything.
-        lowest: like open, those of level `marks[LOWEST]`; no unassigned area has a lower one.
+        lowest: like open, those of level `marks.lowest`; no unassigned area has a lower one.
         spent: uint64 `[A / 64]`, bits of the cells that a hit made harmless, or empty.
         passes: uint8 `[A]`, survived visits of each cell, MOST_PASSES for more; empty where nobody asks.
         entered: uint64 `[K / 64]`, bits of the robots that have entered a cell in this step; empty where nothing moves
@@ -368,7 +412,6 @@ class State(NamedTuple):
     areas: NDArray
     robots: NDArray
     marks: NDArray
-    team: NDArray
     movers: NDArray
     waiting: NDArray
     open: NDArray
@@ -542,16 +585,15 @@ def first_state(tables: Tables, room: int, passes: bool = False) -> State:
     # Half the bytes: copying states is a good part of what parting costs.
     kind: DTypeLike = np.uint16 if fits_narrow(tables, room) else np.uint32
     searching = team if len(tables.entry) else 0
-    shapes = ((size + 1,), (size,), (room, AREA_WORDS), (team, ROBOT_WORDS))
     words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD))
-    rows = [np.zeros(shape, dtype=kind) for shape in shapes]
-    numbers = [np.zeros(shape, dtype=np.int64) for shape in (MARKS, (team, TEAM_WORDS))]
+    rows = np.zeros(size + 1, dtype=kind), np.zeros(size, dtype=kind), np.zeros(room, AREA), np.zeros(team, ROBOT)
     bits = [np.zeros(count, dtype=np.uint64) for count in words]
     passed = np.zeros(size if passes else 0, dtype=np.uint8)
     legs, spent = np.zeros((searching, size), dtype=kind), np.zeros(len(tables.spent), dtype=np.uint64)
     entered = np.zeros(words[0] if len(tables.movers) else 0, dtype=np.uint64)
     heard = np.zeros(words[0] if len(tables.reach) else 0, dtype=np.uint64)
-    state = State._make((*rows, *numbers, *bits, passed, legs, spent, entered, heard, *_first_mind(tables, room, kind)))
+    more = passed, legs, spent, entered, heard, *_first_mind(tables, room, kind)
+    state = State._make((*rows, np.zeros((), GROUP), *bits, *more))
     _begin(state, tables)
     return state
 
@@ -583,7 +625,7 @@ def largest_set(state: State, most: int) -> int:
     A level for each robot and one more serve any set. With fewer it may have no more rollouts than there are levels,
     since whoever waits leaves at least one rollout behind.
     """
-    levels, robots = len(state.marks), state.robots.shape[1]
+    levels, robots = state.robots.shape
     return most if levels > robots else min(levels, most)
 
 
@@ -594,7 +636,7 @@ def _begin(state: State, tables: Tables) -> None:
     if len(state.mind):  # what is in no area: an obstacle, or out of reach
         state.home[:] = len(state.areas) - 1 << AREA_BITS | VISITED | SURVIVED
         state.known[:], state.known[tables.order] = OUT, 0
-        state.areas[-1, LEVEL] = NOWHERE_LEVEL
+        state.areas["level"][-1] = NOWHERE_LEVEL
         for cell in tables.starts if len(tables.truths) == 1 else ():
             state.known[tables.in_view[tables.view_begin[cell] : tables.view_begin[cell + 1]]] |= SEEN
     state.home[tables.order] = np.repeat(np.arange(given), sizes) << AREA_BITS
@@ -602,23 +644,23 @@ def _begin(state: State, tables: Tables) -> None:
     state.home[-1] = VISITED | SURVIVED
     state.order[: len(tables.order)] = tables.order
     rows = (tables.begin[:-1], tables.begin[1:], tables.level, sizes, np.arange(given))
-    for word, values in zip((BEGIN, END, LEVEL, LEFT_IN, ROOT), rows, strict=True):
-        state.areas[:given, word] = values
+    for word, values in zip(AREA.names or (), rows, strict=True):
+        state.areas[word][:given] = values
     robots, has_owner = state.robots, tables.owner != NONE
     owned, unassigned = np.flatnonzero(has_owner), np.flatnonzero(~has_owner)
-    robots[:] = 0
-    for word in (CELL, NEXT, TARGET):
-        robots[:, word] = tables.starts
-    robots[:, DOING] = LANDING
+    for word in ("cell", "next", "target"):
+        robots[word] = tables.starts
+    robots["doing"] = LANDING
     if len(tables.given):
-        robots[:, DOING] = FOLLOWING
+        robots["doing"] = FOLLOWING
     else:
-        robots[tables.owner[owned], DOING], robots[tables.owner[owned], AREA] = STARTING, owned
-    state.marks[:] = 0
-    state.team[:, UNTIL], state.team[:, BORNE], state.team[:, BEARS] = tables.range, 0, LEAST
+        robots["doing"][tables.owner[owned]], robots["area"][tables.owner[owned]] = STARTING, owned
+    robots["until"], robots["bears"], robots["sure"] = tables.range, LEAST, NONE
     levels = tables.level[unassigned]
     lowest = levels.min(initial=NO_LEVEL)
-    state.marks[[AREAS, OPEN, LOWEST, UNFINISHED, ALIVE]] = given, len(unassigned), lowest, given, len(tables.starts)
+    words = {"areas": given, "open": len(unassigned), "lowest": lowest, "unfinished": given}
+    for word, value in (words | {"alive": len(tables.starts)}).items():
+        state.marks[word] = value
     for bits, members in (
         (state.movers, slice(len(tables.starts))),
         (state.open, unassigned),

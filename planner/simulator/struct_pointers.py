@@ -13,21 +13,20 @@ from collections.abc import Callable
 from typing import Any
 
 import numba
+import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 from numba.np.arrayobj import populate_array
+from numpy.typing import NDArray
 
-from planner.simulator.state import AREA_WORDS, ROBOT_WORDS, TEAM_WORDS, State, Tables
+from planner.simulator.state import State, Tables
 
 LENGTHS = {
     (Tables, "near"): 4,
     (State, "near"): 4,
-    (State, "robots"): ROBOT_WORDS,
-    (State, "areas"): AREA_WORDS,
-    (State, "team"): TEAM_WORDS,
 }
 """How long the rows of a matrix are, where that is known: a row is found without a look at the matrix's shape."""
 
@@ -98,6 +97,8 @@ def _array(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -
 
 @intrinsic
 def _hand(typing_context: Any, values: Any) -> Any:
+    if isinstance(values, types.NoneType):
+        return values(values), lambda context, builder, _signature, _args: context.get_dummy_value()
     kind = Handed(values)
 
     def keep(context: Any, builder: Any, _signature: Any, args: Any) -> Any:
@@ -117,7 +118,49 @@ def _hand(typing_context: Any, values: Any) -> Any:
     return kind(values), keep
 
 
-hand: Callable[[Any], Any] = (lambda values: values) if numba.config.DISABLE_JIT else _hand
+class Record:
+    """An element of a structured array as compiled code sees it: its fields are attributes."""
+
+    __slots__ = ("row",)
+
+    row: np.void
+
+    def __init__(self, row: np.void) -> None:
+        object.__setattr__(self, "row", row)
+
+    def __getattr__(self, name: str) -> int:
+        return int(self.row[name])
+
+    def __setattr__(self, name: str, value: int) -> None:
+        self.row[name] = value
+
+
+class Records:
+    """A structured array whose elements are such records."""
+
+    def __init__(self, array: NDArray[np.void]) -> None:
+        self.array, self.made = array, dict[int, Record]()
+
+    def __len__(self) -> int:
+        return len(self.array)
+
+    def __getitem__(self, place: int) -> Record:
+        if place not in self.made:
+            self.made[place] = Record(self.array[place])
+        return self.made[place]
+
+    def __setitem__(self, place: int, record: Record) -> None:
+        self.array[place] = record.row
+
+
+def with_records(values: Any) -> Any:
+    """The same named tuple for code that is not compiled; NumPy's own records take microseconds for a field."""
+    if not isinstance(values, State):
+        return values
+    return values._replace(robots=Records(values.robots), areas=Records(values.areas), marks=Record(values.marks))  # type: ignore[arg-type]
+
+
+hand: Callable[[Any], Any] = with_records if numba.config.DISABLE_JIT else _hand
 """The address of a copy of a named tuple, good until the caller returns or comes here again."""
 
 

@@ -5,6 +5,8 @@ Axis letters: `A` accessible cells, `M` areas.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,48 +22,20 @@ from planner.plan.state import ON_ITS_WAY, MissionState, RobotState
 from planner.rollout_sampling import chance_bound
 from planner.simulator.paths import all_pairs, to_areas
 from planner.simulator.state import (
-    AHEAD,
-    ALIVE,
-    AREA,
     AREA_BITS,
-    BORNE,
-    COVERED,
     COVERING,
     DEAD,
-    DOING,
     DONE,
-    GOAL,
-    HELD,
     IDLE,
-    LAST_STEP,
-    LAST_UPDATE,
-    LEFT,
-    LEFT_IN,
-    LIMITS,
-    LOWEST,
     MOST_CELLS,
     MOVER_WORDS,
-    NEAR,
-    NEXT,
     NO_LEVEL,
-    OPEN,
-    OVER,
-    PATIENCE,
-    QUIET,
-    QUIET_STEPS,
     RANKED,
-    RECHARGE,
     RETURNING,
-    STEP,
     SURVIVED,
-    TARGET,
     TO_DO,
     TRAVELING,
-    UNFINISHED,
-    UNSURVIVED,
-    UNTIL,
     VISITED,
-    WIDE,
     WORD,
     State,
     Tables,
@@ -173,11 +147,12 @@ def make_tables(
         length=np.array([len(path) - 1 for path in problem.given], dtype=np.int32),
         **_ways_home(problem, cells, compact, narrow),
     )
-    tables.limits[QUIET_STEPS] = STUCK_AFTER * max(problem.settings.paces, default=1)
+    tables = tables._replace(quiet_steps=STUCK_AFTER * max(problem.settings.paces, default=1))
     if problem.home is not None:
-        tables.limits[[LAST_STEP, RECHARGE]] = problem.home.last, problem.settings.recharge or 0
+        tables = tables._replace(last_step=problem.home.last, recharge=problem.settings.recharge or 0)
     if unknown is not None:  # a search passes all that is near enough to matter: nothing is far
-        tables.limits[[NEAR, GOAL, LAST_UPDATE]] = len(cells), unknown.accessible.sum(), unknown.last_update
+        goal, last_update = int(unknown.accessible.sum()), unknown.last_update
+        tables = tables._replace(nearby=len(cells), goal=goal, last_update=last_update)
     return tables
 
 
@@ -195,11 +170,11 @@ def _learning(
     cells: NDArray[np.int64],
     compact: NDArray[np.int32],
     narrow: type,
-) -> dict[str, NDArray]:
+) -> dict[str, Any]:
     """The fields of `Tables` that only robots that learn read."""
     if unknown is None:
         levels, numbers = np.zeros(0, dtype=np.int16), np.zeros(0, dtype=np.int64)
-        nothing: dict[str, NDArray] = {
+        nothing: dict[str, Any] = {
             "belief": levels,
             "price": numbers,
             "view_begin": numbers,
@@ -216,7 +191,7 @@ def _learning(
     }
 
 
-def _evidence(evidence: Evidence | None, cells: NDArray[np.int64]) -> dict[str, NDArray]:
+def _evidence(evidence: Evidence | None, cells: NDArray[np.int64]) -> dict[str, Any]:
     """The fields of `Tables` that only robots that learn about hazards read."""
     if evidence is None:
         return dict.fromkeys(("odds", "survival", "step", "lessons"), np.zeros(0, dtype=np.int64))
@@ -242,7 +217,7 @@ def most_cost(near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray
     return most
 
 
-def mover_tables(world: World, compact: NDArray[np.int32], beyond: int) -> dict[str, NDArray]:
+def mover_tables(world: World, compact: NDArray[np.int32], beyond: int) -> dict[str, Any]:
     """The fields of `Tables` that say how threats move; `compact` int32 `[N]`: cells' numbers, `beyond`: of others."""
     members = () if world.movers is None else world.movers.members
     begins = np.cumsum([0, *(len(one.route) for one in members)]).tolist()
@@ -262,7 +237,7 @@ def kinds_of(world: World, types: str | tuple[str, ...] | None, robots: int) -> 
     return tuple(dict.fromkeys(world.of_robots(types, robots)))
 
 
-def _clocks(paces: tuple[int, ...]) -> dict[str, NDArray]:
+def _clocks(paces: tuple[int, ...]) -> dict[str, Any]:
     """The fields of `Tables` that say which robots have a turn in a step."""
     pace = np.array(paces, dtype=np.int64)
     ticks = np.unique(pace)
@@ -272,7 +247,7 @@ def _clocks(paces: tuple[int, ...]) -> dict[str, NDArray]:
     return {"pace": pace, "ticks": ticks, "clock": clock}
 
 
-def _radio(problem: Problem, cells: NDArray[np.int64]) -> dict[str, NDArray]:
+def _radio(problem: Problem, cells: NDArray[np.int64]) -> dict[str, Any]:
     """The fields of `Tables` that say who hears whom."""
     if problem.settings.radio is None:
         pairs = np.zeros((0, 2), dtype=np.int64)
@@ -287,7 +262,7 @@ def _kinds(problem: Problem) -> tuple[World, ...]:
     return kinds_of(problem.world, problem.settings.types, len(problem.starts))
 
 
-def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str, NDArray]:
+def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str, Any]:
     """The fields of `Tables` that say how a visit of each of `cells` `[A]` is drawn, type after type."""
     if len(kinds) > 1:
         tables = [luck_tables((kind,), cells) for kind in kinds]
@@ -299,7 +274,7 @@ def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str,
     exposure = exposure.reshape(-1, world.threat.size)[:, cells].ravel()
     spends = draws is not None and draws.spends
     spent = np.zeros(-(-len(cells) // WORD) if spends else 0, dtype=np.uint64)
-    drawn: dict[str, NDArray] = {"spent": spent, "exposure": exposure, "doses": doses}
+    drawn: dict[str, Any] = {"spent": spent, "exposure": exposure, "doses": doses}
     threat = world.by_phase[:, cells].ravel()
     drawn["phases"] = np.zeros(0, dtype=np.int64) if world.phases is None else world.phases.begins
     drawn["chance"] = threat.astype(np.float64)
@@ -311,21 +286,18 @@ def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str,
     return drawn | {"own_counter": draws.counter[cells], "table": draws.table}
 
 
-def bearing_tables(bearing: Bearing, robots: int) -> dict[str, NDArray]:
+def bearing_tables(bearing: Bearing, robots: int) -> dict[str, Any]:
     """The fields of `Tables` that say what robots bear."""
     if bearing.is_even:
         return dict.fromkeys(("nodes", "times", "begun"), np.zeros(0, dtype=np.int64))
     return {"nodes": bearing.nodes, "times": bearing.times(robots).copy(), "begun": bearing.fresh_begun(robots)}
 
 
-def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: type) -> dict[str, NDArray]:
+def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: type) -> dict[str, Any]:
     """The fields of `Tables` that only searches for what is far read; no `entry`: there are none."""
     parts = find_safe_parts(near[: len(entry)], entry)
     node = np.append(parts.node, np.int32(NO_CELL)) if len(entry) else parts.node
     kind_cost, kind, counts = np.unique(entry, return_inverse=True, return_counts=True)
-    limits = np.zeros(LIMITS, dtype=np.int64)
-    limits[[NEAR, WIDE, GOAL]] = NEAR_CELLS, parts.wide, len(near)
-    limits[PATIENCE] = ASKED_BEFORE if len(near) >= MOST_CELLS else 0
     return {
         "node": node,
         "beside": parts.begin[: len(node)],
@@ -333,13 +305,14 @@ def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: typ
         "kind": kind.astype(narrow),
         "kind_cost": kind_cost,
         "kind_begin": np.cumsum(counts) - counts,
-        "limits": limits,
+        "nearby": NEAR_CELLS,
+        "wide": parts.wide,
+        "goal": len(near),
+        "patience": ASKED_BEFORE if len(near) >= MOST_CELLS else 0,
     }
 
 
-def _ways_home(
-    problem: Problem, cells: NDArray[np.int64], compact: NDArray[np.int32], narrow: type
-) -> dict[str, NDArray]:
+def _ways_home(problem: Problem, cells: NDArray[np.int64], compact: NDArray[np.int32], narrow: type) -> dict[str, Any]:
     """The fields of `Tables` that robots read that come home, or drive back to where they hear each other."""
     home, nothing = problem.home, np.zeros((0, 0), dtype=np.int32)
     of, onward = np.zeros(0, dtype=np.int64), nothing
@@ -364,7 +337,7 @@ def _given(problem: Problem, compact: NDArray[np.int32], narrow: type) -> NDArra
 
 def by_price(
     problem: Problem, area_cost: NDArray, cells: NDArray, order: NDArray, begin: NDArray, level: NDArray
-) -> dict[str, NDArray]:
+) -> dict[str, Any]:
     """The fields of `Tables` that rank areas, where its other fields are these and its cells `cells` `[A]`.
 
     From a cell of its own an area costs the entry of another one at least, and no part of it is worth more than as many
@@ -406,21 +379,30 @@ def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDAr
     if len(state.passes):
         state.passes[survived] = 1  # how often before is not known
     left = np.bincount(state.home[:-1][state.home[:-1] & VISITED == 0] >> AREA_BITS, minlength=len(mission.areas))
-    state.areas[: len(left), LEFT_IN] = left
-    state.marks[[COVERED, UNSURVIVED]] = len(mission.visited), len(mission.visited) - len(mission.survived)
+    state.areas["left"][: len(left)] = left
     unassigned = [number for number, area in enumerate(mission.areas) if area.state == "unassigned"]
     level, lowest = tables.level[unassigned], tables.level[unassigned].min(initial=NO_LEVEL)
     alive = sum(robot.alive for robot in mission.robots)
-    state.marks[[STEP, QUIET, ALIVE, OPEN]] = mission.step + 1, mission.quiet, alive, len(unassigned)
-    state.marks[[LOWEST, UNFINISHED]] = lowest, np.count_nonzero(left)
+    marks = {
+        "covered": len(mission.visited),
+        "unsurvived": len(mission.visited) - len(mission.survived),
+        "step": mission.step + 1,
+        "quiet": mission.quiet,
+        "alive": alive,
+        "open": len(unassigned),
+        "lowest": lowest,
+        "unfinished": int(np.count_nonzero(left)),
+        "over": 0 if mission.over is None else Outcome[mission.over.upper()] + 1,
+    }
+    for word, value in marks.items():
+        state.marks[word] = value
     if len(tables.times):
-        state.team[:, BORNE] = mission.exposures
-    until = state.team[:, UNTIL]
+        state.robots["borne"] = mission.exposures
+    until = state.robots["until"]
     until[:] = tables.range - [robot.moves for robot in mission.robots]
     moving = np.array([robot.status in (*ON_ITS_WAY, "returning") for robot in mission.robots])
     rests = [robot.status in ("idle", "done") and not robot.turned for robot in mission.robots]
     waiting = np.array(rests) & (until > 0)
-    state.marks[OVER] = 0 if mission.over is None else Outcome[mission.over.upper()] + 1
     until[moving] += mission.step
     for bits, members in (
         (state.open, unassigned),
@@ -433,21 +415,21 @@ def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDAr
         _put_robot(state, number, robot, cells)
         if robot.status == "returning":
             here = np.searchsorted(cells, robot.cell)
-            state.robots[number, NEXT] = tables.onward[tables.home_of[number], here]
+            state.robots["next"][number] = tables.onward[tables.home_of[number], here]
 
 
 def _put_robot(state: State, number: int, robot: RobotState, cells: NDArray[np.int64]) -> None:
     row = state.robots[number]
-    row[DOING], row[HELD] = DOINGS[robot.status], robot.held
+    row["doing"], row["held"] = DOINGS[robot.status], robot.held
     if robot.status not in ON_ITS_WAY:
         return
     to_do, ahead = np.searchsorted(cells, robot.to_do), np.searchsorted(cells, robot.ahead)
     state.home[to_do] |= TO_DO
     ends = np.flatnonzero(np.isin(ahead, to_do)) if robot.status == "covering" else ahead[:0]
     leg = ahead[: int(ends[0]) + 1] if len(ends) else ahead
-    row[AREA], row[LEFT], row[NEXT], row[TARGET] = robot.area, len(to_do), leg[0], leg[-1]
+    row["area"], row["left"], row["next"], row["target"] = robot.area, len(to_do), leg[0], leg[-1]
     if len(state.legs):
-        row[AHEAD] = len(leg) - 1
+        row["ahead"] = len(leg) - 1
         state.legs[number, : len(leg) - 1] = leg[:0:-1]
 
 

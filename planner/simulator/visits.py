@@ -15,34 +15,19 @@ from planner.simulator.map_belief import visit_of
 from planner.simulator.return_home import leave
 from planner.simulator.state import (
     ACTS,
-    ALIVE,
     ALL_ROBOTS_LOST,
-    AREA,
     AREA_BITS,
     AT_STOP,
-    CELL,
-    CHANGES,
     COMPLETE,
-    COVERED,
     CUT,
     DEAD,
-    DOING,
     FAR,
-    FIRST,
     FOLLOWING,
-    GOAL,
     HIT,
-    LAST,
-    LEFT_IN,
     MOST_PASSES,
     PARTED,
     PASSED,
-    PROGRESS,
-    ROBOT,
-    STEP,
     SURVIVED,
-    UNFINISHED,
-    UNSURVIVED,
     VISITED,
     drop,
     holds,
@@ -55,7 +40,7 @@ def count_new(s, c, step, cell, size):
     """The cell has not been visited before this step."""
     c.new[step] += size
     c.covered[cell] += size
-    s.marks[COVERED] += 1
+    s.marks.covered += 1
 
 
 @kernel
@@ -65,10 +50,10 @@ def visit(s, c, log, step, robot, cell, size, flags):
     s.home[cell] = home | flags
     count_new(s, c, step, cell, size)
     holder = np.int64(home) >> AREA_BITS
-    left = s.areas[holder, LEFT_IN] - 1
-    s.areas[holder, LEFT_IN] = left
+    left = s.areas[holder].left - 1
+    s.areas[holder].left = left
     if left == 0:
-        s.marks[UNFINISHED] -= 1
+        s.marks.unfinished -= 1
         close(s, holder)
         note(log, s, robot, COMPLETED_EVENT, holder, cell)
 
@@ -83,18 +68,18 @@ def count_pass(s, cell):
 @kernel
 def is_complete(t, s):
     """Whether every cell that can truly be reached is visited."""
-    return s.marks[COVERED] == t.limits[GOAL] if t.learns else s.marks[UNFINISHED] == 0
+    return s.marks.covered == t.goal if t.learns else s.marks.unfinished == 0
 
 
 @kernel
 def count_last(t, s, c, cell, mass):
     """Add so much of a tree's branch at the stop of the last robot alive."""
     marks = s.marks
-    covered, safely = marks[COVERED], marks[COVERED] - marks[UNSURVIVED]
+    covered, safely = marks.covered, marks.covered - marks.unsurvived
     c.stops[cell] += mass
     c.visited[covered] += mass
     c.survived[safely] += mass
-    c.time[marks[STEP]] += mass
+    c.time[marks.step] += mass
     c.alive[0] += mass
     if len(c.home) > 0:
         c.home[0] += mass
@@ -104,8 +89,8 @@ def count_last(t, s, c, cell, mass):
 @kernel
 def leave_branch(s, c, mass, alive):
     """Leave so much of a tree's branch: what it has come to by now is certain, and no more."""
-    c.left_visited[s.marks[COVERED]] += mass
-    c.left_survived[s.marks[COVERED] - s.marks[UNSURVIVED]] += mass
+    c.left_visited[s.marks.covered] += mass
+    c.left_survived[s.marks.covered - s.marks.unsurvived] += mass
     c.left_alive[alive] += mass
     c.histories[1] += 1
 
@@ -117,31 +102,32 @@ def prune(t, s, c, how, cell, hit_from):
     CUT: nothing does. What is left of the branch stays at the end of its mass.
     """
     marks = s.marks
-    stopped, rest = marks[LAST] - hit_from, hit_from - marks[FIRST]
+    stopped, rest = marks.last - hit_from, hit_from - marks.first
     least = how.cut if c.histories[0] + c.histories[1] < how.most else FAR
-    if marks[ALIVE] == 1:
+    if marks.alive == 1:
         # Nobody is left whom it would matter to: the one path goes on, with what is left of the mass.
         count_last(t, s, c, cell, stopped)
         stopped = 0
     elif stopped < least:
-        leave_branch(s, c, stopped, marks[ALIVE] - 1)
+        leave_branch(s, c, stopped, marks.alive - 1)
         stopped = 0
     if rest < least:
-        leave_branch(s, c, rest, marks[ALIVE])
+        leave_branch(s, c, rest, marks.alive)
         rest = 0
     if stopped > 0 and rest > 0:
         return PARTED
-    marks[FIRST] = marks[LAST] - stopped - rest
+    marks.first = marks.last - stopped - rest
     if stopped == rest:
         return CUT
     return PASSED if rest > 0 else HIT
 
 
 @kernel
-def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
+def enter(t, s, c, w, log, how, ids, robot, cell):
     """Move into the cell: HIT or PASSED, ACTS if there is no danger; PARTED, since some of the set are hit; or CUT."""
-    marks = s.marks
-    s.robots[robot, CELL] = cell
+    marks, step = s.marks, s.marks.step
+    size = marks.last - marks.first
+    s.robots[robot].cell = cell
     # The set is one run for all its rollouts: what one of them does is done `size` times.
     c.visits[cell] += size
     fresh = s.home[cell] & VISITED == 0
@@ -160,64 +146,65 @@ def enter(t, s, c, w, log, how, ids, step, robot, cell, size):
             # Marked before the check, as Algorithm 2 does: visited at once, survived only if it is (`survive`).
             c.late[step] -= size
             c.unsurvived[cell] += size
-            marks[UNSURVIVED] += 1
+            marks.unsurvived += 1
     elif survives and s.home[cell] & SURVIVED == 0:  # a robot of another type was stopped there
-        mark_survived(s, c, step, cell, size)
+        mark_survived(s, c, cell)
     if not safe and (fresh or not how.first_only) and not (t.spends and holds(s.spent, cell)):
         hit_from = stopped_from(t, s, c, w, how, ids, step, robot, cell, place)
         # All of them are hit alike: still one run, so nothing has to be copied.
-        if hit_from == marks[FIRST] and how.aside == 0:
+        if hit_from == marks.first and how.aside == 0:
             verdict = HIT
-        elif hit_from < marks[LAST]:
+        elif hit_from < marks.last:
             verdict = PARTED if how.cut == 0 else prune(t, s, c, how, cell, hit_from)
             if verdict == PARTED:
-                marks[ROBOT], marks[LAST], marks[PROGRESS] = robot, hit_from, 1
+                marks.robot, marks.last, marks.progress = robot, hit_from, 1
     return verdict
 
 
 @rare_kernel
-def lose(t, s, c, w, log, robot, size):
+def lose(t, s, c, w, log, robot):
     """The robot is stopped in its cell, and what it leaves unvisited of its area becomes areas. False: no room.
 
     If it is the last one nobody will take them: they are only made to be written down.
     """
-    cell, area = s.robots[robot, CELL], np.int64(s.robots[robot, AREA])
-    owns, followed = has_area(s.robots, robot), s.robots[robot, DOING] == FOLLOWING
-    c.stops[cell] += size
+    cell, area = s.robots[robot].cell, np.int64(s.robots[robot].area)
+    owns, followed = has_area(s.robots, robot), s.robots[robot].doing == FOLLOWING
+    c.stops[cell] += s.marks.last - s.marks.first
     if t.spends:
         put(s.spent, cell)
     if t.estimates:
         s.odds[cell] = t.lessons[AT_STOP]
-    s.marks[ALIVE] -= 1
+    s.marks.alive -= 1
     drop(s.movers, robot)
     drop(s.waiting, robot)
-    s.robots[robot, DOING] = DEAD
-    s.marks[CHANGES] += np.int64(t.mixed)  # prices go by who is alive
+    s.robots[robot].doing = DEAD
+    s.marks.changes += np.int64(t.mixed)  # prices go by who is alive
     note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
     # Nobody is left to take what it leaves.
-    if s.marks[ALIVE] == 0 and len(log.events) == 0:
+    if s.marks.alive == 0 and len(log.events) == 0:
         return True
     if followed:
         # Another planner's robot owns all areas of its path, not only the one that it is in.
         for left in range(len(t.owner)):
-            unfinished = t.owner[left] == robot and s.areas[left, LEFT_IN] > 0
+            unfinished = t.owner[left] == robot and s.areas[left].left > 0
             if unfinished and not leave(t, s, w, log, robot, left):
                 return False
     return not owns or leave(t, s, w, log, robot, area)
 
 
 @kernel
-def mark_survived(s, c, step, cell, size):
+def mark_survived(s, c, cell):
     """The cell, which was visited, is survived for the first time."""
+    size = s.marks.last - s.marks.first
     s.home[cell] |= SURVIVED
-    c.late[step] += size
+    c.late[s.marks.step] += size
     c.unsurvived[cell] -= size
-    s.marks[UNSURVIVED] -= 1
+    s.marks.unsurvived -= 1
 
 
 @kernel
-def survive(s, c, step, cell, size):
+def survive(s, c, cell):
     """A dangerous cell has been entered by a robot that was not stopped."""
     count_pass(s, cell)
     if s.home[cell] & SURVIVED == 0:
-        mark_survived(s, c, step, cell, size)
+        mark_survived(s, c, cell)

@@ -1,0 +1,174 @@
+"""A robot of the paper's rule: it computes a path when it gets an area, and follows it to the end (Algorithms 2 and 3).
+
+It heads for the cheapest cell of its area, visited or not, and covers the cells that were unvisited when it began to.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.ids import NONE
+from planner.jit import kernel, rare_kernel
+from planner.simulator.areas import ALLOCATED_EVENT, find_next_area, give, has_area, moves_on, note, share, waits
+from planner.simulator.map_belief import is_lost
+from planner.simulator.paths import entry_of, go_on, list_to_do, next_leg, set_out
+from planner.simulator.return_home import can_be_remembered, charge, may_be_charged, remember, turn_home, turns
+from planner.simulator.robot_types import drives_back
+from planner.simulator.state import (
+    AREA_BITS,
+    CHARGING,
+    COVERING,
+    DONE,
+    FOLLOWING,
+    IDLE,
+    LANDING,
+    MOVES,
+    NO_ROOM,
+    RESTS,
+    RETURNING,
+    STARTING,
+    SURVIVED,
+    TO_DO,
+    TRAVELING,
+    VISITED,
+)
+
+
+@kernel
+def take_next_area(t, s, w, log, robot):
+    """`Allocate Next Area`: whether the robot got one."""
+    if s.marks.open == 0:
+        return False
+    area, cell = find_next_area(t, s, w, robot)
+    if area == NONE:
+        return False
+    give(s, robot, area)
+    set_out(t, s, w, robot, cell, t.searches)
+    note(log, s, robot, ALLOCATED_EVENT, area, cell)
+    return True
+
+
+@rare_kernel
+def would_be_charged(t, s, w, robot):
+    """Whether there is an area for the robot, if it is charged."""
+    if not may_be_charged(t, s, robot):
+        return False
+    s.marks.unlimited = 1
+    area, _ = find_next_area(t, s, w, robot)
+    s.marks.unlimited = 0
+    return area != NONE
+
+
+@rare_kernel
+def settle(t, s, w, log, how, robot):
+    """What a robot does at the end of its path or leg, or while it waits, all of it in the same step.
+
+    1 if it got an area, 0 if not, NONE if there is no room for more areas.
+    """
+    robots = s.robots
+    got = 0
+    while True:
+        doing = robots[robot].doing
+        if doing == LANDING:
+            robots[robot].doing = IDLE
+            waits(t, s, robot)
+            return got
+        if doing == STARTING:
+            robots[robot].doing = TRAVELING
+            target = entry_of(t, s, w, robot, robots[robot].area)
+            set_out(t, s, w, robot, target, t.searches)
+        if doing in (STARTING, TRAVELING):
+            if robots[robot].cell != robots[robot].target:
+                return got
+            robots[robot].doing = COVERING
+            # Before cells are marked as to do: of a remembered path the last one alone is.
+            if can_be_remembered(s, w, robot) and remember(t, s, w, robot):
+                return got
+            list_to_do(s, robot)
+        if doing not in (IDLE, DONE) and robots[robot].left > 0:
+            next_leg(t, s, w, how, robot)
+            return got
+        if take_next_area(t, s, w, log, robot):
+            got = 1
+        elif doing in (IDLE, DONE):
+            if t.returns and would_be_charged(t, s, w, robot):
+                turn_home(t, s, w, log, robot, True)
+            return got
+        else:
+            shared = share(t, s, w, log, robot)
+            if shared == NONE:
+                return NONE
+            if shared == 0:
+                robots[robot].doing = DONE
+                if t.returns and would_be_charged(t, s, w, robot):
+                    turn_home(t, s, w, log, robot, True)
+                else:
+                    waits(t, s, robot)
+                return got
+            got = 1
+        if doing in (IDLE, DONE):
+            moves_on(t, s, robot)
+
+
+@rare_kernel
+def set_right(t, s, w, log, how, robot):
+    """Who has nothing left to do decides, whose way is not as it was sets out anew; answers as `settle`."""
+    me = s.robots[robot]
+    area = np.int64(me.area)
+    if s.areas[area].left == 0:
+        me.doing, me.left = COVERING, 0
+    elif not is_lost(s, w, robot):
+        return 0
+    elif me.doing == TRAVELING:
+        set_out(t, s, w, robot, entry_of(t, s, w, robot, area), True)
+    else:
+        for place in range(s.areas[area].begin, s.areas[area].end):
+            s.home[s.order[place]] &= VISITED | SURVIVED | np.int64(-1) << AREA_BITS
+        list_to_do(s, robot)
+        next_leg(t, s, w, how, robot)
+        return 0
+    return settle(t, s, w, log, how, robot)
+
+
+@kernel
+def act(t, s, w, log, how, robot):
+    """The robot's turn up to its move: MOVES, or RESTS, GAINS an area while it rests, NO_ROOM."""
+    me = s.robots[robot]
+    if t.returns:
+        if me.doing == CHARGING:
+            s.marks.progress = 1
+            if not charge(t, s, log, robot, s.marks.step):
+                return RESTS
+            me.doing, me.left = COVERING, 0  # as one that has covered its area
+            return settle(t, s, w, log, how, robot)
+        if s.marks.step > 0 and has_area(s.robots, robot):
+            how_turns = turns(t, s, robot, s.marks.step)
+            if how_turns > 0:
+                if not turn_home(t, s, w, log, robot, how_turns > 1):
+                    return NO_ROOM
+                if me.doing != RETURNING:
+                    return RESTS
+    if (me.doing == IDLE or me.doing == DONE) and not drives_back(t, s, robot):
+        return settle(t, s, w, log, how, robot)
+    return MOVES
+
+
+@kernel
+def arrive(t, s, w, log, how, robot, cell):
+    """After the robot has entered the cell: it MOVES on along its path, or decides; answers as `settle`."""
+    me = s.robots[robot]
+    if t.follows and me.doing == FOLLOWING:
+        if s.marks.step < t.length[robot]:
+            me.next = t.given[robot, s.marks.step + 1]
+            return MOVES
+    elif cell != me.target:
+        go_on(t, s, w, robot)
+        return MOVES
+    if me.doing == COVERING:
+        # The target of a coverage leg is always a cell to do.
+        s.home[cell] ^= TO_DO
+        me.left -= 1
+        if me.left > 0:
+            next_leg(t, s, w, how, robot)
+            return MOVES
+    return settle(t, s, w, log, how, robot)

@@ -1,0 +1,279 @@
+"""One step of Algorithm 2 for a group of rollouts that have the same history.
+
+In each step the robots act one after the other, by number: a robot decides, enters its next cell, and is lost there or
+goes on. Then moving threats move, robots learn, and the run may end. A rollout is a function of its failure
+thresholds: as long as they have the same robots lost in the same cells, a group of rollouts is one run. Where only some
+of them lose a robot the group splits: `advance` returns, and goes on with either part from where it stopped.
+
+Arguments, in all modules of this package: `t` tables (what every rollout reads), `p` policy (None: the paper's rule),
+`s` state of the group, `c` counts, `w` scratch of the thread, `log` trace, `how` options, `ids` rollouts. Features that
+a mission does without are None in `t`; no code is compiled for them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.ids import NONE
+from planner.jit import kernel, rare_kernel
+from planner.simulator import fixed_paths, replanning
+from planner.simulator.areas import has_area, unsettle, write_frame
+from planner.simulator.map_belief import forget_news, learns_of, recall, revise, take_note
+from planner.simulator.moving_threats import has_entered, is_meeting, meet
+from planner.simulator.next_area import could_go_on
+from planner.simulator.replanning import begin, is_news
+from planner.simulator.return_home import call_home, count_home, end_range, go_home, is_away, stay
+from planner.simulator.robot_types import came_back, on_turn, own_turn
+from planner.simulator.solo import only_mover, walk_alone
+from planner.simulator.state import (
+    ACTS,
+    ALL_ROBOTS_LOST,
+    AREAS_FULL,
+    COMPLETE,
+    GAINS,
+    HIT,
+    MOVES,
+    NO_PROGRESS,
+    NO_ROOM,
+    NOT_WORTH_THE_RISK,
+    ONE,
+    PARTED,
+    PASSED,
+    RESTS,
+    RETURNING,
+    STEP_LIMIT,
+    TO_DO,
+    WORD,
+    lowest_bit,
+)
+from planner.simulator.visits import enter, is_complete, lose, survive
+
+
+@rare_kernel
+def advance(t, p, s, c, w, log, how, ids):
+    """Run the group until its end, an Outcome, or until it splits: PARTED. CUT, AREAS_FULL: as they say."""
+    group, robots, verdict = s.marks, s.robots, s.marks.verdict
+    robot, cell = np.int64(group.robot), np.int64(robots[group.robot].cell)
+    # Robots of a word that are still to act in this step.
+    word = robot // WORD
+    left = acting(t, p, s, word, robot % WORD if verdict != ACTS else NONE)
+    if verdict == ACTS and p is not None:
+        begin(t, s, w)
+    forget(t, p, s, w)
+    if t.moving and is_meeting(s):  # robots have had their turns
+        word, left, verdict = len(s.movers) - 1, np.uint64(0), ACTS if verdict == PASSED else verdict
+    while True:
+        if verdict == ACTS:
+            while left == 0:
+                word += 1
+                if word == len(s.movers):
+                    if t.moving:
+                        verdict = encounter(t, s, c, w, how, ids)
+                        if verdict != ACTS:
+                            break
+                    outcome = end_step(t, p, s, c, w, log, how, ids)
+                    if outcome != NONE:
+                        return outcome
+                    word = 0
+                left = acting(t, p, s, word, NONE)
+            if verdict == PARTED:
+                return verdict
+            if verdict == HIT:
+                robot, word = np.int64(group.robot), word - 1
+                continue
+            robot = word * WORD + lowest_bit(left)
+            left &= left - ONE
+            if t.returns:
+                group.robot = robot
+            turn = decide(t, p, s, w, log, how, robot)
+            if turn == NO_ROOM:
+                return AREAS_FULL
+            if turn != MOVES:
+                group.progress |= turn
+                left = acting(t, p, s, word, robot % WORD)
+                continue
+            group.progress = 1
+            # t = 0 enters the start; a robot on an external path may wait, which is no visit.
+            cell = np.int64(robots[robot].next if group.step > 0 else robots[robot].cell)
+            if p is not None or group.step == 0 or cell != robots[robot].cell:
+                verdict = enter(t, s, c, w, log, how, ids, robot, cell)
+            if verdict < ACTS:
+                return verdict
+        if verdict == HIT:
+            verdict = ACTS
+            if not lose(t, s, c, w, log, robot):
+                return AREAS_FULL
+            left = np.uint64(0) if t.moving and is_meeting(s) else acting(t, p, s, word, robot % WORD)
+            continue
+        if verdict == PASSED:
+            verdict = ACTS
+            if not t.moving:  # else it survives at the end of the step
+                survive(s, c, cell)
+                if t.estimates:
+                    take_note(t, s, cell)
+        turn = go_on_from(t, p, s, w, log, how, robot, cell)
+        if turn == NO_ROOM:
+            return AREAS_FULL
+        if turn != MOVES:  # others see at once what has changed
+            left = acting(t, p, s, word, robot % WORD)
+
+
+@kernel
+def forget(t, p, s, w):
+    """Scratch of the thread may be of another group: it is made this one's."""
+    if p is not None:
+        for robot in range(len(s.robots)):
+            w.kept[robot, 0] = NONE
+    if t.learns:
+        recall(t, s, w)
+
+
+@kernel
+def acting(t, p, s, word, after):
+    """Bits of the robots of a word, after this one, that act in this step: they move, or may take an area."""
+    robots = s.movers[word]
+    if s.marks.open > 0 or (p is not None and len(p.most) > 0):  # a robot that is held asks in every step
+        robots |= s.waiting[word]
+    robots = on_turn(t, s.marks.step, word, robots)
+    return robots & (~np.uint64(1) << np.uint64(after)) if after >= 0 else robots
+
+
+@kernel
+def decide(t, p, s, w, log, how, robot):
+    """What the robot does in its turn: MOVES, RESTS, GAINS an area while it rests; NO_ROOM for areas."""
+    if p is None:
+        return fixed_paths.act(t, s, w, log, how, robot)
+    turn = replanning.act(t, p, s, w, log, how, robot)
+    if turn == MOVES:
+        cell = np.int64(s.robots[robot].next if s.marks.step > 0 else s.robots[robot].cell)
+        # A visit of another robot's cell makes that area a worse offer: what is kept of offers is void.
+        s.marks.changes += is_news(s, robot, cell)
+        s.home[cell] = np.int64(s.home[cell]) & ~TO_DO
+    return turn
+
+
+@kernel
+def go_on_from(t, p, s, w, log, how, robot, cell):
+    """What follows from the robot's move into the cell, which it survived: MOVES on, or it has decided; NO_ROOM."""
+    if t.returns and s.robots[robot].doing == RETURNING:
+        go_home(t, s, log, robot)
+        return RESTS
+    if t.radio and came_back(t, s, robot):
+        return RESTS if end_range(t, s, w, log, robot) else NO_ROOM
+    if own_turn(t, robot, s.marks.step) == s.robots[robot].until:
+        return RESTS if stay(t, s, w, log, robot) else NO_ROOM
+    if p is None:
+        return fixed_paths.arrive(t, s, w, log, how, robot, cell)
+    return replanning.arrive(t, p, s, w, log, how, robot, cell)
+
+
+@rare_kernel
+def encounter(t, s, c, w, how, ids):
+    """After the robots' turns: `meet`; at the end of it robots have survived where they are."""
+    verdict = meet(t, s, w, how, ids)
+    if verdict == ACTS:
+        for robot in range(len(s.robots)):
+            if has_entered(s, robot):
+                survive(s, c, s.robots[robot].cell)
+        s.entered[:] = np.uint64(0)
+    return verdict
+
+
+@kernel
+def end_step(t, p, s, c, w, log, how, ids):
+    """The end of a step: robots learn, and the run may end: an Outcome, else NONE. AREAS_FULL: no room for areas."""
+    group = s.marks
+    if t.learns:
+        got = learn(t, p, s, w, log, how, ids)
+        if got == NO_ROOM:
+            return np.int64(AREAS_FULL)
+        group.progress |= got
+    group.quiet = 0 if group.progress else group.quiet + 1
+    if t.returns and not call_home(t, s, w, log, over_by(t, p, s, w, np.int64(is_over(t, s)))):
+        return np.int64(AREAS_FULL)
+    write_frame(log, s, group.step)
+    outcome = over_by(t, p, s, w, np.int64(end_of(t, s, how)))
+    if outcome != NONE:
+        return outcome
+    robot = only_mover(t, p, s, log)
+    if robot != NONE:
+        group.step = walk_alone(t, p, s, c, w, how, robot)
+    group.step += 1
+    group.progress = 0
+    return outcome
+
+
+@kernel
+def over_by(t, p, s, w, outcome):
+    """The outcome; of no progress, NOT_WORTH_THE_RISK where robots refuse an area that they could reach."""
+    if p is not None and outcome == NO_PROGRESS and could_go_on(t, p, s, w):
+        return np.int64(NOT_WORTH_THE_RISK)
+    return outcome
+
+
+@rare_kernel
+def learn(t, p, s, w, log, how, ids):
+    """What robots learn at the end of a step; GAINS if the map changed, else RESTS; NO_ROOM.
+
+    A map update is progress (SPEC section 15): robots without an area look again in the next step.
+    """
+    count, fresh = learns_of(t, s, w, how, ids)
+    if p is not None and fresh and len(p.view_begin) > 0:
+        s.marks.changes += 1  # areas would show less: what is kept of offers is void
+    if count == 0:
+        return RESTS
+    got = GAINS if revise(t, s, w, log, count) else NO_ROOM
+    unsettle(s)
+    for robot in range(len(s.robots)):
+        if got != NO_ROOM and has_area(s.robots, robot):
+            if p is None:
+                more = fixed_paths.set_right(t, s, w, log, how, robot)
+            else:
+                more = replanning.set_right(t, p, s, w, log, how, robot)
+            got = NO_ROOM if more == NO_ROOM else got
+    forget_news(w, count)
+    return got
+
+
+@kernel
+def is_over(t, s):
+    """How there is nothing more to be done, NONE: there is (SPEC section 5's order)."""
+    if is_complete(t, s):
+        return COMPLETE
+    if s.marks.alive == 0:
+        return ALL_ROBOTS_LOST
+    return NO_PROGRESS if s.marks.quiet >= t.quiet_steps and not awaits_update(t, s) else NONE
+
+
+@rare_kernel
+def awaits_update(t, s):
+    """Whether a robot that can move waits for an announced phase that changes the map."""
+    if s.marks.step + 1 >= t.last_update:
+        return False
+    able = np.uint64(0)
+    for word in range(len(s.movers)):
+        able |= s.movers[word] | s.waiting[word]
+    return able != 0
+
+
+@kernel
+def end_of(t, s, how):
+    """How the run ends after this step, NONE if it goes on."""
+    if t.returns:
+        return end_at_home(t, s, how)
+    over = is_over(t, s)
+    return STEP_LIMIT if over == NONE and s.marks.step >= how.max_steps else over
+
+
+@rare_kernel
+def end_at_home(t, s, how):
+    """The same where robots come home."""
+    over = s.marks.over - 1
+    if s.marks.alive == 0:  # on the way home too, whatever ended the mission
+        over = ALL_ROBOTS_LOST
+    elif over == NONE or is_away(s):
+        over = STEP_LIMIT if s.marks.step >= how.max_steps else NONE
+    if over == NONE:
+        return over
+    count_home(t, s)
+    return COMPLETE if is_complete(t, s) else over
