@@ -52,7 +52,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 OPENINGS = (
-    ("test_planner_closed_loop", "test_mrac_jax_compiled", "test_mrac_jax_open_loop"),
+    ("test_planner_closed_loop", "test_mrac_jax_open_loop"),
     ("test_planner_policies", "test_mrac_jax_closed_loop", "test_mrac_jax_policies", "test_mrac_jax_planted_faults"),
 )
 """Files that compile most, with which the first worker and the second begin: neither compiles what the other does."""
