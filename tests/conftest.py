@@ -77,6 +77,33 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items[:] = [*openings[0], *rest[:middle], *openings[1], *rest[middle:]]
 
 
+EFFORTS = {"analysis.estimators.trial.EFFORT": 0.1, "analysis.theory.upper_bound.GAIN": 20.0}
+"""What the quick tests multiply: histories of a tree of all that can happen; where the bound for every strategy ends.
+
+Most evaluations in tests are about neither, but each looks for both. A tree that is found is the same; a bound is less
+sharp, but holds. Processes that tests start make the full effort.
+"""
+
+
+@pytest.fixture(autouse=True, scope="session")
+def little_effort(pytestconfig: pytest.Config) -> dict[str, float]:
+    """The full ones."""
+    full = {}
+    for name, factor in EFFORTS.items():
+        module, _, constant = name.rpartition(".")
+        full[name] = getattr(import_module(module), constant)
+        if pytestconfig.getoption("markexpr") == "not slow":
+            setattr(import_module(module), constant, factor * full[name])
+    return full
+
+
+@pytest.fixture
+def full_effort(little_effort: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of exact values and bounds, and of other processes that find the same."""
+    for name, value in little_effort.items():
+        monkeypatch.setattr(name, value)
+
+
 @pytest.fixture
 def few_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
     """JAX's closed loop takes the program that the comparisons of engines have compiled."""

@@ -15,7 +15,6 @@ from closed_loop_compare import assert_same_trace, followed
 from numpy.typing import NDArray
 from oracle_enumeration import Threat
 
-import mrac_jax as mrac
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import ReferenceLoop, Run, simulate
 from planner.plan.plan import Plan
@@ -131,16 +130,6 @@ def one_of(maps: list[np.ndarray]) -> Callable[..., bool]:
 
 
 # Worlds with movers, drawn anew for tests: walkers and patrols of all kinds on small maps.
-
-PRESUME_THREATS_THAT_STAY: list[Callable[[World], Any]] = [
-    lambda world: mrac.check(world, 2),
-    lambda world: mrac.size(world, target=0.9),
-    lambda world: mrac.starts(world, robots=2),
-    lambda world: mrac.clear(world, robots=2),
-    lambda world: mrac.evaluate(world, 2, threat_scale=(0.5,)),
-    lambda world: mrac.mission(world, 2).outlook(),
-]
-"""What refuses threats over time."""
 
 
 def rounds(world: World) -> list[tuple[int, ...]]:

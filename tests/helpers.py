@@ -1,4 +1,4 @@
-"""Short ways for tests to load a plan, to roll out, to run a command that is refused."""
+"""Short ways for tests to load a plan and to roll out."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.cli.app import run
 from analysis.statistics.control_variate import LEAST
 from planner.failure_model import key_of, threefry2x32
 from planner.mrac.simulate import ReferenceLoop
@@ -128,17 +126,6 @@ def part(tally: Tally, results: RolloutResults, begin: int, end: int, seed: int 
 def load_plan(path: str | Path, world: World) -> Plan:
     """As `planner.plan_team.read_plan`, but a plan of today's rules alone, and nothing is planned. Raises PlanError."""
     return parse_plan(read_plan_json(path), world, str(path))
-
-
-# What every command does with bad input: one line, and status 2.
-
-
-def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    """The one line on standard error of a command that exits with 2."""
-    assert run(list(words)) == 2
-    said = capsys.readouterr()
-    assert said.out == "" and said.err.startswith("error: ") and said.err.count("\n") == 1
-    return said.err.strip()
 
 
 # Policies that other processes can import.

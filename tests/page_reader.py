@@ -1,4 +1,4 @@
-"""Reads a page as a browser would, strictly, and a real browser without a window."""
+"""Reads a page as a browser would, strictly; a real browser without a window; what a refused command says."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import pytest
 from PIL import Image
+
+from analysis.cli.app import run
 
 # Reads a page as a browser would, strictly: tags that close, addresses, headings, the data under the pointer.
 
@@ -294,3 +297,14 @@ class Browser:
             f"(() => {{ const b = {box}; return [b.left, b.top, b.width, b.height] }})()"
         )
         return [(left + across * width, top + down * height) for across, down in places]
+
+
+# What every command does with bad input: one line, and status 2.
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """The one line on standard error of a command that exits with 2."""
+    assert run(list(words)) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.startswith("error: ") and said.err.count("\n") == 1
+    return said.err.strip()

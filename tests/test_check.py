@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from conftest import FOLDER, NAMES, Fixture, load_fixture
 from counterexamples import COUNTEREXAMPLES, SHUT_IN, Counterexample
-from helpers import refused
 from oracle_tree import closed_loop_exact
+from page_reader import refused
 
 import analysis.checking.survey
 import analysis.theory.upper_bound
@@ -328,6 +328,7 @@ def test_robots_of_one_range_each_are_held_against_the_first_by_itself(capsys: p
     assert json.loads(capsys.readouterr().out)["checks"]
 
 
+@pytest.mark.usefixtures("full_effort")
 def test_a_survey_is_the_same_however_many_processes() -> None:
     one, fewer, two = small_survey(1), small_survey(1, worlds=2), small_survey(2, worlds=2)
     assert fewer.entries == two.entries

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOLDER, load_fixture
-from helpers import load_plan, refused
+from helpers import load_plan
+from page_reader import refused
 from PIL import Image
 from rich.table import Table
 from rich.text import Text

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import FOLDER, load_fixture
-from helpers import refused
+from page_reader import refused
 
 import analysis.comparison
 import mrac_jax as mrac
@@ -104,6 +104,7 @@ def test_plans_that_differ_in_their_areas_alone_are_told_apart() -> None:
     assert differing(*sides) == (("its own allocation",), ("another allocation",))
 
 
+@pytest.mark.usefixtures("full_effort")
 def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     asked = (WORLD, "--robots", "1", "--b.robots", "4", "--b.risk", "log", "--rollouts", "512")
     assert (

@@ -318,8 +318,8 @@ def test_so_it_is_when_it_is_judged(rule: str) -> None:
 def test_what_a_world_asks_of_the_planner_counts(asked: dict[str, Any], rule: str) -> None:
     """As in `evaluate` with that policy, which leaves the world's own policy and its limits behind."""
     there = replace(world(), team=Team(settings=asked))
-    found = make_singles(there, mrac.plan(there, 3, policy=rule), RolloutChoices(rollouts=60, seed=4))(0, 60)
-    given: dict[str, Any] = {"actions": "areas", "rule": rule, "rollouts": 60, "seed": 4, "against": [rule]}
+    found = make_singles(there, mrac.plan(there, 3, policy=rule), RolloutChoices(rollouts=20, seed=4))(0, 20)
+    given: dict[str, Any] = {"actions": "areas", "rule": rule, "rollouts": 20, "seed": 4, "against": [rule]}
     judged = mrac.judge(there, lambda seen: np.ones(len(seen), np.int64), 3, **given)
     for figures in (judged, judged.plans[rule]):
         assert figures.coverage.mean == pytest.approx(found.visited.mean() / judged.cells, rel=1e-12)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drawn_worlds import PRESUME_THREATS_THAT_STAY, expected, one_of, open_loop
+from drawn_worlds import expected, one_of, open_loop
 from page_reader import Reader, check_page_is_sound
 from test_page import unpacked_runs as unpacked
 from test_record import decoded
@@ -436,6 +436,16 @@ def test_others_have_no_such_figure():
 
 
 # What is answered where threats move: evaluate, its page and JSON, recordings, and what refuses in words.
+
+PRESUME_THREATS_THAT_STAY: list[Callable[[World], Any]] = [
+    lambda world: mrac.check(world, 2),
+    lambda world: mrac.size(world, target=0.9),
+    lambda world: mrac.starts(world, robots=2),
+    lambda world: mrac.clear(world, robots=2),
+    lambda world: mrac.evaluate(world, 2, threat_scale=(0.5,)),
+    lambda world: mrac.mission(world, 2).outlook(),
+]
+"""What refuses threats over time."""
 
 MOVERS: list[dict[str, Any]] = [
     {"walk": 0.5, "h": 0.1, "count": 2},

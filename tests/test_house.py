@@ -293,7 +293,7 @@ SLOW = "pytest" + ".mark.slow"
 
 def test_every_file_is_in_one_part_and_parts_take_about_as_long() -> None:
     names = slow_files()
-    assert len(names) > 40
+    assert len(names) > 25
     seconds = {name: 10.0 + 7 * (number % 40) for number, name in enumerate(names)}
     dealt = parts(names, seconds, 8)
     assert sorted(name for part in dealt for name in part) == names
@@ -327,7 +327,7 @@ def test_covered_is_what_is_imported_to_the_last() -> None:
         "planner/simulator/exact_tree.py",
     } <= paths
     assert "tests/test_statistics.py" in covered("test_values")
-    assert "analysis/studio/server.py" not in paths and "mrac_jax/__init__.py" not in paths
+    assert not {"analysis/studio/server.py", "mrac_jax/__init__.py"} & covered("test_pool")
 
 
 def test_what_is_older_than_its_code_is_named(tmp_path: Path) -> None:

@@ -142,7 +142,7 @@ def test_so_it_is_on_maps_in_doubt_and_where_cells_have_a_value_or_priority() ->
 @pytest.mark.parametrize("more", SETTINGS.values(), ids=list(SETTINGS))
 def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], tmp_path: Path) -> None:
     """Saved and gone on with between all steps, and in the middle of them, it ends as the run that was not."""
-    for seed in range(2):
+    for seed in range(1):
         world, plan = case(seed, **more)
         whole = ReferenceLoop(plan, world).run(seed, 1)
         luck, mission = Luck(world, seed, 1, plan.bearing), Mission(world, plan)
@@ -601,8 +601,8 @@ def try_to(mission: Mission, said: dict[str, Any]) -> None:
 
 def test_a_fleet_that_does_all_wrong_breaks_nothing(tmp_path: Path) -> None:
     once_broken = [11355, 11940, 12587, 16106, 16278, 17090, 17138, 17304]
-    ends = [fuzz(seed, tmp_path / "now.json").outcome for seed in [*range(50), *once_broken]]
-    ends += [fuzz(seed, tmp_path / "now.json", gain=0.2, levels=3).outcome for seed in range(50, 70)]
+    ends = [fuzz(seed, tmp_path / "now.json").outcome for seed in [*range(12), *once_broken]]
+    ends += [fuzz(seed, tmp_path / "now.json", gain=0.2, levels=3).outcome for seed in range(50, 55)]
     assert {Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST} <= set(ends)
 
 
@@ -779,10 +779,11 @@ def drive_seen(world, starts, settings, seed, steps, file=None):
     return np.array(places), trace
 
 
+@pytest.mark.parametrize("numbers", [range(15), pytest.param(range(15, 60), marks=pytest.mark.slow)], ids=str)
 @pytest.mark.parametrize("policy", ["mrac", "per_cell"])
-def test_it_drives_as_the_simulator_does_seen(policy, tmp_path):
+def test_it_drives_as_the_simulator_does_seen(policy, numbers, tmp_path):
     compared = surprised = 0
-    for number in range(60):
+    for number in numbers:
         world, starts = of_one_level(number)
         file = tmp_path / "m.json" if number % 3 == 0 else None
         places, trace = drive_seen(world, starts, Settings(policy=policy), number, 60, file)
@@ -790,7 +791,7 @@ def test_it_drives_as_the_simulator_does_seen(policy, tmp_path):
         assert (np.where(alive, places, 0) == np.where(alive, trace.cells[: len(places)], 0)).all(), number
         compared += len(places)
         surprised += (trace.events[:, 2] == 8).sum()
-    assert compared > 300 and surprised > 100
+    assert compared > 5 * len(numbers) and 3 * surprised > 5 * len(numbers)
 
 
 def test_what_cannot_be_seen_is_said_and_nothing_happens():

@@ -61,7 +61,7 @@ def check_engines(seed: int, rollouts: int) -> None:
 
 @pytest.mark.parametrize("part", range(len(KINDS)))
 def test_engines_agree(part: int) -> None:
-    for seed in range(part, 42, len(KINDS)):
+    for seed in range(part, 2 * len(KINDS), len(KINDS)):
         check_engines(seed, 3)
 
 
@@ -82,7 +82,7 @@ def check_homes(part: int, seed: int, rollouts: int) -> None:
 
 @pytest.mark.parametrize("part", range(len(HOMES)))
 def test_robots_of_several_types_come_home_each_by_its_own_way(part: int) -> None:
-    for seed in range(part, 16, len(HOMES)):
+    for seed in range(part, 2 * len(HOMES), len(HOMES)):
         check_homes(part, seed, 3)
 
 
@@ -343,7 +343,7 @@ def check_turns(trace: Trace, paces: tuple[int, ...]) -> None:
 
 @pytest.mark.parametrize("part", range(len(KINDS_SPEEDS)))
 def test_engines_agree_speeds(part: int) -> None:
-    for seed in range(part, 40, len(KINDS_SPEEDS)):
+    for seed in range(part, 2 * len(KINDS_SPEEDS), len(KINDS_SPEEDS)):
         check_engines_speeds(seed, 3)
 
 
@@ -438,7 +438,7 @@ def check_engines_radio(seed: int, rollouts: int) -> None:
 
 @pytest.mark.parametrize("part", range(len(KINDS_RADIO)))
 def test_engines_agree_radio(part: int) -> None:
-    for seed in range(part, 32, len(KINDS_RADIO)):
+    for seed in range(part, 2 * len(KINDS_RADIO), len(KINDS_RADIO)):
         check_engines_radio(seed, 3)
 
 

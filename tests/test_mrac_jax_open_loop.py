@@ -247,7 +247,7 @@ DEVICES = """
 import jax
 jax.config.update("jax_num_cpu_devices", 2)
 from test_mrac_jax_open_loop import compiled_fixture
-from rolling import rollouts
+from helpers import rollouts
 compiled = compiled_fixture("tiny-6x3-20", 5)
 assert len(jax.devices()) == 2
 whole = rollouts(compiled, seed=5, start=77, count=40_000, engine="numba")
@@ -263,7 +263,7 @@ def test_two_devices_equal_one() -> None:
 
 def test_numba_alone_does_not_import_jax() -> None:
     program = (
-        "import sys; from open_loop_reference import fixture; from rolling import rollouts;"
+        "import sys; from open_loop_reference import fixture; from helpers import rollouts;"
         "from planner.rollouts.open_loop import compile_plan;"
         "plan, world, _ = fixture('tiny-4x8-12', 2);"
         "rollouts(compile_plan(plan, world), seed=0, count=10, engine='numba');"
@@ -552,5 +552,5 @@ def test_equal_to_numpy_on_many_counters() -> None:
     def draw(*of):  # type: ignore[no-untyped-def]
         _words(*of)
 
-    draw(np.uint32(key[0]), np.uint32(key[1]), counters[0], np.uint32(77), np.uint32(0), words)
+    draw(np.uint32(key[0]), np.uint32(key[1]), counters[0], np.uint32(77), words)
     assert np.array_equal(words, expected[0])

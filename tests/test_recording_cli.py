@@ -15,7 +15,8 @@ import pytest
 from closed_loop_compare import assert_same_trace
 from conftest import FOLDER
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from helpers import load_plan, refused
+from helpers import load_plan
+from page_reader import refused
 from recordings import nth, rewrite, small_task
 
 import analysis.recording.record

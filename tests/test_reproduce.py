@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import refused, uniform
+from helpers import uniform
+from page_reader import refused
 from PIL import Image
 
 from analysis.cli.app import run

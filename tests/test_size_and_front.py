@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import FOLDER, load_fixture
-from helpers import refused
 from numpy.typing import NDArray
-from page_reader import Reader
+from page_reader import Reader, refused
 from PIL import Image
 from rich.console import Console
 from scipy.stats import binom

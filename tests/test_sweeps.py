@@ -15,7 +15,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 import yaml
-from helpers import refused
+from page_reader import refused
 from scipy import stats
 
 import mrac_jax as mrac

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import refused
+from page_reader import refused
 
 from analysis.cli.app import run
 from analysis.sampling import RolloutChoices

@@ -17,9 +17,9 @@ from closed_loop_compare import assert_same_results, assert_same_tally
 from closed_loop_worlds import first_worlds
 from conftest import load_fixture, worlds_with_starts
 from drawn_worlds import expected, one_of
-from helpers import refused
 from hypothesis import given
 from hypothesis import strategies as st
+from page_reader import refused
 from test_planner_policies import LIMITED, compare_traces
 from test_rasters import tif
 from test_statistics import fitted
