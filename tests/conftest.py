@@ -6,6 +6,8 @@ import gc
 import json
 import os
 import signal
+import subprocess
+import sys
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -45,17 +47,25 @@ def pytest_configure(config: pytest.Config) -> None:
 
     They stay in the slow tests. A flag that a release of XLA does not know ends the process, so others than those of
     JAX 0.10 get none.
+
+    Before all tests run on several processes, the programs of the closed loop are compiled, each once.
     """
     if config.getoption("markexpr") == "not slow" and version("jaxlib").startswith("0.10."):
         flags = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
         os.environ.setdefault("XLA_FLAGS", flags)
+    several = (config.getoption("numprocesses", None) or 0) > 1 and not config.getoption("collectonly")
+    if several and config.args_source is config.ArgsSource.TESTPATHS:  # the controller's alone: workers have no number
+        script = Path(__file__).parent / "warm.py"
+        for running in [subprocess.Popen([sys.executable, script, rule]) for rule in ("mrac", "per_cell")]:
+            running.wait()
 
 
 OPENINGS = (
-    ("test_planner_closed_loop", "test_mrac_jax_open_loop"),
-    ("test_planner_policies", "test_mrac_jax_closed_loop", "test_mrac_jax_policies", "test_mrac_jax_planted_faults"),
+    ("test_mrac_jax_open_loop", "test_environments"),
+    ("test_mrac_jax_closed_loop", "test_mrac_jax_policies", "test_mrac_jax_planted_faults"),
 )
-"""Files that compile most, with which the first worker and the second begin: neither compiles what the other does."""
+"""Files that compile most for JAX, with which the first worker and the second begin: neither compiles what the other
+does."""
 
 
 @pytest.hookimpl(trylast=True)  # what is deselected is gone
