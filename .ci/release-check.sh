@@ -5,7 +5,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 : "${PYTHON:=python3}"
-: "${TESTS:=tests/test_door.py tests/test_readme.py tests/test_planner_simulate.py tests/test_planner_closed_loop_fixtures.py}"
+: "${TESTS:=tests/test_door.py tests/test_documents.py tests/test_planner_plan.py tests/test_planner_comparisons.py}"
 "$PYTHON" tests/evidence.py --check
 root=$PWD work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT

@@ -6,6 +6,8 @@ import gc
 import json
 import os
 import signal
+import subprocess
+import sys
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -45,17 +47,25 @@ def pytest_configure(config: pytest.Config) -> None:
 
     They stay in the slow tests. A flag that a release of XLA does not know ends the process, so others than those of
     JAX 0.10 get none.
+
+    Before all tests run on several processes, the programs of the closed loop are compiled, each once.
     """
     if config.getoption("markexpr") == "not slow" and version("jaxlib").startswith("0.10."):
         flags = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
         os.environ.setdefault("XLA_FLAGS", flags)
+    several = (config.getoption("numprocesses", None) or 0) > 1 and not config.getoption("collectonly")
+    if several and config.args_source is config.ArgsSource.TESTPATHS:  # the controller's alone: workers have no number
+        script = Path(__file__).parent / "warm.py"
+        for running in [subprocess.Popen([sys.executable, script, rule]) for rule in ("mrac", "per_cell")]:
+            running.wait()
 
 
 OPENINGS = (
-    ("test_planner_closed_loop", "test_mrac_jax_compiled", "test_mrac_jax_open_loop"),
-    ("test_planner_policies", "test_mrac_jax_closed_loop", "test_mrac_jax_policies", "test_mrac_jax_planted_faults"),
+    ("test_mrac_jax_open_loop", "test_environments"),
+    ("test_mrac_jax_closed_loop", "test_mrac_jax_policies", "test_mrac_jax_planted_faults"),
 )
-"""Files that compile most, with which the first worker and the second begin: neither compiles what the other does."""
+"""Files that compile most for JAX, with which the first worker and the second begin: neither compiles what the other
+does."""
 
 
 @pytest.hookimpl(trylast=True)  # what is deselected is gone
@@ -75,6 +85,33 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     rest = [item for item in items if item not in moved]
     middle = max(len(items) // 2 - len(openings[0]), 0)
     items[:] = [*openings[0], *rest[:middle], *openings[1], *rest[middle:]]
+
+
+EFFORTS = {"analysis.estimators.trial.EFFORT": 0.1, "analysis.theory.upper_bound.GAIN": 20.0}
+"""What the quick tests multiply: histories of a tree of all that can happen; where the bound for every strategy ends.
+
+Most evaluations in tests are about neither, but each looks for both. A tree that is found is the same; a bound is less
+sharp, but holds. Processes that tests start make the full effort.
+"""
+
+
+@pytest.fixture(autouse=True, scope="session")
+def little_effort(pytestconfig: pytest.Config) -> dict[str, float]:
+    """The full ones."""
+    full = {}
+    for name, factor in EFFORTS.items():
+        module, _, constant = name.rpartition(".")
+        full[name] = getattr(import_module(module), constant)
+        if pytestconfig.getoption("markexpr") == "not slow":
+            setattr(import_module(module), constant, factor * full[name])
+    return full
+
+
+@pytest.fixture
+def full_effort(little_effort: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of exact values and bounds, and of other processes that find the same."""
+    for name, value in little_effort.items():
+        monkeypatch.setattr(name, value)
 
 
 @pytest.fixture

@@ -20,8 +20,8 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from movers import moving_world
-from rolling import VisitLoop
+from drawn_worlds import moving_world
+from helpers import VisitLoop
 
 from planner.errors import InputError
 from planner.mrac.make_plan import make_plan

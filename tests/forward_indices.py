@@ -9,9 +9,9 @@ import sys
 from dataclasses import replace
 from typing import Any
 
-import doubt
 import numpy as np
 from closed_loop_worlds import limited, survey_worlds
+from drawn_worlds import WORLDS
 from numba import config
 
 from planner.mrac.make_plan import make_plan
@@ -94,7 +94,7 @@ def main(count: int) -> None:
     for number in range(count):
         one = worlds[number * len(worlds) // count]
         run(one.world, one.starts, replace(one.settings, **POLICIES[number % len(POLICIES)]), one.first_only)
-    for world in doubt.WORLDS.values():
+    for world in WORLDS.values():
         run(world, place_starts(world, 5)[0], Settings(), False)
     sys.stdout.write(f"{seen}\n")
 

@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from rolling import VisitDraws
+from helpers import VisitDraws
 
 from planner.errors import StateError
 from planner.mission.mission import Mission

@@ -1,16 +1,28 @@
-"""Reads a page as a browser would, strictly: tags that close, addresses, headings, the data under the pointer."""
+"""Reads a page as a browser would, strictly; a real browser without a window; what a refused command says."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
 import json
+import os
 import re
+import select
+import shutil
+import subprocess
+import sys
 from html.parser import HTMLParser
 from io import BytesIO
+from pathlib import Path
+from types import TracebackType
 from typing import Any
 
+import pytest
 from PIL import Image
+
+from analysis.cli.app import run
+
+# Reads a page as a browser would, strictly: tags that close, addresses, headings, the data under the pointer.
 
 _FILE = BytesIO()
 Image.new("RGB", (3, 2), "#c5464a").save(_FILE, format="png")
@@ -119,3 +131,180 @@ def _is_accessible(reader: Reader) -> None:
     assert set(asked) <= set(names)
     assert all(attrs.get("aria-label") for _, attrs in reader.tags if attrs.get("tabindex") == "0" and "role" in attrs)
     assert all(attrs.get("scope") for attrs in reader.all("th"))
+
+
+# A real browser without a window, driven over the DevTools protocol through a pipe: no port, no library.
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars",
+         "--remote-debugging-pipe", "--force-color-profile=srgb", "--disable-background-networking",
+         "--no-first-run")  # fmt: skip
+PATIENCE = 60.0
+"""Seconds between two messages."""
+HAND_ON = """
+import os, sys
+read, write, *command = sys.argv[1:]
+pipes = os.dup(int(read)), os.dup(int(write))
+for place, end in enumerate(pipes, start=3):
+    os.dup2(end, place)
+    os.set_inheritable(place, True)
+os.execv(command[0], command)
+"""
+"""The protocol's own pipes: 3 to read from, 4 to write to. Not by `preexec_fn`: JAX warns of a fork."""
+FOCUSED = """(async () => {
+  const e = document.activeElement, outline = (x) => x ? getComputedStyle(x).outlineStyle !== "none" : false;
+  if (!e || e === document.body) return null;
+  const seen = () => {
+    const b = e.getBoundingClientRect();
+    return b.bottom > 0 && b.right > 0 && b.top < innerHeight && b.left < innerWidth;
+  };
+  for (let frame = 0; frame < 60 && !seen(); frame++) await new Promise(requestAnimationFrame);
+  return [e.outerHTML.slice(0, 80), seen() && (outline(e) || outline(e.nextElementSibling))];
+})()"""
+"""What has the focus, and whether it can be seen that it has, soon."""
+
+
+def browser_path() -> str | None:
+    """Where a browser is; None: nowhere."""
+    return next(filter(None, map(shutil.which, NAMES)), None)
+
+
+class Browser:
+    """One page in a browser; `noticed`: errors and words of its console, and every address that it asked for."""
+
+    def __init__(self, profile: Path) -> None:
+        """`profile`: an empty folder."""
+        path = browser_path()
+        assert path is not None
+        (to_read, self._write), (self._read, to_write) = os.pipe(), os.pipe()
+
+        command = [sys.executable, "-c", HAND_ON, str(to_read), str(to_write), path, *FLAGS]
+        command += [f"--user-data-dir={profile}", "about:blank"]
+        quiet = subprocess.DEVNULL
+        self._process = subprocess.Popen(command, pass_fds=(to_read, to_write), stdout=quiet, stderr=quiet)
+        os.close(to_read)
+        os.close(to_write)
+        self._number, self._waiting, self._session = 0, b"", None
+        self.noticed: list[str] = []
+        self.asked: list[str] = []
+        self._loaded = False
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.call(f"{domain}.enable")
+
+    def __enter__(self) -> Browser:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
+        self._process.kill()
+        self._process.wait()
+        os.close(self._read)
+        os.close(self._write)
+
+    def _message(self) -> dict[str, Any]:
+        while b"\0" not in self._waiting:
+            assert select.select([self._read], [], [], PATIENCE)[0], "the browser says nothing"
+            found = os.read(self._read, 2**20)
+            assert found, "the browser has ended"
+            self._waiting += found
+        message, _, self._waiting = self._waiting.partition(b"\0")
+        told: dict[str, Any] = json.loads(message)
+        method, words = told.get("method", ""), told.get("params", {})
+        if method in ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded"):
+            self.noticed.append(json.dumps(words))
+        elif method == "Network.requestWillBeSent":
+            self.asked.append(words["request"]["url"])
+        self._loaded |= method == "Page.loadEventFired"
+        return told
+
+    def call(self, method: str, **words: Any) -> Any:
+        """The answer of one command of the protocol."""
+        self._number += 1
+        message = {"id": self._number, "method": method, "params": words}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._write, json.dumps(message).encode() + b"\0")
+        while (told := self._message()).get("id") != self._number:
+            pass
+        assert "error" not in told, (method, told["error"])
+        return told["result"]
+
+    def open(self, page: Path | str, width: int = 1280, dark: bool = False, height: int = 900) -> None:
+        """Load a page, a file or an address, in a window so many CSS pixels wide."""
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1,
+                  mobile=width < 600)  # fmt: skip
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.call("Emulation.setEmulatedMedia", media="", features=[scheme])
+        self._loaded = False
+        self.call("Page.navigate", url=page if isinstance(page, str) else page.as_uri())
+        while not self._loaded:
+            self._message()
+
+    def run(self, script: str) -> Any:
+        """The value of an expression in the page, awaited."""
+        found = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        assert "exceptionDetails" not in found, found["exceptionDetails"]
+        return found["result"].get("value")
+
+    def until(self, condition: str) -> None:
+        """Wait until an expression holds, 20 seconds at most."""
+        look = f"() => ({condition}) ? ok() : Date.now() > end ? no(Error('waited in vain')) : setTimeout(look, 10)"
+        self.run(f"new Promise((ok, no) => {{ const end = Date.now() + 20000, look = {look}; look(); }})")
+
+    def key(self, name: str, text: str = "") -> None:
+        """Press a key."""
+        code = {"ArrowRight": 39, "ArrowLeft": 37, "ArrowDown": 40, "Tab": 9, "Home": 36, " ": 32, "2": 50}[name]
+        for kind in ("keyDown", "keyUp"):
+            self.call(
+                "Input.dispatchKeyEvent",
+                type=kind,
+                key=name,
+                windowsVirtualKeyCode=code,
+                text=text * (kind == "keyDown"),
+            )
+
+    def stops(self, most: int = 400) -> list[str]:
+        """What the Tab key reaches until it leaves the page; every stop can be seen."""
+        found: list[str] = []
+        while len(found) < most:
+            self.key("Tab")
+            focused = self.run(FOCUSED)
+            if focused is None:
+                return found
+            assert focused[1], focused[0]
+            found.append(focused[0])
+        raise AssertionError(f"the keyboard is caught: {found[-3:]}")
+
+    def drag(self, selector: str, *places: tuple[float, float]) -> None:
+        """Press at the first place in an element, parts of its width and height, move over the others, let go."""
+        spots = self._spots(selector, places)
+        kinds = ("mousePressed", *("mouseMoved" for _ in spots[1:]), "mouseReleased")
+        for kind, (x, y) in zip(kinds, (*spots, spots[-1]), strict=True):
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
+
+    def swipe(self, selector: str, *places: tuple[float, float]) -> None:
+        """The same with one finger."""
+        self.call("Emulation.setTouchEmulationEnabled", enabled=True)
+        for number, (x, y) in enumerate(self._spots(selector, places)):
+            kind = "touchMove" if number else "touchStart"
+            self.call("Input.dispatchTouchEvent", type=kind, touchPoints=[{"x": x, "y": y}])
+        self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+
+    def _spots(self, selector: str, places: tuple[tuple[float, float], ...]) -> list[tuple[float, float]]:
+        box = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
+        left, top, width, height = self.run(
+            f"(() => {{ const b = {box}; return [b.left, b.top, b.width, b.height] }})()"
+        )
+        return [(left + across * width, top + down * height) for across, down in places]
+
+
+# What every command does with bad input: one line, and status 2.
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """The one line on standard error of a command that exits with 2."""
+    assert run(list(words)) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.startswith("error: ") and said.err.count("\n") == 1
+    return said.err.strip()

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import VisitLoop
 from killed_mission import small_case
-from rolling import VisitLoop
-from test_planner_mission import obey
+from test_mission import obey
 
 import mrac_jax as mrac
 from analysis.cli.app import run

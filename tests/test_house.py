@@ -1,17 +1,42 @@
-"""The house: imports point back along planner -> analysis -> mrac_jax, oracles see no engine, and names no host."""
+"""The repository: imports, what nobody uses, the evidence page, releases, the benchmarks."""
 
 from __future__ import annotations
 
 import ast
 import re
+import runpy
 import subprocess
 import sys
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from datetime import date
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import evidence
 import networkx as nx
+import numpy as np
+import pytest
+import yaml
+from evidence import Evidence, covered, of_the_day, parts, read, slow_files, stale, written
+from open_loop_reference import fixture
+
+import mrac_jax as mrac
+from analysis.bench import engines
+from analysis.bench import engines as race
+from analysis.bench.engines import Contender, naive_rollouts
+from planner.errors import MracError
+from planner.mrac.make_plan import make_plan
+from planner.rollouts.open_loop import compile_plan
+from planner.tally import Tally
+from planner.world.generate import random_world
+from planner.world.levels import place_starts
+
+# The house: imports point back along planner -> analysis -> mrac_jax, oracles see no engine, and names no host.
 
 ROOT = Path(__file__).parent.parent
 ROOMS = ("planner", "analysis", "mrac_jax")
@@ -257,3 +282,200 @@ def test_no_table_of_a_page_is_cut_by_an_empty_line() -> None:
     for path in (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")):
         for table in re.findall(r"(?<=\n\n)\|.*\n.*", path.read_text(encoding="utf-8")):
             assert re.fullmatch(r"[|: -]+", table.splitlines()[1]), f"{path}: {table}"
+
+
+# `tests/evidence.py`: every slow file is in one part, the page says what was run, and what is older than its code.
+
+GOOD = Evidence("3 passed, 9 deselected", 61, "2026-11-24", "abc1234")
+
+SLOW = "pytest" + ".mark.slow"
+
+
+def test_every_file_is_in_one_part_and_parts_take_about_as_long() -> None:
+    names = slow_files()
+    assert len(names) > 25
+    seconds = {name: 10.0 + 7 * (number % 40) for number, name in enumerate(names)}
+    dealt = parts(names, seconds, 8)
+    assert sorted(name for part in dealt for name in part) == names
+    sums = [sum(seconds[name] for name in part) for part in dealt]
+    assert max(sums) - min(sums) <= max(seconds.values())
+
+
+def test_the_day_s_files_fit_and_all_come_round() -> None:
+    names = [f"test_{number}" for number in range(23)]
+    seconds = {name: 30.0 + number for number, name in enumerate(names[:20])} | {"test_20": 500.0}
+    met = set[str]()
+    for day in range(40):
+        chosen = of_the_day(names, seconds, 120, date.fromordinal(740_000 + day))
+        assert chosen and sum(seconds[name] for name in chosen) <= 120
+        met |= {*chosen}
+    assert met == set(names[:20])  # what takes too long, or was never run, is left out
+
+
+def test_the_page_keeps_what_it_is_told() -> None:
+    page = (evidence.ROOT / evidence.PAGE).read_text()
+    rows = read(page) | {"test_one": GOOD, "test_two": replace(GOOD, said="1 failed, 2 passed", commit="abc1234+")}
+    assert read(written(page, rows)) == rows and written(page, read(page)) == page
+    assert set(read(page)) <= set(slow_files())
+
+
+def test_covered_is_what_is_imported_to_the_last() -> None:
+    paths = covered("test_search_trials")
+    assert {
+        "tests/test_search_trials.py",
+        "analysis/search/start_positions.py",
+        "planner/simulator/exact_tree.py",
+    } <= paths
+    assert "tests/test_statistics.py" in covered("test_values")
+    assert not {"analysis/studio/server.py", "mrac_jax/__init__.py"} & covered("test_pool")
+
+
+def test_what_is_older_than_its_code_is_named(tmp_path: Path) -> None:
+    def git(*words: str) -> str:
+        name = ["-c", "user.name=a", "-c", "user.email=a@b"]
+        return subprocess.run(["git", *name, *words], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "planner").mkdir()
+    for name in ("a", "b", "c", "d", "e"):
+        (tmp_path / f"tests/test_{name}.py").write_text(
+            f"from planner import {'one' if name < 'c' else 'two'}\n# {SLOW}\n"
+        )
+    for name in ("one", "two", "__init__"):
+        (tmp_path / f"planner/{name}.py").write_text("A = 1\n")
+    git("init", "-q")
+    git("add", "-A")
+    git("commit", "-qm", "first")
+    rows = {f"test_{name}": replace(GOOD, commit=git("rev-parse", "HEAD").strip()) for name in "abcd"}
+    rows["test_b"] = replace(rows["test_b"], said="1 failed, 3 passed")
+    rows["test_d"] = replace(rows["test_d"], commit=rows["test_d"].commit + "+")
+    said = ["test_b: 1 failed, 3 passed", "test_d: run with changes that were not committed", "test_e: never run"]
+    assert list(stale(rows, tmp_path)) == said
+    (tmp_path / "planner/two.py").write_text('"""Two."""\n\nA = 1  # or more\n"""As it was."""\n')
+    assert list(stale(rows, tmp_path)) == said
+    (tmp_path / "planner/two.py").write_text("A = 2\n")
+    assert "test_c: older than the code that it covers (planner/two.py)" in list(stale(rows, tmp_path))
+
+
+def test_a_run_says_how_it_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evidence, "MOST", 0.0)
+    assert evidence.run("test_house").said == "cut off after 0.0 s"
+
+
+# What a release says of itself: one version, the same dependencies everywhere, links that an index can follow.
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+RELATIVE = r"\]\((?!https?:)"
+
+
+def written_release(name: str) -> Any:
+    text = (ROOT / name).read_text(encoding="utf-8")
+    return yaml.safe_load(re.sub(r"\{\{.*?\}\}", "python", text))
+
+
+def test_one_version() -> None:
+    cited = written_release("CITATION.cff")
+    assert (cited["version"], cited["license"]) == (PROJECT["version"], PROJECT["license"])
+    assert written_release("conda/meta.yaml")["package"]["version"] == PROJECT["version"] == mrac.__version__
+    assert f"\n## {PROJECT['version']}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_conda_installs_what_the_wheel_needs() -> None:
+    recipe = written_release("conda/meta.yaml")
+    wanted = [
+        f"python {PROJECT['requires-python']}",
+        *(re.sub(r"(?=[>=])", " ", one, count=1) for one in PROJECT["dependencies"]),
+    ]
+    assert [one.replace("matplotlib-base", "matplotlib") for one in recipe["requirements"]["run"]] == wanted
+    assert recipe["about"]["summary"] == PROJECT["description"]
+
+
+def test_an_index_shows_no_link_that_it_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: dict[str, Any] = {}
+    monkeypatch.setitem(sys.modules, "setuptools", SimpleNamespace(setup=given.update))
+    index_readme = runpy.run_path(str(ROOT / "setup.py"))["index_readme"]
+    assert re.search(RELATIVE, README)
+    assert given["long_description"] == index_readme(README, PROJECT.get("urls", {}).get("Source", ""))
+    bare, linked = index_readme(README), index_readme(README, "https://forge.example/raw/main/")
+    for text in (bare, linked):
+        assert not re.search(RELATIVE, text)
+        assert len(text.splitlines()) > 40
+    assert "![" not in bare
+    assert "(https://forge.example/raw/main/docs/start.md)" in linked
+
+
+WITHOUT_JAX = """
+import sys
+from importlib.machinery import PathFinder
+find = PathFinder.find_spec
+PathFinder.find_spec = staticmethod(lambda name, *where: None if name.startswith("jax") else find(name, *where))
+import mrac_jax as mrac
+from analysis.cli.app import run
+assert run(["evaluate", "example:paper", "--engine", "jax"]) == 2
+try:
+    mrac.evaluate(mrac.load("example:paper"), 1, engine="jax")
+except mrac.InputError as error:
+    assert str(error).startswith("jax is not installed"), error
+else:
+    raise AssertionError("no error")
+assert run(["evaluate", "example:paper", "--rollouts", "100", "--json"]) == 0
+assert run(["clear", sys.argv[1], "--rollouts", "16", "--out", sys.argv[2]]) == 0
+assert "jax" not in sys.modules
+"""
+
+
+def test_without_jax_its_own_engine_alone_is_missed(tmp_path: Path) -> None:
+    threat = np.zeros((4, 5), dtype=np.float32)
+    threat[1, 1:4] = 0.2
+    np.save(tmp_path / "small.npy", threat)
+    words = [sys.executable, "-c", WITHOUT_JAX, str(tmp_path / "small.npy"), str(tmp_path / "out")]
+    done = subprocess.run(words, capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "error: jax is not installed; pip install jax\n" in done.stderr
+    assert (tmp_path / "out" / "risk_paid.png").exists()
+
+
+# `make bench` has a row for every engine that is asked for, and times none that counts differently.
+
+
+@pytest.mark.parametrize(
+    ("loop", "asked", "rows"),
+    [("open", ["numba", "jax"], ["numba", "numba", "jax"]), ("closed", ["readable"], ["readable"])],
+)
+def test_every_engine_has_a_row(
+    loop: str, asked: list[str], rows: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    world = random_world(6, 6)
+    plan = make_plan(world, place_starts(world, 2)[0])
+    for owner, name, value in (
+        (engines, "cases", lambda: iter([("small", world, plan)])), (engines, "LOOPS", (loop,)),
+        (sys, "argv", ["engines", *asked]), (race, "SECONDS", 0.01),
+    ):  # fmt: skip
+        monkeypatch.setattr(owner, name, value)
+    engines.main()
+    printed = [row.replace(" 1 thread", "").split() for row in capsys.readouterr().out.splitlines()]
+    found = [row for row in printed if row[0] == "small"]
+    assert [row[2].rstrip(",") for row in found] == rows
+    assert all(float(row[3].replace(",", "")) > 0 for row in found)
+
+
+def test_engines_that_count_differently_are_not_timed() -> None:
+    def contender(number: int) -> Contender:
+        tally = Tally.empty(f"{number:064d}", (2, 2), 1, 4)
+        return Contender(f"number {number}", lambda: (lambda count: count, 1, tally))
+
+    with pytest.raises(MracError, match="number 1 counts differently"):
+        race.race([contender(0), contender(0), contender(1)])
+
+
+def test_naive_program_agrees_with_the_closed_form() -> None:
+    import jax
+
+    plan, world, numbers = fixture("tiny-6x3-20", 5)
+    compiled = compile_plan(plan, world)
+    paths = [robot.path[: compiled.last_step + 1] for robot in plan.robots]
+    (visited, survived, _, _), _ = naive_rollouts(paths, world.threat.reshape(-1), 2048)(jax.random.key(1))
+    for found, meaning in ((visited, "visited"), (survived, "survived")):
+        error = np.std(found) / np.sqrt(len(found))
+        assert abs(np.mean(found) - numbers["open_loop_exact"][meaning]) <= 5 * error

@@ -1,7 +1,8 @@
-"""An interrupt that is raised where nobody can catch it ends the command all the same; no socket listens meanwhile."""
+"""Interrupts, and how the process of a command ends."""
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import subprocess
@@ -14,6 +15,9 @@ from pool_tasks import ENDS_WITH_US
 from test_pool import below, none_left
 
 from analysis.sweeps.store import Store
+from analysis.utils.progress import run_loop
+
+# An interrupt that is raised where nobody can catch it ends the command all the same; no socket listens meanwhile.
 
 SWALLOWED = """
 import gc, os, signal, sys, time
@@ -213,3 +217,148 @@ def test_a_test_run_that_is_killed_leaves_no_sweep(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_hundred_ctrl_c_of_a_sweep(tmp_path: Path) -> None:
     interrupt_sweeps(tmp_path, 100, 5.0)
+
+
+# How the process of a command ends: its status, what it prints, and which signals end it.
+
+ENDS = """
+import sys
+import analysis.cli.app
+from mrac_jax.__main__ import main
+
+def run():
+    print("said", end="")
+    if sys.argv[1] == "returned":
+        return 3
+    if sys.argv[1] == "exit":
+        sys.exit(4)
+    raise ValueError("nobody caught it")
+
+analysis.cli.app.run = run
+main()
+"""
+WAITS = """
+import signal, sys, time
+import analysis.cli.app
+from mrac_jax.__main__ import main
+
+def run():
+    print("waits", flush=True)
+    time.sleep(2)
+    return 0
+
+analysis.cli.app.run = run
+if sys.argv[1] == "background":
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+else:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("how", "status", "said"), [("returned", 3, ""), ("exit", 4, ""), ("raised", 1, "caught it\n")]
+)
+def test_status_and_what_was_printed(how: str, status: int, said: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", ENDS, how], capture_output=True, text=True, env=ENVIRONMENT, timeout=60
+    )
+    assert (done.returncode, done.stdout) == (status, "said") and done.stderr.endswith(said)
+    assert ("Traceback" in done.stderr) == (how == "raised")
+
+
+def test_a_closed_output_is_told_in_one_line() -> None:
+    words = f"exec {sys.executable} -m mrac_jax plan example:paper >&-"
+    done = subprocess.run(["sh", "-c", words], stderr=subprocess.PIPE, text=True, env=ENVIRONMENT, timeout=60)
+    assert done.returncode == 2 and done.stderr.startswith("error: standard output is closed")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("where", "sent", "status"),
+    [
+        ("foreground", signal.SIGINT, 130), ("foreground", signal.SIGTERM, 130),
+        ("background", signal.SIGINT, 0), ("background", signal.SIGTERM, 130),
+    ],
+)  # fmt: skip
+def test_who_was_told_to_ignore_ctrl_c_does(where: str, sent: signal.Signals, status: int) -> None:
+    words = [sys.executable, "-c", WAITS, where]
+    waiting = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
+    try:
+        assert waiting.stdout is not None and waiting.stdout.readline() == "waits\n"
+        time.sleep(0.1)
+        waiting.send_signal(sent)
+        assert waiting.communicate(timeout=60)[1] == "interrupted\n" * (status == 130)
+        assert waiting.returncode == status
+    finally:
+        waiting.kill()
+
+
+# An event loop that an interrupt ends, wherever it comes.
+
+EVERYWHERE = """
+import asyncio, signal, sys
+from analysis.utils.progress import run_loop
+
+def handler(number, frame):  # as the command line has it: not Python's own
+    raise KeyboardInterrupt
+
+async def busy():
+    while True:
+        await asyncio.sleep(0)
+
+async def main():
+    other = asyncio.create_task(busy())
+    await asyncio.Event().wait()
+
+def interrupted_at(line):
+    def traced(frame, event, arg):
+        if event == "line":
+            left.pop()
+            if not left:
+                signal.raise_signal(signal.SIGINT)
+                sys.settrace(None)
+                return None
+        return traced
+    left = [None] * line
+    return lambda frame, event, arg: traced if frame.f_code.co_name == "_run_once" else None
+
+signal.signal(signal.SIGINT, handler)
+for line in range(1, 61):  # of the loop's first steps
+    sys.settrace(interrupted_at(line))
+    try:
+        run_loop(main())
+    except KeyboardInterrupt:
+        print(line, signal.getsignal(signal.SIGINT) is handler)
+"""
+
+
+def test_an_interrupt_between_any_two_steps_of_a_loop_ends_it() -> None:
+    root = str(Path(__file__).parent.parent)
+    command = [sys.executable, "-c", EVERYWHERE]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=root, timeout=60)
+    assert (done.stdout, done.stderr) == ("".join(f"{line} True\n" for line in range(1, 61)), "")
+
+
+def test_an_interrupt_that_comes_too_late_to_cancel_anything_is_not_lost() -> None:
+    async def answer() -> int:
+        signal.raise_signal(signal.SIGINT)
+        return 42
+
+    with pytest.raises(KeyboardInterrupt):
+        run_loop(answer())
+
+
+def test_it_ends_with_what_its_task_returns_or_raises() -> None:
+    async def answer() -> int:
+        await asyncio.sleep(0)
+        return 42
+
+    async def gives_up() -> None:
+        raise asyncio.CancelledError
+
+    before = signal.getsignal(signal.SIGINT)
+    assert run_loop(answer()) == 42
+    with pytest.raises(asyncio.CancelledError):
+        run_loop(gives_up())
+    assert signal.getsignal(signal.SIGINT) is before

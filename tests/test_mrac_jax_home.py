@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rolling import VisitLoop
-from test_mrac_jax_missions import same
-from test_planner_home import KINDS, WATCHFUL, corridor, drawn
-from test_planner_mission import obey
+from helpers import VisitLoop
+from test_mission import obey
+from test_mrac_jax_closed_loop import same
+from test_return_home import KINDS, WATCHFUL, corridor, drawn
 
 from mrac_jax.closed_loop import engine as engine_module
 from mrac_jax.closed_loop.beginning import nominal_of

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from closed_loop_worlds import CELL_BUCKETS, SurveyWorld, first_worlds, survey_worlds
 from conftest import LANES, load_fixture
-from test_mrac_jax_missions import same
+from test_mrac_jax_closed_loop import same
 
 from mrac_jax.closed_loop import engine as engine_module
 from mrac_jax.closed_loop.engine import TRACED, JaxClosedLoop

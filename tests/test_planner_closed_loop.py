@@ -10,9 +10,9 @@ import pytest
 from closed_loop_compare import assert_same_results
 from closed_loop_worlds import walled
 from conftest import Fixture, load_fixture, worlds_with_starts
+from helpers import run_closed_chunks
 from hypothesis import given
 from numba import typeof
-from rolling import run_closed_chunks
 
 from planner.errors import PlanError
 from planner.mrac.make_plan import make_plan

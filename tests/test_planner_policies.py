@@ -1,4 +1,4 @@
-"""The policies of SPEC section 11 in the readable simulator, against two independent simulators and plain twins."""
+"""Policies of docs/spec.md, section 11, orders within areas, orders of areas that are found."""
 
 from __future__ import annotations
 
@@ -12,17 +12,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from closed_loop_compare import assert_same_tally, assert_same_trace
 from closed_loop_worlds import survey_worlds, walled
 from conftest import FOLDER, load_fixture, worlds_with_starts
+from helpers import VisitLoop, load_plan
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from oracle_markov import closed_loop_chain, solve_chain
-from oracle_tree import closed_loop_exact
-from plan_files import load_plan
-from rolling import VisitLoop
+from oracle_tree import closed_loop_chain, closed_loop_exact, solve_chain
 from validate import validate
 
 import mrac_jax as mrac
+from analysis.estimators.racing import order_areas
+from analysis.sampling import RolloutChoices
+from analysis.theory.flow_programme import optimum
 from planner.errors import InputError, PlanError, WorldError
 from planner.mrac import executive as executive_module
 from planner.mrac.choose import first_area
@@ -36,13 +38,18 @@ from planner.policies import RULES
 from planner.policies.limits import NO_REFUSAL, is_refused, most_at_risk, refusal_threshold
 from planner.policies.rule import Offer, Rule
 from planner.policies.rules import CellOffer
+from planner.rollouts.engine import closed_loop_engine
 from planner.settings import Settings
 from planner.simulator import tables as tables_module
 from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.simulator.tables import AllPairs
 from planner.tally import WORDS_OF_0_3, EventKind, Outcome
+from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.scenario import load_input
 from planner.world.world import World
+
+# The policies of SPEC section 11 in the readable simulator, against two independent simulators and plain twins.
 
 CODES = (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.NO_PROGRESS, Outcome.STEP_LIMIT, Outcome.NOT_WORTH_THE_RISK)
 """What the fixtures' own codes mean."""
@@ -549,3 +556,162 @@ def test_a_comparison_tells_policies_apart() -> None:
         found = mrac.compare(sides[0], other, loop="open", rollouts=4096)
         assert [words[0].split()[0] for words in found.differing] == ["policy", "policy"]
     assert mrac.compare(sides[0], sides[3], loop="open", rollouts=4096).differing == ((), ())
+
+
+# Orders within areas: which neighbour goes first, in every engine alike; elsewhere all is as it was.
+
+WIDE = [
+    "......",
+    "..#...",
+    "......",
+]  # fmt: skip
+PATHS = {
+    "nearest": [0, 1, 2, 3, 4, 5, 11, 10, 9, 15, 14, 13, 7, 6, 12, 13, 14, 15, 16, 17],
+    "rows": [0, 1, 2, 3, 4, 5, 11, 10, 9, 15, 14, 13, 12, 6, 7, 13, 14, 15, 16, 17],
+    "columns": [0, 6, 12, 13, 7, 1, 2, 3, 9, 15, 14, 15, 16, 10, 4, 5, 11, 17],
+}
+"""By hand, from SPEC section 20, of a robot that begins upper left."""
+
+
+def drawn(rows: list[str]) -> World:
+    """`.` is safe, `#` an obstacle, a digit so many tenths of danger."""
+    values = {".": 0.0, "#": np.nan} | {str(n): n / 10 for n in range(1, 10)}
+    return World.create(np.array([[values[one] for one in row] for row in rows], dtype=np.float32))
+
+
+@pytest.mark.parametrize("order", PATHS)
+def test_paths_by_hand(order: str) -> None:
+    world = drawn(WIDE)
+    assert mrac.plan(world, 1, in_area=order).robots[0].path.tolist() == PATHS[order]
+
+
+def test_boustrophedon_goes_along_those_straight_runs_of_which_there_are_fewer() -> None:
+    wide = mrac.plan(drawn(WIDE), 1, in_area="boustrophedon").robots[0].path.tolist()
+    high = drawn(["".join(column) for column in zip(*WIDE, strict=True)])
+    found = mrac.plan(high, 1, in_area="boustrophedon").robots[0].path.tolist()
+    assert wide == PATHS["rows"]  # 4 runs in rows, 7 in columns
+    assert found == mrac.plan(high, 1, in_area="columns").robots[0].path.tolist() != wide
+    square = mrac.plan(drawn(["...", "...", "..."]), 1, in_area="boustrophedon").robots[0].path.tolist()
+    assert square == [0, 1, 2, 5, 4, 3, 6, 7, 8]  # as many: rows
+    # of two safe areas each goes by its own shape
+    both = drawn(["....1..", "....1..", "##111..", "#####.."])
+    path = mrac.plan(both, 1, in_area="boustrophedon").robots[0].path.tolist()
+    assert path[:8] == [0, 1, 2, 3, 10, 9, 8, 7]
+    assert [cell for cell in path if cell % 7 >= 5] == [12, 5, 6, 13, 20, 27, 26, 19]
+
+
+def test_dangerous_areas_are_covered_as_before() -> None:
+    """A robot that comes in from above into a dangerous field: the order is for safe areas alone."""
+    world = drawn(["...", "222", "222", "222"])
+    paths = [mrac.plan(world, 1, in_area=order).robots[0].path.tolist() for order in PATHS]
+    assert [path[:3] for path in paths] == [[0, 1, 2]] * 3
+    assert len({tuple(path[3:]) for path in paths}) == 1
+
+
+@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+def test_compiled_runs_are_the_readable_ones_event_for_event_in_area(policy: str) -> None:
+    counts, differ = np.zeros(len(EventKind), dtype=np.int64), 0
+    for number, one in enumerate(survey_worlds()[5::17]):
+        transit: Any = ("grid", "area")[number % 2]
+        order = ("boustrophedon", "rows", "columns")[number % 3]
+        asked = replace(one.settings, policy=policy, transit=transit, in_area=order)
+        try:
+            plan = make_plan(one.world, one.starts, asked)
+        except WorldError as error:
+            assert "too dear" in str(error)
+            continue
+        usual = make_plan(one.world, one.starts, replace(asked, in_area="nearest"))
+        differ += any(not np.array_equal(a.path, b.path) for a, b in zip(plan.robots, usual.robots, strict=True))
+        counts += compare_traces(one.world, plan, range(1), one.first_only)
+    assert differ >= 6
+    assert counts[EventKind.SHARED] > 10
+
+
+def test_a_scenario_a_plan_file_and_an_identity_know_it(tmp_path: Any) -> None:
+    np.save(tmp_path / "field.npy", np.zeros((3, 6)))
+    (tmp_path / "field.yaml").write_text("map: field.npy\nin_area: columns\n")
+    world = mrac.load(tmp_path / "field.yaml")
+    plan = mrac.plan(world, 2)
+    assert plan.settings.in_area == "columns"
+    plan.save(tmp_path / "plan.json")
+    assert mrac.read_plan(tmp_path / "plan.json", world).settings == plan.settings
+    assert "in_area" not in Settings().to_json()
+    assert Settings(in_area="rows").to_json()["in_area"] == "rows"
+
+
+# An order of areas that is found: how near the optimum it comes, and that all engines follow it as they do values.
+
+BASE = Settings(policy="watchful")
+
+
+def test_on_tiny_worlds_it_closes_most_of_what_the_rule_lacks_to_the_optimum() -> None:
+    lacks = []
+    for seed in range(1, 7):
+        kind = ThreatPattern("scattered", levels=(0.04, 0.12, 0.2, 0.3, 0.4), seed=seed)
+        world = random_world(4, 4, kind, obstacles=0.2, threats=0.5)
+        starts = place_starts(world, 1)[0]
+        most = optimum(world, starts)
+        assert most is not None
+        found = order_areas(world, starts, BASE, RolloutChoices(), AllPairs(), 150, lambda: True)
+        covered = [closed_loop_exact(make_plan(world, starts, one), world).visited for one in (BASE, found)]
+        assert covered[0] <= covered[1] + 1e-9 <= most + 2e-9
+        lacks.append(most - np.array(covered))
+    before, after = np.sum(lacks, axis=0)
+    assert before > 0.05 and after < before / 2
+
+
+def ordered(seed: int, policy: str) -> tuple[World, Plan, Plan]:
+    """A world, its plan by numbers for cells, and the plan for the world in which cells are worth these."""
+    world = random_world(9, 8, ThreatPattern("scattered" if seed % 2 else "contiguous", 4, seed=seed), threats=0.35)
+    first = 1 + np.arange(world.threat.size) * (7 + seed) % 11
+    starts, by = place_starts(world, 3)[0], Settings(policy=policy, reserve=0.5)
+    plan = make_plan(world, starts, replace(by, priority=tuple(first.tolist())))
+    return world, plan, make_plan(valued(world, plan), starts, by)
+
+
+def valued(world: World, plan: Plan) -> World:
+    assert plan.settings is not None
+    return world.with_values(np.where(world.free, np.reshape(plan.settings.priority, world.shape), 0.0))
+
+
+def test_cells_count_in_decisions_as_if_they_were_worth_as_much(tmp_path: Path) -> None:
+    differs = 0
+    for seed in range(4):
+        world, plan, other = ordered(seed, ("watchful", "per_cell")[seed // 2])
+        assert plan.to_json()["robots"] == other.to_json()["robots"]
+        differs += plan.to_json()["robots"] != make_plan(world, plan.starts, BASE).to_json()["robots"]
+        plan.save(tmp_path / "plan.json", force=True)
+        loaded = load_plan(tmp_path / "plan.json", world)
+        assert loaded.settings == plan.settings
+        readable, compiled = ReferenceLoop(loaded, world), closed_loop_engine(compile_closed_loop(loaded, world), 3)
+        by_value = closed_loop_engine(compile_closed_loop(other, valued(world, plan)), 3)
+        for mine, theirs in zip(compiled.traces(range(8)), by_value.traces(range(8)), strict=True):
+            assert_same_trace(mine, readable.trace(3, mine.rollout))
+            assert_same_trace(mine, theirs)
+    assert differs
+
+
+@pytest.mark.slow
+def test_jax_follows_it_too(few_lanes: None) -> None:
+    for seed in range(4):
+        world, plan, _ = ordered(seed, ("watchful", "per_cell")[seed // 2])
+        loop = compile_closed_loop(plan, world)
+        assert_same_tally(*(closed_loop_engine(loop, 3, name).tally(0, 64) for name in ("jax", "numba")))
+
+
+def test_what_does_not_go_with_it_is_refused(tmp_path: Path) -> None:
+    world, plan, _ = ordered(1, "watchful")
+    settings = plan.settings
+    assert settings is not None
+    for wrong, said in (
+        (replace(settings, reserve=None, policy="mrac"), "priority found by a search with --policy mrac|policy mrac"),
+        (replace(settings, worth=5.0), "priority with"),
+        (replace(settings, priority=(1, 2)), "priority of 2 cells; expected one number, or one for each of 72 cells"),
+    ):
+        with pytest.raises(PlanError, match=said):
+            make_plan(world, plan.starts, wrong)
+    data = plan.to_json()
+    data["settings"]["priority"] = [1001, *data["settings"]["priority"][1:]]
+    (tmp_path / "wrong.json").write_text(json.dumps(data))
+    with pytest.raises(PlanError, match=r"wrong\.json: `settings\.priority` is"):
+        load_plan(tmp_path / "wrong.json", world)

@@ -15,9 +15,9 @@ import pytest
 from closed_loop_compare import assert_same_trace
 from conftest import FOLDER
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from plan_files import load_plan
+from helpers import load_plan
+from page_reader import refused
 from recordings import nth, rewrite, small_task
-from refusals import refused
 
 import analysis.recording.record
 from analysis.cli.app import run

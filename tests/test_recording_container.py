@@ -16,7 +16,7 @@ from types import FrameType
 
 import pytest
 from mcap.reader import make_reader
-from recording_logs import GRID, POSE, TOPICS, heard, parts_of, sample
+from recordings import GRID, POSE, TOPICS, heard, parts_of, sample
 
 from analysis.recording.log_reader import open_log, recover
 from analysis.recording.log_writer import PARTIAL, LogSchema, LogWriter

@@ -8,7 +8,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
-from browser import Browser, browser_path
+from page_reader import Browser, browser_path
 
 ROOT = Path(__file__).parent.parent
 SITE = ROOT / "out" / "site"

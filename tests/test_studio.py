@@ -23,9 +23,8 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 import quickjs
-from browser import Browser, browser_path
 from conftest import FOLDER
-from page_reader import check_page_is_sound
+from page_reader import Browser, browser_path, check_page_is_sound
 
 from analysis.cli.app import run
 from analysis.page.document import asset

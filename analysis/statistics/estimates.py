@@ -351,7 +351,7 @@ def mean_estimate(counts: NDArray[np.int64], unit: float, most: int | None = Non
     none either. So the interval never collapses
     to a point while every rollout so far gave the same, and it is at most 1.1 times 1.96 se wide where 100 rollouts
     or more lie on each side of the mean and more than FEW different values were seen. How often it holds the truth:
-    `tests/test_analysis_estimate.py`. Values lie in `0 .. most`, to which the interval is clipped; None: `len(counts) -
+    `tests/test_statistics.py`. Values lie in `0 .. most`, to which the interval is clipped; None: `len(counts) -
     1`, which is too little for times, whose counts end with the largest seen (`analysis.theory.verdicts`). `certain`:
     every run is the same (`planner.plan.plan.is_certain`), so the interval is a point. Raises
     ValueError on an empty histogram.

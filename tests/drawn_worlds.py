@@ -1,0 +1,252 @@
+"""Worlds of tests: uncertain maps, moving threats, teams of several types, scenarios with threats."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from closed_loop_compare import assert_same_trace, followed
+from numpy.typing import NDArray
+from oracle_enumeration import Threat
+
+from planner.mrac.problem import prepare
+from planner.mrac.simulate import ReferenceLoop, Run, simulate
+from planner.plan.plan import Plan
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.simulator.exact_tree import WHOLE, grow_tree
+from planner.tally import Outcome, Trace
+from planner.world.changing_maps import with_hazard, with_maps, with_spread
+from planner.world.features import PlannedOn, with_movers
+from planner.world.generate import PAPER_LEVELS, ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.moving_threats import ANYWHERE, Mover
+from planner.world.robot_types import checked_types
+from planner.world.scenario import load_input
+from planner.world.world import World
+
+# Worlds in doubt, and expected values of small ones, by playing everything that can happen: the oracle of tests.
+
+BASE = random_world(9, 9, ThreatPattern("scattered", 4, (0.04, 0.12, 0.2), 5), obstacles=0.2, threats=0.3)
+DANGER = np.where(BASE.threat > 0, 1.0, 0.0)
+WORLDS = {
+    "persistent": with_hazard(BASE, "persistent", 0.3 * DANGER, 0.5),
+    "consumed": with_hazard(BASE, "consumed", 0.6 * DANGER, 0.9),
+    "maps": with_maps(BASE, [BASE.threat, np.minimum(4 * BASE.threat, np.float32(0.9)), 0 * BASE.threat]),
+    "level": with_spread(BASE, "beta", 4.0, "level"),
+}
+"""Of every kind one."""
+Play = Callable[[Callable[[int, int, int], bool]], np.ndarray]
+"""Plays a run with this judge of hits; what it comes to."""
+
+
+def closed_loop(plan: Plan, world: World) -> Play:
+    """Cells visited, survived, robots alive at the end, of a closed loop played by the readable simulator."""
+    assert plan.settings is not None
+    problem = prepare(world, plan.starts, plan.settings)
+
+    def play(hit: Callable[[int, int, int], bool]) -> np.ndarray:
+        run: Run = simulate(problem, plan.areas, hit=hit)
+        return np.array([run.visited.sum(), run.survived.sum(), run.alive.sum()], dtype=float)
+
+    return play
+
+
+def open_loop(plan: Plan, world: World) -> Play:
+    """The same of an open loop: robots in index order, step by step, each along its path until it is stopped."""
+
+    def play(hit: Callable[[int, int, int], bool]) -> np.ndarray:
+        visited, survived, alive = set(), set(), set(range(len(plan.robots)))
+        for step in range(plan.makespan + 1):
+            for robot, path in enumerate(one.path for one in plan.robots):
+                if robot in alive and step < len(path) and (step == 0 or path[step] != path[step - 1]):
+                    cell = int(path[step])
+                    visited.add(cell)
+                    if hit(robot, step, cell):
+                        alive.remove(robot)
+                    else:
+                        survived.add(cell)
+        return np.array([len(visited), len(survived), len(alive)], dtype=float)
+
+    return play
+
+
+def expected(play: Play, draw: Callable[[Callable[[float], bool], dict, int], bool]) -> np.ndarray:
+    """The mean of what `play` gives over all that can happen.
+
+    `draw(chance, memory, cell)` judges a visit; `chance(p)` is true with that chance; `memory` is the run's own.
+    """
+    total, left = np.zeros(()), [([], 1.0)]
+    while left:
+        decided, weight = left.pop()
+        made: list[bool] = []
+        memory: dict = {}
+
+        def chance(p: float, decided: list[bool] = decided, made: list[bool] = made) -> bool:
+            nonlocal weight
+            if p in (0.0, 1.0):
+                return p == 1.0
+            if len(made) < len(decided):
+                made.append(decided[len(made)])
+            else:
+                left.append(([*made, True], weight * p))
+                weight *= 1 - p
+                made.append(False)
+            return made[-1]
+
+        found = play(lambda robot, step, cell, chance=chance, memory=memory: draw(chance, memory, cell))
+        total = total + weight * found
+    return total
+
+
+def persistent(q: np.ndarray, h: np.ndarray, consumed: bool = False) -> Callable[..., bool]:
+    """Judges visits by hazards that are there or not, with q and h by cell."""
+
+    def draw(chance: Callable[[float], bool], memory: dict, cell: int) -> bool:
+        if cell not in memory:
+            memory[cell] = chance(float(q[cell]))
+        hit = memory[cell] and chance(float(h[cell]))
+        if hit and consumed:
+            memory[cell] = False
+        return hit
+
+    return draw
+
+
+def one_of(maps: list[np.ndarray]) -> Callable[..., bool]:
+    """Judges visits by one of equally likely maps of p by cell."""
+
+    def draw(chance: Callable[[float], bool], memory: dict, cell: int) -> bool:
+        if "map" not in memory:
+            memory["map"] = next((n for n in range(len(maps) - 1) if chance(1 / (len(maps) - n))), len(maps) - 1)
+        return chance(float(maps[memory["map"]][cell]))
+
+    return draw
+
+
+# Worlds with movers, drawn anew for tests: walkers and patrols of all kinds on small maps.
+
+
+def rounds(world: World) -> list[tuple[int, ...]]:
+    """Patrols round every free square of two by two cells."""
+    width, free = world.shape[1], world.free
+    corners = np.argwhere(free[:-1, :-1] & free[1:, :-1] & free[:-1, 1:] & free[1:, 1:])
+    return [
+        tuple(int(row + r) * width + int(col + c) for r, c in ((0, 0), (0, 1), (1, 1), (1, 0))) for row, col in corners
+    ]
+
+
+def moving_world(
+    seed: int, levels: Sequence[float] = PAPER_LEVELS, most: int = 10, plan_on: PlannedOn = "joined"
+) -> World:
+    """A map of up to `most` x `most` cells with one to five movers, some of whom start where they are told."""
+    random = np.random.default_rng(seed)
+    height, width = random.integers(4, most + 1, 2).tolist()
+    pattern = ThreatPattern(("contiguous", "scattered")[seed % 2], 4, tuple(levels), seed)
+    world = random_world(height, width, pattern, obstacles=(0.2, 0.35)[seed // 2 % 2], threats=0.3)
+    free, routes, movers = np.flatnonzero(world.free), rounds(world), []
+    for _ in range(int(random.integers(1, 6))):
+        hit, told = float(random.choice([0.05, 0.3, 0.9])), random.random() < 0.5
+        if routes and random.random() < 0.4:
+            route = routes[int(random.integers(len(routes)))]
+            movers.append(Mover(hit, 0.0, route[2] if told else ANYWHERE, route))
+        else:
+            start = int(random.choice(free)) if told else ANYWHERE
+            movers.append(Mover(hit, float(random.choice([0, 0.2, 0.5])), start))
+    return with_movers(world, movers, plan_on)
+
+
+def in_rows(world: World) -> tuple[list[list[float | None]], list[Threat]]:
+    """The world as the oracle has it."""
+    movers, width = world.movers, world.shape[1]
+    assert movers is not None
+    grid = [[None if np.isnan(p) else float(p) for p in row] for row in movers.own]
+
+    def cell(number: int) -> tuple[int, int]:
+        return divmod(number, width)
+
+    return grid, [
+        Threat(one.hit, one.stay, None if one.start == ANYWHERE else cell(one.start), tuple(map(cell, one.route)))
+        for one in movers.members
+    ]
+
+
+# Teams whose robots differ, drawn anew, and what is asked of every one: engines agree, and all is as enumerated.
+
+
+def drawn(seed: int, robots: int = 3) -> tuple[World, NDArray[np.int64], tuple[str, ...]]:
+    """A random map of two sources of threats, three types of robots, and starts anywhere in one part of it."""
+    rng = np.random.default_rng(seed)
+    kind = ("scattered", "contiguous")[seed % 2]
+    size = (9 + seed % 4, 8 + seed % 5)
+    one, other = (ThreatPattern(kind, 4, PAPER_LEVELS[:3], 2 * seed + more) for more in (0, 1))  # type: ignore[arg-type]
+    world = random_world(*size, one, obstacles=0.15, threats=0.2)
+    second = np.nan_to_num(random_world(*size, other, obstacles=0.0, threats=0.3).threat).astype(np.float64)
+    first, factors = np.nan_to_num(world.threat).astype(np.float64), rng.choice([0.0, 0.3, 1.0, 2.0], (3, 2))
+    by_type = [1 - (1 - a * first) * (1 - b * second) for a, b in factors]
+    world = World.create(np.where(world.free, 1 - (1 - first) * (1 - second), np.nan))
+    world = replace(world, types=checked_types(("a", "b", "c"), np.array(by_type), world.free, "drawn"))
+    free = np.argwhere(world.accessible(place_starts(world, 1)[0]))
+    types = tuple(rng.choice(["a", "b", "c"], robots).tolist())
+    return world, free[rng.integers(0, len(free), robots)], types
+
+
+def assert_engines_agree(plan: Plan, world: World, seed: int, rollouts: int) -> list[Trace]:
+    """Rollouts of both, event for event, and what they have covered; the compiled one's with tables and without.
+
+    Robots of several types have tables always.
+    """
+    assert plan.settings is not None
+    readable = ReferenceLoop(plan, world)
+    runs, known = zip(*(followed(readable, seed, rollout) for rollout in range(rollouts)), strict=True)
+    for tabled in (True,) if plan.settings.types else (True, False):
+        loop = compile_closed_loop(plan, world, tabled=tabled)
+        for mine, trace in zip(trace_rollouts(loop, seed, range(rollouts)), known, strict=True):
+            assert_same_trace(mine, trace)
+        _, singles = run_range(loop, seed, 0, rollouts, threads=1, singles=True)
+        assert singles is not None
+        assert singles.visited.tolist() == [run.visited.sum() for run in runs]
+        assert singles.survived.tolist() == [run.survived.sum() for run in runs]
+        assert singles.alive.tolist() == [run.alive.sum() for run in runs]
+    return list(known)
+
+
+def assert_as_enumerated(plan: Plan, world: World, wanted: dict[str, Counter[Any]]) -> None:
+    """The tree's chances are those that were enumerated."""
+    tree = grow_tree(compile_closed_loop(plan, world), 0.0, 10**7)
+    assert tree is not None
+    for name in ("visited", "survived", "time", "alive"):
+        counts = getattr(tree.counts, name)
+        found = {value: count / WHOLE for value, count in enumerate(counts.tolist()) if count}
+        assert found == pytest.approx(dict(wanted[name]), abs=1e-9), name
+    ends = {Outcome(n).word: count / WHOLE for n, count in enumerate(tree.counts.outcomes.tolist()) if count}
+    assert ends == pytest.approx(dict(wanted["outcome"]), abs=1e-9)
+
+
+# Scenarios with threats, and files for them.
+
+
+def world_file(folder: Path, threat: np.ndarray, name: str = "w.npz", **more: object) -> str:
+    World.create(threat, **more).save(folder / name, force=True)  # type: ignore[arg-type]
+    return name
+
+
+def load(folder: Path, threats: list, height: int = 6, width: int = 9, **more: object) -> np.ndarray:
+    """Threat `[H, W]` of a scenario with these sources; the map has one obstacle, at [0, 1]."""
+    if "map" not in more:
+        ground = np.zeros((height, width))
+        ground[0, 1] = np.nan
+        more["map"] = {"file": world_file(folder, ground)}
+    path = folder / "scenario.yaml"
+    path.write_text(yaml.safe_dump({"threats": threats, **more}))
+    return load_input(path).threat
+
+
+def raster(folder: Path, values: np.ndarray, name: str = "r.npy") -> str:
+    np.save(folder / name, values)
+    return name

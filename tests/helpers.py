@@ -1,0 +1,136 @@
+"""Short ways for tests to load a plan and to roll out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.statistics.control_variate import LEAST
+from planner.failure_model import key_of, threefry2x32
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan
+from planner.plan.plan_file import parse_plan, read_plan_json
+from planner.rollout_sampling import Luck
+from planner.rollouts import engine as engines
+from planner.rollouts.engine import Chunk, Engine, closed_loop_engine, open_loop_engine
+from planner.rollouts.names import EngineName
+from planner.rollouts.open_loop import CompiledPlan
+from planner.rollouts.threshold_classes import sums_by_luck
+from planner.simulator.loop import ClosedLoop
+from planner.tally import RolloutResults, Tally
+from planner.world.world import World
+
+# Short ways for tests to roll out a compiled plan or a closed loop through the one engine.
+
+
+def run_chunks(
+    compiled: CompiledPlan, *, seed: int, count: int, engine: EngineName = "auto", **how: Any
+) -> Iterator[Chunk]:
+    """The open loop, chunk by chunk; `how`: as in `planner.rollouts.engine.run_chunks`."""
+    return engines.run_chunks(open_loop_engine(compiled, seed, engine), count, **how)
+
+
+def run_closed_chunks(
+    loop: ClosedLoop, *, seed: int, count: int, engine: EngineName = "auto", **how: Any
+) -> Iterator[Chunk]:
+    """The closed loop, chunk by chunk; `how`: as in `planner.rollouts.engine.run_chunks`."""
+    return engines.run_chunks(closed_loop_engine(loop, seed, engine), count, **how)
+
+
+def rollouts(compiled: CompiledPlan, *, seed: int, count: int, **how: Any) -> Tally:
+    """The tally of so many rollouts of the open loop; `how`: as in `run_chunks`."""
+    *_, last = run_chunks(compiled, seed=seed, count=count, **how)
+    return last.tally
+
+
+def rollout_results(
+    compiled: CompiledPlan, *, seed: int, count: int, start: int = 0, engine: EngineName = "auto"
+) -> RolloutResults:
+    """Every single rollout of the open loop."""
+    return open_loop_engine(compiled, seed, engine).results(start, count)
+
+
+# A random number for every visit, in the place of a failure threshold a robot: so release 0.3 could draw, and so the
+# fixtures were made that have no runs with thresholds. A rollout drawn like this goes on from a state as if it had not
+# been cut, where a threshold is drawn anew.
+
+
+def uniform(seed: int, rollout: ArrayLike, step: ArrayLike, robot: ArrayLike) -> NDArray[np.float32]:
+    """u(r, t, i) in [0, 1), float32: a visit of threat p by robot i at step t destroys it iff u < p."""
+    counter = np.asarray(step, np.uint32) * np.uint32(1024) + np.asarray(robot, np.uint32)
+    word, _ = threefry2x32(key_of(seed), np.asarray(rollout, np.uint32), counter)
+    return (word >> np.uint32(8)).astype(np.float32) * np.float32(2.0**-24)
+
+
+class VisitDraws(Luck):
+    """Failures of one rollout, visit by visit."""
+
+    _step = 0
+
+    def hits(self, robot: int, step: int, cell: int) -> bool:
+        self._step = step
+        return super().hits(robot, step, cell)
+
+    def _reaches_threshold(self, robot: int, chance: np.float32) -> bool:
+        return bool(uniform(self._seed, self._rollout, self._step, robot) < chance)
+
+
+class VisitLoop(ReferenceLoop):
+    """The closed loop of the readable simulator by these draws."""
+
+    def _luck_of(self, seed: int, rollout: int) -> Luck:
+        return VisitDraws(self._world, seed, rollout, self._bearing)
+
+
+# Many samples of rollouts from one long run, which costs a fraction of as many short ones.
+
+AT_ONCE = 128
+"""Samples that are rolled out together."""
+SINGLE = {"visited": "visited", "survived": "survived", "time": "time", "alive": "alive", "outcomes": "outcome"}
+"""Histograms of a tally, and what they are of."""
+
+
+def samples(engine: Engine, count: int, seed: int | None, first: int = 0) -> Iterator[Tally]:
+    """So many samples of LEAST rollouts each, from id `first` on: their histograms, and nothing by step or cell.
+
+    `seed`: of the thresholds, by whose total figures are summed up too; None: they are not.
+    """
+    for start in range(0, count, AT_ONCE):
+        many = min(AT_ONCE, count - start)
+        tally, results = engine.run(first + start * LEAST, many * LEAST)
+        for begin in range(0, many * LEAST, LEAST):
+            yield part(tally, results, begin, begin + LEAST, seed)
+
+
+def part(tally: Tally, results: RolloutResults, begin: int, end: int, seed: int | None) -> Tally:
+    """Of rollouts `begin .. end - 1` of the `results`, counted from their first one."""
+    columns = {field.name: getattr(results, field.name)[begin:end] for field in fields(results)[1:]}
+    own = RolloutResults(results.start + begin, **columns)
+    counts = {name: np.zeros(0, dtype=np.int64) for name in Tally.axes()}
+    counts |= {
+        name: np.bincount(getattr(own, column), minlength=len(getattr(tally, name))) for name, column in SINGLE.items()
+    }
+    if seed is not None:
+        counts["by_luck"] = sums_by_luck(own, seed, tally.robots)
+    return replace(tally, ids=((own.start, own.start + end - begin),), **counts)
+
+
+# The plan in a file, for a world, before its nominal run is compared.
+
+
+def load_plan(path: str | Path, world: World) -> Plan:
+    """As `planner.plan_team.read_plan`, but a plan of today's rules alone, and nothing is planned. Raises PlanError."""
+    return parse_plan(read_plan_json(path), world, str(path))
+
+
+# Policies that other processes can import.
+
+
+def mostly_east(seen: NDArray[np.float32], luck: np.random.Generator) -> NDArray[np.int64]:
+    """East, and now and then wherever."""
+    return np.where(luck.random(len(seen)) < 0.8, 3, luck.integers(0, 5, len(seen)))

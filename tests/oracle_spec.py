@@ -1,0 +1,745 @@
+"""Closed loops once more, written from docs/spec.md alone: unknown maps, phases, returns home, learned hazards."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+# A closed loop of robots that are not told the map, by the paper's rule, once more: written from docs/spec.md alone.
+#
+# It shares no code with the simulators: cells are (row, col), sets are sets, every distance is asked for anew. For
+# tiny worlds; who is stopped is scripted. The allocation at t = 0 is data, as everywhere.
+
+Cell = tuple[int, int]
+WALL = -1
+
+
+def beside(cell: Cell) -> list[Cell]:
+    row, col = cell
+    return [(row - 1, col), (row, col - 1), (row, col + 1), (row + 1, col)]
+
+
+def pieces(cells: Iterable[Cell]) -> list[list[Cell]]:
+    """Connected components, each sorted, by lowest cell."""
+    left, found = set(cells), []
+    while left:
+        piece = {min(left)}
+        while more := {other for cell in piece for other in beside(cell) if other in left} - piece:
+            piece |= more
+        left -= piece
+        found.append(sorted(piece))
+    return found
+
+
+def crosses(start: Cell, end: Cell, cell: Cell) -> bool:
+    """Whether the segment of two centres has a point strictly inside the cell: by a fine walk along it."""
+    wide = abs(end[0] - start[0]) + abs(end[1] - start[1])
+    # Between two places where the segment meets a grid line it is inside one cell: halfway between such places.
+    marks = {0.0, 1.0}
+    for axis in (0, 1):
+        span = end[axis] - start[axis]
+        marks |= {(k + 0.5) / abs(span) for k in range(abs(span))} if span else set()
+    places = sorted(marks)
+    for a, b in itertools.pairwise(places):
+        if b - a > 1e-9 / max(wide, 1):
+            at = [start[axis] + (end[axis] - start[axis]) * (a + b) / 2 for axis in (0, 1)]
+            if all(abs(at[axis] - cell[axis]) < 0.5 - 1e-9 for axis in (0, 1)):
+                return True
+    return False
+
+
+@dataclass
+class Patch:
+    level: int
+    cells: set[Cell]
+    owner: int | None = None
+    over: bool = False
+
+
+@dataclass
+class Walker:
+    at: Cell
+    doing: str = "idle"
+    patch: int | None = None
+    way: list[Cell] = field(default_factory=list)
+    todo: set[Cell] = field(default_factory=set)
+    path: list[Cell] = field(default_factory=list)
+
+
+class Twin:
+    """One run. `believed`, `true`: p `[H, W]`, NaN = obstacle. `areas`: (level, robot or None, cells) at t = 0."""
+
+    def __init__(
+        self, believed: np.ndarray, true: np.ndarray, starts: list[Cell], reach: float, sight: bool,
+        areas: list[tuple[int, int | None, list[Cell]]], stopped: Callable[[int, int, Cell], bool],
+    ) -> None:  # fmt: skip
+        self.reach, self.sight, self.stopped, self.cells = reach, sight, stopped, np.prod(true.shape)
+        grid = list(np.ndindex(*true.shape))
+        either = {c for c in grid if not math.isnan(believed[c]) or not math.isnan(true[c])}
+        near = {c for piece in pieces(either) if set(piece) & set(starts) for c in piece}
+        values = sorted({float(m[c]) for m in (believed, true) for c in near if m[c] > 0})
+        self.scale = [0.0, *values]
+
+        def level(chance: float) -> int:
+            return WALL if math.isnan(chance) else self.scale.index(float(chance)) if chance in self.scale else 0
+
+        self.map = {c: level(believed[c]) for c in grid}
+        self.true = {c: level(true[c]) for c in grid}
+        self.goal = {c for p in pieces(c for c in grid if self.true[c] != WALL) if set(p) & set(starts) for c in p}
+        self.visited: set[Cell] = set()
+        self.team = [Walker(start) for start in starts]
+        for walker in self.team:
+            self.map |= {c: self.true[c] for c in self.seen_from(walker.at)}
+        self.patches = [Patch(level, set(cells), robot) for level, robot, cells in areas]
+        for number, patch in enumerate(self.patches):
+            if patch.owner is not None:
+                self.team[patch.owner].patch, self.team[patch.owner].doing = number, "traveling"
+        self.step, self.quiet, self.moved = 0, 0, False
+
+    # --- what there is ---
+
+    def seen_from(self, at: Cell) -> set[Cell]:
+        found = set()
+        for cell in self.true:
+            if (cell[0] - at[0]) ** 2 + (cell[1] - at[1]) ** 2 <= self.reach**2:
+                walls = [c for c, level in self.true.items() if level == WALL and c not in (at, cell)]
+                if not (self.sight and any(crosses(at, cell, wall) for wall in walls)):
+                    found.add(cell)
+        return found
+
+    def price(self, cell: Cell) -> int:
+        level = self.map[cell]
+        return 1 if level == 0 else math.floor(self.cells * self.scale[level] / self.scale[1] + 0.5)
+
+    def costs(self, source: Cell) -> dict[Cell, int]:
+        cost = {source: 0}
+        while True:
+            more = {}
+            for cell in cost:
+                for other in beside(cell):
+                    if self.map.get(other, WALL) != WALL:
+                        new = cost[cell] + self.price(other)
+                        if new < min(cost.get(other, new + 1), more.get(other, new + 1)):
+                            more[other] = new
+            if not more:
+                return cost
+            cost |= more
+
+    def way(self, source: Cell, target: Cell) -> list[Cell]:
+        cost, back = self.costs(source), [target]
+        while back[-1] != source:
+            here = back[-1]
+            back.append(next(c for c in beside(here) if cost.get(c, -1) == cost[here] - self.price(here)))
+        return back[-2::-1]
+
+    def open(self) -> list[int]:
+        return [n for n, patch in enumerate(self.patches) if patch.owner is None and not patch.over]
+
+    def left(self, number: int) -> set[Cell]:
+        return self.patches[number].cells - self.visited
+
+    # --- Algorithm 2 ---
+
+    def run(self) -> str:
+        while True:
+            self.moved = False
+            for number, walker in enumerate(self.team):
+                self.turn(number, walker)
+            self.look_about()
+            self.quiet = 0 if self.moved else self.quiet + 1
+            if ended := self.ended():
+                return ended
+            self.step += 1
+
+    def ended(self) -> str:
+        """How the run ends after this step; "": it goes on."""
+        if self.goal <= self.visited:
+            return "complete"
+        if all(walker.doing == "dead" for walker in self.team):
+            return "all_robots_lost"
+        return "no_progress" if self.quiet >= 2 else ""
+
+    def affords(self, walker: Walker, target: Cell) -> bool:
+        """Whether the area of this target is there for the walker."""
+        return True
+
+    def turn(self, number: int, walker: Walker) -> None:
+        if self.step == 0:
+            self.enter(number, walker, walker.at)
+            if walker.doing != "dead" and walker.patch is not None:
+                self.set_out(walker)
+                self.settle(number, walker)
+        elif walker.doing in ("idle", "done"):
+            if self.allocate(number, walker, share=False):
+                self.settle(number, walker)
+            walker.path.append(walker.at)
+        elif walker.doing != "dead":
+            self.enter(number, walker, walker.way.pop(0))
+            if walker.doing != "dead":
+                self.settle(number, walker)
+
+    def enter(self, number: int, walker: Walker, cell: Cell) -> None:
+        walker.at, self.moved = cell, True
+        walker.path.append(cell)
+        walker.todo.discard(cell)
+        self.visited.add(cell)
+        for patch in self.patches:
+            if cell in patch.cells and not patch.cells - self.visited:
+                patch.over = True
+        if self.stopped(number, self.step, cell):
+            walker.doing = "dead"
+            if walker.patch is not None:
+                self.replace(walker.patch, pieces(self.left(walker.patch)))
+
+    def replace(self, number: int, parts: list[list[Cell]]) -> list[int]:
+        """The parts become patches of their own; the patch keeps what is visited."""
+        patch = self.patches[number]
+        patch.cells &= self.visited
+        patch.over = True
+        self.patches += [Patch(patch.level, set(part)) for part in parts]
+        return list(range(len(self.patches) - len(parts), len(self.patches)))
+
+    def settle(self, number: int, walker: Walker) -> None:
+        while not walker.way:
+            if walker.doing == "traveling":
+                walker.doing, walker.todo = "covering", self.left(walker.patch)
+                self.cover(walker, walker.at)
+            elif walker.doing == "covering":
+                self.patches[walker.patch].over = True
+                self.allocate(number, walker, share=True)
+            else:
+                return
+
+    def cover(self, walker: Walker, here: Cell) -> None:
+        """Legs to the cheapest of what is to do, one after the other."""
+        todo = walker.todo - {here}
+        while todo:
+            cost = self.costs(here)
+            target = min(todo, key=lambda cell: (cost[cell], cell))
+            walker.way += self.way(here, target)
+            todo, here = todo - {target}, target
+
+    def nearest(self, here: Cell, number: int) -> tuple[int, Cell] | None:
+        cost = self.costs(here)
+        return min(((cost[c], c) for c in self.patches[number].cells if c in cost), default=None)
+
+    def set_out(self, walker: Walker) -> None:
+        _, target = self.nearest(walker.at, walker.patch)
+        walker.way, walker.doing = self.way(walker.at, target), "traveling"
+
+    def allocate(self, number: int, walker: Walker, *, share: bool) -> bool:
+        seen = [(n, at) for n in self.open() if (at := self.nearest(walker.at, n))]
+        found = [(self.patches[n].level, at[0], n) for n, at in seen if self.affords(walker, at[1])]
+        if found:
+            walker.patch = min(found)[2]
+            self.patches[walker.patch].owner = number
+            self.set_out(walker)
+            self.moved = True
+            return True
+        if share and self.share(number, walker):
+            return True
+        if share:
+            walker.doing, walker.patch, walker.way = "done", None, []
+        return False
+
+    def share(self, number: int, walker: Walker) -> bool:
+        found = []
+        for other, owner in enumerate(self.team):
+            if other != number and owner.doing in ("traveling", "covering") and len(self.left(owner.patch)) >= 2:
+                at = self.nearest(walker.at, owner.patch)
+                near = at and len(self.way(walker.at, at[1])) <= len(self.left(owner.patch))
+                if near and self.affords(walker, at[1]):
+                    found.append((self.patches[owner.patch].level, at[0], owner.patch, other))
+        if not found:
+            return False
+        *_, patch, other = min(found)
+        parts = pieces(self.left(patch))
+        new = self.replace(patch, sorted(halves(parts[0])) if len(parts) == 1 else parts)
+        owner = self.team[other]
+        pairs = [
+            (self.nearest(owner.at, a)[0] + self.nearest(walker.at, b)[0], a, b) for a in new for b in new if a != b
+        ]
+        for who, robot, part in ((owner, other, min(pairs)[1]), (walker, number, min(pairs)[2])):
+            who.patch, self.patches[part].owner = part, robot
+            self.set_out(who)
+        self.moved = True
+        return True
+
+    # --- section 15 ---
+
+    def look_about(self) -> None:
+        live = [walker for walker in self.team if walker.doing != "dead"]
+        seen = {cell for walker in live for cell in self.seen_from(walker.at)}
+        news = {cell for cell in seen if self.map[cell] != self.true[cell]}
+        if not news:
+            return
+        self.moved = True  # a step in which the map changes is none without progress
+        legs = {}
+        for number, walker in enumerate(self.team):  # the leg that it is on, as it was found
+            ends = [i for i, cell in enumerate(walker.way) if walker.doing == "traveling" or cell in walker.todo]
+            legs[number] = walker.way[: (ends[-1] if walker.doing == "traveling" else ends[0]) + 1] if ends else []
+        self.map |= {cell: self.true[cell] for cell in seen}
+        near = {n: set(self.costs(walker.at)) for n, walker in enumerate(self.team) if walker.doing != "dead"}
+        reached = set().union(*near.values())
+        for number, patch in enumerate(list(self.patches)):
+            owner = next((n for n, w in enumerate(self.team) if w.patch == number and w.doing in WORKING), None)
+            if owner is not None:
+                patch.cells = (patch.cells - news) & near[owner]
+                self.team[owner].todo &= patch.cells
+            elif not patch.over:
+                apart = len({frozenset(one) for one in near.values() if one & patch.cells})
+                if patch.cells & news or not patch.cells <= reached or apart > 1:
+                    parts = pieces((patch.cells - news - self.visited) & reached)
+                    patch.cells, patch.over = set(parts[0]) if parts else set(), not parts
+                    self.patches += [Patch(patch.level, set(part)) for part in parts[1:]]
+        self.take_in(reached)
+        for number, walker in enumerate(self.team):
+            if walker.doing in WORKING:
+                self.set_right(number, walker, legs[number], news, near[number])
+
+    def take_in(self, reached: set[Cell]) -> None:
+        held = set().union(*(patch.cells for patch in self.patches))
+        new = [cell for cell in reached - self.visited - held if self.map[cell] != WALL]
+        parts = [
+            part for level in {self.map[c] for c in new} for part in pieces(c for c in new if self.map[c] == level)
+        ]
+        for part in sorted(parts):
+            round_about = {other for cell in part for other in beside(cell)}
+            mine = [
+                n
+                for n in self.open()
+                if self.patches[n].level == self.map[part[0]] and self.patches[n].cells & round_about
+            ]
+            if not mine:
+                self.patches.append(Patch(self.map[part[0]], set(part)))
+                continue
+            for n in mine[1:]:
+                self.patches[mine[0]].cells |= self.patches[n].cells
+                self.patches[n].cells, self.patches[n].over = set(), True
+            self.patches[mine[0]].cells |= set(part)
+
+    def set_right(self, number: int, walker: Walker, leg: list[Cell], news: set[Cell], near: set[Cell]) -> None:
+        if not self.left(walker.patch):
+            self.patches[walker.patch].over, walker.way = True, []
+            self.allocate(number, walker, share=True)
+        elif set(leg) & news or not set(leg) <= near:
+            if walker.doing == "traveling":
+                self.set_out(walker)
+            else:
+                walker.way, walker.todo = [], self.left(walker.patch)
+                self.cover(walker, walker.at)
+        elif walker.doing == "covering":
+            walker.way = list(leg)
+            self.cover(walker, leg[-1])
+        self.settle(number, walker)
+
+
+WORKING = ("traveling", "covering")
+
+
+def halves(cells: list[Cell]) -> list[list[Cell]]:
+    """Two connected halves of a connected set (docs/spec.md, section 5)."""
+    far = min(layers(cells, min(cells))[-1])
+    goal, grown = (len(cells) + 1) // 2, []
+    for layer in layers(cells, far):
+        grown += sorted(layer)[: goal - len(grown)]
+    rest = pieces(set(cells) - set(grown))
+    stays = max(rest, key=lambda part: (len(part), [-c for c in part[0]]))
+    return [sorted(set(cells) - set(stays)), stays]
+
+
+def layers(cells: list[Cell], source: Cell) -> list[list[Cell]]:
+    found, left = [[source]], set(cells) - {source}
+    while more := {other for cell in found[-1] for other in beside(cell) if other in left}:
+        left -= more
+        found.append(list(more))
+    return found
+
+
+# Threats that change with time, by everything that can happen: a closed loop by the paper's rule, and given paths.
+#
+# Written from docs/spec.md, sections 15 and 16, on the twin of section 15, which shares no code with the simulators.
+# Maps are float arrays, NaN = obstacle; cells are (row, col).
+
+Judge = Callable[[int, int, Cell], bool]
+Areas = list[tuple[int, "int | None", list[Cell]]]
+
+
+class Timed(Twin):
+    """One run in which all robots know of each map when it begins; `maps`: [(first step, p)], the first from 0."""
+
+    def __init__(self, maps: list[tuple[int, np.ndarray]], starts: list[Cell], areas: Areas, stopped: Judge) -> None:
+        first = maps[0][1]
+        super().__init__(first, first, starts, 0, False, areas, stopped)
+        chances = {float(p[cell]) for _, p in maps for cell in self.goal}
+        self.scale = sorted({0.0} | chances)
+        self.levels = {begin: {c: self.level_of(p[c]) for c in np.ndindex(*p.shape)} for begin, p in maps}
+        self.map, self.true = self.levels[0].copy(), self.levels[0]
+        begins = sorted(self.levels)
+        self.last_change = max(
+            (now for before, now in pairwise(begins)
+             if any(self.levels[before][c] != self.levels[now][c] for c in self.goal)),
+            default=0,
+        )  # fmt: skip
+
+    def level_of(self, chance: float) -> int:
+        return self.scale.index(float(chance)) if float(chance) in self.scale else -1
+
+    def seen_from(self, at: Cell) -> set[Cell]:
+        return self.goal
+
+    def can_act(self, number: int) -> bool:
+        return self.team[number].doing != "dead"
+
+    def ended(self) -> str:
+        """No team is stuck while a robot that can act waits for a change that is still to come."""
+        waits = self.step + 1 < self.last_change and any(map(self.can_act, range(len(self.team))))
+        end = super().ended()
+        return "" if end == "no_progress" and waits else end
+
+    def look_about(self) -> None:
+        self.true = getattr(self, "levels", {}).get(self.step + 1, self.true)
+        super().look_about()
+
+
+def met(maps: list[tuple[int, np.ndarray]], step: int, cell: Cell) -> float:
+    return float([p for begin, p in maps if begin <= step][-1][cell])
+
+
+def mean_of(play: Callable[[Judge], tuple[float, ...]], maps: list[tuple[int, np.ndarray]]) -> np.ndarray:
+    """Expected values of what `play` gives, and of cells survived after it, over all that can happen."""
+    total, left = np.zeros(1), [([], 1.0)]
+    while left:
+        decided, weight = left.pop()
+        made: list[bool] = []
+        safely: set[Cell] = set()
+        chance = [weight]
+
+        def judge(
+            robot: int, step: int, cell: Cell,
+            decided: list[bool] = decided, made: list[bool] = made, safely: set[Cell] = safely,
+            chance: list[float] = chance,
+        ) -> bool:  # fmt: skip
+            p = met(maps, step, cell)
+            if p > 0:
+                if len(made) < len(decided):
+                    made.append(decided[len(made)])
+                else:
+                    left.append(([*made, True], chance[0] * p))
+                    chance[0] *= 1 - p
+                    made.append(False)
+                if made[-1]:
+                    return True
+            safely.add(cell)
+            return False
+
+        told = play(judge)
+        total = total + chance[0] * np.array([*told, len(safely)])
+    return total
+
+
+def closed_loop(maps: list[tuple[int, np.ndarray]], starts: list[Cell], areas: Areas, judge: Judge) -> tuple[int, int]:
+    """(visited, alive) of one run."""
+    run = Timed(maps, starts, areas, judge)
+    run.run()
+    return len(run.visited), sum(walker.doing != "dead" for walker in run.team)
+
+
+def open_loop(paths: list[list[Cell]], judge: Judge) -> tuple[int, int]:
+    """The same of given paths; who waits visits nothing."""
+    visited, alive = set(), set(range(len(paths)))
+    for step in range(max(map(len, paths))):
+        for robot, path in enumerate(paths):
+            if robot in alive and step < len(path) and (step == 0 or path[step] != path[step - 1]):
+                visited.add(path[step])
+                if judge(robot, step, path[step]):
+                    alive.remove(robot)
+    return len(visited), len(alive)
+
+
+# Robots that come home, once more: a twin written from docs/spec.md, sections 4 and 19, alone.
+#
+# What robots do with their areas is `oracle_unknown`'s; threats may change (`oracle_phases`). Cells are (row, col).
+
+MANY = 10**9
+
+
+class Homing(Timed):
+    """One run of robots that come home to `bases`, one list a robot; `limit`: moves of each, `last`: the deadline."""
+
+    def __init__(
+        self, maps: list[tuple[int, np.ndarray]], starts: list[Cell], areas: Areas, stopped: Judge,
+        bases: list[list[Cell]], limit: list[int], last: int, recharge: int,
+    ) -> None:  # fmt: skip
+        super().__init__(maps, starts, areas, stopped)
+        self.bases, self.limit, self.last, self.recharge = bases, limit, last, recharge
+        self.left_moves, self.turned, self.charges = list(limit), [False] * len(starts), [False] * len(starts)
+        self.ready, self.over, self.thrifty, self.homes = [0] * len(starts), "", True, {}
+
+    # --- ways home ---
+
+    def home(self, number: int) -> dict[Cell, tuple[int, int]]:
+        """(cost, moves) of the way home from each cell, as the map is believed now."""
+        known = tuple(sorted(self.map.items())), tuple(self.bases[number])
+        if known not in self.homes:
+            found = {base: (0, 0) for base in self.bases[number] if self.map[base] != WALL}
+            while True:
+                offers = {}
+                for cell, (cost, moves) in found.items():
+                    for other in (one for one in beside(cell) if self.map.get(one, WALL) != WALL):
+                        offer = (cost + self.price(cell), moves + 1)
+                        if offer < min(found.get(other, (MANY, 0)), offers.get(other, (MANY, 0))):
+                            offers[other] = offer
+                if not offers:
+                    break
+                found |= offers
+            self.homes[known] = found
+        return self.homes[known]
+
+    def way_home(self, number: int, cell: Cell) -> list[Cell]:
+        at, way = self.home(number), []
+        while at.get(cell, (0, 0))[1] > 0:
+            cost, moves = at[cell]
+            cell = next(o for o in beside(cell) if o in at and at[o] == (cost - self.price(o), moves - 1))
+            way.append(cell)
+        return way
+
+    def far(self, number: int, cell: Cell) -> int:
+        """h, less than nothing where no base is in reach."""
+        return self.home(number).get(cell, (0, -1))[1]
+
+    # --- what it can afford ---
+
+    def affords(self, walker: Walker, target: Cell) -> bool:
+        number = self.team.index(walker)
+        h = self.far(number, target)
+        moves = min(self.left_moves[number], self.last - self.step)
+        return h < 0 or not self.thrifty or len(self.way(walker.at, target)) + h <= moves
+
+    def goes_on(self, number: int, moves: int) -> bool:
+        """Whether it could turn at every cell up to the end of its leg, with so many moves left."""
+        walker = self.team[number]
+        ends = [place for place, cell in enumerate(walker.way) if cell in walker.todo]
+        leg = walker.way if walker.doing == "traveling" else walker.way[: ends[0] + 1]
+        return all(self.far(number, cell) <= moves - k for k, cell in enumerate(leg, 1))
+
+    def turn_home(self, number: int, *, charged: bool) -> None:
+        walker = self.team[number]
+        self.charges[number] = charged and self.recharge > 0 and self.left_moves[number] < self.limit[number]
+        self.lay_down(walker)
+        self.turned[number], walker.way = True, self.way_home(number, walker.at)
+        if walker.way:
+            walker.doing = "returning"
+        elif self.far(number, walker.at) == 0:
+            self.arrive(number)
+
+    def lay_down(self, walker: Walker) -> None:
+        if walker.patch is not None:
+            self.replace(walker.patch, pieces(self.left(walker.patch)))
+        walker.doing, walker.patch, walker.way, walker.todo = "done", None, [], set()
+
+    def arrive(self, number: int) -> None:
+        self.team[number].doing, self.team[number].way = "done", []
+        if self.charges[number] and not self.over:
+            self.team[number].doing, self.ready[number] = "charging", self.step + self.recharge
+
+    def rests(self, number: int) -> bool:
+        """Nothing is left that it can afford: it turns to be charged if there were something with moves enough."""
+        walker = self.team[number]
+        if not self.recharge or self.left_moves[number] == self.limit[number]:
+            return False
+        if not any(self.nearest(walker.at, n) for n in self.open()):
+            return False
+        self.turn_home(number, charged=True)
+        return True
+
+    # --- a turn ---
+
+    def turn(self, number: int, walker: Walker) -> None:
+        if walker.doing == "charging":
+            self.moved = True
+            if self.step >= self.ready[number]:
+                self.left_moves[number], self.turned[number], walker.doing = self.limit[number], False, "idle"
+                self.allocate(number, walker, share=True)
+                self.settle(number, walker)
+            walker.path.append(walker.at)
+            return
+        if self.step > 0 and walker.doing in WORKING:
+            moves = self.left_moves[number]
+            if not self.goes_on(number, min(moves, self.last - self.step + 1)):
+                self.turn_home(number, charged=not self.goes_on(number, moves))
+        waits = walker.doing in ("idle", "done") and (self.turned[number] or not self.left_moves[number])
+        if self.step > 0 and (waits or walker.doing == "charging"):
+            walker.path.append(walker.at)
+            return
+        super().turn(number, walker)
+
+    def allocate(self, number: int, walker: Walker, *, share: bool) -> bool:
+        return super().allocate(number, walker, share=share) or (self.rests(number) and False)
+
+    def enter(self, number: int, walker: Walker, cell: Cell) -> None:
+        self.left_moves[number] -= self.step > 0
+        super().enter(number, walker, cell)
+
+    def settle(self, number: int, walker: Walker) -> None:
+        if walker.doing == "returning":
+            if self.far(number, walker.at) == 0:
+                self.arrive(number)
+            elif not self.left_moves[number]:
+                walker.doing, walker.way = "done", []
+        elif not self.left_moves[number] and walker.doing in WORKING:
+            if self.far(number, walker.at) == 0:
+                self.turn_home(number, charged=True)
+            else:
+                self.lay_down(walker)
+        else:
+            super().settle(number, walker)
+
+    # --- the end of a step ---
+
+    def look_about(self) -> None:
+        super().look_about()
+        for number, walker in enumerate(getattr(self, "turned", ()) and self.team):
+            if walker.doing == "returning":
+                walker.way = self.way_home(number, walker.at)
+                walker.doing = "returning" if walker.way else "done"
+
+    def can_act(self, number: int) -> bool:
+        return super().can_act(number) and self.left_moves[number] > 0 and not self.turned[number]
+
+    def ended(self) -> str:
+        self.over = self.over or super().ended()
+        for number, walker in enumerate(self.team):
+            if walker.doing == "charging" and self.over:
+                walker.doing = "done"
+            late = walker.doing in ("idle", "done") and 0 < self.far(number, walker.at) >= self.last - self.step
+            if self.can_act(number) and (self.over or late):
+                self.turn_home(number, charged=False)
+        away = any(walker.doing == "returning" for walker in self.team)
+        dead = all(walker.doing == "dead" for walker in self.team)
+        ended = "all_robots_lost" if dead else "" if away else self.over
+        ended = ended or ("step_limit" if self.step >= self.last else "")
+        return "complete" if ended and self.goal <= self.visited else ended
+
+    def at_home(self) -> list[bool]:
+        return [w.doing != "dead" and w.at in self.bases[n] for n, w in enumerate(self.team)]
+
+
+def allocation(p: np.ndarray, starts: list[Cell]) -> Areas | None:
+    """Algorithm 1 with a density of 4; None where a safe area has several robots, which METIS is to split."""
+    goal = {
+        c for part in pieces(c for c in np.ndindex(*p.shape) if not np.isnan(p[c])) if {*part} & {*starts} for c in part
+    }
+    scale = sorted({0.0, *(float(p[c]) for c in goal)})
+    areas = [
+        (level, part) for level, value in enumerate(scale) for part in pieces(c for c in goal if float(p[c]) == value)
+    ]
+    twin, has = Timed([(0, p)], starts, [(0, None, part) for _, part in areas], lambda *_: False), {}
+    for robot, start in enumerate(starts):
+        safe = [n for n, (level, _) in enumerate(areas) if level == 0 and twin.nearest(start, n)]
+        for n in sorted(safe, key=lambda n: (twin.nearest(start, n)[0], n)):
+            if 4 * sum(1 for owner in has.values() if owner == n) <= len(areas[n][1]):
+                has[robot] = n
+                break
+    if len({*has.values()}) < len(has):
+        return None
+    return [
+        (level, next((r for r, owner in has.items() if owner == n), None), part)
+        for n, (level, part) in enumerate(areas)
+    ]
+
+
+# Robots that learn about hazards, once more: a twin written from docs/spec.md alone, by Bayes' rule in floats.
+#
+# It shares no code with the simulators; what robots do with what they believe is `oracle_unknown`'s.
+
+
+class Pupil(Twin):
+    """One run. `q`, `h`: `[H, W]`, NaN = obstacle; `detector`: (range, detect, false alarm) or None.
+
+    `alarm(robot, step, cell)`: its readings. Other arguments as of `Twin`.
+    """
+
+    def __init__(
+        self, q: np.ndarray, h: np.ndarray, consumed: bool, starts: list[Cell],
+        areas: list[tuple[int, int | None, list[Cell]]], stopped: Callable[[int, int, Cell], bool],
+        detector: tuple[float, float, float] | None = None, alarm: Callable[[int, int, Cell], bool] | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(q * h, q * h, starts, 0, False, areas, stopped)
+        self.hits, self.consumed, self.detector, self.alarm = h, consumed, detector, alarm
+        self.first = {c: float(q[c]) for c in self.true if not math.isnan(q[c])}
+        self.chance, self.passed = dict(self.first), dict.fromkeys(self.first, 0)
+        near = {c for c in self.goal if self.first[c] > 0}
+        values = {self.planned(c, k) for c in near for k in self.classes()} | {
+            h[c] for c in near if self.may_be_sure(c)
+        }
+        self.scale = [0.0, *sorted({float(f"{value:.5g}") for value in values if 0 < value < 1})]
+        self.true = {c: self.level(c) for c in self.true}
+        self.map = dict(self.true)
+
+    def classes(self) -> range:
+        return range(-4, 5) if self.detector else range(4)
+
+    def may_be_sure(self, cell: Cell) -> bool:
+        surely = self.detector is not None and self.detector[2] == 0
+        return self.first[cell] == 1 or not self.consumed or surely
+
+    def planned(self, cell: Cell, k: int) -> float:
+        """p of the class k of a cell: k survived visits, or k nats less."""
+        q, h = self.first[cell], float(self.hits[cell])
+        if q in (0, 1):
+            return q * h
+        if self.detector:
+            odds = q / (1 - q) * math.exp(-k)
+            return h * odds / (1 + odds)
+        for _ in range(k):
+            q = q * (1 - h) / (1 - q * h)
+        return q * h
+
+    def level(self, cell: Cell) -> int:
+        """That of what robots believe of the cell by now."""
+        if cell not in self.first:
+            return WALL
+        q, now, h = self.first[cell], self.chance[cell], float(self.hits[cell])
+        if now in (0, 1) or q in (0, 1):
+            p = now * h
+        elif self.detector:
+            nats = math.log(q / (1 - q)) - math.log(now / (1 - now))
+            p = self.planned(cell, max(-4, min(4, math.trunc(nats + math.copysign(1e-6, nats)))))
+        else:
+            p = self.planned(cell, min(3, self.passed[cell]))
+        if p == 1:
+            return WALL
+        return min(range(len(self.scale)), key=lambda level: abs(self.scale[level] - p))
+
+    def seen_from(self, at: Cell) -> set[Cell]:
+        return set(self.true)  # what is known all know: `true` is what the evidence says
+
+    def enter(self, number: int, walker: Walker, cell: Cell) -> None:
+        super().enter(number, walker, cell)
+        q, h = self.chance[cell], float(self.hits[cell])
+        if walker.doing == "dead":
+            self.chance[cell] = 0.0 if self.consumed else 1.0
+        elif q < 1:
+            self.chance[cell] = q * (1 - h) / (1 - q * h)
+            self.passed[cell] += 1
+
+    def look_about(self) -> None:
+        for number, walker in enumerate(self.team):
+            if self.detector and walker.doing != "dead":
+                self.read(number, walker)
+        self.true |= {c: self.level(c) for c in self.chance}
+        super().look_about()
+
+    def read(self, number: int, walker: Walker) -> None:
+        reach, b, a = self.detector
+        for cell, q in self.chance.items():
+            if cell in self.goal and (cell[0] - walker.at[0]) ** 2 + (cell[1] - walker.at[1]) ** 2 <= reach**2:
+                right, wrong = (b, a) if self.alarm(number, self.step, cell) else (1 - b, 1 - a)
+                if 0 < q < 1:
+                    self.chance[cell] = q * right / (q * right + (1 - q) * wrong)

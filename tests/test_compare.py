@@ -1,0 +1,348 @@
+"""`mrac-jax compare`: differences on common random numbers, against exact ones and against themselves."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from functools import cache
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import FOLDER, load_fixture
+from page_reader import refused
+
+import analysis.comparison
+import mrac_jax as mrac
+from analysis.cli.app import run
+from analysis.comparison import FIGURES, Comparison, compare, differing, headline, make_side, report
+from analysis.inputs import load_world
+from analysis.sampling import RolloutChoices, make_singles
+from analysis.statistics.estimates import FIRST_LOOK
+from planner.errors import UsageError
+from planner.mrac.make_plan import make_plan
+from planner.plan.plan import Plan
+from planner.settings import Settings
+from planner.world.features import with_prior, with_sense
+from planner.world.levels import place_starts
+from planner.world.world import World
+
+WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
+
+
+@cache
+def team(robots: int, name: str = "contiguous-14x23-1000-k2") -> tuple[World, Plan]:
+    world = load_fixture(name).world
+    return world, make_plan(world, place_starts(world, robots)[0])
+
+
+def answer(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
+    assert run(["compare", *words, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@cache
+def compared(robots: tuple[int, int], choices: RolloutChoices) -> Comparison:
+    return compare(*(make_side(*team(k), choices) for k in robots))
+
+
+def test_a_difference_is_that_of_the_rollouts_one_by_one() -> None:
+    choices = RolloutChoices(rollouts=1000, seed=3)
+    found = compared((3, 4), choices)
+    singles = [make_singles(*team(k), choices)(0, 1000) for k in (3, 4)]
+    apart = (singles[1].visited.astype(int) - singles[0].visited) / found.a.cells
+    estimate = found.difference("visited").estimate
+    assert estimate.mean == pytest.approx(apart.mean(), rel=1e-12)
+    assert estimate.se == pytest.approx(apart.std(ddof=1) / np.sqrt(1000), rel=1e-9)
+    assert (found.ahead, found.behind) == (int((apart > 0).sum()), int((apart < 0).sum()))
+    alive = found.difference("alive").estimate
+    assert alive.mean == pytest.approx((singles[1].alive.astype(int) - singles[0].alive).mean())
+
+
+def test_turned_round_it_changes_sign() -> None:
+    choices = RolloutChoices(rollouts=2048)
+    there, back = compared((3, 4), choices), compared((4, 3), choices)
+    for figure in FIGURES:
+        one, other = there.difference(figure).estimate, back.difference(figure).estimate
+        assert one.mean == pytest.approx(-other.mean, abs=1e-12)
+        assert one.se == pytest.approx(other.se, abs=1e-12)
+    assert (there.ahead, there.behind) == (back.behind, back.ahead)
+
+
+def test_the_same_on_both_sides_differs_in_nothing() -> None:
+    found = compared((4, 4), RolloutChoices(rollouts=2048))
+    assert found.ahead == found.behind == 0
+    for figure in FIGURES:
+        estimate = found.difference(figure).estimate
+        assert (estimate.mean, estimate.se) == (0, 0)
+        assert estimate.ci95 == (0, 0)
+    assert headline(found) == "A and B are the same in everything: no difference (exact)."
+
+
+def test_rests_of_two_missions_differ_by_what_they_go_on_from(tmp_path: Path) -> None:
+    world, sides = World.create([[0, 0.1, 0.2, 0.3]]), []
+    for name, borne in (("a.json", 0.0), ("b.json", 1.5)):
+        state = {"format": "mrac-state", "version": 1, "step": 1, "visited": [[0, 0], [0, 1]],
+                 "robots": [{"cell": [0, 1], "exposure": borne}]}  # fmt: skip
+        (tmp_path / name).write_text(json.dumps(state))
+        plan = mrac.plan(world, state=tmp_path / name, wear=3.0)
+        sides.append(make_side(world, plan, RolloutChoices(rollouts=20_000)))
+    found = compare(*sides)
+    assert found.differing == (("its own state",), ("another state",))
+    difference, exact = found.difference("visited").estimate, found.exact_difference("visited")
+    assert exact is not None and exact < -0.17 and abs(difference.mean - exact) < 5 * difference.se
+
+
+def test_plans_that_differ_in_their_areas_alone_are_told_apart() -> None:
+    world = World.create([[0, 0.1, 0.2, 0.3]])
+    plan = mrac.plan(world, robots=1)
+    swapped = replace(plan, areas=plan.areas[::-1])
+    sides = [make_side(world, one, RolloutChoices(rollouts=64)) for one in (plan, swapped)]
+    assert differing(*sides) == (("its own allocation",), ("another allocation",))
+
+
+@pytest.mark.usefixtures("full_effort")
+def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    asked = (WORLD, "--robots", "1", "--b.robots", "4", "--b.risk", "log", "--rollouts", "512")
+    assert (
+        "points (exact) more of the accessible cells than A (1 robot, risk paper);" in answer(capsys, *asked)["answer"]
+    )
+    found = answer(capsys, *asked, "--exact", "never")
+    assert (
+        "points (exact) more of the accessible cells than A (1 robot, risk paper);"
+        in answer(capsys, *asked, "--exact", "0.5")["answer"]
+    )
+    assert "B (4 robots, risk log) visits" in found["answer"]
+    assert "than A (1 robot, risk paper) on average" in found["answer"]
+    assert found["differing"] == {"a": ["1 robot", "risk paper"], "b": ["4 robots", "risk log"]}
+
+    limited = ("--policy", "per_cell", "--worth", "30.5")
+    found = answer(capsys, WORLD, *limited, "--b.policy", "mrac", "--rollouts", "64")
+    assert found["differing"] == {"a": ["policy per_cell", "worth 30.5"], "b": ["policy mrac", "no worth"]}
+
+    found = answer(capsys, WORLD, "--deadline", "90", "--b.return-to", "home", "--rollouts", "64")
+    assert found["differing"] == {"a": ["no return to"], "b": ["return to home"]}  # the deadline is both sides'
+
+    paths = tmp_path / "paths.json"
+    world, plan = team(3)
+    width = world.shape[1]
+    moves = [[[int(at) for at in divmod(int(cell), width)] for cell in robot.path] for robot in plan.robots]
+    paths.write_text(json.dumps({"paths": moves}))
+    assert run(["compare", WORLD, str(paths), "--robots", "3", "--rollouts", "512"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "B (a plan of another planner, open loop) visits" in said
+    assert "than A (an MRAC plan, closed loop)" in said
+    assert "note: in A the survivors take over the areas of the lost, in B nobody does" in said
+
+    one, other = (f"{row},{col}" for row, col in place_starts(world, 2)[0])
+    found = answer(capsys, WORLD, "--starts", one, "--b.starts", other, "--rollouts", "64")
+    assert found["differing"] == {"a": ["its own starts"], "b": ["other starts"]}
+
+
+def test_two_sensors_on_the_same_luck(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """B's option is one of A's team's; the means are those of each by itself, and not to see a difference of maps."""
+    scenario = tmp_path / "dark.yaml"
+    scenario.write_text(f"map: {WORLD}\nprior: {{p: 0.04}}\nsense: 2\nrobots: {{count: 3}}\n")
+    asked = (
+        str(scenario),
+        "--robots",
+        "2",
+        "--sense",
+        "1",
+        "--b.sense",
+        "inf",
+        "--rollouts",
+        "2048",
+        "--exact",
+        "never",
+    )
+    found = answer(capsys, *asked)
+    assert found["differing"] == {"a": ["robots see 1 cell far"], "b": ["robots see everything"]}
+    assert (found["a"]["robots"], found["b"]["robots"]) == (2, 2)
+    low, high = found["difference"]["visited"]["ci95"]
+    assert 0 < low < high and found["difference"]["visited"]["gain"] > 2
+    world = load_world(str(scenario))
+    for side, far in (("a", 1), ("b", inf)):
+        seeing = with_sense(world, far)
+        plan = make_plan(seeing, place_starts(seeing, 2)[0])
+        alone = (
+            make_singles(seeing, plan, RolloutChoices(rollouts=2048))(0, 2048).visited.mean()
+            / found[side]["accessible"]
+        )
+        assert found[side]["mean"]["visited"] == pytest.approx(alone, abs=0.02)
+    told = team(2)
+    for known, words in ((None, "robots are told the map"), (1, "robots see 1 cell far")):
+        one = told[0] if known is None else with_prior(told[0], 0.04, sense=known)
+        dark = with_prior(told[0], 0.04, sense=2)
+        sides = (make_side(w, make_plan(w, told[1].starts), RolloutChoices(rollouts=64)) for w in (one, dark))
+        assert compare(*sides).differing == ((words,), ("robots see 2 cells far",))
+    assert run(["compare", WORLD, "--b.sense", "1"]) == 2
+    assert "error: B:" in (said := capsys.readouterr().err) and "nothing to sense" in said
+    assert run(["compare", str(scenario), "--sense", "far"]) == 2
+    assert "--sense 'far'" in capsys.readouterr().err
+
+
+def test_the_interval_holds_the_exact_difference() -> None:
+    found = compared((1, 2), RolloutChoices(rollouts=65_536, seed=8))
+    for figure in ("visited", "survived"):
+        exact, estimate = found.exact_difference(figure), found.difference(figure).estimate
+        assert exact is not None and abs(estimate.mean - exact) <= 4 * estimate.se
+
+
+def test_common_random_numbers_are_sharper_for_small_changes() -> None:
+    """Open against closed loop of the same plan share the luck; the variance of the difference says so."""
+    world, plan = team(2)
+    sides = [make_side(world, plan, RolloutChoices(loop=loop, rollouts=8192)) for loop in ("open", "closed")]
+    found = compare(*sides)
+    assert found.difference("visited").gain > 2
+    exact, estimate = found.exact_difference("visited"), found.difference("visited").estimate
+    assert exact is not None and abs(estimate.mean - exact) <= 4 * estimate.se
+
+
+@pytest.mark.usefixtures("few_lanes")
+def test_engines_give_the_same_comparison() -> None:
+    world = World.create(np.where(np.indices((5, 6)).sum(axis=0) % 3 == 1, 0.2, 0.0))
+    plans = [make_plan(world, [[0, 0], [4, 5], [0, 5]][:robots]) for robots in (2, 3)]
+    found = [
+        compare(*(make_side(world, plan, RolloutChoices(rollouts=512, engine=engine)) for plan in plans))
+        for engine in ("numba", "jax")
+    ]
+    assert found[0].pairs == found[1].pairs
+
+
+def test_precision_is_of_the_difference_and_looked_at_after_doubling() -> None:
+    found = compared((3, 4), RolloutChoices(precision=0.004))
+    assert found.difference("visited").estimate.half_width < 0.004
+    assert found.rollouts in [FIRST_LOOK << j for j in range(6)]
+    half = compared((3, 4), RolloutChoices(rollouts=found.rollouts // 2))
+    assert half.difference("visited").estimate.half_width >= 0.004
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [({"seed": 2}, "seed: 1 and 2"), ({"rollouts": 64}, "rollouts: 512 and 64"),
+     ({"precision": 0.1}, "precision: None and 0.1")],
+)  # fmt: skip
+def test_sides_of_other_rollouts_are_refused(other: dict[str, Any], said: str) -> None:
+    """Rollout r of both must meet the same luck."""
+    mine = RolloutChoices(rollouts=512, seed=1)
+    with pytest.raises(UsageError, match=f"the sides differ in {said}; expected the same rollouts"):
+        compare(*(make_side(*team(3), choices) for choices in (mine, replace(mine, **other))))
+
+
+def test_interrupted_leaves_what_was_done(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    real, calls = analysis.comparison._add, []
+
+    def stop_later(*words):  # type: ignore[no-untyped-def]
+        calls.append(words)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return real(*words)
+
+    monkeypatch.setattr(analysis.comparison, "_add", stop_later)
+    assert run(["compare", WORLD, "--robots", "3", "--b.robots", "4", "--rollouts", "50000", "--json"]) == 130
+    found = json.loads(capsys.readouterr().out)
+    assert found["partial"] is True and found["rollouts"] == FIRST_LOOK
+
+
+def test_the_command_on_teams_settings_plans_and_loops(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    found = answer(capsys, WORLD, "--robots", "1", "--b.robots", "4", "--rollouts", "4096")
+    assert (found["a"]["robots"], found["b"]["robots"]) == (1, 4)
+    low, high = found["difference"]["visited"]["ci95"]
+    assert 0 < low < high and found["b_ahead"]["mean"] > 0.5 and "more" in found["answer"]
+
+    found = answer(capsys, WORLD, "--robots", "1", "--b.risk", "log", "--rollouts", "512")
+    assert (found["a"]["settings"]["risk"], found["b"]["settings"]["risk"]) == ("paper", "log")
+    assert found["exact_difference"]["visited"] is not None
+
+    plan = tmp_path / "plan.json"
+    team(3)[1].save(plan)
+    found = answer(capsys, WORLD, str(plan), "--robots", "3", "--rollouts", "512")
+    assert found["difference"]["visited"]["mean"] == 0
+
+    stays = tmp_path / "stays.json"
+    start = [int(at) for at in divmod(team(1)[1].robots[0].path[0], 23)]
+    stays.write_text(json.dumps({"paths": [[start]]}))
+    found = answer(capsys, WORLD, str(stays), "--loop", "open", "--rollouts", "512")
+    assert found["b"]["settings"] is None and found["difference"]["visited"]["ci95"][1] < 0
+
+    assert run(["compare", WORLD, "--robots", "3", "--b.loop", "open", "--rollouts", "512"]) == 0
+    assert "; open loop" in " ".join(capsys.readouterr().out.split())
+    assert run(["compare", WORLD, "--robots", "3", "--deadline", "40", "--b.density", "8", "--rollouts", "512"]) == 0
+    assert "by step 40" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("compare WORLD --b.robots 0", "b:"),
+        ("compare WORLD --b.robot 3", "did you mean"),
+        ("compare nowhere.npz", "a: nowhere.npz"),
+        ("compare WORLD nowhere.npz", "b: nowhere.npz"),
+        ("compare WORLD nowhere.json", "b: nowhere.json"),
+        ("compare WORLD x.json --b.plan y.json", "one of them"),
+        ("compare WORLD --b.loop open --b.threat-checks first_visit", "closed loop"),
+        ("compare WORLD --precision 0.1 --rollouts 5", "one of them"),
+        ("compare", "a"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_status_2(words: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert said in refused(capsys, *(WORLD if word == "WORLD" else word for word in words.split())).lower()
+
+
+def test_who_comes_home_is_compared_too(capsys: pytest.CaptureFixture[str]) -> None:
+    """Against the rollouts one by one; where one side alone comes home its own figures stand in a note."""
+    world, _ = team(3)
+    starts = place_starts(world, 3)[0]
+    plans = [make_plan(world, starts, Settings(return_to="home", range=60, policy=p)) for p in ("mrac", "per_cell")]
+    choices = RolloutChoices(rollouts=1024, seed=5)
+    sides = [make_side(world, plan, choices) for plan in plans]
+    found, singles = compare(*sides), [make_singles(world, plan, choices)(0, 1024) for plan in plans]
+    home = np.array([one.home for one in singles], dtype=np.int64)
+    assert [found.mean(side, "home") for side in sides] == pytest.approx(home.mean(axis=1))
+    apart = {"home": home[1] - home[0], "all_home": (home[1] == 3).astype(int) - (home[0] == 3)}
+    for figure, values in apart.items():
+        estimate = found.difference(figure).estimate
+        assert estimate.mean == pytest.approx(values.mean()) and abs(values).sum() > 0
+        assert estimate.se == pytest.approx(values.std(ddof=1) / 32, rel=1e-9)
+    asked = (WORLD, "--robots", "3", "--return-to", "home", "--rollouts", "256")
+    both = answer(capsys, *asked, "--b.policy", "per_cell")
+    assert both["difference"].keys() == both["a"]["mean"].keys() == {*FIGURES, "home", "all_home"}
+    assert run(["compare", WORLD, "--robots", "3", "--b.return-to", "home", "--rollouts", "256"]) == 0
+    assert "note: B's robots come home, " in " ".join(capsys.readouterr().out.split())
+    alone = answer(capsys, *asked[:3], "--b.return-to", "home", "--rollouts", "256")
+    assert alone["difference"].keys() == alone["a"]["mean"].keys() == set(FIGURES)
+    assert "home" in alone["b"]["mean"]
+
+
+def test_what_never_happens_is_said_in_a_word() -> None:
+    found = compared((3, 4), RolloutChoices(rollouts=6000, seed=3))
+    runs = [replace(found, ahead=ahead, behind=behind) for ahead, behind in ((6000, 0), (1, 0), (0, 0), (5999, 1))]
+    assert [headline(one).rpartition("; ")[2] for one in runs] == [
+        "it is always ahead, never behind.",
+        "it is ahead in < 0.1 % of runs, never behind.",
+        "it is never ahead, never behind.",
+        "it is ahead in > 99.9 % of runs, behind in < 0.1 % of runs.",
+    ]
+
+
+def test_a_share_of_runs_is_the_only_percentage_of_the_sentence() -> None:
+    for rollouts, between in (
+        (4, r"points of coverage \(.* \.\. .*"),
+        (6000, r"on average \(B - A: [\d.]+ \.\. [\d.]+"),
+    ):
+        found = compared((3, 4), RolloutChoices(rollouts=rollouts, seed=3))
+        vars(found)["exact_difference"] = lambda figure: None
+        said = headline(found)
+        assert re.search(rf"{between}, confidence 0\.95\); (it|B) is ahead in ", said) and "95 %" not in said
+
+
+def test_rollouts_that_are_too_few_to_tell_are_said_to_be() -> None:
+    choices = RolloutChoices(rollouts=4, seed=3)
+    few = report(compared((3, 4), choices)).notes
+    assert any(note.startswith("too few rollouts to compare ") and "time, steps" in note for note in few)
+    many = report(compared((3, 4), RolloutChoices(rollouts=6000, seed=3))).notes
+    assert not any("too few" in note for note in many)

@@ -1,0 +1,758 @@
+"""`evaluate` with uncertain maps, unknown maps, hazards that are learned, moving threats, phases, ranges and states."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from math import hypot, inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from drawn_worlds import expected, one_of, open_loop
+from page_reader import Reader, check_page_is_sound
+from test_page import unpacked_runs as unpacked
+from test_record import decoded
+
+import mrac_jax as mrac
+from analysis.estimators.racing import MOST_MAPS, told_of_hazards
+from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.charts import threats
+from analysis.evaluation.figures import BEFORE, BEYOND, TO_DO, rest_of
+from analysis.evaluation.layers import run_of, runs
+from analysis.evaluation.outputs.information import Knowledge, entropy_of, parse_ranges
+from analysis.evaluation.report import report, rest_words
+from analysis.inputs import Asked, load_task
+from analysis.pictures.style import house_style
+from analysis.recording.pictures import RolloutPicture
+from analysis.recording.replay import replay
+from analysis.recording.viewers.topics import Stage
+from analysis.report.answer import print_report
+from analysis.report.html import page_of
+from analysis.report.picture import figure_of
+from analysis.sampling import RolloutChoices
+from analysis.theory.verdicts import longest_run
+from planner.errors import InputError, UsageError
+from planner.formatting import percent
+from planner.ids import NO_STEP
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan.plan import Plan, is_certain
+from planner.plan.state import MissionState
+from planner.plan.state_file import load_state
+from planner.rollout_sampling import hazards_met, rows_met, ways_of_movers
+from planner.rollouts.engine import Rolling, make_engine
+from planner.settings import Choices
+from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
+from planner.tally import Doing
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.world import World
+
+# `evaluate` where the map is in doubt: doubt about the map apart from luck, what is not known, what is refused.
+
+BASE = World.create([[0.0, 0.2, 0.0], [0.0, np.nan, 0.1], [0.0, 0.0, 0.3]])
+MAPS = [BASE.threat, 0 * BASE.threat, np.where(BASE.threat > 0.15, np.float32(0.7), BASE.threat)]
+QUIET = {"advice": False, "band": False, "rollouts": 4096, "engine": "numba"}
+
+
+def test_the_open_loop_is_exact_on_each_map() -> None:
+    world = mrac.with_maps(BASE, MAPS)
+    plan = mrac.plan(world, 2)
+    answer = mrac.evaluate(world, plan, loop="open", **QUIET)
+    said = json.loads(json.dumps(answer.to_json()))
+    play = open_loop(plan, world)
+    means = np.sort([expected(play, one_of([one.ravel()]))[0] / answer.tally.accessible for one in MAPS])
+    doubt = said["map_doubt"]
+    assert (doubt["maps"], doubt["rollouts"]) == (3, 0)
+    np.testing.assert_allclose(doubt["mean_of_means"], means.mean(), rtol=1e-9)
+    np.testing.assert_allclose(list(doubt["quantiles"].values()), means, rtol=1e-9)
+    assert abs(answer.tally.visited @ np.arange(9) / 4096 - 8 * means.mean()) < 5 * 8 / np.sqrt(4096)
+    assert said["bounds"]["ideal_team"] is said["bounds"]["theorem3"]["visited"]["travel_set"] is None
+    assert said["verdicts"] == {}
+    total = doubt["sd"]["maps"] ** 2 + doubt["sd"]["luck"] ** 2
+    cells = np.arange(9) / 8
+    mean = answer.tally.visited @ cells / 4096
+    np.testing.assert_allclose(total, answer.tally.visited @ (cells - mean) ** 2 / 4096, rtol=1e-3)
+    assert figure_of(report(answer), "doubt.png").axes
+
+
+ROW = World.create([[0.0, 0.1, 0.0, 0.3, 0.0, 0.0]])
+
+
+def parts_of(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+    """(sd of the maps' means, sd of luck) of one robot on ROW, from the maps' p of its two dangers, `[M]` each.
+
+    Two cells are visited for certain, two more if the first danger is passed, the last two if both are.
+    """
+    a, b = 1 - first.astype(float), 1 - second.astype(float)
+    covered, chance = np.array([2.0, 4.0, 6.0]) / 6, np.array([1 - a, a * (1 - b), a * b])
+    means = covered @ chance
+    return float(means.std()), float(np.sqrt((covered**2 @ chance - means**2).mean()))
+
+
+def doubtful(kind: str) -> tuple[World, tuple[float, float]]:
+    """ROW in doubt, and its parts of variance, known without sampling."""
+    if kind == "antithetic":  # every second map is without its first danger
+        first = np.float32(0.9) * (np.arange(128) % 2)
+        return mrac.with_maps(ROW, [[[0, p, 0, 0.3, 0, 0]] for p in first]), parts_of(first, np.full(128, 0.3))
+    if kind == "alike":
+        return mrac.with_maps(ROW, [ROW.threat] * 100), parts_of(*np.array([[0.1], [0.3]]))
+    world = mrac.with_spread(ROW, "lognormal", 0.8, kind)
+    first, second = (world.doubt.chances[:, world.doubt.column[0, cell]] for cell in (1, 3))
+    pairs = (first, second) if kind == "common" else (np.repeat(first, 256), np.tile(second, 256))
+    return world, parts_of(*pairs)
+
+
+KINDS = {"antithetic": (128, 128), "alike": (100, 100), "common": (256, 256), "level": (256, 65536)}
+"""Maps behind the answer, at most, and in all."""
+
+
+@pytest.mark.parametrize("seeds", [6, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", KINDS)
+def test_doubt_and_luck_are_told_apart(kind: str, seeds: int) -> None:
+    """Both parts from 4,096 rollouts: variances right on average, intervals hold in 94 % within 2 standard errors."""
+    world, truth = doubtful(kind)
+    held, variances = np.zeros(2), []
+    for seed in range(seeds):
+        said = mrac.evaluate(world, 1, seed=seed, **(QUIET | {"rollouts": 4096})).to_json()["map_doubt"]
+        assert 0.98 * KINDS[kind][0] <= said["maps"] <= KINDS[kind][0] and said["of"] == KINDS[kind][1]
+        for at, name in enumerate(("maps", "luck")):
+            low, high = said["sd_ci95"][name]
+            held[at] += low <= truth[at] + 1e-9 and truth[at] - 1e-9 <= high
+        variances.append([value**2 for value in said["sd"].values()])
+    assert (held / seeds >= 0.94 - 2 * np.sqrt(0.94 * 0.06 / seeds)).all(), held / seeds
+    found, se = np.mean(variances, axis=0), np.std(variances, axis=0, ddof=1) / np.sqrt(seeds)
+    assert abs(found[1] - truth[1] ** 2) <= 5 * se[1]
+    if kind == "alike":  # clipped at 0, and far below the scatter of the means of some 40 rollouts each
+        assert 0 <= found[0] < 0.3 * truth[1] ** 2 * 100 / 4096
+    else:
+        assert abs(found[0] - truth[0] ** 2) <= 5 * se[0]
+
+
+def test_the_maps_means_scatter_as_the_maps_do() -> None:
+    """Not by the noise of their rollouts too; and they say of how many maps they are, on paper and in the picture."""
+    world, truth = doubtful("common")
+    answer = mrac.evaluate(world, 1, **(QUIET | {"rollouts": 20_000}))
+    doubt = answer.outputs["map_doubt"]
+    assert doubt.means.std() == pytest.approx(doubt.parts.between.mean) == pytest.approx(truth[0], rel=0.05)
+    assert abs(doubt.means.mean() - answer.tally.visited @ np.arange(7) / 6 / 20_000) < 0.005
+    assert "256 maps, 20,000 rollouts" in doubt.chart().title + doubt.blocks().notes[0]
+    few = mrac.evaluate(world, 1, **(QUIET | {"rollouts": 100})).outputs["map_doubt"]
+    assert few.behind == "64 maps drawn of 256, 1,024 rollouts"
+    drawn = mrac.evaluate(doubtful("level")[0], 1, loop="open", **QUIET).outputs["map_doubt"]
+    assert drawn.behind == "1,024 maps drawn of 65,536, exact on each"
+    assert drawn.parts.between.ci95[0] < doubtful("level")[1][0] < drawn.parts.between.ci95[1]
+
+
+def test_what_is_not_known_is_null_and_said(capsys: pytest.CaptureFixture[str]) -> None:
+    from rich.console import Console
+
+    mines = mrac.with_hazard(BASE, "consumed", np.nan_to_num(BASE.threat), 0.9)
+    answer = mrac.evaluate(mines, 2, loop="open", **QUIET)
+    said = answer.to_json()
+    assert set(said["exact"]["open_loop"].values()) == {None}
+    assert "map_doubt" not in said
+    assert answer.losses.ci95[0] < answer.losses.ci95[1]
+    print_report(report(answer, theory=True), Console(width=120))
+    printed = capsys.readouterr().out
+    assert "nan" not in printed
+    assert "presume one known map" in printed
+
+
+@pytest.mark.parametrize("refused", ["check", "size", "starts", "clear", "threat_scale"])
+def test_what_presumes_one_known_map_is_refused(refused: str) -> None:
+    world = mrac.with_spread(BASE, "lognormal", 0.3)
+    ask = {
+        "check": lambda: mrac.check(world, 1),
+        "size": lambda: mrac.size(world, target=0.5),
+        "starts": lambda: mrac.starts(world, 1),
+        "clear": lambda: mrac.clear(world, 1),
+        "threat_scale": lambda: mrac.evaluate(world, 1, threat_scale=[2.0], **QUIET),
+    }
+    with pytest.raises(InputError, match="one known map"):
+        ask[refused]()
+
+
+@pytest.mark.parametrize("asked", [{"metrics": "search"}, {"threat_scale": [2.0]}, {}])
+def test_what_is_refused_is_refused_before_anything_is_planned(asked: dict, monkeypatch: pytest.MonkeyPatch) -> None:
+    def plan(*given: object, **more: object) -> None:
+        raise AssertionError("planned")
+
+    monkeypatch.setattr("analysis.api.plans.plan_team", plan)
+    world = mrac.with_spread(BASE, "lognormal", 0.3)
+    world = world if asked else world.with_values(2.0)
+    with pytest.raises(InputError, match="one known map"):
+        mrac.evaluate(world, 1, **asked, **QUIET)
+
+
+# What the map is worth to robots that are not told it: told, learning and blind teams on the same luck.
+
+TOLD = random_world(10, 10, ThreatPattern(seed=3)).with_starts([[0, 0], [0, 1]])
+DARK = mrac.with_prior(TOLD, 0.04, "known", sense=2)
+COUNT, SENSED = 600, (0, 1, 3)
+
+
+@pytest.fixture(scope="module")
+def answer() -> Evaluation:
+    return mrac.evaluate(DARK, sense=SENSED, rollouts=COUNT, exact="never", advice=False, band=False)
+
+
+def visited(world: World, plan: Plan, count: int) -> np.ndarray:
+    return make_engine(plan, world, Rolling("closed")).results(0, count).visited
+
+
+def test_each_team_is_what_it_is_by_itself(answer: Evaluation) -> None:
+    found = answer.outputs["knowledge"]
+    assert isinstance(found, Knowledge) and [team.range for team in found.teams] == [0, 1, 2, 3, inf]
+    cells, alone = answer.cells["accessible"], {}
+    for team in found.teams:
+        world = mrac.with_sense(DARK, team.range)
+        alone[team.range] = visited(world, mrac.plan(world), COUNT) / cells
+        assert team.coverage.mean == pytest.approx(alone[team.range].mean(), abs=1e-12)
+    assert found.learning.coverage.mean == answer.visited.mean
+    assert (alone[inf] == visited(TOLD, mrac.plan(TOLD), COUNT) / cells).all()
+    price, apart = found.told.ahead(found.learning), alone[inf] - alone[2]
+    assert price.mean == pytest.approx(apart.mean()) and price.se == pytest.approx(apart.std(ddof=1) / COUNT**0.5)
+    data = json.loads(json.dumps(answer.to_json()))["knowledge"]
+    assert data["price_of_not_knowing"]["mean"] == price.mean and data["curve"][-1]["range"] == "inf"
+    assert data["worth_of_sensing"]["mean"] == pytest.approx((alone[2] - alone[0]).mean())
+    assert [(step["from"], step["to"]) for step in data["steps"]] == [(1, 2), (2, 3)]
+    assert [step["worth"]["mean"] for step in data["steps"]] == pytest.approx(
+        [(alone[2] - alone[1]).mean(), (alone[3] - alone[2]).mean()]
+    )
+    assert data["rollouts"] == COUNT and data["curve"][-1]["behind"]["mean"] == 0
+
+
+def test_one_robot_that_learns_may_take_longer_than_its_plan() -> None:
+    world = mrac.with_prior(TOLD.with_starts([[0, 0]]), 0.04, sense=1)
+    plan = mrac.plan(world)
+    longest = make_engine(plan, world, Rolling("closed")).results(0, COUNT).time.max()
+    assert plan.time < longest <= longest_run(world, plan, "closed")
+
+
+def test_what_one_robot_that_learns_covers_is_not_its_plan_s() -> None:
+    world = mrac.with_prior(TOLD.with_starts([[0, 0]]), 0.04, sense=1)
+    plan, blind = mrac.plan(world), mrac.with_sense(DARK.with_starts([[0, 0]]), 0)
+    found = mrac.evaluate(world, plan, exact="never", rollouts=COUNT, advice=False, band=False)
+    assert found.exact.visited is None and found.exact.time is None
+    assert found.visited.mean * found.visited.covered.cells == pytest.approx(visited(world, plan, COUNT).mean())
+    tree = mrac.evaluate(world, plan, rollouts=COUNT, advice=False, band=False).exact.visited
+    by_plan = mrac.evaluate(blind, rollouts=COUNT, advice=False, band=False).exact.visited
+    assert tree is not None and by_plan is not None and tree.mean > by_plan.mean + 0.03
+    both = mrac.compare((world, plan), (blind, mrac.plan(blind)), rollouts=COUNT)
+    assert both.a.exact is not None and both.b.exact is not None
+    assert (both.a.exact[0], both.b.exact[0]) == pytest.approx((tree.cells, by_plan.cells))
+
+
+def test_a_start_that_is_falsely_believed_an_obstacle(tmp_path: Path) -> None:
+    world = mrac.with_truth(mrac.load(np.array([[np.nan, 0, 0], [0, 0.2, 0]])), np.array([[0, 0, 0], [0, 0.2, 0]]), 1)
+    world = world.with_starts([[0, 0]])
+    world.save(tmp_path / "a.npz")
+    again = mrac.load(tmp_path / "a.npz")
+    assert again.starts is not None and again.starts.tolist() == [[0, 0]]
+    plan = mrac.plan(again)
+    plan.save(tmp_path / "plan.json")
+    answer = mrac.evaluate(again, tmp_path / "plan.json", advice=False)
+    assert answer.visited.mean == 1 and "index.html" in {path.name for path in answer.save(tmp_path / "out")}
+    mrac.record(again, plan, path=tmp_path / "a.mcap", ids=[0])
+    assert replay(tmp_path / "a.mcap").identical
+
+
+def test_small_teams_are_known_exactly() -> None:
+    found = mrac.evaluate(DARK, rollouts=2000, advice=False, band=False).outputs["knowledge"]
+    assert isinstance(found, Knowledge) and found.behind == "exact" and found.blind is not None
+    worth, cells = found.learning.ahead(found.blind), found.told.found.largest("visited")
+    blind = mrac.with_sense(DARK, 0)
+    sampled = [visited(world, mrac.plan(world), 20_000) / cells for world in (DARK, blind)]
+    assert worth.half_width == 0
+    assert abs(worth.mean - (sampled[0] - sampled[1]).mean()) < 5 * (sampled[0] - sampled[1]).std() / 20_000**0.5
+
+
+def test_where_the_map_is_drawn_who_is_told_plans_on_each() -> None:
+    threat = np.nan_to_num(TOLD.threat)
+    maps = [np.where(TOLD.free, np.clip(threat * scale, 0, 0.9), np.nan) for scale in (0.1, 3.0)]
+    world = mrac.with_sense(mrac.with_maps(TOLD, maps), 1)
+    found = mrac.evaluate(world, rollouts=COUNT, advice=False, band=False).outputs["knowledge"]
+    assert isinstance(found, Knowledge)
+    rows, by_map = rows_met(world.doubt, 0, np.arange(COUNT))[:, 0], []  # type: ignore[arg-type]
+    for row in range(2):
+        one = replace(TOLD, threat=world.doubt.threat_at(row))  # type: ignore[union-attr]
+        by_map.append(visited(one, mrac.plan(one), COUNT))
+    mine = np.where(rows == 0, *by_map)
+    assert found.told.coverage.mean * found.told.found.largest("visited") == pytest.approx(mine.mean())
+
+
+def test_who_sees_everything_of_a_drawn_map_is_not_who_is_told_it() -> None:
+    """He plans before the first look: the figures of the team are those of the evaluation, not of another plan."""
+    threat = np.nan_to_num(TOLD.threat)
+    maps = [np.where(TOLD.free, one, np.nan) for one in (threat, threat[::-1])]
+    answer = mrac.evaluate(mrac.with_sense(mrac.with_maps(TOLD, maps), inf), rollouts=COUNT, advice=False, band=False)
+    found = answer.outputs["knowledge"]
+    assert isinstance(found, Knowledge) and [team.range for team in found.teams] == [0, inf, inf]
+    assert found.learning is not found.told
+    assert found.learning.coverage.mean == pytest.approx(answer.figures.visited.mean.mean / answer.cells["accessible"])
+    assert found.told.ahead(found.learning).mean != 0
+
+
+def test_of_many_maps_the_first_ones_are_planned_on() -> None:
+    threat = np.nan_to_num(TOLD.threat)
+    maps = [np.where(TOLD.free, threat * (0.5 + number / 200), np.nan) for number in range(MOST_MAPS + 30)]
+    world = mrac.with_sense(mrac.with_maps(TOLD, maps), 1)
+    found = mrac.evaluate(world, rollouts=300, advice=False, band=False).outputs["knowledge"]
+    assert isinstance(found, Knowledge)
+    rows = rows_met(world.doubt, 0, np.arange(300))[:, 0]  # type: ignore[arg-type]
+    first = list(dict.fromkeys(rows.tolist()))[:MOST_MAPS]
+    kept = np.isin(rows, first)
+    assert len(first) == MOST_MAPS and found.told.found.rollouts == int(kept.sum()) < 300
+    mine = visited(world, mrac.plan(world), 300)[kept]
+    assert found.learning.coverage.mean * found.told.found.largest("visited") == pytest.approx(mine.mean())
+
+
+def test_fog_is_what_nobody_has_seen(answer: Evaluation) -> None:
+    engine = make_engine(answer.plan, DARK, Rolling("closed"))
+    for trace in engine.traces([0, 5, 11]):
+        run = run_of("one", trace, DARK, RolloutChoices())
+        expected = np.full(DARK.threat.size, NO_STEP)
+        for step in range(len(trace.cells) - 1, -1, -1):
+            for robot in np.flatnonzero(trace.doing[step] != Doing.DEAD):
+                row, col = divmod(int(trace.cells[step, robot]), 10)
+                for cell in range(100):
+                    if hypot(cell // 10 - row, cell % 10 - col) <= 2:
+                        expected[cell] = step
+        assert run.seen is not None and (run.seen == expected).all()
+    for world, loop in ((mrac.with_sense(DARK, 0), "closed"), (DARK, "open")):  # nobody looks, and nothing is dark
+        choices = RolloutChoices(loop=loop, rollouts=20)
+        found, note = runs(world, mrac.plan(world), choices, 20, False)
+        assert [run.seen for run in found] == [None] * 4 and "Dark" not in note
+
+
+def test_words_and_page(answer: Evaluation, tmp_path: Path) -> None:
+    answer.save(tmp_path)
+    page, text = (tmp_path / "index.html").read_text(), (tmp_path / "evaluation.txt").read_text()
+    page = check_page_is_sound(page).text
+    for words in (
+        "not knowing it costs",
+        "to see is worth",
+        "told the map",
+        "robots see 2 cells far",
+        "A better sensor",
+    ):
+        assert words in text and words in page
+    assert (tmp_path / "believed.png").exists() and (tmp_path / "sense.png").exists()
+    assert "Theorem 3" not in text and "Paths: the plan" not in page
+
+
+def test_no_range_is_no_list_of_ranges() -> None:
+    assert parse_ranges(None) == () and parse_ranges("0,2,inf") == (0, 2, inf)
+    with pytest.raises(InputError, match="ranges in cells"):
+        parse_ranges("")
+
+
+@pytest.mark.parametrize(
+    ("world", "sense", "words"),
+    [
+        (TOLD, (1,), "robots are told the map"),
+        (DARK, (0.5,), "0, or a number of cells from 1 on"),
+        (mrac.with_prior(TOLD, 0.04, sense=2), (0,), "wrong about an obstacle"),
+    ],
+)
+def test_what_cannot_be_sensed_is_said(world: World, sense: tuple[float, ...], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        mrac.evaluate(world, sense=sense, rollouts=10)
+
+
+# `evaluate` of robots that learn about hazards: beside told and blind ones on the same luck, and what they know.
+
+SITE = random_world(7, 7, ThreatPattern("scattered", 3, (0.1, 0.3), 5), obstacles=0.1, threats=0.4)
+Q = np.nan_to_num(np.array(SITE.threat)) * 2
+QUIET_EXPERIENCE = {"advice": False, "band": False, "engine": "numba"}
+
+
+def test_three_teams_on_the_same_luck_and_what_is_known_in_the_end(tmp_path):
+    world = mrac.with_hazard(SITE, "persistent", Q, 0.5, learn=True)
+    answer = mrac.evaluate(world, 2, rollouts=300, seed=4, **QUIET_EXPERIENCE)
+    found = answer.outputs["experience"]
+    said = json.loads(json.dumps(answer.to_json()))["experience"]
+    blind = mrac.evaluate(mrac.with_hazard(SITE, "persistent", Q, 0.5), 2, rollouts=300, seed=4, **QUIET_EXPERIENCE)
+    assert (found.blind.tally.visited == blind.tally.visited).all()
+    assert (found.learning.tally.visited == answer.tally.visited).all()
+    ahead = found.learning.column("visited") - found.blind.column("visited")
+    np.testing.assert_allclose(said["worth_of_learning"]["mean"], ahead.mean() / answer.tally.accessible)
+    # a rollout of the told ones, by hand: its own map, planned for and rolled out
+    there = hazards_met(world.doubt, 4, [7])[0].reshape(SITE.shape)
+    told = mrac.with_hazard(SITE, "persistent", np.where(there, 1.0, 0.0), 0.5)
+    run = ReferenceLoop(mrac.plan(told, starts=answer.plan.starts), told).run(4, 7)
+    assert found.told.column("visited")[7] == run.visited.sum()
+    assert (said["maps"], said["rollouts"], said["posterior"]["rollouts"]) == (128, 300, 256)
+    bits = said["posterior"]["entropy"]
+    np.testing.assert_allclose(bits["before"], entropy_of(Q)[found.reach].mean(), rtol=1e-6)
+    assert 0 < bits["after"] < bits["before"]
+    assert np.abs(found.posterior - found.prior)[found.reach].max() < 5 * 0.5 / np.sqrt(256)
+    files = answer.save(tmp_path)
+    assert {"posterior.png", "entropy.png"} <= {path.name for path in files}
+    rasterio = pytest.importorskip("rasterio")
+    with rasterio.open(tmp_path / "posterior.tif") as data:
+        assert data.descriptions == ("prior", "posterior", "entropy")
+        np.testing.assert_allclose(data.read(2), np.where(SITE.free, found.posterior, np.nan), rtol=1e-6)
+
+
+def test_sure_stops_are_told_too_and_consumed_ones_vanish():
+    for kind in ("persistent", "consumed"):
+        world = mrac.with_hazard(SITE, kind, Q, 1.0, learn=True)
+        plan = mrac.plan(world, 2)
+        told = told_of_hazards(world, plan, mrac.evaluate(world, plan, rollouts=50, **QUIET_EXPERIENCE).choices, 20)
+        assert told.rollouts == 20
+        assert told.tally.visited @ np.arange(len(told.tally.visited)) / 20 > 10
+
+
+def test_who_has_nothing_to_learn_is_told_and_blind_alike():
+    world = mrac.with_hazard(SITE, "persistent", np.where(Q > 0.3, 1.0, 0.0), 0.4, learn=True)
+    found = mrac.evaluate(world, 2, rollouts=64, **QUIET_EXPERIENCE).outputs["experience"]
+    for other in (found.told, found.blind):
+        assert (other.column("visited") == found.learning.column("visited")).all()
+    assert found.bits == (0.0, 0.0)
+
+
+def test_who_hears_nothing_may_take_what_the_plan_left_out():
+    q = np.array([[0, 0, 0], [0, 0, 0.5]])
+    world = mrac.with_hazard(mrac.load(np.zeros((2, 3))), "persistent", q, 0.5, learn=True)
+    world = mrac.with_sense(world, {"range": 2, "detect": 0.9, "false_alarm": 0.1})
+    plan = mrac.plan(world, starts=[[0, 0]], policy="per_cell", worth=20)
+    assert is_certain(world, plan, "open") and not is_certain(world, plan)
+    answer = mrac.evaluate(world, plan, rollouts=300, **QUIET_EXPERIENCE)
+    assert answer.tally.rollouts == 300 and 50 < answer.tally.visited[6] < 250
+    assert answer.exact.visited is None and answer.visited.mean * 6 == 5 + answer.tally.visited[6] / 300
+
+
+def test_others_have_no_such_figure():
+    with pytest.raises(UsageError, match="learn about hazards"):
+        mrac.evaluate(SITE, 2, rollouts=10, experience=True, **QUIET_EXPERIENCE)
+    world = mrac.with_hazard(SITE, "persistent", Q, 0.5, learn=True)
+    answer = mrac.evaluate(world, 2, rollouts=10, loop="open", **QUIET_EXPERIENCE)
+    assert "experience" not in answer.outputs
+    assert "learning is worth" not in report(answer).headline
+
+
+# What is answered where threats move: evaluate, its page and JSON, recordings, and what refuses in words.
+
+PRESUME_THREATS_THAT_STAY: list[Callable[[World], Any]] = [
+    lambda world: mrac.check(world, 2),
+    lambda world: mrac.size(world, target=0.9),
+    lambda world: mrac.starts(world, robots=2),
+    lambda world: mrac.clear(world, robots=2),
+    lambda world: mrac.evaluate(world, 2, threat_scale=(0.5,)),
+    lambda world: mrac.mission(world, 2).outlook(),
+]
+"""What refuses threats over time."""
+
+MOVERS: list[dict[str, Any]] = [
+    {"walk": 0.5, "h": 0.1, "count": 2},
+    {"patrol": [[0, 0], [0, 1], [1, 1], [1, 0]], "h": 0.3, "start": [1, 1]},
+]
+GROUND = World.create([[0, 0, 0, 0.1, 0], [0, 0, np.nan, 0, 0], [0, 0.1, 0, 0, 0]])
+
+
+def notes_of(answer: Any) -> list[str]:
+    said = report(answer)
+    return [*said.findings, *said.last, *(note for part in said.parts for note in part.notes)]
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return mrac.with_movers(GROUND, MOVERS)
+
+
+def test_one_robot_is_known_exactly_and_rollouts_agree(world: World) -> None:
+    answer = mrac.evaluate(world, 1, rollouts=20_000, seed=3)
+    assert answer.is_exact
+    sampled, exact = answer.figures.visited.mean, answer.closed_form
+    assert abs(sampled.mean - exact.visited) < 5 * sampled.se
+    told = answer.to_json()
+    assert told["exact"]["closed_loop"]["how"] == "exact"
+    assert told["bounds"]["any_strategy"] is None and told["bounds"]["eq1"] == [None]
+    assert told["movers"][2] == {**MOVERS[1]} and told["movers"][0] == {"walk": 0.5, "start": "anywhere", "h": 0.1}
+
+
+def test_a_robot_that_waits_before_it_gives_up_is_still_met() -> None:
+    """On three cells, by hand: at steps 0 to 3 a walker that meets it with chance 1/2 has taken .65625 of it."""
+    world = mrac.with_movers(mrac.load([[0, 0, 0]]), [{"walk": 0.0, "h": 0.5, "start": "anywhere"}], plan_on="own")
+    plan = mrac.plan(world, 1, starts=[[0, 0]], range=1)
+    assert (plan.makespan, plan.time) == (1, 3)
+    answer = mrac.evaluate(world, plan, rollouts=20_000, seed=1, advice=False)
+    exact, tally = answer.to_json()["exact"], answer.tally
+    assert answer.to_json()["losses"]["exact"] == pytest.approx(0.65625)
+    assert exact["alive"] == pytest.approx(0.34375) and exact["time"] == pytest.approx(2)
+    assert exact["open_loop"]["visited"] == pytest.approx(1.875)
+    assert abs(tally.alive[1] / 20_000 - 0.34375) < 5 * np.sqrt(0.34375 * 0.65625 / 20_000)
+    assert abs(tally.time @ np.arange(len(tally.time)) / 20_000 - 2) < 5 * 1.03 / np.sqrt(20_000)
+
+
+def test_what_is_known_of_one_robot_is_what_is_said(world: World) -> None:
+    """Losses, chances and quantiles of a robot alone are the closed form's, in words, tables and JSON."""
+    answer = mrac.evaluate(world, 1, rollouts=500, seed=3, advice=False)
+    exact, told, shown = answer.closed_form, answer.to_json(), answer.shown
+    lost = exact.expected_losses
+    assert (answer.losses.mean, answer.losses.half_width) == (pytest.approx(lost), 0)
+    assert f"The robot is lost in {100 * lost:.2f} % of runs." in notes_of(answer)
+    assert told["best"]["losses"]["mean"] == pytest.approx(told["losses"]["exact"]) == pytest.approx(lost)
+    assert told["some_left"]["ci95"] == [pytest.approx(1 - lost)] * 2
+    assert shown.complete.mean == pytest.approx(exact.visited_by_cell[answer.accessible.ravel()].min())
+    at_least = [shown.visited.chance(cells).mean for cells in range(1, shown.visited.cells + 1)]
+    assert sum(at_least) == pytest.approx(exact.visited), "the mean is the sum of the chances to visit 1, 2, ... cells"
+    sampled = answer.figures.visited
+    assert all(abs(sampled.chance(n).mean - at_least[n - 1]) < 5 * np.sqrt(0.25 / 500) for n in (3, 6, 9, 12))
+
+
+def test_what_is_known_by_a_step_is_what_is_said(world: World) -> None:
+    answer = mrac.evaluate(world, 1, rollouts=200, deadline=4, advice=False)
+    found, exact = answer.outputs["deadline"].as_json(), answer.closed_form
+    assert found["visited"]["mean"] * 14 == pytest.approx(exact.by_deadline(4)[0]) and found["visited"]["se"] == 0
+    assert found["losses"]["mean"] == pytest.approx(exact.losses_by(4))
+    by_step = f"By step 4: {percent(exact.by_deadline(4)[0] / 14, 2)} (exact) visited"
+    assert any(note.startswith(by_step) for note in notes_of(answer))
+    whole = mrac.evaluate(world, 1, rollouts=200, deadline=10**4, advice=False)
+    assert not any("By step" in note for note in notes_of(whole))
+
+
+def test_one_robot_on_a_map_that_is_too_large_is_sampled(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("analysis.theory.exact.MOST_WORK", 20)
+    answer = mrac.evaluate(world, 1, rollouts=50)
+    assert not answer.is_exact and answer.to_json()["exact"]["open_loop"]["visited"] is None
+
+
+def test_a_team_is_sampled_and_said_to_be_among_movers(world: World) -> None:
+    answer = mrac.evaluate(world, 2, rollouts=400)
+    assert not answer.is_exact
+    assert "2 walk and 1 patrols, and stop a robot that they meet with chance 0.1 to 0.3" in " ".join(
+        report(answer).last
+    )
+    assert "movers" not in mrac.evaluate(GROUND, 2, rollouts=50).to_json()
+
+
+def test_a_page_plays_the_movers_of_its_runs(world: World) -> None:
+    answer = mrac.evaluate(world, 2, rollouts=60)
+    page = check_page_is_sound(page_of(report(answer), "mrac-jax evaluate", {}, ()))
+    plan, *rolled = next(found for found in page.data() if "runs" in found)["runs"]
+    assert "movers" not in plan and len(rolled) == 3
+    for run in rolled:
+        moving = run["movers"] | {"time": run["time"]}
+        ways = [ways_of_movers(world, 0, one, run["time"] + 1) for one in range(60)]
+        assert any(np.array_equal(unpacked(moving, 5), way) for way in ways)
+
+
+def test_a_recording_shows_where_movers_are(world: World, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    mrac.record(world, 2, path, ids=[4], seed=2)
+    by_topic = decoded(path)
+    steps = [step for _, step in by_topic["/rollout/step"]]
+    expected = world.to_xy(ways_of_movers(world, 2, 4, len(steps)))
+    scenes = [scene for _, scene in by_topic["/movers/markers"]]
+    found = [[(p.x, p.y) for p in (e.cubes[0].pose.position for e in scene.entities)] for scene in scenes]
+    np.testing.assert_allclose(found, expected)
+    assert len(by_topic["/movers/points"]) == len(steps)
+    assert "/movers/markers" not in decoded_topics(GROUND, tmp_path / "b.mcap")
+
+
+def decoded_topics(world: World, path: Path) -> set[str]:
+    mrac.record(world, 2, path, ids=[4], seed=2)
+    return set(decoded(path))
+
+
+@pytest.mark.parametrize("ask", PRESUME_THREATS_THAT_STAY)
+def test_what_presumes_threats_that_stand_says_so(ask: Callable[[World], Any], world: World) -> None:
+    with pytest.raises(InputError, match=r"here: threats that move: .*; leave `movers` out"):
+        ask(world)
+
+
+def test_a_scenario_says_what_robots_plan_on_and_not_that_all_survive(tmp_path: Path) -> None:
+    """Where nothing but walkers is dangerous; one line where `plan_on` is left out, none where it is given."""
+    np.save(tmp_path / "m.npy", np.zeros((3, 3)))
+    for more, notes in (("", 1), ("plan_on: patrols\n", 0), ("plan_on: joined\n", 0)):
+        (tmp_path / "s.yaml").write_text(f"map: m.npy\nmovers: [{{walk: 0.5, h: 0.2}}]\n{more}")
+        task = load_task(Asked(str(tmp_path / "s.yaml"), Choices()))
+        assert sum("`plan_on` is not given" in note for note in task.notes) == notes
+        assert not any("every robot survives" in note for note in task.notes)
+
+
+# What is said of threats that change with time (docs/spec.md, section 16): answers, pages, recordings, sweeps.
+
+DAY = np.array([[0, 0, 0.2, 0, 0], [0, 0, np.nan, 0, 0], [0, 0.2, 0, 0, 0]])
+NIGHT = np.array([[0, 0.3, 0, 0, 0], [0, 0, np.nan, 0.3, 0], [0, 0, 0, 0.3, 0]])
+
+
+@pytest.fixture(scope="module")
+def world_phases() -> World:
+    return mrac.with_phases(World.create(DAY), [(3, NIGHT), (6, DAY)])
+
+
+def test_teams_are_known_exactly_and_rollouts_agree(world_phases: World) -> None:
+    for robots in (1, 2):
+        answer = mrac.evaluate(world_phases, robots, rollouts=20_000, seed=3, advice=False)
+        sampled = mrac.evaluate(world_phases, robots, rollouts=20_000, seed=3, exact="never", advice=False)
+        exact = answer.to_json()["exact"]["closed_loop"]
+        assert exact["how"] == "tree"
+        if robots == 1:  # whose closed loop is its nominal path, until it is stopped
+            assert exact["visited"] == pytest.approx(answer.closed_form.visited, rel=1e-9)
+        found = sampled.tally.visited @ np.arange(len(sampled.tally.visited)) / 20_000
+        assert abs(found - exact["visited"]) < 5 * 3 / 20_000**0.5
+        told = answer.to_json()
+        assert told["phases"] == {"from": [0, 3, 6], "plan_on": "now"} and told["bounds"]["eq1"] == [None] * robots
+        assert "threats that change at step 3, 6; all robots know of a change as it comes" in " ".join(
+            report(answer).last
+        )
+    shown = [(layer.name, layer.since) for layer in threats(answer)]
+    assert shown == [("Threat", 0), ("Threat from step 3", 3), ("Threat from step 6", 6)]
+    assert "phases" not in mrac.evaluate(World.create(DAY), 1, rollouts=10).to_json()
+
+
+@pytest.mark.parametrize("loop", ["closed", "open"])
+def test_a_recording_shows_the_threats_of_its_phase(world_phases: World, tmp_path: Path, loop: Any) -> None:
+    path = tmp_path / "a.mcap"
+    mrac.record(world_phases, 2, path, ids=[4], seed=2, loop=loop)
+    by_topic = decoded(path)
+    shown = [np.frombuffer(grid.data, dtype="<f4").reshape(3, 5)[::-1] for _, grid in by_topic["/map/threat"]]
+    begun = [begin for begin in (0, 3, 6) if begin < len(by_topic["/rollout/step"])]
+    expected = [np.nan_to_num(NIGHT if begin == 3 else DAY) for begin in begun]
+    np.testing.assert_allclose(shown, expected, rtol=1e-6)
+    assert len(begun) > 1
+
+
+def test_so_does_a_picture(world_phases: World) -> None:
+    plan = mrac.plan(world_phases, robots=2)
+    (trace,) = trace_rollouts(compile_closed_loop(plan, world_phases), 0, [1])
+    with house_style():
+        picture, shown = RolloutPicture(trace, Stage(world_phases, plan, "closed", 0), 60), []
+        for step in (0, 2, 3):
+            picture.show(step)
+            shown.append(np.array(picture.figure.axes[0].images[0].get_array()))
+    assert np.array_equal(shown[0], shown[1]) and not np.array_equal(shown[1], shown[2])
+
+
+@pytest.mark.parametrize("ask", PRESUME_THREATS_THAT_STAY)
+def test_what_presumes_threats_that_stay_says_so(ask: Callable[[World], Any], world_phases: World) -> None:
+    with pytest.raises(InputError, match=r"here: threats that change at step 3, 6; .*; leave `phases` out"):
+        ask(world_phases)
+
+
+def test_a_sweep_crosses_what_robots_plan_on(tmp_path: Path) -> None:
+    np.save(tmp_path / "m.npy", DAY)
+    np.save(tmp_path / "night.npy", np.nan_to_num(NIGHT))
+    (tmp_path / "s.yaml").write_text("map: m.npy\nphases: [{from: 3, threats: [{raster: night.npy}]}]\n")
+    (tmp_path / "sweep.yaml").write_text(
+        "base: {input: s.yaml, robots: 2}\nsweep: {plan_on: [now, worst], 'phases[0].from': [2, 4]}\nrollouts: 200\n"
+    )
+    rows = mrac.sweep(tmp_path / "sweep.yaml", tmp_path / "s.db").rows
+    assert len(rows) == 4
+
+
+def test_a_recording_shows_the_areas_of_robots_that_learn_about_hazards(tmp_path: Path) -> None:
+    """They make areas that no event announces."""
+    ground = random_world(8, 8, ThreatPattern("scattered", 4, (0.04, 0.12, 0.2), 1), obstacles=0.2, threats=0.4)
+    q = np.where(np.nan_to_num(ground.threat) > 0, 0.3, 0.0)
+    mrac.record(mrac.with_hazard(ground, "persistent", q, 0.5, learn=True), 3, tmp_path / "a.mcap", ids=[0, 1])
+    assert len(decoded(tmp_path / "a.mcap")["/areas"]) > 2
+
+
+# What a range cuts off and what a state leaves: on the page and in the picture, and nowhere else.
+
+QUIET_REST = {"rollouts": 200, "bound": False, "advice": False, "engine": "numba"}
+LAND = np.zeros((5, 9))
+LAND[1:, 4], LAND[2, 7] = np.nan, 0.3
+WORLD = World.create(LAND, [[4, 0], [0, 0]])
+
+
+def moves_to(world: World, start: tuple[int, int]) -> np.ndarray:
+    """Fewest moves from a cell, by breadth-first search; inf where there is no way."""
+    away = np.full(world.shape, np.inf)
+    away[start] = 0
+    queue = deque([start])
+    while queue:
+        row, col = queue.popleft()
+        for near in ((row - 1, col), (row + 1, col), (row, col - 1), (row, col + 1)):
+            if 0 <= near[0] < 5 and 0 <= near[1] < 9 and world.free[near] and np.isinf(away[near]):
+                away[near] = away[row, col] + 1
+                queue.append(near)
+    return away
+
+
+@pytest.mark.parametrize("moves", [(1, 1), (3, 6), (12, 2)])
+def test_what_is_too_far_is_further_than_every_robot_has_moves_for(moves: tuple[int, int]) -> None:
+    plan = mrac.plan(WORLD, range=moves)
+    rest = rest_of(WORLD, plan)
+    assert rest is not None and rest.step is None and rest.title == "What the range leaves"
+    near = [moves_to(WORLD, start) <= most for start, most in zip(((4, 0), (0, 0)), moves, strict=True)]
+    accessible = WORLD.accessible(plan.starts)
+    np.testing.assert_array_equal(rest.kinds == BEYOND, accessible & ~near[0] & ~near[1])
+    answer = mrac.evaluate(WORLD, plan, **QUIET_REST)  # type: ignore[arg-type]
+    assert not answer.expected.visited_by_cell[(rest.kinds == BEYOND).ravel()].any()
+    said = list(rest_words(answer, rest))
+    assert f"{int((rest.kinds == BEYOND).sum())} accessible cells" in said[0] and "are too far for" in said[0]
+    who = {0: "no robot uses", 1: "1 of 2 robots uses", 2: "both robots use"}[rest.ended]
+    assert f"{who} up " in said[1]
+
+
+@pytest.mark.parametrize("moves", [(6, 14), (12, 9)])
+@pytest.mark.parametrize("to", ["home", "nearest", ((0, 2), (4, 8))])
+def test_of_robots_that_come_home_the_way_home_counts(moves: tuple[int, int], to: str | tuple) -> None:
+    """Moves there and back are together too many for either robot; in the words and the layer too."""
+    starts = ((4, 0), (0, 0))
+    plan = mrac.plan(WORLD, range=moves, return_to=to)
+    rest = rest_of(WORLD, plan)
+    assert rest is not None and rest.returns
+    of = {"home": [[start] for start in starts], "nearest": [starts] * 2}.get(str(to), [to] * 2)
+    back = [np.min([moves_to(WORLD, base) for base in bases], axis=0) for bases in of]
+    near = [moves_to(WORLD, start) + home <= most for start, home, most in zip(starts, back, moves, strict=True)]
+    beyond = WORLD.accessible(plan.starts) & ~near[0] & ~near[1]
+    np.testing.assert_array_equal(rest.kinds == BEYOND, beyond)
+    answer = mrac.evaluate(WORLD, plan, **QUIET_REST)  # type: ignore[arg-type]
+    assert not answer.expected.visited_by_cell[beyond.ravel()].any()
+    (said,) = rest_words(answer, rest)
+    if beyond.any():
+        assert f"{beyond.sum()} accessible cells" in said
+        assert said.endswith("too far for any robot to visit and come home.")
+    else:
+        assert said == "Every accessible cell is near enough for some robot to visit and come home."
+    assert answer.layers.to_do[0].about.endswith("violet: too far for any robot to visit and come home.")
+
+
+def state(folder: Path) -> MissionState:
+    cells = "[[4, 0], [3, 0], [2, 0], [0, 0], [0, 1]]"
+    robots = '[{"cell": [2, 0]}, {"cell": [0, 1], "status": "dead"}]'
+    text = (
+        f'{{"format": "mrac-state", "version": 1, "world": {{"shape": [5, 9], "sha256": "{WORLD.sha256}"}}, "step": 7,'
+    )
+    (folder / "now.json").write_text(f'{text} "visited": {cells}, "robots": {robots}}}')
+    return load_state(folder / "now.json", WORLD)
+
+
+@pytest.mark.usefixtures("one_picture")
+def test_a_state_is_told_and_drawn_and_whole_missions_are_as_they_were(tmp_path: Path) -> None:
+    answer = mrac.evaluate(WORLD, state=state(tmp_path), **QUIET_REST)  # type: ignore[arg-type]
+    rest = rest_of(answer.world, answer.plan)
+    assert rest is not None and rest.title == "Going on from step 7" and (rest.kinds != BEYOND).all()
+    assert np.flatnonzero(rest.kinds == BEFORE).tolist() == [0, 1, 18, 27, 36]
+    cells = int(WORLD.accessible(WORLD.starts).sum())
+    left = answer.expected.visited_by_cell[(rest.kinds == TO_DO).ravel()].sum()
+    (said,) = rest_words(answer, rest)
+    assert (
+        said.startswith(f"By step 7, where this goes on, 5 of {cells} accessible cells")
+        and "1 of 2 robots lost" in said
+    )
+    assert f"Of the {cells - 5} left {left:,.1f} are visited" in said
+    answer.save(tmp_path / "out")
+    page = Reader((tmp_path / "out" / "index.html").read_text()).text
+    assert said in page and "rest.png" in page and (tmp_path / "out" / "rest.png").stat().st_size > 10_000
+    whole = mrac.evaluate(WORLD, 2, **QUIET_REST)  # type: ignore[arg-type]
+    assert rest_of(WORLD, whole.plan) is None and "rest.png" not in report(whole).pictures
+
+
+def test_a_robot_that_is_lost_reaches_nothing_and_moves_made_are_spent(tmp_path: Path) -> None:
+    plan = mrac.plan(WORLD, state=state(tmp_path), range=4)
+    rest = rest_of(WORLD, plan)
+    assert rest is not None and rest.title == "Going on from step 7, what the range leaves"
+    near = moves_to(WORLD, (2, 0)) <= 4 - plan.state.robots[0].moves  # type: ignore[union-attr]
+    beyond = WORLD.free & WORLD.accessible(plan.starts) & ~near
+    beyond.reshape(-1)[[0, 1, 18, 27, 36]] = False
+    np.testing.assert_array_equal(rest.kinds == BEYOND, beyond)

@@ -1,0 +1,859 @@
+"""What an evaluation says: words, the table on the terminal, coverage over time."""
+
+from __future__ import annotations
+
+import html
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import FOLDER
+
+import mrac_jax as mrac
+from analysis.checking.check import check_input
+from analysis.checking.report import check_report
+from analysis.cli.app import run
+from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.charts import over_time
+from analysis.evaluation.evaluate import cut_off, evaluate
+from analysis.evaluation.figures import Chance, sampled_share
+from analysis.evaluation.outputs.over_time import BAND_LEAST, BAND_MOST, SHARE, STEPS, Band
+from analysis.evaluation.report import (
+    assured_words,
+    cell_words,
+    chances_words,
+    gain_words,
+    headline,
+    home_words,
+    interval_words,
+    losses_words,
+    quantile_words,
+)
+from analysis.evaluation.report import report as evaluation_report
+from analysis.evaluation.table import WORDS, answer_tables, formula_counts, formulas_words
+from analysis.page.charts import curves_html
+from analysis.report.answer import print_report
+from analysis.sampling import RolloutChoices, make_roll_out
+from analysis.statistics.estimates import (
+    QUANTILES,
+    Estimate,
+    between,
+    digits_of,
+    exactly,
+    in_unit,
+    losses_said,
+    losses_shown,
+    lost_words,
+    more_said,
+    proportion,
+    quantile,
+    robots_words,
+)
+from analysis.sweeps.report import around as sweep_around
+from analysis.sweeps.report import percent as sweep_percent
+from analysis.theory.exact import open_loop_exact
+from analysis.theory.verdicts import Verdict, overall
+from analysis.utils.folder import as_text
+from analysis.utils.tables import plan_words, span_words, without_level
+from planner.formatting import (
+    UNPACED,
+    at_least_words,
+    ceiled,
+    chance,
+    counted,
+    duration,
+    floored,
+    inside,
+    percent,
+    share,
+)
+from planner.mrac.make_plan import make_plan
+from planner.plan.plan import NO_MORE, Plan, RobotPlan
+from planner.plan.state import NO_CELLS, MissionState, RobotState
+from planner.settings import Settings
+from planner.tally import Outcome, Tally, tally_key
+from planner.world.levels import place_starts
+from planner.world.world import World, load_world_file
+
+# What an evaluation says in words: every share and mean follows from the tally, and none claims more than it.
+
+
+def evaluation_of(alive: list[int], threat: float = 0.3) -> Evaluation:
+    """An evaluation whose rollouts left 0, 1, ... robots alive so many times."""
+    robots = len(alive) - 1
+    world = World.create(np.full((3, max(3, robots)), threat))
+    plan = make_plan(world, place_starts(world, robots)[0])
+    cells = int(world.accessible(plan.starts).sum())
+    empty = Tally.empty(tally_key("test", "closed", 0), world.shape, robots, cells, plan.makespan)
+    runs = sum(alive)
+    visited, survived, time = empty.visited.copy(), empty.survived.copy(), empty.time.copy()
+    visited[cells] = survived[cells] = time[3] = runs
+    outcomes = empty.outcomes.copy()
+    outcomes[Outcome.COMPLETE] = runs
+    tally = replace(
+        empty, alive=np.array(alive), visited=visited, survived=survived, time=time, outcomes=outcomes, ids=((0, runs),)
+    )
+    return Evaluation(world, plan, open_loop_exact(plan, world), "closed", "numba", 0, tally, 1.0, 0.0)
+
+
+SAID = {
+    (20, 0): "The robot is lost in each of the 20 runs.",
+    (0, 20): "No robot is lost in any of the 20 runs.",
+    (1, 0): "The robot is lost in the one run that was done.",
+    (0, 1): "No robot is lost in the one run that was done.",
+    (5, 15): "The robot is lost in 25 % of runs.",
+    (3722, 6278): "The robot is lost in 37.2 % of runs.",
+    (20000, 0, 0): "Both robots are lost in each of the 20,000 runs.",
+    (60, 30, 10): "Both robots are lost in 60 % of runs, none in 10 %; on average 1.5 of 2.",
+    (19990, 10, *[0] * 7): "All 8 robots are lost in 99.95 % of runs; on average almost all 8.",
+    (99999, 1, 0, 0): "All 3 robots are lost in 99.999 % of runs; on average almost all 3.",
+    (0, 0, 880, 120): "No robot is lost in 12 % of runs; on average 0.88 of 3.",
+    (0, 0, 99999, 1): "No robot is lost in 0.001 % of runs; on average 1.00 of 3.",
+    (0, 0, 1, 99999): "No robot is lost in 99.999 % of runs; on average almost none of 3.",
+    (0, 40, 60, 0): "1 to 2 robots of 3 are lost in each of the 100 runs, on average 1.4 of 3.",
+    (0, 0, 100, 0): "1 robot of 3 is lost in each of the 100 runs, on average 1.0 of 3.",
+    (0, 100, 0, 0): "2 robots of 3 are lost in each of the 100 runs, on average 2.0 of 3.",
+    (2, 50, 48): "No robot is lost in 48 % of runs, both in 2 %; on average 0.5 of 2.",
+}  # fmt: skip
+"""Sentences by the runs that left 0, 1, ... robots."""
+
+
+@pytest.mark.parametrize("alive", SAID)
+def test_losses_in_words(alive: tuple[int, ...]) -> None:
+    assert losses_words(evaluation_of(list(alive))) == SAID[alive]
+
+
+@pytest.mark.parametrize(
+    ("alive", "said"),
+    [
+        ((9, 0, 0, 0), "Both robots that were left are lost in each of the 9 runs."),
+        ((0, 0, 9, 0), "No further robot is lost in any of the 9 runs."),
+        ((60, 30, 10, 0), "Both robots that were left are lost in 60 % of runs, none in 10 %; on "
+         "average 1.5 of 2 that were left."),
+    ],
+)  # fmt: skip
+def test_a_robot_lost_before_the_runs_is_told_apart(alive: tuple[int, ...], said: str) -> None:
+    """Three robots, one of which the state says is dead: it is none of those that are lost in the runs."""
+    whole = evaluation_of(list(alive))
+    robots = tuple(RobotState(0, status, -1, NO_CELLS, NO_CELLS, 0, False) for status in ("dead", "idle", "idle"))
+    state = MissionState(whole.world.shape, whole.world.sha256, 0, np.array([0]), np.array([0]), robots)
+    rest = replace(whole, plan=replace(whole.plan, state=state))
+    assert losses_words(rest) == f"{said} 1 robot was lost before."
+
+
+HEADLINES = {
+    (20, 0): "of the accessible cells on average and is lost in each of the 20 runs.",
+    (0, 20): "and is not lost in each of the 20 runs.",
+    (5, 15): "and is lost in 5 of the 20 runs.",
+    (3722, 6278): "and is lost in 37 of 100 runs.",
+    (37, 9963): "and is lost in 4 of 1,000 runs.",
+    (9990, 10): "and is lost in almost every run.",
+    (20000, 0, 0): "and lose both robots in each of the 20,000 runs.",
+    (600, 300, 100): "and lose both robots in 60 of 100 runs (1.50 on average).",
+    (1022, 2, *[0] * 7): "and lose all 8 robots in almost every run.",
+    (0, 0, 9000, 1000): "and lose 0.90 of 3 robots on average.",
+    (0, 0, 1000, 9000): "and lose no robot in 90 of 100 runs (0.10 on average).",
+    (0, 0, 0, 50): "and lose no robot in any of the 50 runs.",
+    (0, 40, 60, 0): "and lose 1.4 of 3 robots on average.",
+}
+"""How the headline ends, by the runs that left 0, 1, ... robots."""
+
+
+@pytest.mark.parametrize("alive", HEADLINES)
+def test_the_headline_says_what_is_achieved_and_lost_in_one_sentence(alive: tuple[int, ...]) -> None:
+    said = headline(evaluation_of(list(alive)))
+    assert said.endswith(HEADLINES[alive]) and said.count(". ") == 0
+    check_one_meaning(said)
+
+
+def check_one_meaning(said: str) -> None:
+    """Every % of the sentence is a share of the accessible cells: none is of runs, none is a confidence."""
+    assert "of the accessible cells" in said and not re.search(
+        r"95 %|% (of|in) (the )?(\d|all )*runs|% confidence", said
+    )
+
+
+def test_the_headline_has_a_half_width_and_what_19_of_20_runs_reach(capsys: pytest.CaptureFixture[str]) -> None:
+    world = mrac.load([[0, 0.1, 0, 0.2], [0, 0, 0.1, 0]])
+    answer = mrac.evaluate(world, 2, rollouts=2000, exact="never", advice=False, band=False)
+    said, mean = headline(answer), without_level(answer.visited.said(100, " %"))
+    assert "±" in mean and said.startswith(f"2 robots visit {mean} of the accessible cells on average (at least ")
+    assert " % in 19 of 20 runs) and lose " in said
+    check_one_meaning(said)
+    few = headline(mrac.evaluate(world, 2, rollouts=20, exact="never", advice=False, band=False))
+    assert "19 of 20" not in few
+
+
+def test_what_19_of_20_runs_reach_is_rounded_downwards() -> None:
+    whole = evaluation_of([0, 999, 1])
+    for least, said in ((9, "100 %"), (8, "88.8 %"), (5, "55.5 %")):
+        found = replace(whole)
+        vars(found)["shown"] = replace(whole.shown, assured=least)
+        assert assured_words(found) == said and f"(at least {said} in 19 of 20 runs)" in headline(found)
+        assert '"in 19 of 20 runs" in the first line' in quantile_words(found)
+
+
+def test_nothing_is_added_to_a_mean_that_every_run_reaches() -> None:
+    """The one danger is in the last cell, which is visited before it stops the robot."""
+    for world in ([[0, 0, 0, 0, 0.3]], [[0, 0], [np.nan, 0.2]]):
+        answer = mrac.evaluate(mrac.load(world), 1, rollouts=500, advice=False, band=False)
+        assert headline(answer).startswith("1 robot visits 100 % (exact) of the accessible cells on average and is ")
+        assert quantile_words(answer) == "", "the first line says nothing of 19 of 20 runs"
+
+
+def test_the_level_of_every_interval_is_said() -> None:
+    """A half-width and a range, in the headline or in what taking over gains, each in a sentence without a level."""
+    half, ends = "± is half the width of a 95 % interval.", "A range in brackets is a 95 % interval."
+    whole = evaluation_of([1, 999])
+    for estimate, said, notes in (
+        (Estimate(0.6735, 0.0007, (0.6721, 0.6749)), "67.3 % ± 0.2 of", half),
+        (Estimate(0.97, 0.03, (0.88, 0.98)), "97 % (88 .. 98) of", ends),
+        (Estimate(0.998, 0.002, (0.995, 1.0)), "99.8 % (99.5 or more) of", ends),
+        (Estimate(0.02, 0.02, (0.0, 0.05)), "2 % (5 or less) of", ends),
+        (exactly(0.94), "94.00 % (exact) of", ""),
+    ):
+        found = replace(whole)
+        mean = estimate.times(whole.tally.accessible)
+        vars(found)["shown"] = replace(whole.shown, visited=replace(whole.shown.visited, mean=mean))
+        assert f" {said} the accessible cells" in headline(found) and interval_words(found) == notes
+    found = mrac.evaluate(mrac.load([[0, 0, 0, 0.3, 0]]), 2, rollouts=12, advice=False, band=False, exact="never")
+    assert re.search(r"gains \d+ points ± \d+ over .* \(94\.0 %, exact\)\.$", gain_words(found))
+    assert " or more) of" in headline(found) and interval_words(found) == f"{half} {ends}"
+
+
+def test_the_last_move_is_told_only_where_nobody_waits_for_news() -> None:
+    """The robot is stopped in the second cell in 0.1 of runs, at step 1; else it refuses the fourth cell at step 2.
+
+    With an announced phase it waits for it, until step 50 or 9, and the run ends at the next one:
+    0.9 of 51 or of 10, and 0.1 of 1.
+    """
+    world, later = mrac.load([[0, 0.1, 0, 0.9, 0]]), np.array([[0, 0.1, 0, 0.95, 0]])
+    for asked, said in (
+        (world, "the last move is at step 2"),
+        (mrac.with_phases(world, [(50, later)], plan_on="first"), "the last move is at step 2"),
+        (mrac.with_phases(world, [(50, later)]), "a run takes 46 steps"),
+        (mrac.with_phases(world, [(9, later)]), "a run takes 9 steps"),
+    ):
+        answer = mrac.evaluate(asked, mrac.plan(asked, 1, policy="per_cell", worth=4), rollouts=64, advice=False)
+        assert chances_words(answer) == f"Every accessible cell is visited in no run; {said} on average."
+
+
+def test_the_headline_of_what_is_left_of_a_mission_speaks_of_the_robots_that_were_left() -> None:
+    whole = evaluation_of([60, 30, 10, 0])
+    robots = tuple(RobotState(0, status, -1, NO_CELLS, NO_CELLS, 0, False) for status in ("dead", "idle", "idle"))
+    state = MissionState(whole.world.shape, whole.world.sha256, 0, np.array([0]), np.array([0]), robots)
+    rest = replace(whole, plan=replace(whole.plan, state=state))
+    assert headline(rest).endswith(" and lose both robots that were left in 60 of the 100 runs (1.5 on average).")
+
+
+def test_no_robot_can_be_lost_without_danger() -> None:
+    assert headline(evaluation_of([0, 0, 9], threat=0.0)).endswith(" on average and no robot can be lost.")
+    assert losses_words(evaluation_of([0, 0, 9], threat=0.0)) == "No robot can be lost."
+
+
+def test_every_printed_share_of_losses_follows_from_the_tally() -> None:
+    """Random tallies, most of them near an end: parsed back, each number is the tally's, to the digits printed."""
+    rng = np.random.default_rng(11)
+    known = {robots: evaluation_of([0] * robots + [1]) for robots in (1, 2, 3, 8)}
+    for _ in range(600):
+        robots = int(rng.choice(list(known)))
+        runs = int(rng.choice([1, 2, 30, 1_000, 100_000, 10**7]))
+        alive = rng.multinomial(runs, rng.dirichlet(np.full(robots + 1, rng.choice([1e-3, 0.05, 1.0]))))
+        evaluation = known[robots]
+        evaluation = replace(evaluation, tally=replace(evaluation.tally, alive=alive, ids=((0, runs),)))
+        said = losses_words(evaluation)
+        for words, count in ((r"(?:robots? are|The robot is|are)", alive[0]), (r"(?:[Nn]o robot is)", alive[-1])):
+            for found in re.findall(rf"{words}(?: lost)? in ([<>]? ?[\d.]+) %", said):
+                check_share(found, int(count), runs)
+        assert ("100 %" in said) is False
+        if f"each of the {runs:,} runs" in said and "to" not in said and "average" not in said:
+            assert alive[0] == runs
+        if "any of" in said:
+            assert alive[-1] == runs
+        true = float(alive @ np.arange(robots, -1, -1)) / runs
+        for mean in re.findall(r"on average ([\d.]+) of", said):
+            assert abs(true - float(mean)) <= 0.5 * 10.0 ** -len(mean.partition(".")[2]) + 1e-9
+        if "almost" in said:
+            assert 0 < (robots - true if "almost none" not in said else true) <= 0.5
+
+
+def check_share(printed: str, count: int, of: int) -> None:
+    """The printed percentage is `count / of`: exactly where it is 0 or 100, to its digits otherwise."""
+    number = float(printed.strip("<> "))
+    true = 100 * count / of
+    if printed.startswith("<"):
+        assert 0 < true < number
+    elif printed.startswith(">"):
+        assert number < true < 100
+    else:
+        digits = len(printed.partition(".")[2])
+        assert abs(true - number) <= 0.5 * 10**-digits + 1e-9
+        assert (number == 0) == (count == 0) and (number == 100) == (count == of)
+
+
+def test_shares_are_never_rounded_to_none_or_all() -> None:
+    for of in (1, 2, 3, 7, 100, 199, 1000, 20_000, 100_000, 2**32):
+        for count in {0, 1, 2, of // 3, of // 2, of - 2, of - 1, of}:
+            if 0 <= count <= of:
+                for digits in range(5):
+                    check_share(share(count, of, digits).removesuffix(" %"), count, of)
+                check_share(sampled_share(count, of), count, of)
+
+
+def test_a_share_has_no_more_digits_than_its_interval_bears() -> None:
+    """The last decimal is at most ten times finer than the half-width, unless fewer would claim 0 or 100 %."""
+    for of in (10, 100, 5_000, 100_000):
+        for count in range(1, of, max(1, of // 97)):
+            printed = sampled_share(count, of)
+            digits = len(printed.partition(".")[2])
+            if digits and share(count, of, digits - 1)[0] not in "<>":
+                assert 10.0 ** -(digits - 1) > 100 * proportion(count, of).half_width
+
+
+def test_means_are_never_rounded_to_none_or_all() -> None:
+    assert [lost_words(mean, 8) for mean in (0.0, 1e-9, 0.0049, 0.006, 4.0, 7.994, 7.9951, 8 - 1e-9, 8.0)] == [
+        "none of 8", "almost none of 8", "almost none of 8", "0.01 of 8", "4.00 of 8", "7.99 of 8", "almost all 8",
+        "almost all 8", "all 8",
+    ]  # fmt: skip
+    assert [lost_words(1.0, 1), lost_words(0.999, 1), lost_words(1.999, 2)] == [
+        "the robot", "almost always the robot", "almost both robots",
+    ]  # fmt: skip
+
+
+def test_losses_in_a_table_are_figures_that_claim_neither_end() -> None:
+    shown = [
+        losses_shown(Estimate(mean, 0.001, ends), 8)
+        for mean, ends in (
+            (8.0, (7.981, 8.0)), (7.9996, (7.996, 8.0)), (0.0, (0.0, 0.0009)), (1.873, (1.868, 1.878)),
+            (2.5, (2.5, 2.5)),
+        )
+    ]  # fmt: skip
+    assert shown == [
+        ("8 of 8", "7.98 or more"), ("> 7.99 of 8", "7.99 or more"), ("0 of 8", "0.01 or fewer"),
+        ("1.87 of 8", "1.86 .. 1.88"), ("2.50 of 8", "exact"),
+    ]  # fmt: skip
+
+
+def test_what_was_never_seen_is_said_as_the_most_that_it_may_be() -> None:
+    assert Estimate(0.0, 0.0, (0.0, 0.0009)).said(100, " %") == "0 % (0.1 or less, 95 %)"
+    assert Estimate(0.0, 0.1, (-0.2, 0.2)).said() == "0.0 ± 0.2 (95 %)"
+    assert Estimate(-1e-17, 0.1, (-0.2, 0.2)).said() == "0.0 ± 0.2 (95 %)", "not -0.0"
+    assert Estimate(0.0, 0.0, (0.0, 0.0)).said() == "0.00 (exact)"
+
+
+def test_chances_in_a_table_have_the_digits_of_their_interval() -> None:
+    def chance_columns(chance: Estimate, runs: int) -> tuple[str, str]:
+        return Chance(**vars(chance), rollouts=runs).columns()
+
+    shown = {count: chance_columns(proportion(count, 1024), 1024) for count in (0, 3, 1024)}
+    assert shown == {0: ("0", "0.4 or less"), 3: ("0.3", "0.0 .. 0.9"), 1024: ("100", "99.6 or more")}
+    assert chance_columns(proportion(50_000, 100_000), 100_000) == ("50.0", "49.6 .. 50.4")
+    assert chance_columns(proportion(1, 1, certain=True), 1) == ("100", "exact")
+
+
+def test_an_interval_that_is_no_point_is_not_rounded_to_one() -> None:
+    assert between(7.9978, 7.9991) == "7.99 .. 8.00"
+    assert between(0.0, 0.0004) == "0.00 .. 0.01"
+    assert between(85.604, 85.756) == "85.60 .. 85.76"
+    assert between(8.0, 8.0) == "8.00 .. 8.00"
+    assert between(279.01, 279.04, 1) == "279.0 .. 279.1"
+
+
+def test_chances_in_words() -> None:
+    known = evaluation_of([30, 10])
+    cells, tally = known.tally.accessible, known.tally
+    assert (
+        chances_words(known)
+        == "Every accessible cell is visited in each of the 40 runs; a run takes 3 steps on average."
+    )
+    outcomes = tally.outcomes.copy()
+    outcomes[Outcome.COMPLETE], outcomes[Outcome.ALL_ROBOTS_LOST] = 0, 40
+    none = replace(known, tally=replace(tally, outcomes=outcomes))
+    assert chances_words(none).startswith("Every accessible cell is visited in none of the 40 runs;")
+    outcomes = outcomes.copy()
+    outcomes[Outcome.COMPLETE], outcomes[Outcome.ALL_ROBOTS_LOST] = 10, 30
+    some = replace(known, tally=replace(tally, outcomes=outcomes))
+    assert chances_words(some).startswith("Every accessible cell is visited in 25 % of runs;")
+    assert cells == 9
+
+
+def test_one_cell_takes_and_two_take() -> None:
+    """Of stops in three cells one or two take half; of nine cells one or two are covered rarely."""
+    known = evaluation_of([0, 8, 0])
+    cases = {
+        ((6, 1, 1), (1, 8)): (
+            "1 cell of the 3 where robots are lost takes half",
+            "1 cell of 9 is covered",
+            "More robots are lost in row 0, column 0 than in any other cell: 0.75 a run.",
+        ),
+        ((3, 3, 2), (1, 1)): (
+            "2 cells of the 3 where robots are lost take half",
+            "2 cells of 9 are covered",
+            "No cell costs more robots than row 0, column 0: 0.375 a run.",
+        ),
+        ((0, 4, 0), (8, 8)): ("Robots are lost in row 0, column 1 alone: 0.5 a run.",),
+    }
+    for (stops, covered), said in cases.items():
+        tally = replace(known.tally, stops=np.array([*stops, *[0] * 6]), covered_visited=np.array([*covered, *[8] * 7]))
+        words = " ".join(cell_words(replace(known, tally=tally)))
+        assert all(part in words for part in said)
+
+
+def test_one_line_says_how_many_formulas_hold_and_fail() -> None:
+    known = evaluation_of([30, 10, 0])
+    counts, said = formula_counts(known), formulas_words(known)
+    assert f"Of the paper's {sum(counts.values())} formulas" in said
+    assert f"{counts[Verdict.HOLDS]} hold" in said and f"{counts[Verdict.FAILS]} fail" in said
+    assert WORDS[overall([])] == ""
+
+
+def test_what_a_plan_is_has_words_and_no_codes() -> None:
+    plan = make_plan(World.create([[0.0, 0.2, 0.0]]), [[0, 0]])
+    assert plan_words(plan) == "3 areas; if nobody is lost, the mission visits every accessible cell"
+    shared = plan_words(replace(plan, shares=10, outcome="not_worth_the_risk"))
+    said = "if nobody is lost, the mission ends because the rest is not worth the risk"
+    assert shared == f"3 areas, shared 10 times; {said}"
+    for outcome in Outcome:
+        assert outcome.clause in replace(plan, outcome=outcome.word).ends
+    first = repr(plan).splitlines()[0]
+    assert first == "Plan of MRAC: 1 robot on 1 x 3 cells; if nobody is lost, the mission visits every accessible cell"
+
+
+def test_a_plan_says_its_policy_and_whether_robots_come_home() -> None:
+    world = World.create([[0.0, 0.2, 0.0, 0.0]])
+    settings = Settings(policy="watchful", reserve=0.5, return_to="home", range=4)
+    plan = make_plan(world, [[0, 0]], settings)
+    ended = f"the mission {NO_MORE}"
+    assert plan_words(plan) == f"watchful, reserve 0.5; 3 areas; if nobody is lost, {ended}"
+    (table, *_) = answer_tables(mrac.evaluate(world, plan, rollouts=64, advice=False))
+    assert f"chance that it {NO_MORE}" in list(table.columns[0].cells)
+
+
+def test_a_time_is_said_in_its_two_largest_units() -> None:
+    assert [duration(s) for s in (0.2, 59, 60, 125, 3600, 4830)] == [
+        "1 s",
+        "59 s",
+        "1 min",
+        "2 min 5 s",
+        "1 h",
+        "1 h 20 min",
+    ]
+
+
+def test_figures_have_the_digits_that_their_interval_allows() -> None:
+    for half, said in (
+        (0.00080, "85.7 % ± 0.1"),
+        (0.00024, "85.68 % ± 0.03"),
+        (0.003, "85.7 % ± 0.3"),
+        (0.007, "86 % ± 1"),
+    ):
+        found = Estimate(0.85678, half / 2, (0.85678 - half, 0.85678 + half))
+        assert found.said(100, " %") == f"{said} (95 %)"
+    for half in np.geomspace(1e-6, 30, 400):
+        digits = digits_of(half)
+        assert 0.5 * 10.0**-digits <= half * (1 + 1e-6) or digits == 0
+        assert digits == 0 or 0.5 * 10.0 ** (1 - digits) > half * (1 - 1e-6), "one digit fewer would leave the interval"
+        low, high = (0.5 - half, 0.5 + half)
+        mean, interval = Estimate(0.5, half, (low, high)).columns()
+        ends = [float(end) for end in interval.split(" .. ")]
+        assert abs(float(mean) - 0.5) <= half * (1 + 1e-6) + 0.5 * (digits == 0)
+        assert ends[0] <= low + 1e-6 and high - 1e-6 <= ends[1], "rounded outwards"
+
+
+def test_no_end_is_named_after_the_deadline() -> None:
+    world = World.create(np.zeros((1, 9)))
+    plan = make_plan(world, np.array([[0, 0]]), Settings(return_to="home", deadline=6))
+    assert plan.time == 6
+    plan = replace(plan, outcome="no_progress")  # as where the last one is back in the last step
+    assert span_words(plan, world.pace) == "the last move is at step 6, 6 moves, 2 quarter turns"
+
+
+@pytest.mark.parametrize("robots", [2, 3])
+def test_who_always_comes_home_is_said_in_good_words(robots: int) -> None:
+    world = World.create(np.zeros((1, 9)))
+    plan = mrac.plan(world, robots, return_to="home")
+    answer = mrac.evaluate(world, plan, rollouts=64, advice=False, exact="never")
+    assert home_words(answer).startswith(f"On average {'both' if robots == 2 else 'all 3'} robots come home, all")
+
+
+def test_the_end_that_a_plan_names_is_that_of_its_rollouts() -> None:
+    """Where the rest is not worth the risk, a mission ends some steps after its last move: both say so alike."""
+    world = World.create(np.array([[0.0, 0.0, 0.0, 0.5, 0.0]]))
+    for worth, said in (
+        (None, "makespan 4 steps, 4 moves, 0 quarter turns"),
+        (1000.0, "the last move is at step 2, the end 2 steps later, 2 moves, 0 quarter turns"),
+    ):
+        plan = make_plan(world, np.array([[0, 0]]), Settings(policy="per_cell", worth=worth))
+        assert span_words(plan, world.pace) == said
+        ended = mrac.evaluate(world, plan, rollouts=64, advice=False).tally.time
+        assert plan.makespan + (2 if worth else 0) == len(ended) - 1
+
+
+# --- one rule for shares, chances and robots lost ---
+
+
+def test_no_rounding_claims_an_end_that_is_not_reached() -> None:
+    assert [percent(x, 2) for x in (0, 1e-17, 4e-5, 0.5, 0.99995, 1 - 1e-9, 1)] == [
+        "0 %", "< 0.01 %", "< 0.01 %", "50.00 %", "> 99.99 %", "> 99.99 %", "100 %",
+    ]  # fmt: skip
+    lost = [inside(x, 8, 2) for x in (0, 1e-9, 0.006, 7.994, 7.996, 8)]
+    assert lost == ["0", "< 0.01", "0.01", "7.99", "> 7.99", "8"]
+    given = [chance(p) for p in (0.05, 0.9999, 0.99999994, 1.0, 2e-7)]
+    assert given == ["5 %", "99.99 %", "99.99999 %", "100 %", "2e-05 %"]
+    assert (chance(0.29, 12), chance(0.9999999, 12)) == ("29 %", "99.99999 %")
+    assert [floored(x) for x in (0.99999, 1, 0.5, 0.29)] == ["99.9 %", "100 %", "50.0 %", "29.0 %"], "bounds from below"
+    assert [ceiled(x) for x in (0.999951, 0.12341, 0.29)] == ["99.996 %", "12.35 %", "29.00 %"], "bounds from above"
+    assert [ceiled(x) for x in (1 - 1e-10, 1.0, 1 - 2e-8)] == ["100 %", "100 %", "99.999998 %"], "100 is whole"
+    assert (ceiled(0.999951, unit=""), chance(0.9999999, unit="")) == ("99.996", "99.99999"), "columns that say %"
+    assert [percent(x) for x in (-1e-17, -0.0)] == ["0 %", "0 %"], "sums lose so much; nothing is -0.0"
+
+
+def test_an_exact_share_is_whole_only_where_it_is() -> None:
+    assert exactly(0.99995).said(100, " %") == "> 99.99 % (exact)"
+    assert exactly(1.0).said(100, " %") == "100 % (exact)" and exactly(0.0).columns(100, 100) == ("0", "exact")
+    assert exactly(3e-5).said(100, " points") == "0.003 points (exact)", "what is known is not said to be nothing"
+
+
+@pytest.mark.parametrize(
+    ("estimate", "said", "table"),
+    [
+        (Estimate(0.0, 0.1, (0.0, 0.3)), "0 % (30 or less, 95 %)", "0 (30.0 or less)"),
+        (Estimate(0.998, 0.002, (0.995, 1.0)), "99.8 % (99.5 or more, 95 %)", "99.8 (99.5 or more)"),
+        (Estimate(0.02, 0.02, (0.0, 0.05)), "2 % (5 or less, 95 %)", "2.0 (5.0 or less)"),
+        (Estimate(0.4, 0.4, (-0.2, 1.0)), "40 % (0 .. 100, 95 %)", "40.0 (0 .. 100)"),
+        (Estimate(0.6735, 0.0007, (0.6721, 0.6749)), "67.3 % ± 0.2 (95 %)", "67.3 ± 0.2"),
+    ],
+)
+def test_a_symmetric_interval_stays_in_what_is_possible(estimate: Estimate, said: str, table: str) -> None:
+    assert (estimate.said(100, " %"), estimate.around(100, most=100)) == (said, table)
+
+
+def test_an_interval_has_its_unit_where_it_is_read() -> None:
+    said = [in_unit(one) for one in ("exact", "", "56.4 .. 56.6", "99.5 or more", "9 .. 12, certain")]
+    assert said == ["exact", "", "56.4 .. 56.6 %", "99.5 % or more", "9 .. 12 %, certain"]
+
+
+def test_no_printed_share_leaves_0_to_100() -> None:
+    """Random estimates, parsed back: ± and intervals lie in 0 .. 100, and 0 and 100 are said of nothing else."""
+    rng = np.random.default_rng(4)
+    for _ in range(2000):
+        mean = float(rng.choice([rng.beta(0.1, 0.1), rng.random() ** 8, 1 - rng.random() ** 8]))
+        wide = float(10 ** rng.uniform(-6, 0))
+        estimate = Estimate(mean, wide / 2, (max(mean - wide, 0.0), min(mean + wide * rng.random(), 1.0)))
+        for text in (estimate.said(100, " %"), estimate.around(100, most=100, digits=int(rng.integers(1, 3)))):
+            first, *rest = re.findall(r"\d+(?:\.\d+)?", text.removesuffix("95 %)"))
+            if "±" in text:
+                assert float(first) - float(rest[0]) >= -1e-9 and float(first) + float(rest[0]) <= 100 + 1e-9, text
+            assert all(0 <= float(number) <= 100 for number in (first, *rest)), text
+            if text[0] not in "<>":
+                assert (float(first) == 100) == (mean > 1 - 1e-12) and (float(first) == 0) == (mean == 0), (text, mean)
+
+
+def test_sweeps_say_times_and_shares_by_the_same_rule() -> None:
+    assert sweep_percent(Estimate(0.0, 0.1, (0.0, 0.3))) == "0 (30.0 or less)"
+    assert sweep_percent(exactly(0.85731)) == "85.73 (exact)"
+    assert sweep_around(Estimate(3.0, 4.0, (0.0, 12.0))) == "3.0 (0.0 .. 12.0)", "no time is below 0"
+
+
+def test_almost_none_is_said_only_of_what_rounds_to_it() -> None:
+    """Five rollouts that lose 0.2 of 2 on average: their interval allows no decimal, and it is said."""
+    assert (lost_words(0.2, 2, 0), lost_words(1.7, 2, 0), lost_words(0.0049, 2, 0)) == (
+        "0.2 of 2", "1.7 of 2", "almost none of 2",
+    )  # fmt: skip
+    said = losses_words(evaluation_of([0, 1, 4]))
+    assert re.fullmatch(r"No robot is lost in 80 % of runs; on average 0\.2 of 2 \([\d.]+ or fewer\)\.", said)
+    assert losses_said(Estimate(0.2, 0.3, (0.0, 1.5)), 2) == "0.2 (1.5 or fewer, 95 %) robots"
+    assert losses_said(Estimate(0.01, 0.01, (0.0, 0.03)), 1) == "0.01 (0.03 or fewer, 95 %) robots"
+    assert losses_said(Estimate(0.0, 0.0, (0.0, 0.03)), 1) == robots_words(0.0, 1) == "no robot"
+    assert (robots_words(0.2, 1), robots_words(1.87, 5), robots_words(5.0, 5), robots_words(2.0, 2)) == (
+        "0.20 of 1 robot", "1.87 of 5 robots", "all 5 robots", "both robots",
+    )  # fmt: skip
+
+
+def test_what_was_cut_off_and_lost_agrees_with_its_number() -> None:
+    whole, limit = evaluation_of([0, 1]), "cut off at the step limit: raise max_steps"
+    for runs, cut, said in (
+        (1, 1, "1 of 1 rollout was"),
+        (20, 1, "1 of 20 rollouts was"),
+        (20, 7, "7 of 20 rollouts were"),
+    ):
+        outcomes = np.zeros_like(whole.tally.outcomes)
+        outcomes[[Outcome.COMPLETE, Outcome.STEP_LIMIT]] = runs - cut, cut
+        tally = replace(whole.tally, outcomes=outcomes, ids=((0, runs),))
+        assert cut_off(whole.world, tally, whole.plan) == (f"{said} {limit}",)
+    world = mrac.load([[0, 0, 0, 0.3, 0]])
+    for step, said in ((1, "40.00 % (exact) visited, no robot lost."), (3, "0.30 of 1 robot lost on average.")):
+        answer = mrac.evaluate(world, 1, rollouts=64, deadline=step, advice=False, band=False, loop="open")
+        (line,) = (line for found in answer.blocks for line in found.opens)
+        assert line.startswith(f"By step {step}: ") and line.endswith(said)
+
+
+def test_numbers_and_their_things_agree() -> None:
+    assert (counted(1.0, "step"), counted(1.5, "step"), counted(1, "map")) == ("1 step", "1.5 steps", "1 map")
+    assert (UNPACED.steps(1.2), UNPACED.steps(13.6), UNPACED.step(12.4)) == ("1 step", "14 steps", "step 12")
+    said = [at_least_words(*of) for of in ((1, 3), (2, 3), (3, 3), (1, 1))]
+    assert said == ["at least 1 robot is", "at least 2 robots are", "every robot is", "the robot is"]
+    plan = make_plan(World.create([[0.0, 0.2, 0.0]]), [[0, 0]])
+    assert ", shared once; " in plan_words(replace(plan, shares=1))
+    two = make_plan(World.create([[0.0, 0.0]]), [[0, 0]])
+    assert span_words(two, UNPACED) == "makespan 1 step, 1 move, 0 quarter turns"
+
+
+def test_where_most_robots_are_lost_is_compared_with_the_other_cells() -> None:
+    known = evaluation_of([0, 8, 0])
+    for stops, said in (
+        ((6, 1, 1), "More robots are lost in row 0, column 0 than in any other cell: 0.75 a run. "),
+        ((3, 3, 2), "No cell costs more robots than row 0, column 0: 0.375 a run. "),
+        ((0, 8, 0), "Robots are lost in row 0, column 1 alone: 1 a run."),
+    ):
+        tally = replace(known.tally, stops=np.array([*stops, *[0] * 6]))
+        assert next(cell_words(replace(known, tally=tally))).startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("cut", "said"),
+    [
+        (1, "1 free cell cannot be reached by any robot; it counts only"),
+        (2, "2 free cells cannot be reached by any robot; they count only"),
+    ],
+)
+def test_cells_out_of_reach_are_counted_in_good_words(cut: int, said: str) -> None:
+    world = World.create([[0.0, 0.2, np.nan, *[0.0] * cut]])
+    answer = mrac.evaluate(world, mrac.plan(world, starts=[[0, 0]]), rollouts=64, advice=False)
+    assert any(line.startswith(said) for line in cell_words(answer))
+
+
+def test_what_costs_less_than_nothing_is_said_the_other_way_round() -> None:
+    words = ("not knowing it costs", "robots that are not told it visit")
+    assert more_said(exactly(0.041), *words) == "not knowing it costs 4.10 points (exact)"
+    assert more_said(exactly(-0.0049), *words) == "robots that are not told it visit 0.49 points more (exact)"
+    less = more_said(Estimate(-0.02, 0.005, (-0.03, -0.01)), "to see is worth", "robots that see visit", "less")
+    assert less == "robots that see visit 2 points less ± 1 (95 %)"
+
+
+# The terminal's answer: what comes first, what is folded away, and that it can be read at 80 columns.
+
+WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
+MOST_LINES = 4
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return load_world_file(Path(WORLD))
+
+
+@pytest.fixture(scope="module")
+def answers(world: World) -> dict[str, Evaluation]:
+    """Both loops, with everything that can be asked for."""
+    plan = make_plan(world, place_starts(world, 8)[0])
+    known = {"deadline": 40, "rollouts": 200}
+    return {
+        "closed": evaluate(world, plan, RolloutChoices(**known), threat_scale=(0.5, 2.0)),
+        "controlled": evaluate(world, plan, RolloutChoices(**(known | {"rollouts": 1024}))),
+        "open": evaluate(world, plan, RolloutChoices(loop="open", **known), threat_scale=(0.5,)),
+    }
+
+
+def shown(evaluation: Evaluation, width: int, theory: bool = False) -> str:
+    return as_text(lambda console: print_report(evaluation_report(evaluation, theory), console), width)
+
+
+@pytest.mark.parametrize("loop", ["closed", "controlled", "open"])
+def test_the_answer_losses_chances_and_time_come_first(loop: str, answers: dict[str, Evaluation]) -> None:
+    answer = answers[loop]
+    said = shown(answer, 200)
+    wanted = [headline(answer), "Chances in %", "time, steps", "Coverage, %", losses_words(answer),
+              "accessible,", "makespan", "rollouts,"]  # fmt: skip
+    places = [said.index(words) for words in wanted]
+    assert places == sorted(places) and places[0] == 0
+
+
+def test_formulas_are_listed_only_when_asked_for(answers: dict[str, Evaluation]) -> None:
+    answer = answers["closed"]
+    assert "Theorem 3" not in shown(answer, 200) and "FAILS" not in shown(answer, 200)
+    assert "formula" not in shown(answer, 200), "no concern of who asks for coverage"
+    assert formulas_words(answer) in shown(answer, 200, theory=True)
+    listed = shown(answer, 200, theory=True)
+    assert listed.count("Theorem 3") == 4 and "eq. (2) as printed" in listed and "--theory" not in listed
+
+
+@pytest.mark.parametrize("loop", ["closed", "controlled", "open"])
+@pytest.mark.parametrize("width", [80, 200])
+def test_tables_fit_and_no_label_is_over_four_lines(loop: str, width: int, answers: dict[str, Evaluation]) -> None:
+    said = shown(answers[loop], width, theory=True)
+    assert max(map(len, said.splitlines())) <= width
+    assert most_lines(said) <= (MOST_LINES if width == 80 else 1), said
+    assert "\u2026" not in said
+
+
+def test_check_can_be_read_at_80_columns(world: World) -> None:
+    plan = make_plan(world, place_starts(world, 2)[0])
+    checked = check_input(world, plan, RolloutChoices(rollouts=200))
+    said = as_text(lambda console: print_report(check_report(checked), console), 80)
+    assert max(map(len, said.splitlines())) <= 80
+    assert most_lines(said) <= MOST_LINES, said
+    assert "\u2026" not in said
+
+
+def most_lines(said: str) -> int:
+    """Lines of the longest label of a table's rows: lines without a number in them that follow one that has some."""
+    most = now = 0
+    for line in said.splitlines():
+        inside = line.startswith("  ")
+        if inside and re.search(r"\s{2,}\S+.*\s{2,}\S+", line.strip() and line):
+            now = 1
+        elif inside and line.strip() and now:
+            now += 1
+        else:
+            now = 0
+        most = max(most, now)
+    return most
+
+
+def test_the_longest_label_is_found() -> None:
+    assert most_lines("  a     1   2\n  b\n  c\n  d     3   4\n\n  words\n") == 3
+
+
+def test_notes_come_last_and_the_width_of_a_pipe_can_be_set(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Results on standard output, then on standard error how the map was read."""
+    monkeypatch.setenv("COLUMNS", "80")
+    World.create(np.full((4, 6), 0.05), source="m").save(tmp_path / "m.npz")
+    events: list[str] = []
+    monkeypatch.setattr("analysis.cli.deliver.say", lambda lines: events.extend(lines))
+    monkeypatch.setattr("analysis.report.answer.print_report", lambda *_, **__: events.append("the answer"))
+    words = ["evaluate", str(tmp_path / "m.npz"), "--robots", "25", "--rollouts", "64"]
+    assert run(words) == 0
+    assert events[0] == "the answer"
+    monkeypatch.undo()
+    monkeypatch.setenv("COLUMNS", "80")
+    assert run([*words, "--theory"]) == 0
+    said = capsys.readouterr().out
+    assert max(map(len, said.splitlines())) <= 80 and "Theorem 3" in said
+
+
+# The band of coverage over time: the quantiles of the rollouts that were run, each cut off at each step.
+
+CHOICES = [
+    RolloutChoices(loop="closed", rollouts=120),
+    RolloutChoices(loop="closed", rollouts=120, first_only=True, seed=5),
+    RolloutChoices(loop="open", rollouts=120),
+    RolloutChoices(loop="open", rollouts=120, seed=5, deadline=30),
+]
+
+
+@pytest.fixture(scope="module")
+def world_over_time() -> World:
+    return load_world_file(FOLDER / "contiguous-14x23-1000.npz")
+
+
+@pytest.fixture(scope="module")
+def plan(world_over_time: World) -> Plan:
+    return make_plan(world_over_time, place_starts(world_over_time, 3)[0])
+
+
+def tally_of(world_over_time: World, plan: Plan, choices: RolloutChoices, until: int | None = None) -> Tally:
+    return list(make_roll_out(world_over_time, plan, choices)(choices, until))[-1].tally
+
+
+def band_of(world_over_time: World, plan: Plan, choices: RolloutChoices) -> Band:
+    found = evaluate(world_over_time, plan, choices, band=True).outputs.get("band")
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("choices", CHOICES, ids=lambda choices: f"{choices.loop}-{choices.seed}")
+def test_the_band_is_that_of_the_same_ids_cut_off_at_every_step(
+    world_over_time: World, plan: Plan, choices: RolloutChoices
+) -> None:
+    """Brute force: the first ids again for every step of the band, by the engines, and the quantiles of their tally."""
+    band = band_of(world_over_time, plan, choices)
+    assert band.rollouts == BAND_LEAST
+    roll_out, few = make_roll_out(world_over_time, plan, choices), replace(choices, rollouts=BAND_LEAST)
+    for place in [*range(0, len(band.steps), 7), len(band.steps) - 1]:
+        cut = list(roll_out(few, int(band.steps[place])))[-1].tally
+        shown = tuple(int(values[place]) for values in (band.low, band.median, band.high))
+        assert shown == tuple(quantile(cut.visited, q) for q in QUANTILES), f"step {band.steps[place]}"
+
+
+def test_the_band_of_robots_that_wear_is_that_of_robots_that_wear(world_over_time: World) -> None:
+    plan = make_plan(
+        world_over_time, place_starts(world_over_time, 3)[0], Settings(wear=3.0, susceptibility=(1.0, 4.0, 0.5))
+    )
+    choices = RolloutChoices(loop="open", rollouts=120)
+    band, roll_out = band_of(world_over_time, plan, choices), make_roll_out(world_over_time, plan, choices)
+    for place in range(0, len(band.steps), 25):
+        cut = list(roll_out(replace(choices, rollouts=BAND_LEAST), int(band.steps[place])))[-1].tally
+        shown = tuple(int(values[place]) for values in (band.low, band.median, band.high))
+        assert shown == tuple(quantile(cut.visited, q) for q in QUANTILES)
+
+
+def test_every_step_of_a_short_run_is_looked_at_and_the_end_of_the_longest(world_over_time: World, plan: Plan) -> None:
+    choices = RolloutChoices(rollouts=300, deadline=1000)
+    tally = tally_of(world_over_time, plan, choices)
+    band = band_of(world_over_time, plan, choices)
+    assert {0, 1000, int(np.flatnonzero(tally.time).max())} <= set(band.steps.tolist())
+    assert len(band.steps) <= STEPS + 2
+    end = [int(values[-1]) for values in (band.low, band.median, band.high)]
+    few = tally_of(world_over_time, plan, replace(choices, rollouts=band.rollouts))
+    assert end == [quantile(few.visited, q) for q in QUANTILES]
+
+
+def test_no_more_rollouts_than_were_asked_for_and_few_of_many(world_over_time: World, plan: Plan) -> None:
+    """Counted where they are run: the calls of the compiled simulator."""
+    for asked, again in ((1, 1), (60, 60), (500, BAND_LEAST), (3000, 3000 // SHARE), (100_000, BAND_MOST)):
+        choices = RolloutChoices(loop="open", rollouts=asked)
+        assert band_of(world_over_time, plan, choices).rollouts == again
+
+
+def test_other_planners_paths_that_wait_and_cross_have_a_band(world_over_time: World) -> None:
+    free = np.flatnonzero(world_over_time.free)
+    start = next(int(cell) for cell in free if world_over_time.free.flat[cell + 1])
+    walk = np.array([start, start, start + 1, start, start, start + 1])
+    plan = Plan(
+        shape=world_over_time.shape, sha256="", settings=None, areas=(), areas_added=(), robots=(RobotPlan(walk),) * 2
+    )
+    choices = RolloutChoices(loop="open", rollouts=50)
+    band = band_of(world_over_time, plan, choices)
+    assert band.steps.tolist() == list(range(6))
+    assert band.median.tolist()[:2] == [1, 1]
+    assert band.high[-1] == 2
+
+
+def test_the_evaluation_s_band_is_the_same_for_the_same_seed_and_every_chunk(
+    world_over_time: World, plan: Plan
+) -> None:
+    bands = [band_of(world_over_time, plan, RolloutChoices(rollouts=2000)) for _ in range(2)]
+    for name in ("steps", "low", "median", "high", "rollouts"):
+        assert np.array_equal(getattr(bands[0], name), getattr(bands[1], name))
+    assert bands[0].rollouts == 200
+
+
+@pytest.mark.parametrize("loop", ["open", "closed"])
+def test_the_page_s_table_shows_the_band_only_where_it_was_looked_at(world_over_time: World, loop: str) -> None:
+    """1 robot takes some hundred steps: more than are looked at."""
+    plan = make_plan(world_over_time, place_starts(world_over_time, 1)[0])
+    choices = RolloutChoices(loop=loop, rollouts=100)  # type: ignore[arg-type]
+    answer = evaluate(world_over_time, plan, choices, band=True)
+    band = answer.outputs.get("band")
+    assert band is not None
+    assert len(band.steps) < band.steps[-1]
+    rows = re.findall(r"<tr>(.*?)</tr>", curves_html(over_time(answer)), re.DOTALL)
+    table = [
+        [html.unescape(cell).replace("\xa0", " ") for cell in re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", row)]
+        for row in rows
+    ]
+    name = next(place for place, words in enumerate(table[0]) if words.startswith("median of 100 rollouts"))
+    cells = answer.tally.accessible
+    said = {}
+    for step, low, middle, high in zip(
+        *map(np.ndarray.tolist, (band.steps, band.low, band.median, band.high)), strict=True
+    ):
+        lowest, median, highest = (f"{100 * value / cells:,.1f}" for value in (low, middle, high))
+        said[f"{step:,}"] = median if low == high else f"{median} ({lowest} .. {highest})"
+    assert len(table) > 30
+    for row in table[1:]:
+        assert row[name] == said[row[0]]

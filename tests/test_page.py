@@ -1,0 +1,691 @@
+"""Pages: their parts, those of evaluations and checks, the runs that they play."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+import zlib
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import quickjs
+from conftest import FOLDER
+from page_reader import PNG, Browser, Reader, browser_path, check_page_is_sound
+from PIL import Image
+from rich.table import Table
+
+import mrac_jax as mrac
+from analysis.checking.check import MapCheck, check_input
+from analysis.checking.report import check_headline, check_report, survey_headline, survey_report
+from analysis.checking.survey import Survey, make_survey, run_survey
+from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.layers import nominal, picked
+from analysis.evaluation.report import chances_words, headline, limit_words, losses_words, report
+from analysis.evaluation.table import formulas_words
+from analysis.page.charts import Chart, Series, curves_html, label, ticks
+from analysis.page.document import (
+    FOLDED_FROM,
+    MOST_ROWS,
+    TEMPLATES,
+    Html,
+    TableData,
+    asset,
+    block,
+    from_rich,
+    unbroken,
+    whole_script,
+    with_code,
+)
+from analysis.page.maps import NOT_FREE, OUT_OF_REACH, STEPS, CellLayer, cell_maps_html
+from analysis.page.paths import Run, pack, packed_runs
+from analysis.pictures.style import COVERED, house_style
+from analysis.recording.frames import make_frames
+from analysis.report.answer import save_report
+from analysis.report.html import page_of
+from analysis.report.html import page_of as page_of_report
+from analysis.report.model import KeyFigure, Part, Report
+from analysis.report.picture import figure_of
+from analysis.sampling import RolloutChoices, make_engine_for
+from analysis.theory.formulas import FORMULAS
+from planner.mrac.make_plan import make_plan
+from planner.plan.plan import Plan, RobotPlan
+from planner.settings import Choices, Settings
+from planner.world.levels import place_starts
+from planner.world.scenario import load_input
+from planner.world.world import World, load_world_file
+
+# What a page is made of: markup that cannot be broken, tables, curves, maps by cell.
+
+HOSTILE = (
+    "</script><script>alert(1)</script><!--<img src=x onerror=alert(2)>\"'&amp;[bold]`${1}`",
+    "javascript:alert(1)",
+    "a\u202eb\x00c\udc80d\x1b[31m\u2028",
+    "../../etc/passwd //host/x\\y",
+)
+
+
+# --- markup ---
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_text_is_shown_and_never_obeyed(text: str) -> None:
+    reader = Reader(TEMPLATES.from_string('<p title="{{ text }}">{{ text }}</p>').render(text=text))
+    assert [tag for tag, _ in reader.tags] == ["p"]
+    assert reader.text == reader.tags[0][1]["title"]
+    hidden = {"\u202e": "\\u202e", "\x00": "\\x00", "\udc80": "\\udc80", "\x1b": "\\x1b"}
+    for letter, shown in hidden.items():
+        text = text.replace(letter, shown)
+    assert reader.text.replace("\\u2028", "\u2028") == text
+
+
+def test_what_stands_between_backticks_is_code() -> None:
+    assert with_code("take `x <4>` & go") == "take <code>x &lt;4&gt;</code> &amp; go"
+    assert with_code("an odd ` one") == "an odd ` one"
+    assert with_code(Html("<b>`as it is`</b>")) == "<b>`as it is`</b>"
+
+
+def test_no_line_ends_between_a_number_and_its_unit_or_an_option_and_its_value() -> None:
+    """Options keep their plain spaces: they are copied into a shell."""
+    tied = {
+        "85.73 % ± 0.05 of 3,451 cells": "85.73~%~±~0.05~of 3,451~cells",
+        "a 95 % interval, < 0.1 %": "a 95~% interval, <~0.1~%",
+        "no number here": "no number here",
+    }
+    for text, shown in tied.items():
+        assert unbroken(text) == shown.replace("~", "\N{NO-BREAK SPACE}")
+    assert with_code("lose 0.6: `--policy per_cell --worth 4`") == (
+        'lose 0.6: <code><span class="whole">--policy per_cell</span> <span class="whole">--worth 4</span></code>'
+    )
+    assert with_code("run it: x --seed 1 <") == 'run it: x <span class="whole">--seed 1</span> &lt;'
+
+
+def test_html_stands_as_it_is_and_data_is_inert() -> None:
+    assert TEMPLATES.from_string("{{ a }}{{ b }}{{ c }}").render(a=Html("<b>"), b=3, c=None) == "<b>3"
+    inert = block("data", {"name": HOSTILE[0]})
+    assert inert.count("<") == 2 and Reader(inert).data() == [{"name": HOSTILE[0]}]
+
+
+# --- the page ---
+
+
+def test_a_page_of_hostile_words_is_sound() -> None:
+    def made() -> str:
+        chart = Chart(HOSTILE[0], (Series(HOSTILE[0], [1, 2], [3, 4], [2, 3], [4, 5]),), HOSTILE[1], HOSTILE[2],
+                      unit=HOSTILE[0], at_x=((1.5, HOSTILE[0]),), at_y=((3, HOSTILE[3]),))  # fmt: skip
+        table = Table(*HOSTILE, title=HOSTILE[0])
+        table.add_row(*HOSTILE)
+        settings = dict(zip(HOSTILE, HOSTILE, strict=True))
+        parts = [Part(HOSTILE[0], drawn=lambda: [chart]), Part("Tables", [table], HOSTILE, lead=HOSTILE[0])]
+        said = Report(HOSTILE[0], HOSTILE[0], HOSTILE[0], HOSTILE[2], dict, HOSTILE, [KeyFigure(*HOSTILE[:3])],
+                      parts=parts, notes=HOSTILE, warnings=HOSTILE, settings=settings, heading=HOSTILE)  # fmt: skip
+        return page_of(said, HOSTILE[0], dict.fromkeys(HOSTILE, PNG), HOSTILE)
+
+    page = made()
+    reader = check_page_is_sound(page)
+    assert page == made()
+    assert "alert(1)" in reader.text and len(reader.scripts) == 2
+    assert len(reader.all("img")) == len(HOSTILE)
+
+
+def test_an_axis_of_words_has_words() -> None:
+    """In its labels, in the table of values and under the pointer."""
+    chart = Chart("T", (Series("one", [0, 1], [3, 4]),), "risk", "covered", x_words=("paper", "log"))
+    reader = Reader(curves_html(chart))
+    assert reader.text.count("paper") == reader.text.count("log") == 2
+    assert reader.data()[0]["xWords"] == ["paper", "log"]
+
+
+def test_sections_without_anything_are_left_out() -> None:
+    page = page_of(Report("n", "k", "T", "A.", dict, parts=[Part("One", notes=["x"]), Part("Two")]), "mrac-jax", {}, ())
+    headings = [heading for _, heading in check_page_is_sound(page).headings]
+    assert headings == ["T", "One", "How to reproduce"]
+
+
+def test_no_asset_ends_the_element_that_holds_it() -> None:
+    assert "</script" not in whole_script() and "</style" not in asset("page.css")
+
+
+def test_the_script_parses() -> None:
+    parse = quickjs.Function("parse", "function parse(text) { new Function(text); }")
+    parse(whole_script())
+    with pytest.raises(quickjs.JSException, match="SyntaxError"):
+        parse(whole_script() + "(")
+
+
+# --- tables ---
+
+
+def test_tables_of_the_command_line_keep_words_and_sides() -> None:
+    table = Table("", "a [0, 3]", title="T")
+    table.columns[1].justify = "right"
+    table.add_row("[b]name[/b] :smile:", "1.5 FAILS")
+    known = from_rich(table)
+    assert known == TableData("T", ("", "a [0, 3]"), (("[b]name[/b] :smile:", "1.5 FAILS"),), frozenset({0}))
+    reader = Reader(block("table_of", known))
+    assert reader.all("span")[0]["class"] == "verdict fails"
+    assert reader.all("td", "number") and not reader.all("details")
+
+
+def test_long_tables_are_folded_and_cut_with_a_note() -> None:
+    rows = tuple((str(number),) for number in range(MOST_ROWS + 5))
+    reader = Reader(block("table_of", TableData("T", ("n",), rows)))
+    assert len(reader.all("tr")) == MOST_ROWS + 1 and reader.all("details")
+    assert f"{MOST_ROWS:,} of {len(rows):,} rows" in reader.text
+    assert not Reader(block("table_of", TableData("T", ("n",), rows[:FOLDED_FROM]))).all("details")
+
+
+# --- curves ---
+
+
+def test_a_curve_is_drawn_at_its_values() -> None:
+    series = (
+        Series("a", [0, 5, 10], [0, 50, 100], [0, 40, 90], [10, 60, 100]),
+        Series("b", [0, 10], [20, np.nan], kind="points"),
+    )
+    html = curves_html(Chart("T", series, "robots", "%", unit="%", y_range=(0, 100)))
+    reader = Reader(html)
+    known = reader.data()[0]
+    assert [s["name"] for s in known["series"]] == ["a", "b"]
+    assert known["series"][0]["y"] == [0, 50, 100] and known["series"][0]["high"] == [10, 60, 100]
+    assert known["series"][1]["x"] == [0]
+    paths = {str(attrs.get("class")): str(attrs["d"]) for attrs in reader.all("path")}
+    low, high = known["x"]
+    at = [1000 * (x - low) / (high - low) for x in (0, 5, 10)]
+    drawn = [[float(v) for v in point.split()] for point in paths["line"][1:].split("L")]
+    assert np.allclose(drawn, [[at[0], 1000], [at[1], 500], [at[2], 0]], atol=0.1)
+    assert "50.0 (40.0 .. 60.0)" in reader.text and "Upright lines: 95 % interval." in reader.text
+    assert len(reader.all("button")) == 2
+
+
+def test_long_curves_are_thinned_and_banded() -> None:
+    x = np.arange(100_000)
+    html = curves_html(Chart("T", (Series("a", x, x / 2, x / 4, x, kind="step"),), "step", "cells"))
+    assert len(html) < 60_000
+    known = Reader(html).data()[0]["series"][0]
+    assert known["x"][0] == 0 and known["x"][-1] == 99_999 and len(known["x"]) == 400
+    assert Reader(html).all("path", "band")
+
+
+def test_charts_of_one_point_and_of_none() -> None:
+    for y in (0.0, 1.0, -3.0):
+        assert Reader(curves_html(Chart("T", (Series("a", [4], [y]),), "robots", "%"))).all("path", "dots")
+    reader = Reader(
+        curves_html(Chart("T", (Series("a", [4], [1]),), "x", "y", at_x=((99, "far"),), at_y=((-9, "low"),)))
+    )
+    assert not reader.all("path", "mark") and "far" not in reader.text and "low" not in reader.text
+    assert curves_html(Chart("T", (Series("a", [], []), Series("b", [1], [np.nan])), "robots", "%")) == ""
+    assert curves_html(Chart("T", (), "robots", "%")) == ""
+
+
+def test_bars_start_at_the_axis() -> None:
+    reader = Reader(curves_html(Chart("T", (Series("a", [1, 2, 3], [1, 0, 4], kind="bars"),), "x", "y")))
+    path = str(reader.all("path", "bars")[0]["d"])
+    assert path.count("Z") == 2 and path.count("M") == 2
+
+
+def test_ticks() -> None:
+    assert ticks(0, 100, 5).tolist() == [0, 20, 40, 60, 80, 100]
+    assert ticks(0.2, 3, 9, whole=True).tolist() == [1, 2, 3]
+    assert np.allclose(ticks(-0.03, 0.03, 3), [-0.02, 0, 0.02])
+    assert [label(x, step) for x, step in ((1500, 500), (0.25, 0.05), (-0.0, 1), (1e-6, 1e-6))] == [
+        "1,500", "0.25", "0", "0.000001",
+    ]  # fmt: skip
+
+
+# --- maps by cell ---
+
+
+def unpacked(layer: dict, shape: tuple[int, int]) -> np.ndarray:
+    codes = np.frombuffer(zlib.decompress(base64.b64decode(layer["codes"])), dtype="<u2")
+    return codes.reshape(shape)
+
+
+@pytest.fixture(scope="module")
+def cells() -> tuple[np.ndarray, World, np.ndarray]:
+    """Chances, a map of 3 x 5, and its cells that can be reached from the lower left."""
+    chance = np.linspace(0, 1, 15).reshape(3, 5)
+    chance[0, 1], chance[2, 3] = 1e-9, 1 - 1e-9
+    threat = np.zeros((3, 5))
+    threat[1, 2] = threat[0, 3] = threat[1, 4] = np.nan
+    world = World.create(threat, cell_size=0.5)
+    accessible = world.free.copy()
+    accessible[0, 4] = False
+    return chance, world, accessible
+
+
+def test_a_map_holds_every_cell_the_right_way_up(cells: tuple[np.ndarray, World, np.ndarray]) -> None:
+    chance, world, accessible = cells
+    layers = [CellLayer("Chance", "about", chance, COVERED, "%", top=1.0), CellLayer("Lost", "", chance * 2, COVERED)]
+    reader = Reader(cell_maps_html(layers, world, np.array([[2, 0], [2, 0]])))
+    known = reader.data()[0]
+    assert known["shape"] == [3, 5] and known["starts"] == [[2, 0], [2, 0]] and known["metres"] == 0.5
+    for layer, values in zip(known["layers"], (chance, chance * 2), strict=True):
+        codes = unpacked(layer, (3, 5))
+        assert codes[1, 2] == NOT_FREE and codes[0, 4] == OUT_OF_REACH
+        assert np.allclose((codes / STEPS * layer["largest"])[accessible], values[accessible], atol=2 / STEPS)
+        assert codes[0, 0] == 0 and codes[2, 4] == STEPS
+    codes = unpacked(known["layers"][0], (3, 5))
+    assert codes[0, 1] == 1 and codes[2, 3] == STEPS - 1
+    with Image.open(io.BytesIO(base64.b64decode(str(reader.all("img")[0]["src"]).split(",")[1]))) as image:
+        assert image.size == (5, 3)
+        colours = np.array(image.convert("RGB"))
+    assert colours[1, 2].tolist() == [0x3D, 0x43, 0x4C] and colours[0, 4].tolist() == [0xDF, 0xE5, 0xEE]
+    assert np.abs(colours[0, 0] / 255 - COVERED(0.0)[:3]).max() < 0.02
+    assert np.abs(colours[2, 4] / 255 - COVERED(1.0)[:3]).max() < 0.02
+    assert "3 rows and 5 columns" in str(reader.all("img")[0]["alt"])
+    assert [name for name in ("robots' starts", "obstacle", "free, out of reach") if name in reader.text] != []
+
+
+def test_large_maps_come_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("analysis.page.maps.MOST_CELLS", 6)
+    threat = np.zeros((5, 5))
+    threat[1, :2] = np.nan
+    world, starts = World.create(threat), np.array([[4, 4]])
+    values = np.arange(25.0).reshape(5, 5) / 25
+    layers = [CellLayer("Chance", "", values, COVERED, "%"), CellLayer("Lost", "", values, COVERED, blocks="sum")]
+    reader = Reader(cell_maps_html(layers, world, starts))
+    known = reader.data()[0]
+    assert known["side"] == 3 and "blocks of 3 x 3 cells" in reader.text
+    mean, lost = (unpacked(layer, (2, 2)) / STEPS * layer["largest"] for layer in known["layers"])
+    held = world.free[:3, :3]
+    assert np.isclose(mean[0, 0], values[:3, :3][held].mean(), atol=1e-4)
+    assert np.allclose(lost, [[values[:3, :3][held].sum(), values[:3, 3:].sum()],
+                              [values[3:, :3].sum(), values[3:, 3:].sum()]], atol=1e-3)  # fmt: skip
+
+
+def test_a_map_of_one_safe_cell() -> None:
+    layers = [CellLayer("Lost", "", np.zeros((1, 1)), COVERED, root=True)]
+    reader = Reader(cell_maps_html(layers, World.create([[0.0]]), np.array([[0, 0]])))
+    assert unpacked(reader.data()[0]["layers"][0], (1, 1)).tolist() == [[0]]
+
+
+# The pages of evaluate, check and check --worlds: sound, small, always the same, with the answer's numbers in them.
+
+NAN = float("nan")
+HOSTILE_REPORTS = "maps/</script><script>alert(1)</script>\"'&\u202e\udc80.npz"
+COMMAND = "mrac-jax evaluate 'a <map>.yaml' --robots 2 --out report"
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return load_world_file(FOLDER / "contiguous-14x23-1001.npz")
+
+
+@pytest.fixture(scope="module")
+def answer(world: World) -> Evaluation:
+    """Two robots in the closed loop, with everything that can be asked for."""
+    plan = make_plan(world, place_starts(world, 2)[0])
+    choices = RolloutChoices(rollouts=300, deadline=40)
+    return evaluate(world, plan, choices, threat_scale=(0.5,), band=True)
+
+
+@pytest.fixture(scope="module")
+def checked(world: World) -> MapCheck:
+    return check_input(world, make_plan(world, place_starts(world, 2)[0]), RolloutChoices(rollouts=300))
+
+
+@pytest.fixture(scope="module")
+def survey() -> Survey:
+    choices = make_survey(2, None, "8x8", (1, 2), Choices())
+    return run_survey(choices, RolloutChoices(rollouts=64), processes=1)
+
+
+def evaluation_page(answer: Evaluation, command: str, pictures: dict[str, bytes]) -> str:
+    return page_of_report(report(answer), command, pictures, ("evaluation.json", "plan.json"))
+
+
+def page_of_reports(answer: Evaluation) -> str:
+    return evaluation_page(answer, COMMAND, dict.fromkeys(("world.png", "covered.png", "losses.png", "left.png"), PNG))
+
+
+def test_evaluation_page(answer: Evaluation) -> None:
+    page = page_of_reports(answer)
+    reader = check_page_is_sound(page)
+    assert len(page) < 300_000
+    assert headline(answer) in reader.text and COMMAND in reader.text
+    assert reader.text.count("No strategy visits more") <= 1
+    headings = [heading for level, heading in reader.headings if level == 2]
+    assert headings == ["The map and the plan", "Chances and coverage", "Coverage over time", "Single runs",
+                        "Cell by cell", "Robots", "The paper's formulas", "Settings", "Pictures",
+                        "How to reproduce"]  # fmt: skip
+    assert all(name in reader.text for name in ("world.png", "evaluation.json", "plan.json"))
+    assert answer.closed is not None
+    known = 100 * answer.closed.visited.value / answer.tally.accessible
+    assert f"{known:.2f} %" in reader.text and answer.world.sha256[:16] in reader.text
+    assert "By step 40: " in reader.text and "If every threat is so many times the map's" in reader.text
+
+
+def test_the_answer_losses_chances_and_the_map_stand_before_the_sections(answer: Evaluation) -> None:
+    """In the order of the file, which is that of a phone and of a screen reader; how the map was read comes last."""
+    noted = replace(answer, world=replace(answer.world, notes=("4 rows are dropped",)), notes=("7 were cut off",))
+    page = page_of_reports(noted)
+    reader = check_page_is_sound(page)
+    tally = answer.tally
+    wanted = [headline(answer), limit_words(answer), "7 were cut off", "The map and the plan", "mean time",
+              "Chances in %, losses and time", "Coverage, % of", losses_words(answer), chances_words(answer),
+              "gains", "Expected coverage by the end", formulas_words(answer), "Theorem 3, C = ",
+              "4 rows are dropped", "Versions: "]  # fmt: skip
+    places = [reader.text.index(words) for words in wanted]
+    assert places == sorted(places)
+    assert page.index('class="paths"') < page.index("<main") and tally.rollouts == 300
+    notes = {attrs["class"] for attrs in reader.all("p") if attrs.get("class") in ("note", "warning")}
+    assert notes == {"note"}, "only what must not be overlooked is yellow"
+    boxes = [attrs["class"] for attrs in reader.all("div", "grid-box")]
+    assert boxes[0] == "grid-box bare" and "grid-box bare" not in boxes[1:], "paths are drawn on demand"
+
+
+def test_formulas_and_pictures_are_folded_away(answer: Evaluation) -> None:
+    page = page_of_reports(answer)
+    for words in ("Theorem 3, C = ", "eq. (2) as printed", 'class="pictures"'):
+        before = page[: page.index(words)]
+        assert before.count("<details>") == before.count("</details>") + 1, words
+    before = page[: page.index("Chances in %")]
+    assert before.count("<details>") == before.count("</details>")
+
+
+def test_every_robot_s_path_is_drawn_over_the_map(answer: Evaluation) -> None:
+    page = page_of_reports(answer)
+    lines = [attrs for attrs in Reader(page).all("path") if (attrs.get("class") or "").startswith("r")]
+    assert len(lines) == len(answer.plan.robots)
+    for line, robot in zip(lines, answer.plan.robots, strict=True):
+        start, *strokes = re.findall(r"M(\d+) (\d+)|([hv])(-?\d+)", str(line["d"]))
+        col, row = int(start[0]), int(start[1])
+        cells = [row * answer.plan.shape[1] + col]
+        for _, _, way, times in strokes:
+            for _ in range(abs(int(times))):
+                row, col = (row + np.sign(int(times)), col) if way == "v" else (row, col + np.sign(int(times)))
+                cells.append(int(row * answer.plan.shape[1] + col))
+        moved = robot.path[np.append(True, np.diff(robot.path) != 0)]
+        assert cells == moved.tolist()
+
+
+def test_paths_too_long_for_a_page_are_left_out(answer: Evaluation, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("analysis.page.paths.PLAN_PATHS_MOST_LETTERS", 10)
+    reader = check_page_is_sound(page_of_reports(answer))
+    assert "too long to be drawn" in reader.text and not reader.all("svg", "paths")
+
+
+@pytest.mark.parametrize("levels", [16, 3])
+def test_one_chance_has_one_colour_in_pictures_and_on_the_page(levels: int) -> None:
+    """Every cell of the map's picture and of the page's map, also where the planner puts several p in one level."""
+    threat = np.linspace(0, 0.4, 77).reshape(7, 11)
+    threat[2, 3] = NAN
+    world = World.create(threat)
+    plan = make_plan(world, [[0, 0]], Settings(levels=levels))
+    answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=10))
+    page = check_page_is_sound(evaluation_page(answer, COMMAND, {}))
+    with Image.open(BytesIO(base64.b64decode(str(page.all("img")[0]["src"]).split(",")[1]))) as image:
+        on_page = np.array(image.convert("RGB"))
+    with house_style():
+        figure = figure_of(report(answer), "world.png")
+        drawn = np.asarray(figure.axes[0].images[0].get_array())
+    assert np.array_equal(np.round(255 * drawn[..., :3]).astype(int), on_page)
+    assert len(np.unique(on_page.reshape(-1, 3), axis=0)) > 40
+
+
+def test_the_demo_s_page_is_one_file_below_a_megabyte(tmp_path: Path) -> None:
+    """The world of `make demo`, with the pictures in the page, copied alone."""
+    world = load_input(Path(__file__).parents[1] / "analysis/examples/terrain.yaml")
+    plan = make_plan(world, place_starts(world, 8)[0])
+    answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=500))
+    save_report(report(answer), tmp_path, COMMAND)
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    reader = check_page_is_sound(page)
+    assert len(page.encode()) < 1_000_000
+    assert len(reader.all("img")) == 6 + 5
+    assert not [name for name in tmp_path.iterdir() if f'="{name.name}' in page or f"./{name.name}" in page]
+
+
+def test_the_page_says_nothing_of_when_it_was_made(answer: Evaluation) -> None:
+    slower = replace(answer, seconds=answer.seconds * 7 + 1, compile_seconds=99.0)
+    assert page_of_reports(answer) == page_of_reports(answer) == page_of_reports(slower)
+
+
+def test_maps_hold_the_expected_values(answer: Evaluation) -> None:
+    known = [found for found in check_page_is_sound(page_of_reports(answer)).data() if "layers" in found][-1]
+    shape = answer.world.shape
+    accessible = answer.world.accessible(answer.plan.starts)
+    visited, threat = answer.expected.visited_by_cell, answer.world.threat.ravel()
+    expected = (threat, visited, answer.expected.stops_by_cell, threat * (1 - visited))
+    assert known["starts"] == answer.plan.starts.tolist() and known["shape"] == list(shape)
+    for layer, values in zip(known["layers"][:4], expected, strict=True):
+        codes = np.frombuffer(zlib.decompress(base64.b64decode(layer["codes"])), dtype="<u2").reshape(shape)
+        assert np.array_equal(codes <= STEPS, accessible)
+        shown = (codes / STEPS * layer["largest"])[accessible]
+        assert np.allclose(shown, values.reshape(shape)[accessible], atol=2 * layer["largest"] / STEPS)
+    areas = known["layers"][4]
+    codes = np.frombuffer(zlib.decompress(base64.b64decode(areas["codes"])), dtype="<u2")
+    for number, area in enumerate(answer.plan.areas):
+        assert (np.round(codes[area.cells] / STEPS * areas["largest"]) == number).all()
+        assert areas["names"][number].startswith(f"{number}, level {area.level}, ")
+
+
+def test_curves_hold_the_expected_values(answer: Evaluation) -> None:
+    charts = [found for found in check_page_is_sound(page_of_reports(answer)).data() if "series" in found]
+    visited = charts[0]["series"][0]
+    steps = np.minimum(np.array(visited["x"], dtype=int), len(answer.expected.visited_curve) - 1)
+    cells = answer.tally.accessible
+    assert np.allclose(visited["y"], 100 * answer.expected.visited_curve[steps] / cells, atol=0.01)
+    chance = charts[1]["series"][0]
+    for x, y, low, high in zip(chance["x"], chance["y"], chance["low"], chance["high"], strict=True):
+        held = answer.figures.visited.chance(round(x * cells / 100))
+        assert np.allclose((y, low, high), 100 * np.array([held.mean, *held.ci95]), atol=0.01)
+    assert np.isclose(sum(charts[2]["series"][0]["y"]), 100, atol=0.1)
+
+
+def hard_worlds() -> dict[str, Evaluation]:
+    """One cell, a row with a deadline, a tall map in the open loop, another planner's plan, cells out of reach."""
+    one, row = World.create([[0.0]]), World.create([[0.0] * 40 + [0.5]], cell_size=2.5)
+    tall = World.create(np.where(np.arange(60)[:, None] % 7 == 6, [[0.1, 0.2, NAN]], [[0.0, 0.05, 0.3]]))
+    split = World.create([[0.0, NAN, 0.2], [0.0, NAN, 0.2]])
+    worlds = {"one": one, "row": row, "tall": tall, "split": split, "foreign": row}
+    plans = {name: make_plan(world, [[0, 0]]) for name, world in worlds.items()}
+    paths = tuple(RobotPlan(robot.path[:9]) for robot in plans["row"].robots)
+    plans["foreign"] = Plan(row.shape, row.sha256, None, paths, outcome="end_of_paths", time=8)
+    choices = {"row": {"deadline": 20}, "tall": {"loop": "open"}, "foreign": {"loop": "open"}}
+    return {
+        name: evaluate(worlds[name], plans[name], RolloutChoices(rollouts=20, **choices.get(name, {})))  # type: ignore[arg-type]
+        for name in worlds
+    }
+
+
+def test_extreme_worlds_with_hostile_names() -> None:
+    for name, answer in hard_worlds().items():
+        shown = replace(
+            answer, world=replace(answer.world, source=HOSTILE_REPORTS), notes=(HOSTILE_REPORTS,), partial=name == "one"
+        )
+        reader = check_page_is_sound(evaluation_page(shown, HOSTILE_REPORTS, {HOSTILE_REPORTS: PNG}))
+        assert "\\u202e\\udc80.npz" in reader.text, name
+        assert ("Interrupted" in reader.text) == (name == "one")
+
+
+def test_check_page(checked: MapCheck) -> None:
+    page = page_of_report(check_report(checked), COMMAND, {"check.png": PNG}, ())
+    reader = check_page_is_sound(page)
+    assert len(page) < 300_000 and page == page_of_report(check_report(checked), COMMAND, {"check.png": PNG}, ())
+    assert check_headline(checked) in reader.text and COMMAND in reader.text
+    for check in checked.rows:
+        assert check.about.plain in reader.text and check.about.source in reader.text
+    assert f"{checked.exact.visited:.2f}" in reader.text
+    named = replace(checked, world=replace(checked.world, source=HOSTILE_REPORTS))
+    check_page_is_sound(page_of_report(check_report(named), HOSTILE_REPORTS, {HOSTILE_REPORTS: PNG}, ()))
+
+
+def test_survey_page(survey: Survey) -> None:
+    page = page_of_report(survey_report(survey), COMMAND, {"over_robots.png": PNG}, ())
+    reader = check_page_is_sound(page)
+    assert len(page) < 300_000 and page == page_of_report(
+        survey_report(replace(survey, seconds=1e6)), COMMAND, {"over_robots.png": PNG}, ()
+    )
+    assert survey_headline(survey) in reader.text and COMMAND in reader.text
+    assert {row.check.about.title for row in survey.rows} <= titles(reader)
+    coverage = reader.data()[-1]["series"][0]
+    truths = [
+        check.truth.value / entry.cells
+        for entry in survey.entries
+        if entry.robots == 2
+        for check in entry.checks
+        if check.key == "ideal_team/visited/open"
+    ]
+    assert np.isclose(coverage["y"][1], 100 * np.mean(truths), atol=0.01)
+
+
+def titles(reader: Reader) -> set[str]:
+    """The formulas that the page's text names."""
+    return {about.title for about in FORMULAS.values() if about.title in reader.text}
+
+
+def test_the_front_s_curve_stands_beside_the_map_with_the_plan_marked() -> None:
+    threat = np.zeros((6, 9))
+    threat[2:4, 3:7] = 0.2
+    answer = mrac.evaluate(mrac.load(threat), 2, rollouts=2048, band=False, progress=False)
+    page = evaluation_page(answer, "", {})
+    header = page[: page.index("</header>")]
+    assert "What coverage costs" in header and "this plan (mrac)" in header
+    without = evaluation_page(mrac.evaluate(mrac.load(threat), 2, rollouts=64, band=False, advice=False), "", {})
+    assert "What coverage costs" not in without
+
+
+WIDER = "document.documentElement.scrollWidth > innerWidth"
+TABLES = """[...document.querySelectorAll('.scroll')].filter((box) => !box.closest('details:not([open])'))
+    .map((box) => [box.scrollWidth > box.clientWidth + 1, box.classList.contains('cut'),
+                   getComputedStyle(box, '::before').content.includes('Scroll')])"""
+TILES = """[...document.querySelectorAll('.figures li')].map((tile) => tile.getBoundingClientRect())
+    .map((box) => [Math.round(box.top), Math.round(box.right)])"""
+BAR = "(() => { const bar = document.querySelector('nav ul'); return bar.scrollWidth <= bar.clientWidth; })()"
+DRAWN = "getComputedStyle(document.querySelector('.plan-map .paths')).display"
+
+
+@pytest.mark.skipif(browser_path() is None, reason="no browser here")
+@pytest.mark.parametrize("width", [390, 768, 1280])
+def test_nothing_is_cut_in_a_browser(answer: Evaluation, tmp_path: Path, width: int) -> None:
+    """Tables that are wider than a phone say so, tiles leave no hole, paths are drawn when somebody asks for them."""
+    (tmp_path / "page.html").write_text(page_of_reports(answer), encoding="utf-8")
+    with Browser(tmp_path / "profile") as browser:
+        browser.open(tmp_path / "page.html", width=width)
+        browser.until(f"{TABLES}.every(([wide, cut]) => wide === cut)")
+        tables = browser.run(TABLES)
+        assert not browser.run(WIDER) and len(tables) > 2 and all(cut == hint for _, cut, hint in tables)
+        assert any(cut for _, cut, _ in tables) == (width == 390)
+        assert browser.run(BAR) == (width > 390)
+        tiles = browser.run(TILES)
+        ends = {max(right for top, right in tiles if top == row) for row, _ in tiles}
+        assert len(tiles) > 4 and len(ends) == 1
+        assert browser.run(DRAWN) == "none"
+        browser.run("document.querySelector('.plan-map input[type=checkbox]').click()")
+        assert browser.run(DRAWN) != "none" and not browser.noticed
+
+
+# The runs that a page plays: packed as they were, picked as `record` picks, and unfolded by its script.
+
+COLS = 23
+
+
+@pytest.fixture(scope="module")
+def answer_runs() -> Evaluation:
+    world = load_world_file(FOLDER / "contiguous-14x23-1000.npz")
+    return evaluate(world, make_plan(world, place_starts(world, 3)[0]), RolloutChoices(rollouts=60))
+
+
+@pytest.fixture(scope="module")
+def packed(answer_runs: Evaluation) -> dict[str, Any]:
+    """What the page's script is given to play."""
+    reader = check_page_is_sound(page_of(report(answer_runs), "mrac-jax evaluate", {}, ()))
+    return next(found for found in reader.data() if "runs" in found)
+
+
+def moves_of(text: str) -> bytes:
+    """The codes of a robot's moves, a byte each."""
+    return zlib.decompress(base64.b64decode(text))
+
+
+def unpacked_runs(run: dict[str, Any], cols: int) -> np.ndarray:
+    """Cells `[T, K]` of a packed run."""
+    ways = []
+    for start, text in zip(run["starts"], run["moves"], strict=True):
+        codes = np.frombuffer(moves_of(text), dtype=np.uint8)
+        steps = np.array([0, -cols, cols, -1, 1])[np.pad(codes, (0, run["time"] - len(codes)))]
+        ways.append(start + np.append(0, np.cumsum(steps)))
+    return np.stack(ways, axis=1)
+
+
+def test_a_page_holds_the_plan_and_the_rollouts_that_record_would_pick(answer_runs: Evaluation, packed: dict) -> None:
+    plan, *rolled = packed["runs"]
+    assert packed["shape"] == [14, COLS] and packed["accessible"] == answer_runs.tally.accessible
+    cells = unpacked_runs(plan, COLS)
+    for number, robot in enumerate(answer_runs.plan.robots):
+        assert np.array_equal(cells[: len(robot.path), number], robot.path)
+    engine = make_engine_for(answer_runs.world, answer_runs.plan, answer_runs.choices)
+    _, ids, count = picked(answer_runs.world, answer_runs.plan, answer_runs.choices, answer_runs.tally.rollouts)
+    assert count == 60 and [run["name"].split(",")[0] for run in rolled] == ["median", "worst", "best"]
+    results = engine.results(0, count)
+    order = np.sort(results.visited)
+    assert results.visited[ids].tolist() == [order[29], order[0], order[-1]]
+    for run, trace in zip(rolled, engine.traces(ids), strict=True):
+        assert np.array_equal(unpacked_runs(run, COLS), trace.cells)
+        frames = make_frames(trace)
+        assert run["lost"] == [-1 if alive.all() else int(np.argmin(alive)) for alive in frames.alive.T]
+
+
+def test_where_nothing_can_happen_the_plan_alone_is_played() -> None:
+    world = World.create(np.zeros((1, 4)))
+    answer_runs = evaluate(world, make_plan(world, [[0, 0]]), RolloutChoices(rollouts=10))
+    reader = check_page_is_sound(page_of(report(answer_runs), "mrac-jax evaluate", {}, ()))
+    runs = next(found for found in reader.data() if "runs" in found)["runs"]
+    assert [(run["name"], run["time"], run["lost"]) for run in runs] == [("plan", 3, [-1])]
+
+
+def test_runs_that_have_no_room_are_left_out(answer_runs: Evaluation, monkeypatch: pytest.MonkeyPatch) -> None:
+    run, free = nominal(answer_runs.plan), answer_runs.world.free
+    room = sum(map(len, pack(run, COLS)["moves"]))
+    monkeypatch.setattr("analysis.page.paths.RUNS_MOST_LETTERS", room)
+    assert packed_runs([run, run], free) == packed_runs([run], free) != {}
+    monkeypatch.setattr("analysis.page.paths.RUNS_MOST_LETTERS", room - 1)
+    assert packed_runs([run], free) == {}
+    with pytest.raises(ValueError, match="from cell to cell"):
+        pack(Run("jumps", np.array([[0], [2]], dtype=np.int32), np.array([-1])), 5)
+
+
+def test_the_script_unfolds_a_run_as_the_recording_does(answer_runs: Evaluation, packed: dict) -> None:
+    """Who covers which cell when, and every robot's way, beside `make_frames`, which shares nothing with the script."""
+    tell = quickjs.Function(
+        "tell",
+        asset("replay.js")
+        + """
+      function tell(moves, run, shape) {
+        const replay = unfold(moves, run.starts, run.lost, run.time, ...shape), half = run.time >> 1;
+        return { when: [...replay.when], who: [...replay.who], covered: upTo(replay.steps, half),
+          left: replay.robots.filter((robot) => !isLost(robot, half)).length,
+          at: replay.robots.map((robot) => cellAt(robot, half)),
+          trails: replay.robots.map((robot) => trail(robot, half, shape[1])) };
+      }""",
+    )
+    found = [tell([list(moves_of(text)) for text in run["moves"]], run, packed["shape"]) for run in packed["runs"][1:]]
+    engine = make_engine_for(answer_runs.world, answer_runs.plan, answer_runs.choices)
+    for told, trace in zip(
+        found,
+        engine.traces(picked(answer_runs.world, answer_runs.plan, answer_runs.choices, answer_runs.tally.rollouts)[1]),
+        strict=True,
+    ):
+        frames, half = make_frames(trace), trace.time // 2
+        assert told["when"] == frames.visited_at.tolist() and told["who"] == frames.visited_by.tolist()
+        assert told["covered"] == frames.visited[half] and told["left"] == frames.alive_count[half]
+        assert told["at"] == trace.cells[half].tolist()
+        for letters, way in zip(told["trails"], trace.cells[: half + 1].T, strict=True):
+            assert walked(letters) == way[np.append(True, np.diff(way) != 0)].tolist()
+
+
+def walked(letters: str) -> list[int]:
+    """The cells of an SVG path of moves."""
+    col, row = map(int, re.findall(r"^M(\d+) (\d+)", letters)[0])
+    cells = [row * COLS + col]
+    for way, times in re.findall(r"([hv])(-?\d+)", letters):
+        step = (1 if way == "h" else COLS) * int(np.sign(int(times)))
+        cells += [cells[-1] + step * (number + 1) for number in range(abs(int(times)))]
+    return cells

@@ -1,0 +1,390 @@
+"""The compiled simulator against fixtures, on large worlds and on the survey; the comparisons find planted faults."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+import test_planner_closed_loop as comparison
+from closed_loop_compare import assert_same_trace
+from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_world, survey_worlds
+from conftest import NAMES, Fixture, load_fixture
+from numpy.typing import NDArray
+
+from analysis.statistics.estimates import mean_estimate
+from planner.errors import WorldError
+from planner.mrac import executive
+from planner.mrac import simulate as simulate_planted
+from planner.mrac.make_plan import allocated_plan, make_plan
+from planner.mrac.problem import prepare
+from planner.mrac.simulate import ReferenceLoop, Run, simulate
+from planner.plan.plan import Plan
+from planner.rollout_sampling import Luck
+from planner.settings import Settings
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts, with_nominal_run
+from planner.tally import EventKind, Outcome, RolloutResults, Tally, Trace
+from planner.world.features import Obstacles, with_prior
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
+
+# The compiled classical simulator against the fixtures' exact means and an independent simulator's samples, at
+# length.
+#
+# All five means that the fixtures give: cells visited and survived, time, robots alive, and the share of rollouts
+# that cover everything; where they are exact, also the shares of the other two endings.
+
+EXACT = [name for name in NAMES if "closed_loop_exact" in load_fixture(name).answers]
+SAMPLED = [name for name in NAMES if "closed_loop_sampled" in load_fixture(name).answers]
+TEAMS = [name for name in SAMPLED if name.endswith("k8")]
+SIGMAS = 5
+
+
+def histograms(tally: Tally) -> dict[str, NDArray[np.int64]]:
+    """Rollouts by value, of everything whose mean a fixture may give."""
+    counts = {name: getattr(tally, name) for name in ("visited", "survived", "time", "alive")}
+    for outcome in (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.NO_PROGRESS):
+        count = int(tally.outcomes[outcome])
+        counts[outcome.word] = np.array([tally.rollouts - count, count])
+    return counts
+
+
+def z_scores(fixture: Fixture, rollouts: int) -> dict[str, float]:
+    """How far our means are from the fixture's, in (combined) standard errors.
+
+    Ours is at least what one rollout may make: otherwise a value that never varied would forbid the rarest event.
+    """
+    plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
+    tally, _ = run_range(compile_closed_loop(plan, fixture.world), 14, 0, rollouts)
+    known = fixture.answers.get("closed_loop_exact") or fixture.answers["closed_loop_sampled"]
+    scores = {}
+    for name, counts in histograms(tally).items():
+        if name in known:
+            mean, se = known[name] if isinstance(known[name], list) else (known[name], 0.0)
+            mine, one_rollout = mean_estimate(counts, 1.0), max(len(counts) - 1, 1) / rollouts
+            scores[name] = (mine.mean - mean) / float(np.hypot(max(mine.se, one_rollout), se))
+    return scores
+
+
+def largest(names: list[str], rollouts: int) -> tuple[float, str]:
+    """The largest z-score of all means of these fixtures, without its sign, and whose it is. Each gives at least five.
+
+    Raises AssertionError if a fixture gives fewer.
+    """
+    scores = {}
+    for name in names:
+        found = z_scores(load_fixture(name), rollouts)
+        assert {"visited", "survived", "time", "alive", "complete"} <= set(found), name
+        scores |= {f"{name}, {meaning}": abs(score) for meaning, score in found.items()}
+    worst = max(scores, key=scores.__getitem__)
+    return scores[worst], worst
+
+
+def test_two_teams_are_as_sampled() -> None:
+    for kind in ("contiguous", "scattered"):
+        score, whose = largest([next(name for name in TEAMS if name.startswith(kind))], 16_384)
+        assert score <= SIGMAS, whose
+
+
+def test_hand_sized_worlds_are_exact() -> None:
+    score, whose = largest([name for name in EXACT if name.startswith("tiny")], 65_536)
+    assert score <= SIGMAS, whose
+
+
+def test_another_world_s_means_are_not_accepted() -> None:
+    one, other = (load_fixture(f"contiguous-14x23-100{number}-k8") for number in (0, 1))
+    answers = {**other.answers, "starts": one.answers["starts"]}
+    scores = z_scores(Fixture(one.name, one.world, one.allocation, answers), 4096)
+    assert min(abs(scores[meaning]) for meaning in ("visited", "survived", "time")) > SIGMAS
+
+
+AT_LENGTH = {
+    "teams of eight": (TEAMS, 200_000),
+    "one robot": ([name for name in EXACT if name.endswith("k1") and not name.startswith("tiny")], 1_000_000),
+    "two robots": ([name for name in EXACT if name.endswith("k2") and not name.startswith("tiny")], 1_000_000),
+    "hand-sized worlds": ([name for name in EXACT if name.startswith("tiny")], 1_000_000),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", AT_LENGTH)
+def test_means_at_length(what: str, capsys: pytest.CaptureFixture[str]) -> None:
+    names, rollouts = AT_LENGTH[what]
+    assert len(names) >= 12
+    score, whose = largest(names, rollouts)
+    with capsys.disabled():
+        print(f"\n{what}, {len(names)} x {rollouts:,} rollouts: the largest |z| is {score:.2f} ({whose})")  # noqa: T201
+    assert score <= SIGMAS, whose
+
+
+# What 16 bits of areas and 64 bits of robots do not hold: the compiled simulator is the readable one's there too.
+
+SEED = 3
+
+
+def assert_same_rollouts(world: World, plan: Plan, rollouts: int) -> list[Trace]:
+    """The readable simulator's traces are the compiled one's; in a set they come to the same."""
+    loop, readable = compile_closed_loop(plan, world), ReferenceLoop(plan, world)
+    traces = trace_rollouts(loop, SEED, range(rollouts))
+    for trace in traces:
+        assert_same_trace(trace, readable.trace(SEED, trace.rollout))
+    singles = run_range(loop, SEED, 0, rollouts, threads=1, singles=True)[1]
+    assert singles is not None
+    assert singles.time.tolist() == [trace.time for trace in traces]
+    return traces
+
+
+@pytest.mark.parametrize(("side", "robots"), [(20, 100), pytest.param(34, 1024, marks=pytest.mark.slow)])
+def test_a_team_of_several_words(side: int, robots: int) -> None:
+    world = random_world(side, side, ThreatPattern("scattered", side, seed=2))
+    plan = make_plan(world, place_starts(world, robots)[0])
+    happened = np.concatenate([trace.events for trace in assert_same_rollouts(world, plan, 4)])
+    for kind in (EventKind.HIT, EventKind.SHARED):
+        acted = happened[happened[:, 2] == kind, 1]
+        assert acted.min() < 64 <= acted.max()
+
+
+@pytest.mark.slow
+def test_areas_of_more_than_16_bits() -> None:
+    """A chessboard: every cell is an area, and robots in the last corner begin beyond the 65,536th."""
+    threat = np.indices((362, 364)).sum(axis=0) % 2 * 0.2
+    world = World.create(threat)
+    plan = allocated_plan(world, [[361, 363], [361, 362], [360, 363]], Settings())
+    assert len(plan.areas) == threat.size
+    happened = np.concatenate([trace.events for trace in assert_same_rollouts(world, plan, 4)])
+    for kind in (EventKind.HIT, EventKind.ALLOCATED):
+        assert happened[happened[:, 2] == kind, 3].max() > 65_535
+
+
+# The survey of closed-loop worlds: it holds what it must, Theorem 2 holds on it, and the comparisons compare.
+
+ROLLOUTS = 1000
+SAMPLED_SURVEY = 3
+"""Stuck rollouts of a world that the readable simulator runs again."""
+DEMANDED = {"bisected": 10_000, "divided": 1_000, "stuck": 100, "all dead as it completes": 100, "idle at start": 100}
+HASH = "d2d410c7212b302e31d81affb06791e0f86abaa7754e9b05602b181b7521443c"
+
+
+@pytest.fixture(scope="module")
+def survey() -> tuple[SurveyWorld, ...]:
+    return survey_worlds()
+
+
+def roll(one: SurveyWorld, plan: Plan, rollouts: int) -> RolloutResults:
+    _, singles = run_range(one.loop(plan), one.seed, 0, rollouts, singles=True)
+    assert singles is not None
+    return singles
+
+
+@pytest.fixture(scope="module")
+def rolled(survey: tuple[SurveyWorld, ...]) -> list[tuple[SurveyWorld, Plan, RolloutResults]]:
+    plans = [(one, one.plan()) for one in survey]
+    return [(one, plan, roll(one, plan, ROLLOUTS)) for one, plan in plans]
+
+
+# --- what the survey holds ---
+
+
+def test_the_survey_is_the_same_everywhere(survey: tuple[SurveyWorld, ...]) -> None:
+    assert hashlib.sha256("".join(one.digest() for one in survey).encode()).hexdigest() == HASH
+    assert [one.digest() for one in survey_worlds.__wrapped__()] == [one.digest() for one in survey]
+
+
+@pytest.mark.slow
+def test_the_survey_holds_what_is_rare(rolled: list[tuple[SurveyWorld, Plan, RolloutResults]]) -> None:
+    counts: Counter[str] = Counter()
+    for one, plan, results in rolled:
+        completes = results.outcome == Outcome.COMPLETE
+        counts["bisected"] += int((results.bisected > 0).sum())
+        counts["divided"] += int((results.divided > 0).sum())
+        counts["stuck"] += int((results.outcome == Outcome.NO_PROGRESS).sum())
+        # A map of one cell or two would make it too easy.
+        counts["all dead as it completes"] += int((completes & (results.alive == 0)).sum()) * (one.accessible >= 10)
+        counts["idle at start"] += ROLLOUTS * (idle_at_start(plan) > 0)
+        counts["timeout"] += int((results.outcome == Outcome.STEP_LIMIT).sum())
+    print(f"{len(rolled)} worlds x {ROLLOUTS} rollouts: {dict(counts)}")  # noqa: T201
+    for name, least in DEMANDED.items():
+        assert counts[name] >= least, name
+
+
+# --- Theorem 2: complete, unless every robot that can reach the rest was stopped ---
+
+
+def check_theorem_2(one: SurveyWorld, results: RolloutResults) -> None:
+    """On every rollout, as far as its results tell; `check_stuck` has the rest."""
+    everything = results.visited == one.accessible
+    expected = {
+        Outcome.COMPLETE: everything,
+        Outcome.ALL_ROBOTS_LOST: ~everything & (results.alive == 0),
+        Outcome.NO_PROGRESS: ~everything & (results.alive > 0) & (one.parts > 1),
+        Outcome.STEP_LIMIT: ~everything & (results.alive > 0) & (results.time == (one.settings.max_steps or -1)),
+    }
+    for outcome, holds in expected.items():
+        wrong = np.flatnonzero((results.outcome == outcome) & ~holds)
+        assert len(wrong) == 0, f"{one.name} rollout {wrong[0]} ends {outcome.name}\n{one.world.threat.tolist()}"
+
+
+def readable_run(one: SurveyWorld, plan: Plan, rollout: int) -> Run:
+    problem = prepare(one.world, one.starts, one.settings)
+    luck = Luck(one.world, one.seed, rollout)
+    entered = np.zeros(one.world.threat.size, dtype=np.bool_)
+
+    def hit(robot: int, step: int, cell: int) -> bool:
+        fresh = not entered[cell]
+        entered[cell] = True
+        return (fresh or not one.first_only) and luck.hits(robot, step, cell)
+
+    return simulate(problem, plan.areas, hit=hit)
+
+
+def check_stuck(one: SurveyWorld, plan: Plan, results: RolloutResults) -> int:
+    """In a sample of the stuck rollouts no robot left can reach an unvisited cell; how many were looked at."""
+    sample = np.flatnonzero(results.outcome == Outcome.NO_PROGRESS)[:SAMPLED_SURVEY]
+    part = one.world.components.ravel()
+    accessible = one.world.accessible(one.starts).ravel()
+    for rollout in sample.tolist():
+        run = readable_run(one, plan, rollout)
+        assert run.outcome is Outcome.NO_PROGRESS
+        assert run.visited.sum() == results.visited[rollout]
+        alive = {int(part[path[-1]]) for path, lives in zip(run.paths, run.alive, strict=True) if lives}
+        left = set(part[accessible & ~run.visited].tolist())
+        assert alive, (one.name, rollout)
+        assert left, (one.name, rollout)
+        assert not alive & left, f"{one.name} rollout {rollout}\n{one.world.threat.tolist()}"
+    return len(sample)
+
+
+def test_theorem_2_on_the_first_worlds() -> None:
+    looked = 0
+    for one in first_worlds(40):
+        plan = one.plan()
+        results = roll(one, plan, 200)
+        check_theorem_2(one, results)
+        looked += check_stuck(one, plan, results)
+    assert looked >= SAMPLED_SURVEY
+
+
+@pytest.mark.slow
+def test_theorem_2_on_the_survey(rolled: list[tuple[SurveyWorld, Plan, RolloutResults]]) -> None:
+    looked = 0
+    for one, plan, results in rolled:
+        check_theorem_2(one, results)
+        looked += check_stuck(one, plan, results)
+    assert looked >= 10 * SAMPLED_SURVEY
+
+
+def test_theorem_2_is_not_taken_for_granted(survey: tuple[SurveyWorld, ...]) -> None:
+    one = next(one for one in survey if one.parts == 1 and one.kind == "contiguous")
+    for outcome in (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.NO_PROGRESS, Outcome.STEP_LIMIT):
+        number = np.array([1], dtype=np.int32)
+        results = RolloutResults(0, number, number, number, number, np.array([outcome], dtype=np.int8))
+        with pytest.raises(AssertionError, match=rf"{one.name} rollout 0 ends {outcome.name}"):
+            check_theorem_2(one, results)
+
+
+# The nominal run of the compiled simulator is the readable one's.
+
+ASKED: dict[str, dict[str, Any]] = {
+    "complete": {}, "step_limit": {"max_steps": 9}, "no_progress": {"range": 7},
+    "not_worth_the_risk": {"policy": "per_cell", "worth": 9.0, "reserve": 0.25},
+}  # fmt: skip
+"""By an outcome that some of the runs have."""
+
+
+def nominal(plan: Plan) -> tuple[object, ...]:
+    paths = [robot.path.tolist() for robot in plan.robots]
+    areas = [(area.level, area.robot, area.cells.tolist()) for area in plan.areas]
+    return paths, areas, plan.outcome, plan.time, plan.shares, plan.settings, plan.sha256
+
+
+@pytest.mark.parametrize("outcome", ASKED)
+def test_paths_and_outcome_are_those_of_the_plan(outcome: str) -> None:
+    plans = []
+    for one in survey_worlds()[list(ASKED).index(outcome) :: 2 * len(ASKED)]:
+        asked = replace(one.settings, **ASKED[outcome])
+        try:
+            begun = allocated_plan(one.world, one.starts, asked)
+        except WorldError as error:
+            assert "too dear" in str(error)
+            continue
+        plans.append(make_plan(one.world, one.starts, asked))
+        assert nominal(with_nominal_run(begun, compile_closed_loop(begun, one.world))) == nominal(plans[-1]), one.name
+    assert outcome in {plan.outcome for plan in plans}
+    assert any(plan.shares for plan in plans) and len(plans) > 20
+
+
+@pytest.mark.parametrize("obstacles", ["unknown", "known"])
+def test_robots_that_learn_plan_on_what_they_believe(obstacles: Obstacles) -> None:
+    for seed, policy in ((3, "mrac"), (4, "per_cell")):
+        true = random_world(9, 11, ThreatPattern(seed=seed))
+        starts, asked = place_starts(true, 3)[0], Settings(policy=policy)
+        world = with_prior(true, 0.04, obstacles, sense=2)
+        begun, plan = allocated_plan(world, starts, asked), make_plan(world, starts, asked)
+        loop = compile_closed_loop(begun, world)
+        assert loop.learns and nominal(with_nominal_run(begun, loop)) == nominal(plan)
+
+
+# The comparison of the compiled simulator with the readable one fails when a fault is planted in the readable one.
+#
+# The other way round, faults in the compiled simulator: `test_mrac_jax_planted_faults`.
+
+NAMES_PLANTED = ("contiguous-8", "combs-8", "crossings-0")
+"""Of the survey: robots lost, areas left in several parts, shares of both kinds, and ties."""
+FAULTS = {
+    "tie order": (
+        "        rank[goals] = 0\n",
+        "        rank[goals] = len(self.visited) - goals\n",
+    ),
+    "hit before completion": (
+        "        robot.status = Doing.DEAD\n",
+        "        robot.status, self.visited[robot.cell] = Doing.DEAD, False\n",
+    ),
+    "component lost": (
+        "        parts = self.cut(number)\n",
+        "        parts = self.cut(number)[: None if split else 1]\n",
+    ),
+}
+"""Text that stands once in the source, and what takes its place."""
+
+
+@pytest.fixture(scope="module")
+def worlds() -> list[SurveyWorld]:
+    return [survey_world(name) for name in NAMES_PLANTED]
+
+
+def plant(old: str, new: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The comparison's readable simulator becomes one of which the executive has the text replaced."""
+    text = Path(executive.__file__).read_text()
+    assert text.count(old) == 1, "the simulator has changed: plant the fault anew"
+    around = Path(simulate_planted.__file__).read_text().replace(executive.__name__, "faulty_executive")
+    for name, source in (("faulty_executive", text.replace(old, new)), ("faulty_simulate", around)):
+        module = ModuleType(name)
+        monkeypatch.setitem(sys.modules, name, module)
+        exec(compile(source, name, "exec"), module.__dict__)
+    monkeypatch.setattr(comparison, "simulate", module.simulate)
+
+
+def compare(worlds: list[SurveyWorld]) -> None:
+    """Every count of some rollouts of each world, in both simulators."""
+    for one in worlds:
+        comparison.compare(one.world, one.plan(), 24, seed=one.seed, first_only=one.first_only)
+
+
+def test_no_fault_no_difference(worlds: list[SurveyWorld], monkeypatch: pytest.MonkeyPatch) -> None:
+    line = FAULTS["tie order"][0]
+    plant(line, line, monkeypatch)
+    compare(worlds)
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_found(name: str, worlds: list[SurveyWorld], monkeypatch: pytest.MonkeyPatch) -> None:
+    plant(*FAULTS[name], monkeypatch)
+    with pytest.raises(AssertionError, match=r"^\d+\nassert \[|Arrays are not equal"):
+        compare(worlds)

@@ -1,0 +1,666 @@
+"""Robots with a range, and robots that come home."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from closed_loop_compare import assert_same_trace
+from drawn_worlds import moving_world
+from helpers import VisitLoop, load_plan
+from numpy.typing import NDArray
+from oracle_spec import MANY, Cell, Homing, allocation, mean_of
+from oracle_tree import Tree as ReadableTree
+from validate import validate
+
+from analysis.comparison import compare, make_side
+from analysis.estimators.trial import Trial
+from analysis.evaluation.evaluate import evaluate
+from analysis.sampling import RolloutChoices
+from analysis.search.pareto import Ladders, find_front, settings_of
+from analysis.search.team_size import find_size, make_goal
+from analysis.theory.exact import open_loop_exact
+from planner.errors import InputError, PlanError, ScenarioError, UsageError
+from planner.ids import NO_ROBOT
+from planner.mission.mission import Mission
+from planner.mrac.make_plan import allocated_plan, confirm_plan, make_plan
+from planner.mrac.problem import Problem, prepare
+from planner.mrac.simulate import ReferenceLoop, simulate
+from planner.plan.plan import Plan
+from planner.plan.plan_file import parse_plan
+from planner.plan.state_file import parse_state
+from planner.plan_team import plan_team
+from planner.settings import Settings
+from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.simulator.exact_tree import WHOLE, grow_tree
+from planner.tally import Doing, EventKind, Outcome, Trace
+from planner.world.changing_maps import with_phases
+from planner.world.generate import PAPER_LEVELS, Stream, ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.scenario import load_input
+from planner.world.world import World
+
+# Robots that come home: engines against each other, plain code, closed forms, and the tree of all that can happen.
+
+KINDS: list[dict[str, Any]] = [
+    {"return_to": "home"},
+    {"return_to": "nearest", "range": 40},
+    {"return_to": "home", "deadline": 35},
+    {"return_to": "home", "range": (25, 50, 70), "deadline": 55, "policy": "per_cell"},
+    {"return_to": "nearest", "policy": "per_cell", "reserve": 0.4, "deadline": 60},
+    {"return_to": "home", "policy": "per_cell", "range": 45},
+    {"return_to": "nearest", "transit": "area", "range": 50},
+    {"return_to": "home", "range": 30, "recharge": 4},
+    {
+        "return_to": "nearest",
+        "range": (25, 40, 60),
+        "recharge": 7,
+        "deadline": 140,
+        "policy": "per_cell",
+        "worth": 20.0,
+    },
+]
+
+
+def drawn(seed: int, robots: int = 3) -> tuple[World, NDArray[np.int64]]:
+    """A random map and starts anywhere in one part of it."""
+    kind = ("scattered", "contiguous")[seed % 2]
+    pattern = ThreatPattern(kind, 4, PAPER_LEVELS, seed)  # type: ignore[arg-type]
+    world = random_world(9 + seed % 4, 8 + seed % 5, pattern, obstacles=0.2, threats=0.3)
+    free = np.argwhere(world.accessible(place_starts(world, 1)[0]))
+    return world, free[np.random.default_rng(seed).integers(0, len(free), robots)]
+
+
+def ways(world: World, bases: list[int], entry: dict[int, int]) -> dict[int, tuple[int, int]]:
+    """(cost, moves) of the way home from each cell, by the plainest search: from the bases, backwards."""
+    height, width = world.shape
+    found: dict[int, tuple[int, int]] = {}
+    due = [(0, 0, base) for base in bases]
+    while due:
+        cost, moves, cell = heapq.heappop(due)
+        if cell in found:
+            continue
+        found[cell] = cost, moves
+        row, col = divmod(cell, width)
+        for r, c in ((row - 1, col), (row, col - 1), (row, col + 1), (row + 1, col)):
+            if 0 <= r < height and 0 <= c < width and r * width + c in entry:
+                heapq.heappush(due, (cost + entry[cell], moves + 1, r * width + c))
+    return found
+
+
+def entries(world: World, plan: Plan) -> dict[int, int]:
+    problem = prepare(world, plan.starts, plan.settings or Settings())
+    return {int(cell): int(problem.costs[cell]) for cell in np.flatnonzero(problem.levels.accessible)}
+
+
+def check_rules(trace: Trace, world: World, plan: Plan, found: list[dict[int, tuple[int, int]]]) -> None:
+    """What section 19 promises of a run, read off its trace; `found`: the ways home of each robot."""
+    settings = plan.settings
+    assert settings is not None
+    for robot, way in enumerate(found):
+        cells, doing = trace.cells[:, robot].tolist(), trace.doing[:, robot].tolist()
+        turned = [row[0] for row in trace.events.tolist() if row[1:3] == [robot, EventKind.TURNED_HOME]]
+        given = settings.range[robot] if isinstance(settings.range, tuple) else settings.range
+        charged = {row[0] for row in trace.events.tolist() if row[1:3] == [robot, EventKind.CHARGED]}
+        moves = 0
+        for step, cell in enumerate(cells):
+            if step in charged:
+                assert way[cell] == (0, 0) and moves > 0
+                moves = 0
+            moves += step > 0 and cell != cells[step - 1]
+            if doing[step] == Doing.DEAD:
+                break
+            assert given is None or way[cell][1] <= given - moves
+            assert settings.deadline is None or way[cell][1] <= settings.deadline - step
+        if doing[-1] != Doing.DEAD:
+            assert way[cells[-1]] == (0, 0)
+        assert len(turned) <= 1 + len(charged)
+        for begun in turned:
+            check_way_home(trace, robot, begun, way, charged)
+
+
+def check_way_home(trace: Trace, robot: int, turned: int, way: dict[int, tuple[int, int]], charged: set[int]) -> None:
+    """From where it turned a robot goes home and nowhere else, and stays there, at least until it is charged."""
+    cells, doing = trace.cells[:, robot].tolist(), trace.doing[:, robot].tolist()
+    for step in range(turned + 1, trace.time):
+        if step + 1 in charged or doing[step] == Doing.DEAD:
+            return
+        before, after = cells[step], cells[step + 1]
+        assert doing[step] in (Doing.RETURNING, Doing.DONE, Doing.CHARGING) and trace.areas[step, robot] == -1
+        assert way[after][1] == way[before][1] - (doing[step] == Doing.RETURNING)
+        assert way[after][0] <= way[before][0]
+
+
+WATCHFUL: list[dict[str, Any]] = [
+    {"return_to": "nearest", "policy": "watchful", "reserve": 0.4, "range": 45, "worth": 20.0},
+    {"return_to": "home", "policy": "watchful", "reserve": 0.4, "range": 40, "recharge": 3},
+    {"return_to": "nearest", "policy": "watchful", "reserve": 0.4, "range": 50, "steps_per_move": (1, 2, 1)},
+]
+
+
+def test_who_goes_first_knows_what_those_have_left_that_have_yet_to_move() -> None:
+    world, starts = drawn(7, 4)
+    for asked, rollout in zip(WATCHFUL[:2], (104, 3), strict=True):
+        plan = make_plan(world, starts, Settings(**asked))
+        trace = trace_rollouts(compile_closed_loop(plan, world), 7, [rollout])[0]
+        assert_same_trace(trace, ReferenceLoop(plan, world).trace(7, rollout))
+
+
+@pytest.mark.slow
+def test_so_they_do_on_drawn_worlds() -> None:
+    for seed in range(60):
+        world, starts = drawn(seed)
+        plan = make_plan(world, starts, Settings(**WATCHFUL[seed % 3]))
+        readable = ReferenceLoop(plan, world)
+        for trace in trace_rollouts(compile_closed_loop(plan, world), seed, range(8)):
+            assert_same_trace(trace, readable.trace(seed, trace.rollout))
+
+
+@pytest.mark.parametrize("number", range(len(KINDS)))
+def test_engines_agree_and_who_is_alive_is_home(number: int) -> None:
+    asked = KINDS[number]
+    for seed in (number, number + 20):
+        world, starts = drawn(seed)
+        plan = make_plan(world, starts, Settings(**asked))
+        readable, entry = ReferenceLoop(plan, world), entries(world, plan)
+        own = [[row * world.shape[1] + col] for row, col in starts.tolist()]
+        bases = own if asked["return_to"] == "home" else [[base for (base,) in own]] * len(own)
+        found = [ways(world, of, entry) for of in bases]
+        for tabled in (True, False):
+            loop = compile_closed_loop(plan, world, tabled=tabled)
+            for mine in trace_rollouts(loop, seed, range(6)):
+                assert_same_trace(mine, readable.trace(seed, mine.rollout))
+                check_rules(mine, world, plan, found)
+        tally, singles = run_range(loop, seed, 0, 500, threads=1, singles=True)
+        assert singles is not None
+        np.testing.assert_array_equal(singles.home, singles.alive)
+        np.testing.assert_array_equal(tally.home, np.bincount(singles.home, minlength=len(starts) + 1))
+        assert singles.home[:6].tolist() == [int(readable.run(seed, rollout).home.sum()) for rollout in range(6)]
+        if "range" not in asked and "deadline" not in asked and "reserve" not in asked:  # Theorem 2
+            assert set(np.unique(singles.outcome)) <= {Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST}
+
+
+def test_ways_home_are_the_safest_and_of_these_the_shortest() -> None:
+    for seed in range(8):
+        world, starts = drawn(seed, 2)
+        problem = prepare(world, starts, Settings(return_to="nearest", levels=4))
+        assert problem.home is not None
+        entry = {int(cell): int(problem.costs[cell]) for cell in np.flatnonzero(problem.levels.accessible)}
+        wanted = ways(world, problem.starts.tolist(), entry)
+        for cell, (cost, moves) in wanted.items():
+            way = problem.home.way(0, cell)
+            assert (sum(entry[passed] for passed in way), len(way)) == (cost, moves)
+            assert (problem.home.cost[0, cell], problem.home.moves(1, cell)) == (cost, moves)
+
+
+def corridor(cells: int, p: float) -> World:
+    return World.create(np.array([[0.0] + [p] * (cells - 1)]))
+
+
+@pytest.mark.parametrize(("more", "turns_at"), [({}, 9), ({"range": 13}, 6), ({"deadline": 10}, 5), ({"range": 1}, 0)])
+def test_a_corridor_by_hand(more: dict[str, int], turns_at: int) -> None:
+    """From its end a robot goes as far as it can come back from: it enters 2 n - 1 dangerous cells, then its start."""
+    p, world = 0.07, corridor(10, 0.07)
+    plan = make_plan(world, [[0, 0]], Settings(return_to="home", **more))
+    there = list(range(turns_at + 1))
+    assert plan.robots[0].path.tolist() == there + there[-2::-1]
+    answer = evaluate(world, plan, RolloutChoices(rollouts=2000))
+    home, passed = answer.figures.home, max(2 * turns_at - 1, 0)
+    assert home is not None and home.robots == 1
+    assert home.mean == pytest.approx((1 - np.float32(p)) ** passed, rel=1e-6)
+    assert home.at_least[1].mean == pytest.approx(home.mean) and home.at_least[0].mean == pytest.approx(1)
+    assert answer.visited.cells == pytest.approx(1 + sum((1 - p) ** k for k in range(turns_at)), rel=1e-6)
+
+
+def test_a_charged_robot_goes_out_again_by_hand() -> None:
+    """From the middle of a corridor with nine moves: one side and back, three steps of charging, then the other."""
+    p = 0.05
+    world = World.create([[p] * 4 + [0.0] + [p] * 4])
+    plan = make_plan(world, [[0, 4]], Settings(return_to="home", range=9, recharge=3))
+    assert plan.robots[0].path.tolist() == [4, 3, 2, 1, 0, 1, 2, 3, 4, 4, 4, 4, 5, 6, 7, 8, 7, 6, 5, 4]
+    assert (plan.outcome, plan.time) == ("complete", 19)
+    answer = evaluate(world, plan, RolloutChoices(rollouts=2000))
+    passes = (1 - float(np.float32(p))) ** np.arange(15)
+    assert answer.figures.home is not None and answer.figures.home.mean == pytest.approx(passes[14], rel=1e-6)
+    assert answer.visited.cells == pytest.approx(1 + passes[:4].sum() + passes[7:11].sum(), rel=1e-6)
+    without = make_plan(world, [[0, 4]], Settings(return_to="home", range=9))
+    assert (without.outcome, len(np.unique(without.robots[0].path))) == ("no_progress", 5)
+
+
+@pytest.mark.parametrize("number", [0, 1, 3, 4, 7])
+def test_the_exact_tree_knows_who_comes_home(number: int) -> None:
+    world = World.create(
+        [[0, 0.1, 0.1, 0], [0, np.nan, 0, 0.3], [0.2, 0, 0, np.nan], [0.2, 0.1, 0, 0.3]],
+        [[0, 0], [0, 3], [2, 1]],
+    )
+    assert world.starts is not None
+    plan = make_plan(world, world.starts, Settings(**{**KINDS[number], "density": 1.5}))
+    tree = grow_tree(compile_closed_loop(plan, world), 0.0, 10**6)
+    assert tree is not None and not tree.left
+    oracle = ReadableTree(plan, world)
+    chances, branches = np.zeros(4), [oracle.start()]
+    while branches:
+        going, ends = oracle.step(branches.pop(), oracle.max_steps)
+        branches += going
+        for end in ends:
+            chances[end.alive] += end.chance
+    np.testing.assert_allclose(tree.counts.home / WHOLE, chances, atol=1e-9)
+    sampled = run_range(compile_closed_loop(plan, world), 5, 0, 20_000)[0].home / 20_000
+    assert (np.abs(sampled - chances) <= 5 * np.sqrt(chances * (1 - chances) / 20_000) + 1e-9).all()
+
+
+def test_threats_that_move_meet_who_goes_home_and_who_waits_there() -> None:
+    world = moving_world(3)
+    starts = place_starts(world, 3)[0]
+    for asked in (*KINDS[:3], KINDS[7], KINDS[8]):
+        plan = make_plan(world, starts, Settings(**asked))
+        readable, loop = ReferenceLoop(plan, world), compile_closed_loop(plan, world)
+        for mine in trace_rollouts(loop, 1, range(8)):
+            assert_same_trace(mine, readable.trace(1, mine.rollout))
+
+
+def test_open_loop_paths_end_at_home(tmp_path: Any) -> None:
+    world, starts = drawn(3)
+    plan = make_plan(world, starts, Settings(return_to="home", range=60))
+    assert plan.ends_home() and plan.ends_home(0)
+    away = next(step for step, cell in enumerate(plan.robots[0].path) if cell != plan.robots[0].path[0])
+    assert not plan.ends_home(away)
+    cut = compare(*(make_side(world, plan, RolloutChoices(loop="open", rollouts=64, deadline=away)) for _ in range(2)))
+    assert "home" not in cut.figures and make_side(world, plan, RolloutChoices(loop="open")).comes_home
+    plan.save(tmp_path / "plan.json")
+    assert load_plan(tmp_path / "plan.json", world).settings == plan.settings
+    answer = evaluate(world, plan, RolloutChoices(loop="open", rollouts=4096))
+    assert answer.figures.home is not None
+    assert answer.figures.home.mean == answer.figures.alive.mean
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"return_to": ((0, 99),)}, "outside the map"),
+        ({"return_to": ((0, 3),)}, "cannot reach a base"),
+        ({"return_to": ((0, 1),), "range": 1}, None),
+        ({"return_to": ((0, 2),), "range": 1}, "2 moves from its base"),
+        ({"return_to": "base"}, "home"),
+        ({"return_to": ()}, "home"),
+        ({"return_to": "home", "recharge": 3}, "range"),
+    ],
+)
+def test_what_cannot_come_home_is_refused(more: dict[str, Any], said: str | None) -> None:
+    world = World.create([[0, 0, 0, np.nan, 0]])
+    if said is None:
+        make_plan(world, [[0, 0]], Settings(**more))
+        return
+    with pytest.raises(InputError, match=said):
+        make_plan(world, [[0, 0]], Settings(**more))
+
+
+def test_what_does_not_know_the_way_home_says_so() -> None:
+    world, starts = drawn(1)
+    with pytest.raises(InputError, match="return_to"):
+        plan_team(world, starts, Settings(return_to="home", plan_for="open"))
+
+
+def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped() -> None:
+    """On the way home, too, and once all are called: the rest is the uncut run's; both engines run the same rest."""
+    returning = 0
+    for number, seed in ((0, 4), (2, 5), (5, 7)):
+        world, starts = drawn(seed)
+        plan = make_plan(world, starts, Settings(**KINDS[number]))
+        whole = VisitLoop(plan, world)
+        for rollout in range(3):
+            trace = whole.trace(0, rollout)
+            for step in {4, trace.time // 2, trace.time - 5, trace.time - 1}:
+                state = whole.state_at(step, 0, rollout)
+                if state is None:
+                    continue
+                read = parse_state(state.to_json(), world, "state")
+                rest = allocated_plan(world, read.starts, Settings(**KINDS[number]), read)
+                again = VisitLoop(rest, world).trace(0, rollout)
+                np.testing.assert_array_equal(again.cells[step:], trace.cells[step:])
+                assert again.outcome == trace.outcome
+                compiled = compile_closed_loop(rest, world, tabled=seed % 2 == 0)
+                assert_same_trace(
+                    trace_rollouts(compiled, 0, [rollout])[0], ReferenceLoop(rest, world).trace(0, rollout)
+                )
+                returning += any(robot.status == "returning" for robot in read.robots)
+    assert returning > 5
+
+
+def driven(mission: Mission, steps: int) -> list[str]:
+    """What the orders were for, of so many steps in which everybody does what it is told, nobody is lost."""
+    said = []
+    for _ in range(steps):
+        for order in mission.orders().values():
+            said.append(order.why)
+            mission.report(order.robot, cell=order.cell)
+        mission.advance()
+    return said
+
+
+def test_an_operator_ends_a_driven_mission_and_a_new_battery_sends_out_again() -> None:
+    world = corridor(12, 0.01)
+    mission = Mission(world, make_plan(world, [[0, 0]], Settings(return_to="home", range=8)))
+    assert "return" not in driven(mission, 5) and set(driven(mission, 4)) == {"return"}
+    assert mission.outcome is None and mission._fleet.robots[0].turned
+    mission.report(0, cell=(0, 0), moves_left=24)
+    assert set(driven(mission, 4)) == {"hold", "travel"}
+    mission.call_off()
+    assert set(driven(mission, 3)) == {"return"}
+    while mission.outcome is None:
+        driven(mission, 1)
+    assert mission.outcome == Outcome.ENDED_BY_OPERATOR and mission._fleet.robots[0].cell == 0
+
+
+def test_who_is_cut_off_from_home_goes_on_and_stays_where_it_ends(tmp_path: Any) -> None:
+    world = corridor(8, 0.01)
+    mission = Mission(world, make_plan(world, [[0, 0]], Settings(return_to="home")))
+    driven(mission, 4)
+    mission.close([[0, 1]])
+    mission.save(tmp_path / "now.json")
+    mission = Mission.resume(tmp_path / "now.json", world, make_plan(world, [[0, 0]], Settings(return_to="home")))
+    while mission.outcome is None:
+        driven(mission, 1)
+    assert mission.outcome == Outcome.COMPLETE and mission._fleet.robots[0].cell == 7
+
+
+def test_worth_counts_the_way_home() -> None:
+    """Seven safe cells beyond a danger p = .2: V = 15 robots' cells of n = 10 make theta 3, so that C = 17 is less than
+    7 theta, and more with the 11 by which the way home gets dearer.
+    """
+    world, visited = World.create([[0.0, 0.0, 0.2, *[0.0] * 7]]), {}
+    for to in (None, "home"):
+        for worth in (5.0, 15.0, 20.0):
+            plan = make_plan(world, [[0, 0]], Settings(policy="per_cell", worth=worth, return_to=to))
+            visited[to, worth] = len(np.unique(plan.robots[0].path))
+    assert visited == {(None, 5.0): 10, (None, 15.0): 10, (None, 20.0): 2} | {
+        ("home", 5.0): 10, ("home", 15.0): 2, ("home", 20.0): 2,
+    }  # fmt: skip
+
+
+def test_the_settings_of_a_front_are_missions_that_end_at_home() -> None:
+    world, starts = drawn(7)
+    settings, choices = Settings(return_to="nearest"), RolloutChoices(rollouts=256, exact="never")
+    ladders = Ladders(reserves=(), worths=(), landmarks=(0.5,))
+    front = find_front(world, starts, settings, choices, ladders=ladders)
+    ended = [point for point in front.points if point.setting.deadline is not None]
+    assert len(ended) == 2 and any("home" in note for note in front.notes)
+    for point in ended:
+        plan = make_plan(world, starts, settings_of(settings, point.setting))
+        tally, singles = run_range(compile_closed_loop(plan, world), 0, 0, 256, singles=True)
+        assert singles is not None and singles.time.max() <= (point.setting.deadline or 0)
+        np.testing.assert_array_equal(singles.home, singles.alive)
+        mean = (tally.visited @ np.arange(len(tally.visited))) / 256 / tally.accessible
+        assert point.coverage.mean == pytest.approx(mean, abs=1e-9)
+
+
+def test_robots_know_the_deadline_of_an_answer() -> None:
+    """By a deadline `evaluate` answers as for a plan with that deadline; who does not know it is still away then."""
+    world, starts = drawn(7)
+    blind = make_plan(world, starts, Settings(return_to="home"))
+    choices = RolloutChoices(rollouts=256, exact="never", deadline=30)
+    told = evaluate(world, blind, choices, band=False, advice=False)
+    knows = evaluate(
+        world, make_plan(world, starts, Settings(return_to="home", deadline=30)), replace(choices, deadline=None)
+    )
+    assert told.tally == knows.tally and told.plan.settings == knows.plan.settings
+    np.testing.assert_array_equal(told.plan.robots[0].path, knows.plan.robots[0].path)
+    np.testing.assert_array_equal(told.tally.home, told.tally.alive)
+    cut_off, _ = run_range(compile_closed_loop(blind, world).until(30), 0, 0, 256)
+    assert cut_off.home @ np.arange(4) < told.tally.home @ np.arange(4)
+    trial = Trial(world, blind, choices)
+    assert trial.sample(0, 256).tally.visited.tolist() == told.tally.visited.tolist()
+    far = make_plan(world, starts, Settings(return_to=(tuple(map(int, starts[0])),)))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="moves from its base"):
+        evaluate(world, far, replace(choices, deadline=1))
+
+
+# Teams that come home, by everything that can happen to them: a twin written from the rules, against all engines.
+
+HOMES: list[dict[str, Any]] = [
+    {"return_to": "home"},
+    {"return_to": "nearest"},
+    {"return_to": "home", "range": 6},
+    {"return_to": "nearest", "deadline": 7},
+    {"return_to": "home", "range": 9, "deadline": 8},
+    {"return_to": "nearest", "range": 5, "recharge": 2, "deadline": 30},
+    {"return_to": ((0, 0),), "range": 8, "recharge": 1, "deadline": 24},
+]
+DANGERS = 3
+
+
+def tiny(number: int) -> tuple[World, list[tuple[int, np.ndarray]], list[Cell]]:
+    """2 x 3 to 3 x 3 cells, three dangerous ones at most, two or three robots; every fourth map has a second phase."""
+    stream = Stream(number, 1919)
+    shape = (2 + stream.below(2), 3)
+    p = np.zeros(shape, dtype=np.float32)
+    for _ in range(DANGERS):
+        p.flat[stream.below(p.size)] = (0.1, 0.3)[stream.below(2)]
+    if stream.below(3) == 0:
+        p.flat[1 + stream.below(p.size - 1)] = np.nan
+    world, maps = World.create(p), [(0, p)]
+    if number % 4 == 3:
+        later = np.where(np.isnan(p), np.nan, np.roll(np.nan_to_num(p), 1 + stream.below(p.size))).astype(np.float32)
+        maps.append((2 + stream.below(4), later))
+        world = with_phases(world, maps[1:])
+    free = np.argwhere(world.components == world.components[0, 0])
+    starts = [tuple(free[stream.below(len(free))].tolist()) for _ in range(2 + stream.below(2))]
+    return world, maps, starts
+
+
+class Both:
+    """A twin's run and the simulator's, by the same judge of visits."""
+
+    def __init__(self, number: int) -> None:
+        self.world, self.maps, self.starts = tiny(number)
+        asked = HOMES[number % len(HOMES)]
+        bases = {"home": [[start] for start in self.starts], "nearest": [self.starts] * len(self.starts)}
+        to = asked["return_to"]
+        self.rules = (
+            bases[to] if isinstance(to, str) else [list(to)] * len(self.starts),
+            [asked.get("range", MANY)] * len(self.starts), asked.get("deadline", MANY), asked.get("recharge", 0),
+        )  # fmt: skip
+        self.plan: Plan = make_plan(self.world, self.starts, Settings(**asked))
+        self.problem: Problem = prepare(self.world, self.starts, self.plan.settings or Settings())
+        width = self.world.shape[1]
+        self.areas = [
+            (a.level, None if a.robot == NO_ROBOT else a.robot, [divmod(c, width) for c in a.cells.tolist()])
+            for a in self.plan.areas
+        ]
+        assert len(self.maps) > 1 or allocation(self.maps[0][1], self.starts) in (None, self.areas)
+
+    def play(self, judge: Any) -> tuple[float, ...]:
+        """(visited, alive, so many home with chance 1, ...) of the twin, which the simulator's run is, step by step."""
+        decided: dict[tuple[int, int, Cell], bool] = {}
+
+        def asked(robot: int, step: int, cell: Cell) -> bool:
+            return decided.setdefault((robot, step, cell), judge(robot, step, cell))
+
+        twin, width = Homing(self.maps, self.starts, self.areas, asked, *self.rules), self.world.shape[1]
+        outcome = twin.run()
+        run = simulate(
+            self.problem, self.plan.areas, truth=0,
+            hit=lambda robot, step, cell: decided[robot, step, divmod(cell, width)],
+        )  # fmt: skip
+        assert (run.outcome.word, run.time) == (outcome, twin.step)
+        assert [tuple(cell) for cell in np.argwhere(run.visited.reshape(self.world.shape)).tolist()] == sorted(
+            twin.visited
+        )
+        assert run.home.tolist() == twin.at_home()
+        for path, walker in zip(run.paths, twin.team, strict=True):
+            cells = [divmod(cell, width) for cell in path.tolist()]
+            assert cells == walker.path[: len(cells)] and {*walker.path[len(cells) :]} <= {cells[-1]}
+        home = sum(twin.at_home())
+        alive = sum(walker.doing != "dead" for walker in twin.team)
+        return len(twin.visited), alive, *(float(home == m) for m in range(len(self.starts) + 1))
+
+
+def check(number: int) -> int:
+    """All that can happen is what the simulator does, the tree says and rollouts come to; in how many is one lost."""
+    both = Both(number)
+    visited, alive, *home, survived = mean_of(both.play, both.maps)
+    loop = compile_closed_loop(both.plan, both.world)
+    tree = grow_tree(loop, 0.0, 10**6)
+    assert tree is not None and not tree.left
+    np.testing.assert_allclose(
+        (*tree.covered("visited"), *tree.covered("survived")), [visited] * 2 + [survived] * 2, rtol=1e-6
+    )
+    np.testing.assert_allclose(tree.mean_alive, alive, rtol=1e-6)
+    np.testing.assert_allclose(tree.counts.home / WHOLE, home, atol=1e-7)
+    tally = run_range(loop, number, 0, 4096, threads=1)[0]
+    error = np.sqrt(np.array(home) * (1 - np.array(home)) / 4096)
+    assert (np.abs(tally.home / 4096 - home) <= 5 * error + 1e-9).all(), number
+    return int(alive < len(both.starts))
+
+
+def test_all_that_can_happen_to_teams_that_come_home() -> None:
+    assert sum(check(number) for number in range(56)) > 30
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", range(4))
+def test_so_it_is_on_many_more_maps(part: int) -> None:
+    assert sum(check(number) for number in range(56 + part, 656, 4)) > 80
+
+
+# Range: robots that make so many moves and then stay (SPEC section 13); the readable simulator is the oracle.
+
+LIMITS: tuple[dict[str, Any], ...] = (
+    {},
+    {"policy": "per_cell"},
+    {"policy": "per_cell", "reserve": 0.3},
+    {"policy": "per_cell", "worth": 12.0, "reserve": 0.5},
+)
+
+
+def moves(path: np.ndarray) -> int:
+    return int(np.count_nonzero(np.diff(path)))
+
+
+def small(seed: int, robots: int, given: Any = None, **more: Any) -> tuple[World, Plan]:
+    pattern = ThreatPattern("contiguous" if seed % 2 else "scattered", areas=3, seed=seed)
+    world = random_world(8 + seed % 3, 9, pattern, obstacles=0.2, threats=0.35)
+    return world, make_plan(world, place_starts(world, robots)[0], Settings(range=given, **more))
+
+
+def test_a_corridor_by_hand_range() -> None:
+    """Two robots from the ends of nine safe cells: the short one stays after two moves, the other does its rest."""
+    world = World.create(np.zeros((1, 9)))
+    plan = make_plan(world, [[0, 0], [0, 8]], Settings(range=(2, 100)))
+    assert plan.robots[0].path.tolist() == [0, 1, 2]
+    assert sorted(set(plan.robots[1].path.tolist())) == [3, 4, 5, 6, 7, 8]
+    assert plan.outcome == "complete"
+    assert not validate(plan, world)
+    alone = make_plan(world, [[0, 0]], Settings(range=5))
+    assert alone.robots[0].path.tolist() == [0, 1, 2, 3, 4, 5]
+    assert (alone.outcome, alone.time) == ("no_progress", 7)
+    assert open_loop_exact(alone, world).visited == 6
+
+
+@pytest.mark.parametrize("more", LIMITS, ids=["mrac", "per_cell", "reserve", "worth"])
+def test_compiled_runs_are_the_readable_ones(more: dict[str, Any]) -> None:
+    ended = 0
+    for seed in range(6):
+        robots = 1 + seed % 4
+        for given in (1, 9, tuple(range(5, 5 + 9 * robots, 9))):
+            world, plan = small(seed, robots, given, **more)
+            loop, reference = compile_closed_loop(plan, world, tabled=seed > 0), ReferenceLoop(plan, world)
+            for trace in trace_rollouts(loop, seed, range(4)):
+                assert trace == reference.trace(seed, trace.rollout), (seed, given, trace.rollout)
+                most = np.broadcast_to(given, robots)
+                for robot in range(robots):
+                    assert moves(trace.cells[:, robot]) <= most[robot]
+                stays = trace.events[trace.events[:, 2] == EventKind.RANGE_ENDED]
+                ended += len(stays)
+                for step, robot in stays[:, :2].tolist():
+                    assert moves(trace.cells[: step + 1, robot]) == most[robot]
+                    assert (trace.doing[step:, robot] == Doing.DONE).all()
+    assert ended > 40
+
+
+def test_what_is_left_is_reallocated() -> None:
+    world, plan = small(1, 3, (12, 400, 400))
+    _, free = small(1, 3)
+    assert plan.outcome == free.outcome == "complete"
+    assert moves(plan.robots[0].path) == 12 < moves(free.robots[0].path)
+    assert not validate(plan, world)
+
+
+def test_enough_moves_are_no_limit_and_a_limit_is_part_of_the_identity() -> None:
+    world, free = small(3, 3)
+    _, same = small(3, 3, 10_000)
+    for a, b in zip(free.robots, same.robots, strict=True):
+        np.testing.assert_array_equal(a.path, b.path)
+    loops = [compile_closed_loop(plan, world) for plan in (free, same)]
+    singles = [run_range(loop, 5, 0, 64, singles=True)[1] for loop in loops]
+    assert singles[0] is not None and singles[1] is not None
+    np.testing.assert_array_equal(singles[0].visited, singles[1].visited)
+    assert loops[0].identity != loops[1].identity
+
+
+@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
+def test_nominal_plans_with_a_range_are_sound_and_survive_their_file(policy: str) -> None:
+    outcomes = set()
+    for seed in range(8):
+        for given in (3, 20, 60):
+            world, plan = small(seed, 1 + seed % 4, given, policy=policy)
+            assert not validate(plan, world), (seed, given)
+            back = confirm_plan(parse_plan(plan.to_json(), world, "file"), world, "file")
+            assert back.settings == plan.settings
+            outcomes.add(plan.outcome)
+    assert outcomes >= {"complete", "no_progress"}
+
+
+def test_the_validator_counts_moves() -> None:
+    world, plan = small(1, 2, 30)
+    tight = Plan(**{**vars(plan), "settings": Settings(range=20)})
+    assert {"range"} <= {found.rule for found in validate(tight, world)}
+
+
+def test_paths_for_the_open_loop_end_with_the_range() -> None:
+    world, _ = small(1, 2)
+    starts = place_starts(world, 2)[0]
+    plan = plan_team(world, starts, Settings(plan_for="open", effort=200, range=(7, 15)))
+    assert all(moves(robot.path) <= most for robot, most in zip(plan.robots, (7, 15), strict=True))
+
+
+def test_size_knows_the_range() -> None:
+    world = World.create(np.zeros((1, 12)), starts=[[0, 0]] * 6)
+    answer = find_size(world, Settings(range=3), make_goal(0.9, None, False, "visited", 6), RolloutChoices())
+    assert answer.robots is None
+    answer = find_size(world, Settings(range=11), make_goal(0.9, None, False, "visited", 6), RolloutChoices())
+    assert answer.robots == 1
+    with pytest.raises(UsageError, match="teams of other sizes"):
+        find_size(world, Settings(range=(3, 4)), make_goal(0.9, None, False, "visited", 6), RolloutChoices())
+
+
+def test_the_outcome_is_stuck_with_everybody_alive() -> None:
+    world, plan = small(2, 2, 4)
+    _, singles = run_range(compile_closed_loop(plan, world.with_starts(plan.starts)), 1, 0, 32, singles=True)
+    assert singles is not None
+    whole = singles.alive == 2
+    assert whole.any()
+    assert (singles.outcome[whole] == Outcome.NO_PROGRESS).all()
+    assert singles.visited[whole].max() <= 10
+
+
+def test_bad_ranges(tmp_path: Any) -> None:
+    world, _ = small(1, 2)
+    starts = place_starts(world, 2)[0]
+    for wrong in (0, -3, 2.5, "many", (), (3, 0), True):
+        with pytest.raises(PlanError, match="range"):
+            make_plan(world, starts, Settings(range=wrong))  # type: ignore[arg-type]
+    with pytest.raises(PlanError, match=f"^{world.source}: range of 3 robots for a team of 2"):
+        make_plan(world, starts, Settings(range=(1, 2, 3)))
+    world.save(tmp_path / "w.npz")
+    for text in ("0", "[3, 0]", "[]", "1.5", "far"):
+        (tmp_path / "s.yaml").write_text(f"map: w.npz\nrobots: {{count: 2, range: {text}}}\n")
+        with pytest.raises(ScenarioError, match=r"robots\.range"):
+            load_input(tmp_path / "s.yaml")
+    (tmp_path / "s.yaml").write_text("map: w.npz\nrobots: {count: 2, range: [30, 4]}\n")
+    assert load_input(tmp_path / "s.yaml").team.settings == {"range": (30, 4)}
+    with pytest.raises(InputError):
+        load_input(tmp_path / "missing.yaml")

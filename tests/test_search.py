@@ -1,0 +1,775 @@
+"""Searches for start positions, for threats to remove and for places of threats."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import replace
+from functools import cache
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from page_reader import Reader
+
+import mrac_jax as mrac
+from analysis.cli.app import run
+from analysis.inputs import Asked, load_task
+from analysis.sampling import RolloutChoices, make_singles
+from analysis.search import threat_placement as search
+from analysis.search.place_reports import (
+    attack_findings,
+    attack_headline,
+    attack_report,
+    clear_findings,
+    clear_headline,
+    starts_findings,
+    starts_headline,
+    starts_report,
+)
+from analysis.search.start_positions import border, candidate_cells, find_starts, read_candidates, sites_of, spread_out
+from analysis.search.threat_placement import Attack
+from analysis.search.threat_removal import Clearing, by_cell, find_clearing, threats_of
+from analysis.theory.exact import coverage_gradient, open_loop_exact
+from planner.errors import InputError, PlanError, UsageError
+from planner.mrac.make_plan import make_plan
+from planner.mrac.problem import prepare
+from planner.mrac.simulate import ReferenceLoop, simulate
+from planner.policies import RULES
+from planner.rollout_sampling import Luck
+from planner.settings import Choices, Settings
+from planner.world.scenario import load_input
+from planner.world.world import World
+
+# `mrac-jax starts`: candidates, what is simulated against the readable simulator, the scenario, wrong input.
+
+LAKE = np.zeros((6, 8))
+LAKE[2:4, 2:4] = np.nan  # no border: the edge cannot be reached from it over obstacles
+LAKE[0, 6:], LAKE[1, 7] = np.nan, np.nan
+LAKE[4:, 4:] = 0.3
+LAKE[2, 5:] = 0.1
+WORLD = World.create(LAKE)
+RUNS = 24
+
+
+def test_the_border_is_the_edge_and_what_reaches_to_it() -> None:
+    found = border(WORLD)
+    by_hand = {(row, col) for row in range(6) for col in range(8) if row in (0, 5) or col in (0, 7)}
+    by_hand |= {(1, 6)}
+    safe = {(row, col) for row, col in by_hand if LAKE[row, col] == 0}
+    assert set(map(tuple, np.argwhere(found).tolist())) == safe and (1, 2) not in safe
+
+
+def test_candidates_are_a_mask_or_a_list_in_one_part_of_the_map() -> None:
+    mask = np.zeros(LAKE.shape, dtype=bool)
+    mask[0, :3] = True
+    for given in (mask, mask.astype(int), [[0, 2], [0, 0], [0, 1], [0, 2]]):
+        cells, notes = candidate_cells(WORLD, given)
+        assert cells.tolist() == [[0, 0], [0, 1], [0, 2]] and not notes
+    parted = World.create([[0.0, 0.0, np.nan, 0.0]])
+    cells, notes = candidate_cells(parted, [[0, 0], [0, 3]])
+    assert cells.tolist() == [[0, 0]] and "1 of 2 candidates" in notes[0]
+    narrow = World.create(np.zeros((3, 2)))
+    assert len(candidate_cells(narrow, np.eye(3, 2, dtype=bool))[0]) == 2  # booleans are a mask, whatever their shape
+
+
+def test_sites_are_safe_areas_and_single_dangerous_cells() -> None:
+    cells = np.array([[0, 0], [5, 0], [3, 7], [2, 5], [2, 6]])
+    sites = [sorted(map(tuple, site.tolist())) for site in sites_of(WORLD, cells)]
+    assert sorted(sites) == [[(0, 0), (5, 0)], [(2, 5)], [(2, 6)], [(3, 7)]] or sorted(sites) == [
+        [(0, 0), (3, 7), (5, 0)], [(2, 5)], [(2, 6)],
+    ]  # fmt: skip
+    line = np.array([[0, col] for col in range(9)])
+    assert set(map(tuple, spread_out(line)[:3].tolist())) == {(0, 0), (0, 8), (0, 4)}
+    assert sorted(spread_out(line, 2).tolist()) == line.tolist()
+
+
+@pytest.mark.parametrize("depot", [True, False])
+def test_where_cells_are_worth_something_it_goes_by_value(depot: bool) -> None:
+    value = np.where(np.arange(8) >= 4, 7.5, 1.0) * np.ones((6, 1))
+    valued, choices = (
+        WORLD.with_values(value, 0.5),
+        RolloutChoices(rollouts=RUNS, seed=3, engine="numba", exact="never"),
+    )
+    given = [[0, 0], [5, 0], [3, 7], [2, 6]]
+    answer = find_starts(valued, 2, Settings(), choices, depot=depot, candidates=given)
+    worth = np.where(valued.free, value, 0.0).ravel() / value[valued.free].sum()
+    for place in answer.places:
+        loop = ReferenceLoop(make_plan(WORLD, place.starts, Settings()), WORLD)
+        runs = np.array([loop.run(3, rollout).visited for rollout in range(place.rollouts)])
+        assert place.value is not None and place.coverage is not None
+        assert place.value.mean == pytest.approx((runs @ worth).mean(), abs=1e-9)
+        assert place.coverage.mean * answer.cells == pytest.approx(runs.sum(axis=1).mean())
+        assert place.value.mean * value[valued.free].sum() <= place.screen * (1 + 5 * place.value.se)
+    tried = [place for place in answer.places if place.rollouts == RUNS]
+    able = [place for place in tried if place.is_depot or not depot]
+    assert answer.places[answer.best].value == max((p.value for p in able if p.value), key=lambda one: one.mean)
+    found, fresh = answer.to_json(), answer.confirmed
+    assert fresh is not None and fresh.value is not None and found["value"] == fresh.value.to_json()
+    assert "% of the value covered on average" in starts_headline(answer) and not answer.notes
+    assert answer.gain is None or found["gain"] == answer.gain.to_json()
+    plain = find_starts(WORLD, 2, Settings(), choices, depot=depot, candidates=given).to_json()
+    assert "value" not in plain and all("value" not in one for one in plain["candidates"])
+
+
+@pytest.mark.parametrize("depot", [True, False])
+def test_what_is_simulated_is_what_the_readable_simulator_says(depot: bool) -> None:
+    given = [[0, 0], [5, 0], [3, 7], [2, 6]]
+    choices = RolloutChoices(rollouts=RUNS, seed=3, engine="numba", exact="never")
+    answer = find_starts(WORLD, 2, Settings(), choices, depot=depot, candidates=given)
+    assert answer.starts.shape == (2, 2) and answer.rolled - sum(p.rollouts for p in answer.places) == RUNS * (
+        1 + (answer.best != answer.here)
+    )
+    for place in answer.places:
+        loop = ReferenceLoop(make_plan(WORLD, place.starts, Settings()), WORLD)
+        mean = np.mean([loop.run(3, rollout).visited.sum() for rollout in range(place.rollouts)])
+        assert place.coverage is not None and place.coverage.mean * answer.cells == pytest.approx(mean)
+        assert place.coverage.mean * answer.cells <= place.screen + 5 * place.coverage.se * answer.cells
+        if depot:
+            assert place.now or (place.is_depot and place.starts[0].tolist() in given)
+            assert place.now or (place.one_robot is not None and place.one_robot <= place.screen)
+    loop = ReferenceLoop(make_plan(WORLD, answer.starts, Settings()), WORLD)
+    again = np.mean([loop.run(3, rollout).visited.sum() for rollout in range(RUNS, 2 * RUNS)])
+    assert answer.confirmed is not None and answer.confirmed.coverage is not None
+    assert answer.confirmed.coverage.mean * answer.cells == pytest.approx(again)
+    tried = [place for place in answer.places if place.rollouts == RUNS and (place.is_depot or not depot)]
+    best = answer.places[answer.best]
+    assert best.coverage == max((place.coverage for place in tried if place.coverage), key=lambda one: one.mean)
+
+
+def test_free_starts_are_spread_over_sites() -> None:
+    walled = np.zeros((3, 9))
+    walled[:, 3], walled[:, 6] = 0.5, 0.5
+    answer = mrac.starts(World.create(walled), 3, rollouts=32)
+    assert sorted(col // 3 for _, col in answer.starts.tolist()) == [0, 1, 2]
+    assert answer.chosen.coverage is not None and answer.chosen.coverage.mean > 0.75
+
+
+ISLANDS = np.zeros((3, 9))
+ISLANDS[:, 3], ISLANDS[:, 6] = 0.5, 0.5
+
+
+def test_where_the_team_stands_and_the_best_depot_are_in_the_race_to_the_end() -> None:
+    """And the pick is told against where the team stands, on rollouts that had no part in the choice."""
+    world = World.create(ISLANDS, starts=[[0, 0], [0, 0], [0, 0]])
+    answer = mrac.starts(world, 3, rollouts=200, seed=4, exact="never")
+    now, last = answer.places[answer.here], max(place.rollouts for place in answer.places)  # type: ignore[index]
+    assert now.starts.tolist() == [[0, 0]] * 3 and now.rollouts == last == 200
+    assert any(place.is_depot and not place.now and place.rollouts == last for place in answer.places) or now.is_depot
+    assert not answer.stay and answer.gain is not None and answer.confirmed is not None
+    told = {}
+    for starts in (answer.starts, now.starts):
+        loop = ReferenceLoop(make_plan(world, starts, Settings()), world)
+        told[starts.tobytes()] = np.mean([loop.run(4, rollout).visited.sum() for rollout in range(200, 400)]) / 27
+    mine, theirs = told[answer.starts.tobytes()], told[now.starts.tobytes()]
+    assert answer.gain.mean == pytest.approx(mine - theirs) and answer.gain.ci95[0] > 0
+    assert answer.confirmed.coverage.mean == pytest.approx(mine)  # type: ignore[union-attr]
+    assert " more than from the starts of the input" in starts_headline(answer) and answer.to_json()["gain"]["mean"] > 0
+    for said in (starts_headline(answer), next(starts_findings(answer))):
+        assert " % " in said and " ± " in said and "95 %" not in said, "% is a share of the cells"
+    assert any(
+        " ±: half the 95 % interval, in brackets its ends;" in note
+        for part in starts_report(answer).parts
+        for note in part.notes
+    )
+
+
+def test_nothing_worse_is_recommended() -> None:
+    """Whoever stands at the best starts that there are is told to stay, and gets his own starts back."""
+    best = [[1, 1], [1, 4], [1, 7]]
+    world = World.create(ISLANDS, starts=best)
+    answer = mrac.starts(world, 3, candidates=[[0, 0], [2, 0]], rollouts=200)
+    assert answer.stay and answer.starts.tolist() == best and answer.to_json()["stay"] is True
+    assert starts_headline(answer).startswith("Stay: nothing found is surely better than the starts of the input: ")
+    depot = mrac.starts(world, 3, depot=True, candidates=[[0, 0], [2, 0]], rollouts=200)
+    assert depot.stay and depot.chosen.is_depot and "stay, unless it has to be a depot" in starts_headline(depot)
+    assert depot.gain is not None and depot.gain.ci95[1] < 0
+
+
+def test_a_team_that_stands_elsewhere_is_not_compared() -> None:
+    parted = World.create([[0.0, 0.2, 0.0, np.nan, 0.0, 0.2, 0.0, 0.0]], starts=[[0, 0]])
+    answer = mrac.starts(parted, 1, candidates=[[0, 4], [0, 7]], rollouts=50)
+    assert answer.here is None and not answer.stay and answer.gain is None
+    assert any("it is not compared" in note for note in answer.notes)
+
+
+# The command.
+
+
+@pytest.fixture
+def world_file(tmp_path: Path) -> str:
+    WORLD.save(tmp_path / "world.npz")
+    return str(tmp_path / "world.npz")
+
+
+def asked(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
+    assert run([*words, "--json"]) == 0
+    found: dict = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_scenario_and_command_reproduce_the_best(
+    capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path
+) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "out").mkdir()
+    source, wanted = tmp_path / "in" / "mission.yaml", tmp_path / "out" / "best.yaml"
+    source.write_text("map: {file: ../world.npz}  # a map\nrobots: {count: 2}\nlevels: 8\n")
+    told = ["--depot", "--rollouts", "64", "--seed", "5", "--policy", "per_cell", "--risk", "log", "--exact", "never"]
+    found = asked(capsys, "starts", str(source), *told, "--scenario-out", str(wanted))
+    program, *words = shlex.split(found["command"])
+    assert program == "mrac-jax" and words[-2:] == ["--seed", "6"]
+    once = asked(capsys, *words)["coverage"]["visited"]
+    mine = found["coverage"]
+    assert mine == found["confirmed"]["coverage"] and mine["mean"] != once["mean"]
+    assert abs(mine["mean"] - once["mean"]) < 5 * np.hypot(mine["se"], once["se"])
+    chose = next(one for one in found["candidates"] if one["starts"] == found["starts"][:1])
+    same = ["--rollouts", str(chose["rollouts"]), "--seed", "5", "--risk", "log", "--exact", "never"]
+    for command in ([*words[:-4], *same[:4], *same[-2:]], ["evaluate", str(wanted), *same]):
+        once = asked(capsys, *command)
+        assert once["coverage"]["visited"]["mean"] == chose["coverage"]["mean"] and once["starts"] == found["starts"]
+    written = load_input(wanted)
+    assert written.sha256 == WORLD.sha256 and written.team.settings == {"levels": 8, "policy": "per_cell"}
+    keys = {"starts", "screen", "one_robot", "coverage", "losses", "behind", "rollouts"}
+    assert all(set(one) == keys for one in found["candidates"]) and found["confirmed"]["first_rollout"] == 64
+
+
+@pytest.mark.parametrize("option", [[], ["--wear", "2", "--susceptibility", "3"], ["--policy", "mrac"]])
+def test_the_scenario_asks_for_what_was_searched(
+    capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, option: list[str]
+) -> None:
+    """Range, home and a shape of wear too, of the input or of an option; another policy leaves its limits behind."""
+    source, wanted = tmp_path / "s.yaml", tmp_path / "best.yaml"
+    team = "{count: 2, range: 20, return_to: home, susceptibility: 2}"
+    source.write_text(f"map: world.npz\nrobots: {team}\npolicy: per_cell\nworth: 9\nturn: 2\nwear: {{shape: 1.5}}\n")
+    found = asked(capsys, "starts", str(source), *option, "--rollouts", "32", "--scenario-out", str(wanted))
+    again = asked(capsys, "evaluate", str(wanted), "--rollouts", "32", "--seed", "1")
+    place = ",".join(map(str, found["starts"][0])) + ";" + ",".join(map(str, found["starts"][1]))
+    told = ["--starts", place, "--rollouts", "32", "--seed", "1"]
+    assert again["coverage"] == asked(capsys, "evaluate", str(source), *option, *told)["coverage"]
+    assert load_input(wanted).pace.turn == 2
+
+
+def test_a_bare_map_becomes_a_scenario(capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path) -> None:
+    wanted = tmp_path / "best.yaml"
+    found = asked(capsys, "starts", world_file, "--robots", "2", "--rollouts", "32", "--scenario-out", str(wanted))
+    scenario = load_input(wanted)
+    assert scenario.starts is not None and scenario.starts.tolist() == found["starts"]
+    assert scenario.sha256 == WORLD.sha256 and len(found["starts"]) == found["robots"] == 2
+
+
+@pytest.mark.parametrize(
+    ("file", "rows", "said"),
+    [
+        ("list.csv", [[0, 0], [2, 2]], "[2, 2] is an obstacle (1 such of 2)"),
+        ("list.csv", [[0, 0], [6, 0]], "[6, 0] lies off the map; expected row 0..5 and col 0..7"),
+        ("list.csv", [[0.5, 0]], "holds numbers that are no cells"),
+        ("mask.npy", np.ones((3, 3)), "has shape (3, 3); expected a mask of the map, (6, 8)"),
+        ("mask.npy", np.zeros((6, 8)), "names no cell"),
+        ("mask.npy", np.ones((6, 8)), "is an obstacle (7 such of 48)"),
+        ("mask.txt", np.ones((6, 8)), "is neither 'border' nor such a file"),
+    ],
+)
+def test_wrong_candidates_are_told(
+    capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, file: str, rows: list, said: str
+) -> None:
+    path, out = tmp_path / file, tmp_path / "best.yaml"
+    if path.suffix == ".npy":
+        np.save(path, np.asarray(rows))
+    else:
+        path.write_text("\n".join(",".join(map(str, row)) for row in rows))
+    assert run(["starts", world_file, "--candidates", str(path), "--scenario-out", str(out)]) == 2
+    err = capsys.readouterr().err.strip().splitlines()[-1]
+    assert err.startswith("error: ") and said in err and not out.exists()
+
+
+def test_a_list_of_candidates_may_have_a_header(tmp_path: Path) -> None:
+    """And other separators, which a note says."""
+    (tmp_path / "doors.csv").write_text("name,col,row\nnorth,1,0\nsouth,2,5\n")
+    assert read_candidates(tmp_path / "doors.csv")[0].tolist() == [[0, 1], [5, 2]]
+    (tmp_path / "doors.csv").write_text("nan,1\n5,2\n")
+    assert read_candidates(tmp_path / "doors.csv")[0].shape == (2, 2)
+    (tmp_path / "doors.csv").write_text("x,y\n5,2\n")
+    with pytest.raises(InputError, match=r"doors\.csv: has the columns x, y; expected row and col"):
+        read_candidates(tmp_path / "doors.csv")
+    for text in ("name;col;row\nnorth;1;0\nsouth;2;5\n", "0\t1\n5\t2\n", "row col\n0 1\n5 2\n"):
+        (tmp_path / "doors.csv").write_text(text)
+        cells, (note,) = read_candidates(tmp_path / "doors.csv")
+        assert cells.tolist() == [[0, 1], [5, 2]] and "columns are read as separated by" in note
+
+
+def test_starts_that_reach_little_of_the_map_are_told(tmp_path: Path) -> None:
+    """Three of its cells are cut off from the one where the robot stands: of a file that is no map, for example."""
+    land = np.array([[0.0, np.nan, 0.0, 0.0, 0.0]])
+    World.create(land, [[0, 0]]).save(tmp_path / "cut.npz")
+    World.create(land, [[0, 2]]).save(tmp_path / "near.npz")
+    notes = [load_task(Asked(str(tmp_path / name), Choices())).notes for name in ("cut.npz", "near.npz")]
+    said = "1 of 4 free cells can be reached from the starts: obstacles cut 75 % off"
+    assert said in notes[0] and not any("can be reached" in note for note in notes[1])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--robots", "0"], "--robots 0; expected a whole number, 1 to 1024"),
+        (["--candidates", "nowhere.csv"], "nowhere.csv"),
+        (["--plan-for", "open"], "Unknown option: --plan-for"),
+        (["--scenario-out", "best.json"], "does not end in .yaml"),
+        (["--rollouts", "4294967296"], "expected at most 2147483648"),
+        (["--worth", "5"], "worth"),
+    ],
+)
+def test_bad_options_are_told(capsys: pytest.CaptureFixture[str], world_file: str, words: list[str], said: str) -> None:
+    assert run(["starts", world_file, *words]) == 2
+    err = capsys.readouterr().err.strip().splitlines()[-1]
+    assert err.startswith("error: ") and said in err
+
+
+def test_in_python_wrong_arguments_are_told() -> None:
+    with pytest.raises(InputError, match="candidates='coast'"):
+        mrac.starts(WORLD, candidates="coast")
+    with pytest.raises(InputError, match="no cell on the border of the map is safe"):
+        mrac.starts(World.create([[0.1, 0.2]]))
+    with pytest.raises(PlanError, match="plan_for is open"):
+        find_starts(WORLD, 1, Settings(plan_for="open"), RolloutChoices())
+
+
+def test_an_interruption_leaves_the_best_so_far() -> None:
+    def stop(done: int, total: int, seconds: float) -> None:
+        raise KeyboardInterrupt
+
+    answer = mrac.starts(WORLD, 2, depot=True, rollouts=32, progress=stop, on_interrupt="return")
+    assert answer.partial and answer.confirmed is None and starts_headline(answer).startswith("Interrupted.")
+    assert answer.to_json()["partial"] is True and sum(p.coverage is not None for p in answer.places) == 1
+
+
+def test_the_answer_prints_and_saves_itself(tmp_path: Path) -> None:
+    for depot in (True, False):
+        answer = mrac.starts(WORLD, 2, depot=depot, rollouts=32)
+        files = {file.name for file in answer.save(tmp_path / str(depot))}
+        assert files == {"index.html", "starts.png", "starts.txt", "starts.json", "plan.json"}
+        page = Reader((tmp_path / str(depot) / "index.html").read_text()).text
+        assert starts_headline(answer) in page and all(said in page for said in starts_findings(answer))
+        assert 2 <= len(repr(answer).splitlines()) <= 24
+        assert (answer.world_with_starts.starts == answer.starts).all()
+
+
+# `mrac-jax clear`: gains against the readable simulator, the gradient against differences, wrong input.
+
+RISKS = np.zeros((6, 9))
+RISKS[1:3, 3:7], RISKS[4:, 6:], RISKS[0, 8], RISKS[3, 2], RISKS[5, 0] = 0.2, 0.05, np.nan, np.nan, 0.2
+WORLD_CLEAR = World.create(RISKS, starts=[[0, 0], [3, 0]])
+
+
+@pytest.fixture(scope="module")
+def small() -> Clearing:
+    choices = RolloutChoices(rollouts=RUNS, seed=3, engine="numba", exact="never")
+    return find_clearing(WORLD_CLEAR, WORLD_CLEAR.starts, Settings(), choices, count=2)
+
+
+@cache
+def by_the_readable_simulator(planned: World, true: World, ids: range) -> np.ndarray:
+    """Cells visited, robots lost, value visited on average, planned on one map and hit on the other."""
+    worth = np.ones(true.threat.size) if true.value is None else true.value.ravel()
+    plan = make_plan(planned, WORLD_CLEAR.starts, Settings())
+    problem = prepare(planned, plan.starts, plan.settings)
+    runs = [simulate(problem, plan.areas, hit=Luck(true, 3, rollout).hits) for rollout in ids]
+    return np.mean([[one.visited.sum(), (~one.alive).sum(), one.visited @ worth] for one in runs], axis=0)
+
+
+def test_threats_are_connected_areas_of_one_level() -> None:
+    remove, threats, notes = threats_of(WORLD_CLEAR, WORLD_CLEAR.starts, 16)
+    assert remove == "areas" and not notes
+    assert [(one.name, len(one.cells)) for one in threats] == [("area 0", 6), ("area 1", 8), ("area 2", 1)]
+    assert [one.p for one in threats] == pytest.approx([0.05, 0.2, 0.2])
+    without = threats[1].cleared(WORLD_CLEAR)
+    assert (without.threat[1:3, 3:7] == 0).all() and without.threat[5, 0] == np.float32(0.2)
+    assert np.isnan(without.threat[0, 8]) and WORLD_CLEAR.threat[1, 3] > 0
+
+
+def test_gains_are_what_the_readable_simulator_says(small: Clearing) -> None:
+    base = by_the_readable_simulator(WORLD_CLEAR, WORLD_CLEAR, range(RUNS))
+    for one in small.options:
+        cleared = one.threat.cleared(WORLD_CLEAR)
+        assert one.known is not None and one.unknown.rollouts == RUNS
+        start = by_the_readable_simulator(WORLD_CLEAR, WORLD_CLEAR, range(one.known.rollouts))
+        for gain, planned, before in ((one.known, cleared, start), (one.unknown, WORLD_CLEAR, base)):
+            after = by_the_readable_simulator(planned, cleared, range(gain.rollouts))
+            assert gain.cells.mean == pytest.approx(after[0] - before[0])
+            assert gain.robots.mean == pytest.approx(before[1] - after[1])
+    first, second = small.turns
+    assert len(second.options) == len(first.options) - 1 and first.picked.threat not in small.picks[1:]
+    far = range(RUNS, 2 * RUNS)
+    after, before = (by_the_readable_simulator(world, world, far) for world in (small.cleared_world, WORLD_CLEAR))
+    assert small.gain is not None and small.gain.cells.mean == pytest.approx(after[0] - before[0])
+    through = [one for one in first.options if one.known is not None and one.known.rollouts == RUNS]
+    assert first.picked in through
+    assert first.picked.known == max((one.known for one in through if one.known), key=lambda gain: gain.cells.mean)
+
+
+def test_where_cells_are_worth_something_gains_are_in_value() -> None:
+    value = np.where(np.arange(9) >= 5, 12.5, 1.0) * np.ones((6, 1))
+    valued = WORLD_CLEAR.with_values(value)
+    answer = find_clearing(
+        valued, WORLD_CLEAR.starts, Settings(), RolloutChoices(rollouts=RUNS, seed=3, engine="numba", exact="never")
+    )
+    base = by_the_readable_simulator(valued, valued, range(RUNS))
+    for one in answer.options:
+        cleared = one.threat.cleared(valued)
+        assert one.known is not None and one.known.value is not None and one.unknown.value is not None
+        start = by_the_readable_simulator(valued, valued, range(one.known.rollouts))
+        for gain, planned, before in ((one.known, cleared, start), (one.unknown, valued, base)):
+            after = by_the_readable_simulator(planned, cleared, range(gain.rollouts))
+            assert gain.cells.mean == pytest.approx(after[0] - before[0])
+            assert gain.counted.mean == pytest.approx(after[2] - before[2], abs=1e-9)
+    through = [one.known.counted.mean for one in answer.options if one.known and one.known.rollouts == RUNS]
+    best = answer.turns[0].picked.known
+    assert best is not None and best.counted.mean == max(through) and answer.unit == "of value"
+    found = answer.to_json()
+    assert found["value_gain"] == answer.gain.value.to_json() and found["threats"][0]["unknown"]["value"]  # type: ignore[union-attr]
+    assert " of value " in clear_headline(answer)
+    assert answer.gain is not None and answer.gain.counted.said(unit=" of value") in clear_headline(
+        answer
+    )  # fresh rollouts
+    assert best.counted.said(unit=" of value") not in clear_headline(answer)
+
+
+def test_the_gradient_is_that_of_the_closed_form() -> None:
+    plan = make_plan(WORLD_CLEAR, WORLD_CLEAR.starts, Settings())
+    gradient = coverage_gradient(plan, WORLD_CLEAR)
+    step = 2.0**-7
+    for row, col in [(0, 0), (0, 4), (1, 3), (2, 6), (4, 6), (5, 8), (5, 0), (3, 2)]:
+        if np.isnan(WORLD_CLEAR.threat[row, col]):
+            assert gradient[row, col] == 0
+            continue
+        threat = np.stack([WORLD_CLEAR.threat, WORLD_CLEAR.threat, WORLD_CLEAR.threat])
+        threat[1:, row, col] += np.array([step, 2 * step], dtype=np.float32)
+        at = [open_loop_exact(plan, replace(WORLD_CLEAR, threat=each)).visited for each in threat]
+        slope = (-3 * at[0] + 4 * at[1] - at[2]) / (2 * step)  # of second order, from above: p >= 0
+        assert gradient[row, col] == pytest.approx(slope, rel=2e-2, abs=1e-3)
+    assert gradient.min() < -1
+
+
+# The polygons, points and sites of a scenario.
+
+
+def overlapping(folder: Path) -> str:
+    """A field over the middle, a smaller one within it, a point beside both, a field where no robot gets to."""
+    ground = np.zeros((6, 9))
+    ground[:, 7] = np.nan
+    World.create(ground).save(folder / "map.npz", force=True)
+    fields = {"wide": (2, 1, 6, 4, 0.2), "inner": (3, 2, 5, 3, 0.5), "beyond": (8, 0, 9, 6, 0.4)}
+    features = []
+    for name, (west, south, east, north, p) in fields.items():
+        corners = [[west, south], [east, south], [east, north], [west, north], [west, south]]
+        shape = {"type": "Polygon", "coordinates": [corners]}
+        features.append({"type": "Feature", "properties": {"name": name, "p": p}, "geometry": shape})
+    (folder / "fields.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    (folder / "points.csv").write_text("x,y,strength\n6.5,5.5,0.3\n")
+    (folder / "site.yaml").write_text(
+        "map: map.npz\nrobots: {starts: [[0, 0], [5, 0]]}\nthreats:\n- {polygons: fields.geojson}\n"
+        "- {points: points.csv, falloff: {kind: disc, radius: 0.6}}\n"
+    )
+    return str(folder / "site.yaml")
+
+
+def test_sources_are_cleared_one_by_one_and_what_overlaps_stays(tmp_path: Path) -> None:
+    world = mrac.load(overlapping(tmp_path))
+    answer = mrac.clear(world, remove="sources", rollouts=RUNS, seed=3, engine="numba", count=3)
+    names = ["wide", "inner", "line 2 of points.csv"]
+    assert [one.threat.name for one in answer.options] == names and "beyond" in world.sources.names  # type: ignore[union-attr]
+    assert [one.threat.p for one in answer.options] == pytest.approx([0.2, 0.5, 0.3])
+    assert " the other one (" in answer.turns[1].certainty("worth more")
+    wide = answer.options[0].threat
+    assert len(wide.cells) == 12 and wide.cleared(world).threat[3, 3] == np.float32(0.5)
+    assert answer.options[1].threat.cleared(world).threat[3, 3] == np.float32(0.2)
+    assert sorted(threat.name for threat in answer.picks) == sorted(names)
+    reached = answer.cleared_world.threat[world.accessible(answer.starts)]
+    assert (reached == 0).all() and (answer.cleared_world.threat[:, 8] == np.float32(0.4)).all()
+    assert any("1 threat of the scenario" in note for note in answer.notes)
+    gains = by_cell(answer.options, world.shape, lambda one: one.known)
+    assert gains[3, 3] == max(one.known.cells.mean for one in answer.options[:2])  # type: ignore[union-attr]
+
+
+def test_sources_are_the_default_where_there_are_several(tmp_path: Path) -> None:
+    world = mrac.load(overlapping(tmp_path))
+    chosen = {remove: threats_of(world, world.starts, 16, remove) for remove in (None, "sources", "areas")}  # type: ignore[arg-type]
+    assert chosen[None][0] == "sources" and chosen["areas"][0] == "areas"
+    assert [one.name for one in chosen["areas"][1]] == ["area 0", "area 1", "area 2"]
+    hidden = World.create(np.where(np.isnan(world.threat), np.nan, world.threat / 2), world.starts)
+    assert threats_of(hidden, hidden.starts, 16)[0] == "areas"
+    changed = replace(world, threat=hidden.threat)
+    assert threats_of(changed, world.starts, 16)[0] == "areas"
+    with pytest.raises(UsageError, match=r"no polygon, point or site of its threats .*; use remove='areas'"):
+        mrac.clear(WORLD_CLEAR, remove="sources")
+    with pytest.raises(UsageError, match="remove='all'; expected 'areas' or 'sources'"):
+        mrac.clear(WORLD_CLEAR, remove="all")  # type: ignore[arg-type]
+
+
+# The command.
+
+
+def test_the_command_says_gains_as_json(capsys: pytest.CaptureFixture[str], world_file: str, small: Clearing) -> None:
+    assert (
+        run(["clear", world_file, "--count", "2", "--rollouts", str(RUNS), "--seed", "3", "--exact", "never", "--json"])
+        == 0
+    )
+    found = json.loads(capsys.readouterr().out)
+    assert found == json.loads(json.dumps(small.to_json()))
+    assert found["pick"] == [threat.name for threat in small.picks] and found["gain"]["first_rollout"] == RUNS
+    keys = {"name", "cells", "p", "screen", "hits", "known", "unknown", "behind"}
+    assert all(set(one) == keys and one["unknown"]["ci95"] for one in found["threats"])
+    assert found["threats"][1]["cells"] == [9 * row + col for row in (1, 2) for col in range(3, 7)]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--count", "0"], "--count 0; expected a whole number of threats, 1 to 3"),
+        (["--count", "4"], "--count 4; expected a whole number of threats, 1 to 3"),
+        (["--remove", "all"], "--remove 'all'; expected areas or sources"),
+        (["--remove", "sources"], "lies where a robot can get; use --remove areas"),
+        (["--starts", "0,8"], "[0, 8], an obstacle"),
+        (["--robots", "3"], "--robots 3 contradicts the 2 starts"),
+        (["--plan-for", "open"], "Unknown option: --plan-for"),
+        (["--rollouts", "4294967296"], "expected at most 2147483648"),
+    ],
+)
+def test_bad_options_are_told_clear(
+    capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, words: list[str], said: str
+) -> None:
+    assert run(["clear", world_file, *words, "--out", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err.strip().splitlines()[-1]
+    assert err.startswith("error: ") and said in err and not (tmp_path / "out").exists()
+
+
+def test_without_threat_there_is_nothing_to_clear() -> None:
+    with pytest.raises(UsageError, match="no cell that a robot can reach is dangerous"):
+        mrac.clear(mrac.load(np.zeros((3, 3))))
+    behind = mrac.load([[0.0, np.nan, 0.5]])
+    with pytest.raises(UsageError, match="no cell that a robot can reach is dangerous"):
+        mrac.clear(behind, starts=[[0, 0]])
+
+
+def test_an_interruption_leaves_the_picks_so_far() -> None:
+    calls: list[int] = []
+
+    def stop(done: int, total: int, seconds: float) -> None:
+        calls.append(done)
+        if len(calls) > 5:
+            raise KeyboardInterrupt
+
+    answer = mrac.clear(WORLD_CLEAR, count=3, rollouts=RUNS, exact="never", progress=stop, on_interrupt="return")
+    assert answer.partial and len(answer.picks) == 1 and answer.gain is None
+    assert clear_headline(answer).startswith("Interrupted.") and answer.to_json()["gain"] is None
+    with pytest.raises(KeyboardInterrupt):
+        mrac.clear(WORLD_CLEAR, rollouts=RUNS, exact="never", progress=stop)
+
+
+def test_the_answer_prints_and_saves_itself_clear(small: Clearing, tmp_path: Path) -> None:
+    files = {file.name for file in small.save(tmp_path / "out")}
+    assert files == {"index.html", "clear.png", "clear.txt", "risk_paid.png", "clear.json"}
+    page = Reader((tmp_path / "out" / "index.html").read_text()).text
+    assert clear_headline(small) in page and all(said in page for said in clear_findings(small))
+    assert "Where risk is paid" in page and 2 <= len(repr(small).splitlines()) <= 24
+
+
+# `mrac-jax attack`: the worst places against brute force, `clear` as its way back, hidden truths, wrong input.
+
+P, RUNS_ATTACK = 0.4, 64
+
+
+def small_world(seed: int, height: int, width: int) -> World:
+    """Few obstacles, some danger; one robot, whose coverage is a sum of products."""
+    draw = np.random.default_rng(seed)
+    threat = draw.choice([0.0, 0.0, 0.0, 0.1, np.nan], size=(height, width))
+    threat[0, 0] = threat[0, 1] = 0.0
+    return World.create(threat, starts=[[0, 0]])
+
+
+def covered(path: np.ndarray, threat: np.ndarray) -> float:
+    """Cells that one robot visits on average along a path: each with the chance that it gets so far."""
+    alive, seen, total = 1.0, set[int](), 0.0
+    for number, cell in enumerate(path.tolist()):
+        total += alive * (cell not in seen)
+        seen.add(cell)
+        if number == 0 or cell != path[number - 1]:
+            alive *= 1.0 - float(threat.flat[cell])
+    return total
+
+
+def brute_force(world: World, count: int) -> tuple[float, float]:
+    """What the worst `count` cells leave to a robot that plans anew, and to one that keeps to its path."""
+    path, worst = mrac.plan(world).robots[0].path, [np.inf, np.inf]
+    free = [int(cell) for cell in np.flatnonzero(world.accessible(world.starts)) if cell != 0]
+    for cells in combinations(free, count):
+        threat = world.threat.copy()
+        threat.flat[list(cells)] = 1.0 - (1.0 - threat.flat[list(cells)].astype(float)) * (1.0 - P)
+        anew = mrac.plan(World.create(threat, starts=[[0, 0]])).robots[0].path
+        for kind, way in enumerate((anew, path)):
+            worst[kind] = min(worst[kind], covered(way, threat))
+    return worst[0], worst[1]
+
+
+def left(answer: Attack) -> tuple[float, float]:
+    """What the places that were found leave to both robots."""
+    path = mrac.plan(answer.world).robots[0].path
+    known = answer.known_world
+    return covered(mrac.plan(known).robots[0].path, known.threat), covered(path, answer.hidden_world.threat)
+
+
+@pytest.mark.parametrize(("seed", "height", "width", "count"), [(0, 6, 6, 1), (1, 6, 6, 1), (2, 3, 5, 2), (3, 3, 5, 2)])
+def test_the_worst_places_are_those_of_brute_force(seed: int, height: int, width: int, count: int) -> None:
+    world = small_world(seed, height, width)
+    answer, best = mrac.attack(world, count=count, p=P), brute_force(world, count)
+    assert left(answer) == pytest.approx(best, abs=1e-6)
+    base = covered(mrac.plan(world).robots[0].path, world.threat)
+    for placed, kind, leaves in ((answer.known, "known", best[0]), (answer.hidden, "hidden", best[1])):
+        gain = getattr(placed, kind)
+        assert gain.rollouts == 0 and gain.cells.mean == pytest.approx(base - leaves, abs=1e-6)
+    assert answer.engine == "" and answer.known.hidden.cells.mean <= answer.hidden.hidden.cells.mean + 1e-9
+
+
+@pytest.mark.slow
+def test_two_threats_on_6x6_are_mostly_those_of_brute_force() -> None:
+    """Two that cost little alone may cost a robot most that plans anew: greedy with exchange can miss them."""
+    shares = []
+    for seed in range(10, 20):
+        world = small_world(seed, 6, 6)
+        base = covered(mrac.plan(world).robots[0].path, world.threat)
+        found, worst = left(mrac.attack(world, count=2, p=P)), brute_force(world, 2)
+        shares.append([(base - one) / (base - other) for one, other in zip(found, worst, strict=True)])
+    known, hidden = np.transpose(shares)
+    assert hidden == pytest.approx(np.ones(10), abs=1e-6)
+    assert known.max() <= 1 + 1e-6 and np.sum(known > 1 - 1e-6) >= 8
+
+
+@pytest.fixture(scope="module")
+def attacked() -> Attack:
+    world = World.create(np.where(np.add.outer(np.arange(5), np.arange(6)) % 4 == 3, 0.1, 0.0), starts=[[0, 0], [4, 0]])
+    return mrac.attack(world, count=2, p=P, rollouts=RUNS_ATTACK, seed=3, engine="numba", exact="never")
+
+
+def test_clear_gives_back_what_was_placed(attacked: Attack) -> None:
+    for world, placed in ((attacked.known_world, attacked.known), (attacked.hidden_world, attacked.hidden)):
+        assert np.count_nonzero(world.threat != attacked.world.threat) == 2
+        back = mrac.clear(world, count=2, rollouts=16, exact="never")
+        assert sorted(one.name for one in back.picks) == sorted(one.name for one in placed.threats)
+        assert np.array_equal(back.cleared_world.threat, attacked.world.threat)
+        cells = {int(one.cells[0]) for one in placed.threats}
+        assert {int(one.threat.cells[0]) for one in back.options} == cells
+
+
+def test_hidden_is_what_robots_meet_who_believe_the_old_map(attacked: Attack) -> None:
+    """A hidden truth (docs/unknown.md), on the very rollouts that were compared."""
+    told = attacked.world
+    met = [mrac.with_truth(told, world) for world in (attacked.known_world, attacked.hidden_world)]
+    base, *others = (
+        make_singles(world, mrac.plan(world), attacked.choices)(RUNS_ATTACK, RUNS_ATTACK) for world in (told, *met)
+    )  # fmt: skip
+    for gain, other in zip((attacked.known.hidden, attacked.hidden.hidden), others, strict=True):
+        assert gain is not None and gain.rollouts == RUNS_ATTACK
+        assert gain.cells.mean == pytest.approx(np.mean(base.visited.astype(float) - other.visited))
+        assert gain.robots.mean == pytest.approx(np.mean(base.alive.astype(float) - other.alive))
+
+
+def test_what_a_scenario_says_of_combining_is_kept(tmp_path: Path) -> None:
+    """The larger chance counts where it says so; the scenario's own threats can be cleared as before."""
+    World.create(np.where(np.arange(6) == 3, 0.6, 0.0) * np.ones((2, 1))).save(tmp_path / "map.npz")
+    (tmp_path / "points.csv").write_text("x,y,strength\n1.5,1.5,0.3\n")
+    (tmp_path / "site.yaml").write_text(
+        "map: map.npz\nrobots: {starts: [[0, 0]]}\ncombine: max\n"
+        "threats:\n- {points: points.csv, falloff: {kind: disc, radius: 0.6}}\n"
+    )
+    world = mrac.load(tmp_path / "site.yaml")
+    answer = mrac.attack(world, p=0.4)
+    assert answer.known_world.threat.max() == np.float32(0.6)  # nothing is gained where it is worse already
+    assert [*answer.known_world.sources.names] == ["line 2 of points.csv", answer.known.threats[0].name]  # type: ignore[union-attr]
+
+
+def test_of_large_maps_some_cells_are_looked_at_and_fewer_planned_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    world, best = small_world(0, 6, 6), mrac.attack(small_world(0, 6, 6), p=P)
+    monkeypatch.setattr(search, "MOST_PLACES", 12)
+    monkeypatch.setattr("analysis.search.threat_removal.TABLES", 0)
+    few = mrac.attack(world, p=P)
+    assert len(few.turn.options) == 12 and len(few.turn.simulated) == 8
+    assert all(one.screen is not None for one in few.turn.options)
+    assert [*few.notes] == ["of 27 cells, those 12 where more danger costs the plan's paths most"]
+    assert left(few)[0] == pytest.approx(left(best)[0])  # here they hold the worst
+
+
+def test_an_interruption_leaves_the_threats_so_far() -> None:
+    world, calls = small_world(0, 6, 6), list[int]()
+
+    def stop(done: int, total: int, seconds: float) -> None:
+        calls.append(done)
+        if len(calls) > 40:
+            raise KeyboardInterrupt
+
+    answer = mrac.attack(world, count=2, p=P, progress=stop, on_interrupt="return")
+    assert answer.partial and len(answer.known.threats) >= 1 and answer.known.known is None
+    assert attack_headline(answer).startswith("Interrupted.") and answer.to_json()["known"]["loss"]["known"] is None
+    assert not answer.hidden.threats and {*attack_report(answer).files} == {"known.npz", "known.yaml"}
+
+
+def test_an_answer_by_a_rule_of_one_s_own_has_no_scenario(tmp_path: Path) -> None:
+    answer = mrac.attack(small_world(0, 6, 6), p=P, rollouts=16, policy=replace(RULES["per_cell"], name="mine"))
+    names = {path.name for path in answer.save(tmp_path / "out")}
+    assert "known.npz" in names and "known.yaml" not in names
+
+
+def test_the_command_says_it_as_json_and_writes_both_maps(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, attacked: Attack
+) -> None:
+    attacked.world.save(tmp_path / "map.npz")
+    words = [
+        "attack",
+        str(tmp_path / "map.npz"),
+        "--count",
+        "2",
+        "--p",
+        str(P),
+        "--rollouts",
+        str(RUNS_ATTACK),
+        "--seed",
+        "3",
+    ]
+    assert run([*words, "--exact", "never", "--json", "--out", str(tmp_path / "out")]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found == json.loads(json.dumps(attacked.to_json()))
+    assert found["known"]["cells"] == [list(divmod(int(one.cells[0]), 6)) for one in attacked.known.threats]
+    assert found["known"]["loss"]["known"]["mean"] == attacked.known.known.cells.mean  # type: ignore[union-attr]
+    for name, world in (("known", attacked.known_world), ("hidden", attacked.hidden_world)):
+        assert np.array_equal(mrac.load(tmp_path / "out" / f"{name}.npz").threat, world.threat)
+    team = mrac.load(tmp_path / "out" / "known.yaml")
+    assert team.starts is not None and team.starts.tolist() == attacked.starts.tolist()
+    assert team.sha256 == attacked.known_world.sha256
+    page = Reader((tmp_path / "out" / "index.html").read_text()).text
+    assert attack_headline(attacked) in page and all(said in page for said in attack_findings(attacked))
+    assert 2 <= len(repr(attacked).splitlines()) <= 24
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--count", "0"], "--count 0; expected a whole number of threats, 1 to 27"),
+        (["--count", "28"], "--count 28; expected a whole number of threats, 1 to 27"),
+        (["--p", "0"], "--p 0; expected a chance, 1e-6 or more and below 1"),
+        (["--p", "1"], "--p 1; expected a chance, 1e-6 or more and below 1"),
+        (["--p", "1e-60"], "--p 1e-60; expected a chance, 1e-6 or more and below 1"),
+        (["--plan-for", "open"], "Unknown option: --plan-for"),
+    ],
+)
+def test_bad_options_are_told_attack(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str], said: str
+) -> None:
+    small_world(0, 6, 6).save(tmp_path / "map.npz")
+    assert run(["attack", str(tmp_path / "map.npz"), *words, "--out", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err.strip().splitlines()[-1]
+    assert err.startswith("error: ") and said in err and not (tmp_path / "out").exists()
+
+
+def test_where_every_cell_is_a_start_there_is_nothing_to_threaten() -> None:
+    with pytest.raises(InputError, match="no cell that a robot can reach is left to threaten"):
+        mrac.attack(mrac.load(np.zeros((1, 2))), starts=[[0, 0], [0, 1]])

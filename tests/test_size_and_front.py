@@ -1,0 +1,1078 @@
+"""The commands `size` and `front`."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import shlex
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from html import escape
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import FOLDER, load_fixture
+from numpy.typing import NDArray
+from page_reader import Reader, refused
+from PIL import Image
+from rich.console import Console
+from scipy.stats import binom
+
+import mrac_jax as mrac
+from analysis.cli.app import run
+from analysis.evaluation import answer
+from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.outputs.advice import Advice
+from analysis.evaluation.outputs.what_if import ThreatScale
+from analysis.report.answer import print_report
+from analysis.report.html import page_of
+from analysis.sampling import RolloutChoices, make_engine_for
+from analysis.search import pareto as search
+from analysis.search.pareto import (
+    Figures,
+    Front,
+    Ladders,
+    Point,
+    Setting,
+    between,
+    efficient,
+    find_front,
+    first_worth,
+    knee,
+    quick_points,
+    settings_of,
+    usual_rollouts,
+)
+from analysis.search.pareto import Goal as FrontGoal
+from analysis.search.pareto import make_goal as make_front_goal
+from analysis.search.reports import (
+    TITLES,
+    _front_chart,
+    front_headline,
+    front_report,
+    pick_lines,
+    size_headline,
+    size_report,
+)
+from analysis.search.team_size import (
+    FEW,
+    Goal,
+    TeamSize,
+    TeamVerdict,
+    find_size,
+    ideals_of,
+    judge_team,
+    make_goal,
+    smallest_enough,
+    team_ideals,
+)
+from analysis.statistics.control_variate import tally_mean
+from analysis.statistics.estimates import chance_interval, exactly, mean_interval, share_of_doubt
+from analysis.theory.bounds import ideal_team
+from analysis.theory.exact import poisson_binomial
+from planner.errors import InputError, UsageError
+from planner.mrac.make_plan import make_plan
+from planner.mrac.simulate import ReferenceLoop
+from planner.plan_team import plan_team
+from planner.rollouts.engine import run_by_luck
+from planner.settings import Settings
+from planner.simulator import tables
+from planner.simulator.tables import AllPairs
+from planner.world.levels import place_starts
+from planner.world.world import World, load_world_file
+
+# `mrac-jax size`: the decision rule, the search, the bounds that rule teams out, and answers that are known.
+
+NAN = float("nan")
+WORLD = str(FOLDER / "contiguous-14x23-1000.npz")
+HALF = World.create([[0.0, 0.5, 0.0]], starts=[[0, 0]] * 8)
+"""All robots start in the first cell, and one of K gets past the second with chance 1 - 0.5**K: then all is covered."""
+
+
+def sized(world: World, goal: Goal, *, settings: Settings | None = None, **choices: object) -> TeamSize:
+    return find_size(world, settings or Settings(), goal, RolloutChoices(**{"exact": "never", **choices}))  # type: ignore[arg-type]
+
+
+def test_all_pairs_tables_are_made_once_for_all_teams(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[int] = []
+
+    def all_pairs(near: np.ndarray, entry: np.ndarray, *types: np.dtype) -> tuple[np.ndarray, ...]:
+        made.append(len(entry))
+        return make_all_pairs(near, entry, *types)
+
+    make_all_pairs = tables.all_pairs
+    monkeypatch.setattr(tables, "all_pairs", all_pairs)
+    goal = Goal(0.9, most=6)
+    answer = sized(HALF, goal, rollouts=4_096)
+    assert sum(point.rollouts > 0 for point in answer.points) > 1 and made == [3]
+    kept, near, entry = tables.AllPairs(), np.array([[-1, -1, 1, -1], [-1, 0, -1, -1]], np.int32), np.array([1, 2])
+    types = np.dtype(np.int32), np.dtype(np.uint16)
+    assert kept.tables(near, entry, *types)[0].tolist() == [[0, 2], [1, 0]]
+    assert kept.tables(near, entry[::-1].copy(), *types)[0].tolist() == [[0, 1], [2, 0]]
+
+
+def answer_size(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> dict:
+    assert run(["size", *words, "--json"]) == status
+    return json.loads(capsys.readouterr().out)
+
+
+def fake(enough: Callable[[int], bool], asked: list[int]) -> Callable[[int], TeamVerdict]:
+    def verdict_of(robots: int) -> TeamVerdict:
+        asked.append(robots)
+        return TeamVerdict.ENOUGH if enough(robots) else TeamVerdict.NOT_ENOUGH
+
+    return verdict_of
+
+
+# The rules, as pure functions.
+
+
+@pytest.mark.parametrize(
+    ("interval", "verdict"),
+    [
+        ((0.91, 0.95), TeamVerdict.ENOUGH),
+        ((0.9, 0.9), TeamVerdict.ENOUGH),
+        ((0.89, 0.9), TeamVerdict.UNDECIDED),
+        ((0.85, 0.95), TeamVerdict.UNDECIDED),
+        ((0.85, 0.89), TeamVerdict.NOT_ENOUGH),
+        ((1.0, 1.0), TeamVerdict.ENOUGH),
+    ],
+)
+def test_a_team_is_judged_by_its_whole_interval(interval: tuple[float, float], verdict: TeamVerdict) -> None:
+    assert judge_team(interval, 0.9) is verdict
+
+
+def test_all_looks_together_share_the_doubt() -> None:
+    assert share_of_doubt(64, 6) * 64 * 6 == pytest.approx(0.05)
+
+
+def test_search_finds_the_smallest_on_a_growing_curve() -> None:
+    for first, most in ((1, 1), (1, 64), (5, 40), (7, 9)):
+        for threshold in range(first, most + 2):
+            asked: list[int] = []
+            found = smallest_enough(first, most, fake(lambda k, t=threshold: k >= t, asked))  # type: ignore[misc]
+            assert found == (threshold if threshold <= most else None)
+            assert len(asked) == len(set(asked))
+            assert all(first <= robots <= most for robots in asked)
+
+
+def test_search_finds_the_smallest_on_a_curve_that_goes_down_again() -> None:
+    asked: list[int] = []
+    # Looked at first: 1, 2, 3, 5, 9. Team 4 is enough, 5 to 8 are not: only looking at every team shows it.
+    assert smallest_enough(1, 64, fake(lambda robots: robots == 4 or robots >= 9, asked)) == 4
+    assert asked[:5] == [1, 2, 3, 5, 9]
+    # Nothing larger is enough, and the teams passed over are few: they are all looked at.
+    assert smallest_enough(1, 20, fake(lambda robots: robots == 14, [])) == 14
+
+
+def test_search_halves_a_wide_gap_and_looks_at_all_of_the_rest() -> None:
+    asked: list[int] = []
+    assert smallest_enough(1, 1024, fake(lambda robots: robots >= 700, asked)) == 700
+    assert len(asked) <= 11 + 5 + FEW
+    assert set(range(700 - 10, 700)) <= set(asked)
+    # Too many to look at, and none of those looked at is enough: no answer.
+    asked.clear()
+    assert smallest_enough(1, 1024, fake(lambda robots: robots == 400, asked)) is None
+    assert asked == [1, *(1 + 2**j for j in range(10)), 1024]
+
+
+def test_undecided_is_not_enough_for_the_search() -> None:
+    verdicts = {1: TeamVerdict.NOT_ENOUGH, 2: TeamVerdict.UNDECIDED, 3: TeamVerdict.ENOUGH, 4: TeamVerdict.ENOUGH}
+    assert smallest_enough(1, 4, verdicts.__getitem__) == 3
+
+
+def test_mean_interval_holds_for_skewed_counts_and_shrinks() -> None:
+    rng, alpha, n = np.random.default_rng(5), 0.1, 400
+    mean, missed = 10 * 0.99, 0  # ten cells with chance 0.99, else none: rare disasters
+    for _ in range(2000):
+        often = int(rng.binomial(n, 0.99))
+        counts = np.bincount([0, 10], weights=[n - often, often], minlength=11).astype(np.int64)
+        low, high = mean_interval(counts, alpha)
+        missed += not low <= mean <= high
+    assert missed <= 2000 * alpha
+    counts = np.array([5000] + [0] * 9 + [5000])
+    low, high = mean_interval(counts, 1e-4)
+    assert (low, high) == pytest.approx((5 - 0.254921, 5 + 0.254921), abs=1e-6)  # by hand; normal: 0.1945
+    assert mean_interval(np.array([0, 1]), alpha) == (0.0, 1.0)
+
+
+def test_chance_interval_misses_no_more_often_than_it_says() -> None:
+    n, alpha = 30, 0.02
+    intervals = [chance_interval(successes, n, alpha) for successes in range(n + 1)]
+    for p in np.linspace(0.001, 0.999, 200):
+        missed = sum(binom.pmf(k, n, p) for k, (low, high) in enumerate(intervals) if not low <= p <= high)
+        assert missed <= alpha
+    assert intervals[0][0] == 0
+    assert intervals[n] == (pytest.approx((alpha / 2) ** (1 / n)), 1.0)
+
+
+def test_ideals_are_those_of_the_bounds() -> None:
+    threat = np.random.default_rng(3).choice([0.0, 0.05, 0.2, 0.6], 40)
+    for needed in (1, 20, 40):
+        coverage, chance = ideals_of(threat, 12, needed)
+        for robots in range(1, 13):
+            assert coverage[robots - 1] == pytest.approx(ideal_team(threat, robots))
+            hits = poisson_binomial(1.0 - np.sort(threat)[: needed - 1])[::-1]  # chance of so many hits before the last
+            assert chance[robots - 1] == pytest.approx(hits[:robots].sum())
+    assert ideals_of(threat, 3, 41)[1].tolist() == [0, 0, 0]
+
+
+def test_ideals_follow_the_parts_of_the_map_and_the_deadline() -> None:
+    world = World.create([[0.0, 0.0, NAN, 0.0, 0.0, 0.0]])
+    starts = np.array([[0, 0], [0, 1], [0, 5]])
+    assert team_ideals(world, starts, 5, 5, None).coverage.tolist() == [0.4, 0.4, 1.0]
+    assert team_ideals(world, starts, 5, 5, None).chance.tolist() == [0, 0, 1]
+    assert team_ideals(world, starts, 5, 3, 0).coverage.tolist() == pytest.approx([0.2, 0.4, 0.6])
+    assert team_ideals(world, starts, 5, 2, 0).chance.tolist() == [0, 1, 1]
+
+
+def test_no_team_exceeds_its_ideals() -> None:
+    world = load_world_file(WORLD)
+    for complete in (False, True):
+        size = sized(world, make_goal(None if complete else 0.9, 0.9, complete, most=20), rollouts=1024)
+        rolled = [point for point in size.points if point.rollouts]
+        assert len(rolled) > 3
+        for point in rolled:
+            assert point.coverage is not None
+            assert point.chance is not None
+            assert point.coverage.ci95[0] <= point.ideal_coverage
+            assert point.chance.ci95[0] <= point.ideal_chance
+
+
+# Answers that are known.
+
+
+def test_expected_coverage_of_a_world_with_known_means() -> None:
+    known = {k: load_fixture(f"contiguous-14x23-1000-k{k}").answers for k in (1, 2)}
+    cells = known[1]["cells"]["accessible"]
+    means = {k: known[k]["closed_loop_exact"]["visited"] / cells for k in known}
+    size = sized(load_world_file(WORLD), make_goal((means[1] + means[2]) / 2, None, False), seed=3)
+    assert size.robots == 2
+    assert size.point(1).verdict is TeamVerdict.NOT_ENOUGH
+    for robots, mean in means.items():
+        point = size.point(robots)
+        assert point.coverage is not None
+        assert point.interval is not None
+        assert abs(point.coverage.mean - mean) <= 5 * point.coverage.se
+        assert point.interval[0] <= mean <= point.interval[1]
+        assert point.interval[0] < point.coverage.ci95[0]  # all verdicts together are to hold, not this one alone
+
+
+def test_chance_of_a_corridor_with_one_danger() -> None:
+    size = sized(HALF, make_goal(None, None, True))
+    assert size.goal.confidence == 0.95
+    assert size.robots == 5  # 1 - 0.5**4 = 0.9375, 1 - 0.5**5 = 0.96875
+    for robots in (1, 2, 3, 4, 5):
+        point = size.point(robots)
+        assert point.chance is not None
+        assert abs(point.chance.mean - (1 - 0.5**robots)) <= 5 * np.sqrt(0.25 / point.rollouts)
+    # Two cells are always visited and the third as often as all: (3 - 0.5**K) / 3 reaches 0.95 with K = 3.
+    assert sized(HALF, make_goal(0.95, None, False)).robots == 3
+    # Survived: with chance 0.5**K only the first cell.
+    assert sized(HALF, make_goal(0.95, None, False, "survived")).robots == 4
+
+
+def test_what_lies_on_the_line_is_undecided() -> None:
+    size = sized(HALF, make_goal(None, 0.5, True), rollouts=10_000)  # one robot completes with chance 0.5
+    assert size.robots == 2
+    assert size.of(TeamVerdict.UNDECIDED) == (1,)
+    assert size.point(1).rollouts == 10_000
+    assert size_headline(size).startswith("1 or 2 robots: with 2, ")
+    assert "1 is undecided after 10,000 rollouts" in size_headline(size)
+    alone = sized(HALF, make_goal(None, 0.5, True, most=1), rollouts=10_000)
+    assert alone.robots is None
+    assert alone.to_json()["undecided"] == [1]
+    assert size_headline(alone).startswith("No team of up to 1 robot is shown to be enough")
+    short = sized(HALF, make_goal(None, 0.9, True, most=2))
+    assert size_headline(short).startswith(
+        "No team of up to 2 robots is enough for a chance of 90 % for every accessible "
+    )
+    assert "with 2, 7" in size_headline(short)
+
+
+def test_without_threats_one_robot_is_enough_for_certain() -> None:
+    for confidence in (None, 0.999):
+        size = sized(World.create(np.zeros((4, 5))), make_goal(1.0, confidence, False))
+        point = size.point(1)
+        assert size.robots == 1
+        assert point.exact
+        assert point.interval == (1.0, 1.0)
+
+
+def test_open_loop_means_are_exact() -> None:
+    # The danger is the last cell of the way: it is visited for certain, and left alive with chance 0.5.
+    world = World.create([[0.0, 0.0, 0.5]])
+    assert sized(world, make_goal(1.0, None, False), loop="open").robots == 1
+    size = sized(world, make_goal(0.9, None, False, "survived", most=3), loop="open")
+    assert size.point(1).coverage == size.point(1).coverage.__class__(2.5 / 3, 0.0, (2.5 / 3, 2.5 / 3))
+    with pytest.raises(UsageError, match="no number of rollouts"):
+        sized(world, make_goal(1.0, None, False))
+
+
+def test_a_team_s_counts_are_those_of_evaluate_with_the_same_seed() -> None:
+    world = load_world_file(WORLD)
+    size = sized(world, make_goal(0.8, None, False), seed=9, rollouts=4096)
+    rolled = [point for point in size.points if point.rollouts]
+    assert len(rolled) >= 3
+    for point in rolled:
+        plan = make_plan(world, place_starts(world, point.robots)[0])
+        tally = evaluate(world, plan, RolloutChoices(rollouts=point.rollouts, seed=9, exact="never")).tally
+        assert point.coverage == tally_mean(tally, "visited", 1.0 / tally.accessible)
+
+
+def test_explicit_starts_in_two_parts_of_a_map() -> None:
+    world = World.create([[0.0, 0.0, NAN, 0.0, 0.0]], starts=[[0, 0], [0, 4]])
+    size = sized(world, make_goal(0.9, None, False))
+    assert size.robots == 2
+    assert size.cells == 4
+    assert size.point(1).verdict is TeamVerdict.IMPOSSIBLE
+    assert "2 starts are given" in size.notes[0]
+    # The first robot alone reaches half of what the team reaches: enough for half, of the same denominator.
+    half = sized(world, make_goal(0.5, None, False))
+    assert half.robots == 1
+    assert half.point(1).coverage is not None
+    assert half.point(1).coverage.mean == 0.5  # type: ignore[union-attr]
+    # The same sampled: both cells of its part are always visited, half of all.
+    risky = sized(World.create([[0.0, 0.5, NAN, 0.0, 0.0]], starts=[[0, 0], [0, 4]]), make_goal(0.45, None, False))
+    assert risky.robots == 1
+    assert not risky.point(1).exact
+    assert risky.point(1).coverage.mean == 0.5  # type: ignore[union-attr]
+
+
+def test_a_deadline_counts_what_is_covered_by_then() -> None:
+    world = World.create(np.zeros((1, 10)), starts=[[0, 0], [0, 9]])
+    for loop in ("open", "closed"):
+        size = sized(world, make_goal(1.0, None, False), loop=loop, deadline=4)
+        assert size.robots == 2
+        assert size.point(1).verdict is TeamVerdict.IMPOSSIBLE
+        late = sized(world, make_goal(1.0, None, False), loop=loop, deadline=9)
+        assert late.robots == 1
+        early = sized(world, make_goal(0.9, None, False), loop=loop, deadline=3)
+        assert early.robots is None
+
+
+def test_a_mission_s_own_deadline_is_said() -> None:
+    world, goal = World.create(np.zeros((1, 8))), make_goal(0.6, None, False, most=2)
+    found = find_size(world, Settings(deadline=4), goal, RolloutChoices(rollouts=64))
+    assert found.to_json()["deadline"] == found.deadline == 4
+    assert "by step 4" in str(found)
+
+
+def test_a_deadline_counts_what_evaluate_counts() -> None:
+    world = load_world_file(WORLD)
+    for loop in ("open", "closed"):
+        size = sized(world, make_goal(0.3, None, False, most=3), loop=loop, deadline=40, rollouts=4096)
+        rolled = [point for point in size.points if point.coverage]
+        assert len(rolled) == 2  # by step 40 one robot has entered 41 cells, too few
+        for point in rolled:
+            plan = make_plan(world, place_starts(world, point.robots)[0])
+            found = evaluate(world, plan, RolloutChoices(loop=loop, rollouts=4096, deadline=40))  # type: ignore[arg-type]
+            cut = found.outputs.get("deadline")
+            assert cut is not None
+            visited, n = cut.tally.visited, size.cells
+            by_then = (
+                found.closed_form.by_deadline(40)[0] / n
+                if loop == "open"
+                else tally_mean(cut.tally, "visited", 1 / n).mean
+            )
+            assert point.coverage is not None
+            assert point.coverage.mean == pytest.approx(by_then, rel=1e-12)
+            assert point.chance is not None
+            assert point.chance.mean == pytest.approx(visited[size.needed :].sum() / visited.sum())
+
+
+def test_precision_makes_every_team_that_precise() -> None:
+    size = sized(load_world_file(WORLD), make_goal(0.66, None, False), precision=0.004)
+    assert size.robots == 2
+    for point in size.points:
+        assert point.verdict is TeamVerdict.IMPOSSIBLE or point.coverage.half_width < 0.004  # type: ignore[union-attr]
+
+
+# What is printed and written.
+
+
+def test_json_table_and_first_line(capsys: pytest.CaptureFixture[str]) -> None:
+    words = (WORLD, "--target", "0.66", "--rollouts", "20000", "--exact", "never")
+    found = answer_size(capsys, *words)
+    keys = {
+        "target", "confidence", "complete", "meaning", "robots", "undecided", "curve", "seed", "loop", "engine",
+        "version", "not_looked_at", "starts", "cells", "most",
+    }  # fmt: skip
+    assert found.keys() >= keys
+    assert (found["robots"], found["undecided"], found["not_looked_at"]) == (2, [], [])
+    assert (found["target"], found["confidence"], found["complete"], found["loop"]) == (0.66, None, False, "closed")
+    assert len(found["starts"]) == 2
+    assert "partial" not in found
+    last = found["curve"][-1]
+    assert (last["robots"], last["verdict"]) == (2, "enough")
+    assert last["coverage"]["ci95"][0] < last["coverage"]["mean"] < last["coverage"]["ci95"][1]
+    assert last["verdict_interval"][0] >= 0.66
+    assert 0 <= last["chance"]["mean"] <= 1
+    assert run(["size", *words]) == 0
+    assert capsys.readouterr().out.startswith("2 robots are enough: ")
+
+
+def test_the_headline_is_of_rollouts_that_had_no_part_in_the_choice() -> None:
+    world = load_world_file(Path(WORLD))
+    choices = RolloutChoices(rollouts=8192, seed=3, engine="numba", exact="never")
+    found = find_size(world, Settings(), make_goal(0.66, None, False), choices)
+    own, fresh = found.point(found.robots or 0), found.confirmed
+    assert fresh is not None and own.coverage is not None and fresh.coverage is not None
+    start = max(point.rollouts for point in found.points)
+    plan = plan_team(world, found.starts[: found.robots], Settings())
+    engine = make_engine_for(world, plan, choices)
+    runs = tally_mean(run_by_luck(engine, 3, start, own.rollouts)[0], "visited", 1.0 / found.cells)
+    assert fresh.coverage == runs and fresh.coverage.mean != own.coverage.mean
+    assert f"{100 * fresh.coverage.mean:.4g} %" in size_headline(found) and "fresh rollouts" in size_headline(found)
+    assert found.to_json()["confirmed"]["coverage"] == fresh.coverage.to_json()
+
+
+def test_tables_fit_eighty_columns() -> None:
+    for goal in (make_goal(0.9, 0.9, False), make_goal(None, None, True, most=40)):
+        out = io.StringIO()
+        print_report(size_report(sized(load_world_file(WORLD), goal, rollouts=256)), Console(file=out, width=80))
+        rows = [line for line in out.getvalue().splitlines() if line.rstrip().endswith(("enough", "impossible"))]
+        assert len(rows) > 3
+        assert all(".." in row or "<=" in row for row in rows)  # nothing was cut off
+
+
+def test_no_team_is_an_answer(capsys: pytest.CaptureFixture[str]) -> None:
+    found = answer_size(capsys, WORLD, "--target", "0.95", "--most", "3")
+    assert found["robots"] is None
+    assert found["starts"] is None
+    assert [point["verdict"] for point in found["curve"]] == ["impossible"] * 3
+    assert found["curve"][0]["coverage"] is None
+    assert run(["size", WORLD, "--target", "0.95", "--most", "3"]) == 0
+    assert "whatever the strategy" in capsys.readouterr().out.splitlines()[0]
+
+
+def test_out_writes_picture_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "new" / "folder"
+    found = answer_size(capsys, WORLD, "--target", "0.66", "--rollouts", "4096", "--out", str(folder))
+    assert {path.name for path in folder.iterdir()} == {"index.html", "size.png", "size.txt", "size.json"}
+    assert json.loads((folder / "size.json").read_text()) == found
+    with Image.open(folder / "size.png") as picture:
+        assert picture.size[0] == 1200
+
+
+def test_the_picture_shows_the_answer() -> None:
+    size = sized(HALF, make_goal(None, 0.5, True), rollouts=10_000)
+    axes = mrac.plots.size_figure(size).axes[0]
+    assert axes.get_title(loc="left") == "1 or 2 robots for a 50 % chance of every cell"
+    lines = {line.get_label(): np.asarray(line.get_xdata()).tolist() for line in axes.get_lines()}
+    assert lines["enough: 2"] == [2, 2]
+    assert lines["undecided"] == [1]
+    chance = next(line for line in axes.get_lines() if line.get_label() == "chance of every cell")
+    assert np.asarray(chance.get_ydata())[1] == pytest.approx(75, abs=5)
+
+
+def test_interrupted_prints_what_is_there(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    import planner.simulator.closed_loop
+
+    whole, calls = planner.simulator.closed_loop.run_range, []
+
+    def interrupted(*given: object, **options: object) -> object:
+        calls.append(given)
+        if len(calls) == 10:  # four a team: compilation, and looks at 1,024, 2,048 and 4,096
+            raise KeyboardInterrupt
+        return whole(*given, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(planner.simulator.closed_loop, "run_range", interrupted)
+    found = answer_size(capsys, WORLD, "--target", "0.95", status=130)
+    assert found["partial"] is True
+    assert found["robots"] is None
+    assert sum(point["rollouts"] > 0 for point in found["curve"]) == 2
+    calls.clear()
+    assert run(["size", WORLD, "--target", "0.95"]) == 130
+    assert capsys.readouterr().out.startswith("Interrupted before the answer: ")
+    calls[:] = [()] * 9  # before anything was done: nothing to print
+    assert run(["size", WORLD, "--target", "0.95"]) == 130
+    assert capsys.readouterr().out == ""
+
+
+def test_interrupted_while_a_team_is_rolled_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    import planner.simulator.closed_loop
+
+    whole, calls = planner.simulator.closed_loop.run_range, []
+
+    def interrupted(*given: object, **options: object) -> object:
+        calls.append(given)
+        if len(calls) == 6:  # after compilation and four looks
+            raise KeyboardInterrupt
+        return whole(*given, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(planner.simulator.closed_loop, "run_range", interrupted)
+    size = sized(HALF, make_goal(None, 0.5, True))
+    assert size.partial
+    assert size.robots is None
+    assert size.to_json()["undecided"] == [1]
+    assert size.point(1).rollouts == 8192
+    assert size_headline(size).startswith("Interrupted before the answer: nothing is decided yet")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("WORLD", "--target, a fraction"),
+        ("WORLD --target 0", "--target 0"),
+        ("WORLD --target 1.1", "--target 1.1"),
+        ("WORLD --target -0.5", "--target -0.5"),
+        ("WORLD --target nan", "expected a number"),
+        ("WORLD --target 90%", "expected a number"),
+        ("WORLD --target 1", "use --complete"),
+        ("WORLD --target 0.9 --complete", "one of them"),
+        ("WORLD --target 0.9 --confidence 1", "--confidence 1"),
+        ("WORLD --target 0.9 --confidence 0", "--confidence 0"),
+        ("WORLD --target 0.9 --most 0", "--most 0"),
+        ("WORLD --target 0.9 --most 1025", "1 to 1024"),
+        ("WORLD --target 0.9 --most 1.5", "whole number"),
+        ("WORLD --target 0.9 --meaning seen", "visited or survived"),
+        ("WORLD --target 0.9 --plan plan.json", "--plan"),
+        ("WORLD --target 0.9 --robots 3", "--robots"),
+        ("WORLD --target 0.9 --rollouts 0", "--rollouts 0"),
+        ("WORLD --target 0.9 --rollouts 5 --precision 0.1", "one of them"),
+        ("WORLD --target 0.9 --levels 1", "--levels 1; expected"),
+        ("WORLD --target 0.9 --starts 0,0", "obstacle"),
+        ("WORLD --target 0.9 --out WORLD", "is a file"),
+        ("nowhere.npz --target 0.9", "no such file"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_status_2(
+    words: str, said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    line = refused(capsys, "size", *(WORLD if word == "WORLD" else word for word in words.split()))
+    assert said.lower() in line.lower()
+    assert list(tmp_path.iterdir()) == []
+
+
+# `mrac-jax front`: what is looked at, what nothing beats, the pick; held against the readable simulator.
+
+THREAT = np.zeros((6, 9))
+THREAT[1:3, 3:7], THREAT[4:, 6:], THREAT[0, 8], THREAT[3, 2] = 0.2, 0.05, np.nan, np.nan
+WORLD_FRONT = World.create(THREAT, starts=[[0, 0], [5, 0]])
+RESERVED, WORTHS, RUNS = (0.5,), (4.0, 15.0), 200
+
+
+@pytest.fixture(scope="module")
+def small() -> Front:
+    ladders = Ladders(RESERVED, WORTHS, (0.4, 0.7))
+    choices = RolloutChoices(rollouts=RUNS, seed=3, engine="numba", exact="never")
+    return find_front(WORLD_FRONT, WORLD_FRONT.starts, Settings(), choices, goal=FrontGoal(losses=0.8), ladders=ladders)
+
+
+def by_the_readable_simulator(setting: Setting, ids: range) -> NDArray[np.float64]:
+    """Mean cells visited, robots lost and steps."""
+    loop = ReferenceLoop(make_plan(WORLD_FRONT, WORLD_FRONT.starts, settings_of(Settings(), setting)), WORLD_FRONT)
+    runs = [loop.run(3, rollout) for rollout in ids]
+    lost = [(~one.alive).sum() for one in runs]
+    return np.mean([[one.visited.sum() for one in runs], lost, [one.time for one in runs]], axis=1)
+
+
+def shown(point: Point, cells: int) -> NDArray[np.float64]:
+    return np.array([point.coverage.mean * cells, point.losses.mean, point.time.mean])
+
+
+def test_every_point_is_what_the_readable_simulator_says(small: Front) -> None:
+    settings = {point.setting for point in small.points}
+    assert {Setting("mrac"), Setting("per_cell"), Setting("per_cell", reserve=0.5)} <= settings
+    assert {s.worth for s in settings if s.worth} == {*WORTHS}
+    cut = {s.policy for s in settings if s.deadline is not None}
+    assert cut == {"mrac", "per_cell"} and len(settings) == len(small.points) == 2 + 4 + 1 + 2
+    for point in small.points:
+        assert shown(point, small.cells) == pytest.approx(by_the_readable_simulator(point.setting, range(RUNS)))
+    picked, again = small.picked, small.confirmed
+    assert picked is not None and again is not None and again.setting == picked.setting
+    assert shown(again, small.cells) == pytest.approx(by_the_readable_simulator(picked.setting, range(RUNS, 2 * RUNS)))
+
+
+def test_missions_end_at_the_first_step_by_which_a_landmark_is_covered(small: Front) -> None:
+    for policy in ("mrac", "per_cell"):
+        for mark in (0.4, 0.7):
+            cut = [
+                p for p in small.points if p.setting.policy == policy and p.setting.deadline and p.coverage.mean >= mark
+            ]
+            last = min(cut, key=lambda point: point.setting.deadline or 0)
+            before = last.setting._replace(deadline=(last.setting.deadline or 0) - 1)
+            assert by_the_readable_simulator(before, range(RUNS))[0] / small.cells < mark <= last.coverage.mean
+
+
+# The rules, as pure functions.
+
+
+def test_efficient_is_what_no_other_one_beats() -> None:
+    draw = np.random.default_rng(5)
+    for _ in range(50):
+        points = [Figures(*map(float, row)) for row in draw.integers(0, 4, (12, 3))]
+        for one, best in zip(points, efficient(points), strict=True):
+            better = [
+                other.coverage - one.coverage >= 0 and one.losses - other.losses >= 0 and one.time - other.time >= 0
+                and (other.coverage > one.coverage or other.losses < one.losses or other.time < one.time)
+                for other in points
+            ]  # fmt: skip
+            assert best == (not any(better))
+
+
+def test_a_goal_picks_the_most_coverage_or_the_fewest_lost() -> None:
+    points = [Figures(0.9, 3, 50), Figures(0.7, 1, 40), Figures(0.7, 1, 30), Figures(0.2, 0, 5), Figures(0.7, 2, 9)]
+    assert [FrontGoal(losses=lost).pick(points) for lost in (9, 3, 2.9, 1, 0.5)] == [0, 0, 2, 2, 3]
+    assert [FrontGoal(target=share).pick(points) for share in (0.95, 0.9, 0.7, 0.1)] == [None, 0, 2, 3]
+    assert FrontGoal(losses=-1.0).pick(points) is None and FrontGoal().pick(points) is None
+    assert bool(FrontGoal(losses=0.0)) and not FrontGoal()
+
+
+def test_the_ladder_of_worth() -> None:
+    assert (first_worth(0.2), first_worth(0.03), first_worth(0.9)) == (5, 33, 1.1)
+    assert between(10, 40) == 20 and between(200, 100) == 141
+    assert Setting("per_cell", worth=0.1, deadline=7).options() == shlex.split(
+        "--policy per_cell --worth 0.1 --deadline 7"
+    )
+    assert str(Setting("per_cell", 0.25, 12)) == "per_cell, reserve 0.25, worth 12"
+
+
+def test_around_a_goal_worths_are_tried_between() -> None:
+    one = load_fixture("contiguous-14x23-1000-k2")
+    goal, ladders = FrontGoal(losses=0.5), Ladders((), None, ())
+    answer = find_front(
+        one.world, one.starts, Settings(), RolloutChoices(rollouts=3000, exact="never"), goal=goal, ladders=ladders
+    )
+    settings = {p.setting: p for p in answer.points if p.setting.worth is not None}
+    lost = {setting.worth or 0: point.losses.mean for setting, point in settings.items() if setting.deadline is None}
+    worths = sorted(lost)
+    rungs = [worths[0] * 2.0**step for step in range(16)]
+    tried = {worth for worth in worths if worth not in rungs}
+    assert worths[0] == first_worth(float(np.nanmax(one.world.threat)))
+    assert 1 <= len(tried) <= 3 and lost[worths[-1]] < 0.02
+    assert any(lost[a] > 0.5 >= lost[b] and {a, b} & tried for a, b in pairwise(worths))
+    assert len({p.figures for p in settings.values()}) == len(settings)
+    (early,) = {setting.worth for setting in settings if setting.deadline is not None}
+    assert lost[max(worth for worth in worths if worth <= (early or 0))] > 0.5  # equal ones are left out
+
+
+# The command.
+
+
+def asked(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> dict:
+    assert run([*words, "--json"]) == status
+    found: dict = json.loads(capsys.readouterr().out)
+    return found
+
+
+@pytest.fixture
+def world_file(tmp_path: Path) -> str:
+    WORLD_FRONT.save(tmp_path / "world.npz")
+    return str(tmp_path / "world.npz")
+
+
+def figures_of(told: dict, ended: bool) -> tuple[dict, dict, float]:
+    """Coverage and losses that `evaluate --json` tells; `ended`: of the mission that ends at its deadline."""
+    where = told["deadline"] if ended else told
+    return (where if ended else told["coverage"])["visited"], where["losses"]
+
+
+@pytest.mark.parametrize("goal", [["--target", "0.75", "--deadline", "40"], ["--losses", "0.9"]])
+def test_the_plan_of_the_pick_keeps_what_was_promised(
+    capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, goal: list[str]
+) -> None:
+    """The same ids, seed and map: `evaluate --plan` gives the figures of `front`, wherever the mission ends."""
+    saved = tmp_path / "plan.json"
+    told = [
+        "--rollouts",
+        "1000",
+        "--seed",
+        "5",
+        "--levels",
+        "8",
+        "--worths",
+        "12",
+        "--reserves",
+        "",
+        "--exact",
+        "never",
+    ]
+    front = asked(capsys, "front", world_file, *told, *goal, "--plan-out", str(saved))
+    point = front["points"][front["pick"]]
+    words = ["evaluate", world_file, "--plan", str(saved), "--rollouts", "1000", "--seed", "5", "--exact", "never"]
+    same = asked(capsys, *words)
+    assert same["coverage"]["visited"]["mean"] == point["coverage"]["mean"]
+    assert same["losses"]["mean"] == point["losses"]["mean"] and same["time"]["mean"] == point["time"]["mean"]
+    assert same["plan"]["settings"]["levels"] == 8 and same["plan"]["settings"].get("deadline") == point["deadline"]
+    keys = {"policy", "reserve", "worth", "deadline", "coverage", "losses", "time", "efficient"}
+    assert all(set(one) == keys for one in front["points"]) and any(one["efficient"] for one in front["points"])
+    again = front["confirmed"]
+    assert again["first_rollout"] == front["rollouts"] == 1000 and 1 <= again["tried"] <= 6
+    assert again["bound"] <= 0.9 if "--losses" in goal else again["bound"] >= 0.75
+
+
+def test_the_command_of_the_pick_rolls_out_luck_that_had_no_part_in_the_choice(
+    capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path
+) -> None:
+    saved = tmp_path / "plan.json"
+    told = ["front", world_file, "--rollouts", "1000", "--seed", "5", "--worths", "12", "--reserves", "",
+            "--exact", "never", "--losses", "0.9", "--deadline", "40"]  # fmt: skip
+    for more, ended in (([], True), (["--plan-out", str(saved)], False)):
+        front = asked(capsys, *told, *more)
+        program, *words = shlex.split(front["command"])
+        assert program == "mrac-jax" and words[:2] == ["evaluate", world_file] and words[-2:] == ["--seed", "6"]
+        coverage, losses = figures_of(asked(capsys, *words), ended)
+        fresh = front["confirmed"]
+        for mine, theirs in ((fresh["coverage"], coverage), (fresh["losses"], losses)):
+            assert abs(mine["mean"] - theirs["mean"]) < 5 * np.hypot(mine["se"], theirs["se"])
+            assert mine["mean"] != theirs["mean"]
+
+
+def test_the_pick_is_the_best_that_is_sure_to_keep_the_limit_on_other_rollouts() -> None:
+    """The setting that covers most within the limit is a hair from it: not sure to keep it, so not picked."""
+    choices = RolloutChoices(rollouts=1000, seed=7, engine="numba", exact="never")
+    ladders = Ladders((), (4.0, 15.0), tuple(np.arange(0.3, 0.99, 0.03)))
+    seen = find_front(WORLD_FRONT, WORLD_FRONT.starts, Settings(), choices, ladders=ladders)
+    near = max((p for p in seen.points if p.setting.deadline), key=lambda point: point.losses.mean)
+    limit = near.losses.mean + 0.005  # half a standard error: it seems to be kept, and half of all luck says not
+    answer = find_front(
+        WORLD_FRONT, WORLD_FRONT.starts, Settings(), choices, goal=FrontGoal(losses=limit), ladders=ladders
+    )
+    picked, again = answer.picked, answer.confirmed
+    assert picked is not None and again is not None and again.most <= limit and picked.most <= limit
+    assert near.coverage.mean > picked.coverage.mean and near.losses.mean > picked.losses.mean
+    sure = sorted((p for p in answer.points if p.most <= limit), key=lambda p: -p.coverage.mean)
+    assert sure.index(picked) == answer.tried - 1
+    assert front_headline(answer).endswith(f"; asked for was at most {limit:g} of 2 robots lost.")
+    assert f"The limit is kept with confidence 0.95: on average {again.most:.2f} robots or fewer are lost." in [
+        *pick_lines(answer)
+    ]
+
+
+def test_the_chance_of_error_is_shared_among_tries(monkeypatch: pytest.MonkeyPatch) -> None:
+    """When the others fail, the next best is tried, with half the chance of error; when all fail nothing is picked."""
+    asked_for: list[float] = []
+    fail = 0
+
+    def stubborn(self: search._Search, point: Point, doubt: float) -> Point:
+        asked_for.append(doubt)
+        return replace(point, most=9.0 if len(asked_for) < fail else 0.0)
+
+    monkeypatch.setattr(search._Search, "_again", stubborn)
+    choices = RolloutChoices(rollouts=200, seed=7, engine="numba", exact="never")
+    for fails, tried in ((3, 3), (99, None)):
+        asked_for.clear()
+        fail = fails
+        answer = find_front(WORLD_FRONT, WORLD_FRONT.starts, Settings(), choices, goal=FrontGoal(losses=1.5),
+                            ladders=Ladders((), (4.0, 15.0), (0.3, 0.5, 0.7, 0.9)))  # fmt: skip
+        assert asked_for == [0.05 / 2**n for n in range(1, len(asked_for) + 1)] and sum(asked_for) < 0.05
+        if tried is None:
+            assert answer.pick is None and len(asked_for) == 6 == answer.tried
+            assert front_headline(answer).startswith("No setting is sure to have at most 1.5 of 2 robots lost")
+        else:
+            assert answer.tried == tried and "It is the third that was tried" in " ".join(pick_lines(answer))
+
+
+def test_without_a_goal_the_headline_is_of_fresh_rollouts(capsys: pytest.CaptureFixture[str], world_file: str) -> None:
+    front = mrac.front(mrac.load(world_file), rollouts=300, worths=[4, 15, 500], exact="never")
+    assert [point.setting for point in front.priced] == [point.setting for point in front.corners()]
+    for point in front.priced:
+        own = next(one for one in front.points if one.setting == point.setting)
+        assert f"{100 * point.coverage.mean:.1f} %" in front_headline(front)
+        assert own.coverage.mean != point.coverage.mean or not own.coverage.half_width
+    assert run(["front", world_file, "--rollouts", "300", "--exact", "never"]) == 0
+    said = capsys.readouterr().out
+    assert "--seed 1" in said and "efficient" not in said.splitlines()[0] and "nothing beats" not in said
+
+
+def test_a_goal_that_nothing_meets_is_an_answer(
+    capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path
+) -> None:
+    words = ["front", world_file, "--rollouts", "50", "--worths", "", "--reserves", "", "--target", "1"]
+    assert run([*words, "--plan-out", str(tmp_path / "plan.json")]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("No setting has 100 % or more covered on average: the most is")
+    assert not (tmp_path / "plan.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--losses", "1", "--target", "0.5"], "both --losses and --target are given"),
+        (["--losses", "-1"], "--losses -1; expected a number of robots lost"),
+        (["--target", "1.5"], "--target 1.5; expected a fraction"),
+        (["--target", "90"], "did you mean 0.9?"),
+        (["--losses", "99"], "--losses 99; expected at most 2, the robots that there are to lose"),
+        (["--policy", "per_cell"], "Unknown option: --policy; it is an option of evaluate, "),
+        (["--worth", "5"], "Unknown option: --worth; did you mean '--worths'? --worth is an option of evaluate, "),
+        (["--worths", "5,much"], "--worths '5,much'; expected numbers"),
+        (["--worths", "5,-1"], "--worths -1; expected a number above 0"),
+        (["--reserves", "2"], "--reserves 2; expected"),
+        (["--plan-out", "plan.json"], "--plan-out plan.json without a pick"),
+        (["--rollouts", "4294967296"], "--rollouts 4294967296; expected at most 2147483648"),
+    ],
+)
+def test_bad_options_are_told(capsys: pytest.CaptureFixture[str], world_file: str, words: list[str], said: str) -> None:
+    assert run(["front", world_file, *words]) == 2
+    err = capsys.readouterr().err.strip().splitlines()[-1]
+    assert err.startswith("error: ") and said in err
+
+
+def test_without_danger_every_run_is_the_same() -> None:
+    answer = mrac.front(mrac.load(np.zeros((4, 5))), robots=2, target=0.5)
+    assert {point.setting.family for point in answer.points} == {"mrac", "per_cell"}
+    assert all(point.losses.ci95 == (0, 0) and point.coverage.half_width == 0 for point in answer.points)
+    assert answer.picked is not None and answer.picked.coverage.mean >= 0.5
+    best, kept, *_ = pick_lines(answer)
+    assert ". Exact expectation: 100 % covered" in best or answer.picked.setting.deadline
+    assert kept == "The limit is kept: these figures are exact."
+    assert front_headline(answer).endswith("and lose no robot, on average (exact); asked for was 50 % or more covered.")
+
+
+def test_an_interruption_leaves_what_was_done() -> None:
+    seen: list[int] = []
+
+    def stop(done: int, total: int, seconds: float) -> None:
+        seen.append(done)
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+
+    answer = mrac.front(WORLD_FRONT, rollouts=50, losses=1, progress=stop, on_interrupt="return")
+    assert answer.partial and len(answer.points) == 2 and answer.pick is None and answer.confirmed is None
+    assert answer.to_json()["partial"] is True and front_headline(answer) == "Interrupted after 2 settings."
+    seen[:] = [0, 0]
+    with pytest.raises(KeyboardInterrupt):
+        mrac.front(WORLD_FRONT, rollouts=50, progress=stop)
+
+
+def test_the_front_prints_and_saves_itself(small: Front, tmp_path: Path) -> None:
+    files = {file.name for file in small.save(tmp_path / "out")}
+    assert files == {"index.html", "front.png", "front.txt", "front.json", "plan.json"}
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert front_headline(small) in Reader(page).text and page_of(front_report(small), "", {}, ()) == page_of(
+        front_report(small), "", {}, ()
+    )
+    *curves, mark = _front_chart(small, "time").series
+    assert small.picked is not None and (mark.name, mark.x) == ("the pick", [small.picked.time.mean])
+    for curve in curves:  # through the settings as they rise, whatever they take
+        of = [point for point in small.points if TITLES[point.setting.family] == curve.name]
+        cheap = min(one.coverage.mean for one, is_cheap in zip(small.points, small.cheap, strict=True) if is_cheap)
+        assert list(curve.x) == [point.time.mean for point in of if point.coverage.mean >= cheap]
+    assert 2 <= len(repr(small).splitlines()) <= 24 and small._repr_html_().startswith("<b>")
+    told = json.loads((tmp_path / "out" / "front.json").read_text())
+    assert told["points"][told["pick"]]["losses"]["mean"] <= told["confirmed"]["bound"] <= 0.8
+    with pytest.raises(InputError, match="worths=-5"):
+        mrac.front(WORLD_FRONT, worths=[-5])
+    with pytest.raises(UsageError, match="losses=nan"):
+        make_front_goal(float("nan"), None)
+
+
+# What one should do, by `evaluate`: a quick front.
+
+
+def test_a_quick_front_knows_what_is_free_and_what_all_costs() -> None:
+    ask: dict[str, Any] = {"losses": 9.0, "kept": AllPairs(), "doing": lambda what: None}
+    choices = RolloutChoices(engine="numba", rollouts=512, exact="never")
+    points = quick_points(WORLD_FRONT, WORLD_FRONT.starts, Settings(), choices, seconds=60, **ask)
+    assert {point.setting.family for point in points} == {"mrac", "per_cell", "worth"}
+    whole = find_front(WORLD_FRONT, WORLD_FRONT.starts, Settings(), choices, ladders=Ladders((), None, ()))
+    known = {point.setting: point.figures for point in whole.points}
+    both = [point for point in points if point.setting in known]
+    assert len(both) > 3 and all(known[point.setting] == point.figures for point in both), "the same luck"
+    free = next(point for point in points if point.losses.ci95[1] == 0)
+    assert 0 < free.coverage.mean < max(point.coverage.mean for point in points)
+    (first,) = quick_points(WORLD_FRONT, WORLD_FRONT.starts, Settings(), choices, seconds=0, **ask)
+    assert first.losses.mean == 0, "the careful ones come first"
+
+
+def test_code_that_the_first_setting_compiles_costs_a_quick_front_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a first run a minute goes by before the first setting is known: the others are looked at all the same."""
+    looks, look_at = [], search._Search.look_at
+    monkeypatch.setattr(search._Search, "look_at", lambda self, one: (looks.append(one), look_at(self, one))[1])
+    clock = lambda: 60.0 * bool(looks) + len(looks) / 100  # noqa: E731
+    ask: dict[str, Any] = {"losses": 9.0, "kept": AllPairs(), "doing": lambda what: None}
+    points = quick_points(
+        WORLD_FRONT,
+        WORLD_FRONT.starts,
+        Settings(),
+        RolloutChoices(engine="numba", rollouts=64),
+        seconds=4,
+        clock=clock,
+        **ask,
+    )
+    assert len(points) > 3 and {point.setting.family for point in points} == {"mrac", "per_cell", "worth"}
+
+
+def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
+    capsys: pytest.CaptureFixture[str], world_file: str
+) -> None:
+    words = ["evaluate", world_file, "--rollouts", "8192"]
+    advice = asked(capsys, *words)["advice"]
+    keys = {"policy", "reserve", "worth", "coverage", "losses", "difference", "rollouts", "front"}
+    assert set(advice) == keys and advice["policy"] == "per_cell" and advice["rollouts"] == 1024
+    assert any(point["worth"] == advice["worth"] for point in advice["front"])
+    world = mrac.load(world_file)
+    pair = [(world, mrac.plan(world, policy=policy, worth=advice["worth"] if policy == "per_cell" else None))
+            for policy in ("mrac", "per_cell")]  # fmt: skip
+    fair = mrac.compare(*pair, rollouts=1024).difference("visited").estimate
+    assert advice["difference"] == fair.to_json()
+    other = mrac.evaluate(*pair[1], rollouts=1024, advice=False, band=False)
+    assert other.visited.mean == pytest.approx(advice["coverage"]["mean"], abs=1e-12) or other.certain
+    for more in (["--no-advice"], ["--loop", "open"]):
+        assert asked(capsys, *words, *more)["advice"] is None
+    assert asked(capsys, *words[:3], "63")["advice"] is None
+    assert run(words) == 0
+    shown = capsys.readouterr().out
+    line = f"`--policy per_cell --worth {advice['worth']:g}`"
+    assert line in " ".join(shown.split()) and shown.index("--worth") > shown.index("Coverage, %")
+    told = mrac.evaluate(world, rollouts=8192, band=False)
+    (lead,) = told.outputs["advice"].blocks().alternatives
+    assert re.match(r"To cover [\d.]+ % and lose .*: `policy='per_cell', worth=\d+`[;.]", lead)
+    assert lead in str(told).splitlines() and str(told).index(lead) < str(told).index("visited on average")
+    assert escape(lead) in told._repr_html_()
+
+
+def test_the_answer_is_printed_before_anything_else_is_worked_out(
+    capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The summary and its tables, then the tables of other threats, the alternatives and the bound; nothing twice."""
+    words = ["evaluate", world_file, "--rollouts", "2048", "--threat-scale", "0.5"]
+    shown = list[str]()
+
+    def watch(owner: Any, name: str) -> None:
+        work = getattr(owner, name)
+        monkeypatch.setattr(owner, name, lambda *given: shown.append(capsys.readouterr().out) or work(*given))
+
+    watch(ThreatScale, "measure")
+    watch(Advice, "measure")
+    watch(answer, "any_strategy")
+    assert run([*words, "--out", str(tmp_path)]) == 0
+    first, scaled, advised, bound = *shown, capsys.readouterr().out
+    assert first.startswith("2 robots visit ") and "Chances in %" in first and "Coverage, %" in first
+    assert scaled.startswith("\nIf every threat") and advised.startswith("\nTo cover ")
+    assert bound.startswith("\nNo strategy visits more than ")
+    whole = " ".join((tmp_path / "evaluation.txt").read_text().split())
+    rest = " ".join((scaled + advised + bound).split())
+    assert sorted(whole.split()) == sorted(f"{first} {rest}".split())
+
+
+def test_alternatives_that_are_interrupted_leave_the_answer(
+    capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*given: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Advice, "measure", interrupted)
+    assert run(["evaluate", world_file, "--rollouts", "2048", "--out", str(tmp_path)]) == 130
+    shown, (saved, page) = capsys.readouterr().out, ((tmp_path / name) for name in ("evaluation.json", "index.html"))
+    assert shown.count("2 robots visit ") == shown.count("Chances in %") == 1
+    assert "Interrupted: this is what was done until then." in shown
+    assert json.loads(saved.read_text())["partial"] and page.is_file()
+
+
+def test_files_are_written_though_the_reader_has_gone(
+    world_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`mrac-jax evaluate ... --out answer | head -1`."""
+
+    def gone(*given: Any, **named: Any) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(sys, "stdout", sys.stdout)  # the command puts another in its place
+    monkeypatch.setattr("analysis.cli.deliver.show", gone)
+    assert run(["evaluate", world_file, "--rollouts", "500", "--loop", "open", "--out", str(tmp_path / "out")]) == 0
+    sys.stdout.close()
+    assert {"index.html", "evaluation.json", "plan.json"} <= {file.name for file in (tmp_path / "out").iterdir()}
+
+
+def test_a_setting_that_covers_more_for_no_more_robots_is_advised() -> None:
+    """Where the plan loses few robots, only what covers more for sure is named."""
+    now, cheap = Setting("mrac"), Setting("per_cell", worth=40.0)
+    point = Point(cheap, exactly(0.9), exactly(0.1), exactly(20.0), None, 0.9, 0.1)
+    found = Advice((now, exactly(0.8), exactly(0.2)), 5, (point,), 64, point, exactly(0.1))
+    assert not found.saves(point) and found.better() is point
+    (said,) = found.blocks().alternatives
+    assert said == ("To cover 90.0 % (10.00 points more) without losing more robots: `policy='per_cell', worth=40`.")
+    assert Advice((now, exactly(0.95), exactly(0.2)), 5, (point,), 64).better() is None
+    costly = Advice((now, exactly(0.95), exactly(5.0)), 5, (point,), 64, point, exactly(-0.05))
+    assert list(costly.blocks().alternatives) == [
+        "To cover 90.0 % and lose 0.10 robots on average: `policy='per_cell', worth=40`."
+    ]
+
+
+def test_what_hardly_covers_anything_is_not_advised_because_it_is_free() -> None:
+    """Then the knee is, if there is one; and what covers clearly more than the plan at its price is named beside it."""
+
+    def priced(worth: float | None, coverage: float, losses: float) -> Point:
+        figures = exactly(coverage), exactly(losses), exactly(20.0)
+        return Point(Setting("per_cell", worth=worth), *figures, None, coverage, losses)
+
+    now, points = (Setting("mrac"), exactly(0.6), exactly(3.0)), (priced(99, 0.02, 0.0), priced(20, 0.5, 1.0))
+    found = Advice(now, 3, points, 64)
+    assert found.better() is points[1] and found.more() is None
+    straight = (points[0], priced(20, 0.22, 1.0))
+    assert Advice(now, 3, straight, 64).better() is None, "every cell costs about as much"
+    best = priced(None, 0.7, 3.0)
+    whole = replace(found, points=(*points, best), advised=points[1], difference=exactly(-0.1))
+    (said,) = whole.blocks().alternatives
+    assert said == (
+        "To cover 50.0 % and lose 1.00 robots on average: `policy='per_cell', worth=20`; "
+        "to cover 70.0 % with the same losses: `policy='per_cell'`."
+    )
+    fewer = replace(best, losses=exactly(2.5))
+    (said,) = replace(whole, points=(*points, fewer)).blocks().alternatives
+    assert said.endswith("; to cover 70.0 % and lose 2.50 robots on average: `policy='per_cell'`.")
+
+
+def test_the_knee_is_the_best_bargain_between_two_settings() -> None:
+    low, high = Figures(0.2, 0.0, 9.0), Figures(0.8, 6.0, 9.0)
+    points = [low, Figures(0.5, 1.5, 9.0), Figures(0.6, 2.0, 9.0), Figures(0.7, 4.5, 9.0), high]
+    assert knee(points, low, high) == 2  # (0.4 / 0.6) - (2 / 6) = 1 / 3 above the line
+    assert knee([low, Figures(0.5, 3.0, 9.0), Figures(0.5, 2.5, 9.0), high], low, high) is None
+    assert knee(points, high, low) is None and knee([], low, high) is None
+    front = mrac.front(WORLD_FRONT, rollouts=300, worths=[4, 15, 500])
+    middle = Point(Setting("per_cell", worth=7.0), exactly(0.99), exactly(0.05), exactly(5.0), None, 0.99, 0.05)
+    most = replace(middle, setting=Setting("mrac"), coverage=exactly(1.0), losses=exactly(2.0))
+    free = replace(middle, setting=Setting("per_cell", worth=9.0), coverage=exactly(0.3), losses=exactly(0.0))
+    bent = replace(front, points=(free, middle, most), priced=(free, middle, most), words=("map.npy",))
+    assert bent.corners() == (free, middle, most)
+    assert front_headline(bent) == (
+        "2 robots can cover 30.0 % and lose no robot, 99.0 % and lose 0.05 robots, or 100 % and lose both robots, "
+        "on average."
+    )
+    assert pick_lines(bent)[1] == "per_cell, worth 7: 99.00 % covered, 0.05 robots lost."
+    assert any(line.startswith("run it: ") and "--worth 7 " in line for line in pick_lines(bent)), "the bargain"
+
+
+def test_no_advice_where_nothing_is_in_danger_or_there_is_one_way_to_go() -> None:
+    safe = mrac.load(np.zeros((5, 5)))
+    assert mrac.evaluate(safe, 1, rollouts=20_000).to_json()["advice"] is None
+
+
+def test_no_advice_on_an_interrupted_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing more is planned or compiled for somebody who pressed Ctrl-C."""
+    calls = []
+    monkeypatch.setattr(Advice, "measure", lambda *given: calls.append(given) or iter(()))
+    told: list[int] = []
+
+    def tell(done: int, total: int, seconds: float) -> None:
+        told.append(done)
+        if len(told) == 2:
+            raise KeyboardInterrupt
+
+    answer = mrac.evaluate(WORLD_FRONT, rollouts=10**9, progress=tell, on_interrupt="return")
+    assert answer.partial and not calls and answer.to_json()["advice"] is None
+    assert mrac.evaluate(WORLD_FRONT, rollouts=64, band=False).partial is False and len(calls) == 1
+
+
+def test_a_large_map_gets_fewer_rollouts_of_each_setting_by_its_size_alone() -> None:
+    sizes = {(20, 20): 4096, (32, 64): 4096, (46, 46): 2048, (137, 137): 256, (800, 800): 16}
+    assert {shape: usual_rollouts(World.create(np.zeros(shape)), np.zeros((1, 2), int)) for shape in sizes} == sizes
+    threat = np.zeros((46, 46))
+    threat[9, 9] = 0.5
+    answer = mrac.front(World.create(threat), starts=[[0, 0]], worths=())
+    assert answer.choices.rollouts == 2048
+
+
+def test_the_ideal_of_a_team_is_not_followed_where_nobody_is_left() -> None:
+    """By hand: j cells are entered with chance .5**(j - 1) by one robot; 5,000 of them come to 2, from above."""
+    assert 2.0 <= ideal_team(np.full(5000, 0.5), 1) < 2.0 + 1e-11
+    assert ideal_team(np.full(3, 0.5), 1) == 1.75

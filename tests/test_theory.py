@@ -1,0 +1,1039 @@
+"""Formulas, bounds and exact values against enumeration, rollouts and independent solvers."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from dataclasses import asdict, astuple, replace
+from fractions import Fraction
+from functools import cache
+from itertools import combinations, product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import NAMES, Fixture, load_fixture, worlds_with_starts
+from drawn_worlds import expected
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracle_enumeration import best_of_one_robot, best_that_comes_home
+from oracle_tree import (
+    OUTCOMES,
+    REWARDS,
+    Chain,
+    ClosedLoopExact,
+    closed_loop_chain,
+    closed_loop_exact,
+    solve_chain,
+    write_drn,
+)
+from test_house import imports_of
+
+import mrac_jax as mrac
+from analysis.checking.report import check_report
+from analysis.cli.app import run
+from analysis.evaluation.report import report as evaluation_report
+from analysis.evaluation.report import rest_words
+from analysis.report.answer import print_report
+from analysis.theory import single_robot as single
+from analysis.theory.bounds import Theorem3, all_bounds, ideal_team
+from analysis.theory.exact import open_loop_exact, poisson_binomial
+from analysis.theory.flow_programme import contract, missing_ways, optimum, way_within
+from analysis.theory.own_bounds import MendedTheorem3, ideal_connected, mended_theorem3, reach_chances, until_first_loss
+from analysis.theory.upper_bound import (
+    ROUNDS,
+    Dual,
+    Programme,
+    Row,
+    Spend,
+    any_strategy,
+    certified,
+    flow_bound,
+    most_stopped,
+    trimmed,
+    value_bound,
+    within,
+)
+from analysis.utils.folder import as_text
+from planner.errors import PlanError
+from planner.mrac.make_plan import allocated_plan, make_plan
+from planner.mrac.problem import prepare
+from planner.mrac.simulate import simulate
+from planner.plan.plan import Plan, RobotPlan, entries
+from planner.rollouts.engine import Rolling, make_engine
+from planner.settings import Settings
+from planner.tally import Outcome
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+from planner.world.world import World
+
+# The closed form and the paper's formulas against the fixtures, brute force, and each other.
+
+
+def plans_of(fixture: Fixture) -> list[Plan]:
+    """The plan fed with the fixture's allocation and, for one robot, the planner's own."""
+    fed = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
+    return [fed, make_plan(fixture.world, fixture.starts)] if len(fed.robots) == 1 else [fed]
+
+
+def test_closed_form_and_every_formula_are_the_fixtures(fixture: Fixture) -> None:
+    known = fixture.answers
+    for plan in plans_of(fixture):
+        exact, bounds = open_loop_exact(plan, fixture.world), all_bounds(plan, fixture.world)
+        near = {"rel": 0, "abs": 1e-9}
+        assert exact.visited == pytest.approx(known["open_loop_exact"]["visited"], **near)
+        assert exact.survived == pytest.approx(known["open_loop_exact"]["survived"], **near)
+        assert bounds.eq2_printed == pytest.approx(known["eq2"]["printed"], **near)
+        assert bounds.team_survival == pytest.approx(known["eq2"]["team_survival"], **near)
+        assert bounds.ideal_eq7 == pytest.approx(known["ideal_eq7"], **near)
+        assert bounds.ideal_team == pytest.approx(known["ideal_team"], **near)
+        for gain, wanted in zip(bounds.eq4, known["eq4"], strict=True):
+            assert (gain.visited, gain.survived) == pytest.approx((wanted["visited"], wanted["survived"]), **near)
+        if "eq5" in known:
+            for bound, expected in zip(bounds.eq5, known["eq5"], strict=True):
+                assert bound.printed == pytest.approx(expected["printed"], **near)
+                assert bound.with_c00 == pytest.approx(expected["with_c00"], **near)
+        for meaning in ("visited", "survived"):
+            theorem = getattr(bounds, f"theorem3_{meaning}")
+            for reading in Theorem3.__dataclass_fields__:
+                assert getattr(theorem, reading) == pytest.approx(known["theorem3"][meaning][reading], **near)
+
+
+def test_eq5_with_c00_counts_the_ways_that_were_given_up_before_the_first_area() -> None:
+    """Robot 2 turns back twice; one way leads through p = .3, and its area of one cell is left with p = .9 passed."""
+    world = World.create([[0.9, 0, 0.3], [0, 0.5, 0.3], [0.3, 0, 0.1]])
+    plan = make_plan(world, [(1, 0), (0, 1), (1, 0)], Settings(policy="per_cell"))
+    kinds = [leg.kind for leg in plan.robots[2].legs]
+    assert kinds.index("cover") > 1  # several ways before the first area
+    assert all_bounds(plan, world).eq5[2].with_c00 == pytest.approx(1 + 0.7 * 0.1)
+
+
+@given(worlds_with_starts(most_side=4, most_robots=3))
+def test_closed_form_is_the_sum_over_every_luck(given_world: tuple[World, np.ndarray]) -> None:
+    """Exhaustive enumeration: every combination of the entry at which each robot is stopped."""
+    world, starts = given_world
+    plan = make_plan(world, starts)
+    threat = world.threat.ravel().astype(np.float64)
+    fates = [fates_of(robot, threat) for robot in plan.robots]
+    if np.prod([len(f) for f in fates]) > 3000:
+        return
+    exact = open_loop_exact(plan, world)
+    visited, survived, time, curve = 0.0, 0.0, 0.0, np.zeros(plan.makespan + 1)
+    for combination in product(*fates):
+        chance = float(np.prod([fate[0] for fate in combination]))
+        reached: dict[int, int] = {}
+        for _, steps, cells, _ in combination:
+            for step, cell in zip(steps, cells, strict=True):
+                reached[cell] = min(step, reached.get(cell, step))
+        passed = {cell for _, _, cells, stopped in combination for cell in (cells[:-1] if stopped else cells)}
+        visited += chance * len(reached)
+        survived += chance * len(passed)
+        time += chance * max(int(steps[-1]) for _, steps, _, _ in combination)
+        for step in reached.values():
+            curve[step:] += chance
+    assert exact.visited == pytest.approx(visited, abs=1e-9)
+    assert exact.survived == pytest.approx(survived, abs=1e-9)
+    assert exact.mean_time == pytest.approx(time, abs=1e-9)
+    np.testing.assert_allclose(exact.visited_curve, curve, rtol=0, atol=1e-9)
+
+
+def fates_of(robot: RobotPlan, threat: np.ndarray) -> list[tuple[float, list[int], list[int], bool]]:
+    """(chance, steps entered, cells entered, stopped at the last?) of every way a robot's run can go."""
+    steps = entries(robot.path)
+    cells = robot.path[steps]
+    fates, alive = [], 1.0
+    for index, cell in enumerate(cells):
+        if threat[cell] > 0:
+            fates.append((alive * threat[cell], steps[: index + 1].tolist(), cells[: index + 1].tolist(), True))
+            alive *= 1.0 - threat[cell]
+    return [*fates, (alive, steps.tolist(), cells.tolist(), False)]
+
+
+def test_equation_2_as_printed_is_not_the_team_s_survival() -> None:
+    """Two robots, p = .5, two steps: printed .5625, truth .4375."""
+    world = World.create(np.full((2, 2), 0.5))
+    plan = Plan((2, 2), world.sha256, None, (RobotPlan(np.array([0, 1])), RobotPlan(np.array([2, 3]))))
+    bounds = all_bounds(plan, world)
+    assert bounds.eq2_printed == pytest.approx(0.5625)
+    assert bounds.team_survival == pytest.approx(0.4375)
+    assert bounds.theorem3_visited is None
+    assert bounds.eq5[0].printed is None
+
+
+def test_per_cell_values_add_up() -> None:
+    fixture = load_fixture("contiguous-14x23-1001-k8")
+    plan = make_plan(fixture.world, fixture.starts)
+    exact = open_loop_exact(plan, fixture.world)
+    assert exact.visited_curve[-1] == pytest.approx(exact.visited, abs=1e-9)
+    assert exact.survived_curve[-1] == pytest.approx(exact.survived, abs=1e-9)
+    assert exact.stops_by_cell.sum() == pytest.approx(exact.expected_losses, abs=1e-9)
+    assert exact.alive_chance @ np.arange(9) == pytest.approx(exact.survival.sum(), abs=1e-9)
+    assert exact.time_chance.sum() == pytest.approx(1.0, abs=1e-9)
+    assert exact.by_deadline(10**6) == pytest.approx((exact.visited, exact.survived))
+    assert exact.by_deadline(0)[0] == pytest.approx(len(np.unique(fixture.starts, axis=0)))
+
+
+def test_a_waiting_robot_is_hit_once() -> None:
+    world = World.create([[0.5, 0.0]])
+    plan = Plan((1, 2), world.sha256, None, (RobotPlan(np.array([0, 0, 0, 1])),))
+    exact = open_loop_exact(plan, world)
+    assert exact.visited == pytest.approx(1.5)
+    assert exact.visited_curve.tolist() == [1.0, 1.0, 1.0, 1.5]
+
+
+def test_ideal_of_a_team_counts_hits_over_the_poisson_binomial() -> None:
+    threat = np.array([0.0, 0.2, 0.5, 0.3])
+    ordered = np.sort(threat)
+    for robots in (1, 2, 3):
+        direct = sum(poisson_binomial(ordered[:j])[:robots].sum() for j in range(4))
+        assert ideal_team(threat, robots) == pytest.approx(direct)
+
+
+def test_chances_below_what_1_minus_a_product_can_hold_are_kept() -> None:
+    """Two robots on 17 cells of p = .9 each: each survives with 1e-17, of which 1 - (1 - 1e-17)^2 keeps nothing."""
+    world = World.create(np.full((2, 18), 0.9, dtype=np.float32))
+    p = float(np.float32(0.9))
+    paths = tuple(RobotPlan(np.arange(row * 18, row * 18 + 17)) for row in (0, 1))
+    plan = replace(make_plan(world, [[0, 0], [1, 0]]), robots=paths, areas=(), areas_added=(), settings=None)
+    exact, survival = open_loop_exact(plan, world), (1 - p) ** 17
+    assert exact.some_left == pytest.approx(2 * survival, rel=1e-9)
+    assert all_bounds(plan, world).team_survival == pytest.approx(2 * survival, rel=1e-9)
+    assert exact.visited_by_cell[16] == pytest.approx((1 - p) ** 16, rel=1e-9)
+    both = replace(plan, robots=(paths[0], paths[0]))
+    assert open_loop_exact(both, world).visited_by_cell[16] == pytest.approx(2 * (1 - p) ** 16, rel=1e-9)
+    reach = reach_chances(world, [[0, 0], [0, 0]])
+    assert reach[17] == pytest.approx(2 * (1 - p) ** 17, rel=1e-9) and reach[0] == 1
+
+
+def test_losses_by_a_step_add_up_to_those_of_the_run() -> None:
+    world = World.create([[0.0, 0.2, 0.1], [0.3, 0.0, 0.4]])
+    plan = make_plan(world, [[0, 0], [1, 1]])
+    exact = open_loop_exact(plan, world)
+    assert exact.losses_by(10**6) == pytest.approx(exact.expected_losses) and exact.losses_by(0) == 0
+    first = [plan.robots[k].path[1] for k in (0, 1)]
+    assert exact.losses_by(1) == pytest.approx(sum(float(world.threat.ravel()[cell]) for cell in first))
+
+
+def test_theorem_3_counts_the_start_of_a_robot_that_never_moves() -> None:
+    """Four robots, one area of three cells: three of them stay where they start, and C (travel) has all four starts."""
+    world = World.create(np.zeros((1, 3)))
+    plan = make_plan(world, [[0, 0], [0, 0], [0, 1], [0, 2]])
+    assert sum(len(np.unique(robot.path)) == 1 for robot in plan.robots) >= 3
+    theorem = all_bounds(plan, world).theorem3_visited
+    alone = sum(len(np.unique(robot.path)) for robot in plan.robots)
+    assert theorem is not None
+    assert (theorem.travel_multiset, theorem.travel_set) == (alone - 4, alone - 3)
+    plan = make_plan(world, [[0, 0], [0, 0]])
+    theorem = all_bounds(plan, world).theorem3_survived
+    assert theorem is not None and (theorem.travel_multiset, theorem.travel_set) == (3 + 1 - 2, 3 + 1 - 1)
+
+
+# Our own bounds against exact values, enumeration, the best of all strategies, rollouts, and numbers made by hand.
+
+ENUMERATED = [name for name in NAMES if "closed_loop_exact" in load_fixture(name).answers]
+NEAR = 1e-9
+
+
+def plan_of(fixture: Fixture) -> Plan:
+    return plan_named(fixture.name)
+
+
+@cache
+def plan_named(name: str) -> Plan:
+    fixture = load_fixture(name)
+    return make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
+
+
+def paths(world: World, *cells: list[int]) -> Plan:
+    return Plan(world.shape, world.sha256, None, tuple(RobotPlan(np.array(path)) for path in cells))
+
+
+def in_order(bound: MendedTheorem3, truth: float) -> bool:
+    return bound.count <= bound.largest + NEAR and bound.largest <= bound.spread + NEAR and bound.spread <= truth + NEAR
+
+
+# --- Theorem 3, mended ---
+
+
+def test_theorem_3_mended_holds_on_every_fixture(fixture: Fixture) -> None:
+    bound, truth = mended_theorem3(plan_of(fixture), fixture.world), fixture.answers["open_loop_exact"]
+    assert in_order(bound.visited, truth["visited"])
+    assert in_order(bound.survived, truth["survived"])
+    if fixture.answers["k"] <= 2:
+        assert bound.visited.spread == pytest.approx(truth["visited"], abs=NEAR)
+        assert bound.survived.spread == pytest.approx(truth["survived"], abs=NEAR)
+
+
+@given(worlds_with_starts())
+def test_theorem_3_mended_holds_on_random_worlds(given_world: tuple[World, np.ndarray]) -> None:
+    world, starts = given_world
+    plan = make_plan(world, starts)
+    bound, truth = mended_theorem3(plan, world), open_loop_exact(plan, world)
+    assert in_order(bound.visited, truth.visited)
+    assert in_order(bound.survived, truth.survived)
+    expected = sum(alone.visited for alone in all_bounds(plan, world).eq4)
+    on_path = [cell for robot in plan.robots for cell in np.unique(robot.path)]
+    shared = len(on_path) - len(np.unique(on_path))
+    assert bound.visited.count == pytest.approx(expected - shared, abs=NEAR)
+    if shared == 0:
+        assert bound.visited.count == pytest.approx(truth.visited, abs=NEAR)
+
+
+def test_theorem_3_mended_by_hand() -> None:
+    """Three robots through the cells 0 and 2 (p = .5) to cell 1; E(R) = 2, 2, 1.5; cell 1 has chances .5, .5, .5."""
+    world = World.create([[0.5, 0.0, 0.5]])
+    plan = paths(world, [0, 1], [0, 1], [2, 1])
+    bound = mended_theorem3(plan, world)
+    # visited: cell 0 twice for certain, cell 1 three times with chance .5
+    assert bound.visited == MendedTheorem3(count=4.5 - 1 - 2, largest=4.5 - 1 - 1, spread=2 + 1 - 0.5**3)
+    assert bound.visited.spread == open_loop_exact(plan, world).visited == 2.875
+    # survived: cell 0 with .5 and .5, cell 1 with .5 three times, cell 2 with .5
+    assert bound.survived == MendedTheorem3(count=3 - 1 - 2, largest=3 - 0.5 - 1, spread=0.75 + 0.875 + 0.5)
+
+
+def test_theorem_3_mended_is_short_only_where_the_others_differ() -> None:
+    """One cell with chances 1/2, 1/2, 1/4: 1 - 1/2 (1 - 3/8)^2 for the truth, 1 - 1/2 * 1/2 * 3/4."""
+    world = World.create([[0.5, 0.0, 0.5], [0.75, 0.0, 0.0]])
+    plan = paths(world, [0, 1], [2, 1], [3, 4, 1])
+    expected, on_cell_1 = 2 * 1.5 + 1.5, 1.25
+    assert mended_theorem3(plan, world).visited.spread == expected - (on_cell_1 - (1 - 0.5 * 0.625**2))
+    assert open_loop_exact(plan, world).visited == expected - (on_cell_1 - (1 - 0.5 * 0.5 * 0.75))
+
+
+def test_without_threats_every_form_counts_the_cells() -> None:
+    world = World.create(np.zeros((3, 5)))
+    plan = make_plan(world, [[0, 0], [0, 0], [2, 4]])
+    bound = mended_theorem3(plan, world)
+    assert bound.visited == bound.survived == MendedTheorem3(15.0, 15.0, 15.0)
+
+
+# --- until the first loss ---
+
+
+def test_until_the_first_loss_by_hand() -> None:
+    """Robot 0 enters cells 0, 1 (p = .5), 2; robot 1 cells 5, 4 (p = .25), 3, acting second in each step."""
+    world = World.create([[0.0, 0.5, 0.0], [0.0, 0.25, 0.0]])
+    bound = until_first_loss(paths(world, [0, 1, 2], [5, 4, 3]), world)
+    assert bound.visited == 1 + 1 + 1 + 0.5 + 0.375 + 0.375
+    assert bound.survived == 1 + 1 + 0.5 + 0.375 + 0.375 + 0.375
+
+
+def test_until_the_first_loss_is_below_both_loops(fixture: Fixture) -> None:
+    bound, answers = until_first_loss(plan_of(fixture), fixture.world), fixture.answers
+    for key in {"open_loop_exact", "closed_loop_exact"} & set(answers):
+        assert bound.visited <= answers[key]["visited"] + NEAR
+        assert bound.survived <= answers[key]["survived"] + NEAR
+    if answers["k"] == 1:
+        assert bound.visited == pytest.approx(answers["open_loop_exact"]["visited"], abs=NEAR)
+        assert bound.survived == pytest.approx(answers["open_loop_exact"]["survived"], abs=NEAR)
+
+
+# --- the ideal of a map ---
+
+
+def test_ideal_of_a_map_by_hand() -> None:
+    world = World.create([[0.0, 0.5, 0.0]])
+    assert reach_chances(world, [[0, 0]]).tolist() == [1, 1, 0.5]
+    assert ideal_connected(world, [[0, 0]]) == 2.5  # what the only path attains
+    assert ideal_team(world.threat.ravel().astype(np.float64), 1) == 3
+    assert reach_chances(world, [[0, 0], [0, 0]]).tolist() == [1, 1, 0.75]
+    assert reach_chances(world, [[0, 0], [0, 2]]).tolist() == [1, 1, 1]
+    assert reach_chances(world, [[0, 1], [0, 0]]).tolist() == [1, 1, 0.75]  # the start's own threat counts
+    walled = World.create([[0.0, np.nan, 0.0]])
+    assert reach_chances(walled, [[0, 0]]).tolist() == [1, 0, 0]
+    assert ideal_connected(walled, [[0, 0]]) == 1
+
+
+@given(worlds_with_starts())
+def test_ideal_of_a_map_lies_between_the_open_loop_and_the_ideal_of_the_team(
+    given_world: tuple[World, np.ndarray],
+) -> None:
+    world, starts = given_world
+    plan = make_plan(world, starts)
+    bound, exact, paper = ideal_connected(world, starts), open_loop_exact(plan, world), all_bounds(plan, world)
+    assert exact.survived - NEAR <= exact.visited <= bound + NEAR <= paper.ideal_team + 2 * NEAR
+    assert len(starts) > 1 or paper.ideal_team == paper.ideal_eq7
+    assert (exact.visited_by_cell <= reach_chances(world, starts) + NEAR).all()
+
+
+@pytest.mark.parametrize("robots", [1, 2])
+@pytest.mark.parametrize("seed", range(6))
+def test_ideal_of_a_map_bounds_the_best_strategy(seed: int, robots: int) -> None:
+    world = World.create(np.random.default_rng(seed).choice([0.0, 0.0, 0.3, 0.6, np.nan], (2, 3)))
+    free = np.argwhere(~np.isnan(world.threat))
+    starts = free[np.arange(robots) % len(free)]
+    best = best_strategy(world, starts)
+    assert best <= ideal_connected(world, starts) + NEAR
+    assert open_loop_exact(make_plan(world, starts), world).visited <= best + 1e-6
+
+
+def best_strategy(world: World, starts: np.ndarray) -> float:
+    """Expected cells visited by the best adaptive strategy, one robot moving at a time: value iteration from below."""
+    threat, cells = world.threat.ravel().astype(np.float64), world.threat.size
+    free = [cell for cell in range(cells) if not np.isnan(threat[cell])]
+    near = [
+        [b for b in range(cells) if abs(a // 3 - b // 3) + abs(a % 3 - b % 3) == 1 and not np.isnan(threat[b])]
+        for a in range(cells)
+    ]
+    dead = cells
+    places = [sorted(place) for place in product(range(cells + 1), repeat=len(starts))]
+    seen_cells = [sum(1 << cell for cell in some) for n in range(len(free), -1, -1) for some in combinations(free, n)]
+    alive = [tuple(place) for place in places if {dead, *free} >= {*place}]
+    value = {(mask, place): 0.0 for mask in seen_cells for place in alive}
+
+    def enter(mask: int, place: tuple[int, ...], robot: int, cell: int) -> float:
+        seen = mask | 1 << cell
+        alive, lost = (tuple(sorted((*place[:robot], to, *place[robot + 1 :]))) for to in (cell, dead))
+        found = float(seen != mask)
+        return found + (1 - threat[cell]) * value[seen, alive] + threat[cell] * value[seen, lost]
+
+    moves = {place: [(i, to) for i, at in enumerate(place) if at != dead for to in near[at]] for place in alive}
+    for mask in seen_cells:  # what is seen only grows: from everything to nothing
+        gain = 1.0
+        while gain > 1e-12:
+            better = {place: max([enter(mask, place, *move) for move in moves[place]], default=0.0) for place in alive}
+            gain = max(better[place] - value[mask, place] for place in alive)
+            value |= {(mask, place): better[place] for place in alive}
+    expected = 0.0
+    own = [int(row * 3 + col) for row, col in starts]
+    for fates in product([False, True], repeat=len(own)):
+        chance = float(np.prod([threat[c] if lost else 1 - threat[c] for c, lost in zip(own, fates, strict=True)]))
+        place = tuple(sorted(dead if lost else c for c, lost in zip(own, fates, strict=True)))
+        expected += chance * value[sum(1 << c for c in set(own)), place]
+    return expected + len(set(own))
+
+
+def test_until_the_first_loss_with_a_walled_off_robot() -> None:
+    """Robot 0 may be lost (p = .5) as it steps onto cell 1 at t = 1, when robot 1, walled off, has not moved yet."""
+    world = World.create([[0.0, 0.5, 0.0], [np.nan] * 3, [0.0] * 3, [np.nan, np.nan, 0.0]])
+    first = until_first_loss(make_plan(world, [[0, 0], [2, 0]]), world)
+    assert first.visited == 0.5 * 3 + 0.5 * 7
+
+
+# The closed loop as a Markov chain: solved here two ways and by Storm, against the enumeration and the fixtures.
+
+TINY = [name for name in NAMES if name.startswith("tiny")]
+DEAR = pytest.param("contiguous-14x23-1001-k2", marks=pytest.mark.slow)
+SHARING = 24
+"""Random tiny worlds in which areas are shared and robots may be lost."""
+NUMBERS = [pytest.param(number, marks=pytest.mark.slow if number % 2 == 0 else ()) for number in range(SHARING)]
+
+
+def fixture_case(name: str) -> tuple[Plan, World]:
+    fixture = load_fixture(name)
+    return make_plan(fixture.world, fixture.starts, allocation=fixture.allocation), fixture.world
+
+
+@cache
+def fixture_chain(name: str) -> Chain:
+    return closed_loop_chain(*fixture_case(name))
+
+
+@cache
+def sharing_cases() -> list[tuple[Plan, World]]:
+    """The first SHARING random worlds, seed after seed, whose nominal run shares and in which somebody may die."""
+    cases: list[tuple[Plan, World]] = []
+    seed = 0
+    while len(cases) < SHARING:
+        luck = np.random.default_rng(seed)
+        seed += 1
+        shape = tuple(luck.integers(3, 6, size=2))
+        threat = luck.choice([np.nan, 0.0, 0.1, 0.35], p=[0.1, 0.62, 0.14, 0.14], size=shape)
+        free = np.argwhere(~np.isnan(threat))
+        starts = free[luck.integers(len(free), size=luck.integers(2, 5))]
+        world = World.create(threat)
+        plan = make_plan(world, starts)
+        if plan.shares > 0 and (world.threat[world.accessible(starts)] > 0).any():
+            cases.append((plan, world))
+    return cases
+
+
+@cache
+def sharing_chain(number: int) -> tuple[Chain, ClosedLoopExact]:
+    """One of them as a chain and enumerated."""
+    plan, world = sharing_cases()[number]
+    return closed_loop_chain(plan, world), closed_loop_exact(plan, world)
+
+
+def is_near(values: object, others: object) -> bool:
+    pairs = zip(astuple(values), astuple(others), strict=True)  # type: ignore[call-overload]
+    return all(abs(float(a) - float(b)) <= 1e-9 for a, b in pairs)
+
+
+@pytest.mark.parametrize("name", [*TINY, "contiguous-20x20-1000-k1", DEAR])
+def test_the_solved_chain_is_the_fixtures(name: str) -> None:
+    chain = fixture_chain(name)
+    assert not chain.timed
+    values = asdict(solve_chain(chain))
+    for key, value in load_fixture(name).answers["closed_loop_exact"].items():
+        assert values[key] == pytest.approx(value, rel=0, abs=1e-9), key
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_the_solved_chain_is_the_enumeration_where_areas_are_shared(number: int) -> None:
+    chain, found = sharing_chain(number)
+    assert found.alive < len(sharing_cases()[number][0].robots)
+    for key, value in asdict(solve_chain(chain)).items():
+        assert getattr(found, key) == pytest.approx(value, rel=0, abs=1e-9), key
+
+
+@pytest.mark.parametrize("max_steps", [1, 2, 4, pytest.param(7, marks=pytest.mark.slow)])
+def test_the_step_is_part_of_the_state_where_the_limit_is_in_reach(max_steps: int) -> None:
+    fixture = load_fixture("tiny-4x3-23-k4")
+    plan = make_plan(fixture.world, fixture.starts, Settings(max_steps=max_steps), allocation=fixture.allocation)
+    chain, found = closed_loop_chain(plan, fixture.world), closed_loop_exact(plan, fixture.world)
+    assert chain.timed
+    assert found.step_limit > 0
+    for key, value in asdict(solve_chain(chain)).items():
+        assert getattr(found, key) == pytest.approx(value, rel=0, abs=1e-9), key
+
+
+def test_first_visit_checks_make_another_chain() -> None:
+    plan, world = fixture_case("tiny-6x4-22-k3")
+    values = solve_chain(closed_loop_chain(plan, world, first_only=True))
+    found = closed_loop_exact(plan, world, first_only=True)
+    for key, value in asdict(values).items():
+        assert getattr(found, key) == pytest.approx(value, rel=0, abs=1e-9), key
+    assert values.alive > solve_chain(closed_loop_chain(plan, world)).alive + 0.1
+
+
+def test_fractions_are_exact() -> None:
+    """p = 1/4 on each of 3 cells after a safe start: coverage 1 + 1 + 3/4 + 9/16, alive 27/64."""
+    world = World.create([[0.0, 0.25, 0.25, 0.25]])
+    chain = closed_loop_chain(make_plan(world, [[0, 0]]), world, exact=True)
+    values = solve_chain(chain)
+    assert values.visited == 1 + 1 + Fraction(3, 4) + Fraction(9, 16)
+    assert values.survived == 1 + Fraction(3, 4) + Fraction(9, 16) + Fraction(27, 64)
+    assert (values.alive, values.complete, values.all_robots_lost) == (
+        Fraction(27, 64),
+        Fraction(9, 16),
+        Fraction(7, 16),
+    )
+
+
+@pytest.mark.parametrize("name", ["tiny-3x6-17-k3", "tiny-6x3-27-k5", "tiny-4x8-12-k2"])
+def test_rows_of_exact_chains_add_up_to_one(name: str) -> None:
+    plan, world = fixture_case(name)
+    exact, rounded = closed_loop_chain(plan, world, exact=True), closed_loop_chain(plan, world)
+    assert all(sum(row.values()) == 1 for row in exact.moves[: exact.inner])
+    assert [list(row) for row in exact.moves] == [list(row) for row in rounded.moves]
+    values = solve_chain(exact)
+    assert values.complete + values.all_robots_lost + values.no_progress + values.step_limit == 1
+    assert is_near(values, solve_chain(rounded))
+
+
+def test_a_chain_that_grows_too_large_is_refused() -> None:
+    with pytest.raises(PlanError, match="more than 100 states"):
+        closed_loop_chain(*fixture_case("tiny-4x3-23-k4"), most_states=100)
+
+
+def read_drn(path: Path) -> tuple[list[dict[int, float]], list[list[float]], list[list[str]]]:
+    """(moves, rewards, labels) of the states of a file in Storm's explicit format."""
+    moves: list[dict[int, float]] = []
+    rewards, labels = [], []
+    for line in path.read_text().partition("@model\n")[2].splitlines():
+        if line.startswith("state"):
+            said, _, rest = line.partition("[")[2].partition("]")
+            rewards.append([float(reward) for reward in said.split(",")])
+            labels.append(rest.split())
+            moves.append({})
+        elif ":" in line:
+            target, _, chance = line.partition(":")
+            moves[-1][int(target)] = float(chance)
+    return moves, rewards, labels
+
+
+def test_the_file_for_storm_says_what_the_chain_is(tmp_path: Path) -> None:
+    chain = closed_loop_chain(*fixture_case("tiny-3x7-01-k3"))
+    write_drn(chain, tmp_path / "chain.drn")
+    moves, rewards, labels = read_drn(tmp_path / "chain.drn")
+    assert moves[: chain.inner] == list(chain.moves[: chain.inner])
+    assert moves[chain.inner :] == [{state: 1.0} for state in range(chain.inner, chain.states)]
+    assert rewards == [list(reward) for reward in chain.rewards]
+    assert labels[0] == ["init"]
+    assert labels[chain.inner :] == [[outcome, "over"] for outcome in OUTCOMES]
+    assert not any(labels[1 : chain.inner])
+    assert " ".join(REWARDS) in (tmp_path / "chain.drn").read_text().splitlines()
+
+
+def storm(chain: Chain):  # type: ignore[no-untyped-def]
+    pytest.importorskip("stormpy", reason="the extra `oracle` is not installed")
+    from oracle_tree import storm_values
+
+    return storm_values(chain)
+
+
+@pytest.mark.parametrize("name", [*TINY, pytest.param("contiguous-20x20-1000-k2", marks=pytest.mark.slow)])
+def test_storm_finds_the_fixtures(name: str) -> None:
+    values = asdict(storm(fixture_chain(name)))
+    for key, value in load_fixture(name).answers["closed_loop_exact"].items():
+        assert values[key] == pytest.approx(value, rel=0, abs=1e-9), key
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_storm_finds_the_enumeration_where_areas_are_shared(number: int) -> None:
+    chain, found = sharing_chain(number)
+    for key, value in asdict(storm(chain)).items():
+        assert getattr(found, key) == pytest.approx(value, rel=0, abs=1e-9), key
+
+
+@pytest.mark.parametrize("name", ["tiny-2x5-06-k1", "tiny-3x6-17-k3", "tiny-6x3-27-k5", "tiny-2x8-25-k5"])
+def test_storm_finds_the_very_fractions(name: str) -> None:
+    chain = closed_loop_chain(*fixture_case(name), exact=True)
+    assert storm(chain) == solve_chain(chain)
+
+
+# The tree of everything that can happen against the fixtures' enumeration, runs from the start, and rollouts.
+
+QUICK = ("tiny", "contiguous-14x23-1001", "scattered-20x20-1001-k1")
+ENUMERATED_TREE = [
+    pytest.param(name, marks=() if name.startswith(QUICK) else pytest.mark.slow)
+    for name in NAMES
+    if "closed_loop_exact" in load_fixture(name).answers
+]
+
+
+def plan_of_tree(fixture: Fixture) -> Plan:
+    return make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
+
+
+@cache
+def exact_of(name: str) -> ClosedLoopExact:
+    """Of a fixture's plan, all of it."""
+    fixture = load_fixture(name)
+    return closed_loop_exact(plan_of_tree(fixture), fixture.world)
+
+
+class TooMany(Exception):
+    """More patterns of hits than a test plays."""
+
+
+def chances_from_the_start(plan: Plan, world: World, first_only: bool, most: int) -> tuple[list[np.ndarray], int]:
+    """Chances by outcome, cells visited, survived, time and robots alive, each pattern of hits a run from t = 0.
+
+    And how many patterns there are. Raises TooMany of more than `most`.
+    """
+    problem, threat = prepare(world, plan.starts, plan.settings or Settings()), world.threat.ravel()
+    sizes = (len(Outcome), threat.size + 1, threat.size + 1, problem.max_steps + 1, len(plan.robots) + 1)
+    played = 0
+
+    def play(hit: Callable[[int, int, int], bool]) -> np.ndarray:
+        nonlocal played
+        played += 1
+        if played > most:
+            raise TooMany
+        run = simulate(problem, plan.areas, hit=hit)
+        found = (run.outcome, run.visited.sum(), run.survived.sum(), run.time, run.alive.sum())
+        return np.concatenate([np.eye(size)[int(value)] for size, value in zip(sizes, found, strict=True)])
+
+    def draw(chance: Callable[[float], bool], entered: dict, cell: int) -> bool:
+        again = cell in entered
+        entered[cell] = True
+        return not (first_only and again) and chance(float(threat[cell]))
+
+    return np.split(expected(play, draw), np.cumsum(sizes)[:-1]), played
+
+
+def assert_exactly(found: ClosedLoopExact, known: dict[str, float]) -> None:
+    for key, value in known.items():
+        assert getattr(found, key) == pytest.approx(value, rel=0, abs=1e-9), key
+
+
+@pytest.mark.parametrize("name", ENUMERATED_TREE)
+def test_enumeration_is_the_fixtures(name: str) -> None:
+    found = exact_of(name)
+    assert_exactly(found, load_fixture(name).answers["closed_loop_exact"])
+    for chance, value in (
+        (found.visited_chance, found.visited),
+        (found.survived_chance, found.survived),
+        (found.alive_chance, found.alive),
+        (found.time_chance, found.time),
+    ):
+        assert chance.sum() == pytest.approx(1.0, abs=1e-9)
+        assert chance @ np.arange(len(chance)) == pytest.approx(value, abs=1e-9)
+
+
+@settings(max_examples=70)
+@given(
+    worlds_with_starts(most_side=5, most_robots=4),
+    st.sampled_from([None, 1, 2, 3, 5, 8]),
+    st.sampled_from(["grid", "area"]),
+    st.booleans(),
+)
+def test_forking_is_running_every_pattern_from_the_start(given_world, max_steps, transit, first_only) -> None:
+    world, starts = given_world
+    plan = make_plan(world, starts, Settings(max_steps=max_steps, transit=transit))
+    try:
+        (outcomes, *columns), played = chances_from_the_start(plan, world, first_only, most=150)
+    except TooMany:
+        return
+    found = closed_loop_exact(plan, world, first_only=first_only)
+    assert found.ends <= played
+    for outcome in (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.NO_PROGRESS, Outcome.STEP_LIMIT):
+        assert getattr(found, outcome.word) == pytest.approx(outcomes[outcome], abs=1e-12)
+    chances = (found.visited_chance, found.survived_chance, found.time_chance, found.alive_chance)
+    for chance, column in zip(chances, columns, strict=True):
+        np.testing.assert_allclose(chance, column[: len(chance)], rtol=0, atol=1e-12)
+        assert not column[len(chance) :].any()
+
+
+def test_equal_states_are_joined() -> None:
+    """tiny-2x8-25: 115 patterns, many of which lead to the same state."""
+    fixture = load_fixture("tiny-2x8-25-k5")
+    _, played = chances_from_the_start(plan_of_tree(fixture), fixture.world, False, most=1000)
+    assert closed_loop_exact(plan_of_tree(fixture), fixture.world).ends < played == 115
+
+
+def test_plans_that_have_no_closed_loop_are_refused() -> None:
+    world = World.create([[0.0, 0.1]])
+    with pytest.raises(PlanError, match="another map"):
+        closed_loop_exact(make_plan(world, [[0, 0]]), World.create([[0.0, 0.2]]))
+
+
+def test_the_oracles_see_no_engine() -> None:
+    """`test_house` looks at those of `analysis.theory`."""
+    for path in Path(__file__).parent.glob("oracle_*.py"):
+        engines = ("planner.rollouts", "planner.simulator", "mrac_jax", "jax")
+        assert not [module for module in imports_of(path) if module.startswith(engines)]
+
+
+# The bound for every strategy: above the optimum, above what is sampled, and proven whatever the solver says.
+
+
+def tiny_world(seed: int, height: int, width: int) -> World:
+    draw = np.random.default_rng(seed)
+    threat = draw.choice([0, 0, 0.1, 0.3, 0.6, np.nan], size=(height, width))
+    threat[0, 0] = draw.choice([0, 0.2])
+    return World.create(threat)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_optimum_of_one_robot_is_the_plain_one(seed: int) -> None:
+    world = tiny_world(seed, 2, 4)
+    assert optimum(world, [[0, 0]]) == pytest.approx(best_of_one_robot(world), abs=1e-12)
+
+
+def test_optimum_of_a_corridor() -> None:
+    """Two robots before a door of p: the second goes only if the first is lost, and the room behind counts 3 cells."""
+    world = World.create([[0.0, 0.4, 0.0, 0.0, 0.0]])
+    p = float(np.float32(0.4))
+    assert optimum(world, [[0, 0]]) == pytest.approx(2 + 3 * (1 - p))
+    assert optimum(world, [[0, 0], [0, 0]]) == pytest.approx(2 + 3 * (1 - p * p))
+    assert optimum(world, [[0, 0]] * 3) is None
+    assert optimum(World.create(np.full((5, 5), 0.1)), [[0, 0]]) is None
+
+
+def test_optimum_ends_where_next_to_nothing_is_dangerous() -> None:
+    """Who goes round among such cells gained by rounding, over and over."""
+
+    def too_long(*_: object) -> None:
+        raise TimeoutError
+
+    usual = signal.signal(signal.SIGPROF, too_long)
+    signal.setitimer(signal.ITIMER_PROF, 20)
+    try:
+        best = optimum(World.create(np.full((3, 3), 1e-12)), [[0, 0], [0, 0]])
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, usual)
+    assert best is not None and 9 - 1e-9 < best <= 9
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("robots", [1, 2])
+def test_no_policy_is_above_the_optimum_and_no_bound_below_it(seed: int, robots: int) -> None:
+    world, starts = tiny_world(seed, 2, 4), [[0, 0]] * robots
+    best = optimum(world, starts)
+    assert best is not None
+    mrac = closed_loop_exact(make_plan(world, starts), world).visited
+    bound = any_strategy(world, starts)
+    assert mrac <= best + 1e-9
+    assert best <= min(bound.cells, bound.connected, bound.ideal) + 1e-9
+    assert bound.flow is not None
+    assert best <= bound.flow
+
+
+@pytest.mark.parametrize(("kind", "robots"), [("contiguous", 1), ("contiguous", 8), ("scattered", 4)])
+def test_sharper_than_the_ideals_and_above_what_is_sampled(kind: str, robots: int) -> None:
+    world = random_world(pattern=ThreatPattern(kind=kind, seed=0))  # type: ignore[arg-type]
+    starts = place_starts(world, robots)[0]
+    bound = any_strategy(world, starts)
+    assert bound.flow is not None
+    assert bound.cells == bound.flow < bound.connected - 5 < bound.ideal
+    tally = make_engine(make_plan(world, starts), world, Rolling()).tally(0, 2000)
+    assert tally.visited @ np.arange(len(tally.visited)) / 2000 < bound.cells
+
+
+@pytest.mark.slow
+def test_the_bound_is_never_below_what_is_sampled_on_1000_worlds() -> None:
+    draw = np.random.default_rng(2)
+    for seed in range(1000):
+        kind = ("contiguous", "scattered")[seed % 2]
+        world = random_world(9, 10, ThreatPattern(kind=kind, areas=5, seed=seed), threats=draw.uniform(0.05, 0.4))  # type: ignore[arg-type]
+        starts = place_starts(world, int(draw.integers(1, 13)))[0]
+        tally = make_engine(allocated_plan(world, starts, Settings()), world, Rolling()).tally(0, 2000)
+        values = np.arange(len(tally.visited))
+        mean = tally.visited @ values / 2000
+        spread = tally.visited @ values**2 / 2000 - mean**2
+        error = np.sqrt(max(spread, 1 / 2000) / 2000)  # where all came to the same, one may still differ by a cell
+        assert mean - 4 * error <= any_strategy(world, starts).cells, seed
+
+
+def test_whatever_the_prices_what_they_prove_is_true(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Random prices, the solver's spoilt, and none: never below the optimum; the solver's own lose next to nothing."""
+    world, starts = tiny_world(3, 2, 4), np.array([[0, 0]])
+    best, nodes = optimum(world, starts), contract(world, starts)
+    count = len(nodes.weight)
+    dangerous = np.flatnonzero(nodes.threat > 0)
+    inside = np.arange(count) != np.flatnonzero(nodes.starts)
+    rows: list[Row] = [Spend(dangerous, float(most_stopped(nodes.threat[dangerous], 1)[-1]))]
+    rows += [way_within(nodes, node, inside) for node in np.flatnonzero(inside).tolist()]
+    draw = np.random.default_rng(5)
+    assert best is not None
+    for _ in range(300):
+        scale = 10.0 ** draw.uniform(-3, 2)
+        dual = Dual(draw.random(count) * scale, draw.random(count) * 2, draw.random(len(rows)) * scale)
+        assert certified(nodes, rows, dual) >= best
+        with monkeypatch.context() as careless:  # prices that were not made feasible prove no more than that
+            careless.setattr("analysis.theory.upper_bound._feasible", lambda nodes, dual, toll: dual.flow)
+            assert certified(nodes, rows, dual) >= best
+    nothing = Dual(np.zeros(count), np.zeros(count), np.zeros(len(rows)))
+    assert certified(nodes, rows, nothing) == pytest.approx(nodes.weight @ nodes.reach, abs=1e-9)
+
+
+def test_the_certificate_loses_next_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounds end when ten of them together gain less than 2e-4 of the cells, and no sooner."""
+    world = random_world(pattern=ThreatPattern(seed=1))
+    nodes, optima, solve = contract(world, place_starts(world, 4)[0]), [], Programme.solve
+
+    def noted(programme: Programme) -> tuple[np.ndarray, np.ndarray, Dual]:
+        moves, visited, dual = solve(programme)
+        optima.append(float(nodes.weight @ visited))
+        return moves, visited, dual
+
+    monkeypatch.setattr(Programme, "solve", noted)
+    bound = flow_bound(nodes)
+    assert optima[-1] - 1e-6 <= bound <= optima[-1] + 1e-4
+    gains = np.subtract(optima[:-10], optima[10:])
+    assert len(gains) > 1 and gains[:-1].min() >= 2e-4 * nodes.weight.sum() > gains[-1]
+
+
+@pytest.mark.parametrize("robots", [1, 2])
+def test_whatever_the_nodes_a_way_holds_of_the_best_strategy(robots: int) -> None:
+    """Rows of any far side of any node leave the optimum in."""
+    draw = np.random.default_rng(8)
+    for seed in range(30):
+        world, starts = tiny_world(seed, 2, 4), np.array([[0, 0]] * robots)
+        best, nodes = optimum(world, starts), contract(world, starts)
+        assert best is not None
+        programme = Programme(nodes)
+        for node in np.flatnonzero(nodes.starts == 0).tolist():
+            for _ in range(8):
+                inside = draw.random(len(nodes.weight)) < 0.6
+                inside[node] = True
+                programme.add([way_within(nodes, node, inside)])
+        visited, dual = programme.solve()[1:]
+        proven = certified(nodes, programme.rows, dual)
+        assert best <= proven <= nodes.weight @ visited + 1e-5
+        assert best <= flow_bound(nodes)
+
+
+def test_half_a_robot_does_not_fill_a_room_by_going_round_in_it() -> None:
+    """Beyond a door of p a ring of danger: what gets in is what is visited there, however often it goes round."""
+    world = World.create([[0.0, 0.5, 0.1, 0.1], [np.nan, np.nan, 0.1, 0.0], [0.0, 0.5, 0.1, 0.1], [0.0, 0.0, 0.0, 0.0]])
+    nodes = contract(world, np.array([[3, 0]]))
+    moves, visited, _ = Programme(nodes).solve()
+    found = list(missing_ways(nodes, moves, visited))
+    assert found and all(visited[way.node] > way.free + way.share @ moves[way.moves] for way in found)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_whatever_the_prices_no_walk_of_one_robot_brings_more_than_they_prove(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, draw = tiny_world(seed, 3, 4), np.random.default_rng(seed)
+    nodes = contract(world, np.array([[0, 0]]))
+    programme = Programme(nodes)
+    moves, visited, _ = programme.solve()
+    rows = [Spend(np.flatnonzero(nodes.threat), 1.0), *missing_ways(nodes, moves, visited)]
+    best = optimum(world, [[0, 0]])
+    monkeypatch.setattr(single, "REMEMBERED", seed % 3)
+    for rounds in (1, 2, 5, 60):
+        monkeypatch.setattr(single, "ROUNDS", rounds)
+        arrive, prices = draw.exponential(0.5, len(nodes.weight)), draw.exponential(0.2, len(rows))
+        assert best is None or best <= single.single_bound(nodes, rows, arrive, prices)
+
+
+def test_a_walk_is_held_to_one_order_of_two_rooms() -> None:
+    """Left and right of the start a door of .5 before 6 cells: the second room is had by who passed three times.
+
+    1 + (1 + 6 / 2) + (1 + 6 / 2) / 4 cells; the programme sends half a robot each way first.
+    """
+    world = World.create([[0.0] * 6 + [0.5, 0.0, 0.5] + [0.0] * 6])
+    assert optimum(world, [[0, 7]]) == 6.0
+    flow = any_strategy(world, [[0, 7]]).flow
+    assert flow is not None and 6.0 <= flow < 6.2 < flow_bound(contract(world, np.array([[0, 7]])), rounds=ROUNDS - 1)
+
+
+def test_ways_are_what_makes_it_sharp() -> None:
+    """2 points or more on the map of the other test, and whoever asks for none has the rest."""
+    world = random_world(pattern=ThreatPattern(kind="scattered", seed=0))
+    starts = place_starts(world, 4)[0]
+    with_ways, without = (any_strategy(world, starts, ways=ways).flow for ways in (True, False))
+    assert with_ways is not None and without is not None
+    assert with_ways < without - 0.02 * world.accessible(starts).sum()
+
+
+def test_most_stopped_is_the_expectation_rounded_up() -> None:
+    threat = np.array([0.1, 0.25, 0.5, 0.9, 0.03])
+    for robots in (1, 2, 5):
+        exact = Fraction(0)
+        for hits in product((0, 1), repeat=len(threat)):
+            chance = Fraction(1)
+            for p, hit in zip(map(Fraction, threat.tolist()), hits, strict=True):
+                chance *= p if hit else 1 - p
+            exact += chance * min(robots, sum(hits))
+        found = Fraction(float(most_stopped(threat, robots)[-1]))
+        assert exact <= found <= exact + Fraction(1, 10**12)
+
+
+def test_unasked_on_a_larger_map_in_fewer_rounds_and_not_among_many_dangers(monkeypatch: pytest.MonkeyPatch) -> None:
+    rounds: list[int] = []
+    monkeypatch.setattr("analysis.theory.upper_bound.flow_bound", lambda nodes, most, ways: rounds.append(most) or 0.0)
+    for side, danger in ((20, 0.1), (30, 0.1), (40, 0.1), (40, 0.0)):
+        for flow in (None, True):
+            any_strategy(World.create(np.full((side, side), danger)), [[0, 0]] * 2, flow)
+    assert rounds == [200, 200, 12, 200, 200, 12, 200]
+
+
+def test_where_nothing_is_dangerous_every_cell_may_be_visited() -> None:
+    assert any_strategy(World.create([[0.0, 0.0, np.nan, 0.0]]), [[0, 0]]).cells == 2
+
+
+def test_evaluate_says_it_where_it_holds() -> None:
+    """In the sentence, the JSON and the answer; not where only first visits are checked, nor where it is not wanted."""
+    world = random_world(10, 10, ThreatPattern(areas=4, seed=1))
+    answer = mrac.evaluate(world, 2, rollouts=64)
+    limit = any_strategy(world, answer.plan.starts).cells
+    assert answer.to_json()["bounds"]["any_strategy"] == limit == answer.bounds.least.cells
+    said = as_text(lambda console: print_report(evaluation_report(answer), console))
+    assert (
+        f"No strategy visits more than {np.ceil(1e4 * limit / answer.tally.accessible) / 100:.2f} % on average" in said
+    )
+    for choice in ({"first_visit": True}, {"bound": False}):
+        other = mrac.evaluate(world, 2, rollouts=64, **choice)
+        assert other.to_json()["bounds"]["any_strategy"] is None
+        assert "No strategy" not in as_text(
+            lambda console, shown=other: print_report(evaluation_report(shown), console)
+        )
+
+
+def test_the_bound_is_on_the_mean_wherever_it_is_said(tmp_path: Path) -> None:
+    """Half of the runs on this row visit more than the bound: terminal, summary, page and value say "on average"."""
+    world = World.create([[0, 0.5, 0, 0, 0, 0]])
+    answer = mrac.evaluate(world, 1, rollouts=400, metrics="coverage", deadline=3)
+    bound, tally = answer.bounds.least.cells, answer.tally
+    assert tally.visited[int(bound) + 1 :].sum() > 0.4 * tally.rollouts
+    answer.save(tmp_path)
+    said = (
+        as_text(lambda console: print_report(evaluation_report(answer, theory=True), console)),
+        str(answer),
+        *(page.read_text() for page in tmp_path.rglob("*.html")),
+        as_text(lambda console: print_report(check_report(mrac.check(world, 1)), console)),
+    )
+    for text in said:
+        for words in text.split("trategy exceeds")[1:] + text.split("trategy visits more")[1:]:
+            assert "average" in words[:60], words[:60]
+    assert "it does not know the deadline" in " ".join(said[0].split())
+
+
+def test_of_a_range_the_bound_knows_what_is_too_far() -> None:
+    """Seven safe cells, moves for two: three can be visited, and no strategy does more."""
+    world = World.create([[0.0, 0.1, 0, 0, 0, 0, 0]])
+    answer = mrac.evaluate(world, mrac.plan(world, 1, range=2), rollouts=64)
+    assert 2.7 < answer.bounds.least.cells <= 3
+    said = " ".join(as_text(lambda console: print_report(evaluation_report(answer), console)).split())
+    assert (
+        "% on average with this team on this map (proven; of the range it knows only which cells are too far)" in said
+    )
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_of_robots_that_come_home_the_bound_knows_the_way_home(seed: int) -> None:
+    """Above the optimum of a robot that comes home, also recharged, to its start or a base elsewhere; and it is less
+    than that of a robot that stays where it ends, where cells are too far to come home from.
+    """
+    world, draw = tiny_world(seed, 2, 4), np.random.default_rng(seed)
+    free = [tuple(cell) for cell in np.argwhere(world.accessible([[0, 0]])).tolist()]
+    for bases in ([(0, 0)], [free[int(draw.integers(len(free)))], (0, 0)]):
+        for moves, recharge in ((2, None), (3, None), (2, 3), (4, 1), (5, None)):
+            home = "home" if bases == [(0, 0)] else tuple(bases)
+            settings = Settings(range=moves, return_to=home, recharge=recharge)
+            plan = allocated_plan(world, [[0, 0]], settings)
+            best, can = best_that_comes_home(world, moves, bases, recharge is not None)
+            assert {tuple(cell) for cell in np.argwhere(within(world, plan)).tolist()} == can
+            assert best <= any_strategy(trimmed(world, plan), [[0, 0]]).cells + 1e-9
+            assert closed_loop_exact(make_plan(world, [[0, 0]], settings), world).visited <= best + 1e-9
+
+
+def test_what_is_too_far_to_come_home_from_is_not_in_the_bound() -> None:
+    """Seven safe cells, moves for four: the third cell is the last from which a robot comes home, charged or not."""
+    world = World.create([[0.0, 0.1, 0, 0, 0, 0, 0]])
+    for recharge in (None, 2):
+        plan = mrac.plan(world, 1, range=4, return_to="home", recharge=recharge)
+        answer = mrac.evaluate(world, plan, rollouts=64)
+        assert 2.7 < answer.bounds.least.cells <= 3
+        assert answer.rest is not None
+        said = next(iter(rest_words(answer, answer.rest)))
+        assert "4 accessible cells (57.1 %) are too far for any robot to visit and come home" in said
+    ends = mrac.evaluate(world, mrac.plan(world, 1, range=4), rollouts=64)
+    assert 4.4 < ends.bounds.least.cells <= 5
+
+
+def test_check_says_the_optimum_of_a_tiny_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In table, JSON and page, above both loops; not where it is dear, and not of first visits in the closed loop."""
+    world = tiny_world(3, 2, 4)
+    world.save(tmp_path / "map.npz")
+    found = mrac.check(world, 1)
+    checks = {check.key: check for check in found.checks if check.formula == "optimum"}
+    assert set(checks) == {"optimum/visited/open", "optimum/visited/closed"}
+    best = optimum(world, [[0, 0]])
+    assert all(check.value == best and check.verdict == "holds" for check in checks.values())
+    assert run(["check", str(tmp_path / "map.npz"), "--out", str(tmp_path / "out")]) == 0
+    assert f"{best:.2f}" in next(
+        line for line in capsys.readouterr().out.splitlines() if "coverage of the best strategy" in line
+    )
+    assert '"key": "optimum/visited/closed"' in (tmp_path / "out" / "check.json").read_text()
+    assert "coverage of the best strategy" in (tmp_path / "out" / "index.html").read_text()
+    large = mrac.check(random_world(10, 10, ThreatPattern(areas=4, seed=1)), 2, rollouts=64)
+    assert "optimum" not in {check.formula for check in large.checks}
+    assert run(["check", str(tmp_path / "map.npz"), "--threat-checks", "first_visit", "--json"]) == 0
+    assert "optimum/visited/closed" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_strategy_covers_more_value(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    threat = rng.choice([0.0, 0.1, 0.4, 0.7], (2, 4)).astype(np.float32)
+    value = rng.choice([0.0, 1.0, 3.5, 1e6], (2, 4))
+    value[0, 0] = 1.0
+    world = World.create(threat, value=value)
+    bound = value_bound(world, [[0, 0]])
+    best = best_of_one_robot(world)
+    assert best <= bound * (1 + 1e-12)
+    assert bound <= value.sum() * (1 + 1e-12)
+    ones = World.create(threat, value=np.ones((2, 4)))
+    assert value_bound(ones, [[0, 0]]) == pytest.approx(value_bound(World.create(threat), [[0, 0]]), rel=1e-9)
+    assert best_of_one_robot(ones) <= value_bound(ones, [[0, 0]]) + 1e-9
+
+
+# The bound for every strategy against the best strategy there is, on worlds so small that it can be found.
+
+
+@pytest.mark.slow
+def test_the_programme_is_never_below_the_optimum_on_10000_worlds() -> None:
+    for seed in range(10_000):
+        world = tiny_world(seed, 2, 5) if seed % 2 else tiny_world(seed, 3, 3)
+        starts = [[0, 0]] * (1 + seed % 3 // 2)
+        best, bound = optimum(world, starts), flow_bound(contract(world, np.array(starts)))
+        assert best is None or best <= bound, seed

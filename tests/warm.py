@@ -1,0 +1,24 @@
+"""Compiles the programs of the closed loop, so that processes of tests find them (`python tests/warm.py RULE`)."""
+
+from __future__ import annotations
+
+import sys
+
+from planner.mrac.make_plan import make_plan
+from planner.settings import Settings
+from planner.simulator.closed_loop import compile_closed_loop, run_range
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
+
+
+def main(rule: str) -> None:
+    """Missions of one rule: a plain one, one that searches for distances, and one with all features."""
+    world = random_world(pattern=ThreatPattern(seed=3))
+    starts = place_starts(world, 4)[0]
+    for more in ({}, {"transit": "area"}, {"wear": 2.0}):
+        loop = compile_closed_loop(make_plan(world, starts, Settings(policy=rule, **more)), world)
+        run_range(loop, 0, 0, 64, threads=1, singles=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
