@@ -402,8 +402,6 @@ def walled(walls: int) -> World:
     return World.create(threat)
 
 
-def limited(loop: ClosedLoop, *first: int) -> ClosedLoop:
-    """The loop with other ways to find distances: the first of its `Tables.limits`."""
-    limits = loop.tables.limits.copy()
-    limits[: len(first)] = first
-    return replace(loop, tables=loop.tables._replace(limits=limits))
+def limited(loop: ClosedLoop, nearby: int, wide: int, patience: int) -> ClosedLoop:
+    """The loop with other ways to find distances."""
+    return replace(loop, tables=loop.tables._replace(nearby=nearby, wide=wide, patience=patience))

@@ -28,11 +28,11 @@ POLICIES: tuple[dict[str, Any], ...] = (
     {}, {"policy": "per_cell"}, {"policy": "per_cell", "reserve": 0.5, "worth": 9.0},
 )  # fmt: skip
 KERNELS: dict[Any, tuple[str, ...]] = {
-    runners: ("run_set", "run_attentive"),
+    runners: ("run_set",),
     numba_engine: ("_count_drawn_once", "_count_joint"),
 }
 DISTANCES = ((True, None), (False, None), (False, (0, 1, 1)))
-"""From tables, from rows, and from searches as if all were far; with their `Tables.limits`."""
+"""From tables, from rows, and from searches as if all were far; with `nearby`, `wide` and `patience` of `Tables`."""
 SEED, ROLLOUTS = 1, 2
 seen = 0
 

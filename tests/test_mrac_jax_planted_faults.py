@@ -107,16 +107,15 @@ QUICK = (
 )
 STALE_FLAG = Fault(
     "planner/simulator/rollouts.py",
-    "    copy_row(flat(of.robots), flat(to.robots), len(of.robots) * ROBOT_WORDS)\n",
-    "    for robot in range(len(of.robots)):\n        for word in range(ROBOT_WORDS):\n"
-    "            if word != ROBOT_WORDS - 3:\n                to.robots[robot, word] = of.robots[robot, word]\n",
+    "    copy_row(of.robots, to.robots, len(of.robots))\n",
+    "    for robot in range(len(of.robots)):\n        held = to.robots[robot].held\n"
+    "        to.robots[robot] = of.robots[robot]\n        to.robots[robot].held = held\n",
 )
-"""Whether a robot is held is the last but two of its words."""
 COMPILED = {
     "classical hit before the cell is marked": Fault(
         "planner/simulator/visits.py",
-        "    s.marks[ALIVE] -= 1\n",
-        "    s.marks[ALIVE] -= 1\n    s.marks[COVERED] -= s.home[cell] & VISITED\n"
+        "    s.marks.alive -= 1\n",
+        "    s.marks.alive -= 1\n    s.marks.covered -= s.home[cell] & VISITED\n"
         "    s.home[cell] = np.int64(s.home[cell]) >> 1 << 1\n",
     ),
     "classical component lost": Fault(
@@ -126,8 +125,8 @@ COMPILED = {
     ),
     "classical path remembered goes on in an area that was shared": Fault(
         "planner/simulator/paths.py",
-        "    robots[robot, AHEAD], robots[robot, PATH] = ahead, 0\n",
-        "    if searched:\n        robots[robot, AHEAD], robots[robot, PATH] = ahead, 0\n",
+        "    robots[robot].ahead, robots[robot].path = ahead, 0\n",
+        "    if searched:\n        robots[robot].ahead, robots[robot].path = ahead, 0\n",
     ),
     "jax prefix a step short": Fault(
         "mrac_jax/closed_loop/beginning.py",

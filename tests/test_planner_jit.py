@@ -28,7 +28,7 @@ IN_FLOATING_POINT = """
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
 import planner.simulator.areas, planner.simulator.failure_sampling, planner.simulator.paths, planner.simulator.rollouts
-import planner.simulator.runs, planner.simulator.visits
+import planner.simulator.fixed_paths, planner.simulator.solo, planner.simulator.step, planner.simulator.visits
 from planner.simulator.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.world.world import World
@@ -36,7 +36,7 @@ from planner.world.world import World
 world = World.create([[0.0, 0.1, 0.0]])
 run_range(compile_closed_loop(make_plan(world, [[0, 0]]), world), 1, 0, 2, threads=1)
 seen = 0
-for room in ("areas", "failure_sampling", "paths", "rollouts", "runs", "visits"):
+for room in ("areas", "failure_sampling", "paths", "rollouts", "fixed_paths", "solo", "step", "visits"):
     for name, function in vars(getattr(planner.simulator, room)).items():
         if isinstance(function, Dispatcher) and name not in ("least_word", "mass_stopped"):  # which round
             for compiled in function.overloads.values():

@@ -26,7 +26,7 @@ WAYS = {
     "rows": (0, 1_000, 0),
     "rows of who asks again": (0, 1_000, 1),
 }
-"""`Tables.limits`: NEAR, WIDE, PATIENCE."""
+"""`nearby`, `wide` and `patience` of `Tables`."""
 SEED, ROLLOUTS = 3, 300
 SURVEYED = ("contiguous-8", "combs-8", "crossings-0", "scattered-8", "many-levels-2", "disconnected-1")
 

@@ -91,14 +91,13 @@ def has_area(robots, robot):
     return doing in (TRAVELING, COVERING, STARTING)
 
 
-@kernel
+@rare_kernel
 def write_frame(log, s, step):
     """Write down where every robot is and what it does at the end of a step."""
-    if step < len(log.frames):
-        for robot in range(len(s.robots)):
-            log.frames[step, FRAME_CELL, robot] = s.robots[robot].cell
-            log.frames[step, FRAME_DOING, robot] = s.robots[robot].doing
-            log.frames[step, FRAME_AREA, robot] = s.robots[robot].area if has_area(s.robots, robot) else NONE
+    for robot in range(len(s.robots)):
+        log.frames[step, FRAME_CELL, robot] = s.robots[robot].cell
+        log.frames[step, FRAME_DOING, robot] = s.robots[robot].doing
+        log.frames[step, FRAME_AREA, robot] = s.robots[robot].area if has_area(s.robots, robot) else NONE
 
 
 @kernel

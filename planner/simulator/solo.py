@@ -30,7 +30,7 @@ def only_mover(t, p, s, log):
     # teams.
     alone = bits != 0 and bits & (bits - ONE) == 0 and (s.marks.open == 0 or s.waiting[0] == 0)
     noted = len(log.frames) > 0 or len(s.passes) > 0 or t.moving or t.learns
-    differ = len(t.pace) + len(t.type_of) + t.phased
+    differ = t.paced or t.mixed or t.phased
     if not alone or len(s.movers) != 1 or noted or t.returns or differ:
         return np.int64(NONE)
     if p is not None and len(p.most) > 0 and s.waiting[0] != 0:  # a robot that is held asks in every step

@@ -179,7 +179,7 @@ def encounter(t, s, c, w, how, ids):
     return verdict
 
 
-@kernel
+@rare_kernel
 def end_step(t, p, s, c, w, log, how, ids):
     """The end of a step: robots learn, and the run may end: an Outcome, else NONE. AREAS_FULL: no room for areas."""
     group = s.marks
@@ -189,9 +189,10 @@ def end_step(t, p, s, c, w, log, how, ids):
             return np.int64(AREAS_FULL)
         group.progress |= got
     group.quiet = 0 if group.progress else group.quiet + 1
-    if t.returns and not call_home(t, s, w, log, over_by(t, p, s, w, np.int64(is_over(t, s)))):
+    if t.returns and not call_back(t, p, s, w, log):
         return np.int64(AREAS_FULL)
-    write_frame(log, s, group.step)
+    if group.step < len(log.frames):
+        write_frame(log, s, group.step)
     outcome = over_by(t, p, s, w, np.int64(end_of(t, s, how)))
     if outcome != NONE:
         return outcome
@@ -201,6 +202,12 @@ def end_step(t, p, s, c, w, log, how, ids):
     group.step += 1
     group.progress = 0
     return outcome
+
+
+@rare_kernel
+def call_back(t, p, s, w, log):
+    """Robots return to base that are due, all once the mission is over. False: no room for areas."""
+    return call_home(t, s, w, log, over_by(t, p, s, w, np.int64(is_over(t, s))))
 
 
 @kernel

@@ -178,7 +178,8 @@ def lose(t, s, c, w, log, robot):
     drop(s.movers, robot)
     drop(s.waiting, robot)
     s.robots[robot].doing = DEAD
-    s.marks.changes += np.int64(t.mixed)  # prices go by who is alive
+    if t.mixed:
+        s.marks.changes += 1  # prices depend on the types of the robots alive
     note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
     # Nobody is left to take what it leaves.
     if s.marks.alive == 0 and len(log.events) == 0:
