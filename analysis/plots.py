@@ -12,10 +12,9 @@ from matplotlib.figure import Figure
 
 from analysis.checking.check import MapCheck
 from analysis.evaluation.answer import Evaluation
-from analysis.pictures.maps import plan_figure
-from analysis.pictures.style import house_style
+from analysis.pictures import house_style, plan_figure
 from analysis.report.answer import Answer, report_of
-from analysis.report.picture import figure_of
+from analysis.report.rendering import figure_of
 from analysis.search.pareto import Front
 from analysis.search.start_positions import Starts
 from analysis.search.team_size import TeamSize

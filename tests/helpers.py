@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.cli.app import run
-from analysis.statistics.control_variate import LEAST
+from analysis.statistics.variance_reduction import LEAST
 from planner.failure_model import key_of, threefry2x32
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan

@@ -30,10 +30,11 @@ from analysis.evaluation.table import WORDS
 from analysis.sampling import RolloutChoices
 from analysis.theory.bounds import Theorem3, all_bounds, connecting_cells
 from analysis.theory.exact import open_loop_exact
-from analysis.theory.formulas import FORMULAS, Direction
 from analysis.theory.upper_bound import any_strategy
 from analysis.theory.verdicts import (
+    FORMULAS,
     Check,
+    Direction,
     Truth,
     Verdict,
     badness,

@@ -24,7 +24,7 @@ from analysis.cli.app import app
 from analysis.evaluation.report import report
 from analysis.report.answer import print_report, report_of
 from analysis.sampling import RolloutChoices, make_singles
-from analysis.utils.folder import as_text
+from analysis.utils.tables import as_text
 from planner.errors import InputError
 from planner.formatting import percent
 from planner.mrac.simulate import ReferenceLoop

@@ -26,13 +26,12 @@ from analysis.evaluation.layers import run_of, runs
 from analysis.evaluation.outputs.information import Knowledge, entropy_of, parse_ranges
 from analysis.evaluation.report import report, rest_words
 from analysis.inputs import Asked, load_task
-from analysis.pictures.style import house_style
+from analysis.pictures import house_style
 from analysis.recording.pictures import RolloutPicture
 from analysis.recording.replay import replay
 from analysis.recording.viewers.topics import Stage
 from analysis.report.answer import print_report
-from analysis.report.html import page_of
-from analysis.report.picture import figure_of
+from analysis.report.rendering import figure_of, page_of
 from analysis.sampling import RolloutChoices
 from analysis.theory.verdicts import longest_run
 from planner.errors import InputError, UsageError

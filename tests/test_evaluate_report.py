@@ -56,8 +56,7 @@ from analysis.sweeps.report import percent as sweep_percent
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import Verdict, overall
-from analysis.utils.folder import as_text
-from analysis.utils.tables import plan_words, span_words, without_level
+from analysis.utils.tables import as_text, plan_words, span_words, without_level
 from planner.formatting import (
     UNPACED,
     at_least_words,

@@ -28,7 +28,7 @@ from analysis.comparison import compare, make_side
 from analysis.evaluation.evaluate import evaluate
 from analysis.recording.contents import read_rollouts
 from analysis.recording.log_reader import open_log
-from analysis.report.minutes import with_minutes
+from analysis.report.answer import with_minutes
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.results import outcomes_of, select
 from analysis.sweeps.spec import PLANNER

@@ -26,11 +26,11 @@ from analysis.api import questions as searches
 from analysis.cli.app import app, run
 from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
-from analysis.utils import compiling, progress
+from analysis.utils import progress
+from analysis.utils import progress as compiling
 from analysis.utils import progress as shown
-from analysis.utils.compiling import Announcer
 from analysis.utils.notes import of_things
-from analysis.utils.progress import Interrupted, ask
+from analysis.utils.progress import Announcer, Interrupted, ask
 from analysis.utils.tables import SafeConsole
 from planner import jit
 from planner.jit import NO_CACHE

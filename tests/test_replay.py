@@ -20,7 +20,7 @@ from recordings import SEED, Change, edited, foreign_plan, keep, nth, rewrite, s
 
 from analysis.estimators.racing import plan_best
 from analysis.inputs import Asked, load_or_make_plan
-from analysis.pictures.style import OBSTACLE, SAFE, house_style
+from analysis.pictures import OBSTACLE, SAFE, house_style
 from analysis.recording import contents
 from analysis.recording import pictures as animation
 from analysis.recording.contents import read_outcomes, read_rollouts

@@ -31,8 +31,8 @@ from analysis.search.start_positions import find_starts
 from analysis.search.team_size import Goal as SizeGoal
 from analysis.search.team_size import TeamVerdict, find_size, make_goal
 from analysis.search.threat_removal import find_clearing
-from analysis.statistics.control_variate import LEAST
 from analysis.statistics.estimates import Estimate, bet_interval
+from analysis.statistics.variance_reduction import LEAST
 from analysis.theory.exact import Worth
 from analysis.utils.tables import policy_words
 from planner.mrac.make_plan import make_plan

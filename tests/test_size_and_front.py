@@ -31,7 +31,7 @@ from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.advice import Advice
 from analysis.evaluation.outputs.what_if import ThreatScale
 from analysis.report.answer import print_report
-from analysis.report.html import page_of
+from analysis.report.rendering import page_of
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.search import pareto as search
 from analysis.search.pareto import (
@@ -72,8 +72,8 @@ from analysis.search.team_size import (
     smallest_enough,
     team_ideals,
 )
-from analysis.statistics.control_variate import tally_mean
 from analysis.statistics.estimates import chance_interval, exactly, mean_interval, share_of_doubt
+from analysis.statistics.variance_reduction import tally_mean
 from analysis.theory.bounds import ideal_team
 from analysis.theory.exact import poisson_binomial
 from planner.errors import InputError, UsageError

@@ -24,8 +24,8 @@ from analysis.cli.app import run
 from analysis.evaluation.answer import Evaluation
 from analysis.experiments.information_value import Team, study_knowing
 from analysis.sampling import RolloutChoices
-from analysis.statistics.control_variate import BESIDE, expected_pieces, pieces
 from analysis.statistics.estimates import Estimate
+from analysis.statistics.variance_reduction import BESIDE, expected_pieces, pieces
 from analysis.sweeps import report
 from analysis.sweeps import results as rows
 from analysis.sweeps.cases import Generated, Places, Written

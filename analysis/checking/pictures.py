@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from analysis.checking.check import MapCheck
 from analysis.checking.survey import Survey
-from analysis.pictures.style import FAINT, GRID, INK, WIDTH, heading, inches, new_figure, plain, whole_ticks
-from analysis.theory.formulas import FORMULAS, Direction
-from analysis.theory.verdicts import Check, Verdict
+from analysis.pictures import FAINT, GRID, INK, WIDTH, heading, inches, new_figure, plain, whole_ticks
+from analysis.theory.verdicts import FORMULAS, Check, Direction, Verdict
 from planner.formatting import counted
 
 VERDICT_COLOURS = {

@@ -28,8 +28,7 @@ from analysis.page.charts import Chart, Series
 from analysis.report.answer import Answer
 from analysis.sampling import Exactness, RolloutChoices
 from analysis.statistics.estimates import Estimate, over_maps, proportion
-from analysis.theory.formulas import FORMULAS
-from analysis.theory.verdicts import FIGURES, Check, Verdict, proven_failures
+from analysis.theory.verdicts import FIGURES, FORMULAS, Check, Verdict, proven_failures
 from analysis.utils.notes import ProgressCallback
 from analysis.utils.pool import Pool, wanted_processes
 from planner.arguments import argument, whole

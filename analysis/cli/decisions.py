@@ -35,7 +35,6 @@ from analysis.cli.options import (
     one_of,
     path,
 )
-from analysis.report.minutes import with_minutes
 from analysis.utils.notes import say
 from planner.arguments import FRACTION, is_whole, whole
 from planner.errors import UsageError
@@ -272,6 +271,8 @@ def _lines(stream: BinaryIO) -> Iterator[str]:
 
 
 def _tell(lines: Iterable[dict[str, Any]], pace: Pace) -> None:
+    from analysis.report.answer import with_minutes
+
     for line in lines:
         print(json.dumps(with_minutes(line, pace), allow_nan=False, separators=(",", ":")), flush=True)  # noqa: T201
 
@@ -355,8 +356,7 @@ def studio(
     from analysis.sampling import RolloutChoices
     from analysis.studio.page import Sketch, raster_of
     from analysis.studio.server import Studio, serve
-    from analysis.utils.compiling import ANNOUNCER, notice_compiling
-    from analysis.utils.progress import lines_now_and_then, run_loop
+    from analysis.utils.progress import ANNOUNCER, lines_now_and_then, notice_compiling, run_loop
     from planner.settings import Choices
 
     team = team or Team()

@@ -105,8 +105,8 @@ def results(
             if file is not None:
                 write(opened, wanted, file)
     if plot is not None:
-        from analysis.pictures.style import png_of
-        from analysis.report.picture import charts_figure
+        from analysis.pictures import png_of
+        from analysis.report.rendering import charts_figure
         from planner.files import atomic_write
 
         with atomic_write(plot, "wb") as out:

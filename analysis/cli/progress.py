@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from analysis.theory.exact import open_loop_exact
-from analysis.utils.compiling import compiling_elsewhere
-from analysis.utils.progress import Watch, show_progress
+from analysis.utils.progress import Watch, compiling_elsewhere, show_progress
 from analysis.utils.tables import bearing_words, make_table, plan_words, span_words
 from planner.formatting import counted, in_percent
 from planner.plan.plan import Plan, drive_of

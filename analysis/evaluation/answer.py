@@ -16,13 +16,13 @@ from analysis.evaluation.figures import Coverage, Expected, Figures, Known, Limi
 from analysis.evaluation.outputs.output import Blocks, Output
 from analysis.report.answer import Answer
 from analysis.sampling import RolloutChoices, home_of, make_singles
-from analysis.statistics.control_variate import Controlled, of_tally
 from analysis.statistics.estimates import Amount, Estimate, exactly
+from analysis.statistics.variance_reduction import Controlled, of_tally
 from analysis.theory.bounds import Bounds, all_bounds
 from analysis.theory.exact import OpenLoopExact
-from analysis.theory.formulas import FORMULAS
 from analysis.theory.upper_bound import AnyStrategy, any_strategy, trimmed
 from analysis.theory.verdicts import (
+    FORMULAS,
     Check,
     ClosedTruth,
     Verdict,
@@ -44,7 +44,7 @@ from planner.world.world import World
 
 if TYPE_CHECKING:  # they take matplotlib
     from analysis.evaluation.layers import Layers
-    from analysis.page.paths import Run
+    from analysis.page.maps import Run
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -13,8 +13,8 @@ from analysis.evaluation.outputs.output import Output, Run
 from analysis.evaluation.outputs.table import OUTPUTS
 from analysis.evaluation.outputs.what_if import alike
 from analysis.sampling import RolloutChoices, Stage, check_deadline, knowing_deadline, make_roll_out
-from analysis.statistics.control_variate import tally_mean
 from analysis.statistics.estimates import FIRST_LOOK, looks
+from analysis.statistics.variance_reduction import tally_mean
 from analysis.theory.exact import open_loop_exact
 from analysis.utils.notes import Doing, ProgressCallback, quiet
 from planner.arguments import argument

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.trial import SLACK
-from analysis.statistics.control_variate import complete_chance, tally_mean
 from analysis.statistics.estimates import (
     AT_LEAST,
     MOST_DIGITS,
@@ -28,6 +27,7 @@ from analysis.statistics.estimates import (
     quantile,
     quantiles,
 )
+from analysis.statistics.variance_reduction import complete_chance, tally_mean
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.upper_bound import moves_left, within
 from analysis.theory.verdicts import MEANINGS

@@ -15,8 +15,7 @@ from analysis.evaluation.outputs.output import Row, coverage_row, known_words
 from analysis.report.model import Part
 from analysis.statistics.estimates import AT_LEAST, losses_shown, of_all
 from analysis.theory.bounds import Theorem3
-from analysis.theory.formulas import FORMULAS
-from analysis.theory.verdicts import MEANINGS, Verdict
+from analysis.theory.verdicts import FORMULAS, MEANINGS, Verdict
 from analysis.utils.tables import make_table
 from planner.formatting import at_least_words, in_percent, percent
 from planner.plan.plan import drive_of

@@ -22,8 +22,8 @@ from analysis.recording.viewers.topics import Clock, Message, Stage, layout_json
 from analysis.report.answer import Answer
 from analysis.statistics.estimates import quantile
 from analysis.theory.bounds import all_bounds
-from analysis.utils.compiling import compiles_for
 from analysis.utils.notes import Doing, ProgressCallback, quiet
+from analysis.utils.progress import compiles_for
 from planner.arguments import SEED, Numbers, argument, check_word
 from planner.errors import UsageError
 from planner.failure_model import key_of, threefry2x32

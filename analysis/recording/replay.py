@@ -32,8 +32,8 @@ from analysis.recording.viewers import topics as schemas
 from analysis.recording.viewers.topics import DATA_TOPICS, Message, Stage, type_of
 from analysis.report.model import Part, Report
 from analysis.theory.bounds import all_bounds
-from analysis.utils.compiling import compiles_for
 from analysis.utils.notes import ProgressCallback
+from analysis.utils.progress import compiles_for
 from analysis.utils.tables import make_table
 from planner.arguments import argument
 from planner.errors import PER_VISIT, InputError, PlanError

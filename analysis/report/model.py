@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-    from analysis.page.maps import CellLayer
-    from analysis.page.paths import Run
+    from analysis.page.maps import CellLayer, Run
     from planner.files import Json
     from planner.plan.plan import Plan
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from analysis.estimators.racing import Halving, check_search, screened
 from analysis.estimators.trial import Measured, Trial, alike
-from analysis.report.searched import Searched
+from analysis.report.answer import Searched
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate
+from analysis.theory.bounds import reach_chances
 from analysis.theory.exact import Worth, coverage_gradient
-from analysis.theory.own_bounds import reach_chances
 from analysis.theory.upper_bound import MOST_CELLS, any_strategy, value_bound
 from analysis.utils.notes import Doing, ProgressCallback, quiet
 from planner.arguments import argument, check_word, whole

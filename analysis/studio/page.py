@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from analysis.estimators.trial import Measured
 from analysis.page.document import TEMPLATES, Html, asset, page_head, policy, whole_script
-from analysis.pictures.style import COVERED, FOG, LOSSES, OBSTACLE, SAFE, SHADES, THREAT, UNREACHABLE
+from analysis.pictures import COVERED, FOG, LOSSES, OBSTACLE, SAFE, SHADES, THREAT, UNREACHABLE
 from analysis.statistics.estimates import Estimate, losses_shown, lost_words
 from analysis.theory.exact import OpenLoopExact
 from analysis.utils.tables import without_level

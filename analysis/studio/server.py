@@ -30,12 +30,11 @@ from tornado.web import Application, HTTPError, RequestHandler
 
 from analysis.estimators.racing import with_eyes
 from analysis.estimators.trial import Measured, alike, closed_truth
-from analysis.page.maps import STEPS, CellLayer, packed_layer
-from analysis.page.paths import path_lines, thickness
-from analysis.pictures.style import COVERED, LOSSES
+from analysis.page.maps import STEPS, CellLayer, packed_layer, path_lines, thickness
+from analysis.pictures import COVERED, LOSSES
 from analysis.sampling import RolloutChoices, make_roll_out
-from analysis.statistics.control_variate import tally_mean
 from analysis.statistics.estimates import Estimate, exactly
+from analysis.statistics.variance_reduction import tally_mean
 from analysis.studio import page
 from analysis.studio.page import Sketch, command_words, palettes, read_sketch, security_headers, studio_page
 from analysis.theory.exact import OpenLoopExact, open_loop_exact

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.sampling import RolloutChoices
-from analysis.statistics.control_variate import put_right
+from analysis.statistics.variance_reduction import put_right
 from analysis.sweeps.cases import Case, Label
 from analysis.sweeps.engine import Done, Finished, Job, run_cases
 from analysis.sweeps.results import FIGURES, KEPT, Where, exact_of, figures_of, is_exact, labels_of, outcomes_of, select

@@ -16,8 +16,7 @@ from analysis.statistics.estimates import Estimate
 from analysis.sweeps.cases import RULES, Label, shown
 from analysis.sweeps.results import DIFFERENCES, EXACT, FIGURES, FRACTIONS, Results, Row
 from analysis.sweeps.sweep import Sweep
-from analysis.utils.folder import csv_text
-from analysis.utils.tables import make_table
+from analysis.utils.tables import csv_text, make_table
 from planner.arguments import argument
 from planner.files import Json
 from planner.formatting import counted, duration, in_percent

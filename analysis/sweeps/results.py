@@ -13,10 +13,16 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from analysis.report.answer import Answer
-from analysis.statistics.control_variate import BESIDE, beside_luck, complete_chance, tally_mean, weights_of
-from analysis.statistics.control_variate import FIGURES as BESIDE_LUCK
-from analysis.statistics.differences import NEGLIGIBLE
 from analysis.statistics.estimates import MISSED, Z95, Estimate
+from analysis.statistics.variance_reduction import (
+    BESIDE,
+    NEGLIGIBLE,
+    beside_luck,
+    complete_chance,
+    tally_mean,
+    weights_of,
+)
+from analysis.statistics.variance_reduction import FIGURES as BESIDE_LUCK
 from analysis.sweeps.cases import RULES, Label, shown
 from analysis.sweeps.engine import EARLIER, MAP_LABELS, Older, is_older, older_note
 from analysis.sweeps.spec import WORLD, is_path
@@ -30,10 +36,9 @@ from planner.tally import Outcome, Tally, counts_by_word
 # Means over maps, with intervals from the spread between maps.
 #
 # A map's mean is one observation: the interval of the mean over maps is Student's t of the map means, so the noise of
-# the
-# rollouts within each map is in it too. That noise is taken down by the rollouts' luck, which is known
-# (`analysis.statistics.control_variate`). The share of the variance that comes from within says what is worth more of:
-# maps, or rollouts on each.
+# the rollouts within each map is in it too. That noise is taken down by the rollouts' luck, which is known
+# (`analysis.statistics.variance_reduction`). The share of the variance that comes from within says what is worth more
+# of: maps, or rollouts on each.
 
 
 class Moments:
