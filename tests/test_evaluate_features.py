@@ -19,12 +19,12 @@ from test_record import decoded
 
 import mrac_jax as mrac
 from analysis.estimators.racing import MOST_MAPS, told_of_hazards
-from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.charts import threats
+from analysis.evaluation.evaluate import Evaluation
 from analysis.evaluation.figures import BEFORE, BEYOND, TO_DO, rest_of
 from analysis.evaluation.layers import run_of, runs
 from analysis.evaluation.outputs.information import Knowledge, entropy_of, parse_ranges
 from analysis.evaluation.report import report, rest_words
+from analysis.evaluation.tables import threats
 from analysis.inputs import Asked, load_task
 from analysis.pictures import house_style
 from analysis.recording.pictures import RolloutPicture

@@ -20,14 +20,12 @@ from PIL import Image
 from rich.table import Table
 
 import mrac_jax as mrac
-from analysis.checking.check import MapCheck, check_input
+from analysis.checking.check import MapCheck, Survey, check_input, make_survey, run_survey
 from analysis.checking.report import check_headline, check_report, survey_headline, survey_report
-from analysis.checking.survey import Survey, make_survey, run_survey
-from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.evaluate import Evaluation, evaluate
 from analysis.evaluation.layers import nominal, picked
 from analysis.evaluation.report import chances_words, headline, limit_words, losses_words, report
-from analysis.evaluation.table import formulas_words
+from analysis.evaluation.tables import formulas_words
 from analysis.page.charts import Chart, Series, curves_html, label, ticks
 from analysis.page.document import (
     FOLDED_FROM,

@@ -27,11 +27,10 @@ from PIL import Image
 
 import mrac_jax as mrac
 from analysis import pictures as plots_style
-from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.charts import bin_counts, histogram_bins, marks
-from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.evaluate import Evaluation, evaluate
 from analysis.evaluation.outputs.over_time import Band, Deadline, last_shown
 from analysis.evaluation.report import report
+from analysis.evaluation.tables import bin_counts, histogram_bins, marks
 from analysis.page.charts import Chart, Series
 from analysis.pictures import group_labels, house_style, label_width, map_layout, new_figure, png_bytes, png_of, ranges
 from analysis.report.answer import save_report

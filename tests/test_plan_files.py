@@ -23,11 +23,11 @@ from validate import validate
 import mrac_jax as mrac
 import planner.plan.plan_file
 from analysis.cli.app import run
-from analysis.cli.groups import Planning, PlanningToTheEnd, Second
+from analysis.cli.options import Planning, PlanningToTheEnd, Second
 from analysis.comparison import compare, make_side
 from analysis.evaluation.evaluate import evaluate
+from analysis.recording.container import open_log
 from analysis.recording.contents import read_rollouts
-from analysis.recording.log_reader import open_log
 from analysis.report.answer import with_minutes
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.results import outcomes_of, select

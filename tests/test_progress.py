@@ -205,7 +205,7 @@ def test_both_compilers_report_to_the_announcer_and_a_cache_does_not(tmp_path: P
         "import numba\n@numba.njit(cache=True)\ndef double(x):\n    return 2 * x\n"
     )
     code = (
-        "from analysis.utils import compiling\ncompiling.notice_compiling()\n"
+        "from analysis.utils import progress as compiling\ncompiling.notice_compiling()\n"
         "compiling.PATIENCE, seen, ends = 0.0, [], compiling.ANNOUNCER.ends\n"
         "compiling.ANNOUNCER.ends = lambda: (seen.append(compiling.ANNOUNCER.line()), ends())\n"
         + (jax_code if jax else numba_code).format(folder=str(tmp_path / "cache"))
@@ -444,8 +444,8 @@ def test_searches_pass_every_option_on(monkeypatch: pytest.MonkeyPatch) -> None:
     }
     rooms = {
         "starts": "start_positions",
-        "clear": "threat_removal",
-        "attack": "threat_placement",
+        "clear": "threats",
+        "attack": "threats",
         "front": "pareto",
         "size": "team_size",
     }

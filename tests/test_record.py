@@ -23,9 +23,9 @@ from recordings import SEED, foreign_plan, positions, small_recording, small_tas
 
 from analysis.recording import contents
 from analysis.recording import record as rolling
+from analysis.recording.container import open_log
 from analysis.recording.contents import read_outcomes, read_rollouts
 from analysis.recording.frames import Held, make_frames
-from analysis.recording.log_reader import open_log
 from analysis.recording.record import (
     OutcomeColumns,
     Pick,

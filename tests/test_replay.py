@@ -23,9 +23,9 @@ from analysis.inputs import Asked, load_or_make_plan
 from analysis.pictures import OBSTACLE, SAFE, house_style
 from analysis.recording import contents
 from analysis.recording import pictures as animation
+from analysis.recording.container import open_log, recover
 from analysis.recording.contents import read_outcomes, read_rollouts
 from analysis.recording.frames import AreaMap, Held, area_maps, event_line, make_frames
-from analysis.recording.log_reader import open_log, recover
 from analysis.recording.pictures import RolloutPicture, animation_gif, boxes_for, durations, picture_png, shown_steps
 from analysis.recording.record import Request, parse_picks, record
 from analysis.recording.replay import inspect, replay

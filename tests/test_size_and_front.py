@@ -26,7 +26,7 @@ from scipy.stats import binom
 
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.evaluation import answer
+from analysis.evaluation import evaluate as answer
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.advice import Advice
 from analysis.evaluation.outputs.what_if import ThreatScale
@@ -978,7 +978,7 @@ def test_files_are_written_though_the_reader_has_gone(
         raise BrokenPipeError
 
     monkeypatch.setattr(sys, "stdout", sys.stdout)  # the command puts another in its place
-    monkeypatch.setattr("analysis.cli.deliver.show", gone)
+    monkeypatch.setattr("analysis.cli.console.show", gone)
     assert run(["evaluate", world_file, "--rollouts", "500", "--loop", "open", "--out", str(tmp_path / "out")]) == 0
     sys.stdout.close()
     assert {"index.html", "evaluation.json", "plan.json"} <= {file.name for file in (tmp_path / "out").iterdir()}

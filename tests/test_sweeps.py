@@ -21,7 +21,7 @@ from scipy import stats
 import mrac_jax as mrac
 from analysis.cli import experiments as commands
 from analysis.cli.app import run
-from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.evaluate import Evaluation
 from analysis.experiments.information_value import Team, study_knowing
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate

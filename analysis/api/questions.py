@@ -11,9 +11,19 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, Unpack, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.api.options import FrontOptions, Loop, SearchOptions, SizeOptions, takes
-from analysis.api.plans import check_world, judge, plan, plan_of, settings_of
-from analysis.evaluation.answer import Evaluation
+from analysis.api.plans import (
+    FrontOptions,
+    Loop,
+    SearchOptions,
+    SizeOptions,
+    check_world,
+    judge,
+    plan,
+    plan_of,
+    settings_of,
+    takes,
+)
+from analysis.evaluation.evaluate import Evaluation
 from analysis.sampling import Exactness, RolloutChoices, how_much
 from analysis.utils.notes import Doing, ProgressCallback, UnknownArgument
 from analysis.utils.progress import Found, OnInterrupt, ask
@@ -33,8 +43,7 @@ if TYPE_CHECKING:
     from analysis.search.pareto import Front
     from analysis.search.start_positions import Starts
     from analysis.search.team_size import TeamSize
-    from analysis.search.threat_placement import Attack
-    from analysis.search.threat_removal import Clearing
+    from analysis.search.threats import Attack, Clearing
 
 
 @overload
@@ -125,7 +134,7 @@ def evaluate(
 
 def _check_outputs(asked: Mapping[str, Any]) -> None:
     """Raise UsageError for a keyword of `evaluate` that is neither an argument nor an output."""
-    from analysis.evaluation.outputs.table import OUTPUTS
+    from analysis.evaluation.evaluate import OUTPUTS
 
     known = [name for name, one in signature(evaluate).parameters.items() if one.kind is one.KEYWORD_ONLY]
     for name in asked.keys() - OUTPUTS.keys():
@@ -374,7 +383,7 @@ def clear(
         rollouts: of the last two threats that are left, the same for all.
         options: as of `front` (progress, on_interrupt too), and policy, reserve, worth, as of `plan`.
     """
-    from analysis.search.threat_removal import find_clearing
+    from analysis.search.threats import find_clearing
 
     settings, choices = _settings(world, options), _rollouts(options, rollouts=rollouts)
     placed = np.asarray(starts_of(world, robots, starts))
@@ -402,7 +411,7 @@ def attack(
         rollouts: of the last two places that are left, the same for all.
         options: as of `front` (progress, on_interrupt too), and policy, reserve, worth, as of `plan`.
     """
-    from analysis.search.threat_placement import find_attack
+    from analysis.search.threats import find_attack
 
     settings, choices = _settings(world, options), _rollouts(options, rollouts=rollouts)
     placed = np.asarray(starts_of(world, robots, starts))

@@ -9,8 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, Locator, NullLocator
 from numpy.typing import NDArray
 
-from analysis.checking.check import MapCheck
-from analysis.checking.survey import Survey
+from analysis.checking.check import MapCheck, Survey
 from analysis.pictures import FAINT, GRID, INK, WIDTH, heading, inches, new_figure, plain, whole_ticks
 from analysis.theory.verdicts import FORMULAS, Check, Direction, Verdict
 from planner.formatting import counted

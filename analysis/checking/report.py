@@ -9,8 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from analysis.checking.check import MapCheck, check_head, check_json, check_row
-from analysis.checking.survey import Row, Survey, survey_starts, survey_world
+from analysis.checking.check import (
+    MapCheck,
+    Row,
+    Survey,
+    check_head,
+    check_json,
+    check_row,
+    survey_starts,
+    survey_world,
+)
 from analysis.page.charts import Chart
 from analysis.report.answer import asked, json_end, map_words
 from analysis.report.model import CellMaps, KeyFigure, Part, Report
@@ -418,7 +426,7 @@ def _csv(survey: Survey) -> str:
 
 
 def _charts(survey: Survey) -> tuple[Chart, Chart]:
-    from analysis.checking.survey import coverage, failing
+    from analysis.checking.check import coverage, failing
 
     return failing(survey), coverage(survey)
 

@@ -17,38 +17,48 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, UnknownOptionError
 
-from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, may_replace, output_console
-from analysis.cli.decisions import Altitude, attack, clear, drive, export, starts, studio
-from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json, show
-from analysis.cli.experiments import reproduce, results, suite, sweep
-from analysis.cli.groups import (
-    Checking,
-    OfAnyPolicy,
-    Planning,
-    PlanningToTheEnd,
-    Rollouts,
-    Second,
-    SeeingTeam,
-    Sought,
-    Team,
-    Timed,
-    Traded,
-    Wanted,
+from analysis.cli.console import (
+    BAD_INPUT,
+    COMMAND,
+    DONE,
+    INTERRUPTED,
+    check_files,
+    check_folder,
+    check_streams,
+    deliver,
+    may_replace,
+    output_console,
+    print_json,
+    show,
 )
+from analysis.cli.decisions import Altitude, attack, clear, drive, export, starts, studio
+from analysis.cli.experiments import reproduce, results, suite, sweep
 from analysis.cli.options import (
     OUTPUT,
     PLANNING,
     ROLLOUTS,
     Bound,
+    Checking,
     Force,
     Input,
     Json,
     Kind,
     Metrics,
     Number,
+    OfAnyPolicy,
     OutPath,
+    Planning,
+    PlanningToTheEnd,
+    Rollouts,
+    Second,
+    SeeingTeam,
+    Sought,
     StateFile,
+    Team,
     Text,
+    Timed,
+    Traded,
+    Wanted,
     Whole,
     path,
     verbatim,
@@ -61,7 +71,7 @@ from planner.settings import BEST
 
 if TYPE_CHECKING:
     from analysis.comparison import Side
-    from analysis.evaluation.answer import Evaluation
+    from analysis.evaluation.evaluate import Evaluation
     from analysis.report.model import Report
     from planner.world.world import World
 
@@ -291,7 +301,7 @@ def _check_input(
 
 
 def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json: bool) -> int:
-    from analysis.checking.survey import make_survey, run_survey
+    from analysis.checking.check import make_survey, run_survey
     from analysis.cli.progress import show_pool_progress
 
     choices = make_survey(what.worlds or 0, what.kind, what.size, what.team_sizes(), planning.choices(), what.bound)

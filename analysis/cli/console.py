@@ -1,20 +1,29 @@
-"""Where the command line writes: results to standard output, notes to standard error, files checked beforehand."""
+"""Where the command line writes, and how every command ends: tables or JSON, files written, an exit status."""
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 import signal
 import sys
 import tempfile
 import threading
+from collections.abc import Iterable
 from contextvars import ContextVar
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from analysis.utils.notes import say
 from planner.errors import UsageError
+
+if TYPE_CHECKING:
+    from analysis.report.answer import Answer
+    from analysis.report.model import Report
+
+
+# Where the command line writes: results to standard output, notes to standard error, files checked beforehand.
 
 COMMAND: ContextVar[tuple[str, ...]] = ContextVar("command", default=())
 """The words of the command line that is being run, without the program's name."""
@@ -149,3 +158,65 @@ def keep_interrupts(own: signal.Signals) -> threading.Event:
     if waits:
         threading.Thread(target=pass_on, daemon=True).start()
     return came
+
+
+# How every command ends: the answer printed as tables or as JSON, files written, an exit status.
+
+DONE, CHECK_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+def deliver(
+    answer: Answer,
+    said: Report | None = None,
+    *,
+    out: Path | None = None,
+    as_json: bool = False,
+    notes: Iterable[str] = (),
+    command: str | None = None,
+    source: str | None = None,
+    beside: Iterable[Path | None] = (),
+    earlier: Report | None = None,
+) -> int:
+    """Print `answer`, save it to `out`, say the notes and what was written; returns the exit status.
+
+    It is saved even if nobody reads on what is printed (BrokenPipeError, raised afterwards).
+
+    Args:
+        said: its report, if it is not the one that everybody gets.
+        command: what made it, for the page, if not the command line that is being run.
+        source, beside: the INPUT, and files that were read beside it: they are not replaced.
+        earlier: its report of before, which is printed already.
+    """
+    from analysis.inputs import read_files
+    from analysis.report.answer import report_of, save_report
+    from analysis.utils.progress import show_progress
+
+    report, written, unread = said or report_of(answer), list[Path](), list[BrokenPipeError]()
+    try:
+        show(report, as_json, earlier)
+    except BrokenPipeError as error:
+        unread.append(error)
+    if out is not None:
+        with show_progress() as progress:
+            progress.doing("writing pictures and the page")
+            line = command_line() if command is None else command
+            written = save_report(report, out, line, read_files(source, *beside))
+    say([*notes, *(f"wrote {file}" for file in written)])
+    if unread:
+        raise unread[0]
+    return INTERRUPTED if answer.partial else CHECK_FAILED if report.faults else DONE
+
+
+def show(report: Report, as_json: bool, earlier: Report | None = None) -> None:
+    """Print a report as tables or as JSON; `earlier`: as of `print_report`."""
+    from analysis.report.answer import json_of, print_report
+
+    if as_json:
+        print_json(json_of(report))
+    else:
+        print_report(report, output_console(), earlier)
+
+
+def print_json(content: object) -> None:
+    """One JSON object on standard output, and nothing else."""
+    print(json.dumps(content, allow_nan=False), flush=True)  # noqa: T201

@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Literal, get_args
 
 from cyclopts import Group, Parameter
 
-from analysis.cli.console import check_files, check_folder
-from analysis.cli.deliver import DONE, deliver
-from analysis.cli.groups import CommonLuck, PlanningToTheEnd, Team, Together
+from analysis.cli.console import DONE, check_files, check_folder, deliver
 from analysis.cli.options import (
     GOAL,
     OUTPUT,
@@ -21,16 +19,20 @@ from analysis.cli.options import (
     ROLLOUTS,
     TEAM,
     CellSize,
+    CommonLuck,
     Input,
     Json,
     Number,
     OutPath,
+    PlanningToTheEnd,
     Removed,
     Seed,
     Speed,
     StateFile,
     StepSeconds,
+    Team,
     Text,
+    Together,
     Whole,
     one_of,
     path,
@@ -128,7 +130,7 @@ def clear(
             threats (default: sources where there are several, else areas).
         out: Write the page, the pictures and JSON to this folder.
     """
-    from analysis.search.threat_removal import find_clearing
+    from analysis.search.threats import find_clearing
 
     search = partial(find_clearing, count=1 if count is None else count, remove=remove)
     return _of_threats(search, source, team, what, planning, out, as_json)
@@ -156,7 +158,7 @@ def attack(
         p: The chance that a visit of one stops a robot, beside what else is there (default: 0.2).
         out: Write the page, the pictures, JSON and both maps (known.yaml, hidden.npz) to this folder.
     """
-    from analysis.search.threat_placement import find_attack
+    from analysis.search.threats import find_attack
 
     search = partial(find_attack, count=1 if count is None else count, p=0.2 if p is None else p)
     return _of_threats(search, source, team, what, planning, out, as_json)

@@ -9,8 +9,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from cyclopts import Parameter
 
-from analysis.cli.console import check_files, check_folder
-from analysis.cli.deliver import deliver
+from analysis.cli.console import check_files, check_folder, deliver
 from analysis.cli.options import OUTPUT, Json, Number, OutPath, Seed, Text, Whole, one_of, path, verbatims
 from analysis.utils.notes import say
 from planner.errors import UsageError
@@ -87,9 +86,8 @@ def results(
         parquet: The same as Parquet (.parquet).
         merge: First take over what is intact in this store; STORE is made if there is none.
     """
-    from analysis.sweeps.exports import write_csv, write_parquet
     from analysis.sweeps.report import rows_chart
-    from analysis.sweeps.results import collect, parse_where
+    from analysis.sweeps.results import collect, parse_where, write_csv, write_parquet
     from analysis.sweeps.store import Store
 
     for file, suffix in ((plot, ".png"), (csv, ".csv"), (parquet, ".parquet")):

@@ -7,23 +7,21 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-
-from analysis.theory.exact import open_loop_exact
-from analysis.utils.progress import Watch, compiling_elsewhere, show_progress
-from analysis.utils.tables import bearing_words, make_table, plan_words, span_words
-from planner.formatting import counted, in_percent
-from planner.plan.plan import Plan, drive_of
-from planner.world.world import World
-
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from analysis.inputs import Asked
+    from analysis.utils.progress import Watch
+    from planner.plan.plan import Plan
+    from planner.world.world import World
     from planner.settings import Policy
 
 
 @contextmanager
 def show_pool_progress(things: str, policies: Iterable[Policy]) -> Iterator[Watch]:
     """What processes do that roll out by these policies; `things`: what is counted."""
+    from analysis.utils.progress import compiling_elsewhere, show_progress
+
     with compiling_elsewhere(policies), show_progress(things) as watch:
         yield watch
 
@@ -34,6 +32,7 @@ def load_or_make_plan(
     """`analysis.inputs.load_or_make_plan`, watched."""
     from analysis.estimators.racing import plan_best
     from analysis.inputs import load_or_make_plan as load
+    from analysis.utils.progress import show_progress
 
     with show_progress() as watch:
         watch.doing("the map")
@@ -45,6 +44,11 @@ def load_or_make_plan(
 
 def print_plan(made: Plan, world: World, console: Console) -> None:
     """Print it; what a robot survives is its nominal path."""
+    from analysis.theory.exact import open_loop_exact
+    from analysis.utils.tables import bearing_words, make_table, plan_words, span_words
+    from planner.formatting import counted, in_percent
+    from planner.plan.plan import drive_of
+
     said = made.origin
     if not made.is_foreign:
         said = plan_words(made)

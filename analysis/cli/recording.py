@@ -8,9 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from analysis.cli.console import check_files, may_replace
-from analysis.cli.deliver import CHECK_FAILED, DONE, INTERRUPTED, deliver, show
-from analysis.cli.groups import PlanningToTheEnd, Team
+from analysis.cli.console import CHECK_FAILED, DONE, INTERRUPTED, check_files, deliver, may_replace, show
 from analysis.cli.options import (
     OUTPUT,
     PLANNING,
@@ -20,8 +18,10 @@ from analysis.cli.options import (
     Input,
     Json,
     OutPath,
+    PlanningToTheEnd,
     Recording,
     StateFile,
+    Team,
     Whole,
     one_of,
     path,
@@ -190,7 +190,7 @@ def recover(
     Args:
         out: File to write (default: NAME.recovered.mcap).
     """
-    from analysis.recording.log_reader import recover as recover_file
+    from analysis.recording.container import recover as recover_file
     from analysis.recording.replay import recovered
 
     target = default_recovered(file) if out is None else out

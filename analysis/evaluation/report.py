@@ -11,11 +11,18 @@ import numpy as np
 
 from analysis.estimators.racing import is_best
 from analysis.estimators.trial import TreeTruth
-from analysis.evaluation import charts
-from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.charts import distribution, over_time, over_time_words
+from analysis.evaluation import tables as charts
+from analysis.evaluation.evaluate import Evaluation
 from analysis.evaluation.figures import BEFORE, BEYOND, Chance, Rest
-from analysis.evaluation.table import answer_tables, formulas_part, robots_table, worst_cells
+from analysis.evaluation.tables import (
+    answer_tables,
+    distribution,
+    formulas_part,
+    over_time,
+    over_time_words,
+    robots_table,
+    worst_cells,
+)
 from analysis.report.answer import asked, json_end, team_figure
 from analysis.report.model import KeyFigure, Part, Pictured, Report
 from analysis.statistics.estimates import Estimate, between, in_unit, lost_words

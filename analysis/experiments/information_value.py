@@ -16,7 +16,7 @@ from analysis.report.model import Part, Report
 from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import Case, Generated, canonical, check_maps
 from analysis.sweeps.engine import Finished, Swept
-from analysis.sweeps.exports import MAP_FIGURES, ByMap, Columns
+from analysis.sweeps.results import MAP_FIGURES, ByMap, Columns
 from analysis.sweeps.store import Store
 from analysis.utils.notes import ProgressCallback
 from analysis.utils.tables import csv_text, make_table

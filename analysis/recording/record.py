@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from analysis.inputs import input_path
 from analysis.recording import contents
+from analysis.recording.container import CHUNK_SIZE, LogWriter
 from analysis.recording.frames import make_frames
-from analysis.recording.log_writer import CHUNK_SIZE, LogWriter
 from analysis.recording.viewers import topics
 from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.topics import Clock, Message, Stage, layout_json, type_of

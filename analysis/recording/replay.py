@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.recording import contents
+from analysis.recording.container import RECOVERED, Log, Recovered, open_log
 from analysis.recording.contents import RecordedOutcomes, RecordedRollout, decode, outcomes_of_log, rollouts_of
 from analysis.recording.frames import end_text, event_line
-from analysis.recording.log_reader import Log, Recovered, open_log
-from analysis.recording.log_writer import RECOVERED
 from analysis.recording.record import (
     OUTCOME_COLUMNS,
     Picker,

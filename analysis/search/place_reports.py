@@ -20,8 +20,7 @@ from analysis.report.answer import (
 )
 from analysis.report.model import CellMaps, KeyFigure, Part, Report
 from analysis.search.start_positions import Place, Starts
-from analysis.search.threat_placement import Attack, Placed
-from analysis.search.threat_removal import Clearing, Gain, Threat, Weighed, by_cell
+from analysis.search.threats import Attack, Clearing, Gain, Placed, Threat, Weighed, by_cell
 from analysis.statistics.estimates import between, losses_said, of_all
 from analysis.utils.tables import json_text, make_table, without_level
 from planner.arguments import exactly

@@ -35,8 +35,8 @@ from analysis.pictures import COVERED, LOSSES
 from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.statistics.estimates import Estimate, exactly
 from analysis.statistics.variance_reduction import tally_mean
-from analysis.studio import page
-from analysis.studio.page import Sketch, command_words, palettes, read_sketch, security_headers, studio_page
+from analysis.studio.page import Sketch, command_words, deadline_figures, headline, knowledge_figures, palettes, read_sketch, security_headers, studio_page
+from analysis.studio.page import figures as page_figures
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from planner.arguments import whole
 from planner.errors import InputError, MracError, UsageError
@@ -164,7 +164,7 @@ class Board:
         """The open loop's line, which comes first and holds the planned paths too; null: too long to draw."""
         exact = self.exact
         mean, losses = exactly(exact.visited / int(self.accessible.sum())), exactly(exact.expected_losses)
-        said = page.headline(len(self.plan.robots), mean, losses, alone=True)
+        said = headline(len(self.plan.robots), mean, losses, alone=True)
         line = self._line("open", said, None, None, 0, [exact.visited_by_cell, exact.stops_by_cell])
         return line | {"paths": path_lines(self.plan), "thickness": thickness(self.plan)}
 
@@ -178,12 +178,12 @@ class Board:
     ) -> Json:
         """The closed loop's line; `known`: its mean where that is exact; `knowing`: of `with_other_eyes`."""
         mean, losses = known or visited_mean(tally), tally_mean(tally, "lost", certain=self.certain)
-        said = page.headline(tally.robots, mean, losses)
+        said = headline(tally.robots, mean, losses)
         maps = [tally.covered_visited / tally.rollouts, tally.stops / tally.rollouts]
         line = self._line(stage, said, mean, losses, tally.rollouts, maps, by_deadline)
         if self.sketch.world.knowledge is None:
             return line
-        figures = [*line["figures"], *page.knowledge_figures(knowing)]
+        figures = [*line["figures"], *knowledge_figures(knowing)]
         return line | {"figures": figures, "paths": None, "thickness": 0}  # nobody drives what is planned
 
     def _line(
@@ -199,8 +199,8 @@ class Board:
         """What the page is told; `maps`: chance covered and robots lost, `[N]` each."""
         world, cells = self.sketch.world, int(self.accessible.sum())
         alone = self.exact if world.knowledge is None else None
-        figures = page.figures(cells, len(self.plan.robots), mean, losses, rollouts, alone)
-        figures += page.deadline_figures(self.sketch.deadline, world.pace, by_deadline, alone, cells)
+        figures = page_figures(cells, len(self.plan.robots), mean, losses, rollouts, alone)
+        figures += deadline_figures(self.sketch.deadline, world.pace, by_deadline, alone, cells)
         covered, lost = (values.reshape(world.shape) for values in maps)
         layers = (
             CellLayer("Coverage", "", covered, COVERED, "%", digits=2),

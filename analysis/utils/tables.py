@@ -19,7 +19,6 @@ from rich.text import Text
 
 from planner.arguments import argument
 from planner.errors import UsageError, visible
-from planner.files import atomic_write
 from planner.formatting import chance, counted
 
 if TYPE_CHECKING:
@@ -285,6 +284,8 @@ def write_all(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
     except OSError as error:
         problem = f"{argument('folder')} {folder} cannot be written ({error.strerror})"
         raise UsageError(problem, expected="a folder to write to") from error
+    from planner.files import atomic_write  # NumPy: `--help` prints tables without it
+
     written: list[Path] = []
     for name, content in contents.items():
         (folder / name).parent.mkdir(exist_ok=True)

@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from analysis.comparison import Side, compare
-from analysis.evaluation.outputs.output import Blocks, Output, Run
+from analysis.evaluation.figures import Blocks, Output, Run
 from analysis.page.charts import Chart, Series
 from analysis.search.pareto import Figures, Goal, Point, Setting, efficient, knee, quick_points, settings_of
 from analysis.statistics.estimates import Estimate, exactly, losses_said

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.trial import TreeTruth
-from analysis.evaluation.figures import Figures, last_shown
-from analysis.evaluation.outputs.output import Blocks, Output, Run, coverage_row
+from analysis.evaluation.figures import Blocks, Figures, Output, Run, coverage_row, last_shown
 from analysis.page.charts import Series
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.statistics.estimates import QUANTILES, Estimate, mean_of, robots_words

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.estimators.trial import TreeTruth, mean_value, stated, units_of
-from analysis.evaluation.outputs.output import Blocks, Output, Run
+from analysis.evaluation.figures import Blocks, Output, Run
 from analysis.sampling import make_engine_for
 from analysis.statistics.estimates import TAIL, Estimate, at_least, exactly, in_unit, robots_left, tail_mean, times_to
 from analysis.statistics.variance_reduction import LEAST, CommonLuck, tally_mean

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.trial import Sampled, Trial
-from analysis.evaluation.figures import Figures
-from analysis.evaluation.outputs.output import Blocks, Output, Run
+from analysis.evaluation.figures import Blocks, Figures, Output, Run
 from analysis.page.charts import Chart, Series
 from analysis.sampling import make_engine_for, make_roll_out
 from analysis.statistics.estimates import QUANTILES, Estimate
