@@ -31,7 +31,7 @@ from analysis.evaluation.report import (
 )
 from analysis.evaluation.report import report as evaluation_report
 from analysis.evaluation.tables import WORDS, answer_tables, formula_counts, formulas_words, over_time
-from analysis.page.charts import curves_html
+from analysis.page.document import curves_html
 from analysis.report.answer import print_report
 from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.statistics.estimates import (

@@ -26,16 +26,20 @@ from analysis.evaluation.evaluate import Evaluation, evaluate
 from analysis.evaluation.layers import nominal, picked
 from analysis.evaluation.report import chances_words, headline, limit_words, losses_words, report
 from analysis.evaluation.tables import formulas_words
-from analysis.page.charts import Chart, Series, curves_html, label, ticks
 from analysis.page.document import (
     FOLDED_FROM,
     MOST_ROWS,
     TEMPLATES,
+    Chart,
     Html,
+    Series,
     TableData,
     asset,
     block,
+    curves_html,
     from_rich,
+    label,
+    ticks,
     unbroken,
     whole_script,
     with_code,

@@ -31,7 +31,7 @@ from analysis.evaluation.evaluate import Evaluation, evaluate
 from analysis.evaluation.outputs.over_time import Band, Deadline, last_shown
 from analysis.evaluation.report import report
 from analysis.evaluation.tables import bin_counts, histogram_bins, marks
-from analysis.page.charts import Chart, Series
+from analysis.page.document import Chart, Series
 from analysis.pictures import group_labels, house_style, label_width, map_layout, new_figure, png_bytes, png_of, ranges
 from analysis.report.answer import save_report
 from analysis.report.rendering import charts_figure, figure_of

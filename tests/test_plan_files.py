@@ -34,9 +34,8 @@ from analysis.sweeps.results import outcomes_of, select
 from analysis.sweeps.spec import PLANNER
 from analysis.sweeps.store import Store
 from planner.arguments import COMMAND_LINE
-from planner.csv_tables import read_csv_grid
 from planner.errors import InputError, MapError, PlanError, UsageError
-from planner.files import LONG_BYTES
+from planner.files import LONG_BYTES, read_csv_grid
 from planner.formatting import UNITS, UNPACED, Pace, seconds_of
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plan.plan import Area, Leg, Plan, RobotPlan, headings, waypoints_csv

@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 
 import mrac_jax as mrac
-from analysis.api import questions as api_evaluation
-from analysis.api import questions as searches
+from analysis import api as api_evaluation
+from analysis import api as searches
 from analysis.cli.app import app, run
 from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices

@@ -56,7 +56,7 @@ from planner.mrac.make_plan import make_plan
 from planner.plan.plan import Plan, RobotPlan, headings
 from planner.rollouts.engine import closed_loop_engine
 from planner.rollouts.open_loop import compile_plan
-from planner.rollouts.open_loop_trace import open_loop_trace
+from planner.rollouts.open_loop_events import open_loop_trace
 from planner.settings import Settings
 from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.tally import Doing, EventKind, Outcome, RolloutResults, Trace

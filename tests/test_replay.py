@@ -43,7 +43,7 @@ from planner.mrac.simulate import play_step
 from planner.plan.plan import Plan
 from planner.rollout_sampling import Luck
 from planner.rollouts.open_loop import compile_plan
-from planner.rollouts.open_loop_trace import open_loop_trace
+from planner.rollouts.open_loop_events import open_loop_trace
 from planner.settings import Choices
 from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
 from planner.tally import Doing, EventKind, Outcome, Trace

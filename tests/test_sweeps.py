@@ -19,7 +19,7 @@ from helpers import refused
 from scipy import stats
 
 import mrac_jax as mrac
-from analysis.cli import experiments as commands
+from analysis.cli import stored as commands
 from analysis.cli.app import run
 from analysis.evaluation.evaluate import Evaluation
 from analysis.experiments.information_value import Team, study_knowing

@@ -32,7 +32,6 @@ from analysis.cli.console import (
     show,
 )
 from analysis.cli.decisions import Altitude, attack, clear, drive, export, starts, studio
-from analysis.cli.experiments import reproduce, results, suite, sweep
 from analysis.cli.options import (
     OUTPUT,
     PLANNING,
@@ -63,7 +62,7 @@ from analysis.cli.options import (
     path,
     verbatim,
 )
-from analysis.cli.recording import inspect, record, recover, replay
+from analysis.cli.stored import inspect, record, recover, replay, reproduce, results, suite, sweep
 from analysis.utils.notes import elsewhere, say
 from planner.arguments import COMMAND_LINE
 from planner.errors import PER_VISIT, InputError, UsageError
@@ -119,7 +118,7 @@ def evaluate(
         advice: Also what other settings cover and lose: a few seconds more, and on a first run a compilation.
         out: Write the page, pictures, plan and JSON to this folder.
     """
-    from analysis.cli.progress import load_or_make_plan
+    from analysis.cli.console import load_or_make_plan
     from analysis.evaluation.evaluate import check_asked
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
     from analysis.evaluation.outputs.information import parse_ranges
@@ -288,7 +287,7 @@ def _check_input(
     source: str, what: Checking, planning: Planning, plan: Path | None, out: Path | None, as_json: bool
 ) -> int:
     from analysis.checking.check import check_input, check_world
-    from analysis.cli.progress import load_or_make_plan
+    from analysis.cli.console import load_or_make_plan
     from analysis.utils.progress import show_progress
 
     choices = what.rolled(20_000)
@@ -302,7 +301,7 @@ def _check_input(
 
 def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json: bool) -> int:
     from analysis.checking.check import make_survey, run_survey
-    from analysis.cli.progress import show_pool_progress
+    from analysis.cli.console import show_pool_progress
 
     choices = make_survey(what.worlds or 0, what.kind, what.size, what.team_sizes(), planning.choices(), what.bound)
     rollouts = what.rolled(4096)
@@ -333,7 +332,7 @@ def plan_command(
         waypoints: Write paths to drive: .csv .plan .yaml .geojson .kml .gpx .tif, as of `export`.
         seconds: With plan-for open or policy best: end the search after so many.
     """
-    from analysis.cli.progress import load_or_make_plan, print_plan
+    from analysis.cli.console import load_or_make_plan, print_plan
     from analysis.exporting import choose_format, export, make_mission
     from analysis.inputs import read_files
 
@@ -412,7 +411,7 @@ def _side(
     name: str, source: str, plan: Path | None, team: Team, planning: Planning, what: Timed
 ) -> tuple[Side, tuple[str, ...]]:
     """One of the two of `compare`, and notes; errors say which."""
-    from analysis.cli.progress import load_or_make_plan
+    from analysis.cli.console import load_or_make_plan
     from analysis.comparison import make_side
 
     try:

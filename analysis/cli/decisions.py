@@ -226,7 +226,7 @@ def drive(
     changes nothing. Where --state cannot be written it ends, and goes on from there when it is started again.
     docs/mission.md has all keys.
     """
-    from analysis.cli.progress import load_or_make_plan
+    from analysis.cli.console import load_or_make_plan
     from analysis.inputs import check_team
     from analysis.mission_protocol import Dialogue, DrivenMission
     from planner.mission.map_updates import ended
@@ -313,7 +313,7 @@ def export(
         to: qgc, nav2, geojson, kml, gpx, csv or geotiff (default: by --out's suffix).
         plan: Export this plan file instead of planning.
     """
-    from analysis.cli.progress import load_or_make_plan
+    from analysis.cli.console import load_or_make_plan
     from analysis.exporting import choose_format, make_mission
     from analysis.exporting import export as export_mission
     from analysis.inputs import read_files
@@ -356,8 +356,7 @@ def studio(
         raise UsageError("tornado is not installed", fix='pip install "mrac-jax[studio]"') from None
     from analysis.inputs import input_path, load_task
     from analysis.sampling import RolloutChoices
-    from analysis.studio.page import Sketch, raster_of
-    from analysis.studio.server import Studio, serve
+    from analysis.studio.server import Sketch, Studio, raster_of, serve
     from analysis.utils.progress import ANNOUNCER, lines_now_and_then, notice_compiling, run_loop
     from planner.settings import Choices
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.estimators.trial import SLACK
-from analysis.page.charts import Chart, Series
+from analysis.page.document import Chart, Series
 from analysis.report.model import Pictured
 from analysis.sampling import RollOut, RolloutChoices, Stage
 from analysis.statistics.estimates import (

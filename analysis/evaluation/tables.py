@@ -13,7 +13,7 @@ from rich.table import Table
 
 from analysis.evaluation.evaluate import Evaluation
 from analysis.evaluation.figures import NAMES, TO_DO, Figures, Rest, Row, coverage_row, known_words
-from analysis.page.charts import Chart, Series
+from analysis.page.document import Chart, Series
 from analysis.report.model import CellMaps, Part, Planned
 from analysis.statistics.estimates import AT_LEAST, losses_shown, of_all
 from analysis.theory.bounds import Theorem3

@@ -10,7 +10,7 @@ from typing import Any, get_args
 
 from rich.table import Table
 
-from analysis.page.charts import Chart, Series
+from analysis.page.document import Chart, Series
 from analysis.report.answer import json_end
 from analysis.report.model import Part, Report
 from analysis.statistics.estimates import Estimate, over_maps

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
-from analysis.page.charts import Chart, Series
+from analysis.page.document import Chart, Series
 from analysis.report.answer import json_end
 from analysis.report.model import Part, Report
 from analysis.statistics.estimates import Estimate, over_maps

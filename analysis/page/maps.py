@@ -16,8 +16,7 @@ from matplotlib.colors import Colormap, ListedColormap, Normalize, PowerNorm, to
 from numpy.typing import NDArray
 from PIL import Image
 
-from analysis.page.charts import label, ticks
-from analysis.page.document import Html, block
+from analysis.page.document import Html, block, label, ticks
 from analysis.pictures import (
     COVERED,
     LOSSES,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.page.charts import Chart
+from analysis.page.document import Chart
 from planner.formatting import UNPACED, Pace
 from planner.world.world import World
 

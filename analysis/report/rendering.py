@@ -15,8 +15,21 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter
 from numpy.typing import NDArray
 
-from analysis.page.charts import BARS_UP_TO, Chart, Points, curves_html, points_of, y_range_of
-from analysis.page.document import Html, Section, block, document, from_rich, pictures_section, reproduce_section
+from analysis.page.document import (
+    BARS_UP_TO,
+    Chart,
+    Html,
+    Points,
+    Section,
+    block,
+    curves_html,
+    document,
+    from_rich,
+    pictures_section,
+    points_of,
+    reproduce_section,
+    y_range_of,
+)
 from analysis.page.maps import cell_maps_html, plan_map_html
 from analysis.pictures import (
     FAINT,

@@ -8,7 +8,7 @@ from math import ceil
 
 from rich.table import Table
 
-from analysis.page.charts import Chart, Series
+from analysis.page.document import Chart, Series
 from analysis.report.answer import (
     asked,
     json_end,

@@ -30,9 +30,8 @@ from analysis.theory.bounds import best_survival
 from analysis.theory.exact import Worth, open_loop_exact
 from analysis.utils.notes import Doing, ProgressCallback, quiet
 from planner.arguments import argument
-from planner.csv_tables import read_csv_grid, starts_with_header
 from planner.errors import MapError, UsageError
-from planner.files import check_file, read_npy
+from planner.files import check_file, read_csv_grid, read_npy, starts_with_header
 from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.plan.plan import Plan
 from planner.rollouts.engine import choose_engine

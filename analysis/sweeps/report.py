@@ -10,7 +10,8 @@ from typing import Any
 
 from rich.table import Table
 
-from analysis.page.charts import COLOURS, Chart, Series
+from analysis.page.document import CURVE_COLOURS as COLOURS
+from analysis.page.document import Chart, Series
 from analysis.report.model import Part, Report
 from analysis.statistics.estimates import Estimate
 from analysis.sweeps.cases import RULES, Label, shown

@@ -284,7 +284,7 @@ def write_all(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
     except OSError as error:
         problem = f"{argument('folder')} {folder} cannot be written ({error.strerror})"
         raise UsageError(problem, expected="a folder to write to") from error
-    from planner.files import atomic_write  # NumPy: `--help` prints tables without it
+    from planner.files import atomic_write
 
     written: list[Path] = []
     for name, content in contents.items():

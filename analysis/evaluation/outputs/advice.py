@@ -16,7 +16,7 @@ import numpy as np
 
 from analysis.comparison import Side, compare
 from analysis.evaluation.figures import Blocks, Output, Run
-from analysis.page.charts import Chart, Series
+from analysis.page.document import Chart, Series
 from analysis.search.pareto import Figures, Goal, Point, Setting, efficient, knee, quick_points, settings_of
 from analysis.statistics.estimates import Estimate, exactly, losses_said
 from analysis.statistics.variance_reduction import tally_mean

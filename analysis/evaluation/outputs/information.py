@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from analysis.estimators.racing import only, told_of_drawn, told_of_hazards, with_eyes
 from analysis.estimators.trial import Measured, Sampled, Trial, alike
 from analysis.evaluation.figures import Blocks, Output, Run
-from analysis.page.charts import Chart, Series
+from analysis.page.document import Chart, Series
 from analysis.statistics.estimates import Estimate, more_said
 from analysis.utils.tables import make_table
 from planner.arguments import argument, numbers_of
