@@ -18,9 +18,8 @@ from analysis.estimators.trial import closed_truth
 from analysis.report.answer import Answer, json_end
 from analysis.report.model import KeyFigure, Part, Report
 from analysis.sampling import RolloutChoices, check_deadline, home_of, knowing_deadline, make_singles
-from analysis.statistics.control_variate import LEAST, controlled
-from analysis.statistics.differences import CommonLuck, Difference, Paired, difference
 from analysis.statistics.estimates import Estimate, between, exactly, looks, lost_words, of_all, proportion
+from analysis.statistics.variance_reduction import LEAST, CommonLuck, Difference, Paired, controlled, difference
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import longest_run
 from analysis.utils.notes import ProgressCallback

@@ -16,9 +16,9 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.pictures.style import ROBOT_COLOURS
+from analysis.pictures import ROBOT_COLOURS
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
-from analysis.utils.folder import json_text
+from analysis.utils.tables import json_text
 from planner.arguments import Numbers, argument, did_you_mean
 from planner.errors import MapError, UsageError
 from planner.files import Json, atomic_write, check_new, printable
@@ -580,7 +580,8 @@ def _number(value: float, decimals: int = DECIMALS) -> str:
     return f"{round(value, decimals) + 0.0:.{decimals}f}"
 
 
-# QGroundControl's plan file, one a robot: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html.
+# QGroundControl's plan file, one a robot: https://docs.qgroundcontrol.com/master/en/qgc-dev-
+# guide/file_formats/plan.html.
 
 TAKE_OFF, WAYPOINT, CHANGE_SPEED = 22, 16, 178
 """Of MAV_CMD."""

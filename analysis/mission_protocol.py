@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.sampling import RolloutChoices, make_singles
-from analysis.statistics.differences import Paired, difference
 from analysis.statistics.estimates import Estimate, mean_estimate, mean_of, proportion
+from analysis.statistics.variance_reduction import Paired, difference
 from planner.arguments import POSITIVE, whole
 from planner.errors import InputError, UsageError
 from planner.files import Json

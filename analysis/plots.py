@@ -11,16 +11,14 @@ from typing import TypeVar
 from matplotlib.figure import Figure
 
 from analysis.checking.check import MapCheck
-from analysis.evaluation.answer import Evaluation
-from analysis.pictures.maps import plan_figure
-from analysis.pictures.style import house_style
+from analysis.evaluation.evaluate import Evaluation
+from analysis.pictures import house_style, plan_figure
 from analysis.report.answer import Answer, report_of
-from analysis.report.picture import figure_of
+from analysis.report.rendering import figure_of
 from analysis.search.pareto import Front
 from analysis.search.start_positions import Starts
 from analysis.search.team_size import TeamSize
-from analysis.search.threat_placement import Attack
-from analysis.search.threat_removal import Clearing
+from analysis.search.threats import Attack, Clearing
 from planner.arguments import argument
 from planner.errors import UsageError
 from planner.plan.plan import Plan

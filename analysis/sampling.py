@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import NDArray
 
-from analysis.statistics.control_variate import LEAST
 from analysis.statistics.estimates import looks
-from analysis.utils.compiling import compiles_for
+from analysis.statistics.variance_reduction import LEAST
+from analysis.utils.progress import compiles_for
 from planner.arguments import POSITIVE, SEED, Numbers, argument, as_whole, check_word, whole
 from planner.errors import UsageError
 from planner.formatting import SPANS, Pace, seconds_of
@@ -124,7 +124,7 @@ def how_much(
 class Stage:
     """Where a run of rollouts stands: its tally, the engine's name, seconds of running and of compiling.
 
-    The closed loop's tally has its sums by luck too (`analysis.statistics.control_variate`).
+    The closed loop's tally has its sums by luck too (`analysis.statistics.variance_reduction`).
     """
 
     tally: Tally

@@ -73,6 +73,6 @@ def plan_team(world: World, starts: ArrayLike, settings: Settings | None = None,
         if seconds is not None:
             raise UsageError(f"{argument('seconds', seconds)} is for plans for the open loop", fix="leave it out")
         return make_plan(world, starts, settings)
-    from planner.open_loop.make_plan import make_open_loop_plan
+    from planner.open_loop import make_open_loop_plan
 
     return make_open_loop_plan(world, starts, settings, seconds)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.statistics.control_variate import LEAST
+from analysis.statistics.variance_reduction import LEAST
 from planner.failure_model import key_of, threefry2x32
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan

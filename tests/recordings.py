@@ -16,8 +16,7 @@ from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from analysis.recording.log_reader import open_log
-from analysis.recording.log_writer import LogSchema, LogWriter
+from analysis.recording.container import LogSchema, LogWriter, open_log
 from analysis.recording.record import Request, record
 from planner.mcap import LogMessage
 from planner.mrac.make_plan import make_plan

@@ -15,25 +15,25 @@ from counterexamples import COUNTEREXAMPLES, SHUT_IN, Counterexample
 from oracle_tree import closed_loop_exact
 from page_reader import refused
 
-import analysis.checking.survey
+import analysis.checking.check
 import analysis.theory.upper_bound
 import mrac_jax as mrac
-from analysis.checking.check import check_input
+from analysis.checking.check import Survey, check_input, make_survey, run_survey
 from analysis.checking.pictures import PANELS
 from analysis.checking.report import check_report, figure
-from analysis.checking.survey import Survey, make_survey, run_survey
 from analysis.cli.app import run
 from analysis.estimators.trial import closed_truth
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.what_if import parse_scales, scaled_threats
-from analysis.evaluation.table import WORDS
+from analysis.evaluation.tables import WORDS
 from analysis.sampling import RolloutChoices
 from analysis.theory.bounds import Theorem3, all_bounds, connecting_cells
 from analysis.theory.exact import open_loop_exact
-from analysis.theory.formulas import FORMULAS, Direction
 from analysis.theory.upper_bound import any_strategy
 from analysis.theory.verdicts import (
+    FORMULAS,
     Check,
+    Direction,
     Truth,
     Verdict,
     badness,
@@ -375,9 +375,9 @@ def test_the_worst_world_is_saved_and_fails_again(tmp_path: Path, capsys: pytest
 
 
 def test_a_sampled_failure_counts_only_beyond_the_shared_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(analysis.checking.survey, "EXACT", "never")
+    monkeypatch.setattr(analysis.checking.check, "EXACT", "never")
     few, many = small_survey.__wrapped__(1, worlds=1), make_survey(100, "scattered", "7x8", (1, 8), Choices())
-    wider = analysis.checking.survey.look_at(many, few.rollouts, 40)
+    wider = analysis.checking.check.look_at(many, few.rollouts, 40)
     widths = [
         [check.truth.high - check.truth.low for entry in entries for check in entry.checks if check.loop == "closed"]
         for entries in (few.entries, wider)
@@ -390,14 +390,14 @@ def test_a_sampled_failure_counts_only_beyond_the_shared_doubt(monkeypatch: pyte
 def test_an_interrupted_survey_prints_what_is_there(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = analysis.checking.survey.look_at
+    whole = analysis.checking.check.look_at
 
     def interrupted(choices: object, rollouts: object, seed: int) -> list:
         if seed == 42:
             raise KeyboardInterrupt
         return whole(choices, rollouts, seed)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(analysis.checking.survey, "look_at", interrupted)
+    monkeypatch.setattr(analysis.checking.check, "look_at", interrupted)
     found = answer(capsys, *TINY, "--processes", "1", status=130)
     assert (found["partial"], found["worlds"]) == (True, 2)
 

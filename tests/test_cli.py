@@ -27,9 +27,8 @@ from analysis.evaluation.evaluate import evaluate, too_few, until_enough
 from analysis.evaluation.outputs.over_time import Deadline
 from analysis.sampling import PRECISION, RolloutChoices, how_much, make_roll_out
 from analysis.statistics.estimates import looks
-from analysis.utils.folder import as_text
 from analysis.utils.notes import say
-from analysis.utils.tables import FittedTable, SafeConsole, make_table
+from analysis.utils.tables import FittedTable, SafeConsole, as_text, make_table
 from planner.errors import PER_VISIT, InputError, visible
 from planner.settings import SETTINGS
 from planner.world.map_files import FORMATS

@@ -24,7 +24,7 @@ from analysis.cli.app import app
 from analysis.evaluation.report import report
 from analysis.report.answer import print_report, report_of
 from analysis.sampling import RolloutChoices, make_singles
-from analysis.utils.folder import as_text
+from analysis.utils.tables import as_text
 from planner.errors import InputError
 from planner.formatting import percent
 from planner.mrac.simulate import ReferenceLoop
@@ -164,7 +164,7 @@ def test_every_block_is_performed() -> None:
     threats, maps, policies = "planner/world/threats", "planner/world/map_files", "planner/policies/__init__"
     question = {"analysis/lasting/search", "analysis/lasting/report"}
     assert set(BLOCKS) - question == {
-        threats, maps, policies, "planner/rollouts/engine", "analysis/evaluation/outputs/table",
+        threats, maps, policies, "planner/rollouts/engine", "analysis/evaluation/evaluate",
     }  # fmt: skip
 
 
@@ -216,7 +216,7 @@ def test_an_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = mrac.plan(world, robots=3)
     with pytest.raises(InputError, match="evaluate has no argument 'home'; expected one of policy"):
         mrac.evaluate(world, plan, home=2)
-    names = walk_through(monkeypatch, "analysis/evaluation/outputs/table", "OUTPUTS")
+    names = walk_through(monkeypatch, "analysis/evaluation/evaluate", "OUTPUTS")
     monkeypatch.setattr("analysis.evaluation.evaluate.OUTPUTS", names["OUTPUTS"])
     with pytest.raises(InputError, match="home=0; expected a whole number of robots"):
         mrac.evaluate(world, plan, home=0)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import mrac_jax as mrac
-from analysis.checking.survey import make_survey
+from analysis.checking.check import make_survey
 from analysis.cli.app import run
 from analysis.inputs import Asked, load_task, parse_starts
 from analysis.sampling import RolloutChoices

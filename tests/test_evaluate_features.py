@@ -19,20 +19,19 @@ from test_record import decoded
 
 import mrac_jax as mrac
 from analysis.estimators.racing import MOST_MAPS, told_of_hazards
-from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.charts import threats
+from analysis.evaluation.evaluate import Evaluation
 from analysis.evaluation.figures import BEFORE, BEYOND, TO_DO, rest_of
 from analysis.evaluation.layers import run_of, runs
 from analysis.evaluation.outputs.information import Knowledge, entropy_of, parse_ranges
 from analysis.evaluation.report import report, rest_words
+from analysis.evaluation.tables import threats
 from analysis.inputs import Asked, load_task
-from analysis.pictures.style import house_style
+from analysis.pictures import house_style
 from analysis.recording.pictures import RolloutPicture
 from analysis.recording.replay import replay
 from analysis.recording.viewers.topics import Stage
 from analysis.report.answer import print_report
-from analysis.report.html import page_of
-from analysis.report.picture import figure_of
+from analysis.report.rendering import figure_of, page_of
 from analysis.sampling import RolloutChoices
 from analysis.theory.verdicts import longest_run
 from planner.errors import InputError, UsageError
@@ -180,7 +179,7 @@ def test_what_is_refused_is_refused_before_anything_is_planned(asked: dict, monk
     def plan(*given: object, **more: object) -> None:
         raise AssertionError("planned")
 
-    monkeypatch.setattr("analysis.api.plans.plan_team", plan)
+    monkeypatch.setattr("analysis.api.plan_team", plan)
     world = mrac.with_spread(BASE, "lognormal", 0.3)
     world = world if asked else world.with_values(2.0)
     with pytest.raises(InputError, match="one known map"):

@@ -15,9 +15,7 @@ import mrac_jax as mrac
 from analysis.checking.check import check_input
 from analysis.checking.report import check_report
 from analysis.cli.app import run
-from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.charts import over_time
-from analysis.evaluation.evaluate import cut_off, evaluate
+from analysis.evaluation.evaluate import Evaluation, cut_off, evaluate
 from analysis.evaluation.figures import Chance, sampled_share
 from analysis.evaluation.outputs.over_time import BAND_LEAST, BAND_MOST, SHARE, STEPS, Band
 from analysis.evaluation.report import (
@@ -32,8 +30,8 @@ from analysis.evaluation.report import (
     quantile_words,
 )
 from analysis.evaluation.report import report as evaluation_report
-from analysis.evaluation.table import WORDS, answer_tables, formula_counts, formulas_words
-from analysis.page.charts import curves_html
+from analysis.evaluation.tables import WORDS, answer_tables, formula_counts, formulas_words, over_time
+from analysis.page.document import curves_html
 from analysis.report.answer import print_report
 from analysis.sampling import RolloutChoices, make_roll_out
 from analysis.statistics.estimates import (
@@ -55,8 +53,7 @@ from analysis.sweeps.report import around as sweep_around
 from analysis.sweeps.report import percent as sweep_percent
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import Verdict, overall
-from analysis.utils.folder import as_text
-from analysis.utils.tables import plan_words, span_words, without_level
+from analysis.utils.tables import as_text, plan_words, span_words, without_level
 from planner.formatting import (
     UNPACED,
     at_least_words,
@@ -723,7 +720,7 @@ def test_notes_come_last_and_the_width_of_a_pipe_can_be_set(
     monkeypatch.setenv("COLUMNS", "80")
     World.create(np.full((4, 6), 0.05), source="m").save(tmp_path / "m.npz")
     events: list[str] = []
-    monkeypatch.setattr("analysis.cli.deliver.say", lambda lines: events.extend(lines))
+    monkeypatch.setattr("analysis.cli.console.say", lambda lines: events.extend(lines))
     monkeypatch.setattr("analysis.report.answer.print_report", lambda *_, **__: events.append("the answer"))
     words = ["evaluate", str(tmp_path / "m.npz"), "--robots", "25", "--rollouts", "64"]
     assert run(words) == 0

@@ -19,12 +19,12 @@ from analysis import sampling as roll_out
 from analysis.cli.app import run
 from analysis.comparison import compare, make_side
 from analysis.estimators.trial import SLACK, closed_tree
-from analysis.evaluation.charts import distribution, histogram_bins
 from analysis.evaluation.evaluate import TO_LOOK_AT, evaluate
 from analysis.evaluation.report import chances_words, losses_words, report, to_json
+from analysis.evaluation.tables import distribution, histogram_bins
 from analysis.report.answer import print_report
 from analysis.sampling import RolloutChoices
-from analysis.utils.folder import as_text
+from analysis.utils.tables import as_text
 from planner.errors import UsageError
 from planner.formatting import percent
 from planner.mrac.make_plan import make_plan

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 import mrac_jax as mrac
 from planner.errors import InputError
-from planner.world.fields import touched
 from planner.world.grid import Frame, reproject
 from planner.world.scenario import load_input
+from planner.world.vector_files import touched
 from planner.world.world import World
 
 # A field's boundary as the map: which cells are free, where they lie, and every way to be no field.

@@ -17,7 +17,7 @@ from PIL import Image
 from rosbags.typesys import Stores, get_typestore
 
 import mrac_jax as mrac
-from analysis.recording.log_reader import recover
+from analysis.recording.container import recover
 from analysis.recording.replay import inspect
 from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.plan.state_file import read_state

@@ -26,9 +26,8 @@ from planner.failure_model import exposure_of, key_of, least_word, threefry2x32
 from planner.rollouts import open_loop as compiled_module
 from planner.rollouts.engine import choose_engine
 from planner.rollouts.open_loop import CompiledPlan, OpenLoopTables, compile_plan, share_out
-from planner.rollouts.open_loop_events import Guide, make_guide
+from planner.rollouts.open_loop_events import Guide, make_groups, make_guide
 from planner.rollouts.open_loop_numba import BLOCK_WORDS
-from planner.rollouts.open_loop_trace import make_groups
 from planner.tally import Outcome, Tally, tally_key
 from planner.world.uncertain_maps import bounds_of
 from planner.world.world import World

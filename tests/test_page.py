@@ -20,39 +20,39 @@ from PIL import Image
 from rich.table import Table
 
 import mrac_jax as mrac
-from analysis.checking.check import MapCheck, check_input
+from analysis.checking.check import MapCheck, Survey, check_input, make_survey, run_survey
 from analysis.checking.report import check_headline, check_report, survey_headline, survey_report
-from analysis.checking.survey import Survey, make_survey, run_survey
-from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.evaluate import evaluate
+from analysis.evaluation.evaluate import Evaluation, evaluate
 from analysis.evaluation.layers import nominal, picked
 from analysis.evaluation.report import chances_words, headline, limit_words, losses_words, report
-from analysis.evaluation.table import formulas_words
-from analysis.page.charts import Chart, Series, curves_html, label, ticks
+from analysis.evaluation.tables import formulas_words
 from analysis.page.document import (
     FOLDED_FROM,
     MOST_ROWS,
     TEMPLATES,
+    Chart,
     Html,
+    Series,
     TableData,
     asset,
     block,
+    curves_html,
     from_rich,
+    label,
+    ticks,
     unbroken,
     whole_script,
     with_code,
 )
-from analysis.page.maps import NOT_FREE, OUT_OF_REACH, STEPS, CellLayer, cell_maps_html
-from analysis.page.paths import Run, pack, packed_runs
-from analysis.pictures.style import COVERED, house_style
+from analysis.page.maps import NOT_FREE, OUT_OF_REACH, STEPS, CellLayer, Run, cell_maps_html, pack, packed_runs
+from analysis.pictures import COVERED, house_style
 from analysis.recording.frames import make_frames
 from analysis.report.answer import save_report
-from analysis.report.html import page_of
-from analysis.report.html import page_of as page_of_report
 from analysis.report.model import KeyFigure, Part, Report
-from analysis.report.picture import figure_of
+from analysis.report.rendering import figure_of, page_of
+from analysis.report.rendering import page_of as page_of_report
 from analysis.sampling import RolloutChoices, make_engine_for
-from analysis.theory.formulas import FORMULAS
+from analysis.theory.verdicts import FORMULAS
 from planner.mrac.make_plan import make_plan
 from planner.plan.plan import Plan, RobotPlan
 from planner.settings import Choices, Settings
@@ -406,7 +406,7 @@ def test_every_robot_s_path_is_drawn_over_the_map(answer: Evaluation) -> None:
 
 
 def test_paths_too_long_for_a_page_are_left_out(answer: Evaluation, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.page.paths.PLAN_PATHS_MOST_LETTERS", 10)
+    monkeypatch.setattr("analysis.page.maps.PLAN_PATHS_MOST_LETTERS", 10)
     reader = check_page_is_sound(page_of_reports(answer))
     assert "too long to be drawn" in reader.text and not reader.all("svg", "paths")
 
@@ -644,9 +644,9 @@ def test_where_nothing_can_happen_the_plan_alone_is_played() -> None:
 def test_runs_that_have_no_room_are_left_out(answer_runs: Evaluation, monkeypatch: pytest.MonkeyPatch) -> None:
     run, free = nominal(answer_runs.plan), answer_runs.world.free
     room = sum(map(len, pack(run, COLS)["moves"]))
-    monkeypatch.setattr("analysis.page.paths.RUNS_MOST_LETTERS", room)
+    monkeypatch.setattr("analysis.page.maps.RUNS_MOST_LETTERS", room)
     assert packed_runs([run, run], free) == packed_runs([run], free) != {}
-    monkeypatch.setattr("analysis.page.paths.RUNS_MOST_LETTERS", room - 1)
+    monkeypatch.setattr("analysis.page.maps.RUNS_MOST_LETTERS", room - 1)
     assert packed_runs([run], free) == {}
     with pytest.raises(ValueError, match="from cell to cell"):
         pack(Run("jumps", np.array([[0], [2]], dtype=np.int32), np.array([-1])), 5)

@@ -26,17 +26,15 @@ from matplotlib.text import Text
 from PIL import Image
 
 import mrac_jax as mrac
-from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.charts import bin_counts, histogram_bins, marks
-from analysis.evaluation.evaluate import evaluate
+from analysis import pictures as plots_style
+from analysis.evaluation.evaluate import Evaluation, evaluate
 from analysis.evaluation.outputs.over_time import Band, Deadline, last_shown
 from analysis.evaluation.report import report
-from analysis.page.charts import Chart, Series
-from analysis.pictures import style as plots_style
-from analysis.pictures.maps import group_labels, label_width, ranges
-from analysis.pictures.style import house_style, map_layout, new_figure, png_bytes, png_of
+from analysis.evaluation.tables import bin_counts, histogram_bins, marks
+from analysis.page.document import Chart, Series
+from analysis.pictures import group_labels, house_style, label_width, map_layout, new_figure, png_bytes, png_of, ranges
 from analysis.report.answer import save_report
-from analysis.report.picture import charts_figure, figure_of
+from analysis.report.rendering import charts_figure, figure_of
 from analysis.sampling import RolloutChoices
 from planner.formatting import percent
 from planner.mrac.make_plan import make_plan
@@ -455,7 +453,7 @@ def test_layout_keeps_the_aspect_and_fits(shape: tuple[int, int]) -> None:
 
 def test_the_user_s_pyplot_is_left_alone() -> None:
     """It is never imported."""
-    code = "import sys; import analysis.pictures.style as p\nwith p.house_style(): p.png_bytes(p.new_figure((2, 2)))\n"
+    code = "import sys; import analysis.pictures as p\nwith p.house_style(): p.png_bytes(p.new_figure((2, 2)))\n"
     code += "assert 'matplotlib.pyplot' not in sys.modules"
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, cwd=Path(__file__).parents[1])
 

@@ -23,20 +23,19 @@ from validate import validate
 import mrac_jax as mrac
 import planner.plan.plan_file
 from analysis.cli.app import run
-from analysis.cli.groups import Planning, PlanningToTheEnd, Second
+from analysis.cli.options import Planning, PlanningToTheEnd, Second
 from analysis.comparison import compare, make_side
 from analysis.evaluation.evaluate import evaluate
+from analysis.recording.container import open_log
 from analysis.recording.contents import read_rollouts
-from analysis.recording.log_reader import open_log
-from analysis.report.minutes import with_minutes
+from analysis.report.answer import with_minutes
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.results import outcomes_of, select
 from analysis.sweeps.spec import PLANNER
 from analysis.sweeps.store import Store
 from planner.arguments import COMMAND_LINE
-from planner.csv_tables import read_csv_grid
 from planner.errors import InputError, MapError, PlanError, UsageError
-from planner.files import LONG_BYTES
+from planner.files import LONG_BYTES, read_csv_grid
 from planner.formatting import UNITS, UNPACED, Pace, seconds_of
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plan.plan import Area, Leg, Plan, RobotPlan, headings, waypoints_csv

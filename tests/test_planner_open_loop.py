@@ -22,7 +22,7 @@ from planner.errors import PlanError, UsageError
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import ready_loop
 from planner.mrac.simulate import ReferenceLoop, Run, simulate
-from planner.open_loop.make_plan import make_open_loop_plan
+from planner.open_loop import make_open_loop_plan
 from planner.plan.plan import Plan, RobotPlan
 from planner.plan_team import plan_team
 from planner.rollouts.engine import Rolling, make_engine

@@ -39,7 +39,7 @@ from analysis.statistics.estimates import mean_estimate
 from analysis.sweeps.engine import Finished
 from analysis.sweeps.store import Store
 from analysis.theory.upper_bound import any_strategy
-from analysis.utils.folder import as_text
+from analysis.utils.tables import as_text
 from mrac_jax.environment.coverage_env import ACTIONS, CoverageEnv
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan

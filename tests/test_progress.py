@@ -21,16 +21,16 @@ import numpy as np
 import pytest
 
 import mrac_jax as mrac
-from analysis.api import questions as api_evaluation
-from analysis.api import questions as searches
+from analysis import api as api_evaluation
+from analysis import api as searches
 from analysis.cli.app import app, run
 from analysis.evaluation.evaluate import evaluate
 from analysis.sampling import RolloutChoices
-from analysis.utils import compiling, progress
+from analysis.utils import progress
+from analysis.utils import progress as compiling
 from analysis.utils import progress as shown
-from analysis.utils.compiling import Announcer
 from analysis.utils.notes import of_things
-from analysis.utils.progress import Interrupted, ask
+from analysis.utils.progress import Announcer, Interrupted, ask
 from analysis.utils.tables import SafeConsole
 from planner import jit
 from planner.jit import NO_CACHE
@@ -205,7 +205,7 @@ def test_both_compilers_report_to_the_announcer_and_a_cache_does_not(tmp_path: P
         "import numba\n@numba.njit(cache=True)\ndef double(x):\n    return 2 * x\n"
     )
     code = (
-        "from analysis.utils import compiling\ncompiling.notice_compiling()\n"
+        "from analysis.utils import progress as compiling\ncompiling.notice_compiling()\n"
         "compiling.PATIENCE, seen, ends = 0.0, [], compiling.ANNOUNCER.ends\n"
         "compiling.ANNOUNCER.ends = lambda: (seen.append(compiling.ANNOUNCER.line()), ends())\n"
         + (jax_code if jax else numba_code).format(folder=str(tmp_path / "cache"))
@@ -444,8 +444,8 @@ def test_searches_pass_every_option_on(monkeypatch: pytest.MonkeyPatch) -> None:
     }
     rooms = {
         "starts": "start_positions",
-        "clear": "threat_removal",
-        "attack": "threat_placement",
+        "clear": "threats",
+        "attack": "threats",
         "front": "pareto",
         "size": "team_size",
     }

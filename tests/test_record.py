@@ -23,9 +23,9 @@ from recordings import SEED, foreign_plan, positions, small_recording, small_tas
 
 from analysis.recording import contents
 from analysis.recording import record as rolling
+from analysis.recording.container import open_log
 from analysis.recording.contents import read_outcomes, read_rollouts
 from analysis.recording.frames import Held, make_frames
-from analysis.recording.log_reader import open_log
 from analysis.recording.record import (
     OutcomeColumns,
     Pick,
@@ -56,7 +56,7 @@ from planner.mrac.make_plan import make_plan
 from planner.plan.plan import Plan, RobotPlan, headings
 from planner.rollouts.engine import closed_loop_engine
 from planner.rollouts.open_loop import compile_plan
-from planner.rollouts.open_loop_trace import open_loop_trace
+from planner.rollouts.open_loop_events import open_loop_trace
 from planner.settings import Settings
 from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.tally import Doing, EventKind, Outcome, RolloutResults, Trace

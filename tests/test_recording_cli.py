@@ -21,8 +21,8 @@ from recordings import nth, rewrite, small_task
 
 import analysis.recording.record
 from analysis.cli.app import run
+from analysis.recording.container import open_log
 from analysis.recording.contents import read_outcomes, read_rollouts
-from analysis.recording.log_reader import open_log
 from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
 from planner.world.world import load_world_file
 
@@ -256,7 +256,7 @@ def test_files_that_are_none(command: str, tmp_path: Path, capsys: pytest.Captur
 
 
 def test_a_log_of_somebody_else_is_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from analysis.recording.log_writer import LogSchema, LogWriter
+    from analysis.recording.container import LogSchema, LogWriter
 
     with LogWriter(tmp_path / "other.mcap") as log:
         log.write(log.channel("/speed", LogSchema("", "", b"", "json")), 5 * 10**9, b"{}")

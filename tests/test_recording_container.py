@@ -18,8 +18,7 @@ import pytest
 from mcap.reader import make_reader
 from recordings import GRID, POSE, TOPICS, heard, parts_of, sample
 
-from analysis.recording.log_reader import open_log, recover
-from analysis.recording.log_writer import PARTIAL, LogSchema, LogWriter
+from analysis.recording.container import PARTIAL, LogSchema, LogWriter, open_log, recover
 from planner.errors import InputError, UsageError
 
 
@@ -217,7 +216,7 @@ def test_an_interrupt_while_a_log_is_finished_leaves_a_whole_one(tmp_path: Path)
 
 WRITES_UNTIL_KILLED = """
 import sys
-from analysis.recording.log_writer import LogSchema, LogWriter
+from analysis.recording.container import LogSchema, LogWriter
 with LogWriter(sys.argv[1], chunk_size=2000) as log:
     log.attach("world.npz", "x/y", b"world")
     log.metadata("mrac-jax", {"seed": "7"})

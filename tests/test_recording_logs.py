@@ -36,8 +36,7 @@ from mcap.records import (
 from mcap.writer import CompressionType, Writer
 from recordings import POSE, Part, Said, heard, parts_of, sample, stream_of
 
-from analysis.recording.log_reader import Lost, Recovered, open_log, recover
-from analysis.recording.log_writer import RECOVERED, LogWriter
+from analysis.recording.container import RECOVERED, LogWriter, Lost, Recovered, open_log, recover
 from analysis.recording.replay import recovered
 from analysis.recording.replay import recovered as in_words
 from planner.errors import InputError, UsageError
@@ -48,7 +47,7 @@ from planner.mcap import MAGIC, MAX_CHUNK
 
 @pytest.fixture(autouse=True)
 def quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("analysis.recording.log_writer.os.fsync", lambda number: None)
+    monkeypatch.setattr("analysis.recording.container.os.fsync", lambda number: None)
 
 
 @pytest.fixture(scope="module")
@@ -298,8 +297,8 @@ LIMITED = """
 import resource, sys
 from pathlib import Path
 from planner import mcap as wire
-from analysis.recording.log_reader import open_log
-from analysis.recording.log_reader import recover
+from analysis.recording.container import open_log
+from analysis.recording.container import recover
 from planner.errors import InputError
 wire.MAX_CHUNK, room = map(int, sys.argv[2:])
 used = int(next(line for line in open("/proc/self/status") if line.startswith("VmSize")).split()[1]) * 1024
@@ -627,7 +626,7 @@ def test_what_is_there_is_replaced_only_at_the_end(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("analysis.recording.log_reader._save_chunk", interrupted)
+        patched.setattr("analysis.recording.container._save_chunk", interrupted)
         with pytest.raises(KeyboardInterrupt):
             recover(tmp_path / "in.mcap", tmp_path / "out.mcap")
     assert (tmp_path / "out.mcap").read_bytes() == b"older"

@@ -20,12 +20,12 @@ from recordings import SEED, Change, edited, foreign_plan, keep, nth, rewrite, s
 
 from analysis.estimators.racing import plan_best
 from analysis.inputs import Asked, load_or_make_plan
-from analysis.pictures.style import OBSTACLE, SAFE, house_style
+from analysis.pictures import OBSTACLE, SAFE, house_style
 from analysis.recording import contents
 from analysis.recording import pictures as animation
+from analysis.recording.container import open_log, recover
 from analysis.recording.contents import read_outcomes, read_rollouts
 from analysis.recording.frames import AreaMap, Held, area_maps, event_line, make_frames
-from analysis.recording.log_reader import open_log, recover
 from analysis.recording.pictures import RolloutPicture, animation_gif, boxes_for, durations, picture_png, shown_steps
 from analysis.recording.record import Request, parse_picks, record
 from analysis.recording.replay import inspect, replay
@@ -43,7 +43,7 @@ from planner.mrac.simulate import play_step
 from planner.plan.plan import Plan
 from planner.rollout_sampling import Luck
 from planner.rollouts.open_loop import compile_plan
-from planner.rollouts.open_loop_trace import open_loop_trace
+from planner.rollouts.open_loop_events import open_loop_trace
 from planner.settings import Choices
 from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
 from planner.tally import Doing, EventKind, Outcome, Trace

@@ -26,8 +26,8 @@ from analysis.experiments.reproduction import (
     reproduce,
     runs_of,
 )
-from analysis.statistics.control_variate import expected_pieces, pieces
 from analysis.statistics.estimates import over_maps
+from analysis.statistics.variance_reduction import expected_pieces, pieces
 from analysis.sweeps.store import Run, Store
 from analysis.sweeps.store_files import sums_of
 from analysis.theory.exact import open_loop_exact

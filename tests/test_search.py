@@ -17,7 +17,7 @@ import mrac_jax as mrac
 from analysis.cli.app import run
 from analysis.inputs import Asked, load_task
 from analysis.sampling import RolloutChoices, make_singles
-from analysis.search import threat_placement as search
+from analysis.search import threats as search
 from analysis.search.place_reports import (
     attack_findings,
     attack_headline,
@@ -29,8 +29,7 @@ from analysis.search.place_reports import (
     starts_report,
 )
 from analysis.search.start_positions import border, candidate_cells, find_starts, read_candidates, sites_of, spread_out
-from analysis.search.threat_placement import Attack
-from analysis.search.threat_removal import Clearing, by_cell, find_clearing, threats_of
+from analysis.search.threats import Attack, Clearing, by_cell, find_clearing, threats_of
 from analysis.theory.exact import coverage_gradient, open_loop_exact
 from planner.errors import InputError, PlanError, UsageError
 from planner.mrac.make_plan import make_plan
@@ -691,7 +690,7 @@ def test_what_a_scenario_says_of_combining_is_kept(tmp_path: Path) -> None:
 def test_of_large_maps_some_cells_are_looked_at_and_fewer_planned_for(monkeypatch: pytest.MonkeyPatch) -> None:
     world, best = small_world(0, 6, 6), mrac.attack(small_world(0, 6, 6), p=P)
     monkeypatch.setattr(search, "MOST_PLACES", 12)
-    monkeypatch.setattr("analysis.search.threat_removal.TABLES", 0)
+    monkeypatch.setattr("analysis.search.threats.TABLES", 0)
     few = mrac.attack(world, p=P)
     assert len(few.turn.options) == 12 and len(few.turn.simulated) == 8
     assert all(one.screen is not None for one in few.turn.options)

@@ -30,9 +30,9 @@ from analysis.search.reports import size_headline as size_said
 from analysis.search.start_positions import find_starts
 from analysis.search.team_size import Goal as SizeGoal
 from analysis.search.team_size import TeamVerdict, find_size, make_goal
-from analysis.search.threat_removal import find_clearing
-from analysis.statistics.control_variate import LEAST
+from analysis.search.threats import find_clearing
 from analysis.statistics.estimates import Estimate, bet_interval
+from analysis.statistics.variance_reduction import LEAST
 from analysis.theory.exact import Worth
 from analysis.utils.tables import policy_words
 from planner.mrac.make_plan import make_plan
@@ -516,8 +516,8 @@ def test_where_it_cannot_be_asked(capsys: pytest.CaptureFixture[str]) -> None:
 
 SEARCHES = 300
 BEFORE_LUCK = (
-    "search.start_positions._places", "search.start_positions.allocated_plan", "search.threat_removal.any_strategy",
-    "search.threat_removal.allocated_plan", "search.pareto.allocated_plan", "search.pareto.longest_mission",
+    "search.start_positions._places", "search.start_positions.allocated_plan", "search.threats.any_strategy",
+    "search.threats.allocated_plan", "search.pareto.allocated_plan", "search.pareto.longest_mission",
     "search.team_size.plan_team", "search.team_size.team_ideals", "estimators.trial.compile_closed_loop",
 )  # fmt: skip
 """What searches make of a map before any luck comes in."""

@@ -25,12 +25,12 @@ from scipy.stats import binom
 
 import mrac_jax as mrac
 from analysis.cli.app import run
-from analysis.evaluation import answer
+from analysis.evaluation import evaluate as answer
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.advice import Advice
 from analysis.evaluation.outputs.what_if import ThreatScale
 from analysis.report.answer import print_report
-from analysis.report.html import page_of
+from analysis.report.rendering import page_of
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.search import pareto as search
 from analysis.search.pareto import (
@@ -71,8 +71,8 @@ from analysis.search.team_size import (
     smallest_enough,
     team_ideals,
 )
-from analysis.statistics.control_variate import tally_mean
 from analysis.statistics.estimates import chance_interval, exactly, mean_interval, share_of_doubt
+from analysis.statistics.variance_reduction import tally_mean
 from analysis.theory.bounds import ideal_team
 from analysis.theory.exact import poisson_binomial
 from planner.errors import InputError, UsageError
@@ -977,7 +977,7 @@ def test_files_are_written_though_the_reader_has_gone(
         raise BrokenPipeError
 
     monkeypatch.setattr(sys, "stdout", sys.stdout)  # the command puts another in its place
-    monkeypatch.setattr("analysis.cli.deliver.show", gone)
+    monkeypatch.setattr("analysis.cli.console.show", gone)
     assert run(["evaluate", world_file, "--rollouts", "500", "--loop", "open", "--out", str(tmp_path / "out")]) == 0
     sys.stdout.close()
     assert {"index.html", "evaluation.json", "plan.json"} <= {file.name for file in (tmp_path / "out").iterdir()}

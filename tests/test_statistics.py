@@ -24,15 +24,6 @@ from analysis.comparison import compare, make_side
 from analysis.evaluation.evaluate import evaluate, half_width, until_enough
 from analysis.evaluation.figures import Coverage, Covered
 from analysis.sampling import RolloutChoices, Stage, make_engine_for, make_roll_out
-from analysis.statistics.control_variate import (
-    LEAST,
-    complete_chance,
-    controlled,
-    expected_pieces,
-    of_tally,
-    tally_mean,
-)
-from analysis.statistics.differences import Paired, difference, known_between, of_means, of_values
 from analysis.statistics.estimates import (
     FEW,
     FIRST_LOOK,
@@ -45,6 +36,19 @@ from analysis.statistics.estimates import (
     quantile,
     quantiles,
     sample_of,
+)
+from analysis.statistics.variance_reduction import (
+    LEAST,
+    Paired,
+    complete_chance,
+    controlled,
+    difference,
+    expected_pieces,
+    known_between,
+    of_means,
+    of_tally,
+    of_values,
+    tally_mean,
 )
 from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import longest_mission, longest_run

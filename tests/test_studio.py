@@ -28,8 +28,7 @@ from page_reader import Browser, browser_path, check_page_is_sound
 
 from analysis.cli.app import run
 from analysis.page.document import asset
-from analysis.studio.page import Sketch, read_sketch, studio_page
-from analysis.studio.server import HOST, MOST_BYTES, Latest, Studio, serve
+from analysis.studio.server import HOST, MOST_BYTES, Latest, Sketch, Studio, read_sketch, serve, studio_page
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
 from planner.formatting import Pace

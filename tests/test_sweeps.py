@@ -19,13 +19,13 @@ from page_reader import refused
 from scipy import stats
 
 import mrac_jax as mrac
-from analysis.cli import experiments as commands
+from analysis.cli import stored as commands
 from analysis.cli.app import run
-from analysis.evaluation.answer import Evaluation
+from analysis.evaluation.evaluate import Evaluation
 from analysis.experiments.information_value import Team, study_knowing
 from analysis.sampling import RolloutChoices
-from analysis.statistics.control_variate import BESIDE, expected_pieces, pieces
 from analysis.statistics.estimates import Estimate
+from analysis.statistics.variance_reduction import BESIDE, expected_pieces, pieces
 from analysis.sweeps import report
 from analysis.sweeps import results as rows
 from analysis.sweeps.cases import Generated, Places, Written

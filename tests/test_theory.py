@@ -35,11 +35,19 @@ from analysis.cli.app import run
 from analysis.evaluation.report import report as evaluation_report
 from analysis.evaluation.report import rest_words
 from analysis.report.answer import print_report
-from analysis.theory import single_robot as single
-from analysis.theory.bounds import Theorem3, all_bounds, ideal_team
+from analysis.theory import flow_programme as single
+from analysis.theory.bounds import (
+    MendedTheorem3,
+    Theorem3,
+    all_bounds,
+    ideal_connected,
+    ideal_team,
+    mended_theorem3,
+    reach_chances,
+    until_first_loss,
+)
 from analysis.theory.exact import open_loop_exact, poisson_binomial
 from analysis.theory.flow_programme import contract, missing_ways, optimum, way_within
-from analysis.theory.own_bounds import MendedTheorem3, ideal_connected, mended_theorem3, reach_chances, until_first_loss
 from analysis.theory.upper_bound import (
     ROUNDS,
     Dual,
@@ -54,7 +62,7 @@ from analysis.theory.upper_bound import (
     value_bound,
     within,
 )
-from analysis.utils.folder import as_text
+from analysis.utils.tables import as_text
 from planner.errors import PlanError
 from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.mrac.problem import prepare

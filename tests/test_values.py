@@ -30,9 +30,8 @@ from analysis.estimators.trial import mean_value
 from analysis.evaluation.evaluate import evaluate
 from analysis.evaluation.outputs.value import ROWS, Units, found_chances, value_table
 from analysis.sampling import RolloutChoices
-from analysis.statistics.control_variate import LEAST
-from analysis.statistics.differences import CommonLuck
 from analysis.statistics.estimates import Estimate, tail_mean, times_to
+from analysis.statistics.variance_reduction import LEAST, CommonLuck
 from analysis.theory.exact import Worth, open_loop_found
 from planner.errors import UsageError, WorldError
 from planner.formatting import percent

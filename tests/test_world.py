@@ -18,7 +18,6 @@ from conftest import FOLDER, worlds_with_starts
 from hypothesis import given
 from scipy import ndimage
 
-import planner.csv_tables
 import planner.files
 from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.failure_model import key_of, threefry2x32
@@ -101,7 +100,7 @@ def test_masked_values_are_missing_under_free_cells_alone() -> None:
 
 
 def test_csv_is_read_in_batches_and_a_wrong_line_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner.csv_tables, "CSV_BATCH", 40)
+    monkeypatch.setattr(planner.files, "CSV_BATCH", 40)
     file, rows = tmp_path / "w.csv", [f"0.{n:03d}, nan,{' ' * (n % 3)}-1,0.5e-3" for n in range(200)]
     file.write_text("\ufeff" + "\r\n\r\n".join(rows) + "\n\n")
     expected = np.array([[n / 1000, np.nan, np.nan, 0.0005] for n in range(200)], dtype=np.float32)
@@ -119,7 +118,7 @@ def test_csv_is_read_in_batches_and_a_wrong_line_is_named(tmp_path: Path, monkey
 
 def test_a_csv_file_too_large_is_refused_at_once(tmp_path: Path) -> None:
     with (tmp_path / "w.csv").open("wb") as out:
-        out.truncate(planner.csv_tables.MAX_CSV_BYTES + 1)
+        out.truncate(planner.files.MAX_CSV_BYTES + 1)
     with pytest.raises(MapError, match=r"67108865 bytes; expected .* of at most 67108864; save it as \.npz"):
         load_world_file(tmp_path / "w.csv")
 
@@ -333,7 +332,7 @@ GRIDS = [
 def test_grids_between_other_separators(
     tmp_path: Path, text: str, separator: str, decimal: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(planner.csv_tables, "CSV_BATCH", 5)
+    monkeypatch.setattr(planner.files, "CSV_BATCH", 5)
     (tmp_path / "w.csv").write_bytes(text.encode())
     world = load_world_file(tmp_path / "w.csv")
     np.testing.assert_array_equal(world.threat, [[0, 0.5], [np.nan, np.nan]])
@@ -365,7 +364,7 @@ def test_grids_that_can_be_read_in_two_ways(tmp_path: Path, text: str, words: st
 
 
 def test_decimal_signs_that_change_far_below(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner.csv_tables, "CSV_BATCH", 5)
+    monkeypatch.setattr(planner.files, "CSV_BATCH", 5)
     (tmp_path / "w.csv").write_text("\n\n\n0;0\n0;0,5\n0;0\n0;0.5\n")
     with pytest.raises(MapError, match="decimal commas up to line 5, decimal points below"):
         load_world_file(tmp_path / "w.csv")

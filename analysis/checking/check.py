@@ -1,20 +1,29 @@
-"""Every formula on one map: from a world and a plan to checks, rolling out the closed loop where it is not known."""
+"""Every formula on one map, from a world and a plan to checks; and on many random worlds of the paper's kind."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from analysis.estimators.trial import closed_truth
+from analysis.inputs import map_size
+from analysis.page.document import Chart, Series
 from analysis.report.answer import Answer, json_end
-from analysis.sampling import RolloutChoices, make_roll_out
+from analysis.sampling import Exactness, RolloutChoices, make_roll_out
+from analysis.statistics.estimates import Estimate, over_maps, proportion
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.upper_bound import any_strategy, trimmed
 from analysis.theory.verdicts import (
     FIGURES,
+    FORMULAS,
     MEANINGS,
     Check,
     ClosedTruth,
@@ -32,14 +41,23 @@ from analysis.theory.verdicts import (
     worst_of_robots,
 )
 from analysis.utils.notes import ProgressCallback
-from planner.arguments import argument
+from analysis.utils.pool import Pool, wanted_processes
+from planner.arguments import argument, whole
 from planner.errors import UsageError
 from planner.files import Json
+from planner.formatting import counted
 from planner.mrac.make_plan import make_plan
 from planner.plan.plan import Plan
+from planner.plan_team import plan_team
+from planner.settings import Choices, Settings
+from planner.simulator.closed_loop import compile_closed_loop, run_range
 from planner.simulator.tables import AllPairs
 from planner.tally import Tally
+from planner.world.generate import ThreatPattern, random_world
+from planner.world.levels import place_starts
 from planner.world.world import World
+
+# Every formula on one map: from a world and a plan to checks, rolling out the closed loop where it is not known.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -260,3 +278,303 @@ def check_row(check: Check) -> Json:
         "verdict": check.verdict,
         "margin": check.margin,
     }
+
+
+# Formulas on many random worlds of the paper's kind: how often each fails, by how much, and where it is worst.
+#
+# World number i of a survey with seed S is `random_world` with seed S + i, whatever else is looked at; its rollouts
+# take the same seed (worlds and rollouts share no stream). So a survey is a pure function of its choices: neither the
+# number of processes nor an interruption changes a world that was looked at.
+#
+# Many comparisons: a formula held against an exact truth fails or does not. A sampled truth (closed loop, two robots
+# or more) comes with an interval that misses it with chance at most 0.05 / (3 figures x worlds x sizes of team), the
+# share of Bonferroni: empirical Bernstein for the means, Clopper & Pearson for the chance. A failure counts only
+# beyond it, so with 95 % confidence not one of all counted failures of the survey is an accident of sampling.
+
+MOST_WORLDS = 1_000_000
+EXACT: Exactness = 0.1
+"""Seconds that an exact closed loop is worth for each world and team (`RolloutChoices.exact`)."""
+
+
+@dataclass(frozen=True)
+class SurveyChoices:
+    """What is surveyed.
+
+    Attributes:
+        worlds: how many. kind, height, width: of each. teams: sizes of team, increasing. settings: of the planner.
+        bound: whether the bound for every strategy is worked out too.
+    """
+
+    worlds: int
+    kind: Literal["contiguous", "scattered"]
+    height: int
+    width: int
+    teams: tuple[int, ...]
+    settings: Settings
+    bound: bool = False
+
+    @property
+    def figures(self) -> int:
+        """Sampled figures whose intervals hold together: those of every world and team of two robots or more."""
+        return FIGURES * self.worlds * max(1, sum(robots > 1 for robots in self.teams))
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One world with one team: `checks` hold the worst robot's for each formula, meaning and loop."""
+
+    seed: int
+    robots: int
+    cells: int
+    checks: tuple[Check, ...]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One formula in one meaning and loop for one size of team, over all worlds where it is defined.
+
+    Attributes:
+        check: the worst one; its margin is the smallest. seed: of its world.
+        robots: size of team. worlds: where the formula is defined. verdicts: how many worlds have each.
+        tightness: median of value / truth. fails: fraction of the worlds on which it fails, with its interval.
+    """
+
+    check: Check
+    seed: int
+    robots: int
+    worlds: int
+    verdicts: dict[Verdict, int]
+    tightness: float | None
+    fails: Estimate
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Survey(Answer):
+    """A survey's answer; `entries` in order of (seed, robots). partial: interrupted."""
+
+    reported_by = "analysis.checking.report:survey_report"
+
+    choices: SurveyChoices
+    rollouts: RolloutChoices
+    entries: tuple[Entry, ...]
+    seconds: float
+    partial: bool = False
+
+    @property
+    def faults(self) -> list[tuple[int, int, Check]]:
+        """(seed, robots, check) of every failure of what is marked as proven."""
+        return [(e.seed, e.robots, check) for e in self.entries for check in proven_failures(e.checks)]
+
+    @property
+    def worlds(self) -> int:
+        """Worlds looked at."""
+        return len({entry.seed for entry in self.entries})
+
+    @property
+    def said(self) -> str:
+        """ "200 contiguous worlds of 20 x 20 cells"."""
+        worlds = counted(self.worlds, f"{self.choices.kind} world")
+        return f"{worlds} of {self.choices.height} x {self.choices.width} cells"
+
+    @cached_property
+    def rows(self) -> list[Row]:
+        """Every formula, meaning and loop by size of team."""
+        return [make_row(robots, found) for _, robots, found in self.grouped()]
+
+    @cached_property
+    def failing(self) -> dict[str, Row]:
+        """Of each of the paper's formulas that fails somewhere the row in which it fails most often."""
+        fails = [row for row in self.rows if row.verdicts[Verdict.FAILS] and row.check.about.paper]
+        formulas = [key for key in FORMULAS if any(row.check.formula == key for row in fails)]
+        return {
+            key: max((row for row in fails if row.check.formula == key), key=lambda row: row.fails.mean)
+            for key in formulas
+        }
+
+    def grouped(self) -> Iterator[tuple[str, int, list[tuple[int, Check]]]]:
+        """(key, robots, [(seed, check)]) in the order of tables."""
+        groups: dict[tuple[str, int], list[tuple[int, Check]]] = {}
+        for entry in self.entries:
+            for check in entry.checks:
+                groups.setdefault((check.key, entry.robots), []).append((entry.seed, check))
+        longest = max(self.entries, key=lambda entry: len(entry.checks), default=None)
+        keys = [check.key for check in longest.checks] if longest else []
+        keys += sorted({key for key, _ in groups} - set(keys))
+        for key in keys:
+            for robots in self.choices.teams:
+                if (key, robots) in groups:
+                    yield key, robots, groups[key, robots]
+
+    def worst_failures(self) -> dict[str, Row]:
+        """For each key that fails somewhere, the row of the team with its worst failure."""
+        worst: dict[str, Row] = {}
+        for row in self.rows:
+            if row.check.verdict is Verdict.FAILS:
+                held = worst.get(row.check.key)
+                if held is None or row.check.margin < held.check.margin:
+                    worst[row.check.key] = row
+        return worst
+
+
+def make_row(robots: int, found: list[tuple[int, Check]]) -> Row:
+    """The row of [(seed, check)] of one key and one size of team; the worst is a failure if there is one."""
+    seed, worst = min(found, key=lambda one: (one[1].verdict is not Verdict.FAILS, one[1].margin, one[0]))
+    verdicts = {verdict: sum(check.verdict is verdict for _, check in found) for verdict in Verdict}
+    tight = [check.tightness for _, check in found if check.tightness is not None]
+    fails = proportion(verdicts[Verdict.FAILS], len(found))
+    return Row(worst, seed, robots, len(found), verdicts, float(np.median(tight)) if tight else None, fails)
+
+
+def make_survey(
+    worlds: int,
+    kind: Literal["contiguous", "scattered"] | None,
+    size: str | None,
+    teams: tuple[int, ...],
+    given: Choices,
+    bound: bool = False,
+) -> SurveyChoices:
+    """The choices, checked on a first world. Raises InputError."""
+    whole(1, MOST_WORLDS).check("worlds", worlds)
+    height, width = map_size(size or "20x20")
+    settings = Settings(**given.given())
+    settings.check()
+    choices = SurveyChoices(worlds, kind or "contiguous", height, width, teams, settings, bound)
+    survey_world(choices, 0)
+    return choices
+
+
+def survey_world(choices: SurveyChoices, seed: int) -> World:
+    """The survey's world with this seed."""
+    return random_world(choices.height, choices.width, ThreatPattern(choices.kind, seed=seed))
+
+
+def survey_starts(world: World, robots: int) -> NDArray[np.int64]:
+    """Starts of its team, int64 `[K, 2]`."""
+    return place_starts(world, robots)[0]
+
+
+def look_at(choices: SurveyChoices, rollouts: RolloutChoices, seed: int) -> list[Entry]:
+    """One world with every team. The closed loop runs on one thread: there are processes enough."""
+    world = survey_world(choices, seed)
+    alone = plan_team(world, survey_starts(world, 1), choices.settings)
+    entries, kept = [], AllPairs()
+    for robots in choices.teams:
+        plan = alone if robots == 1 else plan_team(world, survey_starts(world, robots), choices.settings)
+
+        checked = check_map(
+            world,
+            plan,
+            replace(rollouts, exact=EXACT),
+            partial(_sample, rollouts, world, plan, seed, kept),
+            alone=alone,
+            figures=choices.figures,
+            bound=choices.bound,
+            kept=kept,
+        )
+        entries.append(Entry(seed, robots, checked.cells, tuple(checked.rows)))
+    return entries
+
+
+def _sample(rollouts: RolloutChoices, world: World, plan: Plan, seed: int, kept: AllPairs) -> Tally:
+    loop = compile_closed_loop(plan, world, first_only=rollouts.first_only, kept=kept)
+    return run_range(loop, seed, 0, rollouts.rollouts, threads=1)[0]
+
+
+def run_survey(
+    choices: SurveyChoices,
+    rollouts: RolloutChoices,
+    *,
+    processes: int | None = None,
+    progress: ProgressCallback | None = None,
+) -> Survey:
+    """The survey; `processes` (None: one a core) changes nothing but the time.
+
+    An interruption (KeyboardInterrupt) ends it with the worlds that are done, `partial`; if there is none, it is raised
+    again. Raises InputError.
+    """
+    count = min(wanted_processes(processes, choices.worlds), choices.worlds)
+    if rollouts.seed + choices.worlds > 2**64:
+        raise UsageError(argument("seed", rollouts.seed), expected=f"at most 2**64 - {choices.worlds}")
+    seeds = range(rollouts.seed, rollouts.seed + choices.worlds)
+    clock, entries, interrupted, done = time.perf_counter(), [], False, 0
+    try:
+        with _looked_at(choices, rollouts, seeds, count) as answers:
+            for found in answers:
+                entries += found
+                done += 1
+                if progress is not None:
+                    progress(done, choices.worlds, time.perf_counter() - clock)
+    except KeyboardInterrupt:
+        if not entries:
+            raise
+        interrupted = True
+    entries.sort(key=lambda entry: (entry.seed, entry.robots))
+    return Survey(choices, rollouts, tuple(entries), time.perf_counter() - clock, interrupted)
+
+
+@contextmanager
+def _looked_at(
+    choices: SurveyChoices, rollouts: RolloutChoices, seeds: range, count: int
+) -> Iterator[Iterator[list[Entry]]]:
+    """The entries of world after world, in any order, from `count` processes; 1: from this one."""
+    task = partial(look_at, choices, rollouts)
+    if count == 1:
+        yield map(task, seeds)
+        return
+    with Pool(task, count, name=lambda seed: f"world {seed}") as pool:
+        yield (found for _, found in pool.run(seeds))
+
+
+# The charts of a survey's page: how often formulas fail, and coverage with what bounds it.
+
+DRAWN = {
+    "eq7_team/visited/closed": "ideal of one robot, eq. (7)",
+    "ideal_connected/visited/closed": "our ideal on this map",
+    "theorem3_interior_set/visited/open": "Theorem 3, C interior, set",
+    "mended_largest/visited/open": "ours: chances",
+    "until_first_loss/visited/closed": "ours: until the first loss",
+}
+"""What is drawn beside the coverage, by key of the check: as many as there are colours."""
+
+
+def failing(survey: Survey) -> Chart:
+    """The share of worlds on which each of the paper's formulas fails, where it fails most: a curve for each."""
+    series = []
+    for most in survey.failing.values():
+        rows = [row for row in survey.rows if row.check.key == most.check.key]
+        series.append(Series.of(most.check.named, [row.robots for row in rows], [row.fails for row in rows]))
+    return Chart(
+        title="How often the paper's formulas fail",
+        series=tuple(series),
+        x_name="robots",
+        y_name="share of the worlds on which it fails, %",
+        unit="%",
+        y_range=(0, 100),
+        note="Of the worlds where the formula is defined, in the meaning and loop in which it fails most. Press a name "
+        "to hide a curve.",
+    )
+
+
+def coverage(survey: Survey) -> Chart:
+    """Coverage, ideals and bounds, means over the worlds, with 95 % intervals of these means."""
+    names = {f"ideal_team/visited/{loop}": f"coverage, {loop} loop" for loop in ("open", "closed")} | DRAWN
+    cells = {(entry.seed, entry.robots): entry.cells for entry in survey.entries}
+    means: dict[str, dict[int, Estimate]] = {}
+    for key, robots, found in survey.grouped():
+        shares = [(check.value if key in DRAWN else check.truth.value) / cells[seed, robots] for seed, check in found]
+        means.setdefault(key, {})[robots] = over_maps(np.array(shares))
+    series = [
+        Series.of(name, list(means[key]), list(means[key].values()), dashed=key in DRAWN, colour=place)
+        for place, (key, name) in enumerate(names.items())
+        if key in means
+    ]
+    return Chart(
+        title="Coverage, what bounds it, and what claims to",
+        series=tuple(series),
+        x_name="robots",
+        y_name="mean over the worlds, % of the accessible cells",
+        unit="%",
+        y_range=(0, 100),
+        at_y=((100.0, "every cell"),),
+        interval="95 % interval of the mean over worlds",
+    )

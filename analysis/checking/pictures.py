@@ -9,11 +9,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, Locator, NullLocator
 from numpy.typing import NDArray
 
-from analysis.checking.check import MapCheck
-from analysis.checking.survey import Survey
-from analysis.pictures.style import FAINT, GRID, INK, WIDTH, heading, inches, new_figure, plain, whole_ticks
-from analysis.theory.formulas import FORMULAS, Direction
-from analysis.theory.verdicts import Check, Verdict
+from analysis.checking.check import MapCheck, Survey
+from analysis.pictures import FAINT, GRID, INK, WIDTH, heading, inches, new_figure, plain, whole_ticks
+from analysis.theory.verdicts import FORMULAS, Check, Direction, Verdict
 from planner.formatting import counted
 
 VERDICT_COLOURS = {

@@ -9,17 +9,22 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from analysis.checking.check import MapCheck, check_head, check_json, check_row
-from analysis.checking.survey import Row, Survey, survey_starts, survey_world
-from analysis.page.charts import Chart
-from analysis.report.answer import json_end
+from analysis.checking.check import (
+    MapCheck,
+    Row,
+    Survey,
+    check_head,
+    check_json,
+    check_row,
+    survey_starts,
+    survey_world,
+)
+from analysis.page.document import Chart
+from analysis.report.answer import asked, json_end, map_words
 from analysis.report.model import CellMaps, KeyFigure, Part, Report
-from analysis.report.searched import asked, map_words
 from analysis.statistics.estimates import ALPHA, between
-from analysis.theory.formulas import FORMULAS, Direction
-from analysis.theory.verdicts import Check, Truth, Verdict, badness, overall
-from analysis.utils.folder import csv_text
-from analysis.utils.tables import make_table
+from analysis.theory.verdicts import FORMULAS, Check, Direction, Truth, Verdict, badness, overall
+from analysis.utils.tables import csv_text, make_table
 from planner.arguments import argument
 from planner.files import Json
 from planner.formatting import counted, in_percent, percent
@@ -421,7 +426,7 @@ def _csv(survey: Survey) -> str:
 
 
 def _charts(survey: Survey) -> tuple[Chart, Chart]:
-    from analysis.checking.survey import coverage, failing
+    from analysis.checking.check import coverage, failing
 
     return failing(survey), coverage(survey)
 

@@ -17,43 +17,52 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, UnknownOptionError
 
-from analysis.cli.console import COMMAND, check_files, check_folder, check_streams, may_replace, output_console
-from analysis.cli.decisions import Altitude, attack, clear, drive, export, starts, studio
-from analysis.cli.deliver import BAD_INPUT, DONE, INTERRUPTED, deliver, print_json, show
-from analysis.cli.experiments import reproduce, results, suite, sweep
-from analysis.cli.groups import (
-    Checking,
-    OfAnyPolicy,
-    Planning,
-    PlanningToTheEnd,
-    Rollouts,
-    Second,
-    SeeingTeam,
-    Sought,
-    Team,
-    Timed,
-    Traded,
-    Wanted,
+from analysis.cli.console import (
+    BAD_INPUT,
+    COMMAND,
+    DONE,
+    INTERRUPTED,
+    check_files,
+    check_folder,
+    check_streams,
+    deliver,
+    may_replace,
+    output_console,
+    print_json,
+    show,
 )
+from analysis.cli.decisions import Altitude, attack, clear, drive, export, starts, studio
 from analysis.cli.options import (
     OUTPUT,
     PLANNING,
     ROLLOUTS,
     Bound,
+    Checking,
     Force,
     Input,
     Json,
     Kind,
     Metrics,
     Number,
+    OfAnyPolicy,
     OutPath,
+    Planning,
+    PlanningToTheEnd,
+    Rollouts,
+    Second,
+    SeeingTeam,
+    Sought,
     StateFile,
+    Team,
     Text,
+    Timed,
+    Traded,
+    Wanted,
     Whole,
     path,
     verbatim,
 )
-from analysis.cli.recording import inspect, record, recover, replay
+from analysis.cli.stored import inspect, record, recover, replay, reproduce, results, suite, sweep
 from analysis.utils.notes import elsewhere, say
 from planner.arguments import COMMAND_LINE
 from planner.errors import PER_VISIT, InputError, UsageError
@@ -61,7 +70,7 @@ from planner.settings import BEST
 
 if TYPE_CHECKING:
     from analysis.comparison import Side
-    from analysis.evaluation.answer import Evaluation
+    from analysis.evaluation.evaluate import Evaluation
     from analysis.report.model import Report
     from planner.world.world import World
 
@@ -109,7 +118,7 @@ def evaluate(
         advice: Also what other settings cover and lose: a few seconds more, and on a first run a compilation.
         out: Write the page, pictures, plan and JSON to this folder.
     """
-    from analysis.cli.progress import load_or_make_plan
+    from analysis.cli.console import load_or_make_plan
     from analysis.evaluation.evaluate import check_asked
     from analysis.evaluation.evaluate import evaluate as evaluate_plan
     from analysis.evaluation.outputs.information import parse_ranges
@@ -278,7 +287,7 @@ def _check_input(
     source: str, what: Checking, planning: Planning, plan: Path | None, out: Path | None, as_json: bool
 ) -> int:
     from analysis.checking.check import check_input, check_world
-    from analysis.cli.progress import load_or_make_plan
+    from analysis.cli.console import load_or_make_plan
     from analysis.utils.progress import show_progress
 
     choices = what.rolled(20_000)
@@ -291,8 +300,8 @@ def _check_input(
 
 
 def _check_worlds(what: Checking, planning: Planning, out: Path | None, as_json: bool) -> int:
-    from analysis.checking.survey import make_survey, run_survey
-    from analysis.cli.progress import show_pool_progress
+    from analysis.checking.check import make_survey, run_survey
+    from analysis.cli.console import show_pool_progress
 
     choices = make_survey(what.worlds or 0, what.kind, what.size, what.team_sizes(), planning.choices(), what.bound)
     rollouts = what.rolled(4096)
@@ -323,7 +332,7 @@ def plan_command(
         waypoints: Write paths to drive: .csv .plan .yaml .geojson .kml .gpx .tif, as of `export`.
         seconds: With plan-for open or policy best: end the search after so many.
     """
-    from analysis.cli.progress import load_or_make_plan, print_plan
+    from analysis.cli.console import load_or_make_plan, print_plan
     from analysis.exporting import choose_format, export, make_mission
     from analysis.inputs import read_files
 
@@ -402,7 +411,7 @@ def _side(
     name: str, source: str, plan: Path | None, team: Team, planning: Planning, what: Timed
 ) -> tuple[Side, tuple[str, ...]]:
     """One of the two of `compare`, and notes; errors say which."""
-    from analysis.cli.progress import load_or_make_plan
+    from analysis.cli.console import load_or_make_plan
     from analysis.comparison import make_side
 
     try:

@@ -1,20 +1,39 @@
-"""Where the command line writes: results to standard output, notes to standard error, files checked beforehand."""
+"""Where the command line writes, what it says while it works, and how every command ends."""
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 import signal
 import sys
 import tempfile
 import threading
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from analysis.utils.notes import say
 from planner.errors import UsageError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from analysis.inputs import Asked
+    from analysis.report.answer import Answer
+    from analysis.report.model import Report
+    from analysis.utils.progress import Watch
+    from planner.plan.plan import Plan
+    from planner.settings import Policy
+    from planner.world.world import World
+
+
+# Where the command line writes, and how every command ends: tables or JSON, files written, an exit status.
+
+# Where the command line writes: results to standard output, notes to standard error, files checked beforehand.
 
 COMMAND: ContextVar[tuple[str, ...]] = ContextVar("command", default=())
 """The words of the command line that is being run, without the program's name."""
@@ -149,3 +168,124 @@ def keep_interrupts(own: signal.Signals) -> threading.Event:
     if waits:
         threading.Thread(target=pass_on, daemon=True).start()
     return came
+
+
+# How every command ends: the answer printed as tables or as JSON, files written, an exit status.
+
+DONE, CHECK_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+def deliver(
+    answer: Answer,
+    said: Report | None = None,
+    *,
+    out: Path | None = None,
+    as_json: bool = False,
+    notes: Iterable[str] = (),
+    command: str | None = None,
+    source: str | None = None,
+    beside: Iterable[Path | None] = (),
+    earlier: Report | None = None,
+) -> int:
+    """Print `answer`, save it to `out`, say the notes and what was written; returns the exit status.
+
+    It is saved even if nobody reads on what is printed (BrokenPipeError, raised afterwards).
+
+    Args:
+        said: its report, if it is not the one that everybody gets.
+        command: what made it, for the page, if not the command line that is being run.
+        source, beside: the INPUT, and files that were read beside it: they are not replaced.
+        earlier: its report of before, which is printed already.
+    """
+    from analysis.inputs import read_files
+    from analysis.report.answer import report_of, save_report
+    from analysis.utils.progress import show_progress
+
+    report, written, unread = said or report_of(answer), list[Path](), list[BrokenPipeError]()
+    try:
+        show(report, as_json, earlier)
+    except BrokenPipeError as error:
+        unread.append(error)
+    if out is not None:
+        with show_progress() as progress:
+            progress.doing("writing pictures and the page")
+            line = command_line() if command is None else command
+            written = save_report(report, out, line, read_files(source, *beside))
+    say([*notes, *(f"wrote {file}" for file in written)])
+    if unread:
+        raise unread[0]
+    return INTERRUPTED if answer.partial else CHECK_FAILED if report.faults else DONE
+
+
+def show(report: Report, as_json: bool, earlier: Report | None = None) -> None:
+    """Print a report as tables or as JSON; `earlier`: as of `print_report`."""
+    from analysis.report.answer import json_of, print_report
+
+    if as_json:
+        print_json(json_of(report))
+    else:
+        print_report(report, output_console(), earlier)
+
+
+def print_json(content: object) -> None:
+    """One JSON object on standard output, and nothing else."""
+    print(json.dumps(content, allow_nan=False), flush=True)  # noqa: T201
+
+
+# What the commands say while they work, each of what it counts; how that is shown: `analysis.utils.progress`.
+
+
+@contextmanager
+def show_pool_progress(things: str, policies: Iterable[Policy]) -> Iterator[Watch]:
+    """What processes do that roll out by these policies; `things`: what is counted."""
+    from analysis.utils.progress import compiling_elsewhere, show_progress
+
+    with compiling_elsewhere(policies), show_progress(things) as watch:
+        yield watch
+
+
+def load_or_make_plan(
+    asked: Asked, plan_file: Path | None = None, state: Path | None = None, **how: Any
+) -> tuple[World, Plan, tuple[str, ...]]:
+    """`analysis.inputs.load_or_make_plan`, watched."""
+    from analysis.estimators.racing import plan_best
+    from analysis.inputs import load_or_make_plan as load
+    from analysis.utils.progress import show_progress
+
+    with show_progress() as watch:
+        watch.doing("the map")
+        return load(asked, plan_file, state, find_best=plan_best, doing=watch.doing, **how)
+
+
+# What `mrac-jax plan` prints of a plan: it in a line, and a row for each robot.
+
+
+def print_plan(made: Plan, world: World, console: Console) -> None:
+    """Print it; what a robot survives is its nominal path."""
+    from analysis.theory.exact import open_loop_exact
+    from analysis.utils.tables import bearing_words, make_table, plan_words, span_words
+    from planner.formatting import counted, in_percent
+    from planner.plan.plan import drive_of
+
+    said = made.origin
+    if not made.is_foreign:
+        said = plan_words(made)
+    lost = 0 if made.state is None else made.state.lost
+    team = f"{counted(len(made.robots), 'robot')}{f' ({lost} lost before)' if lost else ''}"
+    console.print(f"{team}, {said}, {span_words(made, world.pace)}", highlight=False)
+    if made.settings is not None and made.settings.deadline is not None:
+        console.print(
+            f"The mission ends at {world.pace.step(made.settings.deadline)}, whatever is left.", highlight=False
+        )
+    if means := bearing_words(made, world):
+        console.print(f"Robots: {means}.", highlight=False)
+    drive = drive_of(robot.path for robot in made.robots)
+    table = make_table(("robot", "start", "moves", "quarter turns", "areas covered", "survives its path, %"))
+    for number, (robot, chance) in enumerate(zip(made.robots, open_loop_exact(made, world).survival, strict=True)):
+        start = divmod(int(robot.path[0]), made.shape[1])
+        covered = "" if made.is_foreign else str(sum(leg.kind == "cover" for leg in robot.legs))
+        survival = in_percent(chance, 2)
+        table.add_row(
+            str(number), str(list(start)), str(drive.moves[number]), str(drive.turns[number]), covered, survival
+        )
+    console.print(table)

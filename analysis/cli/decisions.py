@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Literal, get_args
 
 from cyclopts import Group, Parameter
 
-from analysis.cli.console import check_files, check_folder
-from analysis.cli.deliver import DONE, deliver
-from analysis.cli.groups import CommonLuck, PlanningToTheEnd, Team, Together
+from analysis.cli.console import DONE, check_files, check_folder, deliver
 from analysis.cli.options import (
     GOAL,
     OUTPUT,
@@ -21,21 +19,24 @@ from analysis.cli.options import (
     ROLLOUTS,
     TEAM,
     CellSize,
+    CommonLuck,
     Input,
     Json,
     Number,
     OutPath,
+    PlanningToTheEnd,
     Removed,
     Seed,
     Speed,
     StateFile,
     StepSeconds,
+    Team,
     Text,
+    Together,
     Whole,
     one_of,
     path,
 )
-from analysis.report.minutes import with_minutes
 from analysis.utils.notes import say
 from planner.arguments import FRACTION, is_whole, whole
 from planner.errors import UsageError
@@ -129,7 +130,7 @@ def clear(
             threats (default: sources where there are several, else areas).
         out: Write the page, the pictures and JSON to this folder.
     """
-    from analysis.search.threat_removal import find_clearing
+    from analysis.search.threats import find_clearing
 
     search = partial(find_clearing, count=1 if count is None else count, remove=remove)
     return _of_threats(search, source, team, what, planning, out, as_json)
@@ -157,7 +158,7 @@ def attack(
         p: The chance that a visit of one stops a robot, beside what else is there (default: 0.2).
         out: Write the page, the pictures, JSON and both maps (known.yaml, hidden.npz) to this folder.
     """
-    from analysis.search.threat_placement import find_attack
+    from analysis.search.threats import find_attack
 
     search = partial(find_attack, count=1 if count is None else count, p=0.2 if p is None else p)
     return _of_threats(search, source, team, what, planning, out, as_json)
@@ -225,7 +226,7 @@ def drive(
     changes nothing. Where --state cannot be written it ends, and goes on from there when it is started again.
     docs/mission.md has all keys.
     """
-    from analysis.cli.progress import load_or_make_plan
+    from analysis.cli.console import load_or_make_plan
     from analysis.inputs import check_team
     from analysis.mission_protocol import Dialogue, DrivenMission
     from planner.mission.map_updates import ended
@@ -272,6 +273,8 @@ def _lines(stream: BinaryIO) -> Iterator[str]:
 
 
 def _tell(lines: Iterable[dict[str, Any]], pace: Pace) -> None:
+    from analysis.report.answer import with_minutes
+
     for line in lines:
         print(json.dumps(with_minutes(line, pace), allow_nan=False, separators=(",", ":")), flush=True)  # noqa: T201
 
@@ -310,7 +313,7 @@ def export(
         to: qgc, nav2, geojson, kml, gpx, csv or geotiff (default: by --out's suffix).
         plan: Export this plan file instead of planning.
     """
-    from analysis.cli.progress import load_or_make_plan
+    from analysis.cli.console import load_or_make_plan
     from analysis.exporting import choose_format, make_mission
     from analysis.exporting import export as export_mission
     from analysis.inputs import read_files
@@ -353,10 +356,8 @@ def studio(
         raise UsageError("tornado is not installed", fix='pip install "mrac-jax[studio]"') from None
     from analysis.inputs import input_path, load_task
     from analysis.sampling import RolloutChoices
-    from analysis.studio.page import Sketch, raster_of
-    from analysis.studio.server import Studio, serve
-    from analysis.utils.compiling import ANNOUNCER, notice_compiling
-    from analysis.utils.progress import lines_now_and_then, run_loop
+    from analysis.studio.server import Sketch, Studio, raster_of, serve
+    from analysis.utils.progress import ANNOUNCER, lines_now_and_then, notice_compiling, run_loop
     from planner.settings import Choices
 
     team = team or Team()

@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.sampling import RolloutChoices, knowing_deadline, make_engine_for
-from analysis.statistics.control_variate import LEAST, estimate_of, tally_mean
-from analysis.statistics.differences import CommonLuck, Paired, difference
 from analysis.statistics.estimates import (
     QUANTILES,
     ROUNDING,
@@ -26,9 +24,10 @@ from analysis.statistics.estimates import (
     mean_of,
     proportion,
 )
+from analysis.statistics.variance_reduction import LEAST, CommonLuck, Paired, difference, estimate_of, tally_mean
 from analysis.theory.exact import OpenLoopExact, Worth, open_loop_exact
 from analysis.theory.verdicts import MEANINGS, ClosedTruth, Truth, as_stated, exact_truth
-from analysis.utils.compiling import compiles_for
+from analysis.utils.progress import compiles_for
 from planner.errors import PlanError
 from planner.plan.plan import Plan, is_certain
 from planner.rollouts.engine import Engine, closed_loop_engine, run_by_luck, run_chunks
@@ -197,7 +196,7 @@ def mean_value(
 ) -> Estimate:
     """The mean of units `[B]`, as a value of the `total` of so many cells; `certain`: every run is the same.
 
-    `luck`: of the rollouts, by which it is put right (`analysis.statistics.control_variate`).
+    `luck`: of the rollouts, by which it is put right (`analysis.statistics.variance_reduction`).
     """
     values, often = np.unique(column, return_counts=True)
     unit, most = total / UNITS, most_units(cells)

@@ -1,30 +1,365 @@
-"""Evaluate a plan: closed form, formulas, rollouts until a count or a precision, and what else was asked for."""
+"""Evaluate a plan: closed form, formulas, rollouts until a count or a precision, what else was asked; the answer."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from math import isfinite
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from analysis.estimators.trial import TreeTruth, closed_truth
-from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.outputs.output import Output, Run
-from analysis.evaluation.outputs.table import OUTPUTS
-from analysis.evaluation.outputs.what_if import alike
-from analysis.sampling import RolloutChoices, Stage, check_deadline, knowing_deadline, make_roll_out
-from analysis.statistics.control_variate import tally_mean
-from analysis.statistics.estimates import FIRST_LOOK, looks
-from analysis.theory.exact import open_loop_exact
+from analysis.evaluation.figures import (
+    Blocks,
+    Coverage,
+    Expected,
+    Figures,
+    Known,
+    Limits,
+    Losses,
+    Output,
+    Rest,
+    Run,
+    last_shown,
+    rest_of,
+)
+from analysis.evaluation.outputs.advice import Advice
+from analysis.evaluation.outputs.information import Experience, Knowledge
+from analysis.evaluation.outputs.over_time import Band, Deadline, Turning
+from analysis.evaluation.outputs.value import Value
+from analysis.evaluation.outputs.what_if import MapDoubt, Mates, ThreatScale, alike
+from analysis.report.answer import Answer
+from analysis.sampling import (
+    RolloutChoices,
+    Stage,
+    check_deadline,
+    home_of,
+    knowing_deadline,
+    make_roll_out,
+    make_singles,
+)
+from analysis.statistics.estimates import FIRST_LOOK, Amount, Estimate, exactly, looks
+from analysis.statistics.variance_reduction import Controlled, of_tally, tally_mean
+from analysis.theory.bounds import Bounds, all_bounds
+from analysis.theory.exact import OpenLoopExact, open_loop_exact
+from analysis.theory.upper_bound import AnyStrategy, any_strategy, trimmed
+from analysis.theory.verdicts import (
+    FORMULAS,
+    Check,
+    ClosedTruth,
+    Verdict,
+    longest_run,
+    of_formula,
+    overall,
+    paper_checks,
+    worst_of_robots,
+)
 from analysis.utils.notes import Doing, ProgressCallback, quiet
-from planner.arguments import argument
+from analysis.utils.tables import bearing_words, frame_of
+from planner.arguments import argument, whole
 from planner.errors import UsageError
 from planner.formatting import counted
+from planner.ids import MOST_ROLLOUTS
 from planner.plan.plan import Plan, is_certain
+from planner.rollouts.engine import choose_engine
 from planner.simulator.tables import AllPairs
 from planner.tally import Outcome, Tally
+from planner.world.features import as_it_is
 from planner.world.uncertain_maps import Uncertain
 from planner.world.world import World
+
+if TYPE_CHECKING:
+    from analysis.evaluation.layers import Layers
+    from analysis.page.maps import Run as DrawnRun
+
+
+# What an evaluation holds: the plan, its exact values and bounds, and the tally of its rollouts.
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Evaluation(Answer):
+    """One evaluated plan.
+
+    Attributes:
+        world, plan: what was evaluated. closed_form: the open loop's exact values.
+        loop: "open" or "closed". engine: "jax" or "numba". seed: of the rollouts.
+        tally: the counts. outputs: what else was asked for, by key (`analysis.evaluation.outputs`).
+        choices: what was asked for. closed: the closed loop's expected values where they are known exactly, else None.
+        seconds: spent on rollouts, compilation left out. compile_seconds: spent on that.
+        partial: True if it was interrupted; the tally holds what was done.
+        notes: what a user should know.
+        bound: whether the bound for every strategy is worked out (`flow` of `analysis.theory.upper_bound`).
+        certain: no robot's way leads through danger: every run is the one rollout of the tally, in both loops.
+    """
+
+    reported_by = "analysis.evaluation.report:report"
+
+    world: World
+    plan: Plan
+    closed_form: OpenLoopExact
+    loop: Literal["open", "closed"]
+    engine: str
+    seed: int
+    tally: Tally
+    seconds: float
+    compile_seconds: float
+    closed: ClosedTruth | None = None
+    outputs: Mapping[str, Output] = field(default_factory=dict)
+    partial: bool = False
+    notes: tuple[str, ...] = ()
+    certain: bool = False
+    choices: RolloutChoices = field(default_factory=RolloutChoices)
+    bound: bool | None = None
+
+    def with_outputs(self, more: Mapping[str, Output], partial: bool) -> Evaluation:
+        """The same with further outputs; what was worked out already is kept."""
+        whole = replace(self, outputs={**self.outputs, **more}, partial=partial)
+        kept = {name: value for name, value in vars(self).items() if name not in vars(whole) and name != "blocks"}
+        vars(whole).update(kept)
+        return whole
+
+    @cached_property
+    def blocks(self) -> list[Blocks]:
+        """What the outputs add to the report, in order."""
+        return [found.blocks() for found in self.outputs.values()]
+
+    @cached_property
+    def cells(self) -> dict[str, int]:
+        """Cells of the world: total, free, accessible, and the dangerous ones among the accessible."""
+        return {
+            "total": self.world.threat.size,
+            "free": int(self.ground.free.sum()),
+            "accessible": int(self.accessible.sum()),
+            "dangerous": int((self.accessible & (self.ground.threat > 0)).sum()),
+        }
+
+    @cached_property
+    def ground(self) -> World:
+        """The map as it is, whatever robots are told of it."""
+        return as_it_is(self.world)
+
+    @cached_property
+    def accessible(self) -> NDArray[np.bool_]:
+        """bool `[H, W]`: cells that the team can reach."""
+        return self.world.accessible(self.plan.starts)
+
+    @cached_property
+    def figures(self) -> Figures:
+        """What the rollouts come to, or all that can happen."""
+        longest = longest_run(self.world, self.plan, self.loop)
+        sampled = Figures.of(self.tally, self.certain, longest, home_of(self.plan, self.tally, self.loop))
+        return sampled.with_tree(self.closed.tree) if isinstance(self.closed, TreeTruth) else sampled
+
+    @cached_property
+    def shown(self) -> Figures:
+        """The figures as reports say them: exact wherever that is known, of either loop."""
+        if self.loop == "open":
+            return self.figures.with_formulas(self.closed_form, self.closed_form.mean_time)
+        if self.closed is None or isinstance(self.closed, TreeTruth):
+            return self.figures
+        return self.figures.with_formulas(self.closed_form, self.closed.time)
+
+    @cached_property
+    def rest(self) -> Rest | None:
+        """What is left of the mission; None: all of it."""
+        return rest_of(self.world, self.plan)
+
+    @cached_property
+    def p_means(self) -> str:
+        """What p means where it is no chance; else ""."""
+        return bearing_words(self.plan, self.world)
+
+    @cached_property
+    def engine_said(self) -> str:
+        """The engine, and why it was taken where nobody chose."""
+        chosen = choose_engine(self.choices.engine)
+        why = self.choices.engine == "auto" and chosen.name == self.engine
+        return f"{self.engine} ({chosen.why})" if why else self.engine
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether what is expected of each cell is: of the open loop, of a closed one that is the same, of a tree."""
+        if self.loop == "open":
+            return self.closed_form.is_known
+        if isinstance(self.closed, TreeTruth):
+            return self.closed.masses is not None
+        return self.closed is not None
+
+    @cached_property
+    def how_known(self) -> str:
+        """Where the expected values come from: "open loop, exact", or "closed loop, sampled, 20,000 rollouts"."""
+        if self.is_exact:
+            return f"{self.loop} loop, exact"
+        rollouts = counted(self.tally.rollouts, "rollout")
+        return f"{self.loop} loop, sampled, {rollouts}" + (", interrupted" if self.partial else "")
+
+    @cached_property
+    def layers(self) -> Layers:
+        """What a page and pictures show cell by cell."""
+        from analysis.evaluation.layers import layers_of
+
+        lines = "the plan" if self.world.knowledge is None else "what robots drove in the run that is played"
+        return layers_of(self.ground, self.plan, self.accessible, self.expected, self.how_known, self.rest, lines)
+
+    @cached_property
+    def played(self) -> tuple[list[DrawnRun], str]:
+        """The runs that a page plays, and where they come from; rolled out when they are asked for."""
+        from analysis.evaluation.layers import runs
+
+        return runs(self.world, self.plan, self.choices, self.tally.rollouts, self.certain)
+
+    @property
+    def last_shown(self) -> int:
+        """Where a time axis ends."""
+        return last_shown(self.plan, self.loop, self.tally)
+
+    @property
+    def settled(self) -> bool:
+        """Whether the map is one and told, every visit stops with its p: what formulas and bounds presume."""
+        return self.world.doubt is None and self.world.knowledge is None and self.plan.bearing.is_plain
+
+    @cached_property
+    def checks(self) -> list[Check]:
+        """The paper's formulas held against the open loop's exact values; none where they presume more (`settled`)."""
+        if not self.settled:
+            return []
+        return paper_checks(self.plan, self.world, self.closed_form, self.formulas)
+
+    @cached_property
+    def verdicts(self) -> dict[str, Verdict | None]:
+        """What becomes of each formula, in all its meanings and robots together; None of those without a check."""
+        return {formula: overall(of_formula(self.checks, formula)) for formula in FORMULAS}
+
+    @cached_property
+    def worst_checks(self) -> list[Check]:
+        """Of each formula and meaning the check of the robot for which it holds least."""
+        return worst_of_robots(self.checks)
+
+    @property
+    def exact(self) -> Known:
+        """Expected values of the evaluated loop, where they are known without sampling; never the other loop's."""
+        if self.loop == "closed":
+            closed = self.closed
+            if closed is None:
+                return Known(None, None, None, None)
+            cells, rest = (closed.visited.value, closed.survived.value), (closed.alive, closed.time)
+        else:
+            open_loop = self.closed_form
+            cells, rest = (
+                (open_loop.visited, open_loop.survived),
+                (float(open_loop.survival.sum()), open_loop.mean_time),
+            )
+        visited, survived = (Amount.of(value, self.tally.accessible) if isfinite(value) else None for value in cells)
+        alive, time = (value if value is not None and isfinite(value) else None for value in rest)
+        return Known(visited, survived, alive, time)
+
+    @property
+    def bounds(self) -> Limits:
+        """What no strategy exceeds on average; the paper's formulas are in `formulas`."""
+        ideals = (self.formulas.ideal_team, self.formulas.ideal_eq7)
+        ideal, ideal_one = (Amount.of(cells, self.tally.accessible) for cells in ideals)
+        if self.limit is None:
+            return Limits(ideal, None, ideal, ideal_one)
+        least = Amount.of(self.limit.cells, self.tally.accessible)
+        return Limits(least, None if self.limit.flow is None else least, ideal, ideal_one)
+
+    @cached_property
+    def formulas(self) -> Bounds:
+        """The paper's formulas."""
+        return all_bounds(self.plan, self.world)
+
+    @cached_property
+    def limit(self) -> AnyStrategy | None:
+        """The bounds for every strategy; None where they presume more (`settled`), of first visits, in mid-mission."""
+        if self.choices.first_only or not self.settled or self.plan.state is not None:
+            return None
+        return any_strategy(trimmed(self.world, self.plan), self.plan.starts, self.bound)
+
+    @property
+    def visited(self) -> Coverage:
+        """Visited coverage: the mean exact where it is known."""
+        return self._coverage("visited")
+
+    @property
+    def survived(self) -> Coverage:
+        """The same of cells that a robot entered without being stopped there."""
+        return self._coverage("survived")
+
+    def _coverage(self, meaning: str) -> Coverage:
+        covered = getattr(self.shown, meaning)
+        mean = covered.mean
+        mean = mean.times(1.0 / covered.cells) if mean.half_width else exactly(mean.mean / covered.cells)
+        return Coverage(**vars(mean), covered=covered)
+
+    @cached_property
+    def control(self) -> dict[str, Controlled]:
+        """How the luck of the rollouts is taken into account, by figure; empty where it is not: of few."""
+        sampled = [figure for figure in ("visited", "survived", "time", "alive") if getattr(self.exact, figure) is None]
+        found = {figure: of_tally(self.tally, figure) for figure in sampled}
+        return {figure: one for figure, one in found.items() if one is not None and not self.certain}
+
+    @property
+    def losses(self) -> Losses:
+        """Robots lost in a run: exact where that is known."""
+        return self.shown.losses
+
+    @property
+    def time(self) -> Estimate:
+        """Steps of a run: exact where that is known."""
+        return self.shown.time
+
+    def singles(self, most: int | None = None) -> dict[str, NDArray]:
+        """The rollouts one by one, as columns `[B]`: rollout, visited, survived (cells), time, alive, outcome.
+
+        They are rolled out again, `most` of them (default: all). Memory: 25 bytes a rollout.
+        """
+        whole(1, MOST_ROLLOUTS, "how many rollouts").check("most", most, optional=True)
+        count = self.tally.rollouts if most is None else min(most, self.tally.rollouts)
+        found = make_singles(self.world, self.plan, replace(self.choices, deadline=None))(0, count)
+        names = np.array([self.plan.ending(outcome).word for outcome in Outcome])
+        columns = {name: getattr(found, name) for name in ("visited", "survived", "time", "alive")}
+        return {"rollout": np.arange(count), **columns, "outcome": names[found.outcome]}
+
+    def to_dataframe(self, most: int | None = None) -> Any:
+        """`singles` as a pandas DataFrame (the extra `pandas`)."""
+        return frame_of(self.singles(most))
+
+    @cached_property
+    def expected(self) -> Expected:
+        """What to expect of the evaluated loop: the open loop's closed form, a tree's chances, or means of rollouts."""
+        exact, tally = self.closed_form, self.tally
+        if isinstance(self.closed, TreeTruth) and self.closed.masses is not None:
+            tally = self.closed.masses
+        n = tally.rollouts
+        if self.is_exact and tally is self.tally:
+            by_cell = (exact.visited_by_cell, exact.stops_by_cell)
+            return Expected(*by_cell, exact.visited_curve, exact.survived_curve)
+        curves = (np.cumsum(tally.new_visited) / n, np.cumsum(tally.new_survived) / n)
+        return Expected(tally.covered_visited / n, tally.stops / n, *curves)
+
+
+# The outputs of `evaluate` by the key that they are asked for with, in the order in which they are measured.
+
+OUTPUTS: dict[str, type[Output]] = {
+    "deadline": Deadline,
+    "threat_scale": ThreatScale,
+    "value": Value,
+    "turn": Turning,
+    "band": Band,
+    "knowledge": Knowledge,
+    "experience": Experience,
+    "team": Mates,
+    "map_doubt": MapDoubt,
+    "advice": Advice,
+}
+"""The key is that of `Evaluation.outputs` and of the JSON object too."""
+
+
+# Evaluate a plan: closed form, formulas, rollouts until a count or a precision, and what else was asked for.
 
 FINE_SECONDS = 0.2
 """Of a tree that is grown until rollouts have nothing to add."""

@@ -9,9 +9,8 @@ from matplotlib.colors import ListedColormap, Normalize
 from numpy.typing import NDArray
 
 from analysis.evaluation.figures import NAMES, Expected, Rest
-from analysis.page.maps import MOST_CELLS, CellLayer, area_layers, chance_layers, p_words
-from analysis.page.paths import Run
-from analysis.pictures.style import LOSSES
+from analysis.page.maps import MOST_CELLS, CellLayer, Run, area_layers, chance_layers, p_words
+from analysis.pictures import LOSSES
 from analysis.recording.record import Picker, parse_picks
 from analysis.sampling import RolloutChoices, make_engine_for
 from planner.formatting import counted, percent, share

@@ -11,21 +11,26 @@ import numpy as np
 
 from analysis.estimators.racing import is_best
 from analysis.estimators.trial import TreeTruth
-from analysis.evaluation import charts
-from analysis.evaluation.answer import Evaluation
-from analysis.evaluation.charts import distribution, over_time, over_time_words
+from analysis.evaluation import tables as charts
+from analysis.evaluation.evaluate import Evaluation
 from analysis.evaluation.figures import BEFORE, BEYOND, Chance, Rest
-from analysis.evaluation.table import answer_tables, formulas_part, robots_table, worst_cells
-from analysis.report.answer import json_end
+from analysis.evaluation.tables import (
+    answer_tables,
+    distribution,
+    formulas_part,
+    over_time,
+    over_time_words,
+    robots_table,
+    worst_cells,
+)
+from analysis.report.answer import asked, json_end, team_figure
 from analysis.report.model import KeyFigure, Part, Pictured, Report
-from analysis.report.searched import asked, team_figure
 from analysis.statistics.estimates import Estimate, between, in_unit, lost_words
 from analysis.theory.bounds import Theorem3
 from analysis.theory.exact import OpenLoopExact
 from analysis.theory.upper_bound import moves_left
 from analysis.theory.verdicts import MEANINGS, ClosedTruth, Truth
-from analysis.utils.folder import json_text
-from analysis.utils.tables import plan_words, policy_words, span_words, without_level
+from analysis.utils.tables import json_text, plan_words, policy_words, span_words, without_level
 from planner.files import Json
 from planner.formatting import ceiled, counted, floored, percent, share
 from planner.mrac.executive import STUCK_AFTER

@@ -10,17 +10,16 @@ from typing import Any, get_args
 
 from rich.table import Table
 
-from analysis.page.charts import Chart, Series
+from analysis.page.document import Chart, Series
 from analysis.report.answer import json_end
 from analysis.report.model import Part, Report
 from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import Case, Generated, canonical, check_maps
 from analysis.sweeps.engine import Finished, Swept
-from analysis.sweeps.exports import MAP_FIGURES, ByMap, Columns
+from analysis.sweeps.results import MAP_FIGURES, ByMap, Columns
 from analysis.sweeps.store import Store
-from analysis.utils.folder import csv_text
 from analysis.utils.notes import ProgressCallback
-from analysis.utils.tables import make_table
+from analysis.utils.tables import csv_text, make_table
 from planner.files import Json
 from planner.formatting import counted
 from planner.policies import DEFAULT

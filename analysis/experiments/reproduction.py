@@ -19,19 +19,18 @@ from numpy.typing import NDArray
 from rich.table import Table
 from scipy.special import ndtri
 
-from analysis.page.charts import Chart, Series
+from analysis.page.document import Chart, Series
 from analysis.report.answer import json_end
 from analysis.report.model import Part, Report
 from analysis.sampling import RolloutChoices
-from analysis.statistics import control_variate
+from analysis.statistics import variance_reduction as control_variate
 from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import check_maps, generated_case
 from analysis.sweeps.engine import Done, Finished, Job, Swept, run_cases
 from analysis.sweeps.results import KEPT, figures_of
 from analysis.sweeps.store import Memory, Run, Store
-from analysis.utils.folder import csv_text
 from analysis.utils.notes import ProgressCallback
-from analysis.utils.tables import make_table
+from analysis.utils.tables import csv_text, make_table
 from planner.arguments import check_word
 from planner.files import Json
 from planner.formatting import counted, in_percent, percent
@@ -98,7 +97,7 @@ def columns_of(run: Run, tally: Tally, loop: str, free: int) -> dict[Key, Any]:
     run, square: mean and mean square of single runs, of each of COVERAGE (fractions) and "time" (steps). share: of
     those that cover no more of the free cells ("coverage"), or take no longer ("time"), than the run of Fig. 4 with so
     many robots.
-    beside, errors: of `analysis.statistics.control_variate.beside_luck`.
+    beside, errors: of `analysis.statistics.variance_reduction.beside_luck`.
     """
     found: dict[Key, Any] = {}
     means, errors = figures_of(run)

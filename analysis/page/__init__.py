@@ -1,5 +1,4 @@
 """The page of a report: one HTML file beside the pictures, that opens by a double click, offline, and asks nobody.
 
-`markup` (escaping) -> `document` (the page) -> `curves`, `cell_maps`, `strips`, `tables`, `runs` (what stands in it);
-`analysis.report.html` makes it of a report.
+`document` is the page and its plots, `maps` its maps; `analysis.report.rendering` makes it of a report.
 """

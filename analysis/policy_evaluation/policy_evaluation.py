@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.answer import Answer, json_end
+from analysis.report.answer import Answer, asked, json_end, map_words, share_figure
 from analysis.report.model import KeyFigure, Part, Report
-from analysis.report.searched import asked, map_words, share_figure
 from analysis.sampling import RolloutChoices, make_singles
-from analysis.statistics.differences import Paired, difference
 from analysis.statistics.estimates import Z95, Estimate, mean_estimate
+from analysis.statistics.variance_reduction import Paired, difference
 from analysis.theory.upper_bound import most_cells
 from analysis.utils.notes import ProgressCallback, quiet
 from analysis.utils.pool import answers, wanted_processes

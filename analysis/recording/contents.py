@@ -13,7 +13,7 @@ import numpy as np
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-from analysis.recording.log_reader import Log, open_log
+from analysis.recording.container import Log, open_log
 from analysis.recording.viewers.topics import DATA_TOPICS, OWN
 from analysis.report.answer import as_json
 from analysis.theory.bounds import Bounds

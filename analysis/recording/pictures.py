@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial import KDTree
 
-from analysis.pictures.maps import MOST_LEVELS, cell_colours, draw_key, lane, level_scale
-from analysis.pictures.style import (
+from analysis.pictures import (
     DPI,
     FAINT,
     FINE_DPI,
@@ -37,15 +36,20 @@ from analysis.pictures.style import (
     GRID,
     HALO,
     INK,
+    MOST_LEVELS,
     OBSTACLE,
     SAFE,
     UNREACHABLE,
     WIDTH,
     Key,
     Look,
+    cell_colours,
     cell_points,
+    draw_key,
     house_style,
     inches,
+    lane,
+    level_scale,
     map_axes,
     new_figure,
     plain,

@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 
 from analysis.inputs import input_path
 from analysis.recording import contents
+from analysis.recording.container import CHUNK_SIZE, LogWriter
 from analysis.recording.frames import make_frames
-from analysis.recording.log_writer import CHUNK_SIZE, LogWriter
 from analysis.recording.viewers import topics
 from analysis.recording.viewers.messages import rollout_messages
 from analysis.recording.viewers.topics import Clock, Message, Stage, layout_json, type_of
 from analysis.report.answer import Answer
 from analysis.statistics.estimates import quantile
 from analysis.theory.bounds import all_bounds
-from analysis.utils.compiling import compiles_for
 from analysis.utils.notes import Doing, ProgressCallback, quiet
+from analysis.utils.progress import compiles_for
 from planner.arguments import SEED, Numbers, argument, check_word
 from planner.errors import UsageError
 from planner.failure_model import key_of, threefry2x32

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.recording import contents
+from analysis.recording.container import RECOVERED, Log, Recovered, open_log
 from analysis.recording.contents import RecordedOutcomes, RecordedRollout, decode, outcomes_of_log, rollouts_of
 from analysis.recording.frames import end_text, event_line
-from analysis.recording.log_reader import Log, Recovered, open_log
-from analysis.recording.log_writer import RECOVERED
 from analysis.recording.record import (
     OUTCOME_COLUMNS,
     Picker,
@@ -32,8 +31,8 @@ from analysis.recording.viewers import topics as schemas
 from analysis.recording.viewers.topics import DATA_TOPICS, Message, Stage, type_of
 from analysis.report.model import Part, Report
 from analysis.theory.bounds import all_bounds
-from analysis.utils.compiling import compiles_for
 from analysis.utils.notes import ProgressCallback
+from analysis.utils.progress import compiles_for
 from analysis.utils.tables import make_table
 from planner.arguments import argument
 from planner.errors import PER_VISIT, InputError, PlanError

@@ -1,29 +1,66 @@
-"""What every answer can do, whatever it is the answer to: show itself, say itself as JSON, save itself in a folder."""
+"""What every answer can do: show itself, say itself as JSON, save itself; and what the answers of all searches hold."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from html import escape
 from importlib import import_module
 from importlib.metadata import version
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from analysis.report.minutes import with_minutes
-from analysis.report.model import Report
-from analysis.utils.folder import as_text, json_text, write_all
-from analysis.utils.tables import frame_of, print_lines
-from planner.files import check_new
-from planner.formatting import Rows, html_of, text_of
+from analysis.report.model import KeyFigure, Report
+from analysis.sampling import RolloutChoices
+from analysis.statistics.estimates import Estimate, in_unit, losses_shown
+from analysis.utils.tables import as_text, frame_of, json_text, print_lines, write_all
+from planner.files import Json, check_new
+from planner.formatting import Pace, Rows, counted, html_of, text_of
+from planner.settings import Settings
+from planner.world.world import World
 
-if TYPE_CHECKING:
-    from planner.files import Json
+# Times of a JSON object in minutes beside those in steps: `time_minutes` beside `time`, and so on.
+
+TIMES = ("time", "time_to", "makespan", "deadline", "max_steps", "step", "steps")
+"""Keys whose values are times in steps."""
+OF_AN_ESTIMATE = ("mean", "se", "ci95", "max")
+NO_TIMES = ("control",)
+"""Keys below which figures are called as times are, and are none."""
+
+
+def with_minutes(said: Any, pace: Pace) -> Any:
+    """What JSON holds, with the minutes of every time in it; as it is where nobody says how long a step takes."""
+    if not pace:
+        return said
+    if isinstance(said, list):
+        return [with_minutes(one, pace) for one in said]
+    if not isinstance(said, dict):
+        return said
+    out: dict[str, Any] = {}
+    for name, value in said.items():
+        out[name] = value if name in NO_TIMES else with_minutes(value, pace)
+        minutes = _minutes(value, name, pace) if name in TIMES else None
+        out |= {} if minutes is None else {f"{name}_minutes": minutes}
+    return out
+
+
+def _minutes(value: Any, name: str, pace: Pace) -> Any:
+    """A number, numbers or an estimate in steps, in minutes; None for anything else."""
+    if isinstance(value, Mapping):
+        kept = value if name == "time_to" else [key for key in OF_AN_ESTIMATE if key in value]
+        return {key: _minutes(value[key], "", pace) for key in kept} or None
+    if isinstance(value, list):
+        return [_minutes(one, "", pace) for one in value]
+    return None if value is None or isinstance(value, bool | str) else value * pace.minutes
+
+
+# What every answer can do, whatever it is the answer to: show itself, say itself as JSON, save itself in a folder.
 
 # A report on a terminal, in a folder, as JSON, in a console.
 
@@ -99,9 +136,8 @@ def save_report(
     where one would be, all go to a folder within, of the report's name: they name each other. `force`: other files that
     are there already are replaced; else a UsageError.
     """
-    from analysis.pictures.style import png_of
-    from analysis.report.html import page_of
-    from analysis.report.picture import figure_of
+    from analysis.pictures import png_of
+    from analysis.report.rendering import figure_of, page_of
 
     pictures = {name: png_of(figure_of, report, name) for name in report.pictures}
     files: dict[str, str | bytes] = {
@@ -182,3 +218,93 @@ def json_end(answer: Answer, notes: Sequence[str] = ()) -> Json:
     """What an answer's JSON object ends with: the version, whether it is partial, notes if there are any."""
     partial: Json = {"partial": True} if answer.partial else {}
     return {"version": version("mrac-jax")} | partial | ({"notes": list(notes)} if notes else {})
+
+
+# What the answers of all searches hold: on which map, by whose settings, on whose luck, and how far.
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Searched(Answer):
+    """What they share.
+
+    Attributes:
+        world, settings: the map, and what plans are made with. cells: accessible cells.
+        choices: what was rolled out: most rollouts of each, seed, the step at which every mission ends.
+        engine: that rolled out; "": all is exact. words: of the command `evaluate` for this input; empty in Python.
+        partial: it was interrupted, and holds what was done. notes: what a user should know.
+    """
+
+    world: World
+    settings: Settings
+    choices: RolloutChoices
+    cells: int
+    engine: str
+    words: tuple[str, ...] = ()
+    partial: bool = False
+    notes: tuple[str, ...] = ()
+
+    @property
+    def exact(self) -> bool:
+        """Whether nothing was rolled out."""
+        return not self.engine
+
+
+# What reports say alike: on which map, on whose luck, how much is covered and lost, where an interval lies.
+
+EXACT = "exact: nothing was rolled out"
+
+
+def asked(world: World, robots: int, question: str) -> str:
+    """ "site.npz, 3 robots: where to start?"."""
+    return f"{world.name}, {counted(robots, 'robot')}: {question}"
+
+
+def map_words(world: World, cells: int, robots: int = 0) -> str:
+    """ "site.npz: 14 x 23 cells of 1 m, 300 accessible; 3 robots"; the team where there is one."""
+    height, width = world.shape
+    size = f"{height} x {width} cells of {world.cell_size:g} m, {cells:,} accessible"
+    return f"{world.name}: {size}" + (f"; {counted(robots, 'robot')}" if robots else "")
+
+
+def luck_words(world: World, choices: RolloutChoices, engine: str, rolled: str = "") -> str:
+    """ "seed 0, numba", after what was `rolled` out; without an engine, that nothing was."""
+    ends = "" if choices.deadline is None else f", every mission ended at {world.pace.step(choices.deadline)}"
+    return (f"{rolled}seed {choices.seed}, {engine}" if engine else EXACT) + ends
+
+
+def sourced(rollouts: int, said: str) -> str:
+    """Where the figures of what was found come from, and they: "Exact expectation: 88.67 % covered"."""
+    return f"Fresh rollouts: {said}" if rollouts else f"Exact expectation: {said.replace(' (exact)', '')}"
+
+
+def share_figure(estimate: Estimate, name: str, note: str = "") -> KeyFigure:
+    """A share as a key figure, with its interval."""
+    mean, interval = estimate.columns(100.0, 100)
+    return KeyFigure(f"{mean} %", name, in_unit(interval) + note)
+
+
+def run_again(words: Sequence[str], how: Sequence[str], choices: RolloutChoices, *, exact: bool) -> str:
+    """The command that evaluates what a search found; by another seed, whose luck had no part in it, if not `exact`."""
+    luck = [] if exact else ["--rollouts", str(choices.rollouts), "--seed", str(choices.next_seed)]
+    return shlex.join(["mrac-jax", "evaluate", *words, *how, *luck])
+
+
+def search_end(answer: Any) -> Json:
+    """What the JSON object of a search ends with: team, map, rollouts, and what every object ends with."""
+    choices = answer.choices
+    return {
+        "robots": len(answer.starts),
+        "starts": answer.starts,
+        "accessible": answer.cells,
+        "rollouts": choices.rollouts,
+        "seed": choices.seed,
+        "engine": answer.engine or None,
+        "exact": not answer.engine,
+        **json_end(answer, answer.notes),
+    }
+
+
+def team_figure(estimate: Estimate, robots: int, name: str = "robots lost") -> KeyFigure:
+    """Of so many robots those that are lost, or what `name` says, as a key figure."""
+    mean, interval = losses_shown(estimate, robots)
+    return KeyFigure(mean, name, interval)

@@ -8,8 +8,7 @@ import numpy as np
 import yaml
 from rich.table import Table
 
-from analysis.report.model import CellMaps, KeyFigure, Part, Report
-from analysis.report.searched import (
+from analysis.report.answer import (
     asked,
     luck_words,
     map_words,
@@ -19,12 +18,11 @@ from analysis.report.searched import (
     sourced,
     team_figure,
 )
+from analysis.report.model import CellMaps, KeyFigure, Part, Report
 from analysis.search.start_positions import Place, Starts
-from analysis.search.threat_placement import Attack, Placed
-from analysis.search.threat_removal import Clearing, Gain, Threat, Weighed, by_cell
+from analysis.search.threats import Attack, Clearing, Gain, Placed, Threat, Weighed, by_cell
 from analysis.statistics.estimates import between, losses_said, of_all
-from analysis.utils.folder import json_text
-from analysis.utils.tables import make_table, without_level
+from analysis.utils.tables import json_text, make_table, without_level
 from planner.arguments import exactly
 from planner.files import Json
 from planner.formatting import chance, counted, percent
@@ -137,7 +135,7 @@ def _starts_maps(starts: Starts) -> CellMaps:
     from matplotlib.colors import Normalize
 
     from analysis.page.maps import CellLayer
-    from analysis.pictures.style import COVERED, THREAT
+    from analysis.pictures import COVERED, THREAT
 
     world = starts.world
     threat = np.nan_to_num(np.where(world.accessible(starts.starts), world.threat, 0.0).astype(np.float64))
@@ -321,7 +319,7 @@ def _clear_key_figures(clearing: Clearing) -> list[KeyFigure]:
 def _clear_maps(clearing: Clearing, only: int | None = None) -> CellMaps:
     """Gains after replanning and with the old plan, and where risk is paid, cell by cell; `only` one of them."""
     from analysis.page.maps import CellLayer
-    from analysis.pictures.style import COVERED, LOSSES
+    from analysis.pictures import COVERED, LOSSES
 
     options, shape = clearing.options, clearing.world.shape
     known, unknown = by_cell(options, shape, lambda one: one.known), by_cell(options, shape, lambda one: one.unknown)
@@ -487,7 +485,7 @@ def _attack_key_figures(attack: Attack) -> list[KeyFigure]:
 def _attack_maps(attack: Attack, only: int | None = None) -> CellMaps:
     """What one threat in each cell costs both kinds; `only` one of them, with the worst places outlined."""
     from analysis.page.maps import CellLayer
-    from analysis.pictures.style import LOSSES
+    from analysis.pictures import LOSSES
 
     options, shape = attack.turn.options, attack.world.shape
     lost = "Value lost" if attack.world.value is not None else "Cells lost"

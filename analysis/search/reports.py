@@ -8,11 +8,10 @@ from math import ceil
 
 from rich.table import Table
 
-from analysis.page.charts import Chart, Series
-from analysis.report.answer import json_end
-from analysis.report.model import KeyFigure, Part, Report
-from analysis.report.searched import (
+from analysis.page.document import Chart, Series
+from analysis.report.answer import (
     asked,
+    json_end,
     luck_words,
     map_words,
     run_again,
@@ -21,11 +20,11 @@ from analysis.report.searched import (
     sourced,
     team_figure,
 )
+from analysis.report.model import KeyFigure, Part, Report
 from analysis.search.pareto import LANDMARKS, Front, Point, Setting, settings_of
 from analysis.search.team_size import TeamPoint, TeamSize, TeamVerdict
 from analysis.statistics.estimates import ALPHA, Estimate, between, losses_said, of_all
-from analysis.utils.folder import json_text
-from analysis.utils.tables import make_table, without_level
+from analysis.utils.tables import json_text, make_table, without_level
 from planner.arguments import argument
 from planner.files import Json
 from planner.formatting import ceiled, chance, counted, floored, in_percent, percent

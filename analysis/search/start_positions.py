@@ -1,6 +1,6 @@
 """The best starts of a team: screened by a bound and by eq. (4), the best of those simulated on common luck.
 
-1. Every candidate: the *reach bound* `sum_c g_c` (`analysis.theory.own_bounds.reach_chances`), one search a site.
+1. Every candidate: the *reach bound* `sum_c g_c` (`analysis.theory.bounds.reach_chances`), one search a site.
 2. One depot: eq. (4) of one robot's plan from PLANNED candidates, the sites in turn, the best bound first.
    One start each: teams chosen greedily by the bound, from every site as the first; and the depots.
 3. The best SIMULATED of them, and where the team stands now: `analysis.estimators.racing`. The best depot and the
@@ -23,16 +23,15 @@ from scipy import ndimage
 
 from analysis.estimators.racing import Halving, check_search, screened
 from analysis.estimators.trial import Measured, Trial
-from analysis.report.searched import Searched
+from analysis.report.answer import Searched
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate
+from analysis.theory.bounds import best_survival
 from analysis.theory.exact import Worth, open_loop_exact
-from analysis.theory.own_bounds import best_survival
 from analysis.utils.notes import Doing, ProgressCallback, quiet
 from planner.arguments import argument
-from planner.csv_tables import read_csv_grid, starts_with_header
 from planner.errors import MapError, UsageError
-from planner.files import check_file, read_npy
+from planner.files import check_file, read_csv_grid, read_npy, starts_with_header
 from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.plan.plan import Plan
 from planner.rollouts.engine import choose_engine

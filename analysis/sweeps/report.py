@@ -10,14 +10,14 @@ from typing import Any
 
 from rich.table import Table
 
-from analysis.page.charts import COLOURS, Chart, Series
+from analysis.page.document import CURVE_COLOURS as COLOURS
+from analysis.page.document import Chart, Series
 from analysis.report.model import Part, Report
 from analysis.statistics.estimates import Estimate
 from analysis.sweeps.cases import RULES, Label, shown
 from analysis.sweeps.results import DIFFERENCES, EXACT, FIGURES, FRACTIONS, Results, Row
 from analysis.sweeps.sweep import Sweep
-from analysis.utils.folder import csv_text
-from analysis.utils.tables import make_table
+from analysis.utils.tables import csv_text, make_table
 from planner.arguments import argument
 from planner.files import Json
 from planner.formatting import counted, duration, in_percent

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.statistics.control_variate import luck_sums
+from analysis.statistics.variance_reduction import luck_sums
 from planner.files import Json
 from planner.tally import Tally
 
@@ -64,7 +64,7 @@ def _narrow(values: NDArray[np.int64]) -> NDArray[Any]:
 def sums_of(tally: Tally) -> Json:
     """The tally's sums, exact integers that add: `rollouts`, `outcomes`, and [sum, sum of squares] of each figure.
 
-    `luck`: of `analysis.statistics.control_variate.luck_sums`.
+    `luck`: of `analysis.statistics.variance_reduction.luck_sums`.
     """
     said: Json = {"rollouts": tally.rollouts, "outcomes": tally.outcomes.tolist(), "luck": luck_sums(tally)}
     for figure in FIGURES:

@@ -11,10 +11,19 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csc_array, csr_array, hstack, vstack
 from scipy.sparse.csgraph import dijkstra
 
-from analysis.theory.bounds import ideal_team
-from analysis.theory.flow_programme import INF, ULP, Nodes, Spend, Way, contract, make_solver, missing_ways
-from analysis.theory.own_bounds import ideal_connected
-from analysis.theory.single_robot import MOST_NODES, single_bound
+from analysis.theory.bounds import ideal_connected, ideal_team
+from analysis.theory.flow_programme import (
+    INF,
+    MOST_NODES,
+    ULP,
+    Nodes,
+    Spend,
+    Way,
+    contract,
+    make_solver,
+    missing_ways,
+    single_bound,
+)
 from planner.ids import NO_CELL
 from planner.mrac.paths import neighbour_table
 from planner.plan.plan import Plan
@@ -34,7 +43,7 @@ from planner.world.world import World, check_starts
 #
 #     flow:    sum_v x_uv <= (1 - p_u) a_u         a_u = s_u + sum_t x_tu, the expected arrivals
 #     arrive:  y_v <= a_v
-#     reach:   y_v <= g_v                          `analysis.theory.own_bounds.reach_chances`
+#     reach:   y_v <= g_v                          `analysis.theory.bounds.reach_chances`
 #     spend:   sum_D p_v y_v <= E min(k, hits)     for every set D of dangerous cells
 #     way:     a cell is visited no more often than somebody gets there, `analysis.theory.flow_programme`
 #

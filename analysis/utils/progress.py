@@ -1,27 +1,135 @@
-"""What is going on: a bar on a terminal, a line that changes in a notebook, lines now and then elsewhere."""
+"""What is going on: what is counted, and code that is being compiled; a bar, a changing line, or lines now and then."""
 
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Iterable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from importlib import import_module
 from types import FrameType
-from typing import Any, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from analysis.utils.compiling import ANNOUNCER, notice_compiling
 from analysis.utils.notes import Doing, ProgressCallback, quiet, say
 from analysis.utils.tables import SafeConsole
 from planner.arguments import argument, check_word
 from planner.errors import UsageError
 from planner.formatting import duration
+from planner.jit import NO_CACHE
+
+if TYPE_CHECKING:
+    from planner.plan.plan import Plan
+    from planner.settings import Policy
+
+
+# Knows that code is being compiled, what for, and for how long so far: a minute or more in a machine's first run.
+
+PATIENCE = 1.0
+"""Seconds that one compilation may take without a word about it."""
+
+
+def compiling_line(what: str, seconds: float) -> str:
+    """ "compiling per_cell, first run only, 35 s so far"."""
+    kept = os.environ.get(NO_CACHE, "") in ("", "0")
+    when = "first run only" if kept else "in every run, as compiled code is not kept"
+    return f"compiling {what}, {when}, {duration(seconds)} so far"
+
+
+class Announcer:
+    """Is told when a compilation begins and ends; `what`: whose code is compiled next, a policy's name."""
+
+    def __init__(self) -> None:
+        self.what = "the planner"
+        self._lock, self._depth, self._began, self._earlier = threading.Lock(), 0, 0.0, dict[str, float]()
+        self._current = self.what
+
+    def begins(self) -> None:
+        """A compilation begins, maybe inside another."""
+        with self._lock:
+            self._depth += 1
+            if self._depth == 1:
+                self._began, self._current = time.monotonic(), self.what
+
+    def ends(self) -> None:
+        """It is done."""
+        with self._lock:
+            self._depth = max(self._depth - 1, 0)
+            if self._depth == 0:
+                self._earlier[self._current] = self._seconds() + self._earlier.get(self._current, 0.0)
+
+    def line(self) -> str:
+        """`compiling_line` of a compilation that has gone on for PATIENCE, with earlier ones of this code; or ""."""
+        with self._lock:
+            if self._depth == 0 or (seconds := self._seconds()) < PATIENCE:
+                return ""
+            return compiling_line(self._current, seconds + self._earlier.get(self._current, 0.0))
+
+    def _seconds(self) -> float:
+        return time.monotonic() - self._began
+
+
+ANNOUNCER = Announcer()
+
+
+@cache
+def notice_compiling() -> None:
+    """From now on, in this process, ANNOUNCER hears what Numba and JAX compile; code in the cache is not compiled."""
+    from numba.core import event
+
+    from planner.jit import OF_JAX
+
+    class Listener(event.Listener):
+        def on_start(self, event: Any) -> None:
+            ANNOUNCER.begins()
+
+        def on_end(self, event: Any) -> None:
+            ANNOUNCER.ends()
+
+    event.register("numba:compile", Listener())
+    OF_JAX.append(ANNOUNCER)
+
+
+def compiles_for(plan: Plan, loop: str = "closed") -> None:
+    """What is compiled from now on is the simulator that this plan needs in this loop."""
+    ANNOUNCER.what = "the open loop" if loop == "open" or plan.settings is None else _named(plan.settings.policy)
+
+
+def _named(policy: Policy) -> str:
+    return policy if isinstance(policy, str) else "the policy"
+
+
+def not_compiled(policies: Iterable[Policy]) -> list[Policy]:
+    """These policies, if no compiled simulator is in the cache."""
+    from planner.jit import is_kept
+    from planner.simulator.rollouts import run_set
+
+    return [] if is_kept(run_set) else list(policies)
+
+
+@contextmanager
+def compiling_elsewhere(policies: Iterable[Policy]) -> Iterator[None]:
+    """While this goes on, processes of ours compile the simulators of those policies that are not in the cache."""
+    missing = not_compiled(policies)
+    if not missing:
+        yield
+        return
+    ANNOUNCER.what = " and ".join(map(_named, missing))
+    ANNOUNCER.begins()
+    try:
+        yield
+    finally:
+        ANNOUNCER.ends()
+
+
+# What is going on: a bar on a terminal, a line that changes in a notebook, lines now and then elsewhere.
 
 FIRST, EVERY = 1.0, 2.0
 """Seconds after which a run that nobody watches says where it is, first and then again. Together no more than 3: so

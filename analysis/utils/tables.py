@@ -1,9 +1,13 @@
-"""Tables and lines on a console, as every answer prints them: no figure, interval or name is ever cut."""
+"""Tables and lines as every answer prints them, on a console and as the text and JSON of a folder."""
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+import csv
+import io
+import json
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich import box
@@ -13,6 +17,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from planner.arguments import argument
 from planner.errors import UsageError, visible
 from planner.formatting import chance, counted
 
@@ -21,6 +26,9 @@ if TYPE_CHECKING:
     from planner.plan.plan import Plan
     from planner.settings import Settings
     from planner.world.world import World
+
+
+# Tables and lines on a console, as every answer prints them: no figure, interval or name is ever cut.
 
 KEPT_WHOLE, SHORT = 16, 10
 """Names of so many characters, and headers of so many, are not wrapped either."""
@@ -243,3 +251,45 @@ def bearing_words(plan: Plan, world: World) -> str:
 def without_level(said: str) -> str:
     """What `Estimate.said` says, without "(95 %)": for a sentence in which % stands for coverage alone."""
     return said.replace(" (95 %)", "").replace(", 95 %)", ")")
+
+
+# Writing a folder: every file whole or not at all, what a console prints as text, JSON as text.
+
+
+def as_text(draw: Callable[[Console], None], width: int = 120) -> str:
+    """What `draw(console)` prints, as plain text."""
+    console = SafeConsole(width=width, color_system=None, force_terminal=False)
+    with console.capture() as captured:
+        draw(console)
+    return captured.get()
+
+
+def csv_text(names: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
+    """Rows below the names of their columns as the text of a CSV file."""
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows([names, *rows])
+    return out.getvalue()
+
+
+def json_text(content: object, *, compact: bool = False) -> str:
+    """A JSON object as the text of a file."""
+    look: dict[str, Any] = {"separators": (",", ":")} if compact else {"indent": 1}
+    return json.dumps(content, allow_nan=False, **look) + "\n"
+
+
+def write_all(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
+    """Write files into `folder` (made if it is not there), each whole or not at all; returns their paths."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        problem = f"{argument('folder')} {folder} cannot be written ({error.strerror})"
+        raise UsageError(problem, expected="a folder to write to") from error
+    from planner.files import atomic_write
+
+    written: list[Path] = []
+    for name, content in contents.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        with atomic_write(folder / name, "wb" if isinstance(content, bytes) else "w") as out:
+            out.write(content)
+        written.append(folder / name)
+    return written

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import mrac_jax as mrac
-from analysis.pictures.style import ROBOT_COLOURS, house_style
+from analysis.pictures import ROBOT_COLOURS, house_style
 
 REACH = 6
 RANGE, CHARGE = 120, 10

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.arguments import Numbers, argument, whole
-from planner.csv_tables import is_header
 from planner.errors import MapError, StateError, UsageError
-from planner.files import read_json, read_npy
+from planner.files import is_header, read_json, read_npy
 from planner.formatting import counted, share
 from planner.ids import MAX_PLAN_BYTES, MAX_STEP, NO_AREA, NO_ROBOT
 from planner.plan.reading import at, check_map, check_partition, read_cell, read_cells, read_path
@@ -37,9 +36,8 @@ from planner.world.grid import Frame
 from planner.world.image_files import FULL, RosMap, read_image, read_ros_map
 from planner.world.image_files import SUFFIXES as IMAGES
 from planner.world.keys import Key
-from planner.world.longitudes import on_map
 from planner.world.map_files import is_bag, read_logged_map
-from planner.world.points import LATITUDE, LONGITUDE, Table, X, Y, read_table
+from planner.world.points import LATITUDE, LONGITUDE, Table, X, Y, on_map, read_table
 from planner.world.world import MAX_CELLS, MAX_ROBOTS, World, check_starts
 
 OVER = tuple(one.word for one in OF_CLOSED_LOOP if one not in (Outcome.STEP_LIMIT, Outcome.DEADLINE))

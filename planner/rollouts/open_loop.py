@@ -34,15 +34,18 @@ from planner.ids import BLOCK, MAX_STEP
 from planner.plan.plan import Plan, entries, last_move
 from planner.rollouts.open_loop_events import (
     WORD_BITS,
+    Entries,
     Events,
+    Groups,
     Guide,
     JointDraws,
     collect_events,
     joint_draws,
+    make_groups,
     make_guide,
+    open_loop_trace,
     source_counts,
 )
-from planner.rollouts.open_loop_trace import Entries, Groups, make_groups, open_loop_trace
 from planner.tally import Outcome, RolloutResults, Tally, Trace, tally_key
 from planner.world.uncertain_maps import UNIT
 from planner.world.world import World

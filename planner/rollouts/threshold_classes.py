@@ -2,7 +2,7 @@
 
 A total is a robot's tolerances added up over the team, before wear and susceptibility (SPEC section 14). It is known
 what to expect of it, so an estimate can be put right by how lucky its rollouts happened to be
-(`analysis.statistics.control_variate`). Whole numbers alone are added, so no sum depends on how rollouts are shared
+(`analysis.statistics.variance_reduction`). Whole numbers alone are added, so no sum depends on how rollouts are shared
 out.
 """
 

@@ -18,8 +18,6 @@ from planner.errors import MapError
 from planner.files import Json, check_file, check_size, foreign_errors, read_json, why_no_file
 from planner.formatting import counted
 from planner.mcap import MAGIC, Damaged, Descriptions, all_records, mapped, refusal
-from planner.world.fields import SUFFIXES as FIELDS
-from planner.world.fields import read_field
 from planner.world.grid import FREE, OCCUPIED, Frame, Grid
 from planner.world.image_files import FULL, NO_VALUE, RosMap, image_grid, read_ros_map
 from planner.world.image_files import SUFFIXES as IMAGES
@@ -27,6 +25,8 @@ from planner.world.keys import CELL_SIZE, CHANCE, COORDINATE, FARTHEST, Key, rea
 from planner.world.raster_files import GEO_SUFFIXES, read_raster
 from planner.world.robot_types import FACTOR, RobotTypes, checked_types
 from planner.world.uncertain_maps import LARGEST
+from planner.world.vector_files import SUFFIXES as FIELDS
+from planner.world.vector_files import read_field
 from planner.world.world import MAX_CELLS, MAX_ROBOTS, WORLD_FILES, World, check_starts, load_world_file
 
 # The latest `nav_msgs/OccupancyGrid` of a ROS 2 log (MCAP, or a rosbag2 folder of it) as a map.

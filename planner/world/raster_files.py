@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planner.csv_tables import read_csv_grid
 from planner.errors import MapError
-from planner.files import check_file, read_npy
+from planner.files import check_file, read_csv_grid, read_npy
 from planner.world.grid import (
     FREE,
     OCCUPIED,

@@ -15,10 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from planner.arguments import Numbers, argument, check_each, exactly
-from planner.csv_tables import read_csv_grid
 from planner.errors import MapError, PlanError, WorldError
 from planner.failure_model import exposure_of
-from planner.files import atomic_write, check_file, check_new, npz_bytes, read_npy, read_npz
+from planner.files import atomic_write, check_file, check_new, npz_bytes, read_csv_grid, read_npy, read_npz
 from planner.formatting import TURNS, UNPACED, Pace, chance, html_of, pace_of, text_of
 from planner.world.grid import HOW_TO_GIVE_ONE, LONGEST, Frame, Georeference, principal
 from planner.world.keys import CELL_SIZE, COORDINATE, DETECT, POSE, SCALE, VALUE, checked_layer, first_of

@@ -15,11 +15,11 @@ from typing import Self
 import numpy as np
 
 from analysis.comparison import Side, compare
-from analysis.evaluation.outputs.output import Blocks, Output, Run
-from analysis.page.charts import Chart, Series
+from analysis.evaluation.figures import Blocks, Output, Run
+from analysis.page.document import Chart, Series
 from analysis.search.pareto import Figures, Goal, Point, Setting, efficient, knee, quick_points, settings_of
-from analysis.statistics.control_variate import tally_mean
 from analysis.statistics.estimates import Estimate, exactly, losses_said
+from analysis.statistics.variance_reduction import tally_mean
 from analysis.utils.tables import without_level
 from planner.arguments import COMMAND_LINE, argument
 from planner.errors import PlanError, WorldError

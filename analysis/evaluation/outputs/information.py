@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from analysis.estimators.racing import only, told_of_drawn, told_of_hazards, with_eyes
 from analysis.estimators.trial import Measured, Sampled, Trial, alike
-from analysis.evaluation.outputs.output import Blocks, Output, Run
-from analysis.page.charts import Chart, Series
+from analysis.evaluation.figures import Blocks, Output, Run
+from analysis.page.document import Chart, Series
 from analysis.statistics.estimates import Estimate, more_said
 from analysis.utils.tables import make_table
 from planner.arguments import argument, numbers_of
@@ -381,7 +381,7 @@ class Experience(Output):
 
     def _posterior(self) -> CellLayer:
         from analysis.page.maps import CellLayer
-        from analysis.pictures.style import LOSSES
+        from analysis.pictures import LOSSES
 
         about = (
             f"The chance that a hazard is there, as the team knows it at the end of a run; mean of {self.ends:,} runs."
@@ -395,7 +395,7 @@ class Experience(Output):
         from matplotlib.colors import Normalize
 
         from analysis.page.maps import CellLayer
-        from analysis.pictures.style import COVERED
+        from analysis.pictures import COVERED
 
         about = f"Bits; 1: as likely there as not, 0: the team is sure. Mean of {self.ends:,} runs."
         scale = Normalize(0, 1)

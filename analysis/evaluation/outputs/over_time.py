@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.trial import TreeTruth
-from analysis.evaluation.figures import Figures, last_shown
-from analysis.evaluation.outputs.output import Blocks, Output, Run, coverage_row
-from analysis.page.charts import Series
+from analysis.evaluation.figures import Blocks, Figures, Output, Run, coverage_row, last_shown
+from analysis.page.document import Series
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.statistics.estimates import QUANTILES, Estimate, mean_of, robots_words
 from analysis.theory.verdicts import MEANINGS, longest_run

@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.estimators.trial import TreeTruth, mean_value, stated, units_of
-from analysis.evaluation.outputs.output import Blocks, Output, Run
+from analysis.evaluation.figures import Blocks, Output, Run
 from analysis.sampling import make_engine_for
-from analysis.statistics.control_variate import LEAST, tally_mean
-from analysis.statistics.differences import CommonLuck
 from analysis.statistics.estimates import TAIL, Estimate, at_least, exactly, in_unit, robots_left, tail_mean, times_to
+from analysis.statistics.variance_reduction import LEAST, CommonLuck, tally_mean
 from analysis.theory.exact import Worth, open_loop_found
 from analysis.theory.upper_bound import MOST_CELLS, trimmed, value_bound
 from analysis.utils.tables import make_table
@@ -328,7 +327,7 @@ class Value(ValueFigures, Output):
     def layer(self) -> CellLayer:
         """What is left of what each cell is worth."""
         from analysis.page.maps import CellLayer
-        from analysis.pictures.style import LOSSES
+        from analysis.pictures import LOSSES
 
         about = f"Value times the chance that it is not found. {self.left.mean:.4g} of {self.worth.total:.4g} in all."
         left = self.left_by_cell.reshape(self.world.shape)

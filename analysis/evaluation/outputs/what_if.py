@@ -16,12 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators.trial import Sampled, Trial
-from analysis.evaluation.figures import Figures
-from analysis.evaluation.outputs.output import Blocks, Output, Run
-from analysis.page.charts import Chart, Series
+from analysis.evaluation.figures import Blocks, Figures, Output, Run
+from analysis.page.document import Chart, Series
 from analysis.sampling import make_engine_for, make_roll_out
-from analysis.statistics.differences import Components, known_between, of_means, of_values
 from analysis.statistics.estimates import QUANTILES, Estimate
+from analysis.statistics.variance_reduction import Components, known_between, of_means, of_values
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.theory.verdicts import exact_truth
 from analysis.utils.notes import of_things
@@ -252,11 +251,9 @@ class Mates(Output):
 
 # How much of the scatter is doubt about the map, and how much is the luck of a mission on it.
 #
-# Closed loop: from the evaluation's own rollouts, which know their map (`analysis.statistics.differences`); where few
-# of
-# them share one, from maps drawn as rollouts draw theirs, with luck of its own on each. Open loop: mean coverage on
-# each
-# map is exact. Asked for by itself where a world's map is uncertain.
+# Closed loop: from the evaluation's own rollouts, which know their map (`analysis.statistics.variance_reduction`);
+# where few of them share one, from maps drawn as rollouts draw theirs, with luck of its own on each. Open loop: mean
+# coverage on each map is exact. Asked for by itself where a world's map is uncertain.
 
 ENOUGH = 8
 """Rollouts a map, on average, that make it known enough to take the rollouts as they are."""

@@ -25,8 +25,8 @@ from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorP
 from mcap_protobuf.schema import build_file_descriptor_set
 from numpy.typing import NDArray
 
+from analysis.recording.container import LogSchema
 from analysis.recording.frames import AreaMap, Discovery, area_maps, discovery_of, learned_maps
-from analysis.recording.log_writer import LogSchema
 from planner.files import Json, atomic_write
 from planner.mrac.problem import ready_loop
 from planner.mrac.simulate import ReferenceLoop

@@ -1,8 +1,8 @@
-"""Charts and maps as pictures for slides and papers: what a page shows, on paper."""
+"""A report as a page, and its charts and maps as pictures for slides and papers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import ceil
 from textwrap import fill
 from typing import Any
@@ -15,19 +15,23 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter
 from numpy.typing import NDArray
 
-from analysis.page.charts import BARS_UP_TO, Chart, Points, points_of, y_range_of
-from analysis.pictures.maps import (
-    draw_borders,
-    group_labels,
-    map_figure,
-    mark_starts,
-    paint,
-    plan_figure,
-    start_handle,
-    terrain_handles,
-    with_key,
+from analysis.page.document import (
+    BARS_UP_TO,
+    Chart,
+    Html,
+    Points,
+    Section,
+    block,
+    curves_html,
+    document,
+    from_rich,
+    pictures_section,
+    points_of,
+    reproduce_section,
+    y_range_of,
 )
-from analysis.pictures.style import (
+from analysis.page.maps import cell_maps_html, plan_map_html
+from analysis.pictures import (
     FAINT,
     GRID,
     HALO,
@@ -37,11 +41,78 @@ from analysis.pictures.style import (
     WIDTH,
     Key,
     cell_points,
+    draw_borders,
+    group_labels,
     inches,
+    map_figure,
+    mark_starts,
     new_figure,
+    paint,
     plain,
+    plan_figure,
+    start_handle,
+    terrain_handles,
+    with_key,
 )
-from analysis.report.model import CellMaps, Planned, Report
+from analysis.report.model import CellMaps, Part, Planned, Report
+
+# A report as a page.
+
+BROAD = 1.6
+"""Times as wide as high from which a map stands below the answer."""
+
+
+def page_of(report: Report, command: str, pictures: Mapping[str, bytes], files: Sequence[str]) -> str:
+    """The page as HTML; the same report gives the same bytes.
+
+    Args:
+        command: the command line that made it. pictures: PNG files by name. files: names of those beside the page.
+    """
+    shown = None if report.picture is None else report.picture()
+    height, width = shown.world.shape if isinstance(shown, CellMaps) else (1, 1)
+    said, notes = report.findings, [f"Note: {note}" for note in report.notes]
+    findings = [] if shown is not None else [*said, *report.notes]
+    words, notes = (said, notes) if shown is not None else ([], [])
+    sections = (
+        Section("Findings", block("findings", findings)),
+        *map(_section, report.parts),
+        Section("Settings", block("settings", report.heading, report.settings)),
+        pictures_section(pictures),
+        reproduce_section(command, files, report.again),
+    )
+    return document(
+        sections, report=report, words=words, notes=notes, warnings=report.warnings,
+        below=_charts(report.below(), "h2"), picture=None if shown is None else _html(shown),
+        broad=width > BROAD * height,
+    )  # fmt: skip
+
+
+def _section(part: Part) -> Section:
+    tables = [from_rich(table, part.unfolded and number == 0) for number, table in enumerate(part.whole or part.tables)]
+    shown = part.drawn()
+    drawn = _charts([one for one in shown if isinstance(one, Chart)])
+    drawn += Html("").join(_html(one) for one in shown if not isinstance(one, Chart))
+    return Section(part.title, block("part", drawn, tables, part.notes), part.lead, part.fold)
+
+
+def _charts(charts: Sequence[Chart], heading: str = "h3") -> Html:
+    """Side by side where there are some."""
+    return block("charts", [html for chart in charts if (html := curves_html(chart, heading))])
+
+
+def _html(drawn: Chart | CellMaps) -> Html:
+    return curves_html(drawn) if isinstance(drawn, Chart) else _maps_html(drawn)
+
+
+def _maps_html(maps: CellMaps) -> Html:
+    """The maps; those of a plan with its paths and runs."""
+    world, plan = maps.world, maps.plan
+    if plan is not None:
+        return plan_map_html(maps.layers, world, plan, *maps.runs, values_of=maps.values_of)
+    return cell_maps_html(maps.layers, world, np.unique(maps.starts, axis=0), anchor=maps.anchor)
+
+
+# Charts and maps as pictures for slides and papers: what a page shows, on paper.
 
 HIGH, ABOVE, ENTRY = 2.4, 0.85, 0.19
 """Inches: a chart's height, what is above it, a line of its legend."""

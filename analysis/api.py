@@ -1,0 +1,985 @@
+"""The functions behind the door, `import mrac_jax as mrac`: plain arguments in, the house's answers out.
+
+Each does one of the everyday jobs and is documented for somebody who knows nothing of the rooms behind it. Coverage is
+a fraction of the accessible cells; cells are `[row, col]`, row 0 at the top; every error is an `InputError`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+from functools import partial, wraps
+from inspect import Parameter, signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, Unpack, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from analysis.evaluation.evaluate import Evaluation
+from analysis.inputs import load_world, plan_from_state
+from analysis.sampling import Exactness, RolloutChoices, how_much
+from analysis.utils.notes import Doing, ProgressCallback, UnknownArgument, say
+from analysis.utils.progress import Found, OnInterrupt, ask
+from planner.arguments import argument, as_whole, check_word
+from planner.errors import UsageError
+from planner.files import check_new
+from planner.mission.mission import PATIENCE
+from planner.plan.plan import Plan
+from planner.plan.state import MissionState
+from planner.plan.state_file import read_state
+from planner.plan_team import plan_team, read_plan_on
+from planner.policies.rules import InAreaOrder
+from planner.rollouts.names import EngineName
+from planner.settings import BEST, SETTINGS, Choices, Policy, Settings
+from planner.world.levels import starts_of
+from planner.world.scenario import with_route
+from planner.world.world import World, check_starts
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from analysis.checking.check import MapCheck
+    from analysis.comparison import Comparison
+    from analysis.experiments.reproduction import Reproduction
+    from analysis.mission_protocol import DrivenMission
+    from analysis.policy_evaluation.leaderboard import Suite
+    from analysis.policy_evaluation.policy_evaluation import Judged
+    from analysis.recording.contents import RecordedOutcomes, RecordedRollout
+    from analysis.recording.record import Pick, Recorded
+    from analysis.search.pareto import Front
+    from analysis.search.start_positions import Starts
+    from analysis.search.team_size import TeamSize
+    from analysis.search.threats import Attack, Clearing
+    from analysis.sweeps.results import Results
+    from analysis.sweeps.sweep import Sweep
+
+
+# Worlds and plans, what every other function is given; and the options that several functions share.
+
+# Options that several functions of the public API share, each said once: the planner's settings, and the rollouts.
+#
+# A function that takes them is written `def f(..., **options: Unpack[SearchOptions])` and decorated with `takes`,
+# which gives it a signature that names each option, and refuses others.
+
+Loop = Literal["closed", "open"]
+ReturnTo = str | Sequence[Sequence[int]] | None
+"""Where robots come home to: "home", "nearest", bases `[[row, col], ...]`, or nowhere."""
+
+
+class PlannerOptions(TypedDict, total=False):
+    """Settings of `plan` that go with any policy."""
+
+    levels: int | None
+    density: float | None
+    risk: Literal["paper", "log"] | None
+    transit: Literal["grid", "area"] | None
+    max_steps: int | None
+    range: int | Sequence[int] | None
+    wear: float | None
+    susceptibility: float | Sequence[float] | None
+    return_to: ReturnTo
+    recharge: int | None
+    types: str | Sequence[str] | None
+    steps_per_move: int | Sequence[int] | None
+    radio: float | None
+    in_area: InAreaOrder | None
+
+
+class PolicyOptions(PlannerOptions, total=False):
+    """Settings of `plan` for robots that take over from each other."""
+
+    policy: Policy | None
+    reserve: float | None
+    worth: float | None
+
+
+class RolledOptions(TypedDict, total=False):
+    """What is rolled out besides how many, and what is shown meanwhile: as of `evaluate`."""
+
+    seed: int
+    deadline: int | str | None
+    first_visit: bool
+    engine: EngineName
+    exact: Exactness
+    progress: ProgressCallback | bool | None
+    on_interrupt: OnInterrupt
+
+
+class FrontOptions(PlannerOptions, RolledOptions, total=False):
+    """Of `front`, which chooses the policy itself."""
+
+
+class SearchOptions(PolicyOptions, RolledOptions, total=False):
+    """Of `starts`, `clear` and `attack`."""
+
+
+class SizeOptions(SearchOptions, total=False):
+    """Of `size`, which also plans for the open loop."""
+
+    plan_for: Loop | None
+    effort: int | None
+
+
+DEFAULTS: dict[str, Any] = {
+    "seed": 0, "first_visit": False, "engine": "auto", "exact": "auto", "on_interrupt": "raise",
+}  # fmt: skip
+"""Of options whose default is not None."""
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def takes(options: type) -> Callable[[Function], Function]:
+    """A decorator: the function's `**options` are these, each keyword-only and with its default.
+
+    The function is called with all of them. An argument that it does not have is an UnknownArgument.
+    """
+    more = {
+        name: Parameter(name, Parameter.KEYWORD_ONLY, default=DEFAULTS.get(name), annotation=kind.__forward_arg__)
+        for name, kind in options.__annotations__.items()
+    }
+
+    def named(function: Function) -> Function:
+        own = signature(function)
+        first = [one for one in own.parameters.values() if one.kind is not Parameter.VAR_KEYWORD]
+        known = [*(one.name for one in first), *more]
+
+        @wraps(function)
+        def call(*args: Any, **given: Any) -> Any:
+            for name in given.keys() - set(known):
+                raise UnknownArgument.of(function, name, given[name], known)
+            return function(*args, **{name: one.default for name, one in more.items()} | given)
+
+        call.__signature__ = own.replace(parameters=[*first, *more.values()])  # type: ignore[attr-defined]
+        return call  # type: ignore[return-value]
+
+    return named
+
+
+# Worlds and plans: what every other function is given.
+
+
+def load(
+    source: str | Path | ArrayLike,
+    *,
+    cell_size: float | None = None,
+    step_seconds: float | None = None,
+    speed: float | None = None,
+    turn: float | None = None,
+    value: ArrayLike | None = None,
+    detect: ArrayLike | None = None,
+    route: ArrayLike | None = None,
+) -> World:
+    """The world in a file, in a shipped example, or in an array.
+
+    Args:
+        source: any INPUT of the command line ("depot.yaml", a scenario, "example:paper", ...), or an array `[H, W]` of
+            the chance that one visit stops a robot, NaN (or masked) = obstacle.
+        cell_size: side of a cell in metres; coarsens a map, and is what an array's cells measure (default 1).
+        step_seconds: that a step takes, or `speed`, metres a second: every time is said in minutes too, and deadlines
+            may be given so, as "45min" (in the place of what the source says).
+        turn: steps that a quarter turn costs: `evaluate` and `plan` say how long a mission takes with turns too.
+        value, detect: what each cell is worth, and the chance that a visit which the robot survives finds what is in
+            it: `[H, W]` or one number, in the place of what the source says (if that is nothing: 1 each).
+        route: `[row, col]` of the corners of the route that is to be safe.
+
+    A scenario's robots come along: `plan(world)` uses them. What loading did is in `world.notes`.
+    """
+    if isinstance(source, str | Path):
+        world = load_world(str(source), cell_size)
+        _say_if_large(world)
+    else:
+        world = World.create(source, cell_size=1.0 if cell_size is None else cell_size, source="array")
+        world = replace(world, measured=cell_size is not None)
+    world = world.with_pace(step_seconds, speed, turn)
+    if value is not None or detect is not None:
+        world = world.with_values(world.value if value is None else value, world.detect if detect is None else detect)
+    return world if route is None else with_route(world, route)
+
+
+def _say_if_large(world: World) -> None:
+    """Say before anything takes long that a map has many cells, where nobody said how large they are."""
+    from planner.world.scenario import MANY_CELLS, ROBOT_IS
+
+    if world.threat.size > MANY_CELLS:
+        say([f"{world.source}: {note}" for note in world.notes if ROBOT_IS in note])
+
+
+def plan(
+    world: World,
+    robots: int | None = None,
+    *,
+    starts: ArrayLike | None = None,
+    levels: int | None = None,
+    density: float | None = None,
+    risk: Literal["paper", "log"] | None = None,
+    transit: Literal["grid", "area"] | None = None,
+    max_steps: int | None = None,
+    policy: Policy | None = None,
+    reserve: float | None = None,
+    worth: float | None = None,
+    plan_for: Loop | None = None,
+    effort: int | None = None,
+    seconds: float | None = None,
+    range: int | Sequence[int] | None = None,
+    deadline: int | str | None = None,
+    wear: float | None = None,
+    susceptibility: float | Sequence[float] | None = None,
+    return_to: ReturnTo = None,
+    recharge: int | None = None,
+    state: MissionState | str | Path | None = None,
+    in_area: InAreaOrder | None = None,
+    types: str | Sequence[str] | None = None,
+    steps_per_move: int | Sequence[int] | None = None,
+    radio: float | None = None,
+) -> Plan:
+    """The plan of a team (Algorithms 1 to 3): its areas, and every robot's path if nobody is lost.
+
+    Args:
+        robots: how many, placed by the world's start rule unless it has as many starts; default: its team, else 1.
+        starts: instead of that, `[[row, col], ...]`, one a robot.
+        levels: most threat levels, p = 0 counted. density: least cells a robot of a safe area is to have.
+        risk: cost of a dangerous cell, "paper" (eq. 3) or "log" (by survival). transit: "grid" or "area".
+        max_steps: at which the run is cut off.
+        policy: which area is next: "mrac" (the paper's) or "per_cell" (least cost per new cell); or a rule of your own,
+            a `planner.policies.rule.Rule`, or a function of an `Offer` to order areas by, least first. "best": the one
+            that covers most here, of a dozen settings that are raced on luck of their own, its areas then put in
+            a better order, for `seconds` (10) at most.
+        reserve: with "per_cell", at most this share of the robots alive are at risk at once.
+        worth: with "per_cell", a robot is worth so many new cells: areas that cost more are refused.
+        plan_for: "open": paths for robots that do not take over from each other, found by a search; they have no areas.
+        effort: of that search, in paths evaluated: the same effort gives the same plan; seconds: end it after so many.
+        range: moves that a robot can make, then it stays where it is; one number for all, or one a robot.
+        deadline: the step at which the mission is ended: the plan, and all that is made of it, keep to it. Here as
+            everywhere it may be a time, "45min", where the world knows how long a step takes (`load`).
+        wear: shape of the Weibull amount of exposure that robots bear; above 1 they wear out, and p is a dose.
+        susceptibility: how many times exposure counts, one number for all, or one a robot. No decision knows the
+            two.
+        return_to: robots come home, "home" to their own starts, to the "nearest" start of anybody, or of the bases
+            `[[row, col], ...]`: they turn once everything is covered or nothing more can be done, or while range and
+            deadline still leave them the way.
+        recharge: with `range` and `return_to`, steps at a base after which a robot has its range again.
+        state: of a mission under way, or a file of it (a state, tracks, visited cells, a mask, an OccupancyGrid): the
+            plan of the rest; the robots are its own, or at `starts` where the file does not say where they are.
+        types: of robots, of the world's matrix, one for all or one a robot: each plans with its own p, and is stopped
+            by it.
+        steps_per_move: of robots that differ in speed, one a robot: `(1, 2)`, the second is half as fast.
+        radio: cells over which robots hear each other, and a start or base: who is out of touch takes over nothing,
+            and drives back.
+        in_area: "boustrophedon", "rows" or "columns": in safe areas straight on, so with fewer turns; an order of your
+            own is a function of a `CellOffer`, the least first.
+
+    A rule or an order of your own cannot be saved, nor (yet) rolled out by the compiled engines.
+    """
+    from analysis.estimators.racing import BASE, plan_best
+
+    given = {name: value for name, value in locals().items() if name in SETTINGS}
+    check_world(world)
+    sought = policy == BEST
+    settings = settings_of(world, **given | ({"policy": BASE} if sought else {}))
+    if sought and state is not None:
+        raise UsageError(f"both {argument('policy', BEST)} and a state", expected="one of them")
+    if state is not None:
+        if robots is not None or (starts is not None and isinstance(state, MissionState)):
+            raise UsageError(
+                "a state and robots or starts", expected="one of them: the state says where its robots are"
+            )
+        found, notes = (state, ()) if isinstance(state, MissionState) else read_state(Path(state), world, starts)
+        made = plan_from_state(world, found, settings)
+        return replace(made, notes=(*made.notes, *notes))
+    return (plan_best if sought else plan_team)(world, starts_of(world, robots, starts), settings, seconds)
+
+
+def settings_of(world: World, **given: Any) -> Settings:
+    """What is asked, by name, in the place of what the world came with. Raises InputError."""
+    asked = Choices(**{name: _of_tuples(name, value) for name, value in given.items()})
+    return asked.settings(world.team.settings, world.pace, by=world.source)
+
+
+def _of_tuples(name: str, given: Any) -> Any:
+    """The value of a setting, where it is a list, of one a robot or of cells, as a tuple."""
+    if not isinstance(given, Iterable) or isinstance(given, str):
+        return given
+    return tuple(map(tuple, given)) if SETTINGS[name].places else tuple(given)
+
+
+def check_world(world: object) -> None:
+    """What is easily given instead: the name of an INPUT, an array."""
+    if not isinstance(world, World):
+        raise UsageError(argument("world", world), expected="a World, as mrac_jax.load makes one")
+
+
+def plan_of(world: World, given: Plan | str | Path | int | None) -> tuple[World, Plan]:
+    """A plan, the one in a file, or a new one (for so many robots); and the world that it is for (`read_plan_on`)."""
+    check_world(world)
+    if isinstance(given, Plan):
+        given.require(world)
+        return world, given
+    return read_plan_on(given, world) if isinstance(given, str | Path) else (world, plan(world, given))
+
+
+# Files for viewers, ground stations and GIS, and recordings read back.
+
+PICKS = ("worst", "median", "best")
+
+
+def record(
+    world: World,
+    plan: Plan | str | Path | int | None,
+    path: str | Path,
+    *,
+    pick: Iterable[str] = (),
+    ids: Iterable[int] = (),
+    rollouts: int = 10_000,
+    outcomes: bool = False,
+    loop: Loop | None = None,
+    seed: int = 0,
+    engine: EngineName = "auto",
+    first_visit: bool = False,
+    step_seconds: float | None = None,
+    force: bool = False,
+    progress: ProgressCallback | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
+) -> Recorded:
+    """Rollouts in full as an MCAP file, for Foxglove, Lichtblick and Rerun; read back with `read_rollouts`.
+
+    Args:
+        plan: as of `evaluate`. path: of the file (.mcap); a layout for Foxglove and Lichtblick is written beside it.
+        ids: rollouts to record; or `pick`: some of `rollouts` evaluated ones, of "worst", "median", "best", ...
+            (default: those three). outcomes: keep what each of the `rollouts` came to (`read_outcomes`).
+        step_seconds: how long a step takes in the viewer; None: as long as the world says, or 1.
+        force: replace a recording or layout that is there already; without it that is an InputError.
+        loop, seed, engine, first_visit, progress, on_interrupt: as of `evaluate`.
+    """
+    from analysis.recording.names import SUFFIX, check_name, layout_name
+    from analysis.recording.record import Request, parse_picks
+    from analysis.recording.record import record as record_rollouts
+    from analysis.recording.viewers.topics import write_layout
+
+    check_name(Path(path), SUFFIX)
+    check_new(path, layout_name(Path(path)), force=force)
+    chosen, names = tuple(ids), tuple(pick)
+    picks: tuple[Pick, ...] = () if chosen and not names else tuple(parse_picks(",".join(names or PICKS)))
+    count = as_whole(rollouts) if picks or outcomes else 0
+
+    def work(tell: ProgressCallback, doing: Doing) -> Recorded:
+        of, given = plan_of(world, plan)
+        made = not given.is_foreign
+        seconds = of.with_pace(step_seconds).pace.seconds or 1.0
+        how: Any = {"loop": loop or given.usual_loop, "seed": seed, "step_seconds": seconds, "made": made}
+        how |= {"outcomes": outcomes, "engine": engine, "first_only": first_visit}
+        request = Request(chosen, picks, count, **how)
+        done = record_rollouts(of, given, request, path, progress=tell, doing=doing)
+        write_layout(layout_name(done.path), of, len(given.robots))
+        return done
+
+    return ask(work, progress, on_interrupt)
+
+
+def read_rollouts(path: str | Path) -> Iterator[RecordedRollout]:
+    """The rollouts of a recording, one after the other; one is held at a time.
+
+    Of a partial or recovered recording, rollouts that are not all there are left out.
+    """
+
+    from analysis.recording import contents as rollouts
+
+    return rollouts.read_rollouts(path)
+
+
+def read_outcomes(path: str | Path) -> RecordedOutcomes:
+    """Every outcome that `record --outcomes` wrote, none if it did not."""
+
+    from analysis.recording import contents as rollouts
+
+    return rollouts.read_outcomes(path)
+
+
+def export(
+    world: World,
+    plan: Plan | str | Path | int | None,
+    out: str | Path,
+    *,
+    to: Literal["qgc", "nav2", "geojson", "kml", "gpx", "csv", "geotiff"] | None = None,
+    altitude: float | None = None,
+    speed: float | None = None,
+    force: bool = False,
+) -> list[Path]:
+    """The plan for ground stations, nav2 and GIS; returns the files.
+
+    Args:
+        plan: as of `evaluate`. out: a file or a folder. to: the format; None: by the suffix of `out`.
+        altitude: QGroundControl: metres above take-off (default 20), 0 for robots on the ground. speed: metres a
+            second (default: as the world says, or 3).
+        force: replace files that are there already; without it that is an InputError, and nothing is written.
+    """
+    from analysis.exporting import choose_format, make_mission
+    from analysis.exporting import export as write
+
+    form = choose_format(Path(out), to)
+    return write(make_mission(*plan_of(world, plan), altitude, speed), Path(out), form, force=force)
+
+
+# A mission that is driven.
+
+
+def mission(
+    world: World,
+    plan: Plan | str | Path | int | None = None,
+    *,
+    state: MissionState | str | Path | None = None,
+    patience: int | None = PATIENCE,
+    gain: float = 1.0,
+) -> DrivenMission:
+    """A mission to be driven: it gives orders and takes reports, step by step, and goes on after a crash.
+
+    Args:
+        plan: a Plan, a plan file, how many robots to plan for, or None: the world's own team.
+        state: where it stands: what `Mission.save` wrote, or anything that `plan` takes as a state.
+        patience: steps in which a robot that was to move did not, after which others get its work; None: any number.
+        gain: a robot leaves what it is under way to for work that became free, or a nearer cell of its area after it
+            was pushed, where that saves more than this share of the cost of its way; 1: it never does.
+    """
+    from analysis.mission_protocol import DrivenMission
+
+    world, made = plan_of(world, plan)
+    if isinstance(state, str | Path) and Path(state).suffix == ".json":
+        return DrivenMission.resume(state, world, made, patience=patience, gain=gain)
+    if state is not None:
+        found = state if isinstance(state, MissionState) else read_state(state, world)[0]
+        made = plan_from_state(world, found, made.require(world))
+    return DrivenMission(world, made, patience=patience, gain=gain)
+
+
+# Many maps: sweeps, the paper's experiments, what a store holds.
+
+
+def sweep(
+    spec: str | Path,
+    store: str | Path | None = None,
+    *,
+    precision: float | None = None,
+    processes: int | None = None,
+    scheduler: str | Client | None = None,
+    progress: ProgressCallback | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
+) -> Sweep:
+    """A sweep file run, on all cores, into a store that resumes (default: NAME.store beside you).
+
+    Args:
+        precision: more maps until every interval of mean coverage is within so much of it. processes: at a time.
+        scheduler: a dask.distributed scheduler to run on instead: its address, "tcp://host:8786", or an open Client.
+            No result depends on it.
+        progress, on_interrupt: as of `evaluate`; jobs are counted.
+    """
+    from analysis.sweeps.engine import check_where
+    from analysis.sweeps.spec import read_spec
+    from analysis.sweeps.store import Store
+    from analysis.sweeps.sweep import check_precision, run_sweep
+
+    asked = read_spec(Path(spec))
+    check_precision(precision)
+
+    def work(tell: ProgressCallback, doing: Doing) -> Sweep:
+        check_where(processes, scheduler)
+        with Store.open(Path(f"{asked.source.stem}.store") if store is None else Path(store)) as opened:
+            how: Any = {"precision": precision, "processes": processes, "scheduler": scheduler}
+            return run_sweep(asked, opened, watch=lambda *now: tell(*now[:3]), **how)
+
+    return ask(work, progress, on_interrupt, "jobs")
+
+
+def reproduce(
+    figure: Literal["fig4", "fig5", "fig6", "fig7", "all"] = "all",
+    *,
+    maps: int = 500,
+    rollouts: int = 20,
+    seed: int = 0,
+    store: str | Path | None = None,
+    processes: int | None = None,
+    scheduler: str | Client | None = None,
+    progress: ProgressCallback | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
+) -> Reproduction:
+    """The paper's experiments again, with intervals; results are kept in `store` if one is named.
+
+    Args:
+        maps: of each setting; rollouts: of each map. processes, scheduler: as of `sweep`.
+        progress, on_interrupt: as of `evaluate`; jobs are counted.
+    """
+    from analysis.experiments.reproduction import reproduce as run_experiments
+    from analysis.sweeps.cases import check_maps
+    from analysis.sweeps.engine import check_where
+    from analysis.sweeps.store import Store
+
+    check_maps(maps, seed)
+
+    def work(tell: ProgressCallback, doing: Doing) -> Reproduction:
+        check_where(processes, scheduler)
+        with nullcontext() if store is None else Store.open(Path(store)) as kept:
+            how: Any = {"maps": maps, "rollouts": rollouts, "seed": seed, "store": kept, "processes": processes}
+            return run_experiments(figure, **how, scheduler=scheduler, progress=tell)
+
+    return ask(work, progress, on_interrupt, "jobs")
+
+
+def results(store: str | Path, *, by: Sequence[str] = (), where: dict[str, Any] | None = None) -> Results:
+    """What a store holds, as rows: a mean over maps for each setting.
+
+    Args:
+        by: labels that tell rows apart (default: all that vary). where: values wanted of labels, one or several each.
+    """
+    from analysis.sweeps.results import collect
+    from analysis.sweeps.store import Store
+
+    def texts(value: object) -> tuple[str, ...]:
+        several = value if isinstance(value, list | tuple | set | np.ndarray) else [value]
+        return tuple(str(one) for one in several)
+
+    wanted = {name: texts(value) for name, value in (where or {}).items()}
+    with Store.open(Path(store), write=False) as opened:
+        return collect(opened, wanted, list(by))
+
+
+# Policies of one's own, and the worlds that they are played on.
+
+
+def judge(
+    world: World,
+    policy: Callable[..., Any],
+    robots: int | None = None,
+    *,
+    starts: ArrayLike | None = None,
+    actions: Literal["moves", "areas"] = "moves",
+    view: int | None = None,
+    rule: Policy | None = None,
+    offers: int | None = None,
+    max_steps: int | None = None,
+    rollouts: int = 1000,
+    seed: int = 0,
+    against: Sequence[str] = ("mrac", "per_cell"),
+    processes: int | None = None,
+    progress: ProgressCallback | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
+) -> Judged:
+    """What is a policy of one's own worth: its coverage, and its score between a random walk and the proven bound.
+
+    Args:
+        policy: a function of what all robots observe, float32 `[K, 6, h, w]`, or of areas `[K, offers, 8]` (`env`),
+            that returns an action for each; of two arguments, then of a random key (a NumPy generator) of the rollout
+            too. Under `jax.jit` it runs inside the compiled rollouts, if its actions are moves.
+            It is asked for many rollouts in turn, and is to remember none.
+        robots, starts, actions, view, rule, offers, max_steps: as of `env`.
+        rollouts, seed: rollout r of the seed has the luck that it has in `evaluate`.
+        against: policies of the planner that are rolled out on the same random numbers, and ended at the same step.
+        processes: that ask a policy in Python; the figures are the same. None: one a core, where it can be imported.
+        progress, on_interrupt: as of `evaluate`.
+    """
+    from analysis.policy_evaluation.policy_evaluation import judge as judge_policy
+    from planner.rollouts.names import of_jax
+
+    check_world(world)
+    if not callable(policy):
+        raise UsageError(argument("policy", policy), expected="a function of what the robots observe")
+    given: dict[str, Any] = {"starts": starts, "actions": actions, "view": view, "rule": rule, "offers": offers}
+    env = of_jax("environment")(world, robots, **given, max_steps=max_steps)
+    choices = RolloutChoices(rollouts=rollouts, seed=seed)
+
+    def work(tell: ProgressCallback, doing: Doing) -> Judged:
+        return judge_policy(world, policy, env, choices, against, processes, tell)
+
+    return ask(work, progress, on_interrupt)
+
+
+def suite(only: str | Sequence[str] | None = None) -> Suite:
+    """Thirty named worlds, the same for ever, as a mapping from names to worlds; `.judge(policy)` plays them.
+
+    Args:
+        only: names, or patterns as ``contiguous-10-*``; None: all.
+    """
+    from analysis.policy_evaluation.leaderboard import Suite
+
+    return Suite(only)
+
+
+# What a plan comes to, what two differ by, and which formulas hold.
+
+
+@overload
+def evaluate(world: World, plan: int | None = None, *, policy: Callable[..., Any], **how: Any) -> Judged: ...
+@overload
+def evaluate(world: World, plan: Plan | str | Path | int | None = None, **how: Any) -> Evaluation: ...
+def evaluate(
+    world: World,
+    plan: Plan | str | Path | int | None = None,
+    *,
+    policy: Callable[..., Any] | None = None,
+    state: MissionState | str | Path | None = None,
+    loop: Loop | None = None,
+    rollouts: int | None = None,
+    precision: float | None = None,
+    seconds: float | None = None,
+    exact: Exactness = "auto",
+    engine: EngineName = "auto",
+    seed: int = 0,
+    deadline: int | str | None = None,
+    first_visit: bool = False,
+    threat_scale: Sequence[float] = (),
+    sense: Sequence[float] = (),
+    bound: bool | None = None,
+    band: bool = True,
+    advice: bool = True,
+    metrics: Literal["coverage", "search", "clearance"] | None = None,
+    progress: ProgressCallback | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
+    **asked: Any,
+) -> Evaluation | Judged:
+    """How much of the world does the team cover, and how sure is that?
+
+    Args:
+        plan: a Plan, a plan file, how many robots to plan for, or None: the world's own team.
+        policy: instead of a plan, a function of what the robots observe: the answer is that of `judge`, whose arguments
+            are all that may stand beside it; `plan` is how many robots.
+        state: instead of that, of a mission under way, or its file: the rest of it is planned and rolled out.
+        loop: "closed": survivors take over; "open": every robot follows its path until it is stopped. None: open for
+            paths alone, else closed.
+        rollouts: how many; or `precision`: until the 95 % interval of mean coverage is within so much of it. Neither:
+            within 0.001 of it, a tenth of a point, and after 10 seconds of rolling out whatever it is.
+        seconds: of rolling out, after which it stops too.
+        exact: whether the closed loop's exact values, which small teams have, are looked for: "auto" for about 2 s,
+            "never", or for about so many seconds. The same work on every machine, so that no answer depends on it.
+        engine: "auto" takes JAX where it has an accelerator, else Numba. seed: of the rollouts.
+        deadline: a step at which coverage is reported too; robots that come home know it, and are home by then.
+        first_visit: only the first visit of a cell by anybody can stop a robot.
+        threat_scale: also if all threats are so many times the map's.
+        sense: also if robots that are not told the map see so many cells far, on the same random numbers; 0: blind.
+        bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
+        band: also sample how coverage grows over time, for `plots`.
+        advice: also a quick front: what other settings cover and lose.
+        metrics: in whose words value covered, found and left are told; default: as the world says, if it says
+            anything of values.
+        asked: any further output of `analysis.evaluation.outputs`, by its key.
+        progress: what is shown meanwhile. None: a bar on a terminal, a line in a notebook; True: lines on a pipe too;
+            False: nothing; or a function that is called with (done, total, seconds) after every chunk.
+        on_interrupt: "raise": Ctrl-C is raised as a KeyboardInterrupt that has what was done as `partial`; "return":
+            what was done is the answer, `answer.partial` true.
+    """
+    if policy is not None:
+        return _judged(**locals())
+    from analysis.evaluation.evaluate import check_asked
+    from analysis.evaluation.evaluate import evaluate as evaluate_plan
+
+    if state is not None and plan is not None:
+        raise UsageError("both a plan and a state", expected="one of them")
+    check_world(world)
+    _check_outputs(asked)
+    asked |= {"threat_scale": tuple(threat_scale)} | ({} if metrics is None else {"value": metrics})
+    asked |= {"knowledge": tuple(sense)} if len(sense) else {}
+    check_asked(world, **asked)
+    asked |= {"band": band, "advice": advice}
+    amount = how_much(rollouts, precision, seconds)
+
+    def work(tell: ProgressCallback, doing: Doing) -> Evaluation:
+        doing("planning")
+        of, made = plan_of(world, plan) if state is None else (world, _rest(world, state))
+        choices = RolloutChoices(
+            loop=loop or made.usual_loop, **amount, exact=exact, engine=engine, seed=seed, deadline=deadline,
+            first_only=first_visit,
+        )  # fmt: skip
+        return evaluate_plan(of, made, choices, bound=bound, progress=tell, doing=doing, **asked)
+
+    return ask(work, progress, on_interrupt)
+
+
+def _check_outputs(asked: Mapping[str, Any]) -> None:
+    """Raise UsageError for a keyword of `evaluate` that is neither an argument nor an output."""
+    from analysis.evaluation.evaluate import OUTPUTS
+
+    known = [name for name, one in signature(evaluate).parameters.items() if one.kind is one.KEYWORD_ONLY]
+    for name in asked.keys() - OUTPUTS.keys():
+        raise UnknownArgument.of(evaluate, name, asked[name], known)
+
+
+def _judged(world: World, plan: Any, policy: Callable[..., Any], asked: dict[str, Any], **rest: Any) -> Judged:
+    """`evaluate` of a policy: what it was given, as `judge` takes it. Raises UsageError for what is for plans alone."""
+    parameters = signature(evaluate).parameters
+    given = asked | {name: value for name, value in rest.items() if value is not parameters[name].default}
+    known = [name for name in signature(judge).parameters if name not in ("world", "policy", "robots")]
+    for name in given.keys() - known:
+        problem = f"evaluate has no argument {name!r} for a policy"
+        raise UsageError(problem, expected=f"one of {', '.join(known)}", fix="give it to `evaluate` of a plan")
+    if isinstance(plan, Plan | str | Path):
+        raise UsageError("both a plan and a policy", expected="one of them; beside a policy how many robots")
+    return judge(world, policy, plan, **given)
+
+
+def _rest(world: World, state: MissionState | str | Path) -> Plan:
+    return plan(world, state=state)
+
+
+def compare(
+    a: tuple[World, Plan | str | Path | int | None],
+    b: tuple[World, Plan | str | Path | int | None],
+    *,
+    loop: Loop | None = None,
+    loop_b: Loop | None = None,
+    rollouts: int | None = None,
+    precision: float | None = None,
+    seconds: float | None = None,
+    exact: Exactness = "auto",
+    engine: EngineName = "auto",
+    seed: int = 0,
+    deadline: int | str | None = None,
+    first_visit: bool = False,
+    first_visit_b: bool | None = None,
+    progress: ProgressCallback | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
+) -> Comparison:
+    """How far apart are two plans, teams or maps? Both meet the same random numbers, so the difference is sharp.
+
+    Args:
+        a, b: a world and a plan for it: a Plan, a plan file, how many robots to plan for, or None, as of `evaluate`.
+        loop: of both; `loop_b`: of b alone. None: open for paths alone, else closed.
+        rollouts: how many; or `precision`: until the 95 % interval of the difference of mean coverage is within so much
+            of it. Neither: 100,000, as far as 10 seconds go.
+        first_visit: as of `evaluate`, of both; `first_visit_b`: of b alone.
+        seconds, exact, engine, seed, deadline, progress, on_interrupt: as of `evaluate`.
+    """
+    from analysis.comparison import Side, make_side
+    from analysis.comparison import compare as compare_sides
+
+    amount = how_much(rollouts, precision, seconds, usual=100_000) | {"exact": exact}
+    for name, side in (("a", a), ("b", b)):
+        if not (isinstance(side, tuple) and len(side) == 2 and isinstance(side[0], World)):
+            raise UsageError(argument(name, side), expected="(world, plan), a World and a plan for it")
+
+    def make(side: tuple[World, Plan | str | Path | int | None], loop: Loop | None, first_only: bool) -> Side:
+        world, plan = plan_of(*side)
+        choices = RolloutChoices(
+            loop=loop or plan.usual_loop, **amount, engine=engine, seed=seed, deadline=deadline,
+            first_only=first_only,
+        )  # fmt: skip
+        return make_side(world, plan, choices)
+
+    def work(tell: ProgressCallback, doing: Doing) -> Comparison:
+        doing("planning")
+        other = first_visit if first_visit_b is None else first_visit_b
+        return compare_sides(make(a, loop, first_visit), make(b, loop_b or loop, other), progress=tell)
+
+    return ask(work, progress, on_interrupt)
+
+
+def check(
+    world: World,
+    plan: Plan | str | Path | int | None = None,
+    *,
+    rollouts: int = 20_000,
+    seed: int = 0,
+    engine: EngineName = "auto",
+    first_visit: bool = False,
+    bound: bool | None = None,
+    theory: Literal["main", "all"] = "main",
+    progress: ProgressCallback | bool | None = None,
+    on_interrupt: OnInterrupt = "raise",
+) -> MapCheck:
+    """Which of the paper's formulas, and of ours, hold for this plan?
+
+    Args:
+        plan, rollouts, seed, engine, first_visit, bound, progress, on_interrupt: as of `evaluate`.
+        theory: what its table lists: "main", a row for each formula; "all", every reading and meaning of each.
+    """
+    check_word("theory", theory, ("main", "all"))
+    from analysis.checking.check import check_input
+
+    choices = RolloutChoices(rollouts=rollouts, seed=seed, engine=engine, first_only=first_visit)
+
+    def work(tell: ProgressCallback, doing: Doing) -> MapCheck:
+        return check_input(*plan_of(world, plan), choices, tell, bound, theory)
+
+    return ask(work, progress, on_interrupt)
+
+
+# The best of many: teams, trade-offs, starts, threats to remove or to fear.
+
+Answered = TypeVar("Answered", bound=Found)
+
+
+def _settings(world: World, options: Mapping[str, Any]) -> Settings:
+    """The settings among the options. Raises InputError."""
+    check_world(world)
+    return settings_of(world, **{name: options[name] for name in SETTINGS if name in options and name != "deadline"})
+
+
+def _rollouts(options: Mapping[str, Any], **how: Any) -> RolloutChoices:
+    """The rollouts among the options; `how`: more of them. Raises UsageError."""
+    given = {name: options[name] for name in ("seed", "engine", "deadline", "exact")}
+    return RolloutChoices(first_only=options["first_visit"], **{**given, **how})
+
+
+def _ask(search: Callable[..., Answered], options: Mapping[str, Any]) -> Answered:
+    """The answer of a search that says how far it is."""
+    work = lambda tell, doing: search(progress=tell, doing=doing)  # noqa: E731
+    return ask(work, options["progress"], options["on_interrupt"])
+
+
+@takes(SizeOptions)
+def size(
+    world: World,
+    *,
+    target: float | None = None,
+    confidence: float | None = None,
+    complete: bool = False,
+    meaning: Literal["visited", "survived"] = "visited",
+    most: int = 64,
+    starts: ArrayLike | None = None,
+    loop: Loop | None = None,
+    rollouts: int | None = None,
+    precision: float | None = None,
+    **options: Unpack[SizeOptions],
+) -> TeamSize:
+    """The smallest team that covers `target` on average, or with the chance `confidence`; `complete`: every cell.
+
+    Args:
+        meaning: of "covered". most: robots to look at.
+        starts: `[[row, col], ...]`, of which a team takes the first; default: the world's own, else its start rule.
+        loop: as of `evaluate`. rollouts: of each team, at most (default: 100,000); or `precision`.
+        options: settings, as of `plan`; seed, deadline, first_visit, engine, exact (of each team), progress,
+            on_interrupt, as of `evaluate`.
+    """
+    from analysis.search.team_size import find_size, make_goal
+
+    settings = _settings(world, options)
+    goal = make_goal(target, confidence, complete, meaning, most)
+    amount = how_much(rollouts, precision, None, usual=100_000) | {"seconds": None}
+    loop = loop or ("open" if settings.plan_for == "open" else "closed")
+    choices = _rollouts(options, loop=loop, **amount)
+    if starts is not None:
+        world = world.with_starts(check_starts(starts, world.met, "starts"))
+
+    search = partial(find_size, world, settings, goal, choices)
+    return _ask(search, options)
+
+
+@takes(FrontOptions)
+def front(
+    world: World,
+    robots: int | None = None,
+    *,
+    starts: ArrayLike | None = None,
+    losses: float | None = None,
+    target: float | None = None,
+    reserves: Sequence[float] | None = None,
+    worths: Sequence[float] | None = None,
+    rollouts: int | None = None,
+    **options: Unpack[FrontOptions],
+) -> Front:
+    """What more coverage costs in robots: policies, missions ended early, reserves and worths on common random numbers.
+
+    Args:
+        robots, starts: the team, as of `plan`.
+        losses: pick the setting that covers most with at most so many robots lost on average; or `target`: the one
+            that loses the fewest with so much covered. `answer.picked` is it, `answer.plan_of(answer.picked)` its plan.
+        reserves, worths: to look at (default: as the map suggests).
+        rollouts: of each setting, the same for all; None: 4,096, fewer above 2,048 accessible cells.
+        options: settings, as of `plan`; deadline, at which every mission ends; seed, first_visit, engine, exact
+            (of all that is compared together), progress, on_interrupt, as of `evaluate`.
+    """
+    from analysis.search.pareto import Ladders, find_front, make_goal, usual_rollouts
+
+    settings, goal = _settings(world, options), make_goal(losses, target)
+    ladders = Ladders(None if reserves is None else tuple(reserves), None if worths is None else tuple(worths))
+    placed = np.asarray(starts_of(world, robots, starts))
+    choices = _rollouts(options, rollouts=usual_rollouts(world, placed) if rollouts is None else rollouts)
+
+    search = partial(find_front, world, placed, settings, choices, goal=goal, ladders=ladders)
+    return _ask(search, options)
+
+
+@takes(SearchOptions)
+def starts(
+    world: World,
+    robots: int | None = None,
+    *,
+    depot: bool = False,
+    candidates: ArrayLike = "border",
+    rollouts: int = 4096,
+    **options: Unpack[SearchOptions],
+) -> Starts:
+    """The best starts of a team, one each or (`depot`) one for all: `answer.starts`, `answer.world_with_starts`.
+
+    Args:
+        robots: how many; default: as many as the world's own team.
+        candidates: "border", the safe cells on the border of the map; a mask `[H, W]`; or cells `[[row, col], ...]`.
+        rollouts: of the last two places that are left, the same for all.
+        options: as of `front` (progress, on_interrupt too), and policy, reserve, worth, as of `plan`.
+    """
+    from analysis.search.start_positions import find_starts, team_size
+
+    settings, choices = _settings(world, options), _rollouts(options, rollouts=rollouts)
+    size = team_size(world, robots)
+
+    search = partial(find_starts, world, size, settings, choices, depot=depot, candidates=candidates)
+    return _ask(search, options)
+
+
+@takes(SearchOptions)
+def clear(
+    world: World,
+    robots: int | None = None,
+    *,
+    count: int = 1,
+    remove: Literal["areas", "sources"] | None = None,
+    starts: ArrayLike | None = None,
+    rollouts: int = 4096,
+    **options: Unpack[SearchOptions],
+) -> Clearing:
+    """Which threat to remove first, and `count` of them greedily: `answer.picks`, `answer.gain`.
+
+    Args:
+        remove: the connected "areas" of danger, or the "sources", the polygons, points and sites of a scenario's
+            threats; None: these where there are several.
+        robots, starts: the team, as of `plan`.
+        rollouts: of the last two threats that are left, the same for all.
+        options: as of `front` (progress, on_interrupt too), and policy, reserve, worth, as of `plan`.
+    """
+    from analysis.search.threats import find_clearing
+
+    settings, choices = _settings(world, options), _rollouts(options, rollouts=rollouts)
+    placed = np.asarray(starts_of(world, robots, starts))
+
+    search = partial(find_clearing, world, placed, settings, choices, count=count, remove=remove)
+    return _ask(search, options)
+
+
+@takes(SearchOptions)
+def attack(
+    world: World,
+    robots: int | None = None,
+    *,
+    count: int = 1,
+    p: float = 0.2,
+    starts: ArrayLike | None = None,
+    rollouts: int = 4096,
+    **options: Unpack[SearchOptions],
+) -> Attack:
+    """Where `count` threats would cost the team most: `answer.known`, `answer.hidden`, and the worlds with them.
+
+    Args:
+        p: the chance that a visit of one stops a robot, beside what else is there.
+        robots, starts: the team, as of `plan`.
+        rollouts: of the last two places that are left, the same for all.
+        options: as of `front` (progress, on_interrupt too), and policy, reserve, worth, as of `plan`.
+    """
+    from analysis.search.threats import find_attack
+
+    settings, choices = _settings(world, options), _rollouts(options, rollouts=rollouts)
+    placed = np.asarray(starts_of(world, robots, starts))
+
+    search = partial(find_attack, world, placed, settings, choices, count=count, p=p)
+    return _ask(search, options)
+
+
+__all__ = [
+    "attack", "check", "clear", "compare", "evaluate", "export", "front", "judge", "load", "mission", "plan",
+    "read_outcomes", "read_rollouts", "record", "reproduce", "results", "size", "starts", "suite", "sweep",
+]  # fmt: skip

@@ -1,0 +1,441 @@
+"""The figures behind an evaluation's answer as tables and charts: chances, losses, time and coverage; cells; robots."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+
+from analysis.evaluation.evaluate import Evaluation
+from analysis.evaluation.figures import NAMES, TO_DO, Figures, Rest, Row, coverage_row, known_words
+from analysis.page.document import Chart, Series
+from analysis.report.model import CellMaps, Part, Planned
+from analysis.statistics.estimates import AT_LEAST, losses_shown, of_all
+from analysis.theory.bounds import Theorem3
+from analysis.theory.verdicts import FORMULAS, MEANINGS, Verdict
+from analysis.utils.tables import make_table
+from planner.formatting import at_least_words, counted, in_percent, percent
+from planner.plan.plan import drive_of
+from planner.tally import Outcome
+
+if TYPE_CHECKING:
+    from analysis.page.maps import CellLayer
+
+
+# The figures behind an evaluation's answer: chances, losses, time and coverage; the worst cells; the robots.
+
+LISTED = 10
+"""Cells that are worst in a way."""
+SAID_BY_COVERAGE = (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.END_OF_PATHS)
+"""Outcomes whose chances other rows of the table give."""
+
+
+def answer_tables(evaluation: Evaluation) -> list[Table]:
+    """The figures behind the answer: chances and time, coverage, what outputs add."""
+    rows = [row for found in evaluation.blocks for row in found.rows]
+    chances = [] if evaluation.certain else [_chances_table(evaluation)]
+    coverage = [] if evaluation.certain and not rows else [_coverage_table(evaluation, rows)]
+    return [*chances, *coverage, *(table for found in evaluation.blocks for table in found.tables)]
+
+
+def _table(evaluation: Evaluation, title: str, columns: Sequence[str]) -> Table:
+    """A table with a column for names, `columns`, and the open loop's exact values: last where they only compare."""
+    named = ("exact", *columns) if evaluation.loop == "open" else (*columns, "open loop")
+    return make_table(("", *named), title)
+
+
+def _add(table: Table, evaluation: Evaluation, name: str, exact: str, shown: Sequence[str]) -> None:
+    table.add_row(name, *((exact, *shown) if evaluation.loop == "open" else (*shown, exact)))
+
+
+def _beside(evaluation: Evaluation) -> Figures:
+    """Of the open loop what the rollouts tell, as its exact values have a column of their own."""
+    return evaluation.figures if evaluation.loop == "open" else evaluation.shown
+
+
+def _coverage_table(evaluation: Evaluation, more: Sequence[Row]) -> Table:
+    """Coverage in percent, both meanings; and the outputs' rows."""
+    columns = ("mean", "95 % interval", "5 %", "median", "95 %")
+    table = _table(evaluation, "Coverage, % of the accessible cells", columns)
+    cells, found = evaluation.cells, _beside(evaluation)
+    of = {"": cells["accessible"]} | (
+        {} if cells["free"] == cells["accessible"] else {", of all free cells": cells["free"]}
+    )
+    rows = [
+        coverage_row(meaning + name, getattr(found, meaning), number, getattr(evaluation.closed_form, meaning))
+        for name, number in of.items()
+        for meaning in MEANINGS
+    ]
+    for row in (*rows, *more):
+        _add(table, evaluation, *row)
+    return table
+
+
+def _chances_table(evaluation: Evaluation) -> Table:
+    """What a decision hangs on: chances of coverage, losses, time."""
+    found, exact = _beside(evaluation), evaluation.closed_form
+    named = ("sampled" if found.visited.known is None else "chance", "95 % interval")
+    table = _table(evaluation, "Chances in %, losses and time", named)
+    chances = {f"chance to visit {100 * x:g} % or more": found.visited.at_least[x] for x in AT_LEAST[:-1]}
+    chances["chance to visit every cell"] = found.complete
+    ends = {outcome: chance for outcome, chance in found.ends.items() if outcome not in SAID_BY_COVERAGE}
+    chances |= {f"chance that it {evaluation.plan.clause_of(outcome)}": chance for outcome, chance in ends.items()}
+    for name, chance in chances.items():
+        _add(table, evaluation, name, "", chance.columns())
+    known = in_percent(exact.some_left, 2)
+    _add(table, evaluation, "chance that a robot is left at the end", known, found.some_left.columns())
+    robots = len(evaluation.plan.robots)
+    known = "" if math.isnan(exact.expected_losses) else f"{of_all(exact.expected_losses, robots)} of {robots}"
+    _add(table, evaluation, "robots lost", known, found.losses.columns())
+    if found.home is not None:
+        _add(table, evaluation, "robots home", "", losses_shown(found.home, robots))
+        for least, chance in found.home.shown.items():
+            _add(table, evaluation, f"chance that {at_least_words(least, robots)} home", "", chance.columns())
+    _add(table, evaluation, "time, steps", known_words(exact.mean_time, "{:,.1f}"), found.time.columns())
+    if pace := evaluation.world.pace:
+        known = known_words(pace.minutes * exact.mean_time, "{:,.1f}")
+        _add(table, evaluation, "time, minutes", known, found.time.columns(pace.minutes))
+    return table
+
+
+def worst_cells(evaluation: Evaluation) -> list[Table]:
+    """The cells that cost most robots, and those that are covered least."""
+    world, expected = evaluation.ground, evaluation.expected
+    accessible = np.flatnonzero(evaluation.accessible)
+    chance, lost, threat = expected.visited_by_cell, expected.stops_by_cell, world.threat.ravel()
+    least = accessible[np.argsort(chance[accessible], kind="stable")][:LISTED]
+    found = []
+    for title, cells in (("Cells that cost most robots", worst_of(lost, LISTED)), ("Cells covered least", least)):
+        table = make_table(("row", "column", "threat", "chance covered", "robots lost"), title)
+        for cell in cells.tolist():
+            row, col = divmod(cell, world.shape[1])
+            chances = (percent(float(of[cell]), 2) for of in (threat, chance))
+            table.add_row(f"{row}", f"{col}", *chances, f"{lost[cell]:.4f}")
+        found.append(table)
+    return [table for table in found if table.rows]
+
+
+def worst_of(lost: NDArray[np.float64], most: int) -> NDArray[np.int64]:
+    """The cells `[up to most]` that cost most robots, the worst first; ties by index."""
+    order = np.argsort(-lost, kind="stable")[:most]
+    return order[lost[order] > 0]
+
+
+def robots_table(evaluation: Evaluation) -> Table:
+    """A row for each robot; its survival is that of its nominal path."""
+    plan, survival = evaluation.plan, evaluation.closed_form.survival.tolist()
+    columns = ("robot", "start [row, col]", "moves", "quarter turns", "areas covered", "survives its nominal path")
+    drive = drive_of(robot.path for robot in plan.robots)
+    table = make_table(columns, "Robots of the plan, and the chance that each ends its path", left=columns[:1])
+    for number, (robot, chance) in enumerate(zip(plan.robots, survival, strict=True)):
+        row, col = divmod(int(robot.path[0]), plan.shape[1])
+        areas = "" if plan.is_foreign else f"{sum(leg.kind == 'cover' for leg in robot.legs)}"
+        known = "not known" if math.isnan(chance) else percent(chance, 2)
+        table.add_row(
+            f"{number}", f"[{row}, {col}]", f"{drive.moves[number]:,}", f"{drive.turns[number]:,}", areas, known
+        )
+    return table
+
+
+# The paper's formulas for an evaluated plan, held against the open loop's exact values.
+
+FORMULA_WORDS = {
+    Verdict.HOLDS: ("holds", "hold"),
+    Verdict.FAILS: ("fails", "fail"),
+    Verdict.UNDECIDED: ("is undecided", "are undecided"),
+    Verdict.VACUOUS: ("says nothing", "say nothing"),
+}
+WORDS = {
+    None: "",
+    Verdict.FAILS: "FAILS",
+    Verdict.HOLDS: "holds",
+    Verdict.VACUOUS: "says nothing",
+    Verdict.UNDECIDED: "undecided",
+}
+
+
+def formulas_part(evaluation: Evaluation, asked: bool) -> Part:
+    """The section on them: folded away on a page, and left out on a terminal, unless somebody `asked`."""
+    title, said = "The paper's formulas", formulas_words(evaluation) + "."
+    if not evaluation.settled:
+        return Part(title, notes=[said], aside=not asked)
+    if asked:
+        return Part(title, [formulas_table(evaluation)], [eq2_words(evaluation), *[said] * (not evaluation.certain)])
+    return Part(title, [formulas_table(evaluation)], [eq2_words(evaluation)], lead=said,
+                fold="Every formula, with its verdict", aside=True)  # fmt: skip
+
+
+def formula_counts(evaluation: Evaluation) -> dict[Verdict, int]:
+    """How many of the paper's formulas, every reading counted, have each verdict against the open loop."""
+    judged = [evaluation.verdicts[key] for key in FORMULAS if FORMULAS[key].paper]
+    return {verdict: judged.count(verdict) for verdict in FORMULA_WORDS}
+
+
+def formulas_words(evaluation: Evaluation) -> str:
+    """One line: how many of the paper's formulas hold on this plan and how many fail."""
+    if not evaluation.settled:
+        return (
+            "No formula and no bound of the paper is given: they presume one known map, each of whose visits stops a "
+            "robot with the cell's p, whatever came before"
+        )
+    if evaluation.plan.state is not None:
+        return "The paper's formulas are left out: they are about whole missions, this is the rest of one"
+    counts = formula_counts(evaluation)
+    said = [
+        f"{number} {FORMULA_WORDS[verdict][number != 1]}"
+        for verdict, number in counts.items()
+        if number or verdict in (Verdict.HOLDS, Verdict.FAILS)
+    ]
+    return f"Of the paper's {sum(counts.values())} formulas for the open loop, every reading counted, {', '.join(said)}"
+
+
+def formulas_table(evaluation: Evaluation) -> Table:
+    """The paper's formulas for this plan, in cells, and whether each holds against the open loop's exact values."""
+    bounds, exact = evaluation.formulas, evaluation.closed_form
+    title, said = "The paper's formulas against the open loop, in cells", ("", "as a bound")
+    table = make_table(("", *MEANINGS, "as a bound"), title, left=said)
+    table.add_row("exact expected coverage", f"{exact.visited:.2f}", f"{exact.survived:.2f}", "")
+    above, limit = WORDS[evaluation.verdicts["ideal_team"]], evaluation.bounds.any_strategy
+    if limit is not None:
+        table.add_row("no strategy exceeds on average (proven)", f"{limit.cells:.2f}", "", "")
+    table.add_row("ideal of the team: the same, of any map", f"{bounds.ideal_team:.2f}", "", above)
+    table.add_row("ideal of one robot, eq. (7)", f"{bounds.ideal_eq7:.2f}", "", "")
+    alone = [sum(getattr(gain, meaning) for gain in bounds.eq4) for meaning in MEANINGS]
+    table.add_row("eq. (4), summed over robots", *(f"{value:.2f}" for value in alone), "")
+    if bounds.theorem3_visited is not None and bounds.theorem3_survived is not None:
+        for reading in Theorem3.__dataclass_fields__:
+            pair = [getattr(theorem, reading) for theorem in (bounds.theorem3_visited, bounds.theorem3_survived)]
+            name = f"Theorem 3, C = {reading.replace('_', ' as a ')}"
+            table.add_row(name, *(f"{value:.2f}" for value in pair), WORDS[evaluation.verdicts[f"theorem3_{reading}"]])
+    for reading, name in (("printed", "as printed"), ("with_c00", "with C_0,0")):
+        terms = [getattr(bound, reading) for bound in bounds.eq5]
+        if all(term is not None for term in terms):
+            verdict = WORDS[evaluation.verdicts[f"eq5_{reading}"]]
+            table.add_row(f"eq. (5) {name}, robots summed", "", f"{sum(terms):.2f}", verdict)
+        elif not evaluation.plan.is_foreign:
+            table.add_row(f"eq. (5) {name}", "", "", "undefined here")
+    return table
+
+
+def eq2_words(evaluation: Evaluation) -> str:
+    """Eq. (2) is about a chance, not about cells: a line below the table of formulas."""
+    bounds, verdict = evaluation.formulas, WORDS[evaluation.verdicts["eq2_printed"]]
+    return (
+        f"eq. (2) as printed, the chance that a robot is left: {percent(bounds.eq2_printed, 2)}, "
+        f"exactly {percent(bounds.team_survival, 2)} ({verdict})."
+    )
+
+
+# An evaluation's charts: expected coverage over time, and how far a single run may be from the mean.
+
+MOST_BINS = 60
+STEPS = 301
+"""Steps of a curve over time."""
+
+
+def over_time(evaluation: Evaluation) -> Chart:
+    """Expected coverage by the end of each step, with the curves and marks of outputs."""
+    expected, cells, closed = evaluation.expected, evaluation.tally.accessible, evaluation.loop == "closed"
+    makespan, exact = evaluation.plan.makespan, evaluation.closed_form
+    marks = [mark for found in evaluation.blocks for mark in found.marks]
+    last = evaluation.last_shown
+    last = max([last, *(int(step) for step, _ in marks if step <= 2 * last)])
+    more = [_until(last, one) for found in evaluation.blocks for one in found.curves]
+    steps = np.asarray(more[0].x) if more else np.unique(np.linspace(0, last, STEPS).round().astype(np.int64))
+
+    def curve(name: str, values: NDArray[np.float64], colour: int, dashed: bool = False) -> Series:
+        held = values[np.minimum(steps, len(values) - 1)]
+        return Series(name, steps, 100 * held / cells, kind="step", dashed=dashed, colour=colour)
+
+    mean = "mean, exact" if evaluation.is_exact else "mean of rollouts"
+    own = [
+        curve(f"{mean}, visited", expected.visited_curve, 0),
+        curve(f"{mean}, survived", expected.survived_curve, 3, dashed=True),
+    ]
+    if closed and exact.is_known:
+        own.append(curve("open loop, exact, visited", exact.visited_curve, 1, dashed=True))
+    return Chart(
+        title="Expected coverage by the end of each step",
+        series=(*own, *more),
+        x_name=f"step{evaluation.world.pace.each}",
+        y_name="share of the accessible cells, %",
+        unit="%",
+        at_x=((makespan, "makespan of the plan" if closed else "makespan"), *(m for m in marks if m[0] <= last)),
+        at_y=((100 * evaluation.formulas.ideal_team / cells, "ideal of the team"),) if evaluation.settled else (),
+        interval="5 % to 95 % of single rollouts",
+        note="visited: entered by any robot, the one stopped there included; survived: entered by a robot that was "
+        "not stopped there.",
+    )
+
+
+def _until(last: int, series: Series) -> Series:
+    """A curve up to a step."""
+    shown = np.asarray(series.x) <= last
+    x, y, low, high = (None if line is None else np.asarray(line)[shown] for line in
+                       (series.x, series.y, series.low, series.high))  # fmt: skip
+    assert x is not None and y is not None
+    return replace(series, x=x, y=y, low=low, high=high)
+
+
+def over_time_words(evaluation: Evaluation) -> str:
+    """How soon half and nine tenths of the final coverage are reached."""
+    curve = evaluation.expected.visited_curve
+    half, most = (int(np.searchsorted(curve, share * curve[-1] - 1e-9)) for share in (0.5, 0.9))
+    mean, step = " mean" if evaluation.loop == "open" else "", evaluation.world.pace.step
+    return f"{evaluation.how_known}{mean}; half of the final coverage by {step(half)}, nine tenths by {step(most)}."
+
+
+def distribution(evaluation: Evaluation, *, picture: bool = False) -> Sequence[Chart]:
+    """The chance of at least so much coverage, with its intervals; and the histogram.
+
+    picture: it has room for quantiles and what is possible at all beside the mean.
+    """
+    found, cells = evaluation.figures.visited, evaluation.tally.accessible
+    (at, chances), of = found.curve, "rollouts" if found.known is None else "runs"
+    sure = Chart(
+        title="Chance to visit at least so much",
+        series=(Series.of("chance", 100 * at / cells, chances),),
+        x_name="at least this share of the accessible cells, %",
+        y_name="chance, %",
+        unit="%",
+        digits=2,
+        x_digits=1,
+        y_range=(0, 100),
+        at_y=((95.0, "95 % of runs"),),
+    )
+    edges = histogram_bins(found.counts)
+    share = 100 * bin_counts(found.counts, edges) / int(found.counts.sum())
+    shown = marks(evaluation) if picture else {"mean": found.mean.mean}
+    bars = Chart(
+        title=f"{of.capitalize()} by coverage",
+        series=(Series(f"share of {of}", 100 * (edges[1:] + edges[:-1]) / 2 / cells, share, kind="bars"),),
+        x_name=f"share of the accessible cells, % (bins of {counted(int(edges[1] - edges[0]), 'cell')})",
+        y_name=f"share of the {of}, %",
+        unit="%",
+        x_digits=1,
+        at_x=tuple((100 * value / cells, name) for name, value in shown.items()),
+    )
+    return sure, bars
+
+
+def marks(evaluation: Evaluation) -> dict[str, float]:
+    """What the distribution is read against, in cells, from what was sampled to what is possible at all."""
+    found, closed, exact = evaluation.figures, evaluation.loop == "closed", evaluation.closed_form
+    ends = {q: value for q, value in found.visited.quantiles.items() if q != 0.5 and not math.isnan(value)}
+    of, mean = ("rollouts", "mean of rollouts") if found.visited.known is None else ("runs", "mean, exact")
+    out = {f"{percent(q, 0)} of {of}": float(value) for q, value in ends.items()}
+    out[mean] = found.visited.mean.mean
+    if exact.is_known:
+        out["open loop, exact" if closed else "exact mean"] = exact.visited
+    if evaluation.settled:
+        ideals = {"ideal of the team": evaluation.formulas.ideal_team} if len(evaluation.plan.robots) > 1 else {}
+        out |= ideals | {"ideal of one robot, eq. (7)": evaluation.formulas.ideal_eq7}
+    return {f"{name}: {percent(value / found.visited.cells)}": value for name, value in out.items()}
+
+
+def histogram_bins(counts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Edges in cells of equal bins of whole cells that hold every one of `counts` by cells covered `[cells + 1]`.
+
+    The last ends with the most covered. Where that is the least too, one bin is a fortieth of all cells, to be seen.
+    """
+    held, cells = np.flatnonzero(counts), len(counts) - 1
+    low, high = int(held[0]), int(held[-1])
+    bins = int(np.clip(2.5 * int(counts.sum()) ** (1 / 3), 8, MOST_BINS))
+    width = -(-(high - low + 1) // bins) if high > low else max(1, cells // 40)
+    top = (high if high > low else min(high + width // 2, cells)) + 0.5
+    number = -(-(high - low + 1) // width)
+    return top - width * np.arange(number, -1, -1.0)
+
+
+def bin_counts(counts: NDArray[np.int64], edges: NDArray[np.float64]) -> NDArray[np.int64]:
+    """What of `counts` `[cells + 1]` is in each bin, int64 `[len(edges) - 1]`; none is lost."""
+    return np.histogram(np.arange(len(counts)), bins=edges, weights=counts)[0].round().astype(np.int64)
+
+
+# An evaluation cell by cell: its maps, for the page and for pictures, and the cells that stand out.
+
+CELLS = "cells"
+"""The id of the maps cell by cell, whose pictures and values the head of the page shows too."""
+OUTLINED = 5
+"""Cells that cost most robots, on their picture."""
+NO_KIND = -1
+MOST_PHASES = 8
+"""Phases whose threats have a map of their own."""
+
+
+def maps(evaluation: Evaluation) -> CellMaps:
+    """Threat, chance covered, robots lost, what is left of the risk, what outputs add, and the areas."""
+    own = evaluation.layers
+    more = [make() for found in evaluation.blocks for make in found.layers.values()]
+    layers = [*threats(evaluation), own.chance, own.losses, own.left, *more, *own.areas]
+    return CellMaps(evaluation.ground, evaluation.plan.starts, layers, anchor=CELLS)
+
+
+def threats(evaluation: Evaluation) -> list[CellLayer]:
+    """What robots plan on at first; where threats change, those of each phase too, of many the first few."""
+    from analysis.page.maps import threat_layer
+
+    own, world, phases = evaluation.layers.threat, evaluation.ground, evaluation.ground.phases
+    if phases is None:
+        return [own]
+    begins = phases.begins[:MOST_PHASES].tolist()
+    layers = [threat_layer(replace(world, threat=p, doubt=None), evaluation.plan) for p in phases.threats[:MOST_PHASES]]
+    named = [replace(of, name=f"Threat from step {at}", since=at) for at, of in zip(begins, layers, strict=True)]
+    return [own, *named] if phases.plan_on == "worst" else [replace(own, since=0), *named[1:]]
+
+
+def rest_map(evaluation: Evaluation, rest: Rest) -> CellMaps:
+    """What is to do, what was done, what is too far, and the chance to cover each cell."""
+    mixed = (rest.kinds[evaluation.accessible] != TO_DO).any()
+    layers = [*(evaluation.layers.to_do if mixed else []), evaluation.layers.chance]
+    return CellMaps(evaluation.ground, evaluation.plan.starts, layers)
+
+
+def plan_map(evaluation: Evaluation) -> CellMaps:
+    """The map by threat with every robot's nominal path: what the answer is about, at the head of the page."""
+    world, plan = evaluation.ground, evaluation.plan
+    return CellMaps(world, plan.starts, [evaluation.layers.plan], plan=plan, runs=evaluation.played, values_of=CELLS)
+
+
+def world_drawn(evaluation: Evaluation) -> Planned:
+    """The world by threat level, areas and every robot's nominal path."""
+    closed = "; paths: the nominal ones (no robot lost)" if evaluation.loop == "closed" else ""
+    return Planned(evaluation.ground, evaluation.plan, closed)
+
+
+def covered(evaluation: Evaluation) -> CellMaps:
+    """The chance to cover each cell, with those below one half outlined."""
+    world, plan, chance = evaluation.ground, evaluation.plan, evaluation.expected.visited_by_cell
+    rare = np.flatnonzero(evaluation.accessible.ravel() & (chance < 0.5))
+    return CellMaps(world, plan.starts, [evaluation.layers.chance], [("", rare, True)] if len(rare) else ())
+
+
+def losses(evaluation: Evaluation) -> CellMaps:
+    """Robots lost in each cell, with the worst outlined and listed."""
+    world, lost = evaluation.ground, evaluation.expected.stops_by_cell
+    worst = worst_of(lost, OUTLINED).tolist()
+    places = [(*divmod(cell, world.shape[1]), lost[cell]) for cell in worst]
+    listed = ("worst cells", *(f"[{row}, {col}]  {number:.3g}" for row, col, number in places))
+    lines = listed if worst else ("no robot is lost",)
+    outlines = [("", np.array([cell]), True) for cell in worst]
+    return CellMaps(world, evaluation.plan.starts, [evaluation.layers.losses], outlines, lines)
+
+
+def with_route(evaluation: Evaluation, make: Callable[[], CellLayer]) -> CellMaps:
+    """What an output adds, and the route that is to be safe."""
+    world, route = evaluation.ground, evaluation.ground.team.route
+    parts = [] if route is None else [("route", route @ (world.shape[1], 1), True)]
+    return CellMaps(world, evaluation.plan.starts, [make()], parts)
+
+
+def rest_picture(evaluation: Evaluation, rest: Rest) -> CellMaps:
+    """The chance to cover each cell, with what is to do, what was done and what is too far outlined."""
+    world, starts = evaluation.ground, evaluation.plan.starts
+    kinds = np.where(evaluation.accessible, rest.kinds, NO_KIND).ravel()
+    parts = [(name, np.flatnonzero(kinds == kind), False) for kind, name in enumerate(NAMES) if (kinds == kind).any()]
+    return CellMaps(world, starts, [replace(evaluation.layers.chance, name=rest.title)], parts)

@@ -1,1 +1,0 @@
-"""The matplotlib kit: colours, maps, robots; knows no answer."""

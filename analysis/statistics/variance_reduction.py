@@ -1,0 +1,483 @@
+"""Smaller errors from as many rollouts: the control variate by total tolerance, and common random numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import gammainc, gammaincc, gammaincinv, ndtr
+
+from analysis.statistics.estimates import (
+    FIRST_LOOK,
+    NONE_SEEN,
+    RARE,
+    Z95,
+    Estimate,
+    Sample,
+    exactly,
+    mean_estimate,
+    proportion,
+    sample_of,
+)
+from planner.rollouts.threshold_classes import CLASSES_A_NAT, COLUMNS
+from planner.tally import Outcome, Tally
+
+# Means of rollouts, put right by how lucky the teams were: the control by total tolerance.
+#
+# What a team covers goes with how much its robots bear together, S, and E[S] is known. So where the rollouts happened
+# to be luckier than they should, their mean is taken down by what that luck is worth: `mean(y) - b (mean(g(S)) -
+# E[g(S)])`, b by least squares (Glasserman, Monte Carlo Methods in Financial Engineering, section 4.1.2). g are the
+# pieces of a broken line with BENDS: coverage rises with S up to all there is and rises no more, which powers of S
+# follow badly, and the few largest S would weigh most. S goes in by classes (`planner.rollouts.threshold_classes`),
+# of which the expectation is that of classes too: nothing is lost but the little that S says within its class.
+
+LEAST = FIRST_LOOK
+"""Rollouts below which intervals with the control are too narrow."""
+BENDS = (-2.0, -1.0, 0.0, 1.0, 2.0)
+"""Where the line bends: at the quantiles of S that a bell has so many standard deviations from its mean."""
+PIECES = 1 + len(BENDS)
+HALVES = 2 * CLASSES_A_NAT
+"""Half classes a nat: the middle of a class is a whole number of them."""
+NOTHING_NEW = 1e-11
+"""Share of the largest below which a spread is rounding: where no rollout lies beyond a bend, say."""
+
+
+@dataclass(frozen=True)
+class Controlled:
+    """A mean with the control.
+
+    Attributes:
+        mean: of one figure. sample: what its interval follows from. weights: of a nat more of S, in each of PIECES.
+        gain: variance of the mean without the control / with it.
+    """
+
+    mean: float
+    sample: Sample
+    weights: tuple[float, ...]
+    gain: float
+
+
+def controlled(by_class: NDArray[np.int64], sums: NDArray[np.float64], plain: Sample, robots: int) -> Controlled:
+    """The mean of a figure of LEAST rollouts or more of which `sums` float64 `[C]` are known by class of S.
+
+    `by_class`: int64 `[C]`, rollouts in each. `plain`: of the figure. `robots`: whose tolerances S holds.
+    """
+    held = np.flatnonzero(by_class)
+    often, sums, n = by_class[held].astype(np.float64), sums[held], plain.n
+    luck = pieces(held, robots) - expected_pieces(robots)
+    off, mean = np.einsum("c,cp->p", often, luck) / n, float(sums.sum()) / n
+    luck = luck - off
+    inverse, rank = inverse_of(np.einsum("c,cp,cq->pq", often, luck, luck))
+    along = np.einsum("c,cp->p", sums - mean * often, luck)
+    slope = inverse @ along
+    left = max(plain.scatter - float((slope * along).sum()), 0.0)
+    left *= 1.0 + n * float(off @ inverse @ off)  # the slopes are not known exactly
+    lean = plain.lean * (left / plain.scatter if plain.scatter > 0 else 0.0)  # so that rare events weigh as without
+    sample = replace(plain, scatter=left, lean=lean, fitted=1 + rank)
+    gain = 1.0 if plain.scatter == 0 else math.inf if left == 0 else (plain.se / sample.se) ** 2
+    return Controlled(mean - float((slope * off).sum()), sample, tuple((HALVES * np.cumsum(slope)).tolist()), gain)
+
+
+def pieces(classes: NDArray[np.int64], robots: int) -> NDArray[np.int64]:
+    """`[C, PIECES]`, whole half classes: how far the class's middle is from the mean, and how far beyond each bend."""
+    luck = 2 * classes + 1 - HALVES * robots
+    return np.column_stack([luck, np.maximum(luck[:, None] - np.array(_bends(robots)), 0)])
+
+
+@cache
+def _bends(robots: int) -> tuple[int, ...]:
+    """BENDS in half classes from the mean: S is a sum of so many Exp(1), a Gamma variable."""
+    return tuple(round(HALVES * (quantile - robots)) for quantile in gammaincinv(robots, ndtr(BENDS)).tolist())
+
+
+@cache
+def expected_pieces(robots: int) -> NDArray[np.float64]:
+    """E of `pieces`, `[PIECES]`."""
+    classes = np.arange(math.ceil(CLASSES_A_NAT * (robots + 12 * math.sqrt(robots) + 40)))
+    edges = np.arange(len(classes) + 1) / CLASSES_A_NAT
+    below, above = gammainc(robots, edges), gammaincc(robots, edges)
+    chance = np.where(edges[1:] < robots, np.diff(below), -np.diff(above))
+    return np.einsum("c,cp->p", chance, pieces(classes, robots))
+
+
+def inverse_of(spread: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+    """The inverse of a symmetric matrix as far as it has one (Moore & Penrose's), and its rank."""
+    values, axes = np.linalg.eigh(spread)
+    kept = values > NOTHING_NEW * values[-1]
+    return (axes[:, kept] / values[kept]) @ axes[:, kept].T, int(kept.sum())
+
+
+def of_tally(tally: Tally, figure: str) -> Controlled | None:
+    """The mean of "visited", "survived", "time", "alive" or "complete"; None without the sums, or of too few rollouts.
+
+    Raises ValueError where nothing was rolled out.
+    """
+    by_luck = tally.by_luck.reshape(-1, len(COLUMNS))
+    if tally.rollouts < LEAST or int(by_luck[:, 0].sum()) != tally.rollouts:
+        return None
+    counts = _complete(tally) if figure == "complete" else getattr(tally, figure)
+    values = np.flatnonzero(counts)
+    plain = sample_of(values, counts[values])
+    return controlled(by_luck[:, 0], by_luck[:, COLUMNS.index(figure)].astype(np.float64), plain, tally.robots)
+
+
+def tally_mean(
+    tally: Tally, figure: str, unit: float = 1.0, most: int | None = None, certain: bool = False
+) -> Estimate:
+    """The mean of "visited", "survived", "time" or "alive", or robots "lost": with the control where the tally has it.
+
+    `unit`, `most`, `certain`: as of `analysis.statistics.estimates.mean_estimate`, whose guards against what was not
+    seen hold here too. Else it is that mean.
+    """
+    if figure == "lost":
+        alive = tally_mean(tally, "alive", certain=certain)
+        (low, high), robots = alive.ci95, tally.robots
+        return Estimate((robots - alive.mean) * unit, alive.se * unit, ((robots - high) * unit, (robots - low) * unit))
+    counts = getattr(tally, figure)
+    found = None if certain else of_tally(tally, figure)
+    if found is None:
+        return mean_estimate(counts, unit, most, certain)
+    return _estimate(found, len(counts) - 1 if most is None else most, unit)
+
+
+def estimate_of(
+    values: NDArray[np.int64], often: NDArray[np.int64], by_class: NDArray[np.int64], sums: NDArray[np.float64],
+    robots: int, unit: float, most: int,
+) -> Estimate:  # fmt: skip
+    """As `analysis.statistics.estimates.mean_of`, with the control. `by_class`, `sums`, `robots`: as of
+    `controlled`."""
+    return _estimate(controlled(by_class, sums, sample_of(values, often), robots), most, unit)
+
+
+def complete_chance(tally: Tally, certain: bool = False) -> Estimate:
+    """The chance that every accessible cell is visited, with the control where the tally has it."""
+    done = int(tally.outcomes[Outcome.COMPLETE])
+    found = None if certain or min(done, tally.rollouts - done) <= RARE else of_tally(tally, "complete")
+    return proportion(done, tally.rollouts, certain) if found is None else _estimate(found, 1, 1.0)
+
+
+def _complete(tally: Tally) -> NDArray[np.int64]:
+    done = int(tally.outcomes[Outcome.COMPLETE])
+    return np.array([tally.rollouts - done, done])
+
+
+def _estimate(found: Controlled, most: int, unit: float) -> Estimate:
+    """`found` of values that lie in `0 .. most`."""
+    mean = min(max(found.mean, 0.0), float(most))
+    low, high = found.sample.interval(mean, 0.0, most)
+    return Estimate(mean * unit, found.sample.se * unit, (low * unit, high * unit))
+
+
+# The control by total tolerance where no map alone has the rollouts for it: slopes that all maps tell together.
+#
+# A figure stands *beside* its luck: axis `L` = (figure, pieces of its broken line by the total tolerance, less what is
+# expected of them: `analysis.statistics.variance_reduction`). The mean of a map's rollouts is one such vector,
+# with the covariance of its error. For any b, `figure - luck b` has the figure's mean; the b that leaves least of the
+# rollouts' noise in a mean over maps follows from the sum of these covariances, as each map's own mean tells nothing of
+# it (analysis of covariance: Cochran, Biometrics 1957). What a map's own rollouts add to b bends its mean by a share of
+# 1 / all rollouts; and where all maps have other luck, the put-right means are a sample of one from each, so their
+# interval is that of any means over maps.
+
+BESIDE = 1 + PIECES
+FIGURES = COLUMNS[1:]
+TRIANGLE = np.triu_indices(PIECES)
+
+
+def luck_sums(tally: Tally) -> list[int]:
+    """Whole numbers that add: rollouts, sums of the pieces, of their products, and of each of FIGURES times each piece.
+
+    Of a block of rollouts, so that int64 holds them. Empty without sums by luck.
+    """
+    by_luck = tally.by_luck.reshape(-1, len(COLUMNS))
+    held = np.flatnonzero(by_luck[:, 0])
+    if not len(held):
+        return []
+    often, luck = by_luck[held, 0], pieces(held, tally.robots)
+    products, along = (often[:, None] * luck).T @ luck, by_luck[held, 1:].T @ luck
+    return np.concatenate([[often.sum()], often @ luck, products[TRIANGLE], along.ravel()]).tolist()
+
+
+def beside_luck(
+    rollouts: int, figures: Sequence[tuple[int, int]], luck: Sequence[int], robots: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A map's means `[F, L]` of FIGURES and the covariances `[F, L, L]` of their errors.
+
+    `figures`: sums over its rollouts and sums of squares, whole numbers. `luck`: of `luck_sums`; of other rollouts than
+    these, or of a single one, it says nothing: zeros.
+    """
+    means, errors = np.zeros((len(figures), BESIDE)), np.zeros((len(figures), BESIDE, BESIDE))
+    means[:, 0] = [total / rollouts for total, _ in figures]
+    if rollouts == 1:
+        return means, errors
+    pairs = (rollouts - 1) * rollouts
+    errors[:, 0, 0] = [(square * rollouts - total * total) / rollouts / pairs for total, square in figures]
+    if not luck or luck[0] != rollouts:
+        return means, errors
+    sums, products, along = np.split(np.array(luck[1:], dtype=np.float64), [PIECES, PIECES + len(TRIANGLE[0])])
+    spread, met = np.zeros((PIECES, PIECES)), sums / rollouts
+    spread[TRIANGLE] = spread.T[TRIANGLE] = products
+    means[:, 1:] = met - expected_pieces(robots)
+    errors[:, 1:, 1:] = (spread - rollouts * np.outer(met, met)) / pairs
+    errors[:, 0, 1:] = errors[:, 1:, 0] = (along.reshape(-1, PIECES) - means[:, :1] * rollouts * met) / pairs
+    return means, errors
+
+
+def weights_of(errors: NDArray[np.float64], freedom: int) -> NDArray[np.float64]:
+    """`[L]`, (1, -b) of one figure: what its vectors are to be multiplied with; b = 0 where the rollouts are too few.
+
+    `errors`: `[L, L]`, the sum of its maps' covariances. `freedom`: rollouts that tell of b, of each map one less.
+    """
+    weights = np.zeros(len(errors))
+    weights[0] = 1.0
+    if freedom >= LEAST and errors[1:, 1:].any():
+        weights[1:] = -inverse_of(errors[1:, 1:])[0] @ errors[1:, 0]
+    return weights
+
+
+def put_right(
+    means: NDArray[np.float64], errors: NDArray[np.float64], freedom: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A figure's means `[M]` on all maps without what their luck is worth, and their standard errors `[M]`.
+
+    `means`, `errors`: `[M, L]`, `[M, L, L]`, of one figure of `beside_luck`. `freedom`: as of `weights_of`.
+    """
+    weights = weights_of(errors.sum(axis=0), freedom)
+    return means @ weights, np.sqrt(np.maximum(weights @ errors @ weights, 0.0))
+
+
+# Differences of two figures of the same rollouts: settings, plans, teams or maps on common luck.
+#
+# Rollout r of both meets the same luck (SPEC sections 6 and 14), so their figures go together. Then the interval of
+# their difference is narrower than that of independent runs.
+
+NEGLIGIBLE = 1e-12
+"""A variance that is less than this share of what it is the difference of is none."""
+
+
+@dataclass(frozen=True)
+class Paired:
+    """Sums over rollouts of two whole numbers, x and y: exact, so no figure depends on the order of adding.
+
+    `xxy` is the sum of x * x * y, and so on; `differ` counts the rollouts in which x is not y.
+    """
+
+    rollouts: int = 0
+    x: int = 0
+    y: int = 0
+    xx: int = 0
+    xy: int = 0
+    yy: int = 0
+    xxx: int = 0
+    xxy: int = 0
+    xyy: int = 0
+    yyy: int = 0
+    differ: int = 0
+
+    @staticmethod
+    def of(x: ArrayLike, y: ArrayLike) -> Paired:
+        """The sums over rollouts of whole numbers `[B]`, 0 or above."""
+        one, other = np.asarray(x, dtype=np.int64), np.asarray(y, dtype=np.int64)
+        differ = int((one != other).sum())
+        largest = max(int(one.max(initial=0)), int(other.max(initial=0)))
+        if largest**3 * len(one) >= 2**63:
+            one, other = one.astype(object), other.astype(object)
+        xx, yy = one * one, other * other
+        sums = (one.sum(), other.sum(), xx.sum(), one @ other, yy.sum(), xx @ one, xx @ other, one @ yy, yy @ other)
+        return Paired(len(one), *map(int, (*sums, differ)))
+
+    def __add__(self, other: Paired) -> Paired:
+        return Paired(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+    def moments(self) -> tuple[float, float, float]:
+        """Sample variance of x, covariance, variance of y; NaN below two rollouts."""
+        n = self.rollouts
+        if n < 2:
+            return math.nan, math.nan, math.nan
+        spread = (n * self.xx - self.x**2, n * self.xy - self.x * self.y, n * self.yy - self.y**2)
+        xx, xy, yy = (value / (n * (n - 1)) for value in spread)
+        return xx, xy, yy
+
+    def sample(self, of_x: float, of_y: float, step: float = 0.0) -> Sample:
+        """Of `of_x * x + of_y * y`, two rollouts or more; `step`: what all its values are multiples of, 0 if nothing.
+
+        How many lie on the thinner side of the mean is not kept: it is that of two values of the same skewness, and no
+        more than the rollouts in which x is not y.
+        """
+        n, x, y = self.rollouts, self.x, self.y
+        xx, xy, yy = self.moments()
+        apart = of_x**2 * xx + of_y**2 * yy
+        variance = apart + 2 * of_x * of_y * xy
+        if variance <= NEGLIGIBLE * apart:
+            return Sample(n, 0.0, 0.0, 0.0, step, few=False)
+        cubes = (
+            n * n * self.xxx - 3 * n * x * self.xx + 2 * x**3,
+            n * n * self.xxy - n * y * self.xx - 2 * n * x * self.xy + 2 * x * x * y,
+            n * n * self.xyy - n * x * self.yy - 2 * n * y * self.xy + 2 * x * y * y,
+            n * n * self.yyy - 3 * n * y * self.yy + 2 * y**3,
+        )
+        weights = (of_x**3, 3 * of_x**2 * of_y, 3 * of_x * of_y**2, of_y**3)
+        lean = sum(weight * (cube / n**2) for weight, cube in zip(weights, cubes, strict=True))
+        skewness = lean / n / variance**1.5
+        thin = n / 2 * (1 - abs(skewness) / math.sqrt(skewness**2 + 4))
+        return Sample(n, variance * (n - 1), lean, min(thin, self.differ), step, few=False)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A difference of two means on common random numbers.
+
+    Attributes:
+        estimate: mean of (y's unit * y - x's unit * x), its standard error and 95 % interval.
+        gain: variance of the difference on independent runs / on these.
+    """
+
+    estimate: Estimate
+    gain: float
+
+
+class CommonLuck(NamedTuple):
+    """The luck of both sides' rollouts by class of the total tolerance of so many `robots`: rollouts, sums of x, y.
+
+    `[C]` each.
+    """
+
+    robots: int
+    by_class: NDArray[np.int64]
+    x: NDArray[np.int64]
+    y: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, robots: int, classes: NDArray[np.int64], x: NDArray[np.int64], y: NDArray[np.int64]) -> CommonLuck:
+        """Of single rollouts, int64 `[B]` each; `classes`: as of `planner.rollouts.threshold_classes.luck_classes`."""
+        sums = (np.bincount(classes, weights=column) for column in (x, y))
+        return cls(robots, np.bincount(classes), *sums)
+
+
+def difference(
+    pairs: Paired, unit_x: float, unit_y: float, reach: float, certain: bool = False, luck: CommonLuck | None = None
+) -> Difference:
+    """E[y] - E[x], each in its unit, with the interval of `analysis.statistics.estimates.mean_estimate`.
+
+    `reach`: how far it may range to either side. `certain`: every run of both is the same, so the interval is a point.
+    `luck`: of the rollouts, by which the difference is put right (`analysis.statistics.variance_reduction`).
+    """
+    n = pairs.rollouts
+    mean = pairs.y / n * unit_y - pairs.x / n * unit_x
+    if certain:
+        return Difference(exactly(mean), 1.0)
+    if n < 2:
+        return Difference(Estimate(mean, math.nan, (-reach, reach)), 1.0)
+    xx, _, yy = pairs.moments()
+    found = pairs.sample(-unit_x, unit_y, step=unit_x if unit_x == unit_y else 0.0)
+    if luck is not None and n >= LEAST:
+        put_right = controlled(luck.by_class, unit_y * luck.y - unit_x * luck.x, found, luck.robots)
+        mean, found = min(max(put_right.mean, -reach), reach), put_right.sample
+    apart = (xx * unit_x**2 + yy * unit_y**2) / n
+    gain = 1.0 if apart == 0 else math.inf if found.scatter == 0 else apart / found.se**2
+    return Difference(Estimate(mean, found.se, found.interval(mean, -reach, reach)), gain)
+
+
+# One-way components of variance: how much of a scatter lies between groups (maps), and how much within them (luck).
+#
+# Rollouts fall on maps that are drawn independently, each alike, and know theirs. Then the sample variance of all of
+# them
+# is unbiased for the whole, and the pooled sample variance within maps for the part within, as no map is favoured;
+# what is left is the part between, however unequal the numbers of rollouts are (Searle, Casella & McCulloch, Variance
+# Components, 1992, section 3.6). Intervals: the jackknife over what was drawn independently, the rollouts, or the maps
+# where each was given equally many (Efron & Stein, Annals of Statistics 1981: its variance is not too small on
+# average).
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """Standard deviations with their intervals, in the unit of the values.
+
+    Attributes:
+        between: of the groups' means, without the noise of their rollouts. within: of single values in a group.
+        means: float64 `[groups]`, rising: the groups' means, drawn together so that they scatter by `between`.
+    """
+
+    between: Estimate
+    within: Estimate
+    means: Array
+
+
+def of_values(group: ArrayLike, value: ArrayLike, reach: float) -> Components:
+    """Of values `[B]` in groups `[B]` that were drawn for each; `reach`: how far values can lie apart."""
+    value = np.asarray(value, dtype=np.float64)
+    _, place, often = np.unique(np.asarray(group), return_inverse=True, return_counts=True)
+    n, count = len(value), often[place]
+    means = np.bincount(place, value) / often
+    far, off = (value - value.mean()) ** 2, (value - means[place]) ** 2
+    total, inside = float(far.sum()), float(off.sum())
+    free = n - len(often)
+    left_total = (total - n / (n - 1) * far) / (n - 2)
+    shared = count > 1
+    less = np.where(shared, count / np.maximum(count - 1, 1) * off, 0.0)
+    left_inside = (inside - less) / np.maximum(free - shared, 1)
+    whole, within = total / (n - 1), inside / free
+    between = _root(whole - within, left_total - left_inside, n, reach)
+    return Components(between, _root(within, left_inside, n, reach), _drawn_together(means, between.mean))
+
+
+def of_means(means: Array, within: Array, each: int, reach: float) -> Components:
+    """Of groups `[G]` drawn independently: their means of `each` values, and the sample variances of these."""
+    groups = len(means)
+    far, inside = (means - means.mean()) ** 2, float(within.mean())
+    left_inside = (within.sum() - within) / (groups - 1)
+    left_between = (far.sum() - groups / (groups - 1) * far) / (groups - 2) - left_inside / each
+    variance = float(far.sum()) / (groups - 1) - inside / each
+    between, luck = _root(variance, left_between, groups, reach), _root(inside, left_inside, groups, reach)
+    return Components(between, luck, _drawn_together(means, between.mean))
+
+
+def known_between(means: Array, all_of_them: bool, counts: NDArray[np.int64]) -> Components:
+    """Of groups whose means `[G]` are exact, all that there are or some drawn independently.
+
+    `counts`: int64 `[C + 1]`, a histogram of values 0, 1/C, ... 1 that fell on all groups: the scatter of everything.
+    """
+    groups, n, values = len(means), int(counts.sum()), np.linspace(0.0, 1.0, len(counts))
+    far = (means - means.mean()) ** 2
+    between = exactly(float(means.std()))
+    if not all_of_them:
+        left = (far.sum() - groups / (groups - 1) * far) / (groups - 2)
+        between = _root(float(far.sum()) / (groups - 1), left, groups, 1.0)
+    off = (values - counts @ values / n) ** 2
+    whole = float(counts @ off) / max(n - 1, 1)
+    error = math.sqrt(float(counts @ (off - whole) ** 2)) / n
+    return Components(between, _deviation(whole - between.mean**2, error, n, 1.0), np.sort(means))
+
+
+def _root(variance: float, left: Array, n: int, reach: float) -> Estimate:
+    """A standard deviation from a variance, and its values with one of `n` draws left out, float64 `[n]`."""
+    return _deviation(variance, math.sqrt((n - 1) / n * float(((left - left.mean()) ** 2).sum())), n, reach)
+
+
+def _deviation(variance: float, error: float, n: int, reach: float) -> Estimate:
+    """A standard deviation from a variance with its standard error of `n` draws.
+
+    The upper half is longer, as on a scale of logarithms: a sample that met few of a long tail's values shows neither
+    them nor how much they scatter. Where none of the draws made a difference: the rule of three, of what lies `reach`
+    away.
+    """
+    half, mean = Z95 * error, math.sqrt(max(variance, 0.0))
+    if error == 0:
+        half = min(NONE_SEEN / n, 0.25) * reach**2
+    lean = math.expm1(ratio) / ratio if (ratio := min(half / variance, 1.0) if variance > 0 else 1.0) else 1.0
+    ends = (math.sqrt(max(variance - half, 0.0)), math.sqrt(max(variance + half * lean, 0.0)))
+    return Estimate(mean, error / (2 * mean) if mean > 0 else math.nan, ends)
+
+
+def _drawn_together(means: Array, deviation: float) -> Array:
+    """Means that scatter by `deviation`, as the true ones do (Louis, JASA 1984), not by that and their noise."""
+    spread = float(means.std())
+    if spread == 0:
+        return np.sort(means)
+    return np.sort(means.mean() + (means - means.mean()) * min(deviation / spread, 1.0))

@@ -1,0 +1,365 @@
+"""Plans for a team that cannot talk: paths whose expected coverage without reallocation is searched for.
+
+Every robot plans the whole map for itself (`per_cell`, alone); then each in turn answers the others: given the chances
+`S_j(c)` that the others get to a cell, a path is worth `sum_c S_i(c) prod_{j != i} (1 - S_j(c))`, exactly what it adds
+to the team's expected coverage `sum_c 1 - prod_j (1 - S_j(c))` (the closed form of SPEC section 6). Simulated annealing
+over the order of its targets looks for a better one.
+
+The expected coverage is a monotone submodular function of the set of paths, so answering in turn from nothing with an
+optimal path each time covers at least half of the best (a factor alpha from the optimal path: alpha / (1 + alpha);
+Jorgensen, Chen, Milam, Pavone: The Team Surviving Orienteers Problem, arXiv 1612.03232). The paths found here are not
+known to be optimal ones, so that says why answering in turn is sound, not how good the result is.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+from planner.errors import PlanError
+from planner.ids import MAX_STEP, NO_CELL
+from planner.jit import put_first, threaded
+from planner.mrac.areas import coverage_path
+from planner.mrac.make_plan import make_plan
+from planner.mrac.paths import neighbour_table
+from planner.mrac.problem import Problem, prepare
+from planner.plan.plan import Plan, RobotPlan, entries
+from planner.policies.rules import NEAREST
+from planner.settings import Settings
+from planner.tally import Outcome
+from planner.world.world import FOUR_NEIGHBOURS, World
+
+# The map as an order of targets sees it: dangerous cells, and safe areas in which every move is free.
+
+MOST_NODES = 6_000
+"""Nodes of the largest map: the tables of safest ways take 16 bytes a pair of them while they are made, then 4."""
+HOP = 1e-9
+"""Added to the hazard of every move, so that of equally safe ways the one with fewer nodes is taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """Axes: `V` nodes, `N` cells. A safe area is a 4-connected set of accessible cells with p = 0.
+
+    Attributes:
+        areas: safe areas; they are the first nodes. of_cell: int64 `[N]`, the cell's node; NO_CELL if not accessible.
+        cells: of each node, increasing.
+        passed: float64 `[V]`, chance to survive one visit. weight: float64 `[V]`, cells; or what they are
+            worth, in values of a mean cell.
+        towards: int32 `[V, V]`, `[t, u]`: the node after u on the safest way from u to t; negative: none.
+    """
+
+    areas: int
+    of_cell: NDArray[np.int64]
+    cells: tuple[NDArray[np.int64], ...]
+    passed: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    towards: NDArray[np.int32]
+
+    def order_of(self, path: NDArray[np.int64], first: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The nodes of `first`, then those that the cells of `path` are in: each once, in order."""
+        nodes = np.concatenate([first, self.of_cell[path]])
+        return nodes[np.sort(np.unique(nodes, return_index=True)[1])]
+
+    def drive(self, order: NDArray[np.int64], start: int, problem: Problem) -> NDArray[np.int64]:
+        """The cells, int64 `[steps + 1]`, of a robot at cell `start` that goes to the nodes in this order.
+
+        It takes the safest ways; nodes that it passed on them are no targets any more. A safe area is covered when it
+        is first entered.
+        """
+        paths = problem.paths
+        legs, here, before, seen = [np.array([start], dtype=np.int64)], start, self.of_cell[start], set()
+        for node in self._way(order, int(self.of_cell[start])):
+            inside = np.zeros(len(self.of_cell), dtype=np.bool_)
+            inside[self.cells[before]] = inside[self.cells[node]] = True
+            before, target = node, int(self.cells[node][0])
+            if node < self.areas:
+                to_do = self.cells[node][:0] if node in seen else self.cells[node]
+                leg = coverage_path(paths, here, to_do, inside, NEAREST, problem.sides)
+            else:
+                leg = paths.path(here, target, inside) if here != target else self.cells[node][:0]
+            seen.add(node)
+            if len(leg):
+                legs.append(leg)
+                here = int(leg[-1])
+        return np.concatenate(legs)
+
+    def _way(self, order: NDArray[np.int64], here: int) -> Iterator[int]:
+        """The nodes entered, `here` first."""
+        seen = {here}
+        yield here
+        for target in order.tolist():
+            while target not in seen:
+                here = int(self.towards[target, here])
+                seen.add(here)
+                yield here
+
+
+def make_nodes(world: World, accessible: NDArray[np.bool_]) -> Nodes:
+    """The nodes of the `accessible` `[H, W]` part of a world. Raises PlanError if there are more than MOST_NODES."""
+    safe = accessible & (world.threat == 0)
+    label, areas = ndimage.label(safe, structure=FOUR_NEIGHBOURS)
+    of_cell = label.astype(np.int64).ravel() - 1
+    dangerous = np.flatnonzero(accessible & ~safe)
+    of_cell[dangerous] = areas + np.arange(len(dangerous))
+    count = areas + len(dangerous)
+    if count > MOST_NODES:
+        raise PlanError(
+            f"{len(dangerous)} dangerous cells and {areas} safe areas are too many to plan for the open loop",
+            source=world.source,
+            expected=f"at most {MOST_NODES} together",
+            fix="coarsen the map with cell_size, or leave plan_for out",
+        )
+    flat = np.flatnonzero(accessible)
+    passed = np.ones(count)
+    passed[areas:] = 1.0 - world.threat.ravel()[dangerous].astype(np.float64)
+    near = neighbour_table(world.shape, accessible.ravel())[flat]
+    place, side = np.nonzero(near != NO_CELL)
+    pairs = np.unique(np.stack([of_cell[flat[place]], of_cell[near[place, side]]], axis=1), axis=0)
+    source, target = pairs[pairs[:, 0] != pairs[:, 1]].T
+    hazard = HOP - np.log(passed)
+    # backwards: what comes before u on the way back from t is what comes after u on the way to t
+    back = coo_array((hazard[target], (target, source)), shape=(count, count)).tocsr()
+    order = np.argsort(of_cell[flat], kind="stable")
+    cells = tuple(np.split(flat[order], np.cumsum(np.bincount(of_cell[flat], minlength=count))[:-1]))
+    towards = dijkstra(back, return_predecessors=True)[1].astype(np.int32)
+    weight = np.array([float(len(c)) for c in cells])
+    if world.value is not None and world.value[accessible].any():
+        value = world.value.ravel() / world.value[accessible].mean()
+        weight = np.array([value[c].sum() for c in cells])
+    return Nodes(areas, of_cell, cells, passed, weight, towards)
+
+
+# Simulated annealing over the orders in which robots go to nodes, one robot's turn after another's, compiled.
+
+TURN = 250
+"""Evaluations of one robot's orders before the others have their turns."""
+HOT, COLD = 0.5, 0.005
+"""Expected cells that a move may lose with chance 1/e, at the start and at the end."""
+LONGEST = 0.25
+"""Targets moved at once, as a share of all that matter; mostly few."""
+NEGLIGIBLE = 1e-9
+"""Chance to get so far that ends an evaluation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Axes: `K` robots, `V` nodes.
+
+    Attributes:
+        orders: int64 of each robot, its targets. cells: expected cells visited by the team.
+        evaluations: done, of those asked for.
+    """
+
+    orders: tuple[NDArray[np.int64], ...]
+    cells: float
+    evaluations: int
+
+
+def chances(nodes: Nodes, order: NDArray[np.int64], here: int) -> NDArray[np.float64]:
+    """S, float64 `[V]`: chance that a robot at node `here` gets to each node, if it goes to them in this order."""
+    chance = np.zeros(len(nodes.weight))
+    _gain(order, here, nodes.passed, nodes.weight, nodes.towards, np.zeros(len(chance), dtype=np.bool_), chance)
+    return chance
+
+
+def search(
+    nodes: Nodes,
+    orders: tuple[NDArray[np.int64], ...],
+    starts: NDArray[np.int64],
+    effort: int,
+    seed: int,
+    seconds: float | None = None,
+) -> Found:
+    """The best orders met within `effort` evaluations from `orders`; `starts` int64 `[K]`: the robots' nodes.
+
+    The same arguments give the same orders, unless `seconds` end it before.
+    """
+    draw = np.random.default_rng(seed)
+    began, done = time.monotonic(), 0
+    now = [order.copy() for order in orders]
+    reached = np.array([chances(nodes, order, here) for order, here in zip(now, starts.tolist(), strict=True)])
+    best, most = tuple(order.copy() for order in now), team_cells(nodes, reached)
+    scratch = np.empty_like(nodes.weight, dtype=np.int64), np.zeros(len(nodes.weight), dtype=np.bool_)
+    while done < effort and (seconds is None or time.monotonic() - began < seconds):
+        for robot, here in enumerate(starts.tolist()):
+            count = min(TURN, effort - done)
+            heat = HOT * (COLD / HOT) ** (done / effort)
+            others = nodes.weight * np.prod(1.0 - np.delete(reached, robot, axis=0), axis=0)
+            _turn(now[robot], here, nodes.passed, others, nodes.towards, draw.random((count, 6)), heat, *scratch)
+            reached[robot] = chances(nodes, now[robot], here)
+            done += count
+            cells = team_cells(nodes, reached)
+            if cells > most:
+                best, most = tuple(order.copy() for order in now), cells
+    return Found(best, most, done)
+
+
+def team_cells(nodes: Nodes, reached: NDArray[np.float64]) -> float:
+    """`sum_c 1 - prod_j (1 - S_j(c))` of S `[K, V]`."""
+    return float(nodes.weight @ (1.0 - np.prod(1.0 - reached, axis=0)))
+
+
+@threaded
+def _gain(order, here, passed, weight, towards, seen, chance):  # type: ignore[no-untyped-def]
+    """(sum of `weight` `[V]` by the chance to get there, targets that matter); writes that into `chance` if it is long.
+
+    `seen` bool `[V]`: scratch.
+    """
+    seen[:] = False
+    seen[here] = True
+    total, reach, used = weight[here], passed[here], 0
+    if len(chance):
+        chance[here] = 1.0
+    for target in order:
+        used += 1
+        if seen[target]:
+            continue
+        while here != target:
+            here = towards[target, here]
+            if not seen[here]:
+                seen[here] = True
+                total += weight[here] * reach
+                if len(chance):
+                    chance[here] = reach
+            reach *= passed[here]
+        if reach < NEGLIGIBLE:
+            break
+    return total, used
+
+
+@threaded
+def _turn(order, here, passed, weight, towards, draws, heat, tried, seen):  # type: ignore[no-untyped-def]
+    """Anneal one robot's `order` in place, a row of `draws` `[evaluations, 6]` for each evaluation."""
+    unasked = np.empty(0)
+    value, used = _gain(order, here, passed, weight, towards, seen, unasked)
+    count = len(order)
+    tried = tried[:count]
+    for draw in draws:
+        after = min(int(draw[0] * used), count - 1)
+        run = 1 + int(draw[1] ** 3 * LONGEST * used)
+        if draw[2] < 0.5:  # a node beside the one at `after`, on the way to any other
+            beside = towards[order[min(int(draw[3] * count), count - 1)], order[after]]
+            begin = 0
+            while begin < count - 1 and order[begin] != beside:
+                begin += 1
+        else:
+            begin = min(int(draw[3] * (used + run)), count - 1)
+        run = min(run, count - begin)
+        if begin <= after < begin + run:
+            continue
+        _move(order, tried, begin, run, after, draw[4] < 0.5)
+        new, new_used = _gain(tried, here, passed, weight, towards, seen, unasked)
+        if new >= value or draw[5] < np.exp((new - value) / heat):
+            put_first(tried, order)
+            value, used = new, new_used
+
+
+@threaded
+def _move(order, tried, begin, run, after, backwards):  # type: ignore[no-untyped-def]
+    """`order` with `run` targets from `begin` on moved behind the one at `after`, written to `tried`."""
+    place = 0
+    for old in range(len(order)):
+        if not begin <= old < begin + run:
+            tried[place] = order[old]
+            place += 1
+        if old == after:
+            for step in range(run):
+                tried[place] = order[begin + run - 1 - step] if backwards else order[begin + step]
+                place += 1
+
+
+# From a world and starts to paths for the open loop.
+
+EFFORT = 200_000
+"""Evaluations, unless others are asked for."""
+SEED = 0x4F50454E
+
+
+def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, seconds: float | None = None) -> Plan:
+    """Paths alone for robots at `starts` `[K, 2]` that are not reallocated: the plan of `planner.open_loop`.
+
+    The search sets out from the better of two: `per_cell` by each robot alone, and the nominal run of the settings'
+    policy. It returns the latter's paths where it finds none that are worth more. `settings.effort` evaluations;
+    `seconds` may end it before, and a note says so. Equal arguments without `seconds` give equal plans.
+
+    Raises WorldError and PlanError as `make_plan`; PlanError for too large maps.
+    """
+    closed = replace(settings, plan_for="closed", effort=None)
+    world.check_told("a plan for the open loop")
+    settings.check_stays("a plan for the open loop")
+    settings.check_alike("a plan for the open loop")
+    nominal = make_plan(world, starts, closed)
+    problem = prepare(world, starts, closed)
+    nodes = make_nodes(world, problem.levels.accessible.reshape(world.shape))
+    begin = nodes.of_cell[problem.starts]
+    alone = _alone(world, problem.starts, closed)
+    none = np.empty(0, dtype=np.int64)
+    orders = [
+        tuple(nodes.order_of(path, none) for path in alone),
+        tuple(
+            nodes.order_of(path, nodes.order_of(robot.path, none))
+            for path, robot in zip(alone, nominal.robots, strict=True)
+        ),
+    ]
+    worth = [
+        team_cells(nodes, np.array([chances(nodes, *one) for one in zip(of, begin.tolist(), strict=True)]))
+        for of in orders
+    ]
+    effort = EFFORT if settings.effort is None else settings.effort
+    found = search(nodes, orders[int(np.argmax(worth))], begin, effort, SEED, seconds)
+    last = MAX_STEP if settings.last_step is None else settings.last_step
+    paths = tuple(
+        nodes.drive(order, start, problem)[: min(last, moves) + 1]
+        for order, start, moves in zip(found.orders, problem.starts.tolist(), problem.range.tolist(), strict=True)
+    )
+    cells, before = (expected_worth(some, world) for some in (paths, [robot.path for robot in nominal.robots]))
+    if before > cells:
+        paths = tuple(robot.path for robot in nominal.robots)
+    plan = Plan(
+        world.shape, world.sha256, None, tuple(RobotPlan(path) for path in paths), outcome=Outcome.END_OF_PATHS.word,
+        for_open_loop=True,
+        bears=settings.bearing(), source=world.source,
+        notes=_notes(cells, before, found.evaluations, effort, closed, "cells" if world.value is None else "of value"),
+    )  # fmt: skip
+    return replace(plan, time=plan.makespan)
+
+
+def _alone(world: World, starts: NDArray[np.int64], settings: Settings) -> list[NDArray[np.int64]]:
+    """The path over the whole map of each robot by itself, `per_cell`."""
+    limits: dict[str, Any] = dict.fromkeys(("reserve", "worth", "max_steps", "deadline", "range"))
+    by_itself = replace(settings.alone, policy="per_cell", **limits)
+    found = {
+        start: make_plan(world, [divmod(start, world.shape[1])], by_itself).robots[0].path for start in starts.tolist()
+    }
+    return [found[start] for start in starts.tolist()]
+
+
+def expected_worth(paths: tuple[NDArray[np.int64], ...] | list[NDArray[np.int64]], world: World) -> float:
+    """Expected cells visited in the open loop, or their value: `sum_c w_c (1 - prod_i (1 - S_i(c)))`.
+
+    S before the entry's own check.
+    """
+    missed = np.ones(world.threat.size)
+    for path in paths:
+        cells = path[entries(path)]
+        reach = np.cumprod(np.concatenate([[1.0], 1.0 - world.threat.ravel()[cells[:-1]].astype(np.float64)]))
+        first = np.unique(cells, return_index=True)[1]
+        missed[cells[first]] *= 1.0 - reach[first]
+    return float(world.threat.size - missed.sum() if world.value is None else world.value.ravel() @ (1.0 - missed))
+
+
+def _notes(cells: float, before: float, done: int, effort: int, settings: Settings, unit: str) -> tuple[str, ...]:
+    said = (
+        f"planned for the open loop: {max(cells, before):.2f} {unit} expected, {before:.2f} with the nominal plan of "
+    )
+    short = (f"the search ended before its {effort:,} evaluations: it ran out of seconds",) * (done < effort)
+    return (f"{said}{settings.rule.name}; {done:,} evaluations", *short)
