@@ -196,7 +196,7 @@ def make_inputs() -> None:
     Path(FILE).write_bytes(Path("world.npz").read_bytes())
     for policy in (*RULES, "best"):  # compiled now: an input's time is its own
         for more in ("", " --return-to home", " --transit area"):
-            called(f"evaluate world.npz --rollouts 64 --policy {policy}{more}".split())
+            called(f"evaluate world.npz --rollouts 64 --no-advice --policy {policy}{more}".split())
     called(["evaluate", "world.npz", "--rollouts", "64", "--plan", "plan.json", "--loop", "open"])
     for target in TARGETS:
         given = Path(target.changed).read_bytes() if target.changed else b""

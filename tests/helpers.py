@@ -126,11 +126,3 @@ def part(tally: Tally, results: RolloutResults, begin: int, end: int, seed: int 
 def load_plan(path: str | Path, world: World) -> Plan:
     """As `planner.plan_team.read_plan`, but a plan of today's rules alone, and nothing is planned. Raises PlanError."""
     return parse_plan(read_plan_json(path), world, str(path))
-
-
-# Policies that other processes can import.
-
-
-def mostly_east(seen: NDArray[np.float32], luck: np.random.Generator) -> NDArray[np.int64]:
-    """East, and now and then wherever."""
-    return np.where(luck.random(len(seen)) < 0.8, 3, luck.integers(0, 5, len(seen)))

@@ -509,9 +509,15 @@ def test_sources_are_the_default_where_there_are_several(tmp_path: Path) -> None
 # The command.
 
 
-def test_the_command_says_gains_as_json(capsys: pytest.CaptureFixture[str], world_file: str, small: Clearing) -> None:
+@pytest.fixture
+def clear_file(tmp_path: Path) -> str:
+    WORLD_CLEAR.save(tmp_path / "world.npz")
+    return str(tmp_path / "world.npz")
+
+
+def test_the_command_says_gains_as_json(capsys: pytest.CaptureFixture[str], clear_file: str, small: Clearing) -> None:
     assert (
-        run(["clear", world_file, "--count", "2", "--rollouts", str(RUNS), "--seed", "3", "--exact", "never", "--json"])
+        run(["clear", clear_file, "--count", "2", "--rollouts", str(RUNS), "--seed", "3", "--exact", "never", "--json"])
         == 0
     )
     found = json.loads(capsys.readouterr().out)
@@ -536,9 +542,9 @@ def test_the_command_says_gains_as_json(capsys: pytest.CaptureFixture[str], worl
     ],
 )
 def test_bad_options_are_told_clear(
-    capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, words: list[str], said: str
+    capsys: pytest.CaptureFixture[str], clear_file: str, tmp_path: Path, words: list[str], said: str
 ) -> None:
-    assert run(["clear", world_file, *words, "--out", str(tmp_path / "out")]) == 2
+    assert run(["clear", clear_file, *words, "--out", str(tmp_path / "out")]) == 2
     err = capsys.readouterr().err.strip().splitlines()[-1]
     assert err.startswith("error: ") and said in err and not (tmp_path / "out").exists()
 
@@ -712,8 +718,10 @@ def test_an_interruption_leaves_the_threats_so_far() -> None:
     assert not answer.hidden.threats and {*attack_report(answer).files} == {"known.npz", "known.yaml"}
 
 
-def test_an_answer_by_a_rule_of_one_s_own_has_no_scenario(tmp_path: Path) -> None:
-    answer = mrac.attack(small_world(0, 6, 6), p=P, rollouts=16, policy=replace(RULES["per_cell"], name="mine"))
+def test_an_answer_by_a_rule_of_one_s_own_has_no_scenario(attacked: Attack, tmp_path: Path) -> None:
+    """A rule that the process has not compiled: the answer is taken from one by a rule that it has."""
+    mine = replace(attacked.settings, policy=replace(RULES["per_cell"], name="mine"))
+    answer = replace(attacked, settings=mine)
     names = {path.name for path in answer.save(tmp_path / "out")}
     assert "known.npz" in names and "known.yaml" not in names
 

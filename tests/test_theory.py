@@ -809,6 +809,7 @@ def test_whatever_the_prices_what_they_prove_is_true(monkeypatch: pytest.MonkeyP
     assert certified(nodes, rows, nothing) == pytest.approx(nodes.weight @ nodes.reach, abs=1e-9)
 
 
+@pytest.mark.usefixtures("full_effort")
 def test_the_certificate_loses_next_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rounds end when ten of them together gain less than 2e-4 of the cells, and no sooner."""
     world = random_world(pattern=ThreatPattern(seed=1))
