@@ -11,7 +11,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from planner.formatting import duration
-from planner.jit import NO_CACHE
+from planner.jit import COMPILES_JAX, NO_CACHE
 
 if TYPE_CHECKING:
     from planner.plan.plan import Plan
@@ -69,8 +69,6 @@ def notice_compiling() -> None:
     """From now on, in this process, ANNOUNCER hears what Numba and JAX compile; code in the cache is not compiled."""
     from numba.core import event
 
-    from planner.jit import OF_JAX
-
     class Listener(event.Listener):
         def on_start(self, event: Any) -> None:
             ANNOUNCER.begins()
@@ -78,8 +76,8 @@ def notice_compiling() -> None:
         def on_end(self, event: Any) -> None:
             ANNOUNCER.ends()
 
-    event.register("numba:compile", Listener())
-    OF_JAX.append(ANNOUNCER)
+    for kind in ("numba:compile", COMPILES_JAX):
+        event.register(kind, Listener())
 
 
 def compiles_for(plan: Plan, loop: str = "closed") -> None:
@@ -93,12 +91,12 @@ def _named(policy: Policy) -> str:
 
 def not_compiled(policies: Iterable[Policy]) -> list[Policy]:
     """Those policies whose compiled simulator is not in the cache."""
-    from planner.jit import is_kept
+    from planner.jit import is_cached
     from planner.policies import rule_of
     from planner.simulator.attentive import run_attentive
     from planner.simulator.rollouts import run_set
 
-    return [policy for policy in policies if not is_kept(run_attentive if rule_of(policy).attentive else run_set)]
+    return [policy for policy in policies if not is_cached(run_attentive if rule_of(policy).attentive else run_set)]
 
 
 @contextmanager
