@@ -123,6 +123,18 @@ def test_code_that_numba_cannot_load_is_compiled_again(
     assert run_anew(monkeypatch) == (18.0, 1)
 
 
+@pytest.mark.parametrize("internal", ["_reduce", "_rebuild"])
+def test_a_numba_with_other_internals_compiles(
+    internal: str, home: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    run_anew(monkeypatch)
+    monkeypatch.delattr(f"numba.core.compiler.CompileResult.{internal}")
+    for file in home.iterdir() if internal == "_reduce" else ():
+        file.unlink()
+    assert [run_anew(monkeypatch) for _ in range(2)] == [(18.0, 0)] * 2
+    assert len(caplog.messages) == 2
+
+
 def test_a_damaged_program_of_jax_is_compiled_again(
     home: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
