@@ -12,7 +12,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from planner.jit import OF_JAX, cache_folder, sealed_folder
+from planner.jit import COMPILES_JAX, cache_folder, open_folder
 from planner.rollouts.names import why_not
 
 LOG = logging.getLogger("mrac_jax")
@@ -78,12 +78,12 @@ def keep_jax_programs() -> None:
     """Let JAX keep compiled programs in the user's cache folder, unless caching is off or the user chose a folder.
 
     JAX writes its own files in place and reads them unchecked (a damaged one can end the process), so it is given a
-    cache of sealed files, through an interface of its inside. A JAX without that inside keeps nothing.
+    cache of checked files, through an interface of its inside. A JAX without that inside keeps nothing.
     """
     import jax
 
     _report_compilations()
-    folder = cache_folder("compiled")
+    folder = cache_folder()
     if folder is None or jax.config.jax_compilation_cache_dir is not None:  # type: ignore[attr-defined]
         return
     try:
@@ -101,26 +101,26 @@ def keep_jax_programs() -> None:
             self._path, self._folder = folder.path, folder
 
         def get(self, key: str) -> bytes | None:
-            return self._folder.read(f"jax.{key}")
+            return self._folder.read(key)
 
         def put(self, key: str, value: bytes) -> None:
-            self._folder.write(f"jax.{key}", value)
+            self._folder.write(key, value)
 
-    compilation_cache._cache, compilation_cache._cache_initialized = Programs(sealed_folder(folder)), True
+    compilation_cache._cache, compilation_cache._cache_initialized = Programs(open_folder(folder / "jax")), True
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 @cache
 def _report_compilations() -> None:
-    """Tell who listens (`planner.jit.OF_JAX`), from now on."""
+    """Report what JAX compiles as the event COMPILES_JAX, from now on."""
     from jax import monitoring
+    from numba.core.event import end_event, start_event
 
     def timed(event: str, duration_secs: float, **_: str | int) -> None:
-        for listener in OF_JAX:
-            if event == BEGINS:
-                listener.begins()
-            elif event == ENDS:
-                listener.ends()
+        if event == BEGINS:
+            start_event(COMPILES_JAX)
+        elif event == ENDS:
+            end_event(COMPILES_JAX)
 
     monitoring.register_event_duration_secs_listener(timed)

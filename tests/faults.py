@@ -39,7 +39,7 @@ from unittest import mock
 
 from analysis.cli.app import run
 from mrac_jax.__main__ import main as command_line
-from planner.jit import SealedFolder
+from planner.jit import CacheFolder
 
 SECONDS, IDLE, LOOKS = 20.0, 120.0, 0.5
 """CPU seconds in which a command ends that was told to; seconds without any in which it hangs; between two looks.
@@ -486,7 +486,7 @@ def flips(home: Path, count: int, draw: random.Random) -> Iterator[str]:
             for path in (*Path().glob("*.store-*"), Path(name)):
                 path.unlink(missing_ok=True)
             Path(name).write_bytes(whole[name])
-        folder = SealedFolder(Path.cwd() / "sealed")
+        folder = CacheFolder(Path.cwd() / "compiled")
         folder.write("code", content := draw.randbytes(4000))
         (file,) = folder.path.iterdir()
         for _ in range(count // 5):

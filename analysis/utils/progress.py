@@ -23,7 +23,7 @@ from analysis.utils.tables import SafeConsole
 from planner.arguments import argument, check_word
 from planner.errors import UsageError
 from planner.formatting import duration
-from planner.jit import NO_CACHE
+from planner.jit import COMPILES_JAX, NO_CACHE
 
 if TYPE_CHECKING:
     from planner.plan.plan import Plan
@@ -84,8 +84,6 @@ def notice_compiling() -> None:
     """From now on, in this process, ANNOUNCER hears what Numba and JAX compile; code in the cache is not compiled."""
     from numba.core import event
 
-    from planner.jit import OF_JAX
-
     class Listener(event.Listener):
         def on_start(self, event: Any) -> None:
             ANNOUNCER.begins()
@@ -93,8 +91,8 @@ def notice_compiling() -> None:
         def on_end(self, event: Any) -> None:
             ANNOUNCER.ends()
 
-    event.register("numba:compile", Listener())
-    OF_JAX.append(ANNOUNCER)
+    for kind in ("numba:compile", COMPILES_JAX):
+        event.register(kind, Listener())
 
 
 def compiles_for(plan: Plan, loop: str = "closed") -> None:
@@ -108,10 +106,10 @@ def _named(policy: Policy) -> str:
 
 def not_compiled(policies: Iterable[Policy]) -> list[Policy]:
     """These policies, if no compiled simulator is in the cache."""
-    from planner.jit import is_kept
+    from planner.jit import is_cached
     from planner.simulator.rollouts import run_set
 
-    return [] if is_kept(run_set) else list(policies)
+    return [] if is_cached(run_set) else list(policies)
 
 
 @contextmanager

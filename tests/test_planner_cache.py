@@ -1,38 +1,46 @@
-"""Compiled code is kept between runs: whatever happens to its files costs a compilation and a line, no answer."""
+"""Compiled code is cached between runs: whatever happens to its files costs a compilation, never a crash."""
 
 from __future__ import annotations
 
 import ast
 import errno
+import importlib
+import inspect
 import logging
 import os
+import pkgutil
 import random
-import re
 import resource
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import CodeType
 from typing import Any
 
 import jax
 import numpy as np
 import pytest
 from jax._src import compilation_cache
-from numba import typeof
+from numba.core.dispatcher import Dispatcher
 
+import analysis.theory
+import planner
 from mrac_jax.runtime import keep_jax_programs
-from planner import jit
-from planner import jit as sealed
-from planner import jit as sources
-from planner.jit import NO_CACHE, ROOMS, SealedFolder, cache_folder, is_kept, sources_hash, threaded
-from planner.simulator.state import How
-from planner.simulator.struct_pointers import Handed
+from planner.jit import (
+    KEPT_SECONDS,
+    NO_CACHE,
+    SOURCES,
+    SUFFIX,
+    CacheFolder,
+    cache_folder,
+    is_cached,
+    sources_hash,
+    threaded,
+)
 
 ROOT = Path(__file__).parent.parent
-WORN = re.compile(r"\n@(threaded|program|kernel|rare_kernel|spliced)\n")
-KERNELS = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py") if WORN.search(path.read_text()))
 
 
 def six_times(values: np.ndarray) -> float:
@@ -47,14 +55,14 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.delenv(NO_CACHE, raising=False)
     monkeypatch.setattr("numba.config.CACHE_DIR", "")
-    folder = cache_folder("compiled")
+    folder = cache_folder()
     assert folder is not None
-    yield folder
+    yield folder / sources_hash()
 
 
 def run_anew(monkeypatch: pytest.MonkeyPatch) -> tuple[float, int]:
     """The kernel's answer in a process that begins, and how often the cache had it."""
-    monkeypatch.setattr("planner.jit.sealed_folder", SealedFolder)
+    monkeypatch.setattr("planner.jit.open_folder", CacheFolder)
     kernel: Any = threaded(six_times)
     return kernel(np.arange(4.0)), sum(kernel.stats.cache_hits.values())
 
@@ -74,14 +82,14 @@ def damage(content: bytes, way: int, rng: random.Random) -> bytes:
     )[way % 7]
 
 
-def test_whether_code_is_kept_is_known_before_it_is_needed(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert not is_kept(threaded(six_times))
+def test_whether_code_is_cached_is_known_before_it_is_needed(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not is_cached(threaded(six_times))
     run_anew(monkeypatch)
-    assert is_kept(threaded(six_times))
-    monkeypatch.setattr("planner.jit.sources_hash", lambda module, file: "other sources")
-    assert not is_kept(threaded(six_times))
+    assert is_cached(threaded(six_times))
+    monkeypatch.setattr("planner.jit.sources_hash", lambda: "other sources")
+    assert not is_cached(threaded(six_times))
     monkeypatch.setenv(NO_CACHE, "1")
-    assert not is_kept(threaded(six_times))
+    assert not is_cached(threaded(six_times))
 
 
 def test_a_second_process_finds_the_code(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,27 +97,6 @@ def test_a_second_process_finds_the_code(home: Path, monkeypatch: pytest.MonkeyP
     assert run_anew(monkeypatch) == (18.0, 1)
     [file] = home.iterdir()
     assert home.stat().st_mode & 0o777 == 0o700 and file.stat().st_mode & 0o777 == 0o600
-
-
-def seed_of(how: How) -> int:
-    """A kernel that does not import what it is handed."""
-    return int(how.key0)
-
-
-def test_code_is_stale_when_a_tuple_that_it_is_handed_has_changed(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    how, changed = How(*map(np.uint32, (5, 6, 7, 8)), 9, True, False, 0, *map(np.uint32, range(6))), set[str]()
-    monkeypatch.setattr("planner.jit.sources_hash", lambda module, file: f"{module} {module in changed}")
-
-    def hits() -> int:
-        kernel: Any = threaded(seed_of)
-        assert kernel(how) == 5
-        return sum(kernel.stats.cache_hits.values())
-
-    assert [hits(), hits()] == [0, 1]
-    changed.add("planner.simulator.state")
-    assert [hits(), hits()] == [0, 1]
-    handed = jit._sources_of([Handed(typeof(how))])
-    assert handed == {"planner.simulator.struct_pointers False", "planner.simulator.state True"}
 
 
 def test_damaged_code_is_compiled_again(
@@ -122,7 +109,7 @@ def test_damaged_code_is_compiled_again(
         caplog.clear()
         file.write_bytes(damage(whole, way, rng))
         assert run_anew(monkeypatch) == (18.0, 0)
-        assert caplog.messages == [f"note: compiled code in {home} is made again: it was damaged"]
+        assert caplog.messages == [f"note: compiled code in {home} is compiled again: it was damaged"]
         assert run_anew(monkeypatch) == (18.0, 1)  # and kept
 
 
@@ -131,9 +118,21 @@ def test_code_that_numba_cannot_load_is_compiled_again(
 ) -> None:
     run_anew(monkeypatch)
     [file] = home.iterdir()
-    SealedFolder(home).write(file.name.removesuffix(sealed.SUFFIX), b"whole, but no code")
+    CacheFolder(home).write(file.name.removesuffix(SUFFIX), b"whole, but no code")
     assert run_anew(monkeypatch) == (18.0, 0) and "damaged" in caplog.text
     assert run_anew(monkeypatch) == (18.0, 1)
+
+
+@pytest.mark.parametrize("internal", ["_reduce", "_rebuild"])
+def test_a_numba_with_other_internals_compiles(
+    internal: str, home: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    run_anew(monkeypatch)
+    monkeypatch.delattr(f"numba.core.compiler.CompileResult.{internal}")
+    for file in home.iterdir() if internal == "_reduce" else ():
+        file.unlink()
+    assert [run_anew(monkeypatch) for _ in range(2)] == [(18.0, 0)] * 2
+    assert len(caplog.messages) == 2
 
 
 def test_a_damaged_program_of_jax_is_compiled_again(
@@ -153,18 +152,19 @@ def test_a_damaged_program_of_jax_is_compiled_again(
             def seven_times(value: Any) -> Any:
                 return 7 * value + 1
 
-            program._folder._told = False
+            program._folder._reported = False
             return float(jax.jit(seven_times)(6.0))
 
         assert run() == 43.0
-        [file] = [path for path in home.iterdir() if "seven_times" in path.name]
+        folder = home.parent / "jax"
+        [file] = [path for path in folder.iterdir() if "seven_times" in path.name]
         whole, rng = file.read_bytes(), random.Random(2)
         for way in range(14):
             caplog.clear()
             file.write_bytes(damage(whole, way, rng))
             assert run() == 43.0
-            assert caplog.messages == [f"note: compiled code in {home} is made again: it was damaged"]
-            assert SealedFolder(home).read(file.name.removesuffix(sealed.SUFFIX))
+            assert caplog.messages == [f"note: compiled code in {folder} is compiled again: it was damaged"]
+            assert CacheFolder(folder).read(file.name.removesuffix(SUFFIX))
             caplog.clear()
             assert run() == 43.0 and not caplog.messages
     finally:
@@ -173,7 +173,7 @@ def test_a_damaged_program_of_jax_is_compiled_again(
 
 
 def test_content_under_another_name_is_not_used(tmp_path: Path) -> None:
-    folder = SealedFolder(tmp_path)
+    folder = CacheFolder(tmp_path)
     folder.write("a", b"one")
     (tmp_path / "a.sealed").rename(tmp_path / "b.sealed")
     assert folder.read("b") is None and folder.read("a") is None
@@ -198,7 +198,7 @@ def test_a_file_of_others_is_not_used(
     run_anew(monkeypatch)
     [file] = home.iterdir()
     file.chmod(0o666)
-    assert run_anew(monkeypatch) == (18.0, 0) and "others may have written it" in caplog.text
+    assert run_anew(monkeypatch) == (18.0, 0) and "nobody else can write to" in caplog.text
     assert run_anew(monkeypatch) == (18.0, 1)  # replaced by one's own
     if os.geteuid() == 0:
         os.chown(file, 4321, -1)
@@ -218,12 +218,13 @@ def test_a_pipe_in_the_place_of_a_file(home: Path, monkeypatch: pytest.MonkeyPat
     assert run_anew(monkeypatch) == (18.0, 0)
 
 
-@pytest.mark.parametrize("place", ["home", "home/mrac-jax", "home/mrac-jax/compiled"])
+@pytest.mark.parametrize("above", range(4))
 def test_a_file_in_the_place_of_a_folder(
-    place: str, tmp_path: Path, home: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    above: int, home: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
-    (tmp_path / place).write_text("")
+    place = (home, *home.parents)[above]
+    place.parent.mkdir(parents=True, exist_ok=True)
+    place.write_text("")
     assert run_anew(monkeypatch) == (18.0, 0)
     [line] = caplog.messages
     assert str(home) in line and "expected a folder" in line
@@ -269,15 +270,15 @@ def test_no_home_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
         raise RuntimeError("Could not determine home directory.")
 
     monkeypatch.setattr(Path, "home", nobody)
-    assert cache_folder("compiled") is None
+    assert cache_folder() is None
     assert threaded(six_times)(np.arange(4.0)) == 18.0
 
 
 WRITES = """
 import sys, numpy as np
 from pathlib import Path
-from planner.jit import SealedFolder
-folder = SealedFolder(Path(sys.argv[1]))
+from planner.jit import CacheFolder
+folder = CacheFolder(Path(sys.argv[1]))
 for turn in range(150):
     folder.write("code", bytes([turn % 7]) * 200_000)
 """
@@ -286,7 +287,7 @@ for turn in range(150):
 def test_two_that_write_while_one_reads(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     command = [sys.executable, "-c", WRITES, str(tmp_path / "new" / "folder")]
     running = [subprocess.Popen(command, cwd=ROOT) for _ in range(2)]
-    folder, seen = SealedFolder(tmp_path / "new" / "folder"), 0
+    folder, seen = CacheFolder(tmp_path / "new" / "folder"), 0
     while any(process.poll() is None for process in running):
         content = folder.read("code")
         assert content is None or (len(content), len(set(content))) == (200_000, 1)
@@ -295,110 +296,82 @@ def test_two_that_write_while_one_reads(tmp_path: Path, caplog: pytest.LogCaptur
     assert not caplog.messages and [path.name for path in folder.path.iterdir()] == ["code.sealed"]
 
 
-def test_old_files_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "mrac-jax" / "compiled"
-    SealedFolder(path).write("old", b"old")
-    SealedFolder(path).write("used", b"used")
-    (path / "left.partial").write_bytes(b"half")
-    (path / "somebody.txt").write_bytes(b"else")
-    month_ago = time.time() - 31 * sealed.DAY
-    for one in path.iterdir():
+def test_old_files_are_removed(tmp_path: Path) -> None:
+    base = tmp_path / "mrac-jax" / "compiled"
+    for name in ("old", "used"):
+        CacheFolder(base / "one").write(name, b"content")
+        CacheFolder(base / name).write(name, b"content")
+    (base / "one" / "left.partial").write_bytes(b"half")
+    (base / "one" / "somebody.txt").write_bytes(b"else")
+    (base / "flat.sealed").write_bytes(b"of release 0.3")
+    month_ago = time.time() - KEPT_SECONDS - 1
+    for one in base.rglob("*.*"):
         os.utime(one, (month_ago, month_ago))
-    assert SealedFolder(path).read("used") == b"used"  # which makes it new
-    SealedFolder(path).write("new", b"new")
-    assert {one.name for one in path.iterdir()} == {"used.sealed", "new.sealed", "somebody.txt"}
-    monkeypatch.setattr(sealed, "MOST_BYTES", 120)
-    day_ago = time.time() - sealed.DAY / 2
-    os.utime(path / "used.sealed", (day_ago, day_ago))
-    SealedFolder(path).write("more", b"more" * 10)
-    SealedFolder(path).write("most", b"most" * 10)
-    assert {one.name for one in path.iterdir()} == {"more.sealed", "most.sealed", "somebody.txt"}
+    for folder in ("one", "used"):
+        assert CacheFolder(base / folder).read("used") == b"content"  # which makes it new
+    CacheFolder(base / "new").write("new", b"content")
+    left = {str(path.relative_to(base)) for path in base.rglob("*")}
+    assert left == {"one", "one/used.sealed", "one/somebody.txt", "used", "used/used.sealed", "new", "new/new.sealed"}
 
 
-@pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Two packages in which `planner.kernel` imports some modules and not `planner.world.scenario`."""
-    texts = {
-        "planner/__init__.py": "",
-        "planner/kernel.py": "from planner.mrac.paths import (\n    search,  # (best)\n)\nfrom . import near\n",
-        "planner/mrac/paths.py": "def search():\n    from mrac_jax.sub import deep\n",
-        "planner/near.py": "import mrac_jax.plain as plain\n",
-        "planner/world/scenario.py": "import yaml\nfrom planner import kernel\n",
-        "mrac_jax/__init__.py": "",
-        "mrac_jax/plain.py": "",
-        "mrac_jax/sub/__init__.py": "from .wide import everything\n",
-        "mrac_jax/sub/deep.py": "from ..leaf import one\n",
-        "mrac_jax/sub/wide.py": "everything = 1\n",
-        "mrac_jax/leaf.py": "one = 1\n",
-    }
-    for name, text in texts.items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(text)
-    monkeypatch.setattr(sources, "_folders", lambda room: (str(tmp_path / room),))
-    return tmp_path
+def test_the_hash_is_that_of_the_sources(tmp_path: Path) -> None:
+    hashes = [sources_hash(tmp_path)]
+    for pattern in SOURCES:
+        file = tmp_path / pattern.replace("*", "one")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        for text in ("", "1"):
+            file.write_text(text)
+            sources_hash.cache_clear()
+            hashes.append(sources_hash(tmp_path))
+    (tmp_path / "planner" / "files.py").write_text("")
+    sources_hash.cache_clear()
+    assert sources_hash(tmp_path) == hashes[-1] and len(set(hashes)) == len(hashes)
+    sources_hash.cache_clear()
 
 
-def kernel_hash(project: Path) -> str:
-    for function in (sources_hash, sources._read, sources.file_of):
-        function.cache_clear()
-    try:
-        return sources_hash("planner.kernel", str(project / "planner/kernel.py"))
-    finally:
-        for function in (sources_hash, sources._read, sources.file_of):
-            function.cache_clear()
+def names_in(code: CodeType) -> set[str]:
+    """Names that the code looks up, in inner functions too."""
+    inner = [names_in(constant) for constant in code.co_consts if isinstance(constant, CodeType)]
+    return set(code.co_names).union(*inner)
 
 
-def test_code_is_stale_when_what_it_imports_has_changed_and_only_then(project: Path) -> None:
-    for path in sorted(project.rglob("*.py")):
-        before = kernel_hash(project)
-        path.write_text(path.read_text() + "# changed\n")
-        of_no_use = path.name == "scenario.py" or path == project / "mrac_jax/__init__.py"
-        assert (kernel_hash(project) != before) != of_no_use, path
-
-
-def test_the_imports_that_the_parser_sees() -> None:
-    """Every import of this project's modules is seen without the parser, which would take too long at every start."""
-    for room in ("planner", "mrac_jax"):
-        for path in (ROOT / room).rglob("*.py"):
-            seen = {
-                name for name, _ in sources._read(".".join(path.relative_to(ROOT).with_suffix("").parts), str(path))[1]
-            }
-            for node in ast.walk(ast.parse(path.read_text())):
-                if isinstance(node, ast.Import):
-                    names = {alias.name for alias in node.names}
-                elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                    names = {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-                else:
-                    assert not isinstance(node, ast.ImportFrom), f"{path}: a relative import"
-                    continue
-                ours = {name for name in names if name.split(".")[0] in ROOMS and sources.file_of(name)}
-                assert ours <= seen, path
-
-
-def test_a_reader_of_files_throws_no_compiled_code_away() -> None:
-    assert len(KERNELS) > 8
-    readers = {
-        "planner.world.scenario",
-        "planner.world.raster_files",
-        "planner.world.threats",
-        "planner.plan.plan_file",
-        "planner.plan.state_file",
-    }
-    for path in KERNELS:
-        name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
-        seen, todo = set[str](), [(name, str(path))]
-        while todo:
-            one = todo.pop()
-            if one[0] not in seen:
-                seen.add(one[0])
-                todo += sources._read(*one)[1]
-        assert "planner.jit" in seen and not seen & readers, path
+def test_all_that_compiled_functions_use_is_in_the_hash() -> None:
+    """Functions and constants of this project that they look up, and named tuples that may be their arguments."""
+    hashed = {path.resolve() for pattern in SOURCES for path in ROOT.glob(pattern)}
+    functions = set[Any]()
+    for package in (planner, analysis.theory):
+        for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            module = importlib.import_module(found.name)
+            functions |= {value.py_func for value in vars(module).values() if isinstance(value, Dispatcher)}
+    todo, seen = list(functions), 0
+    while todo:
+        function = todo.pop()
+        tree = ast.parse(Path(function.__code__.co_filename).read_text())
+        origins = {
+            alias.asname or alias.name: node.module
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        modules = {function.__module__}
+        for name in names_in(function.__code__) & function.__globals__.keys():
+            value = inspect.unwrap(getattr(function.__globals__[name], "py_func", function.__globals__[name]))
+            modules |= {origins.get(name), getattr(value, "__module__", None)}
+            if inspect.isfunction(value) and value not in functions:
+                functions.add(value)
+                todo.append(value)
+        tuples = {value for value in function.__globals__.values() if hasattr(value, "_fields")}
+        for module in modules | {kind.__module__ for kind in tuples}:
+            if module is not None and module.partition(".")[0] in ("planner", "mrac_jax", "analysis"):
+                assert Path(sys.modules[module].__file__ or "").resolve() in hashed, (function, module)
+                seen += 1
+    assert seen > 400
 
 
 def test_notes_reach_standard_error_once_and_without_a_traceback(tmp_path: Path) -> None:
     (tmp_path / "mrac-jax").write_text("")
     script = "from planner.jit import *\n"
-    script += "f = SealedFolder(Path(sys.argv[1]))\nf.write('a', b'')\nf.write('b', b'')\n"
+    script += "f = CacheFolder(Path(sys.argv[1]))\nf.write('a', b'')\nf.write('b', b'')\n"
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
     done = subprocess.run(
         [sys.executable, "-c", "import sys\n" + script, str(tmp_path / "mrac-jax" / "compiled")],
