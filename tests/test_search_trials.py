@@ -468,8 +468,8 @@ def test_the_gain_is_told_on_other_luck(monkeypatch: pytest.MonkeyPatch) -> None
     """The race rolls out ids 0 .. USUAL - 1, and what is told the ids after them: their difference, worked out here."""
     monkeypatch.setattr(best, "USUAL", 1024)
     monkeypatch.setattr(best, "TRIES", 0.5)
-    world = random_world(10, 12, ThreatPattern("contiguous", seed=5))
-    plan = mrac.plan(world, 3, policy="best", seconds=60)
+    world = random_world(pattern=ThreatPattern("contiguous", seed=5))
+    plan = mrac.plan(world, 6, policy="best", seconds=60)
     paper = make_plan(world, plan.starts, Settings())
     loops = [compile_closed_loop(one, world) for one in (paper, plan)]
     visited = [run_range(loop, best.LUCK, 1024, 1024, singles=True)[1].visited for loop in loops]
@@ -477,7 +477,7 @@ def test_the_gain_is_told_on_other_luck(monkeypatch: pytest.MonkeyPatch) -> None
     said = re.search(r"([\d.]+) points ± ([\d.]+)", plan.notes[-1])
     assert said is not None
     assert abs(float(said[1]) - gain) < 2 * float(said[2])  # the control by luck moves it within its interval
-    again = mrac.plan(world, 3, policy="best", seconds=60)
+    again = mrac.plan(world, 6, policy="best", seconds=60)
     assert (again.settings, again.notes) == (plan.settings, plan.notes)
 
 

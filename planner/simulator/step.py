@@ -143,6 +143,12 @@ def decide(t, p, s, w, log, how, robot):
     """What the robot does in its turn: MOVES, RESTS, GAINS an area while it rests; NO_ROOM for areas."""
     if p is None:
         return fixed_paths.act(t, s, w, log, how, robot)
+    return decide_anew(t, p, s, w, log, how, robot)
+
+
+@rare_kernel
+def decide_anew(t, p, s, w, log, how, robot):
+    """The same by a rule that re-evaluates."""
     turn = replanning.act(t, p, s, w, log, how, robot)
     if turn == MOVES:
         cell = np.int64(s.robots[robot].next if s.marks.step > 0 else s.robots[robot].cell)
@@ -155,6 +161,19 @@ def decide(t, p, s, w, log, how, robot):
 @kernel
 def go_on_from(t, p, s, w, log, how, robot, cell):
     """What follows from the robot's move into the cell, which it survived: MOVES on, or it has decided; NO_ROOM."""
+    # LLVM takes minutes over a loop that holds the turns of a rule that re-evaluates: they are called, not inlined.
+    return arrive(t, p, s, w, log, how, robot, cell) if p is None else arrive_anew(t, p, s, w, log, how, robot, cell)
+
+
+@rare_kernel
+def arrive_anew(t, p, s, w, log, how, robot, cell):
+    """The same by a rule that re-evaluates."""
+    return arrive(t, p, s, w, log, how, robot, cell)
+
+
+@kernel
+def arrive(t, p, s, w, log, how, robot, cell):
+    """At the base, at the end of the robot's range, or at the next cell of its path."""
     if t.returns and s.robots[robot].doing == RETURNING:
         go_home(t, s, log, robot)
         return RESTS
