@@ -6,6 +6,7 @@ so that `if tables.returns and is_late(tables, state, robot)` costs a mission wi
 
 from __future__ import annotations
 
+import operator
 from typing import Any
 
 from numba.core import ir
@@ -32,22 +33,37 @@ class FoldAbsent(FunctionPass):
         for block in code.blocks.values():
             for assign in block.find_insts(ir.Assign):
                 value = assign.value
-                if isinstance(value, ir.Expr) and value.op == "getattr" and _is_absent(code, state.args, value):
-                    assign.value, found = ir.Const(False, assign.loc), True
+                constant = _constant(code, state.args, value) if isinstance(value, ir.Expr) else None
+                if constant is not None:
+                    assign.value, found = ir.Const(constant, assign.loc), True
                     known = code._definitions[assign.target.name]
                     known[known.index(value)] = assign.value
         return found
 
 
-def _is_absent(code: Any, kinds: Any, value: Any) -> bool:
-    of = guard(get_definition, code, value.value)
-    kind = kinds[of.index] if isinstance(of, ir.Arg) else None
-    kind = getattr(kind, "of", kind)
-    return (
-        isinstance(kind, BaseNamedTuple)
-        and value.attr in kind.fields
-        and isinstance(kind.types[kind.fields.index(value.attr)], NoneType)
-    )
+def _constant(code: Any, kinds: Any, value: Any) -> bool | None:
+    """What an expression on an argument is whatever its value; None: it depends on that."""
+    if value.op == "getattr":
+        kind = _kind_of_argument(code, kinds, value.value)
+        kind = getattr(kind, "of", kind)
+        fields = dict(zip(kind.fields, kind.types, strict=True)) if isinstance(kind, BaseNamedTuple) else {}
+        return False if isinstance(fields.get(value.attr), NoneType) else None
+    if value.op == "binop" and value.fn in (operator.is_, operator.is_not):
+        kind, other = _kind_of_argument(code, kinds, value.lhs), guard(get_definition, code, value.rhs)
+        # Numba drops the branch of an argument that is None, but not the other one of an argument that is not.
+        if (
+            isinstance(getattr(kind, "of", kind), BaseNamedTuple)
+            and isinstance(other, ir.Const)
+            and other.value is None
+        ):
+            return bool(value.fn is operator.is_not)
+    return None
+
+
+def _kind_of_argument(code: Any, kinds: Any, variable: Any) -> Any:
+    """The type of the argument that a variable is, None if it is none."""
+    of = guard(get_definition, code, variable)
+    return kinds[of.index] if isinstance(of, ir.Arg) else None
 
 
 @register_pass(mutates_CFG=False, analysis_only=False)

@@ -69,7 +69,7 @@ def moves(t, s, robot):
     moves_on(t, s, robot)
 
 
-@kernel
+@rare_kernel
 def decide(p, s, robot, area):
     """The area is the robot's first. Of one cell it stays so, however often it looks again, until an area comes.
 
@@ -213,7 +213,7 @@ def end_leg(t, p, s, w, log, how, robot):
     return 0
 
 
-@kernel
+@rare_kernel
 def arrive(t, p, s, w, log, how, robot, cell):
     """After the robot has entered the cell: its next leg, or its next area; answers as `share_or_rest`."""
     me = s.robots[robot]
@@ -246,7 +246,7 @@ def is_news(s, robot, cell):
     return home & VISITED == 0 and home >> AREA_BITS != s.robots[robot].area
 
 
-@kernel
+@rare_kernel
 def act(t, p, s, w, log, how, robot):
     """The robot's turn up to its move: MOVES, or RESTS, GAINS an area while it rests, NO_ROOM."""
     me, step, got = s.robots[robot], s.marks.step, RESTS

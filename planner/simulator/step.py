@@ -85,7 +85,11 @@ def advance(t, p, s, c, w, log, how, ids):
             left &= left - ONE
             if t.returns:
                 group.robot = robot
-            turn = decide(t, p, s, w, log, how, robot)
+            # Turns of a rule that re-evaluates are called, not inlined: LLVM takes minutes over one larger loop.
+            if p is None:
+                turn = fixed_paths.act(t, s, w, log, how, robot)
+            else:
+                turn = decide(t, p, s, w, log, how, robot)
             if turn == NO_ROOM:
                 return AREAS_FULL
             if turn != MOVES:
@@ -111,7 +115,10 @@ def advance(t, p, s, c, w, log, how, ids):
                 survive(s, c, cell)
                 if t.estimates:
                     take_note(t, s, cell)
-        turn = go_on_from(t, p, s, w, log, how, robot, cell)
+        if p is None:
+            turn = arrive(t, p, s, w, log, how, robot, cell)
+        else:
+            turn = arrive_called(t, p, s, w, log, how, robot, cell)
         if turn == NO_ROOM:
             return AREAS_FULL
         if turn != MOVES:  # others see at once what has changed
@@ -138,17 +145,9 @@ def acting(t, p, s, word, after):
     return robots & (~np.uint64(1) << np.uint64(after)) if after >= 0 else robots
 
 
-@kernel
-def decide(t, p, s, w, log, how, robot):
-    """What the robot does in its turn: MOVES, RESTS, GAINS an area while it rests; NO_ROOM for areas."""
-    if p is None:
-        return fixed_paths.act(t, s, w, log, how, robot)
-    return decide_anew(t, p, s, w, log, how, robot)
-
-
 @rare_kernel
-def decide_anew(t, p, s, w, log, how, robot):
-    """The same by a rule that re-evaluates."""
+def decide(t, p, s, w, log, how, robot):
+    """The turn of a robot by a rule that re-evaluates, up to its move: as `replanning.act`."""
     turn = replanning.act(t, p, s, w, log, how, robot)
     if turn == MOVES:
         cell = np.int64(s.robots[robot].next if s.marks.step > 0 else s.robots[robot].cell)
@@ -158,22 +157,15 @@ def decide_anew(t, p, s, w, log, how, robot):
     return turn
 
 
-@kernel
-def go_on_from(t, p, s, w, log, how, robot, cell):
-    """What follows from the robot's move into the cell, which it survived: MOVES on, or it has decided; NO_ROOM."""
-    # LLVM takes minutes over a loop that holds the turns of a rule that re-evaluates: they are called, not inlined.
-    return arrive(t, p, s, w, log, how, robot, cell) if p is None else arrive_anew(t, p, s, w, log, how, robot, cell)
-
-
 @rare_kernel
-def arrive_anew(t, p, s, w, log, how, robot, cell):
-    """The same by a rule that re-evaluates."""
+def arrive_called(t, p, s, w, log, how, robot, cell):
+    """`arrive`, not inlined."""
     return arrive(t, p, s, w, log, how, robot, cell)
 
 
 @kernel
 def arrive(t, p, s, w, log, how, robot, cell):
-    """At the base, at the end of the robot's range, or at the next cell of its path."""
+    """What follows from the robot's move into the cell, which it survived: MOVES on, or it has decided; NO_ROOM."""
     if t.returns and s.robots[robot].doing == RETURNING:
         go_home(t, s, log, robot)
         return RESTS
