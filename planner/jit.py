@@ -205,8 +205,9 @@ KNOWN = "0.68."
 UNCOUNTED: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
 PART = PROGRAM = FeatureCompiler
 if numba.__version__.startswith(KNOWN):
-    from planner.jit_parts import PartCompiler as PART
-    from planner.jit_parts import ProgramCompiler as PROGRAM
+    from planner import jit_parts
+
+    PART, PROGRAM = jit_parts.PartCompiler, jit_parts.ProgramCompiler
 WITHIN: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": PART}
 Function = TypeVar("Function", bound=Callable[..., Any])
 

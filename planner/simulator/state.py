@@ -98,7 +98,7 @@ IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING, RETURNING, CHARGING = map(int,
 LANDING, STARTING = range(len(Doing), len(Doing) + 2)
 """What a robot does besides: it has not entered its start yet, and has no area, or has one."""
 COMPLETE, ALL_ROBOTS_LOST, NO_PROGRESS, STEP_LIMIT, _, NOT_WORTH_THE_RISK, _, _ = map(int, Outcome)
-AREAS_FULL, PARTED, CUT = -1, -2, -3
+PARTED, CUT, AREAS_FULL = -2, -3, -4  # none of them is NONE
 """Why a run ends before its time: no room for its areas; some of its rollouts were hit; all of its mass was left."""
 FAR = 2**63 - 1
 NO_LEVEL = 2**31 - 1

@@ -86,7 +86,7 @@ def advance(t, p, s, c, w, log, how, ids):
             if t.returns:
                 group.robot = robot
             # Turns of a rule that re-evaluates are called, not inlined: LLVM takes minutes over one larger loop.
-            if p is None:
+            if p is None:  # noqa: SIM108 - a branch that Numba drops
                 turn = fixed_paths.act(t, s, w, log, how, robot)
             else:
                 turn = decide(t, p, s, w, log, how, robot)
