@@ -70,13 +70,14 @@ def moves(t, s, robot):
 
 
 @rare_kernel
-def decide(p, s, robot, area):
+def decide(t, p, s, robot, area):
     """The area is the robot's first. Of one cell it stays so, however often it looks again, until an area comes.
 
     A step on the way of cost e makes the area cheaper by e, others by e at most, and by less per cell where they have
     more cells; what others visit makes none better. Where areas are refused one may be accepted from nearby.
     """
-    sure = p.by_price and not (p.limited or p.breaks_off)
+    # Of a robot that returns to base the areas within its range change by themselves.
+    sure = p.by_price and not (p.limited or p.breaks_off or t.returns)
     stays_first = sure and len(p.value) == 0 and s.areas[area].left == 1
     s.robots[robot].sure = s.marks.arrivals if stays_first else NONE
 
@@ -84,7 +85,7 @@ def decide(p, s, robot, area):
 @kernel
 def take(t, p, s, w, log, robot, area, target):
     give(s, robot, area)
-    decide(p, s, robot, area)
+    decide(t, p, s, robot, area)
     moves(t, s, robot)
     head_for(t, s, w, robot, target)
     note(log, s, robot, ALLOCATED_EVENT, area, target)
@@ -157,7 +158,7 @@ def look_again(t, p, s, w, log, robot):
     area, target, cost = first_area(t, p, s, w, robot, own, np.bool_(True))
     waits = p.breaks_off and area != NONE and has_to_wait(t, p, s, w, robot, area, cost)
     if area == own and not waits:
-        decide(p, s, robot, own)
+        decide(t, p, s, robot, own)
         return 0
     note(log, s, robot, LOOKED_AGAIN_EVENT, own, s.robots[robot].next)
     # Its own area goes back into the pool before it takes another: somebody else may want it.

@@ -107,6 +107,7 @@ def advance(t, p, s, c, w, log, how, ids):
             verdict = ACTS
             if not lose(t, s, c, w, log, robot):
                 return AREAS_FULL
+            unsettle(s)  # prices may depend on the robots alive
             left = np.uint64(0) if t.moving and is_meeting(s) else acting(t, p, s, word, robot % WORD)
             continue
         if verdict == PASSED:
