@@ -104,22 +104,16 @@ def _named(policy: Policy) -> str:
     return policy if isinstance(policy, str) else "the policy"
 
 
-def not_compiled(policies: Iterable[Policy]) -> list[Policy]:
-    """These policies, if no compiled simulator is in the cache."""
+@contextmanager
+def compiling_elsewhere(policies: Iterable[Policy]) -> Iterator[None]:
+    """While this goes on, processes of ours compile the simulators of those policies, if none is in the cache."""
     from planner.jit import is_cached
     from planner.simulator.rollouts import run_set
 
-    return [] if is_cached(run_set) else list(policies)
-
-
-@contextmanager
-def compiling_elsewhere(policies: Iterable[Policy]) -> Iterator[None]:
-    """While this goes on, processes of ours compile the simulators of those policies that are not in the cache."""
-    missing = not_compiled(policies)
-    if not missing:
+    if is_cached(run_set):
         yield
         return
-    ANNOUNCER.what = " and ".join(map(_named, missing))
+    ANNOUNCER.what = " and ".join(map(_named, policies))
     ANNOUNCER.begins()
     try:
         yield
