@@ -558,8 +558,8 @@ Part = Callable[..., int]
 
 
 @program
-def parted(ids, words, key0, key1, counter, limit, turned):  # type: ignore[no-untyped-def]
-    return part_many(ids, words, key0, key1, counter, limit, turned)
+def parted(ids, words, key0, key1, counter, limit):  # type: ignore[no-untyped-def]
+    return part_many(ids, words, key0, key1, counter, limit)
 
 
 def check(part: Part, sizes: range) -> int:
@@ -571,9 +571,8 @@ def check(part: Part, sizes: range) -> int:
             around = random.integers(2**32, size=size + 2, dtype=np.uint32)
             ids, words = around.copy(), np.zeros(size, dtype=np.uint32)
             mine: NDArray[np.uint32] = around[1:-1]
-            turned = np.uint32(0 if size % 2 else 2**32 - 1)
-            hit = threefry2x32((int(key0), int(key1)), mine, counter)[0] ^ turned >= limit
-            kept = part(ids[1:-1], words, key0, key1, counter, limit, turned)
+            hit = threefry2x32((int(key0), int(key1)), mine, counter)[0] >= limit
+            kept = part(ids[1:-1], words, key0, key1, counter, limit)
             assert kept == size - hit.sum()
             assert ids.tolist() == [around[0], *mine[~hit], *mine[hit], around[-1]], (size, limit)
             hits += int(hit.sum())

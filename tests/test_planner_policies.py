@@ -29,7 +29,7 @@ from planner.errors import InputError, PlanError, WorldError
 from planner.mrac import executive as executive_module
 from planner.mrac.choose import first_area
 from planner.mrac.executive import Executive
-from planner.mrac.make_plan import make_plan
+from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import ReferenceLoop, Run, never_hit, play_step
 from planner.plan.plan import Plan
@@ -271,12 +271,12 @@ def test_an_own_area_that_is_not_offered_is_seen(monkeypatch: pytest.MonkeyPatch
             compare_traces(fixture.world, plan, range(6))
 
 
-def test_a_rule_that_is_no_arithmetic_is_refused() -> None:
+@pytest.mark.parametrize("cost", [lambda offer: offer._asdict()["cost"], lambda offer: offer.cost * 0.5])
+def test_a_rule_that_is_no_whole_number_arithmetic_is_refused(cost: Any) -> None:
     world = World.create(LINE)
-    plan = make_plan(
-        world, [[0, 0]], Settings(policy=Rule("odd", lambda offer: ((offer._asdict()["cost"], 1), (0, 1))))
-    )
-    with pytest.raises(PlanError, match="the order of rule odd cannot be compiled"):
+    rule = Rule("odd", lambda offer: ((cost(offer), 1), (0, 1)))
+    plan = allocated_plan(world, [[0, 0]], Settings(policy=rule))
+    with pytest.raises(PlanError, match="the order of rule odd cannot be compiled; expected whole-number arithmetic"):
         compile_closed_loop(plan, world)
 
 

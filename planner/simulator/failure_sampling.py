@@ -32,16 +32,16 @@ BYTE, WORD, PLACE = ir.IntType(8), ir.IntType(32), ir.IntType(64)
 WORDS = ir.VectorType(WORD, GROUP)
 
 
-def part_lanes(ids, words, at, gone, keys, counter, limits, lanes):
+def part_lanes(ids, words, at, gone, keys, counter, limit, lanes):
     """Draw for the `ids` uint32 `[B]` from `at` on, as many as the tuple `lanes` is long, a multiple of GROUP.
 
     Of the first `at`, `gone` were hit and are in `words` `[B]`. Who is not hit goes behind the others, to
     `ids[at - gone:]`, who is to `words[gone:]`, both in their order; returns how many were hit. What is behind those
-    put there, up to `at + len(lanes)`, is scratch. `keys`, `counter`: of Threefry; `limits`: the word from which on it
-    hits, and which of its bits are turned over before.
+    put there, up to `at + len(lanes)`, is scratch. `keys`, `counter`: of Threefry; `limit`: the word from which on the
+    robot is lost.
     """
     mine = ids[at : at + len(lanes)].copy()
-    hit = threefry2x32(keys, mine, counter)[0] ^ limits[1] >= limits[0]
+    hit = threefry2x32(keys, mine, counter)[0] >= limit
     count = np.count_nonzero(hit)
     ids[at - gone : at - gone + len(mine) - count] = mine[~hit]
     words[gone : gone + count] = mine[hit]
@@ -49,9 +49,9 @@ def part_lanes(ids, words, at, gone, keys, counter, limits, lanes):
 
 
 @overload(part_lanes)
-def _compiled_part_lanes(ids, words, at, gone, keys, counter, limits, lanes):
-    def part(ids, words, at, gone, keys, counter, limits, lanes):
-        return _part_lanes(ids, words, at, gone, keys, counter, limits, lanes)
+def _compiled_part_lanes(ids, words, at, gone, keys, counter, limit, lanes):
+    def part(ids, words, at, gone, keys, counter, limit, lanes):
+        return _part_lanes(ids, words, at, gone, keys, counter, limit, lanes)
 
     return part
 
@@ -59,18 +59,16 @@ def _compiled_part_lanes(ids, words, at, gone, keys, counter, limits, lanes):
 @intrinsic
 def _part_lanes(
     typing_context: Any,
-    ids: Any, words: Any, at: Any, gone: Any, keys: Any, counter: Any, limits: Any, lanes: Any,
+    ids: Any, words: Any, at: Any, gone: Any, keys: Any, counter: Any, limit: Any, lanes: Any,
 ) -> Any:  # fmt: skip
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         ids, words = (context.make_array(signature.args[i])(context, builder, args[i]).data for i in (0, 1))
-        at, gone, keys, counter, limits = args[2:7]
+        at, gone, keys, counter, limit = args[2:7]
         kept = builder.sub(at, gone)
         permutes = "+avx2" in context.codegen().magic_tuple()[2].split(",")
         put = _put_permuted if permutes else _put_each
         mine = builder.load(_vector_at(builder, ids, at, ir.VectorType(WORD, len(lanes))), align=4)
-        hit = _draw(
-            builder, mine, cgutils.unpack_tuple(builder, keys, 2), counter, cgutils.unpack_tuple(builder, limits, 2)
-        )
+        hit = _draw(builder, mine, cgutils.unpack_tuple(builder, keys, 2), counter, limit)
         for first in range(0, len(lanes), GROUP):
             group = ir.Constant(WORDS, list(range(first, first + GROUP)))
             some, hit_some = (builder.shuffle_vector(vector, vector, group) for vector in (mine, hit))
@@ -82,14 +80,14 @@ def _part_lanes(
         return builder.sub(gone, args[3])
 
     place = types.int64
-    return place(ids, words, place, place, keys, types.uint32, limits, lanes), generate
+    return place(ids, words, place, place, keys, types.uint32, limit, lanes), generate
 
 
 def _vector_at(builder: Any, data: Any, place: Any, kind: Any) -> Any:
     return builder.bitcast(builder.gep(data, [place]), kind.as_pointer())
 
 
-def _draw(builder: Any, ids: Any, keys: Any, counter: Any, limits: Any) -> Any:
+def _draw(builder: Any, ids: Any, keys: Any, counter: Any, limit: Any) -> Any:
     """Who is hit, a bit a lane, by the first of Threefry's words."""
     kind, (key0, key1) = ids.type, keys
 
@@ -110,7 +108,7 @@ def _draw(builder: Any, ids: Any, keys: Any, counter: Any, limits: Any) -> Any:
             x1 = builder.xor(builder.call(turn, [x1, x1, constant(rotation)]), x0)
         x0 = builder.add(x0, in_all(schedule[(part + 1) % 3]))
         x1 = builder.add(x1, in_all(builder.add(schedule[(part + 2) % 3], WORD(part + 1))))
-    return builder.icmp_unsigned(">=", builder.xor(x0, in_all(limits[1])), in_all(limits[0]))
+    return builder.icmp_unsigned(">=", x0, in_all(limit))
 
 
 def _put_permuted(builder: Any, some: Any, hit: Any, ids: Any, kept: Any, words: Any, gone: Any) -> None:
@@ -148,7 +146,6 @@ register_jitable(**UNCOUNTED)(unworn)
 
 MANY, SOME = (0,) * (4 * GROUP), (0,) * GROUP
 """As many lanes as keep a core busy, and as few as are worth it."""
-NO_BITS, ALL_BITS = np.uint32(0), np.uint32(2**32 - 1)
 
 
 @program
@@ -221,12 +218,12 @@ def mass_stopped(t, s, robot, place, mass):
 
 
 @kernel
-def stopped_from(t, s, c, w, how, ids, step, robot, cell, place):
-    """Part the set's ids at a visit, who is not stopped first, both in their order; where those who are begin.
+def stopped_from(t, s, c, w, how, ids, robot, cell, place):
+    """Sort the ids of the group at a visit: rollouts in which the robot survives first, both parts in their order.
 
-    A rollout's word stops the robot from a limit on, the same for the whole set; its bits are turned over where small
-    ones are to stop. By tolerance the word is the robot's, and none but who may be at the end of it is looked at.
-    A tree has no ids: as many of its mass are stopped as the chance says. `place`: of the visit (`visit_of`).
+    Returns where the rollouts that lose the robot begin. Its random word in a rollout decides, by a limit for the whole
+    group; no word is drawn while the hazard is below the lowest threshold that is known. A tree has no ids: of its mass
+    as much is lost as the chance says. `place`: of the visit (`visit_of`).
     """
     first, last = s.marks.first, s.marks.last
     if how.cut > 0:
@@ -234,7 +231,7 @@ def stopped_from(t, s, c, w, how, ids, step, robot, cell, place):
         return last - mass_stopped(t, s, robot, place, last - first)
     # What is true of the cell differs from rollout to rollout, so no limit serves the whole set.
     if t.doubtful:
-        return part_in_doubt(t, ids, w, how, first, last, step, robot, cell)
+        return part_in_doubt(t, ids, w, how, first, last, robot, cell)
     s.robots[robot].borne += t.exposure[place]
     borne = fresh(t, robot, s.robots[robot].borne)
     # Most visits end here, whatever the size of the set.
@@ -256,15 +253,15 @@ def draw_group(s, w, how, ids, robot, borne):
         return hit_from
     # Who goes on bears more than this; how much more is not worth finding out for many.
     s.robots[robot].bears = borne + 1
-    return part(ids, w.words, how, first, last, np.uint32(robot), np.uint32(least_word(borne)), NO_BITS)
+    return part(ids, w.words, how, first, last, np.uint32(robot), np.uint32(least_word(borne)))
 
 
 @kernel
-def part(ids, words, how, first, last, counter, limit, turned):
-    """Part `ids[first:last]` in place by their words; `turned`: bits of them that are turned over."""
+def part(ids, words, how, first, last, counter, limit):
+    """Sort `ids[first:last]` in place by their words."""
     if last - first == 1:
-        return first if threefry(how.key0, how.key1, ids[first], counter)[0] ^ turned >= limit else last
-    return first + part_many(ids[first:last], words[: last - first], how.key0, how.key1, counter, limit, turned)
+        return first if threefry(how.key0, how.key1, ids[first], counter)[0] >= limit else last
+    return first + part_many(ids[first:last], words[: last - first], how.key0, how.key1, counter, limit)
 
 
 @rare_kernel
@@ -282,33 +279,32 @@ def part_few(ids, words, how, first, last, robot, borne):
 
 
 @rare_kernel
-def part_many(ids, words, key0, key1, counter, limit, turned):
+def part_many(ids, words, key0, key1, counter, limit):
     """The same for all of `ids` `[B]`, with scratch like it."""
     # Four vectors at a time hide the latency of Threefry's chain; one at a time takes most of the rest.
-    at, gone = _part_by(ids, words, 0, 0, (key0, key1), counter, (limit, turned), MANY)
-    at, gone = _part_by(ids, words, at, gone, (key0, key1), counter, (limit, turned), SOME)
+    at, gone = _part_by(ids, words, 0, 0, (key0, key1), counter, limit, MANY)
+    at, gone = _part_by(ids, words, at, gone, (key0, key1), counter, limit, SOME)
     for index in range(at, len(ids)):
         one = ids[index]
         ids[index - gone], words[gone] = one, one
-        gone += np.int64(threefry(key0, key1, one, counter)[0] ^ turned >= limit)
+        gone += np.int64(threefry(key0, key1, one, counter)[0] >= limit)
     return _join(ids, words, gone)
 
 
 @kernel
-def _part_by(ids, words, at, gone, keys, counter, limits, lanes):
+def _part_by(ids, words, at, gone, keys, counter, limit, lanes):
     """`part_lanes` from `at` on for as long as there are so many; where it ends, and how many are hit by then."""
     while at + len(lanes) <= len(ids):
-        gone += part_lanes(ids, words, at, gone, keys, counter, limits, lanes)
+        gone += part_lanes(ids, words, at, gone, keys, counter, limit, lanes)
         at += len(lanes)
     return at, gone
 
 
 @rare_kernel
-def part_in_doubt(t, ids, w, how, first, last, step, robot, cell):
-    """`stopped_from` where what is true of the cell is drawn for each rollout too: see
-    `planner.world.uncertain_maps.Draws`.
+def part_in_doubt(t, ids, w, how, first, last, robot, cell):
+    """`stopped_from` on an uncertain map: each rollout draws the cell too (`planner.world.uncertain_maps.Draws`).
 
-    By tolerance what is left of a robot's is kept for every rollout.
+    The remaining threshold of each robot is kept for every rollout.
     """
     mine, room = ids[first:last], w.words[: last - first]
     for index in range(len(mine)):

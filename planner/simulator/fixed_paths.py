@@ -63,7 +63,7 @@ def would_be_charged(t, s, w, robot):
 def settle(t, s, w, log, how, robot):
     """What a robot does at the end of its path or leg, or while it waits, all of it in the same step.
 
-    1 if it got an area, 0 if not, NONE if there is no room for more areas.
+    Returns GAINS if it got an area, RESTS if not, NO_ROOM if there is no room for more areas.
     """
     robots = s.robots
     got = 0
@@ -112,7 +112,7 @@ def settle(t, s, w, log, how, robot):
 
 @rare_kernel
 def set_right(t, s, w, log, how, robot):
-    """Who has nothing left to do decides, whose way is not as it was sets out anew; answers as `settle`."""
+    """After a map update a robot with nothing left to do decides, one whose path changed sets out anew; as `settle`."""
     me = s.robots[robot]
     area = np.int64(me.area)
     if s.areas[area].left == 0:

@@ -162,14 +162,9 @@ class ClosedLoop:
         return len(self.tables.own_counter) > 0
 
     @property
-    def keeps_tolerances(self) -> bool:
-        """True if what is left of each robot's tolerance is kept for every rollout: they bear different things."""
-        return self.in_doubt
-
-    @property
     def keeps_apart(self) -> bool:
         """True if something is kept for every rollout."""
-        return self.keeps_tolerances or self.movers is not None or self.runs_alone
+        return self.in_doubt or self.movers is not None or self.runs_alone
 
     @cached_property
     def _first(self) -> dict[int, State]:

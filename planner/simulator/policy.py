@@ -42,14 +42,15 @@ def as_function(rule: Rule) -> Any:
 
     def number(which, level, cost, unvisited, entry, value, beyond, frontier, surcharge):
         (one, two), (three, four) = order(Offer(level, cost, unvisited, entry, value, beyond, frontier, surcharge))
-        return np.int64(one if which == 0 else two if which == 1 else three if which == 2 else four)
+        # A float has no `|`: an order that is not of whole numbers does not compile, instead of being cut to them.
+        return (one if which == 0 else two if which == 1 else three if which == 2 else four) | 0
 
     try:
         return numba.cfunc(OF_OFFER, error_model="numpy")(number)
     except NumbaError as error:
         raise PlanError(
             f"the order of rule {rule.name} cannot be compiled",
-            expected="arithmetic of an Offer: two pairs (numerator, denominator)",
+            expected="whole-number arithmetic of an Offer: two pairs (numerator, denominator)",
             fix="roll it out with planner.mrac.simulate.ReferenceLoop",
         ) from error
 

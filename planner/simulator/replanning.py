@@ -31,7 +31,6 @@ from planner.simulator.policy import is_danger, offer_of
 from planner.simulator.return_home import charge, may_be_charged, turn_home, turns
 from planner.simulator.robot_types import drives_back, hears
 from planner.simulator.state import (
-    ACTS,
     AREA_BITS,
     CHARGING,
     COVERING,
@@ -50,8 +49,8 @@ from planner.simulator.state import (
 
 @kernel
 def begin(t, s, w):
-    """Before t = 0: who has an area knows the way to it. What is under way began long ago."""
-    if s.marks.step > 0 or s.marks.verdict != ACTS:
+    """Before t = 0: a robot with an area knows the way to it. A mission from a state began before."""
+    if s.marks.step > 0:
         return
     for robot in range(len(s.robots)):
         if s.robots[robot].doing == STARTING:
@@ -69,9 +68,9 @@ def moves(t, s, robot):
     moves_on(t, s, robot)
 
 
-@rare_kernel
-def decide(t, p, s, robot, area):
-    """The area is the robot's first. Of one cell it stays so, however often it looks again, until an area comes.
+@kernel
+def settle_on(t, p, s, robot, area):
+    """The area is the robot's first choice. An area of one cell stays so until another area becomes unassigned.
 
     A step on the way of cost e makes the area cheaper by e, others by e at most, and by less per cell where they have
     more cells; what others visit makes none better. Where areas are refused one may be accepted from nearby.
@@ -85,7 +84,7 @@ def decide(t, p, s, robot, area):
 @kernel
 def take(t, p, s, w, log, robot, area, target):
     give(s, robot, area)
-    decide(t, p, s, robot, area)
+    settle_on(t, p, s, robot, area)
     moves(t, s, robot)
     head_for(t, s, w, robot, target)
     note(log, s, robot, ALLOCATED_EVENT, area, target)
@@ -158,7 +157,7 @@ def look_again(t, p, s, w, log, robot):
     area, target, cost = first_area(t, p, s, w, robot, own, np.bool_(True))
     waits = p.breaks_off and area != NONE and has_to_wait(t, p, s, w, robot, area, cost)
     if area == own and not waits:
-        decide(t, p, s, robot, own)
+        settle_on(t, p, s, robot, own)
         return 0
     note(log, s, robot, LOOKED_AGAIN_EVENT, own, s.robots[robot].next)
     # Its own area goes back into the pool before it takes another: somebody else may want it.

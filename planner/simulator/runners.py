@@ -332,7 +332,7 @@ class Runner:
         for at in range(first, stop, most):
             ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
             log.events[:1], self.work.begin[0] = 0, at
-            if self._loop.keeps_tolerances:
+            if self._loop.in_doubt:
                 self.work.left[: len(ids)] = self._loop.bearing.tolerances(self._seed, ids, self._loop.robots)
             if self._loop.movers is not None:
                 self.work.at[: len(ids)] = self._loop.first_places(self._seed, ids)

@@ -20,10 +20,10 @@ from planner.simulator.visits import count_new
 
 @kernel
 def only_mover(t, p, s, log):
-    """The robot that alone can do something until the next hit, NONE if there are several, or none.
+    """The only robot that can act until the next loss; NONE if several can, or none.
 
-    Also NONE where robots are of several speeds or types, what it does is written down, its visits are counted, threats
-    move or change, or it looks about, or for its way home, every step.
+    Also NONE where every step matters: robots differ in speed or type, a trace or survived visits are kept, threats
+    move or change, robots learn or return to base.
     """
     bits = s.movers[0]
     # bits & (bits - 1) takes the lowest bit away: 0 if it was the only one. One word of robots is enough for most
@@ -41,11 +41,11 @@ def only_mover(t, p, s, log):
 
 @kernel
 def bears(t, s, how, robot, cell):
-    """Whether it is known that a visit of the dangerous cell stops nobody of the set; the robot has then borne it."""
+    """Whether no rollout of the group loses the robot in the dangerous cell; its hazard then includes the visit."""
     # Where only robots that were lost have been, a further visit may be the first that a robot survives.
     if t.doubtful or how.first_only or s.home[cell] & (VISITED | SURVIVED) == VISITED:
         return False
-    # The robot's own sum decides, not this visit: below the least tolerance of the set nobody is looked at.
+    # The cumulative hazard decides, not this visit: below the lowest threshold of the group no word is drawn.
     borne = s.robots[robot].borne + t.exposure[own(t, robot, cell)]
     if fresh(t, robot, borne) >= s.robots[robot].bears:
         return False
@@ -55,9 +55,9 @@ def bears(t, s, how, robot, cell):
 
 @kernel
 def walk_path(t, s, c, w, how, robot, step, size):
-    """Steps after `step` in which a robot just moves, nobody else does; the last of them.
+    """The last of the steps after `step` in which the robot only moves, and no other robot acts.
 
-    Before whatever else can happen (a hit, the end of an area or of a path) it stops.
+    It stops before anything else can happen: a loss, the end of an area or of a path.
     """
     # What changes at every step is kept in registers, and written back where somebody else reads it.
     me = s.robots[robot]
@@ -107,9 +107,9 @@ def walk_path(t, s, c, w, how, robot, step, size):
 
 @kernel
 def walk_watching(t, p, s, c, w, how, robot, step, size):
-    """Steps after `step` in which a robot just moves over safe cells, nobody else does; the last of them.
+    """The last of the steps after `step` in which the robot only moves over safe cells, and no other robot acts.
 
-    Before whatever else can happen, or has to be noticed, it stops.
+    It stops before anything else can happen, or has to be noticed.
     """
     me, stop = s.robots[robot], min(how.max_steps, s.robots[robot].until)
     while step + 1 < stop and not notices(t, p, s, robot):

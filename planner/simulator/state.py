@@ -99,12 +99,12 @@ LANDING, STARTING = range(len(Doing), len(Doing) + 2)
 """What a robot does besides: it has not entered its start yet, and has no area, or has one."""
 COMPLETE, ALL_ROBOTS_LOST, NO_PROGRESS, STEP_LIMIT, _, NOT_WORTH_THE_RISK, _, _ = map(int, Outcome)
 PARTED, CUT, AREAS_FULL = -2, -3, -4  # none of them is NONE
-"""Why a run ends before its time: no room for its areas; some of its rollouts were hit; all of its mass was left."""
+"""Why a run stops before its end: its group splits; all of its mass is below the cut; there is no room for areas."""
 FAR = 2**63 - 1
 NO_LEVEL = 2**31 - 1
+"""The level of `State.lowest` where no area is unassigned."""
 NOWHERE_LEVEL = 2**16 - 1
-"""Of no area."""
-"""The level of `State.lowest` before it is told where no area is unassigned."""
+"""The level of cells that are in no area."""
 
 RANKED = 128
 """Cells that `Tables.ranked` holds for each cell: a robot in a safe area mostly finds its next cell among them; and
@@ -147,22 +147,16 @@ class Tables(NamedTuple):
             learn it; belief: int16 `[A]`, what they believe before the first step; price: int64 `[L]`, cost of entering
             a cell of each level; in_view: like near, what is seen from each cell, from `view_begin` int64 `[A + 1]` on
             (`planner.simulator.map_belief`). Cells that they come to believe to be within reach are accessible here,
-            and
-            `entry` is of before the first step. All empty where they are told.
-        odds, survival, step: int64 `[A]`, what robots that learn about hazards go by (`planner.world.map_knowledge`),
-        whose
-            `truths` are its classes; lessons: int64 `[LESSONS]`, the rest of it. Else empty.
-        phases: int64 `[P]`, the step at which each phase begins, of threats that change
-        (`planner.simulator.map_belief`):
-            then bound, exposure and chance are `[P A]`, phase by phase, and truths what is true in each; else empty.
-        bound: uint32 `[A]`, a visit stops the robot iff the 24 leading bits of its word are below this. Where the map
-            is in doubt no rollout has a larger one; own_counter, there, column `[A]` and table say how it is drawn, as
-            `planner.world.uncertain_maps.Draws` does; else they are empty. spent: uint64 `[A / 64]`, no bits, where
-            the first
-            hit makes a cell harmless; else empty.
-        exposure: int64 `[A]`, what a visit adds to a robot's exposure (`planner.failure_model`), where in doubt the
-        most;
-            doses: int64 `[M, C]`, that of every chance in `table`. Empty where luck is by step.
+            and `entry` is of before the first step. All empty where the map is known.
+        odds, survival, step: int64 `[A]`, evidence on latent hazards (`planner.world.map_knowledge`), whose classes are
+            `truths`; lessons: int64 `[LESSONS]`, the rest of it. Else empty.
+        phases: int64 `[P]`, the step at which each phase of changing threats begins (`planner.simulator.map_belief`):
+            then bound, exposure and chance are `[P A]`, phase by phase, and truths the levels of each; else empty.
+        bound: uint32 `[A]`, 0 where no visit destroys a robot, in any rollout. own_counter, there and column `[A]` say
+            how an uncertain cell is drawn, as `planner.world.uncertain_maps.Draws` does; else they are empty. spent:
+            uint64 `[A / 64]`, no bits, where the first loss makes a cell harmless; else empty.
+        exposure: int64 `[A]`, what a visit adds to a robot's cumulative hazard (`planner.failure_model`), the most
+            where the cell is uncertain; doses: int64 `[M, C]`, that of every chance in the table of `Draws`.
         chance: float64 `[A]`, p, by which a tree parts.
         nodes, times, begun: what robots bear, if that is not plain (`planner.failure_model`), else empty: `wear_nodes`;
             int64 `[K]`, susceptibilities; int64 `[K]`, what each has borne before, to a fresh robot.
@@ -220,7 +214,6 @@ class Tables(NamedTuple):
     kind_begin: NDArray
     own_counter: NDArray
     there: NDArray
-    table: NDArray
     column: NDArray
     spent: NDArray
     doses: NDArray

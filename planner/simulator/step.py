@@ -54,7 +54,7 @@ def advance(t, p, s, c, w, log, how, ids):
     """Run the group until its end, an Outcome, or until it splits: PARTED. CUT, AREAS_FULL: as they say."""
     group, robots, verdict = s.marks, s.robots, s.marks.verdict
     robot, cell = np.int64(group.robot), np.int64(robots[group.robot].cell)
-    # Robots of a word that are still to act in this step.
+    # Bits of the robots of this word that still act in this step.
     word = robot // WORD
     left = acting(t, p, s, word, robot % WORD if verdict != ACTS else NONE)
     if verdict == ACTS and p is not None:
@@ -122,13 +122,13 @@ def advance(t, p, s, c, w, log, how, ids):
             turn = arrive_called(t, p, s, w, log, how, robot, cell)
         if turn == NO_ROOM:
             return AREAS_FULL
-        if turn != MOVES:  # others see at once what has changed
+        if turn != MOVES:  # later robots of this step see what has changed
             left = acting(t, p, s, word, robot % WORD)
 
 
 @kernel
 def forget(t, p, s, w):
-    """Scratch of the thread may be of another group: it is made this one's."""
+    """Make the scratch of the thread, which may be of another group, that of this one."""
     if p is not None:
         for robot in range(len(s.robots)):
             w.kept[robot, 0] = NONE
@@ -256,7 +256,7 @@ def learn(t, p, s, w, log, how, ids):
 
 @kernel
 def is_over(t, s):
-    """How there is nothing more to be done, NONE: there is (SPEC section 5's order)."""
+    """The outcome if nothing is left to be done, in the order of SPEC section 5; else NONE."""
     if is_complete(t, s):
         return COMPLETE
     if s.marks.alive == 0:
@@ -277,7 +277,7 @@ def awaits_update(t, s):
 
 @kernel
 def end_of(t, s, how):
-    """How the run ends after this step, NONE if it goes on."""
+    """The outcome if the run ends after this step, else NONE."""
     if t.returns:
         return end_at_home(t, s, how)
     over = is_over(t, s)
@@ -286,7 +286,7 @@ def end_of(t, s, how):
 
 @rare_kernel
 def end_at_home(t, s, how):
-    """The same where robots come home."""
+    """`end_of` where robots return to base."""
     over = s.marks.over - 1
     if s.marks.alive == 0:  # on the way home too, whatever ended the mission
         over = ALL_ROBOTS_LOST

@@ -281,9 +281,9 @@ def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str,
     if draws is None:
         nothing = np.zeros(0, dtype=np.uint32)
         drawn |= {"bound": bounds_of(threat), "own_counter": nothing, "there": nothing}
-        return drawn | {"table": nothing.reshape(0, 0), "column": nothing.view(np.int32)}
+        return drawn | {"column": nothing.view(np.int32)}
     drawn |= {name: getattr(draws, name)[cells] for name in ("bound", "there", "column")}
-    return drawn | {"own_counter": draws.counter[cells], "table": draws.table}
+    return drawn | {"own_counter": draws.counter[cells]}
 
 
 def bearing_tables(bearing: Bearing, robots: int) -> dict[str, Any]:

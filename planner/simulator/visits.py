@@ -150,7 +150,7 @@ def enter(t, s, c, w, log, how, ids, robot, cell):
     elif survives and s.home[cell] & SURVIVED == 0:  # a robot of another type was stopped there
         mark_survived(s, c, cell)
     if not safe and (fresh or not how.first_only) and not (t.spends and holds(s.spent, cell)):
-        hit_from = stopped_from(t, s, c, w, how, ids, step, robot, cell, place)
+        hit_from = stopped_from(t, s, c, w, how, ids, robot, cell, place)
         # All of them are hit alike: still one run, so nothing has to be copied.
         if hit_from == marks.first and how.aside == 0:
             verdict = HIT
