@@ -29,11 +29,12 @@ from planner.files import Json
 from planner.formatting import UNPACED, Pace, counted, in_percent, percent, share
 from planner.ids import MOST_ROLLOUTS
 from planner.plan.plan import Plan, is_certain
+from planner.rollouts.closed_loop import MOST_TABLED
 from planner.rollouts.engine import run_ranges, worth_a_call
+from planner.rollouts.tables import AllPairs
 from planner.rollouts.threshold_classes import COLUMNS, sums_by_luck
-from planner.simulator.closed_loop import MOST_TABLED
-from planner.simulator.tables import AllPairs
-from planner.tally import Outcome, RolloutResults, add_padded, no_counts
+from planner.simulator.codes import Outcome
+from planner.tally import RolloutResults, add_padded, no_counts
 from planner.world.world import World
 
 FIGURES = ("visited", "survived", "complete", "alive", "time")

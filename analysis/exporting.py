@@ -23,8 +23,8 @@ from planner.arguments import Numbers, argument, did_you_mean
 from planner.errors import MapError, UsageError
 from planner.files import Json, atomic_write, check_new, printable
 from planner.formatting import SPEEDS
-from planner.ids import NO_CELL
 from planner.plan.plan import DECIMALS, Plan, headings, last_move, waypoints_csv
+from planner.simulator.codes import NO_CELL
 from planner.world.grid import TURN, Frame, Georeference, near, principal, rasterio_for
 from planner.world.raster_bands import affine
 from planner.world.world import World

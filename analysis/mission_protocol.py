@@ -25,8 +25,9 @@ from planner.mission.map_updates import hand_on
 from planner.mission.mission import Mission
 from planner.mission.team_control import Order
 from planner.mrac.board import is_home
-from planner.simulator.tables import AllPairs
-from planner.tally import Outcome, RolloutResults
+from planner.rollouts.tables import AllPairs
+from planner.simulator.codes import Outcome
+from planner.tally import RolloutResults
 from planner.world.keys import Key
 
 FORMAT, VERSION = "mrac-drive", 1

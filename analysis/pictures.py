@@ -27,8 +27,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import visible
 from planner.formatting import chance, counted
-from planner.ids import NO_AREA
 from planner.plan.plan import Plan
+from planner.simulator.codes import NO_AREA
 from planner.world.levels import ThreatLevels, find_levels
 from planner.world.world import World
 

@@ -23,7 +23,7 @@ from planner.world.world import World
 
 if TYPE_CHECKING:
     from planner.rollouts.engine import Engine
-    from planner.simulator.tables import AllPairs
+    from planner.rollouts.tables import AllPairs
 
 PRECISION = 0.001
 """Half the width of the 95 % interval of mean visited coverage that is enough where nobody asks for more."""

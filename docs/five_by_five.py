@@ -13,7 +13,8 @@ import mrac_jax as mrac
 from planner.mrac.board import Recorder
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Hit, never_hit, simulate
-from planner.tally import EventKind, Trace
+from planner.simulator.codes import EventKind
+from planner.tally import Trace
 
 X = np.nan
 threat = np.array(

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from planner.arguments import argument
 from planner.errors import WorldError
-from planner.failure_model import KEY_PARITY, LOGARITHMS, ROTATIONS, log_units
 from planner.rollouts.open_loop_events import JointDraws
 from planner.simulator.state import Tables
+from planner.simulator.thresholds import KEY_PARITY, LOGARITHMS, ROTATIONS, log_units
 from planner.world.uncertain_maps import UNIT
 
 WORDS, WORD = 2, 32
@@ -43,7 +43,7 @@ def less(left: jax.Array, exposure: jax.Array) -> jax.Array:
 
 def tolerance_words(word: jax.Array) -> jax.Array:
     """What robots bear, uint32 `[.., 2]`, by their random words, uint32 `[..]`:
-    `planner.failure_model.tolerance_of`."""
+    `planner.simulator.thresholds.tolerance_of`."""
     with jax.enable_x64(True):  # of what is traced here alone
         odd = 2 * word.astype(jnp.int64) + 1
         units = log_units(odd, 63 - jax.lax.clz(odd), jnp.asarray(LOGARITHMS))

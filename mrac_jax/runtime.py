@@ -12,8 +12,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from planner.jit import COMPILES_JAX, cache_folder, open_folder
 from planner.rollouts.names import why_not
+from planner.simulator.jit import COMPILES_JAX, cache_folder, open_folder
 
 LOG = logging.getLogger("mrac_jax")
 PLUGINS = ("jax_plugins", "libtpu")
@@ -67,7 +67,7 @@ def _may_be_one() -> bool:
     return bool(names)
 
 
-# JAX's compiled programs are kept in the user's cache folder between runs, as Numba's (`planner.jit`).
+# JAX's compiled programs are kept in the user's cache folder between runs, as Numba's (`planner.simulator.jit`).
 
 BEGINS = "/jax/core/compile/jaxpr_to_mlir_module_duration"
 ENDS = "/jax/core/compile/backend_compile_duration"

@@ -25,16 +25,15 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from planner.errors import PlanError
-from planner.ids import MAX_STEP, NO_CELL
-from planner.jit import put_first, threaded
-from planner.mrac.areas import coverage_path
+from planner.ids import MAX_STEP
 from planner.mrac.make_plan import make_plan
-from planner.mrac.paths import neighbour_table
 from planner.mrac.problem import Problem, prepare
 from planner.plan.plan import Plan, RobotPlan, entries
 from planner.policies.rules import NEAREST
 from planner.settings import Settings
-from planner.tally import Outcome
+from planner.simulator.codes import NO_CELL, Outcome
+from planner.simulator.jit import put_first, threaded
+from planner.simulator.searches import coverage_path, neighbour_table
 from planner.world.world import FOUR_NEIGHBOURS, World
 
 # The map as an order of targets sees it: dangerous cells, and safe areas in which every move is free.

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import WorldError
-from planner.failure_model import PLAIN, Bearing, exposure_of, own_key, threefry2x32
+from planner.failure_model import PLAIN, Bearing, exposure_of, own_key
+from planner.simulator.thresholds import threefry2x32
 from planner.world.map_knowledge import READING_DRAW
 from planner.world.moving_threats import ANYWHERE, Movers, Phases
 from planner.world.uncertain_maps import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Uncertain, bounds_of

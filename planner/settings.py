@@ -13,8 +13,8 @@ from planner.errors import PlanError
 from planner.formatting import TIMES, UNPACED, Pace
 from planner.ids import LEAST_SHAPE, LEAST_SUSCEPTIBILITY, MAX_STEP, MOST_SHAPE, MOST_SUSCEPTIBILITY
 from planner.policies import DEFAULT, RULES, Rule, rule_of
-from planner.policies.rule import Offer
 from planner.policies.rules import NEAREST, ORDERS, InAreaOrder
+from planner.simulator.offers import Offer
 
 if TYPE_CHECKING:
     from planner.failure_model import Bearing

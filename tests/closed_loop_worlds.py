@@ -15,12 +15,12 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.ids import NO_ROBOT
 from planner.mrac.make_plan import make_plan
 from planner.plan.plan import Plan
+from planner.rollouts.closed_loop import compile_closed_loop
+from planner.rollouts.loop import ClosedLoop
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop
-from planner.simulator.loop import ClosedLoop
+from planner.simulator.codes import NO_ROBOT
 from planner.world.generate import PAPER_LEVELS, Stream, ThreatPattern, random_threats, random_world
 from planner.world.levels import place_starts
 from planner.world.world import World

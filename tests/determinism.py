@@ -32,10 +32,10 @@ from planner.plan.state_file import parse_state
 from planner.plan_team import plan_team
 from planner.policies import RULES
 from planner.policies.rules import ORDERS
+from planner.rollouts.closed_loop import compile_closed_loop, trace_rollouts
 from planner.rollouts.engine import Engine, Rolling, closed_loop_engine, make_engine, open_loop_engine
 from planner.rollouts.open_loop import compile_plan
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
 from planner.world.changing_maps import with_hazard, with_maps, with_spread
 from planner.world.features import with_prior, with_sense, with_truth
 from planner.world.generate import ThreatPattern, random_world
@@ -206,7 +206,7 @@ def unlike_readable(world: World, plan: Plan, how: Rolling) -> Iterator[str]:
 def check(numbers: range, refused: Counter[str], *, jax: Callable[[int], bool] = lambda number: False) -> Iterator[str]:
     """What is not equal under these settings; few rollouts are shared out to threads too. `jax`: asked too?"""
     lanes = mock.patch("mrac_jax.closed_loop.engine.MOST_LANES", {"cpu": LANES, "gpu": LANES})
-    with mock.patch("planner.simulator.runners.LEAST_SHARED", 1), lanes:
+    with mock.patch("planner.rollouts.runners.LEAST_SHARED", 1), lanes:
         for number in numbers:
             try:
                 for what in unequal(number, jax=jax(number), refused=refused):

@@ -18,9 +18,10 @@ from oracle_enumeration import Threat
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import ReferenceLoop, Run, simulate
 from planner.plan.plan import Plan
-from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.simulator.exact_tree import WHOLE, grow_tree
-from planner.tally import Outcome, Trace
+from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.rollouts.exact_tree import WHOLE, grow_tree
+from planner.simulator.codes import Outcome
+from planner.tally import Trace
 from planner.world.changing_maps import with_hazard, with_maps, with_spread
 from planner.world.features import PlannedOn, with_movers
 from planner.world.generate import PAPER_LEVELS, ThreatPattern, random_world

@@ -95,6 +95,9 @@ def imported(path: Path, root: Path) -> list[str]:
     for node in ast.walk(ast.parse(path.read_text())):
         names = [alias.name for alias in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
         module = node.module if isinstance(node, ast.ImportFrom) else None
+        if isinstance(node, ast.ImportFrom) and node.level:
+            package = path.relative_to(root).parts[: -node.level]
+            module = ".".join([*package, *filter(None, [module])])
         for name in names if module is None else (module, *(f"{module}.{one}" for one in names)):
             if name.split(".")[0] in PACKAGES:
                 found.append(name)

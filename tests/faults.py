@@ -39,7 +39,7 @@ from unittest import mock
 
 from analysis.cli.app import run
 from mrac_jax.__main__ import main as command_line
-from planner.jit import CacheFolder
+from planner.simulator.jit import CacheFolder
 
 SECONDS, IDLE, LOOKS = 20.0, 120.0, 0.5
 """CPU seconds in which a command ends that was told to; seconds without any in which it hangs; between two looks.

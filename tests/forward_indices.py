@@ -15,12 +15,12 @@ from drawn_worlds import WORLDS
 from numba import config
 
 from planner.mrac.make_plan import make_plan
+from planner.rollouts import closed_loop, runners
 from planner.rollouts import open_loop_numba as numba_draws
 from planner.rollouts import open_loop_numba as numba_engine
 from planner.rollouts import open_loop_numba as numba_scores
 from planner.rollouts.open_loop import compile_plan
 from planner.settings import Settings
-from planner.simulator import closed_loop, runners
 from planner.world.levels import place_starts
 from planner.world.world import World
 

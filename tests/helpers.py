@@ -11,17 +11,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.statistics.variance_reduction import LEAST
-from planner.failure_model import key_of, threefry2x32
+from planner.failure_model import key_of
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan, read_plan_json
 from planner.rollout_sampling import Luck
 from planner.rollouts import engine as engines
 from planner.rollouts.engine import Chunk, Engine, closed_loop_engine, open_loop_engine
+from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.names import EngineName
 from planner.rollouts.open_loop import CompiledPlan
 from planner.rollouts.threshold_classes import sums_by_luck
-from planner.simulator.loop import ClosedLoop
+from planner.simulator.thresholds import threefry2x32
 from planner.tally import RolloutResults, Tally
 from planner.world.world import World
 

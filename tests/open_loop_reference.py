@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.failure_model import key_of, threefry2x32
+from planner.failure_model import key_of
 from planner.plan.plan import Plan, RobotPlan
-from planner.tally import Outcome, Tally
+from planner.simulator.codes import Outcome
+from planner.simulator.thresholds import threefry2x32
+from planner.tally import Tally
 from planner.world.world import World, load_world_file
 
 FIXTURES = Path(__file__).parent / "fixtures"

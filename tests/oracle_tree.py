@@ -22,7 +22,8 @@ from planner.mrac.executive import NOT_BEGUN, Executive
 from planner.mrac.problem import ready_loop
 from planner.mrac.simulate import play_step, take_turns
 from planner.plan.plan import Plan
-from planner.tally import OF_CLOSED_LOOP, Outcome
+from planner.simulator.codes import Outcome
+from planner.tally import OF_CLOSED_LOOP
 from planner.world.world import World
 
 # The closed loop as a tree of everything that can happen, played by the readable simulator: exact expected values.
@@ -30,7 +31,7 @@ from planner.world.world import World
 # A run is decided by which of its checked visits stop a robot. So all runs begin as one branch, and at each dangerous
 # visit a branch parts in two: one in which the robot is stopped, and one in which it goes on. Branches are played
 # step by step side by side, and those that come to equal states are joined. The cost grows like (dangerous visits of
-# a robot) ** (robots - 1) steps. The oracle of the rollouts and of `planner.simulator.exact_tree`; it shares no code
+# a robot) ** (robots - 1) steps. The oracle of the rollouts and of `planner.rollouts.exact_tree`; it shares no code
 # with them.
 
 Chance = Any

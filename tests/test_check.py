@@ -48,9 +48,9 @@ from analysis.theory.verdicts import (
 )
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
+from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.settings import Choices, Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range
-from planner.tally import Outcome
+from planner.simulator.codes import Outcome
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.world import World

@@ -579,9 +579,9 @@ def test_interrupted_in_the_deadline_still_prints(
 
 
 def test_interrupted_prints_what_was_done(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    import planner.simulator.closed_loop
+    import planner.rollouts.closed_loop
 
-    whole = planner.simulator.closed_loop.run_range
+    whole = planner.rollouts.closed_loop.run_range
     calls = []
 
     def interrupted(*given: object, **options: object) -> object:
@@ -590,7 +590,7 @@ def test_interrupted_prints_what_was_done(capsys: pytest.CaptureFixture[str], mo
             raise KeyboardInterrupt
         return whole(*given, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(planner.simulator.closed_loop, "run_range", interrupted)
+    monkeypatch.setattr(planner.rollouts.closed_loop, "run_range", interrupted)
     assert run(["evaluate", WORLD, "--robots", "3", "--rollouts", "10000000", "--json"]) == 130
     found = json.loads(capsys.readouterr().out)
     assert found["partial"] is True

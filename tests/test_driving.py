@@ -29,7 +29,7 @@ from planner.errors import InputError, StateError, UsageError, WorldError
 from planner.files import CHECKSUM
 from planner.mission.map_updates import ended
 from planner.plan.plan import Plan
-from planner.tally import Outcome
+from planner.simulator.codes import Outcome
 from planner.world.generate import Stream, ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.world import World

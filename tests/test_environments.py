@@ -21,17 +21,18 @@ from mrac_jax.arrays import tolerance_words
 from mrac_jax.environment.area_env import COLUMNS, AreaEnv
 from mrac_jax.environment.coverage_env import ACTIONS, AT_ONCE, PLANES, CoverageEnv, State
 from planner.errors import InputError
-from planner.failure_model import exposure_of, tolerance_of, tolerances
+from planner.failure_model import exposure_of, tolerances
 from planner.mission.team_control import ChosenRun
 from planner.mrac.board import Recorder
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import ready_loop
 from planner.mrac.simulate import ReferenceLoop
 from planner.policies import RULES, Rule
-from planner.policies.rule import Offer
 from planner.rollout_sampling import Luck
 from planner.settings import Policy, Settings
-from planner.tally import Outcome
+from planner.simulator.codes import Outcome
+from planner.simulator.offers import Offer
+from planner.simulator.thresholds import tolerance_of
 from planner.world.changing_maps import with_hazard
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts

@@ -36,16 +36,15 @@ from analysis.sampling import RolloutChoices
 from analysis.theory.verdicts import longest_run
 from planner.errors import InputError, UsageError
 from planner.formatting import percent
-from planner.ids import NO_STEP
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan, is_certain
 from planner.plan.state import MissionState
 from planner.plan.state_file import load_state
 from planner.rollout_sampling import hazards_met, rows_met, ways_of_movers
+from planner.rollouts.closed_loop import compile_closed_loop, trace_rollouts
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Choices
-from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
-from planner.tally import Doing
+from planner.simulator.codes import NO_STEP, Doing
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.world import World
 

@@ -70,7 +70,8 @@ from planner.mrac.make_plan import make_plan
 from planner.plan.plan import NO_MORE, Plan, RobotPlan
 from planner.plan.state import NO_CELLS, MissionState, RobotState
 from planner.settings import Settings
-from planner.tally import Outcome, Tally, tally_key
+from planner.simulator.codes import Outcome
+from planner.tally import Tally, tally_key
 from planner.world.levels import place_starts
 from planner.world.world import World, load_world_file
 

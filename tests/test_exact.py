@@ -29,13 +29,13 @@ from planner.errors import UsageError
 from planner.formatting import percent
 from planner.mrac.make_plan import make_plan
 from planner.plan.plan import is_certain
+from planner.rollouts import closed_loop
+from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.engine import Rolling, make_engine
+from planner.rollouts.exact_tree import WHOLE, Tree, grow_tree
+from planner.rollouts.runners import Runner
 from planner.settings import Policy, Settings
-from planner.simulator import closed_loop
-from planner.simulator.closed_loop import compile_closed_loop, run_range
-from planner.simulator.exact_tree import WHOLE, Tree, grow_tree
-from planner.simulator.runners import Runner
-from planner.tally import Outcome
+from planner.simulator.codes import Outcome
 from planner.world.changing_maps import with_hazard
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts

@@ -30,9 +30,6 @@ from analysis.recording.replay import inspect, replay
 from analysis.theory.exact import open_loop_exact
 from planner.errors import PER_VISIT, InputError, PlanError, ScenarioError, StateError
 from planner.failure_model import (
-    CERTAIN,
-    LEAST,
-    MOST,
     PLAIN,
     Bearing,
     exposure_of,
@@ -40,27 +37,26 @@ from planner.failure_model import (
     key_of_luck,
     least_word,
     susceptible,
-    threefry2x32,
-    tolerance_of,
     tolerances,
-    unworn,
     wear_nodes,
     worn,
 )
 from planner.failure_model import susceptible as made_susceptible
-from planner.jit import compiled, program
 from planner.mrac.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.plan.state_file import parse_state
 from planner.plan_team import read_plan
+from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import Rolling, make_engine
+from planner.rollouts.exact_tree import grow_tree
 from planner.settings import Settings
 from planner.simulator import failure_sampling as kernels
-from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.simulator.exact_tree import grow_tree
+from planner.simulator.codes import Outcome
 from planner.simulator.failure_sampling import MANY, part_many
-from planner.tally import WORDS_OF_0_3, Outcome, Tally
+from planner.simulator.jit import compiled, program
+from planner.simulator.thresholds import CERTAIN, LEAST, MOST, threefry2x32, tolerance_of, unworn
+from planner.tally import WORDS_OF_0_3, Tally
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.scenario import load_input
@@ -190,7 +186,7 @@ CASES: tuple[tuple[dict[str, Any], dict[str, Any]], ...] = (
 def test_compiled_rollouts_are_the_readable_ones(
     settings: dict[str, Any], how: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("planner.simulator.runners.LEAST_SHARED", 1)
+    monkeypatch.setattr("planner.rollouts.runners.LEAST_SHARED", 1)
     for seed in range(3):
         world = random_world(8, 9, ThreatPattern(("contiguous", "scattered")[seed % 2], 4, seed=seed))
         plan = make_plan(world, place_starts(world, (2, 5, 9)[seed])[0], Settings(**settings))

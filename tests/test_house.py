@@ -65,8 +65,10 @@ def imports_of(path: Path) -> set[str]:
     for node in statements(parsed(path).body):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.ImportFrom):
+            package = module_of(path).split(".")[: -node.level or None] if node.level else []
+            module = ".".join([*package, *filter(None, [node.module])])
+            found |= {module, *(f"{module}.{alias.name}" for alias in node.names)}
     return found
 
 
@@ -142,11 +144,18 @@ def test_kits_know_no_answer_and_answers_no_command() -> None:
 
 def test_oracles_never_see_an_engine() -> None:
     engines = ("planner.rollouts", "mrac_jax", "jax", "planner.simulator")
+    plain = {"planner.simulator"} | {f"planner.simulator.{name}" for name in ("codes", "jit", "searches", "thresholds")}
     for path in (*(ROOT / "analysis" / "theory").rglob("*.py"), *(ROOT / "tests").glob("oracle_*.py")):
-        assert not {module for module in imports_of(path) if module.startswith(engines)}, path
-    readable = "planner.mrac.simulate"
+        seen = {module for module in imports_of(path) if module.startswith(engines)}
+        assert not {module for module in seen if module not in plain and module.rpartition(".")[0] not in plain}, path
+
+
+def test_the_simulator_imports_numpy_numba_and_itself() -> None:
+    allowed = {*sys.stdlib_module_names, "numpy", "numba", "llvmlite", "planner"}
     for path in (ROOT / "planner" / "simulator").rglob("*.py"):
-        assert readable not in imports_of(path), path
+        seen = imports_of(path)
+        assert {name.partition(".")[0] for name in seen} <= allowed, path
+        assert all(name.startswith("planner.simulator") for name in seen if name.startswith("planner")), path
 
 
 def test_only_one_file_imports_metis() -> None:
@@ -324,7 +333,7 @@ def test_covered_is_what_is_imported_to_the_last() -> None:
     assert {
         "tests/test_search_trials.py",
         "analysis/search/start_positions.py",
-        "planner/simulator/exact_tree.py",
+        "planner/rollouts/exact_tree.py",
     } <= paths
     assert "tests/test_statistics.py" in covered("test_values")
     assert not {"analysis/studio/server.py", "mrac_jax/__init__.py"} & covered("test_pool")

@@ -20,24 +20,25 @@ from test_return_home import ways
 from test_threats_over_time import POLICIES, changing
 
 from planner.errors import InputError, WorldError
-from planner.failure_model import own_key, threefry2x32
-from planner.ids import NO_ROBOT
+from planner.failure_model import own_key
 from planner.mrac.board import Recorder
 from planner.mrac.choose import frontier
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import ReferenceLoop, make_team, play_step, simulate
 from planner.plan.plan import Plan
+from planner.rollouts.closed_loop import compile_closed_loop, final_odds, run_range, trace_rollouts
 from planner.rollouts.engine import Rolling, closed_loop_engine, make_engine
+from planner.rollouts.exact_tree import WHOLE, grow_tree
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, final_odds, run_range, trace_rollouts
-from planner.simulator.exact_tree import WHOLE, grow_tree
-from planner.tally import Doing, EventKind, Outcome, Trace
+from planner.simulator.codes import ALWAYS, NEVER, NO_ROBOT, Doing, EventKind, Outcome
+from planner.simulator.thresholds import threefry2x32
+from planner.tally import Trace
 from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
 from planner.world.features import with_prior, with_sense, with_truth
 from planner.world.generate import Stream, ThreatPattern, random_world
 from planner.world.levels import place_starts
-from planner.world.map_knowledge import ALWAYS, NAT, NEVER, Sense, chance_of
+from planner.world.map_knowledge import NAT, Sense, chance_of
 from planner.world.scenario import load_input
 from planner.world.uncertain_maps import bounds_of
 from planner.world.world import World
@@ -804,7 +805,7 @@ def test_so_they_are_in_a_thousand_more():
 
 @pytest.mark.parametrize("detector", [None, (2, 0.7, 0.2)])
 def test_no_count_depends_on_threads_or_chunks(detector, monkeypatch):
-    monkeypatch.setattr("planner.simulator.runners.LEAST_SHARED", 1)
+    monkeypatch.setattr("planner.rollouts.runners.LEAST_SHARED", 1)
     world = taught(np.where(np.isnan(FIELD.threat), N, Q), 0.4, "consumed", detector)
     plan = make_plan(world, place_starts(world, 3)[0], Settings(policy="per_cell"))
     loop = compile_closed_loop(plan, world)

@@ -15,7 +15,6 @@ from test_learning import drawn
 
 from planner.errors import InputError, StateError, WorldError
 from planner.failure_model import Bearing, exposure_of
-from planner.ids import NO_AREA
 from planner.mission.mission import Mission
 from planner.mrac.board import Recorder
 from planner.mrac.make_plan import make_plan
@@ -26,7 +25,7 @@ from planner.plan.state_file import parse_state
 from planner.policies.rule import Rule
 from planner.rollout_sampling import Luck
 from planner.settings import Settings
-from planner.tally import Doing, EventKind, Outcome
+from planner.simulator.codes import NO_AREA, Doing, EventKind, Outcome
 from planner.world.changing_maps import with_hazard, with_maps, with_phases
 from planner.world.features import as_planned, with_sense, with_truth
 from planner.world.generate import Stream, ThreatPattern, random_world

@@ -22,10 +22,11 @@ from planner.mrac.problem import prepare
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.plan_team import plan_team, read_plan
+from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range
-from planner.tally import Outcome, Trace
+from planner.simulator.codes import Outcome
+from planner.tally import Trace
 from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
 from planner.world.features import with_movers
 from planner.world.levels import place_starts

@@ -43,13 +43,14 @@ from planner.mrac.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.plan.state_file import parse_state
+from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import Rolling, closed_loop_engine, make_engine
+from planner.rollouts.loop import ClosedLoop
+from planner.rollouts.tables import luck_tables
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.simulator.loop import ClosedLoop
+from planner.simulator.codes import EventKind, Outcome
 from planner.simulator.state import MOST_PASSES
-from planner.simulator.tables import luck_tables
-from planner.tally import EventKind, Outcome, RolloutResults
+from planner.tally import RolloutResults
 from planner.world.changing_maps import with_hazard
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts

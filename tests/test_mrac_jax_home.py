@@ -21,10 +21,10 @@ from planner.mission.mission import Mission
 from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.state_file import parse_state
+from planner.rollouts.closed_loop import compile_closed_loop
+from planner.rollouts.loop import ClosedLoop
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop
-from planner.simulator.loop import ClosedLoop
-from planner.tally import EventKind
+from planner.simulator.codes import EventKind
 from planner.world.world import World
 
 PAPERS, LOOKING = KINDS[7] | {"deadline": 90}, KINDS[3] | {"reserve": 0.5, "worth": 60.0}

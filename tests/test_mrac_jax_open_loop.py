@@ -22,13 +22,15 @@ from mrac_jax import runtime as accelerators
 from mrac_jax.environment.coverage_env import CoverageEnv
 from mrac_jax.open_loop import jitted, pad_tables, size_bucket
 from planner.errors import PlanError, UsageError
-from planner.failure_model import exposure_of, key_of, least_word, threefry2x32
+from planner.failure_model import exposure_of, key_of, least_word
 from planner.rollouts import open_loop as compiled_module
 from planner.rollouts.engine import choose_engine
 from planner.rollouts.open_loop import CompiledPlan, OpenLoopTables, compile_plan, share_out
 from planner.rollouts.open_loop_events import Guide, make_groups, make_guide
 from planner.rollouts.open_loop_numba import BLOCK_WORDS
-from planner.tally import Outcome, Tally, tally_key
+from planner.simulator.codes import Outcome
+from planner.simulator.thresholds import threefry2x32
+from planner.tally import Tally, tally_key
 from planner.world.uncertain_maps import bounds_of
 from planner.world.world import World
 
@@ -537,8 +539,8 @@ def test_equal_to_numpy_on_many_counters() -> None:
     import jax.numpy as jnp
 
     from mrac_jax.arrays import threefry2x32 as jax_threefry
-    from planner.jit import program
     from planner.rollouts.open_loop_numba import _words
+    from planner.simulator.jit import program
 
     key = key_of(0x0123456789ABCDEF)
     counters = np.arange(2**32 - 500, 2**32 + 500, dtype=np.uint64).astype(np.uint32)

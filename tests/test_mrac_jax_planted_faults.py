@@ -25,7 +25,7 @@ from closed_loop_worlds import SurveyWorld, survey_world
 from planner.mrac.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
-from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 
 ROOT = Path(__file__).parent.parent
 WORLDS = ("contiguous-8", "combs-8", "crossings-0")

@@ -21,12 +21,13 @@ from mrac_jax.closed_loop.rules import Candidate, is_before
 from mrac_jax.closed_loop.tables import LARGEST_DENOMINATOR, LaneTables, lane_tables
 from planner.errors import WorldError
 from planner.mrac.make_plan import make_plan
-from planner.policies.rule import Offer, Rule
+from planner.policies.rule import Rule
+from planner.rollouts.closed_loop import compile_closed_loop, trace_rollouts
 from planner.rollouts.engine import closed_loop_engine
+from planner.rollouts.loop import ClosedLoop
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
-from planner.simulator.loop import ClosedLoop
-from planner.tally import EventKind, Outcome
+from planner.simulator.codes import EventKind, Outcome
+from planner.simulator.offers import Offer
 
 SHAPE = (150, 8)
 """Least room for cells and robots: that of all quick worlds here."""

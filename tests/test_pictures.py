@@ -39,7 +39,7 @@ from analysis.sampling import RolloutChoices
 from planner.formatting import percent
 from planner.mrac.make_plan import make_plan
 from planner.plan.plan import Plan, RobotPlan
-from planner.tally import Outcome
+from planner.simulator.codes import Outcome
 from planner.world.levels import place_starts
 from planner.world.world import World, load_world_file
 

@@ -42,7 +42,7 @@ from planner.plan.plan import Area, Leg, Plan, RobotPlan, headings, waypoints_cs
 from planner.plan.plan_file import count_shares
 from planner.plan_team import plan_team, read_plan
 from planner.settings import SETTINGS, Choices, Settings
-from planner.tally import Outcome
+from planner.simulator.codes import Outcome
 from planner.world.changing_maps import with_phases
 from planner.world.levels import place_starts
 from planner.world.scenario import load_input

@@ -16,19 +16,20 @@ from numba import typeof
 
 from planner.errors import PlanError
 from planner.mrac.make_plan import make_plan
-from planner.mrac.paths import BLOCKED, neighbour_table
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
 from planner.plan.plan import Plan
 from planner.rollout_sampling import Luck
+from planner.rollouts.closed_loop import compile_closed_loop, new_cells, run_range
+from planner.rollouts.loop import FEATURES, PROGRAMS, ClosedLoop, typed, with_features
+from planner.rollouts.runners import KNOWN, LEAST_SHARED, _in_rounds, remember_alike
+from planner.rollouts.tables import most_cost
 from planner.settings import Settings
 from planner.simulator import return_home as remember
-from planner.simulator.closed_loop import compile_closed_loop, new_cells, run_range
-from planner.simulator.loop import FEATURES, PROGRAMS, ClosedLoop, typed, with_features
-from planner.simulator.runners import KNOWN, LEAST_SHARED, _in_rounds, remember_alike
+from planner.simulator.codes import Outcome
+from planner.simulator.searches import BLOCKED, neighbour_table
 from planner.simulator.state import first_room, largest_set, make_state, make_work
-from planner.simulator.tables import most_cost
-from planner.tally import Outcome, RolloutResults, Tally
+from planner.tally import RolloutResults, Tally
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.world import World
@@ -176,7 +177,7 @@ def test_chunks_threads_and_parts_do_not_matter() -> None:
 @pytest.fixture(params=[1, LEAST_SHARED], ids=["histories", "ids"])
 def shared(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """What threads share out of a few rollouts."""
-    monkeypatch.setattr("planner.simulator.runners.LEAST_SHARED", request.param)
+    monkeypatch.setattr("planner.rollouts.runners.LEAST_SHARED", request.param)
 
 
 def rolled(loop: ClosedLoop, start: int = 0, count: int = 3000, threads: int = 1) -> tuple[Tally, RolloutResults]:
@@ -194,7 +195,7 @@ def test_sets_of_any_size_count_the_same(shared: None, monkeypatch: pytest.Monke
         assert_same_results(RolloutResults.join([found for _, found in parts]), singles)
         for most in (1, 2, 33, 1000):
             with monkeypatch.context() as patch:
-                patch.setattr("planner.simulator.runners.LARGEST_SET", most)
+                patch.setattr("planner.rollouts.runners.LARGEST_SET", most)
                 tally, found = rolled(loop, threads=3)
             assert tally == whole
             assert_same_results(found, singles)
@@ -225,13 +226,13 @@ def test_threads_that_share_histories_count_as_one(monkeypatch: pytest.MonkeyPat
         in_rounds.append(runners is not None)
         return runners
 
-    monkeypatch.setattr("planner.simulator.runners._in_rounds", noted)
-    monkeypatch.setattr("planner.simulator.runners.LEAST_SHARED", 1)
+    monkeypatch.setattr("planner.rollouts.runners._in_rounds", noted)
+    monkeypatch.setattr("planner.rollouts.runners.LEAST_SHARED", 1)
     for count in (3000, 41):
         whole, singles = rolled(loop, 7, count)
         for aside, threads, most in ((1, 2, 7), (2, 3, 500), (5, 2, 900), (19, 16, 9), (256, 2, 999), (256, 13, 9999)):
-            monkeypatch.setattr("planner.simulator.runners.MOST_ASIDE", aside)
-            monkeypatch.setattr("planner.simulator.runners.LARGEST_SET", most)
+            monkeypatch.setattr("planner.rollouts.runners.MOST_ASIDE", aside)
+            monkeypatch.setattr("planner.rollouts.runners.LARGEST_SET", most)
             tally, found = rolled(loop, 7, count, threads)
             assert tally == whole
             assert_same_results(found, singles)
@@ -282,7 +283,7 @@ def test_a_coverage_path_is_remembered_by_all_of_its_key() -> None:
 def test_areas_get_more_room_when_it_proves_too_small(shared: None, monkeypatch: pytest.MonkeyPatch) -> None:
     loop = fed(load_fixture("contiguous-14x23-1000-k8"))
     whole, singles = rolled(loop)
-    monkeypatch.setattr("planner.simulator.runners.first_room", lambda tables: len(tables.level) + 2)
+    monkeypatch.setattr("planner.rollouts.runners.first_room", lambda tables: len(tables.level) + 2)
     tally, found = rolled(loop, threads=2)
     assert tally == whole
     assert_same_results(found, singles)
@@ -363,7 +364,7 @@ def test_too_large_for_tables_is_searched_in_small_chunks(monkeypatch: pytest.Mo
     world = random_world(20, 20, ThreatPattern(seed=1))
     plan = make_plan(world, place_starts(world, 4)[0])
     whole, _ = run_range(compile_closed_loop(plan, world), 1, 0, 5000)
-    monkeypatch.setattr("planner.simulator.closed_loop.MOST_TABLED", 100)
+    monkeypatch.setattr("planner.rollouts.closed_loop.MOST_TABLED", 100)
     loop = compile_closed_loop(plan, world)
     assert not loop.tabled
     tallies = [chunk.tally for chunk in run_closed_chunks(loop, seed=1, count=5000, checkpoints=[4096])]
@@ -393,7 +394,7 @@ def test_the_programs_of_common_and_of_plain_missions_are_the_whole_one(
     assert features_of(compile_closed_loop(plan, world)) == 0
     found = run_range(compile_closed_loop(plan, world), 7, 0, 3000, singles=True)
     for program in PROGRAMS[1:]:
-        monkeypatch.setattr("planner.simulator.loop.PROGRAMS", (program,))
+        monkeypatch.setattr("planner.rollouts.loop.PROGRAMS", (program,))
         again = run_range(compile_closed_loop(plan, world), 7, 0, 3000, singles=True)
         assert found[0] == again[0]
         assert all(map(np.array_equal, vars(found[1]).values(), vars(again[1]).values()))

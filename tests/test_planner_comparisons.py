@@ -27,9 +27,10 @@ from planner.mrac.problem import prepare
 from planner.mrac.simulate import ReferenceLoop, Run, simulate
 from planner.plan.plan import Plan
 from planner.rollout_sampling import Luck
+from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts, with_nominal_run
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts, with_nominal_run
-from planner.tally import EventKind, Outcome, RolloutResults, Tally, Trace
+from planner.simulator.codes import EventKind, Outcome
+from planner.tally import RolloutResults, Tally, Trace
 from planner.world.features import Obstacles, with_prior
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts

@@ -15,9 +15,9 @@ import pytest
 from forward_indices import forward
 from numpy.typing import NDArray
 
-from planner.jit import KNOWN, PROGRAM, UNCOUNTED, WITHIN
 from planner.mrac.make_plan import make_plan
-from planner.simulator.closed_loop import compile_closed_loop
+from planner.rollouts.closed_loop import compile_closed_loop
+from planner.simulator.jit import KNOWN, PROGRAM, UNCOUNTED, WITHIN
 from planner.simulator.state import State, Tables, first_state
 from planner.simulator.struct_pointers import LENGTHS
 from planner.world.world import World
@@ -29,7 +29,7 @@ from numba.core import types
 from numba.core.dispatcher import Dispatcher
 import planner.simulator.areas, planner.simulator.failure_sampling, planner.simulator.paths, planner.simulator.rollouts
 import planner.simulator.fixed_paths, planner.simulator.solo, planner.simulator.step, planner.simulator.visits
-from planner.simulator.closed_loop import compile_closed_loop, run_range
+from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.mrac.make_plan import make_plan
 from planner.world.world import World
 
@@ -50,9 +50,9 @@ OF_ANOTHER_RELEASE = """
 import sys
 import numba
 numba.__version__ = "99.0.0"
-from planner.jit import kernel, program
+from planner.simulator.jit import kernel, program
 part = kernel(lambda number: number + 3)
-print(program(lambda number: part(number) * 1)(4), "planner.jit_parts" in sys.modules)
+print(program(lambda number: part(number) * 1)(4), "planner.simulator.jit_parts" in sys.modules)
 """
 
 
@@ -70,11 +70,13 @@ def test_kernels_count_no_references() -> None:
         counted = numba.njit(lambda numbers: numbers[1:])
         assert (first(np.arange(3)), len(counted(np.arange(3)))) == (0, 2)
     except Exception as error:
-        pytest.fail(f"Numba has changed ({error}): take what it no longer knows out of UNCOUNTED in planner/jit.py")
+        pytest.fail(
+            f"Numba has changed ({error}): take what it no longer knows out of UNCOUNTED in planner/simulator/jit.py"
+        )
     for function, expected in ((first, False), (counted, True)):
         (text,) = function.inspect_llvm().values()
         assert ("NRT_incref" in text or "NRT_decref" in text) == expected, (
-            "Numba counts references where `_nrt` is False: look for what takes its place in planner/jit.py"
+            "Numba counts references where `_nrt` is False: look for what takes its place in planner/simulator/jit.py"
         )
 
 
@@ -102,7 +104,7 @@ def run_python(code: str, **environment: str) -> str:
 def test_a_release_of_numba_that_is_not_known_compiles_as_it_does() -> None:
     said = run_python(OF_ANOTHER_RELEASE)
     assert said.split() == ["7", "False"]
-    assert numba.__version__.startswith(KNOWN) == ("planner.jit_parts" in sys.modules)
+    assert numba.__version__.startswith(KNOWN) == ("planner.simulator.jit_parts" in sys.modules)
 
 
 @pytest.mark.skipif(not numba.__version__.startswith(KNOWN), reason="that release compiles parts as it sees fit")

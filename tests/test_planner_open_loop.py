@@ -25,10 +25,10 @@ from planner.mrac.simulate import ReferenceLoop, Run, simulate
 from planner.open_loop import make_open_loop_plan
 from planner.plan.plan import Plan, RobotPlan
 from planner.plan_team import plan_team
+from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.tally import Doing, EventKind, Outcome
+from planner.simulator.codes import Doing, EventKind, Outcome
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.world import World

@@ -35,15 +35,16 @@ from planner.mrac.simulate import ReferenceLoop, Run, never_hit, play_step
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.policies import RULES
-from planner.policies.limits import NO_REFUSAL, is_refused, most_at_risk, refusal_threshold
-from planner.policies.rule import Offer, Rule
-from planner.policies.rules import CellOffer
+from planner.policies.limits import most_at_risk, refusal_threshold
+from planner.policies.rule import Rule
+from planner.rollouts import tables as tables_module
+from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import closed_loop_engine
+from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
-from planner.simulator import tables as tables_module
-from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.simulator.tables import AllPairs
-from planner.tally import WORDS_OF_0_3, EventKind, Outcome
+from planner.simulator.codes import EventKind, Outcome
+from planner.simulator.offers import NO_REFUSAL, CellOffer, Offer, is_refused
+from planner.tally import WORDS_OF_0_3
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.scenario import load_input

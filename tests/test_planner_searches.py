@@ -10,10 +10,10 @@ import pytest
 from closed_loop_worlds import limited, survey_world
 
 from planner.mrac.make_plan import allocated_plan
+from planner.rollouts.closed_loop import compile_closed_loop, run_range
+from planner.rollouts.loop import ClosedLoop
+from planner.rollouts.runners import KNOWN, Runner, singles_of
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range
-from planner.simulator.loop import ClosedLoop
-from planner.simulator.runners import KNOWN, Runner, singles_of
 from planner.simulator.state import Work
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts

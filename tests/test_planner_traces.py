@@ -19,19 +19,16 @@ from hypothesis import strategies as st
 from analysis.recording.contents import read_tally, tally_bytes
 from analysis.sweeps.store_files import pack, unpack
 from planner.errors import PlanError
-from planner.ids import NO_AREA, NO_ROBOT
 from planner.mrac.areas import bisect, metis_parts
 from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import ReferenceLoop, Run, Split, simulate
 from planner.plan.plan import Plan
+from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.simulator.codes import NO_AREA, NO_ROBOT, Doing, EventKind, Outcome
 from planner.tally import (
     ByRobots,
-    Doing,
-    EventKind,
-    Outcome,
     RolloutResults,
     Tally,
     TallyError,

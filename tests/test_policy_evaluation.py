@@ -44,8 +44,8 @@ from mrac_jax.environment.coverage_env import ACTIONS, CoverageEnv
 from planner.errors import UsageError
 from planner.mrac.make_plan import make_plan
 from planner.policies.rule import Rule
+from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 

@@ -54,12 +54,13 @@ from analysis.theory.bounds import all_bounds
 from planner.errors import InputError, MapError, UsageError
 from planner.mrac.make_plan import make_plan
 from planner.plan.plan import Plan, RobotPlan, headings
+from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import closed_loop_engine
 from planner.rollouts.open_loop import compile_plan
 from planner.rollouts.open_loop_events import open_loop_trace
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.tally import Doing, EventKind, Outcome, RolloutResults, Trace
+from planner.simulator.codes import Doing, EventKind, Outcome
+from planner.tally import RolloutResults, Trace
 from planner.world.changing_maps import with_spread
 from planner.world.features import with_prior, with_sense
 from planner.world.world import World

@@ -23,7 +23,7 @@ import analysis.recording.record
 from analysis.cli.app import run
 from analysis.recording.container import open_log
 from analysis.recording.contents import read_outcomes, read_rollouts
-from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
+from planner.rollouts.closed_loop import compile_closed_loop, trace_rollouts
 from planner.world.world import load_world_file
 
 WORLD = str(FOLDER / "contiguous-14x23-1000.npz")

@@ -33,7 +33,6 @@ from analysis.recording.viewers import topics as schemas
 from analysis.recording.viewers.topics import DATA_TOPICS, Stage
 from planner.errors import InputError, UsageError
 from planner.files import npz_bytes
-from planner.ids import NO_AREA, NO_ROBOT, NO_STEP
 from planner.mcap import LogMessage
 from planner.mrac.board import State
 from planner.mrac.executive import Executive
@@ -42,11 +41,12 @@ from planner.mrac.problem import prepare
 from planner.mrac.simulate import play_step
 from planner.plan.plan import Plan
 from planner.rollout_sampling import Luck
+from planner.rollouts.closed_loop import compile_closed_loop, trace_rollouts
 from planner.rollouts.open_loop import compile_plan
 from planner.rollouts.open_loop_events import open_loop_trace
 from planner.settings import Choices
-from planner.simulator.closed_loop import compile_closed_loop, trace_rollouts
-from planner.tally import Doing, EventKind, Outcome, Trace
+from planner.simulator.codes import NO_AREA, NO_ROBOT, NO_STEP, Doing, EventKind, Outcome
+from planner.tally import Trace
 from planner.world.world import World
 
 # Replays: the same for every recording that is as it was, and every change found and named.

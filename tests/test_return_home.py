@@ -24,7 +24,6 @@ from analysis.search.pareto import Ladders, find_front, settings_of
 from analysis.search.team_size import find_size, make_goal
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError, PlanError, ScenarioError, UsageError
-from planner.ids import NO_ROBOT
 from planner.mission.mission import Mission
 from planner.mrac.make_plan import allocated_plan, confirm_plan, make_plan
 from planner.mrac.problem import Problem, prepare
@@ -33,10 +32,11 @@ from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.plan.state_file import parse_state
 from planner.plan_team import plan_team
+from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.rollouts.exact_tree import WHOLE, grow_tree
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.simulator.exact_tree import WHOLE, grow_tree
-from planner.tally import Doing, EventKind, Outcome, Trace
+from planner.simulator.codes import NO_ROBOT, Doing, EventKind, Outcome
+from planner.tally import Trace
 from planner.world.changing_maps import with_phases
 from planner.world.generate import PAPER_LEVELS, Stream, ThreatPattern, random_world
 from planner.world.levels import place_starts

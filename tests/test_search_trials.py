@@ -37,11 +37,11 @@ from analysis.theory.exact import Worth
 from analysis.utils.tables import policy_words
 from planner.mrac.make_plan import make_plan
 from planner.policies import RULES
+from planner.rollouts.closed_loop import compile_closed_loop, run_range
+from planner.rollouts.exact_tree import WHOLE, Tree
+from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range
-from planner.simulator.exact_tree import WHOLE, Tree
 from planner.simulator.state import make_counts
-from planner.simulator.tables import AllPairs
 from planner.tally import RolloutResults, Tally
 from planner.world.generate import Kind, ThreatPattern, random_world
 from planner.world.levels import place_starts

@@ -79,10 +79,10 @@ from planner.errors import InputError, UsageError
 from planner.mrac.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan_team import plan_team
+from planner.rollouts import tables
 from planner.rollouts.engine import run_by_luck
+from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
-from planner.simulator import tables
-from planner.simulator.tables import AllPairs
 from planner.world.levels import place_starts
 from planner.world.world import World, load_world_file
 
@@ -472,9 +472,9 @@ def test_the_picture_shows_the_answer() -> None:
 
 
 def test_interrupted_prints_what_is_there(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    import planner.simulator.closed_loop
+    import planner.rollouts.closed_loop
 
-    whole, calls = planner.simulator.closed_loop.run_range, []
+    whole, calls = planner.rollouts.closed_loop.run_range, []
 
     def interrupted(*given: object, **options: object) -> object:
         calls.append(given)
@@ -482,7 +482,7 @@ def test_interrupted_prints_what_is_there(capsys: pytest.CaptureFixture[str], mo
             raise KeyboardInterrupt
         return whole(*given, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(planner.simulator.closed_loop, "run_range", interrupted)
+    monkeypatch.setattr(planner.rollouts.closed_loop, "run_range", interrupted)
     found = answer_size(capsys, WORLD, "--target", "0.95", status=130)
     assert found["partial"] is True
     assert found["robots"] is None
@@ -496,9 +496,9 @@ def test_interrupted_prints_what_is_there(capsys: pytest.CaptureFixture[str], mo
 
 
 def test_interrupted_while_a_team_is_rolled_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    import planner.simulator.closed_loop
+    import planner.rollouts.closed_loop
 
-    whole, calls = planner.simulator.closed_loop.run_range, []
+    whole, calls = planner.rollouts.closed_loop.run_range, []
 
     def interrupted(*given: object, **options: object) -> object:
         calls.append(given)
@@ -506,7 +506,7 @@ def test_interrupted_while_a_team_is_rolled_out(monkeypatch: pytest.MonkeyPatch)
             raise KeyboardInterrupt
         return whole(*given, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(planner.simulator.closed_loop, "run_range", interrupted)
+    monkeypatch.setattr(planner.rollouts.closed_loop, "run_range", interrupted)
     size = sized(HALF, make_goal(None, 0.5, True))
     assert size.partial
     assert size.robots is None

@@ -28,9 +28,9 @@ from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.plan.state import MissionState
 from planner.plan.state_file import load_state, parse_state, read_state
+from planner.rollouts.closed_loop import compile_closed_loop, new_cells, run_range, trace_rollouts
 from planner.rollouts.open_loop import compile_plan
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, new_cells, run_range, trace_rollouts
 from planner.world.world import World
 
 # State files: a mission cut at a step, saved and gone on with ends as the uncut one (SPEC section 12).

@@ -51,9 +51,9 @@ from analysis.sweeps.store import Memory, Run, Store
 from analysis.sweeps.sweep import Sweep, run_sweep
 from planner.errors import PER_VISIT, InputError, ScenarioError, UsageError
 from planner.mrac.make_plan import make_plan
+from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.threshold_classes import luck_classes
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range
 from planner.tally import Tally
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts

@@ -27,10 +27,10 @@ from analysis.sweeps.store_files import cut
 from planner.errors import InputError, UsageError
 from planner.ids import BLOCK
 from planner.plan.plan import Plan
+from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.engine import closed_loop_engine, run_by_luck
+from planner.rollouts.loop import ClosedLoop
 from planner.settings import Choices
-from planner.simulator.closed_loop import compile_closed_loop
-from planner.simulator.loop import ClosedLoop
 from planner.tally import Tally
 from planner.world.world import World
 

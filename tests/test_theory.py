@@ -70,7 +70,7 @@ from planner.mrac.simulate import simulate
 from planner.plan.plan import Plan, RobotPlan, entries
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
-from planner.tally import Outcome
+from planner.simulator.codes import Outcome
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.world import World

@@ -18,20 +18,21 @@ from oracle_spec import closed_loop, mean_of, open_loop
 
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
-from planner.failure_model import Bearing, threefry2x32
-from planner.ids import MAX_STEP, NO_ROBOT
+from planner.failure_model import Bearing
+from planner.ids import MAX_STEP
 from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan, RobotPlan
 from planner.plan.plan_file import read_plan_json
 from planner.plan_team import read_plan, read_plan_on
 from planner.rollout_sampling import Roaming, first_places, ways_of_movers
+from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts, with_nominal_run
 from planner.rollouts.engine import Rolling, make_engine
+from planner.rollouts.exact_tree import grow_tree
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts, with_nominal_run
-from planner.simulator.exact_tree import grow_tree
+from planner.simulator.codes import NO_ROBOT, Doing, EventKind
 from planner.simulator.state import MOST_PASSES
-from planner.tally import Doing, EventKind
+from planner.simulator.thresholds import threefry2x32
 from planner.world.changing_maps import with_phases
 from planner.world.features import PLAN_ON, as_before, with_movers
 from planner.world.generate import Stream, ThreatPattern, random_world

@@ -15,16 +15,17 @@ from scipy import stats
 
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
-from planner.failure_model import own_key, threefry2x32
+from planner.failure_model import own_key
 from planner.mrac.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.rollout_sampling import Luck
+from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import Rolling, make_engine, open_loop_engine
+from planner.rollouts.loop import typed
 from planner.rollouts.open_loop import compile_plan
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.simulator.loop import typed
+from planner.simulator.thresholds import threefry2x32
 from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
 from planner.world.features import with_movers, with_prior, with_truth
 from planner.world.generate import ThreatPattern, random_world
@@ -51,7 +52,7 @@ COLUMNS = ("visited", "survived", "time", "alive", "outcome")
 @pytest.mark.parametrize("policy", ["mrac", "per_cell"])
 @pytest.mark.parametrize("doubt", DOUBTS)
 def test_compiled_runs_are_the_readable_ones(doubt: str, policy: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.simulator.runners.LEAST_SHARED", 1)
+    monkeypatch.setattr("planner.rollouts.runners.LEAST_SHARED", 1)
     world = DOUBTS[doubt]()
     plan = make_plan(world, place_starts(world, 3)[0], Settings(policy=policy))
     loop, readable = compile_closed_loop(plan, world), ReferenceLoop(plan, world)

@@ -40,10 +40,10 @@ from planner.mrac.problem import prepare
 from planner.mrac.simulate import simulate
 from planner.plan.plan import Plan
 from planner.rollout_sampling import Luck
+from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.threshold_classes import CLASSES_A_NAT, luck_classes
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range
 from planner.simulator.state import MOST_PASSES
 from planner.tally import Tally
 from planner.world.generate import Kind, ThreatPattern, random_world

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from planner.ids import NO_AREA, NO_ROBOT, NONE
 from planner.plan.plan import Leg, Plan
+from planner.simulator.codes import NO_AREA, NO_ROBOT, NONE
 from planner.world.world import World
 
 # What the validator's rules share: a broken rule, the facts of a plan on its world, and a flood fill of its own.

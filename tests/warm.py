@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 
 from planner.mrac.make_plan import make_plan
+from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.settings import Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 

@@ -25,10 +25,10 @@ from planner.errors import MracError
 from planner.mrac.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
+from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.engine import Engine, closed_loop_engine, open_loop_engine
 from planner.rollouts.names import EngineName
 from planner.rollouts.open_loop import compile_plan
-from planner.simulator.closed_loop import compile_closed_loop
 from planner.tally import Tally
 from planner.world.generate import Kind, ThreatPattern, random_world
 from planner.world.levels import place_starts

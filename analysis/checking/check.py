@@ -49,9 +49,9 @@ from planner.formatting import counted
 from planner.mrac.make_plan import make_plan
 from planner.plan.plan import Plan
 from planner.plan_team import plan_team
+from planner.rollouts.closed_loop import compile_closed_loop, run_range
+from planner.rollouts.tables import AllPairs
 from planner.settings import Choices, Settings
-from planner.simulator.closed_loop import compile_closed_loop, run_range
-from planner.simulator.tables import AllPairs
 from planner.tally import Tally
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts

@@ -500,7 +500,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if NO_CACHE_OPTION in words:
         words = [word for word in words if word != NO_CACHE_OPTION]
-        from planner.jit import NO_CACHE
+        from planner.simulator.jit import NO_CACHE
 
         os.environ[NO_CACHE] = "1"
     if words and words[0] in LEFT:

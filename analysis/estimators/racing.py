@@ -34,11 +34,12 @@ from planner.plan.plan import Plan
 from planner.policies import DEFAULT
 from planner.policies.rules import PER_CELL, WATCHFUL
 from planner.rollout_sampling import hazards_met, rows_met
+from planner.rollouts.loop import ClosedLoop
+from planner.rollouts.tables import AllPairs, by_price
 from planner.rollouts.threshold_classes import sums_by_luck
 from planner.settings import BEST, MOST_PRIORITY, Settings
-from planner.simulator.loop import ClosedLoop
-from planner.simulator.tables import AllPairs, by_price
-from planner.tally import Outcome, RolloutResults
+from planner.simulator.codes import Outcome
+from planner.tally import RolloutResults
 from planner.world.features import seeing
 from planner.world.uncertain_maps import LARGEST, Hazard, Uncertain
 from planner.world.world import World

@@ -30,13 +30,13 @@ from analysis.theory.verdicts import MEANINGS, ClosedTruth, Truth, as_stated, ex
 from analysis.utils.progress import compiles_for
 from planner.errors import PlanError
 from planner.plan.plan import Plan, is_certain
+from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.engine import Engine, closed_loop_engine, run_by_luck, run_chunks
+from planner.rollouts.exact_tree import CHEAP, WHOLE, Tree, grow_tree
+from planner.rollouts.loop import ClosedLoop
+from planner.rollouts.tables import AllPairs
 from planner.rollouts.threshold_classes import luck_classes
-from planner.simulator.closed_loop import compile_closed_loop
-from planner.simulator.exact_tree import CHEAP, WHOLE, Tree, grow_tree
-from planner.simulator.loop import ClosedLoop
 from planner.simulator.state import MOST_PASSES, Counts
-from planner.simulator.tables import AllPairs
 from planner.tally import RolloutResults, Tally
 from planner.world.world import World
 
@@ -121,7 +121,7 @@ def closed_tree(
 
 def _loop_of(plan: Plan, world: World, first_only: bool, kept: AllPairs | None) -> ClosedLoop | None:
     """What a tree is grown of, or None where there is none, or it would be too dear."""
-    from planner.simulator.closed_loop import compile_closed_loop
+    from planner.rollouts.closed_loop import compile_closed_loop
 
     if (world.doubt is not None and world.phases is None) or int(world.accessible(plan.starts).sum()) > MOST_CELLS:
         return None
@@ -145,7 +145,7 @@ def tree_of(loop: ClosedLoop, seconds: float, slack: float = SLACK, fine_seconds
 
 
 def _truth_of(tree: Tree, loop: ClosedLoop, plan: Plan, world: World) -> TreeTruth:
-    from planner.simulator.closed_loop import tally_from
+    from planner.rollouts.closed_loop import tally_from
 
     visited, survived, some_left = (
         _between(*one) for one in (tree.covered("visited"), tree.covered("survived"), tree.chance_left())
@@ -211,7 +211,7 @@ def mean_value(
 
 # What a plan comes to, exactly or sampled: two answers to the same questions.
 #
-# `Known` is a tree of all that can happen (`planner.simulator.exact_tree`), `Sampled` so many rollouts; means of both
+# `Known` is a tree of all that can happen (`planner.rollouts.exact_tree`), `Sampled` so many rollouts; means of both
 # are
 # `Estimate`s, and a difference of two is exact, or on common luck. Which of the two it is, is asked in `trial.py`.
 

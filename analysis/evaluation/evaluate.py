@@ -66,8 +66,9 @@ from planner.formatting import counted
 from planner.ids import MOST_ROLLOUTS
 from planner.plan.plan import Plan, is_certain
 from planner.rollouts.engine import choose_engine
-from planner.simulator.tables import AllPairs
-from planner.tally import Outcome, Tally
+from planner.rollouts.tables import AllPairs
+from planner.simulator.codes import Outcome
+from planner.tally import Tally
 from planner.world.features import as_it_is
 from planner.world.uncertain_maps import Uncertain
 from planner.world.world import World

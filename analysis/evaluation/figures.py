@@ -41,9 +41,10 @@ from planner.arguments import FRACTION
 from planner.files import Json
 from planner.formatting import Pace, Rows, html_of, in_percent, inside, text_of
 from planner.plan.plan import Plan
-from planner.simulator.exact_tree import WHOLE, Tree
-from planner.simulator.tables import AllPairs
-from planner.tally import Outcome, Tally
+from planner.rollouts.exact_tree import WHOLE, Tree
+from planner.rollouts.tables import AllPairs
+from planner.simulator.codes import Outcome
+from planner.tally import Tally
 from planner.world.world import World
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ from analysis.pictures import LOSSES
 from analysis.recording.record import Picker, parse_picks
 from analysis.sampling import RolloutChoices, make_engine_for
 from planner.formatting import counted, percent, share
-from planner.ids import NO_STEP
 from planner.plan.plan import Plan
 from planner.rollout_sampling import ways_of_movers
-from planner.tally import Doing, Trace
+from planner.simulator.codes import NO_STEP, Doing
+from planner.tally import Trace
 from planner.world.world import World
 
 KINDS = ListedColormap(["#cfe3c3", "#8f96a3", "#b98fb5"])

@@ -35,7 +35,8 @@ from planner.files import Json
 from planner.formatting import ceiled, counted, floored, percent, share
 from planner.mrac.executive import STUCK_AFTER
 from planner.plan.plan import Plan, drive_of
-from planner.tally import Outcome, counts_by_word
+from planner.simulator.codes import Outcome
+from planner.tally import counts_by_word
 from planner.world.world import World
 
 # What an evaluation says in whole sentences: coverage, losses, time, and what stands out.

@@ -21,7 +21,7 @@ from analysis.theory.verdicts import FORMULAS, MEANINGS, Verdict
 from analysis.utils.tables import make_table
 from planner.formatting import at_least_words, counted, in_percent, percent
 from planner.plan.plan import drive_of
-from planner.tally import Outcome
+from planner.simulator.codes import Outcome
 
 if TYPE_CHECKING:
     from analysis.page.maps import CellLayer

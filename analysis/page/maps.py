@@ -31,8 +31,8 @@ from analysis.pictures import (
 from analysis.utils.tables import bearing_words
 from planner.files import Json
 from planner.formatting import UNPACED, Pace, chance, counted
-from planner.ids import NO_ROBOT
 from planner.plan.plan import Plan
+from planner.simulator.codes import NO_ROBOT
 from planner.world.levels import find_levels
 from planner.world.world import World
 

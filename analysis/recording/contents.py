@@ -24,7 +24,8 @@ from planner.ids import MAX_PLAN_BYTES
 from planner.mcap import LogMessage
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
-from planner.tally import Outcome, Tally, Trace, counts_by_word, counts_of_words
+from planner.simulator.codes import Outcome
+from planner.tally import Tally, Trace, counts_by_word, counts_of_words
 from planner.world.world import MAX_CELLS, MAX_ROBOTS, World, world_of
 
 FORMAT, VERSION = "mrac-recording", 2
@@ -250,7 +251,7 @@ class RecordedOutcomes:
 
     Attributes:
         ids: int64 `[B]`. visited, survived: int32 `[B]`, cells. time: int32 `[B]`, steps. alive: int32 `[B]`.
-        outcome: int8 `[B]`, values of `planner.tally.Outcome`.
+        outcome: int8 `[B]`, values of `planner.simulator.codes.Outcome`.
     """
 
     ids: NDArray[np.int64]

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from planner.failure_model import PLAIN
 from planner.formatting import chance, counted, share
-from planner.ids import NO_AREA, NO_ROBOT, NO_STEP
 from planner.mrac.board import State
 from planner.mrac.executive import Executive
 from planner.plan.plan import Area, Plan
 from planner.plan.state import MissionState
 from planner.rollout_sampling import true_map
-from planner.tally import Doing, EventKind, Outcome, Trace
+from planner.simulator.codes import NO_AREA, NO_ROBOT, NO_STEP, Doing, EventKind, Outcome
+from planner.tally import Trace
 from planner.world.uncertain_maps import Uncertain
 from planner.world.world import World
 

@@ -64,10 +64,10 @@ from analysis.recording.viewers.topics import Stage
 from planner.errors import UsageError
 from planner.files import atomic_write
 from planner.formatting import counted, percent
-from planner.ids import NO_ROBOT, NO_STEP
 from planner.plan.plan import Plan
 from planner.rollout_sampling import ways_of_movers
-from planner.tally import EventKind, Trace
+from planner.simulator.codes import NO_ROBOT, NO_STEP, EventKind
+from planner.tally import Trace
 from planner.world.levels import levels_of_maps
 from planner.world.world import World
 

@@ -26,14 +26,16 @@ from analysis.utils.notes import Doing, ProgressCallback, quiet
 from analysis.utils.progress import compiles_for
 from planner.arguments import SEED, Numbers, argument, check_word
 from planner.errors import UsageError
-from planner.failure_model import key_of, threefry2x32
+from planner.failure_model import key_of
 from planner.files import why_no_file
 from planner.formatting import UNPACED, Pace
-from planner.ids import BLOCK, NO_ROLLOUT
+from planner.ids import BLOCK
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan, is_certain
 from planner.plan.state import MissionState
 from planner.rollouts.names import ENGINES, EngineName
+from planner.simulator.codes import NO_ROLLOUT
+from planner.simulator.thresholds import threefry2x32
 from planner.tally import RolloutResults, Tally, Trace
 from planner.world.keys import read_yaml
 from planner.world.map_files import YAML

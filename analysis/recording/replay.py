@@ -41,7 +41,8 @@ from planner.formatting import counted, in_percent
 from planner.mcap import LogMessage
 from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plan.plan import Plan
-from planner.tally import EventKind, RolloutResults
+from planner.simulator.codes import EventKind
+from planner.tally import RolloutResults
 from planner.world.world import World
 
 if TYPE_CHECKING:

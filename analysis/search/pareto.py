@@ -30,8 +30,8 @@ from planner.ids import MOST_ROLLOUTS
 from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.mrac.problem import prepare
 from planner.plan.plan import Plan
+from planner.rollouts.tables import AllPairs
 from planner.settings import SETTINGS, Settings
-from planner.simulator.tables import AllPairs
 from planner.world.world import World
 
 # The rules behind `mrac-jax front`: which settings are looked at, which of them nothing beats, which one is picked.

@@ -35,8 +35,8 @@ from planner.files import check_file, read_csv_grid, read_npy, starts_with_heade
 from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.plan.plan import Plan
 from planner.rollouts.engine import choose_engine
+from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
-from planner.simulator.tables import AllPairs
 from planner.world.levels import check_robots, place_starts
 from planner.world.points import read_table
 from planner.world.world import FOUR_NEIGHBOURS, MAX_CELLS, World

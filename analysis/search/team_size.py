@@ -27,8 +27,8 @@ from planner.errors import UsageError
 from planner.formatting import counted
 from planner.ids import BLOCK, MOST_ROLLOUTS
 from planner.plan_team import plan_team
+from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
-from planner.simulator.tables import AllPairs
 from planner.world.levels import place_starts
 from planner.world.world import MAX_ROBOTS, World
 

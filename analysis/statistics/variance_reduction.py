@@ -25,7 +25,8 @@ from analysis.statistics.estimates import (
     sample_of,
 )
 from planner.rollouts.threshold_classes import CLASSES_A_NAT, COLUMNS
-from planner.tally import Outcome, Tally
+from planner.simulator.codes import Outcome
+from planner.tally import Tally
 
 # Means of rollouts, put right by how lucky the teams were: the control by total tolerance.
 #

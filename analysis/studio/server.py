@@ -49,8 +49,8 @@ from planner.ids import MAX_STEP, MOST_ROLLOUTS
 from planner.plan.plan import Plan, is_certain
 from planner.plan_team import plan_team
 from planner.policies import RULES
+from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
-from planner.simulator.tables import AllPairs
 from planner.tally import Tally
 from planner.world.features import with_truth
 from planner.world.keys import PLACE, PROBABILITY, Key

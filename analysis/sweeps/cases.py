@@ -50,8 +50,8 @@ if TYPE_CHECKING:
 
     from planner.mrac.problem import Problem
     from planner.rollouts.engine import Engine
-    from planner.simulator.loop import ClosedLoop
-    from planner.simulator.tables import AllPairs
+    from planner.rollouts.loop import ClosedLoop
+    from planner.rollouts.tables import AllPairs
 
 # The worlds of a sweep: the paper's random ones, and those that a scenario describes. Hashable; made when needed.
 
@@ -393,7 +393,7 @@ class _Loops:
         self._closed: ClosedLoop | None = None
         known = team.world.draws is None  # the compiled nominal run is of one truth
         if closed and known and team.plan is None and team.settings.plan_for == "closed":
-            from planner.simulator.closed_loop import with_nominal_run
+            from planner.rollouts.closed_loop import with_nominal_run
 
             alike = replace(team, settings=replace(team.settings, **ONCE_UNDER_WAY))
             problem, begun = _allocated(_Same(alike.identity, alike))
@@ -425,7 +425,7 @@ class _Loops:
         return loop
 
     def _compiled(self, plan: Plan, problem: Problem | None = None) -> ClosedLoop:
-        from planner.simulator.closed_loop import compile_closed_loop
+        from planner.rollouts.closed_loop import compile_closed_loop
 
         kept = _of_world(self._team.world.sha256).pairs
         return compile_closed_loop(plan, self._team.world, kept=kept, problem=problem)
@@ -466,7 +466,7 @@ class _Kept:
 @lru_cache(maxsize=1)
 def _of_world(world: str) -> _Kept:
     """Of a world, known by its hash; the last world's."""
-    from planner.simulator.tables import AllPairs
+    from planner.rollouts.tables import AllPairs
 
     return _Kept(AllPairs())
 

@@ -22,7 +22,7 @@ from planner.arguments import argument
 from planner.files import Json
 from planner.formatting import counted, duration, in_percent
 from planner.rule_versions import BEFORE, RELEASES
-from planner.tally import Outcome
+from planner.simulator.codes import Outcome
 
 NAMES = {
     "visited": "cells visited, of the accessible ones",

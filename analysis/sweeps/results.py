@@ -39,7 +39,8 @@ from planner.errors import UsageError
 from planner.files import Json, atomic_write
 from planner.formatting import counted
 from planner.ids import MAX_STEP, MOST_ROLLOUTS
-from planner.tally import Outcome, Tally, counts_by_word
+from planner.simulator.codes import Outcome
+from planner.tally import Tally, counts_by_word
 
 # What a store holds, as rows: runs filtered and grouped by their labels, each group a mean over its maps.
 

@@ -12,10 +12,10 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from analysis.theory.exact import RobotChances, chances_of, robot_chances
-from planner.ids import NO_CELL
-from planner.jit import compiled
-from planner.mrac.paths import neighbour_table
 from planner.plan.plan import Leg, Plan, RobotPlan
+from planner.simulator.codes import NO_CELL
+from planner.simulator.jit import compiled
+from planner.simulator.searches import neighbour_table
 from planner.world.levels import find_levels
 from planner.world.world import World, check_starts
 

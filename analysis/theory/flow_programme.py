@@ -14,9 +14,9 @@ from scipy.sparse import coo_array, csc_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, dijkstra, maximum_flow
 
 from analysis.theory.bounds import reach_chances
-from planner.ids import NO_CELL
-from planner.jit import compiled
-from planner.mrac.paths import neighbour_table
+from planner.simulator.codes import NO_CELL
+from planner.simulator.jit import compiled
+from planner.simulator.searches import neighbour_table
 from planner.world.world import FOUR_NEIGHBOURS, World, check_starts
 
 # A world as bounds for every strategy see it: dangerous cells, and safe areas in which moves are free.

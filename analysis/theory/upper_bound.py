@@ -24,9 +24,9 @@ from analysis.theory.flow_programme import (
     missing_ways,
     single_bound,
 )
-from planner.ids import NO_CELL
-from planner.mrac.paths import neighbour_table
 from planner.plan.plan import Plan
+from planner.simulator.codes import NO_CELL
+from planner.simulator.searches import neighbour_table
 from planner.world.uncertain_maps import Hazard
 from planner.world.world import World, check_starts
 

@@ -19,7 +19,8 @@ from analysis.theory.upper_bound import AnyStrategy
 from planner.mrac.problem import most_steps, unknown_of
 from planner.plan.plan import Plan, is_certain
 from planner.settings import Settings
-from planner.tally import Outcome, Tally
+from planner.simulator.codes import Outcome
+from planner.tally import Tally
 from planner.world.levels import find_levels
 from planner.world.world import World, check_starts
 

@@ -23,7 +23,7 @@ from analysis.utils.tables import SafeConsole
 from planner.arguments import argument, check_word
 from planner.errors import UsageError
 from planner.formatting import duration
-from planner.jit import COMPILES_JAX, NO_CACHE
+from planner.simulator.jit import COMPILES_JAX, NO_CACHE
 
 if TYPE_CHECKING:
     from planner.plan.plan import Plan
@@ -107,7 +107,7 @@ def _named(policy: Policy) -> str:
 @contextmanager
 def compiling_elsewhere(policies: Iterable[Policy]) -> Iterator[None]:
     """While this goes on, processes of ours compile the simulators of those policies, if none is in the cache."""
-    from planner.jit import is_cached
+    from planner.simulator.jit import is_cached
     from planner.simulator.rollouts import run_set
 
     if is_cached(run_set):

@@ -218,7 +218,7 @@ def span_words(plan: Plan, pace: Pace) -> str:
     A run that ends before all is covered waits a few steps before it ends.
     """
     from planner.plan.plan import drive_of
-    from planner.tally import Outcome
+    from planner.simulator.codes import Outcome
 
     drive = drive_of(robot.path for robot in plan.robots)
     driven = f"{counted(int(drive.moves.sum()), 'move')}, {counted(int(drive.turns.sum()), 'quarter turn')}"

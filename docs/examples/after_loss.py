@@ -19,8 +19,8 @@ from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import over_maps
 from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.plan.state import MissionState
+from planner.rollouts.tables import AllPairs
 from planner.settings import MOST_PRIORITY, Settings
-from planner.simulator.tables import AllPairs
 from planner.world.generate import Kind, ThreatPattern, random_world
 from planner.world.levels import place_starts
 

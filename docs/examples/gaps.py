@@ -21,8 +21,8 @@ from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import over_maps
 from analysis.theory.upper_bound import any_strategy
 from planner.mrac.make_plan import make_plan
+from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
-from planner.simulator.tables import AllPairs
 from planner.world.generate import Kind, ThreatPattern, random_world
 from planner.world.levels import place_starts
 

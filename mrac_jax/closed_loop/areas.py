@@ -46,9 +46,8 @@ from mrac_jax.closed_loop.state import (
     write_down,
 )
 from mrac_jax.closed_loop.tables import LABEL, OPEN, UNREACHABLE, VISITED, LaneTables
-from planner.policies.limits import is_dangerous, is_refused
-from planner.policies.rule import Offer
-from planner.tally import EventKind
+from planner.simulator.codes import EventKind
+from planner.simulator.offers import Offer, is_dangerous, is_refused
 
 
 @jax.tree_util.register_dataclass

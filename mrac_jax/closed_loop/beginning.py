@@ -24,13 +24,13 @@ from mrac_jax.closed_loop.tables import (
 )
 from planner.arguments import argument
 from planner.errors import WorldError
-from planner.failure_model import CERTAIN
 from planner.ids import MAX_STEP
 from planner.plan.state import ON_ITS_WAY, RobotState
+from planner.rollouts.closed_loop import nominal_trace
+from planner.rollouts.loop import ClosedLoop, known_cells
 from planner.simulator import state as classical
-from planner.simulator.closed_loop import nominal_trace
-from planner.simulator.loop import ClosedLoop, known_cells
 from planner.simulator.state import MOST_PASSES, State, first_room
+from planner.simulator.thresholds import CERTAIN
 
 BOARDS = ("traveling", "covering", "alive", "hopeful", "done", "held", "returning")
 OWN = ("mode", "number", "rollout", "left")

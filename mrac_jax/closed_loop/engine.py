@@ -1,6 +1,6 @@
 """The closed loop in JAX: Algorithm 2 in every rollout, on CPU and GPU, on one device or several of a host.
 
-The same contract as the compiled classical simulator (`planner.simulator.closed_loop`), (plan, seed, rollout ids) ->
+The same contract as the compiled classical simulator (`planner.rollouts.closed_loop`), (plan, seed, rollout ids) ->
 tally, results, traces; equal count for count and event for event. The program is `mrac_jax.closed_loop.engine`.
 """
 
@@ -51,13 +51,14 @@ from mrac_jax.closed_loop.steps import micro_step
 from mrac_jax.closed_loop.tables import PIECE_BITS, PIECES, VISITED, LaneTables, areas_at, lane_tables, step_bucket
 from mrac_jax.process import fixed_flags
 from mrac_jax.runtime import keep_jax_programs
-from planner.ids import BLOCK, NO_AREA
+from planner.ids import BLOCK
+from planner.rollouts.closed_loop import results_from, tally_from, trace_from
+from planner.rollouts.loop import ClosedLoop, known_cells
 from planner.rollouts.open_loop import available_cores, share_out
-from planner.simulator.closed_loop import results_from, tally_from, trace_from
-from planner.simulator.loop import ClosedLoop, known_cells
+from planner.rollouts.tables import first_frames
+from planner.simulator.codes import NO_AREA, Outcome
 from planner.simulator.state import MOST_PASSES, Counts, make_counts
-from planner.simulator.tables import first_frames
-from planner.tally import Outcome, RolloutResults, Tally, Trace
+from planner.tally import RolloutResults, Tally, Trace
 from planner.world.world import World
 
 # The closed loop as one program: lanes that begin, run, hand over their results and begin again, until none is left.

@@ -34,8 +34,7 @@ from mrac_jax.closed_loop.state import (
     write_down,
 )
 from mrac_jax.closed_loop.tables import UNREACHABLE, WORD_BITS, LaneTables
-from planner.ids import NO_AREA, NONE
-from planner.tally import EventKind, Outcome
+from planner.simulator.codes import NO_AREA, NONE, EventKind, Outcome
 
 
 @dataclass(frozen=True)

@@ -49,10 +49,8 @@ from mrac_jax.closed_loop.state import (
     write_down,
 )
 from mrac_jax.closed_loop.tables import LABEL, OPEN, PENDING, UNREACHABLE, VISITED, LaneTables
-from planner.ids import NO_ROBOT
-from planner.policies.limits import is_dangerous, is_refused
-from planner.policies.rule import Offer
-from planner.tally import EventKind, Outcome
+from planner.simulator.codes import NO_ROBOT, EventKind, Outcome
+from planner.simulator.offers import Offer, is_dangerous, is_refused
 
 # Where to go: the search among all cells, of a few lanes of the batch at a time.
 #

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from mrac_jax.arrays import Array
 from mrac_jax.closed_loop.tables import LABEL, OWNER_SHIFT, UNREACHABLE, WORD_BITS, LaneTables
-from planner.tally import EventKind
+from planner.simulator.codes import EventKind
 
 # Sets of cells as bits: flood fill by shifts, for many lanes at once.
 #

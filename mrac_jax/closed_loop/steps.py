@@ -53,9 +53,8 @@ from mrac_jax.closed_loop.state import (
     write_down,
 )
 from mrac_jax.closed_loop.tables import LABEL, NEAREST, PENDING, SIDES, SPENT, SURVIVED, VISITED, LaneTables
-from planner.ids import NO_AREA, NONE
+from planner.simulator.codes import NO_AREA, NONE, Doing, EventKind, Outcome
 from planner.simulator.state import MOST_PASSES
-from planner.tally import Doing, EventKind, Outcome
 
 ACTS = 2
 """Actions of a lane between two looks."""

@@ -1,4 +1,4 @@
-"""A closed loop compiled for lanes: `planner.simulator.loop.ClosedLoop` -> padded tables of few shapes.
+"""A closed loop compiled for lanes: `planner.rollouts.loop.ClosedLoop` -> padded tables of few shapes.
 
 Lane: the place of one rollout in a batch. Cells are the accessible ones in rising index, then padding; the last number
 is a wall, visited from the start, and stands for "no cell" and "no area". Boards (`mrac_jax.closed_loop.state`) number
@@ -21,12 +21,12 @@ from mrac_jax.arrays import STATIC, Array, Doubt, make_doubt, on_host, padded, t
 from planner.arguments import argument
 from planner.errors import UsageError, WorldError
 from planner.failure_model import own_key
-from planner.ids import MAX_STEP, NONE
+from planner.ids import MAX_STEP
 from planner.mrac.problem import NO_LIMIT
-from planner.policies.limits import NO_REFUSAL
-from planner.policies.rule import Offer, price
-from planner.simulator.closed_loop import MOST_TABLED
-from planner.simulator.loop import ClosedLoop
+from planner.rollouts.closed_loop import MOST_TABLED
+from planner.rollouts.loop import ClosedLoop
+from planner.simulator.codes import NONE
+from planner.simulator.offers import NO_REFUSAL, Offer, price
 from planner.simulator.state import MOST_PASSES
 
 # Ways home as tables that every lane reads (SPEC section 19): `planner.mrac.home_paths` for lanes. NumPy alone.

@@ -41,14 +41,14 @@ from planner.mrac.problem import prepare
 from planner.policies import DEFAULT, RULES
 from planner.rollout_sampling import Luck
 from planner.settings import Policy
-from planner.tally import Outcome
+from planner.simulator.codes import Outcome
 from planner.world.levels import starts_of
 from planner.world.uncertain_maps import Hazard
 from planner.world.world import World
 
 COLUMNS = ("offered", "own", "level", "cost", "unvisited", "entry", "covered", "alive")
 """What a robot sees of an offer, all 0 where there is none: 1; 1 if it is the area that it has; the numbers of
-`planner.policies.rule.Offer`; the share of the accessible cells that is visited; the share of the team alive."""
+`planner.simulator.offers.Offer`; the share of the accessible cells that is visited; the share of the team alive."""
 
 
 class AreaEnv:

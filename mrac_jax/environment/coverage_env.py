@@ -26,9 +26,9 @@ from mrac_jax.process import fixed_flags, require_jax
 from planner.arguments import SEED, Numbers, argument, did_you_mean, whole
 from planner.errors import PlanError, UsageError
 from planner.failure_model import LUCK_DRAW, OWN_KEYS, key_of
-from planner.ids import NO_CELL
-from planner.mrac.paths import neighbour_table
 from planner.settings import Choices, Settings
+from planner.simulator.codes import NO_CELL
+from planner.simulator.searches import neighbour_table
 from planner.world.levels import starts_of
 from planner.world.uncertain_maps import Draws, Hazard
 from planner.world.world import World

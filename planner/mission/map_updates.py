@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner.arguments import is_whole, whole
 from planner.errors import StateError, WorldError
 from planner.files import Json, read_json, write_json
-from planner.ids import MAX_PLAN_BYTES, NO_AREA, NO_ROBOT
+from planner.ids import MAX_PLAN_BYTES
 from planner.mission.team_control import Fleet, Reports, whole_numbers
 from planner.mrac.areas import connected_parts
 from planner.mrac.make_plan import make_plan
@@ -28,10 +28,11 @@ from planner.plan.reading import at, check_map
 from planner.plan.state import FORMAT, NO_CELLS, ON_ITS_WAY, VERSION, AreaState, MissionState, RobotState
 from planner.plan.state_file import parse_state
 from planner.settings import SETTINGS, Settings
-from planner.tally import WORDS_OF_0_3, Doing, Outcome
+from planner.simulator.codes import ALWAYS, NO_AREA, NO_ROBOT, Doing, Outcome
+from planner.tally import WORDS_OF_0_3
 from planner.world.keys import PROBABILITY, Key
 from planner.world.levels import NO_LEVEL, find_levels
-from planner.world.map_knowledge import ALWAYS, added
+from planner.world.map_knowledge import added
 from planner.world.uncertain_maps import Hazard
 from planner.world.world import MAX_CELLS, World
 

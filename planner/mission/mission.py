@@ -41,7 +41,7 @@ from planner.mrac.simulate import state_of
 from planner.plan.plan import Plan
 from planner.plan.state import MissionState
 from planner.settings import Settings
-from planner.tally import Doing, Outcome
+from planner.simulator.codes import Doing, Outcome
 from planner.world.world import World
 
 PATIENCE = 20

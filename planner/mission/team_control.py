@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner.arguments import as_whole, is_whole
 from planner.errors import StateError
 from planner.files import Json
-from planner.ids import MAX_STEP, NO_AREA
+from planner.ids import MAX_STEP
 from planner.mrac.board import Choice, Recorder, Robot, is_home
 from planner.mrac.choose import has_to_wait, offer_of, offered
 from planner.mrac.executive import Executive
@@ -20,7 +20,7 @@ from planner.mrac.simulate import play_step
 from planner.plan.plan import Area
 from planner.plan.reading import at
 from planner.rollout_sampling import Luck
-from planner.tally import Doing, EventKind, Outcome
+from planner.simulator.codes import NO_AREA, Doing, EventKind, Outcome
 
 
 class Fleet(Executive):

@@ -11,15 +11,15 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.ids import NO_AREA, NO_ROBOT
 from planner.mrac.areas import connected_parts
 from planner.mrac.home_paths import CUT_OFF, Homeward
-from planner.mrac.paths import NOT_WANTED
 from planner.mrac.problem import NO_LIMIT, Problem
 from planner.plan.plan import Area, LegKind
 from planner.plan.state import MissionState
-from planner.policies.rule import Offer
-from planner.tally import Doing, EventKind, Outcome, Trace
+from planner.simulator.codes import NO_AREA, NO_ROBOT, Doing, EventKind, Outcome
+from planner.simulator.offers import Offer
+from planner.simulator.searches import NOT_WANTED
+from planner.tally import Trace
 
 
 class State(Enum):

@@ -7,13 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.ids import NO_CELL
 from planner.mrac.board import Board, Choice, Robot, can_afford
-from planner.mrac.paths import NOT_WANTED, UNREACHED
-from planner.policies.limits import NO_REFUSAL, is_dangerous, is_refused, most_at_risk
-from planner.policies.rule import Offer
+from planner.policies.limits import most_at_risk
 from planner.settings import Settings
-from planner.tally import Doing
+from planner.simulator.codes import NO_CELL, Doing
+from planner.simulator.offers import NO_REFUSAL, Offer, is_dangerous, is_refused
+from planner.simulator.searches import NOT_WANTED, UNREACHED
 
 # Who hears whom: robots in a chain of short enough links from a base (SPEC section 22).
 

@@ -11,8 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.ids import NO_AREA
-from planner.mrac.areas import bisect, choose_parts, coverage_path
+from planner.mrac.areas import bisect, choose_parts
 from planner.mrac.board import Board, Choice, Recorder, Robot, State, can_go_on, has_to_leave, is_home, moves_left
 from planner.mrac.choose import (
     drives_back,
@@ -24,12 +23,12 @@ from planner.mrac.choose import (
     is_at_risk,
     is_full,
 )
-from planner.mrac.paths import NOT_WANTED
 from planner.mrac.problem import Problem
 from planner.plan.plan import Area, LegKind
 from planner.plan.state import MissionState
-from planner.policies.limits import NO_REFUSAL
-from planner.tally import Doing, EventKind, Outcome
+from planner.simulator.codes import NO_AREA, Doing, EventKind, Outcome
+from planner.simulator.offers import NO_REFUSAL
+from planner.simulator.searches import NOT_WANTED, coverage_path
 
 Split = Callable[[tuple[int, int], NDArray[np.int64]], Sequence[NDArray[np.int64]]]
 """`(shape, cells of a connected area of at least 2) -> its two connected parts`, in any order."""

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from planner.arguments import argument
 from planner.errors import PlanError
-from planner.ids import MAX_STEP, NO_CELL
-from planner.jit import compiled
-from planner.mrac.paths import UNREACHED, SafestPaths, entry_costs, level_costs, safest_paths
+from planner.ids import MAX_STEP
+from planner.mrac.paths import entry_costs, level_costs
 from planner.settings import Settings
+from planner.simulator.codes import NO_CELL
+from planner.simulator.jit import compiled
+from planner.simulator.searches import UNREACHED, SafestPaths, safest_paths
 from planner.world.levels import NO_LEVEL, ThreatLevels, levels_of_maps
 from planner.world.world import World
 

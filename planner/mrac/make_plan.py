@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.errors import PlanError, StateError
-from planner.ids import NO_ROBOT
 from planner.mrac.areas import allocate_areas_to_robots, connected_parts, find_areas, metis_parts
-from planner.mrac.paths import UNREACHED
 from planner.mrac.problem import Problem, prepare
 from planner.mrac.simulate import Run, areas_of, made_ready, simulate
 from planner.plan.plan import Area, Plan, RobotPlan, last_move
 from planner.plan.reading import check_partition
 from planner.plan.state import MissionState
 from planner.settings import Settings
+from planner.simulator.codes import NO_ROBOT
+from planner.simulator.searches import UNREACHED
 from planner.world.features import as_planned
 from planner.world.world import World
 

@@ -9,15 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.ids import NO_AREA, NO_CELL, NO_ROBOT
-from planner.mrac.areas import bisect, connected_parts, coverage_path
+from planner.mrac.areas import bisect, connected_parts
 from planner.mrac.board import Recorder, Robot, State
 from planner.mrac.executive import Executive, Split
-from planner.mrac.paths import neighbour_table
 from planner.mrac.problem import Problem
 from planner.plan.plan import Area
 from planner.plan.state import MissionState
-from planner.tally import Doing, EventKind
+from planner.simulator.codes import NO_AREA, NO_CELL, NO_ROBOT, Doing, EventKind
+from planner.simulator.searches import coverage_path, neighbour_table
 from planner.world.levels import NO_LEVEL
 from planner.world.map_knowledge import Evidence, Readings, added
 

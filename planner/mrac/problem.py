@@ -11,15 +11,17 @@ from scipy import ndimage
 
 from planner.arguments import argument
 from planner.errors import PlanError, WorldError
-from planner.ids import MAX_STEP, NO_ROBOT
+from planner.ids import MAX_STEP
 from planner.mrac.areas import connected_parts, sides_first
 from planner.mrac.home_paths import Homeward, OwnMaps, own_maps, ways_home, ways_to
-from planner.mrac.paths import BLOCKED, SafestPaths, entry_costs, level_costs, safest_paths
+from planner.mrac.paths import entry_costs, level_costs
 from planner.plan.plan import Area, Plan
 from planner.policies import Rule, rule_of
 from planner.policies.limits import refusal_threshold
-from planner.policies.rule import Offer
 from planner.settings import Settings
+from planner.simulator.codes import NO_ROBOT
+from planner.simulator.offers import Offer
+from planner.simulator.searches import BLOCKED, SafestPaths, safest_paths
 from planner.world.features import as_planned
 from planner.world.levels import NO_LEVEL, ThreatLevels, find_levels, levels_of_maps
 from planner.world.map_knowledge import Evidence, Knowledge, Sense

@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 from planner.arguments import argument
 from planner.errors import StateError
-from planner.failure_model import MOST
-from planner.ids import NO_AREA, NO_ROBOT
 from planner.mrac.areas import allocate_areas_to_robots, bisect, find_areas, metis_parts
 from planner.mrac.board import Recorder, Robot, Stretch, is_home
 from planner.mrac.executive import Executive, Split
 from planner.mrac.map_belief import Experienced, Forewarned, Learning
-from planner.mrac.paths import NOT_WANTED
 from planner.mrac.problem import Problem, check_every_visit, ready_loop
 from planner.plan.plan import Area, Leg, Plan
 from planner.plan.state import NAT, ON_ITS_WAY, RETURNING, AreaState, MissionState, RobotState
 from planner.rollout_sampling import Luck, Roaming, check_counters, rows_met
-from planner.tally import Doing, Outcome, Trace
+from planner.simulator.codes import NO_AREA, NO_ROBOT, Doing, Outcome
+from planner.simulator.searches import NOT_WANTED
+from planner.simulator.thresholds import MOST
+from planner.tally import Trace
 from planner.world.levels import NO_LEVEL
 from planner.world.map_knowledge import Readings
 from planner.world.uncertain_maps import Uncertain
@@ -436,7 +436,7 @@ class ReferenceLoop:
         return hit
 
     def trace(self, seed: int, rollout: int) -> Trace:
-        """The same rollout in full; `planner.simulator.closed_loop.trace_rollouts` gives the same, event for event."""
+        """The same rollout in full; `planner.rollouts.closed_loop.trace_rollouts` gives the same, event for event."""
         recorder = Recorder()
         run = self.run(seed, rollout, recorder)
         return recorder.trace(rollout, run.area_of, run.outcome)

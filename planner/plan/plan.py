@@ -23,7 +23,7 @@ from planner.ids import MAX_PLAN_BYTES
 from planner.plan.state import MissionState
 from planner.policies import DEFAULT
 from planner.settings import Settings
-from planner.tally import Outcome
+from planner.simulator.codes import Outcome
 from planner.world.world import EXAMPLE, World
 
 FORMAT, VERSION = "mrac-plan", 2

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from planner.arguments import whole
 from planner.errors import PlanError
 from planner.files import read_json
-from planner.ids import MAX_PLAN_BYTES, MAX_STEP, NO_ROBOT
+from planner.ids import MAX_PLAN_BYTES, MAX_STEP
 from planner.plan.plan import FORMAT, VERSION, Area, Leg, Plan, RobotPlan
 from planner.plan.reading import at, check_map, check_partition, read_cells
 from planner.plan.state_file import parse_state
 from planner.settings import BEARING, KEPT, POLICY, SETTINGS, Settings
-from planner.tally import OF_CLOSED_LOOP, WORDS_OF_0_3, Outcome
+from planner.simulator.codes import NO_ROBOT, Outcome
+from planner.tally import OF_CLOSED_LOOP, WORDS_OF_0_3
 from planner.world.features import as_planned
 from planner.world.keys import Key
 from planner.world.world import MAX_CELLS, MAX_ROBOTS, World

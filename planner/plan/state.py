@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from planner.errors import StateError
 from planner.files import Json, check_new, write_json
-from planner.ids import MAX_PLAN_BYTES, NO_AREA
+from planner.ids import MAX_PLAN_BYTES
+from planner.simulator.codes import NO_AREA
 
 FORMAT, VERSION = "mrac-state", 1
 NAT = 2**32

@@ -16,7 +16,7 @@ from planner.arguments import Numbers, argument, whole
 from planner.errors import MapError, StateError, UsageError
 from planner.files import is_header, read_json, read_npy
 from planner.formatting import counted, share
-from planner.ids import MAX_PLAN_BYTES, MAX_STEP, NO_AREA, NO_ROBOT
+from planner.ids import MAX_PLAN_BYTES, MAX_STEP
 from planner.plan.reading import at, check_map, check_partition, read_cell, read_cells, read_path
 from planner.plan.state import (
     AREA_STATES,
@@ -31,7 +31,8 @@ from planner.plan.state import (
     MissionState,
     RobotState,
 )
-from planner.tally import OF_CLOSED_LOOP, WORDS_OF_0_3, Outcome
+from planner.simulator.codes import NO_AREA, NO_ROBOT, Outcome
+from planner.tally import OF_CLOSED_LOOP, WORDS_OF_0_3
 from planner.world.grid import Frame
 from planner.world.image_files import FULL, RosMap, read_image, read_ros_map
 from planner.world.image_files import SUFFIXES as IMAGES

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
-from planner.policies.rule import Offer, price
-
-NO_REFUSAL = 2**42
-"""A theta that refuses nothing; larger ones are as good as none."""
+from planner.simulator.offers import NO_REFUSAL
 
 
 def most_at_risk(reserve: float, alive: int) -> int:
@@ -28,18 +24,3 @@ def refusal_threshold(worth: float | None, cells: int, least_threat: float, risk
     rho = least_threat if risk == "paper" else -math.log1p(-least_threat)
     theta = cells / (rho * worth)
     return NO_REFUSAL if theta >= NO_REFUSAL else math.floor(theta)
-
-
-def is_dangerous(offer: Offer, cells: Any) -> Any:
-    """True if the area is, or a cell on the way to it: one dangerous cell costs more than every safe one."""
-    return price(offer) >= cells
-
-
-def is_refused(offer: Offer, cells: Any, theta: Any, scale: Any) -> Any:
-    """True if the area costs more than it is worth: C >= n and scale C > theta U, without the product.
-
-    `scale`: U of one cell of the largest value, 1 where no cell has a value. So an area worth nothing is refused.
-    """
-    worthless = offer.value == 0
-    each = (scale * price(offer) - 1) // (offer.value + worthless)
-    return is_dangerous(offer, cells) & (each >= theta * (1 - worthless))

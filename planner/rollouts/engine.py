@@ -16,15 +16,16 @@ from planner.errors import UsageError, WorldError
 from planner.ids import BLOCK, MOST_ROLLOUTS
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan, is_certain
+from planner.rollouts import closed_loop
+from planner.rollouts.closed_loop import compile_closed_loop
+from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.names import ENGINES, EngineName, check_jax, of_jax
 from planner.rollouts.open_loop import CompiledPlan, OpenLoop, compile_plan
 from planner.rollouts.open_loop_numba import NumbaOpenLoop
+from planner.rollouts.tables import AllPairs
 from planner.rollouts.threshold_classes import sums_by_luck
-from planner.simulator import closed_loop
-from planner.simulator.closed_loop import compile_closed_loop
-from planner.simulator.loop import ClosedLoop
-from planner.simulator.tables import AllPairs
-from planner.tally import Outcome, RolloutResults, Tally, Trace
+from planner.simulator.codes import Outcome
+from planner.tally import RolloutResults, Tally, Trace
 from planner.world.world import World
 
 # The closed loop of a plan in which no robot can be lost: every rollout is the nominal run, which the plan holds.
@@ -189,7 +190,7 @@ def run_ranges(
         position = stop
 
 
-# The compiled classical simulator (`planner.simulator.closed_loop`) as an engine.
+# The compiled classical simulator (`planner.rollouts.closed_loop`) as an engine.
 
 TRACED = 8
 """Rollouts traced at a time."""

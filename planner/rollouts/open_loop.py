@@ -46,7 +46,8 @@ from planner.rollouts.open_loop_events import (
     open_loop_trace,
     source_counts,
 )
-from planner.tally import Outcome, RolloutResults, Tally, Trace, tally_key
+from planner.simulator.codes import Outcome
+from planner.tally import RolloutResults, Tally, Trace, tally_key
 from planner.world.uncertain_maps import UNIT
 from planner.world.world import World
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from planner.failure_model import Bearing
-from planner.ids import NO_AREA, NO_ROBOT
 from planner.plan.plan import Plan, RobotPlan, last_move
 from planner.rollout_sampling import Luck
-from planner.tally import Doing, EventKind, Outcome, Trace
+from planner.simulator.codes import NO_AREA, NO_ROBOT, Doing, EventKind, Outcome
+from planner.tally import Trace
 from planner.world.uncertain_maps import Draws
 from planner.world.world import World
 

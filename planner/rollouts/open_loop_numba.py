@@ -12,8 +12,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from planner.failure_model import key_of_luck, own_key, unworn
-from planner.jit import program, rare_kernel
+from planner.failure_model import key_of_luck, own_key
 from planner.rollouts.open_loop import (
     CompiledPlan,
     OpenLoopTables,
@@ -26,7 +25,9 @@ from planner.rollouts.open_loop import (
     words_of,
 )
 from planner.simulator.failure_sampling import as_it_is, threefry, tolerance
+from planner.simulator.jit import program, rare_kernel
 from planner.simulator.state import leading_zeros, popcount
+from planner.simulator.thresholds import unworn
 from planner.tally import RolloutResults
 
 WIDEST = '"prefer-vector-width"="512"'

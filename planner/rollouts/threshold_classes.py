@@ -11,10 +11,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.failure_model import UNIT, key_of_luck, tolerances
-from planner.jit import program
+from planner.failure_model import key_of_luck, tolerances
+from planner.simulator.codes import Outcome
 from planner.simulator.failure_sampling import threefry
-from planner.tally import Outcome, RolloutResults
+from planner.simulator.jit import program
+from planner.simulator.thresholds import UNIT
+from planner.tally import RolloutResults
 
 CLASSES_A_NAT = 8
 """Of the total, which has a variance of one square nat a robot: classes take less than .14 % of that away."""

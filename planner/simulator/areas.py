@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.ids import NONE
-from planner.jit import kernel, rare_kernel, spliced
-from planner.simulator.paths import (
+from .codes import NONE, EventKind
+from .jit import kernel, rare_kernel, spliced
+from .paths import (
     cheapest_cell,
     entry_of,
     open_at,
@@ -22,9 +22,9 @@ from planner.simulator.paths import (
     set_out,
     walk_back,
 )
-from planner.simulator.range_budget import affords
-from planner.simulator.robot_types import hears, moves_until, own, own_level, own_turn
-from planner.simulator.state import (
+from .range_budget import affords
+from .robot_types import hears, moves_until, own, own_level, own_turn
+from .state import (
     AREA_BITS,
     COVERING,
     FAR,
@@ -39,7 +39,6 @@ from planner.simulator.state import (
     lowest_bit,
     put,
 )
-from planner.tally import EventKind
 
 # What the compiled simulator writes down for a trace: `planner.tally` in plain arrays, empty where nothing is traced.
 #

@@ -14,9 +14,9 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload, register_jitable
 
-from planner.failure_model import LOGARITHMS, MOST, log_units, threefry2x32, unworn
-from planner.jit import UNCOUNTED, kernel, program, rare_kernel
-from planner.simulator.state import highest_bit
+from .jit import UNCOUNTED, kernel, program, rare_kernel
+from .state import highest_bit
+from .thresholds import LOGARITHMS, MOST, log_units, threefry2x32, unworn
 
 # Several rollouts at a time drawn for and parted, in vector registers.
 #
@@ -166,7 +166,7 @@ def threefry(key0, key1, counter0, counter1):
 
 @kernel
 def tolerance(word):
-    """`planner.failure_model.tolerance_of` one word."""
+    """`planner.simulator.thresholds.tolerance_of` one word."""
     odd = (np.int64(word) << 1) + 1
     return log_units(odd, highest_bit(np.uint64(odd)), LOGARITHMS)
 

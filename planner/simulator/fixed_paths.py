@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.ids import NONE
-from planner.jit import kernel, rare_kernel
-from planner.simulator.areas import ALLOCATED_EVENT, find_next_area, give, has_area, moves_on, note, share, waits
-from planner.simulator.map_belief import is_lost
-from planner.simulator.paths import entry_of, go_on, list_to_do, next_leg, set_out
-from planner.simulator.return_home import can_be_remembered, charge, may_be_charged, remember, turn_home, turns
-from planner.simulator.robot_types import drives_back
-from planner.simulator.state import (
+from .areas import ALLOCATED_EVENT, find_next_area, give, has_area, moves_on, note, share, waits
+from .codes import NONE
+from .jit import kernel, rare_kernel
+from .map_belief import is_lost
+from .paths import entry_of, go_on, list_to_do, next_leg, set_out
+from .return_home import can_be_remembered, charge, may_be_charged, remember, turn_home, turns
+from .robot_types import drives_back
+from .state import (
     AREA_BITS,
     CHARGING,
     COVERING,

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.ids import NONE
-from planner.jit import kernel, rare_kernel
-from planner.simulator.areas import SURPRISED_EVENT, close, has_area, note, reopen, room_of
-from planner.simulator.failure_sampling import own_word, threefry
-from planner.simulator.range_budget import find_ways_home, moves_home
-from planner.simulator.robot_types import own
-from planner.simulator.state import (
+from .areas import SURPRISED_EVENT, close, has_area, note, reopen, room_of
+from .codes import ALWAYS, NEVER, NONE
+from .failure_sampling import own_word, threefry
+from .jit import kernel, rare_kernel
+from .range_budget import find_ways_home, moves_home
+from .robot_types import own
+from .state import (
     ALARM,
     AREA_BITS,
     BELIEF,
@@ -40,7 +40,6 @@ from planner.simulator.state import (
     drop,
     holds,
 )
-from planner.world.map_knowledge import ALWAYS, NEVER
 
 GONE, WHOLE, BROKEN, TOUCHED, OWNED = range(5)
 """`State.fate` of an area: completed, of nobody, to fall apart, to be joined; OWNED + robot: that robot's."""

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.jit import kernel, rare_kernel
-from planner.simulator.failure_sampling import split_ids, threefry
-from planner.simulator.state import (
+from .failure_sampling import split_ids, threefry
+from .jit import kernel, rare_kernel
+from .state import (
     ACTS,
     DEAD,
     HIT,

@@ -7,16 +7,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.ids import NONE
-from planner.jit import kernel, rare_kernel
-from planner.policies.limits import is_dangerous
-from planner.policies.rule import Offer, price
-from planner.simulator.areas import any_to_share, costs_from, has_area, is_within, make_lowest, may_be_shared
-from planner.simulator.paths import one_cell, row_from, seek, set_out
-from planner.simulator.policy import is_before, is_danger, offer_of, refuses
-from planner.simulator.range_budget import affords, moves_home
-from planner.simulator.robot_types import hears, moves_until, own, own_level
-from planner.simulator.state import (
+from .areas import any_to_share, costs_from, has_area, is_within, make_lowest, may_be_shared
+from .codes import NONE
+from .jit import kernel, rare_kernel
+from .offers import Offer, is_dangerous, price
+from .paths import one_cell, row_from, seek, set_out
+from .policy import is_before, is_danger, offer_of, refuses
+from .range_budget import affords, moves_home
+from .robot_types import hears, moves_until, own, own_level
+from .state import (
     AREA_BITS,
     FAR,
     IDLE,

@@ -9,11 +9,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.ids import NO_CELL, NONE
-from planner.jit import kernel, rare_kernel, threaded
-from planner.mrac.paths import TOO_FAR, UNREACHED, SafeParts, danger_ahead, far_search, pop, push
-from planner.simulator.robot_types import own
-from planner.simulator.state import (
+from .codes import NO_CELL, NONE
+from .jit import kernel, rare_kernel, threaded
+from .robot_types import own
+from .searches import TOO_FAR, UNREACHED, SafeParts, danger_ahead, far_search, pop, push
+from .state import (
     AREA_BITS,
     FAR,
     RANKED,
@@ -70,7 +70,7 @@ def _share_out(entries: int, work: Callable[[int, int], None]) -> None:
 def _fill(part, parts, near, entry, cost, hop, ranked):
     """Every so many-th BLOCK of sources.
 
-    Dijkstra as in `planner.mrac.paths.search_within`, but to all cells: they leave the queue in rising order of cost,
+    Dijkstra as in `searches.search_within`, but to all cells: they leave the queue in rising order of cost,
     so that whatever precedes a cell has its first hop by then.
     """
     size, most = len(entry), ranked.shape[1]

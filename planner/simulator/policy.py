@@ -7,52 +7,25 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
-from numba import types
-from numba.core.errors import NumbaError
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from planner.errors import PlanError
-from planner.jit import UNCOUNTED, kernel, rare_kernel
-from planner.mrac.problem import Problem
-from planner.policies import RULES
-from planner.policies.limits import NO_REFUSAL, is_dangerous, is_refused, most_at_risk
-from planner.policies.rule import Offer, Rule, price
-from planner.policies.rules import by_cost_and_frontier, by_cost_per_cell
-from planner.simulator.robot_types import own, own_level
-from planner.simulator.state import DEAD, SEEN, VISITED
-from planner.simulator.tables import Tables
+from .jit import UNCOUNTED, kernel, rare_kernel
+from .offers import (
+    NO_REFUSAL,
+    Offer,
+    by_cost_and_frontier,
+    by_cost_per_cell,
+    is_dangerous,
+    is_refused,
+    price,
+)
+from .robot_types import own, own_level
+from .state import DEAD, SEEN, VISITED
 
 for _stated in (price, is_dangerous, is_refused, by_cost_per_cell, by_cost_and_frontier):
     register_jitable(**UNCOUNTED)(_stated)
-
-OF_OFFER = types.int64(*[types.int64] * (1 + len(Offer._fields)))
-"""Signature of `Policy.own`."""
-
-
-def as_function(rule: Rule) -> Any:
-    """The order of a user's own rule as a function with a C signature: programs are not compiled anew for each rule.
-
-    Arguments: which of the four numbers of `Rule.order`, and those of an `Offer`. Raises PlanError for an order that is
-    not arithmetic.
-    """
-    order = register_jitable(**UNCOUNTED)(rule.order)
-
-    def number(which, level, cost, unvisited, entry, value, beyond, frontier, surcharge):
-        (one, two), (three, four) = order(Offer(level, cost, unvisited, entry, value, beyond, frontier, surcharge))
-        # A float has no `|`: an order that is not of whole numbers does not compile, instead of being cut to them.
-        return (one if which == 0 else two if which == 1 else three if which == 2 else four) | 0
-
-    try:
-        return numba.cfunc(OF_OFFER, error_model="numpy")(number)
-    except NumbaError as error:
-        raise PlanError(
-            f"the order of rule {rule.name} cannot be compiled",
-            expected="whole-number arithmetic of an Offer: two pairs (numerator, denominator)",
-            fix="roll it out with planner.mrac.simulate.ReferenceLoop",
-        ) from error
 
 
 class Policy(NamedTuple):
@@ -89,41 +62,6 @@ class Policy(NamedTuple):
     stamp: NDArray[np.int64]
     is_own: bool | None = None
     own: Any = None
-
-
-def dangerous(problem: Problem, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """`Policy.danger` of these cells `[A]`; where robots differ in type, `[Y A]`."""
-    of_cell = problem.levels.of_cell[cells]
-    return (of_cell if problem.own is None else problem.own.level[:, of_cell].ravel()) > 0
-
-
-def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables) -> Policy:
-    """The policy of an attentive, exact rule; `cells` int64 `[A]`, the accessible ones. Raises PlanError."""
-    rule, settings, unknown = problem.rule, problem.settings, problem.unknown
-    ahead = slice(None if rule.looks_ahead and (unknown is None or unknown.looks) else 0)
-    alive = range(len(problem.starts) + 1 if settings.reserve is not None else 0)
-    is_own = RULES.get(rule.name) is not rule
-    return Policy(
-        looks_again=rule.looks_again,
-        breaks_off=rule.breaks_off,
-        looks_ahead=rule.looks_ahead,
-        by_price=rule.by_price,
-        limited=rule.limited and problem.theta < NO_REFUSAL,
-        entry=problem.entry,
-        danger=dangerous(problem, cells),
-        cells=problem.costs.size,
-        theta=problem.theta,
-        worth=settings.worth is not None,
-        most=np.array([most_at_risk(settings.reserve or 1.0, robots) for robots in alive], dtype=np.int64),
-        value=np.zeros(0, dtype=np.int64) if problem.value is None else problem.value[cells],
-        scale=problem.scale,
-        beyond=problem.beyond,
-        view_begin=tables.view_begin[ahead],
-        in_view=tables.in_view[ahead],
-        stamp=np.zeros(len(cells) + 1, dtype=np.int64)[ahead],
-        is_own=True if is_own else None,
-        own=as_function(rule) if is_own else None,
-    )
 
 
 @rare_kernel

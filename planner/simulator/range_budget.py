@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.ids import NONE
-from planner.jit import kernel, rare_kernel
-from planner.mrac.paths import pop, push
-from planner.simulator.paths import walk_back
-from planner.simulator.robot_types import own, own_turn
-from planner.simulator.state import holds
+from .codes import NONE
+from .jit import kernel, rare_kernel
+from .paths import walk_back
+from .robot_types import own, own_turn
+from .searches import pop, push
+from .state import holds
 
 
 @kernel

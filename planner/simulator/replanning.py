@@ -8,10 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.ids import NONE
-from planner.jit import kernel, rare_kernel
-from planner.policies.limits import is_dangerous
-from planner.simulator.areas import (
+from .areas import (
     ALLOCATED_EVENT,
     LOOKED_AGAIN_EVENT,
     REFUSED_EVENT,
@@ -24,13 +21,16 @@ from planner.simulator.areas import (
     share_between,
     waits,
 )
-from planner.simulator.map_belief import is_lost
-from planner.simulator.next_area import first_area, first_of_idle, first_to_share, has_to_wait, head_for, is_full, see
-from planner.simulator.paths import entry_of, go_on, list_to_do, next_leg, set_out
-from planner.simulator.policy import is_danger, offer_of
-from planner.simulator.return_home import charge, may_be_charged, turn_home, turns
-from planner.simulator.robot_types import drives_back, hears
-from planner.simulator.state import (
+from .codes import NONE
+from .jit import kernel, rare_kernel
+from .map_belief import is_lost
+from .next_area import first_area, first_of_idle, first_to_share, has_to_wait, head_for, is_full, see
+from .offers import is_dangerous
+from .paths import entry_of, go_on, list_to_do, next_leg, set_out
+from .policy import is_danger, offer_of
+from .return_home import charge, may_be_charged, turn_home, turns
+from .robot_types import drives_back, hears
+from .state import (
     AREA_BITS,
     CHARGING,
     COVERING,

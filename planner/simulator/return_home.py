@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.ids import NONE
-from planner.jit import kernel, rare_kernel
-from planner.simulator.areas import (
+from .areas import (
     CHARGED_EVENT,
     HOME_EVENT,
     RANGE_ENDED_EVENT,
@@ -20,10 +18,12 @@ from planner.simulator.areas import (
     note,
     replace,
 )
-from planner.simulator.paths import adjacent, look_up_nearest, seek, to_do_in, to_do_of, walk_back
-from planner.simulator.range_budget import can_go_on, moves_home, own_moves
-from planner.simulator.robot_types import own_turn
-from planner.simulator.state import (
+from .codes import NONE
+from .jit import kernel, rare_kernel
+from .paths import adjacent, look_up_nearest, seek, to_do_in, to_do_of, walk_back
+from .range_budget import can_go_on, moves_home, own_moves
+from .robot_types import own_turn
+from .state import (
     CHARGING,
     DEAD,
     DONE,

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.jit import kernel, rare_kernel
-from planner.simulator.state import DEAD, holds, put
+from .jit import kernel, rare_kernel
+from .state import DEAD, holds, put
 
 
 @kernel

@@ -15,10 +15,10 @@ from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic, overload
 
-from planner.ids import NONE
-from planner.jit import kernel, program, rare_kernel, spliced
-from planner.simulator.map_belief import take_over
-from planner.simulator.state import (
+from .codes import NONE
+from .jit import kernel, program, rare_kernel, spliced
+from .map_belief import take_over
+from .state import (
     AREAS_FULL,
     CUT,
     HIT,
@@ -30,8 +30,8 @@ from planner.simulator.state import (
     WORD,
     State,
 )
-from planner.simulator.step import advance
-from planner.simulator.struct_pointers import flat, hand
+from .step import advance
+from .struct_pointers import flat, hand
 
 
 def take(taken):

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.ids import NONE
-from planner.jit import kernel
-from planner.simulator.failure_sampling import fresh
-from planner.simulator.paths import adjacent, go_on, next_leg, set_out_far, to_do_in
-from planner.simulator.replanning import is_news, notices
-from planner.simulator.robot_types import own
-from planner.simulator.state import AREA_BITS, COVERING, FOLLOWING, ONE, SURVIVED, TO_DO, TRAVELING, VISITED, lowest_bit
-from planner.simulator.visits import count_new
+from .codes import NONE
+from .failure_sampling import fresh
+from .jit import kernel
+from .paths import adjacent, go_on, next_leg, set_out_far, to_do_in
+from .replanning import is_news, notices
+from .robot_types import own
+from .state import AREA_BITS, COVERING, FOLLOWING, ONE, SURVIVED, TO_DO, TRAVELING, VISITED, lowest_bit
+from .visits import count_new
 
 
 @kernel

@@ -3,7 +3,7 @@
 Part of `planner.simulator.rollouts`, which see. Axis letters: `A` accessible cells, `K` robots, `M` areas, `T` steps,
 `L`
 levels of the state: sets of rollouts that wait for others which were hit. Arrays that a way of running does without
-are empty; from where on they may be is told by `planner.simulator.loop`.
+are empty; from where on they may be is told by `planner.rollouts.loop`.
 """
 
 from __future__ import annotations
@@ -17,10 +17,9 @@ from numba import types
 from numba.extending import intrinsic, overload
 from numpy.typing import DTypeLike, NDArray
 
-from planner.failure_model import LEAST
-from planner.ids import NONE
-from planner.jit import kernel
-from planner.tally import Doing, Outcome
+from .codes import NONE, Doing, Outcome
+from .jit import kernel
+from .thresholds import LEAST
 
 # Bits of sets of robots and of areas, and where a set of rollouts parts.
 #
@@ -134,7 +133,7 @@ class Tables(NamedTuple):
             per cell to do, or by value; M after the last. Empty where no rule asks. counted: int64 `[M]`, cells of each
             of them, or as many times the value of its best.
         entry: int64 `[A]`, cost of entering each cell (eq. (3)); empty where nothing is searched for.
-        node, beside, border: the safe components, as `planner.mrac.paths.SafeParts` has them; node has no
+        node, beside, border: the safe components, as `planner.simulator.searches.SafeParts` has them; node has no
             component at its end, `[A + 1]`. kind: like near `[A]`; cells of one kind cost the same to enter,
             `kind_cost` `[C]`, and there are `kind_begin` `[C]` cells of the kinds before it, both int64. All empty
             where there are tables.
@@ -181,7 +180,7 @@ class Tables(NamedTuple):
             (`planner.simulator.return_home`), but for home_of and onward where they drive back
             (`planner.simulator.robot_types`).
         follows .. phased: the features of a mission, None where a program does without one: none of its code is
-            compiled (`planner.jit.FoldAbsent`). Robots follow external paths; legs are searched for; there are no
+            compiled (`jit_features.FoldAbsent`). Robots follow external paths; legs are searched for; there are no
             tables of distances; the map is uncertain; a loss makes a cell harmless; robots wear or differ in
             susceptibility; threats move; robots differ in type; in speed; radio has a range; robots return to base;
             they learn the map; they estimate hazards; threats change by phases.
@@ -278,7 +277,7 @@ class How(NamedTuple):
 
     `aside`: 0, or how many sets of those who are hit the call puts aside, at most
     (`planner.simulator.rollouts.run_set`).
-    `cut`: 0, or the mass below which a branch of a tree is left (`planner.simulator.exact_tree`); `most`: histories of
+    `cut`: 0, or the mass below which a branch of a tree is left (`planner.rollouts.exact_tree`); `most`: histories of
     it.
     """
 

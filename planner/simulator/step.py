@@ -14,18 +14,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.ids import NONE
-from planner.jit import kernel, rare_kernel
-from planner.simulator import fixed_paths, replanning
-from planner.simulator.areas import has_area, unsettle, write_frame
-from planner.simulator.map_belief import forget_news, learns_of, recall, revise, take_note
-from planner.simulator.moving_threats import has_entered, is_meeting, meet
-from planner.simulator.next_area import could_go_on
-from planner.simulator.replanning import begin, is_news
-from planner.simulator.return_home import call_home, count_home, end_range, go_home, is_away, stay
-from planner.simulator.robot_types import came_back, on_turn, own_turn
-from planner.simulator.solo import only_mover, walk_alone
-from planner.simulator.state import (
+from . import fixed_paths, replanning
+from .areas import has_area, unsettle, write_frame
+from .codes import NONE
+from .jit import kernel, rare_kernel
+from .map_belief import forget_news, learns_of, recall, revise, take_note
+from .moving_threats import has_entered, is_meeting, meet
+from .next_area import could_go_on
+from .replanning import begin, is_news
+from .return_home import call_home, count_home, end_range, go_home, is_away, stay
+from .robot_types import came_back, on_turn, own_turn
+from .solo import only_mover, walk_alone
+from .state import (
     ACTS,
     ALL_ROBOTS_LOST,
     AREAS_FULL,
@@ -46,7 +46,7 @@ from planner.simulator.state import (
     WORD,
     lowest_bit,
 )
-from planner.simulator.visits import enter, is_complete, lose, survive
+from .visits import enter, is_complete, lose, survive
 
 
 @rare_kernel

@@ -12,7 +12,6 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
-import numba
 import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
@@ -22,7 +21,8 @@ from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, mod
 from numba.np.arrayobj import populate_array
 from numpy.typing import NDArray
 
-from planner.simulator.state import State, Tables
+from .jit import INTERPRETED
+from .state import State, Tables
 
 LENGTHS = {
     (Tables, "near"): 4,
@@ -160,7 +160,7 @@ def with_records(values: Any) -> Any:
     return values._replace(robots=Records(values.robots), areas=Records(values.areas), marks=Record(values.marks))  # type: ignore[arg-type]
 
 
-hand: Callable[[Any], Any] = with_records if numba.config.DISABLE_JIT else _hand
+hand: Callable[[Any], Any] = with_records if INTERPRETED else _hand
 """The address of a copy of a named tuple, good until the caller returns or comes here again."""
 
 
@@ -176,5 +176,5 @@ def _flat(typing_context: Any, array: Any) -> Any:
     return row(array), make
 
 
-flat: Callable[[Any], Any] = (lambda array: array.reshape(-1)) if numba.config.DISABLE_JIT else _flat
+flat: Callable[[Any], Any] = (lambda array: array.reshape(-1)) if INTERPRETED else _flat
 """A contiguous array's values as one row."""

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.ids import NONE
-from planner.jit import kernel, rare_kernel
-from planner.simulator.areas import COMPLETED_EVENT, HIT_EVENT, close, has_area, note
-from planner.simulator.failure_sampling import stopped_from
-from planner.simulator.map_belief import visit_of
-from planner.simulator.return_home import leave
-from planner.simulator.state import (
+from .areas import COMPLETED_EVENT, HIT_EVENT, close, has_area, note
+from .codes import NONE
+from .failure_sampling import stopped_from
+from .jit import kernel, rare_kernel
+from .map_belief import visit_of
+from .return_home import leave
+from .state import (
     ACTS,
     ALL_ROBOTS_LOST,
     AREA_BITS,

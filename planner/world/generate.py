@@ -16,7 +16,8 @@ from scipy import ndimage
 
 from planner.arguments import FRACTION, SEED, Numbers, check_word, whole
 from planner.errors import WorldError
-from planner.failure_model import key_of, threefry2x32
+from planner.failure_model import key_of
+from planner.simulator.thresholds import threefry2x32
 from planner.world.keys import PROBABILITY
 from planner.world.world import FOUR_NEIGHBOURS, MAX_CELLS, World
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from planner.arguments import Numbers
 from planner.errors import WorldError
 from planner.files import Json
-from planner.ids import NO_STEP
+from planner.simulator.codes import ALWAYS, NEVER, NO_STEP
 from planner.world.keys import CHANCE
 
 # What is seen from where: cells within a range, and with `sight` only past no obstacle; in integers, exact.
@@ -195,8 +195,6 @@ def knowledge_in(arrays: Mapping[str, NDArray], belief: NDArray[np.float32], sou
 
 NAT = 2**20
 """Log odds are whole numbers of 1 / NAT."""
-ALWAYS, NEVER = 2**62, -(2**62)
-"""That a hazard is there, and that none is."""
 VISITS, NATS = 3, 4
 """Classes that plans tell apart: survived visits; with a detector, nats less and more than at first."""
 READING_DRAW = 5

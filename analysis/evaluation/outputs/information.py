@@ -28,7 +28,7 @@ from planner.files import Json
 from planner.formatting import counted, percent
 from planner.mrac.make_plan import allocated_plan
 from planner.plan.plan import Plan
-from planner.simulator.closed_loop import compile_closed_loop, final_odds
+from planner.rollouts.closed_loop import compile_closed_loop, final_odds
 from planner.world.features import seeing, with_sense
 from planner.world.map_knowledge import RANGE, Sense, chance_of
 from planner.world.uncertain_maps import Hazard, Uncertain

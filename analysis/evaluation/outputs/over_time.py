@@ -26,8 +26,8 @@ from planner.files import Json
 from planner.formatting import TURNS, UNPACED, Pace, counted, percent
 from planner.plan.plan import Drive, Plan, drive_of
 from planner.rollouts.engine import run_ranges
-from planner.simulator.exact_tree import Tree
-from planner.simulator.tables import AllPairs
+from planner.rollouts.exact_tree import Tree
+from planner.rollouts.tables import AllPairs
 from planner.tally import Tally
 from planner.world.world import World
 
@@ -101,7 +101,7 @@ def closed_loop_curves(
     world: World, plan: Plan, choices: RolloutChoices, steps: NDArray[np.int64], kept: AllPairs
 ) -> Curves:
     """Of the closed loop, by the compiled simulator whatever the engine: they agree rollout for rollout."""
-    from planner.simulator.closed_loop import compile_closed_loop, new_cells
+    from planner.rollouts.closed_loop import compile_closed_loop, new_cells
 
     loop = compile_closed_loop(plan, world, first_only=choices.first_only, kept=kept)
 

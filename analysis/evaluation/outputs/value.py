@@ -30,8 +30,8 @@ from planner.errors import UsageError
 from planner.files import Json
 from planner.formatting import at_least_words, percent
 from planner.rollouts.engine import run_ranges
+from planner.rollouts.exact_tree import Tree
 from planner.rollouts.threshold_classes import luck_classes
-from planner.simulator.exact_tree import Tree
 from planner.simulator.state import MOST_PASSES
 from planner.tally import Tally
 from planner.world.scenario import METRICS

@@ -32,10 +32,10 @@ from analysis.recording.frames import (
 )
 from analysis.recording.viewers import topics
 from analysis.recording.viewers.topics import FRAME, Clock, Message, Place, Stage, occupancy_grid
-from planner.ids import NO_AREA, NO_ROBOT, NO_STEP
 from planner.plan.plan import headings
 from planner.rollout_sampling import ways_of_movers
-from planner.tally import Doing, Trace
+from planner.simulator.codes import NO_AREA, NO_ROBOT, NO_STEP, Doing
+from planner.tally import Trace
 from planner.world.image_files import FULL, NO_VALUE
 from planner.world.world import World
 

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.simulator.loop import ClosedLoop
-from planner.simulator.runners import Runner
+from planner.rollouts.loop import ClosedLoop
+from planner.rollouts.runners import Runner
+from planner.simulator.codes import Outcome
 from planner.simulator.state import Counts
-from planner.tally import Outcome
 
 WHOLE = 2**50
 """Units of mass: sums over 8,192 visits of a cell still fit into 64 bits."""

@@ -2,7 +2,7 @@
 
 Numba optimises every function and makes machine code of it, then does it again, and again, where the function has been
 linked into its callers. Parts, which Python does not call, are only cleaned of what lowering leaves behind. In programs
-and parts no index is negative. Numba's internals, which are used for it, are those of the releases that `planner.jit`
+and parts no index is negative. Numba's internals, which are used for it, are those of the releases that `jit.KNOWN`
 names; with others this is not imported.
 """
 
@@ -18,7 +18,7 @@ from numba.core.types import Integer, Literal
 from numba.core.types.common import Buffer
 from numba.core.types.containers import BaseTuple
 
-from planner.jit_features import FeatureCompiler
+from .jit_features import FeatureCompiler
 
 
 class QuickFlags(Flags):

@@ -27,26 +27,13 @@ from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
-from planner.jit_features import FeatureCompiler
+from .jit_features import FeatureCompiler
 
 LOG = logging.getLogger("mrac_jax")
 NO_CACHE = "MRAC_JAX_NO_CACHE"
 """Environment variable that turns the cache off."""
 COMPILES_JAX = "jax:compile"
 """Event of Numba's (`numba.core.event`) that begins and ends when JAX compiles."""
-SOURCES = (
-    "planner/failure_model.py",
-    "planner/ids.py",
-    "planner/jit*.py",
-    "planner/mrac/*.py",
-    "planner/open_loop.py",
-    "planner/policies/*.py",
-    "planner/rollouts/*.py",
-    "planner/simulator/*.py",
-    "planner/world/map_knowledge.py",
-    "analysis/theory/*.py",
-)
-"""Files that hold compiled functions, or functions, types and constants that these use."""
 SUFFIX = ".sealed"
 KEPT_SECONDS = 30 * 86400.0
 
@@ -157,12 +144,17 @@ def open_folder(path: Path) -> CacheFolder:
 
 
 @cache
-def sources_hash(root: Path = Path(__file__).parent.parent) -> str:
-    """Hash of SOURCES and of the versions that compiled code depends on, as they are when it is first asked for."""
+def sources_hash(folder: Path = Path(__file__).parent) -> str:
+    """Hash of this package and of the versions that compiled code depends on, as they are when first asked for."""
     versions = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag)
-    files = sorted(path for pattern in SOURCES for path in root.glob(pattern))
-    names = [str(path.relative_to(root)) for path in files]
-    return _hash(repr((versions, names)).encode(), *(path.read_bytes() for path in files)).hex()[:16]
+    return _hash(repr(versions).encode(), _sources(folder)).hex()[:16]
+
+
+@cache
+def _sources(folder: Path) -> bytes:
+    """Names and contents of the Python files in a folder."""
+    files = sorted(folder.glob("*.py"))
+    return _hash(repr([path.name for path in files]).encode(), *(path.read_bytes() for path in files))
 
 
 class FunctionCache(NullCache):
@@ -176,8 +168,8 @@ class FunctionCache(NullCache):
         code = function.__code__
         self.folder = folder
         self.name = f"{function.__module__}.{function.__qualname__}"
-        # A function of a file that is not in SOURCES depends on its file, as with Numba's own cache.
-        self._key = (_hash(Path(code.co_filename).read_bytes()), code.co_firstlineno, code.co_code)
+        # A function of another package depends on the files beside its own.
+        self._key = (_sources(Path(code.co_filename).parent), code.co_firstlineno, code.co_code)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
@@ -201,15 +193,19 @@ class FunctionCache(NullCache):
 
 
 KNOWN = "0.68."
-"""Releases of Numba whose internals `planner.jit_parts` works with; others compile everything in their own way."""
+"""Releases of Numba whose internals `jit_parts` works with; others compile everything in their own way."""
 UNCOUNTED: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
 PART = PROGRAM = FeatureCompiler
 if numba.__version__.startswith(KNOWN):
-    from planner import jit_parts
+    from . import jit_parts
 
     PART, PROGRAM = jit_parts.PartCompiler, jit_parts.ProgramCompiler
 WITHIN: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": PART}
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+INTERPRETED = bool(numba.config.DISABLE_JIT)
+"""Whether this package runs as Python: Numba's switch, or its second load (`planner.rollouts.interpreted`)."""
 
 
 def compiled(function: Function) -> Function:

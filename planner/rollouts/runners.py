@@ -1,4 +1,4 @@
-"""Closed-loop rollouts on several threads, of `planner.simulator.closed_loop`: what each of them runs, and on what.
+"""Closed-loop rollouts on several threads, of `planner.rollouts.closed_loop`: what each of them runs, and on what.
 
 Where rollouts are few, threads share out their ids. Else they share out histories, of as many rollouts at a time as
 they all have room for: each thread follows some of the ids until they are hit, who is hit alike is put together, and
@@ -18,11 +18,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.failure_model import LEAST, key_of_luck, own_key
-from planner.ids import NO_AREA, NONE
+from planner.failure_model import key_of_luck, own_key
 from planner.rollout_sampling import MEETING_DRAW, MOVE_DRAW, rows_met
+from planner.rollouts.loop import NO_COUNTS, ClosedLoop, typed, with_features
 from planner.simulator.areas import Log, make_log
-from planner.simulator.loop import NO_COUNTS, ClosedLoop, typed, with_features
+from planner.simulator.codes import NO_AREA, NONE
 from planner.simulator.rollouts import run_set
 from planner.simulator.state import (
     AREA_BITS,
@@ -40,6 +40,7 @@ from planner.simulator.state import (
     make_state,
     make_work,
 )
+from planner.simulator.thresholds import LEAST
 from planner.world.map_knowledge import READING_DRAW
 from planner.world.uncertain_maps import Uncertain
 
@@ -369,7 +370,7 @@ class Runner:
 
     def grow(self, mass: int, cut: int, most: int) -> Counts:
         """The counts of the tree of everything that can happen, in so many parts of 1
-        (`planner.simulator.exact_tree`)."""
+        (`planner.rollouts.exact_tree`)."""
         how, nobody = self._how._replace(cut=cut, most=most), np.zeros(1, dtype=np.uint32)
         whole = np.array([[0, 0, mass]])
         self._make_room(self._room)

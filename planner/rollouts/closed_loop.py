@@ -11,19 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import PlanError
-from planner.ids import NO_AREA
 from planner.mrac.problem import Problem, check_every_visit, ready_loop
 from planner.plan.plan import Area, Plan, RobotPlan, last_move
 from planner.plan.state import MissionState
 from planner.rollout_sampling import check_counters
+from planner.rollouts.loop import NO_COUNTS, ClosedLoop, known_cells, purpose_of
+from planner.rollouts.policies import make_policy
+from planner.rollouts.runners import Runner, on_threads, run_sets, singles_of
+from planner.rollouts.tables import AllPairs, first_frames, make_tables
 from planner.rule_versions import BEFORE, rules_of
 from planner.simulator.areas import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_log
-from planner.simulator.loop import NO_COUNTS, ClosedLoop, known_cells, purpose_of
-from planner.simulator.policy import make_policy
-from planner.simulator.runners import Runner, on_threads, run_sets, singles_of
+from planner.simulator.codes import NO_AREA, EventKind, Outcome
 from planner.simulator.state import Counts
-from planner.simulator.tables import AllPairs, first_frames, make_tables
-from planner.tally import EventKind, Outcome, RolloutResults, Tally, Trace, tally_key
+from planner.tally import RolloutResults, Tally, Trace, tally_key
 from planner.world.uncertain_maps import Uncertain
 from planner.world.world import World
 

@@ -11,16 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.failure_model import PLAIN, Bearing
-from planner.ids import NO_CELL
-from planner.mrac.areas import BY_INDEX
 from planner.mrac.choose import reach_of
 from planner.mrac.executive import STUCK_AFTER
-from planner.mrac.paths import UNREACHED, SafestPaths, find_safe_parts, neighbour_table
 from planner.mrac.problem import Problem, Unknown
 from planner.plan.plan import Area
 from planner.plan.state import ON_ITS_WAY, MissionState, RobotState
 from planner.rollout_sampling import chance_bound
+from planner.simulator.codes import NO_CELL, Outcome
 from planner.simulator.paths import all_pairs, to_areas
+from planner.simulator.searches import BY_INDEX, UNREACHED, SafestPaths, find_safe_parts, neighbour_table
 from planner.simulator.state import (
     AREA_BITS,
     COVERING,
@@ -41,7 +40,6 @@ from planner.simulator.state import (
     Tables,
     fill,
 )
-from planner.tally import Outcome
 from planner.world.map_knowledge import Evidence
 from planner.world.uncertain_maps import bounds_of
 from planner.world.world import World

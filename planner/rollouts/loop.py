@@ -1,4 +1,4 @@
-"""A closed loop, ready to roll out: what `planner.simulator.closed_loop` compiles of a plan, and runs."""
+"""A closed loop, ready to roll out: what `planner.rollouts.closed_loop` compiles of a plan, and runs."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from planner.failure_model import PLAIN, Bearing
 from planner.plan.state import MissionState
 from planner.policies.rule import Rule
 from planner.rollout_sampling import first_places
+from planner.rollouts.tables import kinds_of, luck_tables, set_back_to
 from planner.simulator.policy import Policy
 from planner.simulator.state import DETECTS, TRUTH, State, Tables, first_state
-from planner.simulator.tables import kinds_of, luck_tables, set_back_to
 from planner.tally import Tally, tally_key
 from planner.world.moving_threats import Movers
 from planner.world.uncertain_maps import Uncertain

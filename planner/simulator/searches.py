@@ -1,0 +1,593 @@
+"""Safest paths with their ties on a grid, by a search for each question or from tables, and coverage paths.
+
+A path's cost is the sum of the entry costs of its cells, the first one left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .codes import NO_CELL
+from .jit import compiled, put_first, threaded
+from .offers import CellOffer
+
+# Eq. (3) made exact: integer entry costs, and the grid's neighbours that safest paths run over (SPEC section 3).
+
+BLOCKED = 0
+"""Entry cost of a cell that cannot be entered."""
+
+
+def neighbour_table(shape: tuple[int, int], passable: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """The neighbours of each cell that are `passable` `[N]`, int32 `[N, 4]` in the order N, W, E, S; NO_CELL: none."""
+    height, width = shape
+    padded = np.full((height + 2, width + 2), NO_CELL, dtype=np.int32)
+    padded[1:-1, 1:-1] = np.where(passable, np.arange(height * width), NO_CELL).reshape(shape)
+    sides = [padded[:-2, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:], padded[2:, 1:-1]]
+    return np.stack(sides, axis=2).reshape(-1, 4)
+
+
+# A binary heap of (cost, cell) in two arrays, for the compiled searches.
+
+
+@threaded
+def push(heap_cost, heap_cell, size, cost, cell):  # type: ignore[no-untyped-def]
+    """Add a cell to a heap of `size`; returns the new size."""
+    child = size
+    while child > 0:
+        parent = (child - 1) >> 1
+        if heap_cost[parent] <= cost:
+            break
+        heap_cost[child], heap_cell[child] = heap_cost[parent], heap_cell[parent]
+        child = parent
+    heap_cost[child], heap_cell[child] = cost, cell
+    return size + 1
+
+
+@threaded
+def pop(heap_cost, heap_cell, size):  # type: ignore[no-untyped-def]
+    """Take the first off a heap of `size`, having read it; returns the new size."""
+    size -= 1
+    cost, cell = heap_cost[size], heap_cell[size]
+    parent = 0
+    while True:
+        child = 2 * parent + 1
+        if child >= size:
+            break
+        if child + 1 < size and heap_cost[child + 1] < heap_cost[child]:
+            child += 1
+        if heap_cost[child] >= cost:
+            break
+        heap_cost[parent], heap_cell[parent] = heap_cost[child], heap_cell[child]
+        parent = child
+    heap_cost[parent], heap_cell[parent] = cost, cell
+    return size
+
+
+# The search for safest paths, compiled, for `planner.mrac.paths`.
+#
+# Among targets of equal cost the one of least rank, then of lowest index, is nearest; among equal-cost paths to one
+# target, walking back from the target, the predecessor of lowest index is taken (SPEC section 3).
+
+NOT_WANTED = -1
+"""Rank of a cell that is no target."""
+UNREACHED = -1
+"""Cost of a cell that cannot be reached."""
+TOO_FAR = -2
+"""In the place of a nearest target: none was certain within the cells that a search was allowed."""
+
+
+@threaded
+def search_within(source, rank, inside, neighbours, costs, distance, seen, stamp, queue, heap_cost, heap_cell, most):  # type: ignore[no-untyped-def]
+    """Dijkstra from `source` until the nearest target is certain; `distance[v]` is final where `seen[v] == stamp`.
+
+    Costs sit on the cells entered, so the first time a cell is met its distance is final: each is queued once. Cells
+    one unit away (safe ones) go through a queue in layers, the others through a heap. TOO_FAR as soon as more
+    than `most` cells have gone through the queue.
+    """
+    distance[source], seen[source] = 0, stamp
+    if rank[source] != NOT_WANTED:
+        return source, 0
+    best, best_cost, target_cost = NO_CELL, np.int64(UNREACHED), np.int64(0)
+    head, tail, heap_size = 0, 1, 0
+    queue[0] = source
+    now = np.int64(0)
+    while True:
+        layer_end = tail
+        if heap_size > 0 and heap_cost[0] == now:
+            while heap_size > 0 and heap_cost[0] == now:
+                queue[tail] = heap_cell[0]
+                tail += 1
+                heap_size = pop(heap_cost, heap_cell, heap_size)
+            layer_end = tail
+        while head < layer_end:
+            here = queue[head]
+            head += 1
+            for side in range(4):
+                cell = neighbours[here, side]
+                if cell == NO_CELL or seen[cell] == stamp or not inside[cell]:
+                    continue
+                seen[cell] = stamp
+                cost = now + costs[cell]
+                distance[cell] = cost
+                if rank[cell] != NOT_WANTED and (
+                    best == NO_CELL
+                    or cost < best_cost
+                    or (cost == best_cost and (rank[cell] < rank[best] or (rank[cell] == rank[best] and cell < best)))
+                ):
+                    best, best_cost, target_cost = cell, cost, costs[cell]
+                if costs[cell] == 1:
+                    queue[tail] = cell
+                    tail += 1
+                else:
+                    heap_size = push(heap_cost, heap_cell, heap_size, cost, cell)
+        if tail > layer_end:
+            now += 1
+        elif heap_size > 0:
+            now = heap_cost[0]
+        else:
+            return best, best_cost
+        if best != NO_CELL and now + target_cost > best_cost:
+            return best, best_cost
+        if head > most:
+            return TOO_FAR, np.int64(UNREACHED)
+
+
+@compiled
+def walk_back(source, target, distance, seen, stamp, neighbours, costs):  # type: ignore[no-untyped-def]
+    """The cells of the safest path after `source`, in driving order, by the lowest-index predecessor."""
+    length, here = 0, target
+    path = np.empty(64, dtype=np.int64)
+    while here != source:
+        if length == len(path):
+            longer = np.empty(2 * length, dtype=np.int64)
+            put_first(path, longer)
+            path = longer
+        path[length] = here
+        length += 1
+        before = distance[here] - costs[here]
+        for side in range(4):
+            cell = neighbours[here, side]
+            if cell != NO_CELL and seen[cell] == stamp and distance[cell] == before:
+                here = cell
+                break
+    return path[:length][::-1].copy()
+
+
+# The nearest target when it is far: a search that knows how much danger still lies ahead.
+#
+# A dangerous cell costs more than every safe one, so a plain search explores the whole safe part of the map around it
+# before it goes through a second dangerous cell. Here a search backwards from the targets, in which every component of
+# safe cells is one node (safe cells cost nothing there), finds the danger still to go; A* with it as its potential then
+# spends time on safe steps alone. Where that search was ended early, its last cost is the potential: a lower bound that
+# keeps A* exact. Answers, ties and paths are those of `planner.mrac.paths`.
+
+
+class SafeParts(NamedTuple):
+    """The map with every connected component of safe cells as one node. Axes: `N` cells, `B` cells at borders.
+
+    Attributes:
+        node: int32 `[N]`, the lowest cell of a safe cell's component; of a dangerous cell the cell itself.
+        begin, border: int32 `[N + 1]`, `[B]`: beside component v are the dangerous cells
+            `border[begin[v] : begin[v + 1]]`.
+        wide: dangerous cells around a component that are worth a visit when the robot itself stands in danger.
+        to_go, touched: int64 `[N]`, of each node: least danger to a target, and the search that found it.
+    """
+
+    node: NDArray[np.int32]
+    begin: NDArray[np.int32]
+    border: NDArray[np.int32]
+    wide: int
+    to_go: NDArray[np.int64]
+    touched: NDArray[np.int64]
+
+
+def find_safe_parts(neighbours: NDArray[np.int32], costs: NDArray[np.int64], wide: int = 1_000) -> SafeParts:
+    """The safe components of a map with these `neighbours` `[N, 4]` and entry costs `[N]`."""
+    n = len(costs)
+    node = _label(neighbours, costs)
+    beside = node[neighbours]
+    counts = (costs[:, None] > 1) & (neighbours >= 0) & (costs[neighbours] == 1)
+    cell = np.broadcast_to(np.arange(n)[:, None], counts.shape)[counts]
+    pairs = np.unique(beside[counts].astype(np.int64) * n + cell)
+    begin = np.searchsorted(pairs, np.arange(n + 1) * n).astype(np.int32)
+    return SafeParts(node, begin, (pairs % n).astype(np.int32), wide, np.zeros(n, np.int64), np.zeros(n, np.int64))
+
+
+@compiled
+def _label(neighbours, costs):  # type: ignore[no-untyped-def]
+    """`SafeParts.node`."""
+    n = len(costs)
+    node, stack = np.full(n, NO_CELL, dtype=np.int32), np.empty(n, dtype=np.int32)
+    for first in range(n):
+        if node[first] != NO_CELL:
+            continue
+        node[first] = first
+        top = 0
+        if costs[first] == 1:
+            stack[0], top = first, 1
+        while top > 0:
+            top -= 1
+            here = stack[top]
+            for side in range(4):
+                cell = neighbours[here, side]
+                if cell != NO_CELL and costs[cell] == 1 and node[cell] == NO_CELL:
+                    node[cell] = first
+                    stack[top] = cell
+                    top += 1
+    return node
+
+
+@threaded
+def danger_ahead(source, rank, among, neighbours, costs, stamp, heap_cost, heap_cell, parts):  # type: ignore[no-untyped-def]
+    """Search backwards from the targets, all of them `among` these cells, until the source, itself none, is touched.
+
+    The danger to go from any node not touched is at least the result, UNREACHED if no target can be reached. A node is
+    queued by what it hands on to those before it, its own danger included, so that the first touch is final. From a
+    dangerous source it ends at the first wide component.
+    """
+    node, begin, border, wide, to_go, touched = parts
+    size, start = 0, node[source]
+    for cell in among:
+        if rank[cell] != NOT_WANTED and touched[node[cell]] != stamp:
+            touched[node[cell]], to_go[node[cell]] = stamp, 0
+            size = push(heap_cost, heap_cell, size, costs[cell] if costs[cell] > 1 else np.int64(0), node[cell])
+    if touched[start] == stamp:
+        return np.int64(0)
+    from_danger = costs[source] > 1
+    while size > 0:
+        now, here = heap_cost[0], heap_cell[0]
+        size = pop(heap_cost, heap_cell, size)
+        safe = costs[here] == 1
+        for side in range(begin[here], begin[here + 1]) if safe else range(4):
+            cell = border[side] if safe else neighbours[here, side]
+            if cell == NO_CELL or node[cell] == NO_CELL:
+                continue
+            cell = node[cell]
+            if touched[cell] == stamp:
+                continue
+            touched[cell], to_go[cell] = stamp, now
+            if cell == start or (from_danger and begin[cell + 1] - begin[cell] > wide):
+                return now
+            size = push(heap_cost, heap_cell, size, now + costs[cell] if costs[cell] > 1 else now, cell)
+    return np.int64(UNREACHED)
+
+
+@threaded
+def far_search(  # type: ignore[no-untyped-def]
+    source, rank, inside, neighbours, costs, distance, seen, stamp, heap_cost, heap_cell, layer, later, parts, ahead
+):
+    """The nearest target and its cost, as `search_within` finds them, NO_CELL if there is none, after `danger_ahead`.
+
+    A* with the danger to go, at most `ahead`, as its potential, until all that costs as little as the answer is
+    settled. Costs with what is to go never fall on a way, and mostly rise by 0 or 1: what comes `now` and what comes
+    next are lists, all else is in a heap. Of `distance` only what lies on safest paths to the answer is final.
+    TOO_FAR where a cell that was queued again found no room in `layer`, `later` or the heap.
+    """
+    node, to_go, touched = parts.node, parts.to_go, parts.touched
+    distance[source], seen[source] = 0, stamp
+    best, best_cost, now = NO_CELL, np.int64(UNREACHED), np.int64(ahead)
+    layer[0], count, beyond, size, room = source, 1, 0, 0, len(layer) - 4
+    while best == NO_CELL or now <= best_cost:
+        place = 0
+        while place < count:
+            here = layer[place]
+            place += 1
+            at = node[here]
+            if now != distance[here] + (to_go[at] if touched[at] == stamp else ahead):
+                continue  # queued before a cheaper way was found
+            if rank[here] != NOT_WANTED:
+                if best == NO_CELL or rank[here] < rank[best] or (rank[here] == rank[best] and here < best):
+                    best, best_cost = here, distance[here]
+                continue
+            if max(count, beyond, size) > room:
+                return TOO_FAR, np.int64(UNREACHED)
+            for side in range(4):
+                cell = neighbours[here, side]
+                if cell == NO_CELL or not inside[cell]:
+                    continue
+                cost = distance[here] + costs[cell]
+                if seen[cell] == stamp and distance[cell] <= cost:
+                    continue
+                distance[cell], seen[cell] = cost, stamp
+                at = node[cell]
+                total = cost + (to_go[at] if touched[at] == stamp else ahead)
+                if total == now:
+                    layer[count] = cell
+                    count += 1
+                elif total == now + 1:
+                    later[beyond] = cell
+                    beyond += 1
+                else:
+                    size = push(heap_cost, heap_cell, size, total, cell)
+        layer, later, count, beyond = later, layer, beyond, 0
+        if count > 0:
+            now += 1
+        elif size > 0:
+            now = heap_cost[0]
+        else:
+            break
+        while size > 0 and heap_cost[0] == now:
+            if count > room:
+                return TOO_FAR, np.int64(UNREACHED)
+            layer[count] = heap_cell[0]
+            count += 1
+            size = pop(heap_cost, heap_cell, size)
+    return best, best_cost
+
+
+NEAR = 4_000
+"""Cells that a search for a target takes before it turns to `far_search`; small maps have fewer."""
+TABLE_CELLS = 600
+"""Most cells of a map for which costs from each source are kept (3 MB); beyond, each question is searched for."""
+
+
+class Target(NamedTuple):
+    """A nearest target: its cell index and the cost of the safest path to it."""
+
+    cell: int
+    cost: int
+
+
+class SafestPaths:
+    """Safest paths by a search for each question: for worlds too large for tables. Memory: about 84 bytes a cell.
+
+    Cells are indices; `[N]` arrays run over the whole grid. `inside` `[N]` limits the cells that a path may enter.
+    `near`: cells that a search for a target may take; a target farther off is looked for by `far_search`.
+    """
+
+    def __init__(self, neighbours: NDArray[np.int32], costs: NDArray[np.int64], near: int = NEAR) -> None:
+        self.neighbours, self.costs, self.near = neighbours, costs, near
+        n = len(costs)
+        self._everywhere = np.ones(n, dtype=np.bool_)
+        self._no_target = np.full(n, NOT_WANTED, dtype=np.int32)
+        self._distance, self._seen = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+        self._queue, self._later = np.zeros(n, dtype=np.int32), np.zeros(n, dtype=np.int32)
+        self._heap_cost, self._heap_cell = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int32)
+        self._stamp = 0
+        self._parts: SafeParts | None = None
+        self._last: tuple[int, NDArray[np.bool_] | None] = (NO_CELL, None)
+        self._found: int | None = None
+
+    def _search(
+        self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None, most: int
+    ) -> tuple[int, int]:
+        """`search_within`; afterwards the way to any cell met is known."""
+        self._stamp += 1
+        self._last, self._found = (source, inside), None
+        return search_within(
+            source,
+            rank,
+            self._everywhere if inside is None else inside,
+            self.neighbours,
+            self.costs,
+            self._distance,
+            self._seen,
+            self._stamp,
+            self._queue,
+            self._heap_cost,
+            self._heap_cell,
+            most,
+        )
+
+    def _search_far(
+        self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None, among: NDArray[np.int64]
+    ) -> tuple[int, int]:
+        """`far_search`; afterwards the way to what it found is known."""
+        if self._parts is None:
+            self._parts = find_safe_parts(self.neighbours, self.costs)
+        self._stamp += 1
+        grid = self.neighbours, self.costs
+        heap = self._heap_cost, self._heap_cell
+        ahead = danger_ahead(source, rank, among, *grid, self._stamp, *heap, self._parts)
+        if ahead < 0:
+            return NO_CELL, UNREACHED
+        if ahead > 0:
+            allowed = self._everywhere if inside is None else inside
+            met = self._distance, self._seen, self._stamp
+            lists = self._queue, self._later
+            cell, cost = far_search(source, rank, allowed, *grid, *met, *heap, *lists, self._parts, ahead)
+            self._found = cell
+            if cell != TOO_FAR:
+                return cell, cost
+        return self._search(source, rank, inside, len(self.costs))
+
+    def to_all(self, source: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+        """Cost of the safest path from `source` to every cell, int64 `[N]`; UNREACHED where it is."""
+        self._search(source, self._no_target, inside, len(self.costs))
+        return np.where(self._seen == self._stamp, self._distance, UNREACHED)
+
+    def cost_to(self, source: int, cells: NDArray[np.int64]) -> int:
+        """Cost of the safest path from `source` to the cheapest of `cells`, all of one level, or UNREACHED."""
+        rank = self._no_target.copy()
+        rank[cells] = 0
+        target = self.nearest(source, rank, among=cells)
+        return UNREACHED if target is None else target.cost
+
+    def nearest(
+        self,
+        source: int,
+        rank: NDArray[np.int32],
+        inside: NDArray[np.bool_] | None = None,
+        among: NDArray[np.int64] | None = None,
+    ) -> Target | None:
+        """The cheapest target from `source`, or None. Targets have a rank and are all of one level.
+
+        Ties go to the least rank, then the lowest index. `among`: cells that hold every target, if that is known.
+        """
+        cell, cost = self._search(source, rank, inside, self.near)
+        if cell == TOO_FAR:
+            cells = np.flatnonzero(rank != NOT_WANTED) if among is None else among
+            cell, cost = self._search_far(source, rank, inside, cells)
+        return None if cell == NO_CELL else Target(int(cell), int(cost))
+
+    def path(self, source: int, target: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+        """The cells entered on the safest path from `source` (left out) to `target`; it must be reachable."""
+        searched = self._last[0] == source and self._last[1] is inside and self._seen[target] == self._stamp
+        if not searched or self._found not in (None, target):
+            self._find(source, target, inside)
+        return walk_back(source, target, self._distance, self._seen, self._stamp, self.neighbours, self.costs)
+
+    def _find(self, source: int, target: int, inside: NDArray[np.bool_] | None) -> None:
+        rank = self._no_target.copy()
+        rank[target] = 0
+        if self.nearest(source, rank, inside, np.array([target])) is None:
+            raise ValueError(f"cell {target} cannot be reached from {source}")
+
+
+class TabledPaths(SafestPaths):
+    """Safest paths with the costs from each source, int64 `[N]`, kept once they are asked for: for small worlds.
+
+    A question with `inside` is searched each time, since what is kept is of unrestricted paths.
+    """
+
+    def __init__(self, neighbours: NDArray[np.int32], costs: NDArray[np.int64]) -> None:
+        super().__init__(neighbours, costs)
+        self._kept: dict[int, NDArray[np.int64]] = {}
+
+    def to_all(self, source: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+        if inside is not None:
+            return super().to_all(source, inside)
+        if source not in self._kept:
+            self._kept[source] = super().to_all(source)
+        return self._kept[source]
+
+    def cost_to(self, source: int, cells: NDArray[np.int64]) -> int:
+        return int(self.to_all(source)[cells].min())
+
+    def nearest(
+        self,
+        source: int,
+        rank: NDArray[np.int32],
+        inside: NDArray[np.bool_] | None = None,
+        among: NDArray[np.int64] | None = None,
+    ) -> Target | None:
+        if inside is not None:
+            return super().nearest(source, rank, inside, among)
+        to_each = self.to_all(source)
+        targets = np.flatnonzero((rank != NOT_WANTED) & (to_each != UNREACHED))
+        if len(targets) == 0:
+            return None
+        costs = to_each[targets]
+        tied = targets[costs == costs.min()]
+        return Target(int(tied[np.argmin(rank[tied])]), int(costs.min()))
+
+    def path(self, source: int, target: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+        if inside is not None:
+            return super().path(source, target, inside)
+        to_each = self.to_all(source)
+        return walk_back(source, target, to_each, np.minimum(to_each, 0), 0, self.neighbours, self.costs)
+
+
+def safest_paths(shape: tuple[int, int], costs: NDArray[np.int64]) -> SafestPaths:
+    """Safest paths over a grid with these entry costs `[N]`: kept for small worlds, searched for each time in large."""
+    neighbours = neighbour_table(shape, costs != BLOCKED)
+    return (TabledPaths if len(costs) <= TABLE_CELLS else SafestPaths)(neighbours, costs)
+
+
+# Algorithm 3, the modified GAC: cover what is left of an area, nearest cell first.
+
+
+def coverage_path(
+    paths: SafestPaths,
+    here: int,
+    to_do: NDArray[np.int64],
+    inside: NDArray[np.bool_] | None,
+    order: str | Callable[[CellOffer], Any],
+    sides: NDArray[np.int64],
+    legs: int | None = None,
+) -> NDArray[np.int64]:
+    """The cells entered, in order, to visit every cell of `to_do` from `here` (left out).
+
+    Repeatedly the first cell to do, in this order, from where the last leg ended, by the safest path (paper,
+    Algorithm 3, with SPEC's ties).
+
+    Args:
+        paths: the safest paths of the world.
+        here: where the robot stands.
+        to_do: the unvisited cells of the area at this moment, reachable from `here`.
+        inside: bool `[N]`, the cells that legs may enter (`transit="area"`), or None for all.
+        order: which cell is next. sides: `Problem.sides`. legs: stop after so many; None = all.
+    """
+    rank = np.full(len(paths.neighbours), NOT_WANTED, dtype=np.int32)
+    rank[to_do] = 0
+    rank[here] = NOT_WANTED
+    left = int(np.count_nonzero(rank != NOT_WANTED))
+    path = [np.empty(0, dtype=np.int64)]
+    while left and legs != 0:
+        if isinstance(order, str):
+            leg = _cheapest_legs(paths, here, rank, inside, to_do, sides, len(to_do) if legs is None else 1)
+        else:
+            leg = _leg_by(order, paths, here, to_do[rank[to_do] != NOT_WANTED], inside)
+        left -= int(np.count_nonzero(rank[leg] != NOT_WANTED))
+        rank[leg] = NOT_WANTED
+        path.append(leg)
+        here = int(leg[-1])
+        legs = None if legs is None else legs - 1
+    return np.concatenate(path)
+
+
+def _cheapest_legs(
+    paths: SafestPaths,
+    here: int,
+    rank: NDArray[np.int32],
+    inside: NDArray[np.bool_] | None,
+    to_do: NDArray[np.int64],
+    sides: NDArray[np.int64],
+    most: int,
+) -> NDArray[np.int64]:
+    """The cheapest cell first: legs to adjacent cells, at most so many; if there is none, one leg by a search.
+
+    The cells are of one level, so an adjacent one is always cheapest.
+    """
+    adjacent = _adjacent_run(here, rank, paths.neighbours, sides, most)
+    if len(adjacent):
+        return adjacent
+    target = paths.nearest(here, rank, inside, to_do)
+    if target is None:
+        raise ValueError(f"cells to cover cannot be reached from cell {here}")
+    return paths.path(here, target.cell, inside)
+
+
+def _leg_by(
+    order: Callable[[CellOffer], Any],
+    paths: SafestPaths,
+    here: int,
+    to_do: NDArray[np.int64],
+    inside: NDArray[np.bool_] | None,
+) -> NDArray[np.int64]:
+    """The way to the first of the cells in any order."""
+    cost = paths.to_all(here, inside)[to_do].tolist()
+    offers = [CellOffer(here, *item) for item in zip(to_do.tolist(), cost, strict=True)]
+    return paths.path(here, min(offers, key=order).cell, inside)
+
+
+@compiled
+def _adjacent_run(here, rank, neighbours, sides, most):  # type: ignore[no-untyped-def]
+    """From cell to adjacent cell of rank 0, by `sides`, until there is none or it is `most`; int64 `[legs]`."""
+    run, length = np.empty(most, dtype=np.int64), 0
+    while length < most:
+        after = NO_CELL
+        for place in range(4):
+            cell = neighbours[here, sides[here, place]]
+            if cell != NO_CELL and rank[cell] == 0:
+                after = cell
+                break
+        if after == NO_CELL:
+            break
+        here = after
+        rank[here] = NOT_WANTED
+        run[length] = here
+        length += 1
+    run = run[:length].copy()
+    rank[run] = 0
+    return run
+
+
+# Which of the cells next to a robot goes first where all of them are to do: what makes coverage paths go straight.
+
+BY_INDEX, BY_ROW, BY_COLUMN = (0, 1, 2, 3), (1, 2, 0, 3), (0, 3, 1, 2)
+"""Sides in their order: 0 north, 1 west, 2 east, 3 south."""

@@ -1,0 +1,95 @@
+"""Failure thresholds in whole numbers, and the random words that they are drawn from (SPEC sections 6 and 14)."""
+
+from __future__ import annotations
+
+from decimal import Context, Decimal
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+# Threefry-2x32 with 20 rounds (Salmon et al. 2011), the project's one source of randomness, in NumPy.
+#
+# A draw is addressed by (seed, rollout, robot), so it never depends on what was drawn before (SPEC section 6).
+
+ROTATIONS = (13, 15, 26, 6, 17, 29, 16, 24)
+KEY_PARITY = 0x1BD11BDA
+
+
+def threefry2x32(
+    key: tuple[int, int], counter0: ArrayLike, counter1: ArrayLike
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Words (x0, x1), uint32, of the counters (uint32, broadcast together) under `key` (two 32-bit halves)."""
+    key0, key1 = np.uint32(key[0]), np.uint32(key[1])
+    schedule = (key0, key1, key0 ^ key1 ^ np.uint32(KEY_PARITY))
+    with np.errstate(over="ignore"):
+        x0, x1 = np.broadcast_arrays(np.asarray(counter0, np.uint32), np.asarray(counter1, np.uint32))
+        x0, x1 = x0 + schedule[0], x1 + schedule[1]
+        for group in range(5):
+            for rotation in ROTATIONS[4 * (group % 2) : 4 * (group % 2) + 4]:
+                x0 = x0 + x1
+                x1 = (x1 << np.uint32(rotation)) | (x1 >> np.uint32(32 - rotation))
+                x1 = x1 ^ x0
+            x0 = x0 + schedule[(group + 1) % 3]
+            x1 = x1 + schedule[(group + 2) % 3] + np.uint32(group + 1)
+    return x0, x1
+
+
+UNIT = 2**32
+"""Units in a nat."""
+CERTAIN = 2**62
+"""What a visit adds that stops every robot."""
+LEAST, MOST = 1, 98_242_467_570
+"""The tolerances that there are."""
+DIGITS = Context(prec=40)
+SCALE = 2**16
+"""Susceptibilities are whole numbers of 1 / SCALE."""
+
+_LN2 = int((DIGITS.ln(Decimal(2)) * 2**58).to_integral_value())
+LOGARITHMS = np.array(
+    [int((DIGITS.ln(Decimal(128 + i) / 128) * 2**58).to_integral_value()) for i in range(129)], dtype=np.int64
+)
+
+
+def log_units(odd: Any, top: Any, logarithms: Any) -> Any:
+    """-ln(odd / 2**33) in units, within .52, of odd numbers below 2**33 whose highest bit is `top`.
+
+    Plain int64 arithmetic (floor division and shifts), of arrays or numbers: kernels and JAX take it as it stands.
+    `logarithms`: LOGARITHMS, as an array of theirs.
+    """
+    m = odd << (40 - top)
+    i = (m - 2**40 + 2**32) >> 33
+    d = m - 2**40 - (i << 33)
+    t = (d << 21) // (128 + i)
+    a = t >> 24
+    r2 = a * a >> 20
+    r3 = r2 * a >> 30
+    r4 = r3 * a >> 30
+    q = t - (r2 << 13) + (r3 << 14) // 3 - (r4 << 12)
+    return ((33 - top) * _LN2 - (logarithms[i] + (q << 4)) + 2**25) >> 26
+
+
+def tolerance_of(word: ArrayLike) -> NDArray[np.int64]:
+    """T, int64, of random words (uint32): -ln((x + 1/2) / 2**32), falling in x."""
+    odd = 2 * np.asarray(word, dtype=np.int64) + 1
+    return log_units(odd, np.frexp(odd.astype(np.float64))[1].astype(np.int64) - 1, LOGARITHMS)
+
+
+def unworn(exposure: Any, nodes: NDArray[np.int64], times: Any) -> Any:
+    """The largest Exp(1) tolerance that becomes no more than the exposure by `worn`, then by `susceptible`; 0: none.
+
+    So a robot is stopped by an exposure just when this reaches the tolerance it had been drawn with. Plain int64
+    arithmetic, of arrays or numbers, as `log_units`.
+
+    nodes: of `wear_nodes`, none for shape 1; times: susceptibility in units of 1 / SCALE.
+    """
+    some = np.int64(1) * (exposure > 0)
+    after = np.minimum(exposure, (2**62 // np.maximum(times, SCALE)) << 16) + some
+    borne = (after >> 16) * times + (((after & (SCALE - 1)) * times - some) >> 16)
+    if len(nodes) == 0:
+        return borne
+    borne = np.minimum(borne, nodes[len(nodes) - 1] - 1)
+    node = np.searchsorted(nodes, borne, side="right") - 1
+    octave = np.maximum((node >> 6) - 1, 0)
+    part = (((borne - nodes[node] + 1) << 16) - 1) // (nodes[node + 1] - nodes[node])
+    return ((node - (octave << 6)) << octave) + ((((part + 1) << octave) - 1) >> 16)
