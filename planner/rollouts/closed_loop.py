@@ -43,6 +43,7 @@ def compile_closed_loop(
     tabled: bool | None = None,
     kept: AllPairs | None = None,
     problem: Problem | None = None,
+    interpreted: bool = False,
 ) -> ClosedLoop:
     """The closed loop from the plan's allocation. Raises PlanError for a plan of another map.
 
@@ -50,11 +51,13 @@ def compile_closed_loop(
 
     `tabled`: distances from all-pairs tables, or searched for on demand; None: tables up to MOST_TABLED cells. No
     rollout depends on it. `kept`: where all-pairs tables are kept for other teams on the same map. `problem`: the
-    plan's own, if it is at hand.
+    plan's own, if it is available. `interpreted`: for the simulator as Python, without tables, and with
+    rules and orders of cells that compiled programs do not follow.
     """
     problem, areas = ready_loop(plan, world) if problem is None else (problem, plan.areas)
     settings, rule = problem.settings, problem.rule
-    if not isinstance(settings.in_area, str) or not (rule.nearest or (rule.attentive and rule.exact)):
+    follows = isinstance(settings.in_area, str) and (rule.nearest or (rule.attentive and rule.exact))
+    if not follows and not interpreted:
         raise PlanError(
             f"the compiled engines do not follow {settings.own_words}",
             expected="an exact Rule of attentive robots, cells in the planner's own order",
@@ -64,7 +67,7 @@ def compile_closed_loop(
     check_every_visit(world, first_only)
     learns, unknown = problem.learns, problem.unknown
     cells = np.flatnonzero(problem.levels.accessible if unknown is None or not learns else unknown.within)
-    tabled = not learns and (len(cells) <= MOST_TABLED if tabled is None else tabled)
+    tabled = not (learns or interpreted) and (len(cells) <= MOST_TABLED if tabled is None else tabled)
     if problem.own is not None:
         tabled = True
         if len(problem.own.costs) * len(cells) ** 2 > MOST_TABLED**2:
@@ -83,7 +86,7 @@ def compile_closed_loop(
         first_only=first_only,
         stay_inside=settings.transit == "area",
         rule=rule,
-        policy=make_policy(problem, cells, tables) if rule.attentive else None,
+        policy=make_policy(problem, cells, tables, interpreted=interpreted) if rule.attentive else None,
         state=plan.state,
         purpose=purpose_of(world),
         bearing=plan.bearing,

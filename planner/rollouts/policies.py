@@ -54,8 +54,11 @@ def dangerous(problem: Problem, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
     return (of_cell if problem.own is None else problem.own.level[:, of_cell].ravel()) > 0
 
 
-def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables) -> Policy:
-    """The policy of an attentive, exact rule; `cells` int64 `[A]`, the accessible ones. Raises PlanError."""
+def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables, *, interpreted: bool = False) -> Policy:
+    """The policy of a rule that re-evaluates; `cells` int64 `[A]`, the accessible ones. Raises PlanError.
+
+    `interpreted`: for the simulator as Python, which follows any rule; compiled programs follow exact ones.
+    """
     rule, settings, unknown = problem.rule, problem.settings, problem.unknown
     ahead = slice(None if rule.looks_ahead and (unknown is None or unknown.looks) else 0)
     alive = range(len(problem.starts) + 1 if settings.reserve is not None else 0)
@@ -79,5 +82,6 @@ def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables) -> P
         in_view=tables.in_view[ahead],
         stamp=np.zeros(len(cells) + 1, dtype=np.int64)[ahead],
         is_own=True if is_own else None,
-        own=as_function(rule) if is_own else None,
+        own=as_function(rule) if is_own and not interpreted else None,
+        key=rule.key if is_own and interpreted else None,
     )

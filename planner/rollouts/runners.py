@@ -271,7 +271,7 @@ class Runner:
     """One thread's rollouts, with room for more areas each time that it proves too small.
 
     Attributes:
-        counts: those of all rollouts so far. work: its scratch.
+        counts: those of all rollouts so far. work: its scratch. tables, policy, how: what its programs are called with.
     """
 
     counts: Counts
@@ -280,13 +280,13 @@ class Runner:
     def __init__(self, loop: ClosedLoop, seed: int, most: int, known: list[Work] | None = None) -> None:
         """`most`: rollouts of a set. `known`: scratch of earlier calls, one of which is taken."""
         self._loop, self._seed, self._most = loop, seed, most
-        self._tables, policy = typed(with_features(_own_tables(loop))), loop.policy
-        self._policy = None if policy is None else typed(policy._replace(stamp=policy.stamp.copy()))
+        self.tables, policy = typed(with_features(_own_tables(loop))), loop.policy
+        self.policy = None if policy is None else typed(policy._replace(stamp=policy.stamp.copy()))
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         moving = [own_key(seed, draw) for draw in (MOVE_DRAW, MEETING_DRAW, READING_DRAW)]
         keys = [np.uint32(half) for key in (key_of_luck(seed), own, *moving) for half in key]
         options = loop.max_steps, loop.first_only, loop.stay_inside, 0
-        self._how = How._make((*keys[:4], *options, *keys[4:], 0, 0))
+        self.how = How(*keys[:4], *options, *keys[4:])
         remembers = loop.policy is None and not (loop.stay_inside or loop.learns or loop.comes_home or loop.is_mixed)
         self.work = make_work(loop.tables, most, remembers, known.pop() if known else None)
         self._done: list[tuple[int, int]] = []
@@ -361,17 +361,17 @@ class Runner:
         All coverage paths are forgotten: those of the run until then are the same for every thread, in their order.
         """
         self.work.remembered[:], self.work.slots[:] = 1, 0
-        first, how = self._loop.first_state(self._room), self._how._replace(aside=len(stack.marks) - 1)
+        first, how = self._loop.first_state(self._room), self.how._replace(aside=len(stack.marks) - 1)
         return self._call(first, whole_set(ids), stack, NO_LOG, how, ids, singles)
 
     def take(self, waiting: State, tasks: Tasks, ids: NDArray[np.uint32], singles: Singles, log: Log = NO_LOG) -> bool:
         """Run tasks until all are taken; whether there was room for areas."""
-        return self._call(waiting, tasks, self._state, log, self._how, ids, singles) != NONE
+        return self._call(waiting, tasks, self._state, log, self.how, ids, singles) != NONE
 
     def grow(self, mass: int, cut: int, most: int) -> Counts:
         """The counts of the tree of everything that can happen, in so many parts of 1
         (`planner.rollouts.exact_tree`)."""
-        how, nobody = self._how._replace(cut=cut, most=most), np.zeros(1, dtype=np.uint32)
+        how, nobody = self.how._replace(cut=cut, most=most), np.zeros(1, dtype=np.uint32)
         whole = np.array([[0, 0, mass]])
         self._make_room(self._room)
         while True:
@@ -398,4 +398,4 @@ class Runner:
     ) -> int:
         """`run_set`, by the loop's policy."""
         given = (self.counts, waiting, *tasks, stack, self.work, log, how, ids, singles)
-        return int(run_set(self._tables, self._policy, *given))
+        return int(run_set(self.tables, self.policy, *given))

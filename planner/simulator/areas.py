@@ -5,7 +5,7 @@ Part of `planner.simulator.rollouts`, which see; the rows are those of `planner.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,10 +60,12 @@ class Log(NamedTuple):
             the others are the rows of `Trace.events`.
         frames: int32 `[T, FRAME_ROWS, K]`: cell, doing and area of each robot at the end of each step; later steps are
             not kept.
+        legs: None in compiled programs; notes each move (`planner.rollouts.single_run`).
     """
 
     events: NDArray[np.int32]
     frames: NDArray[np.int32]
+    legs: Any = None
 
 
 def make_log(steps: int, events: int, robots: int) -> Log:
@@ -200,6 +202,8 @@ def affordable(t, s, w, robot, costs, area_costs, area_entries):
 @kernel
 def find_next_area(t, s, w, robot):
     """(area, cell) of the next area by (level, cost, id), NONE if none is reachable."""
+    if t.asks:
+        return t.asks.area(t, s, w, robot)[:2]
     if not hears(t, s, robot):
         return np.int64(NONE), np.int64(NONE)
     if t.returns or t.mixed:

@@ -11,7 +11,7 @@ from .areas import ALLOCATED_EVENT, find_next_area, give, has_area, moves_on, no
 from .codes import NONE
 from .jit import kernel, rare_kernel
 from .map_belief import is_lost
-from .paths import entry_of, go_on, list_to_do, next_leg, set_out
+from .paths import entry_of, go_on, list_to_do, next_leg, set_out, to_do_in
 from .return_home import can_be_remembered, charge, may_be_charged, remember, turn_home, turns
 from .robot_types import drives_back
 from .state import (
@@ -163,6 +163,9 @@ def arrive(t, s, w, log, how, robot, cell):
             return MOVES
     elif cell != me.target:
         go_on(t, s, w, robot)
+        if how.in_area and np.int64(s.home[cell]) >> 2 == to_do_in(me.area):  # by any other order no leg crosses one
+            s.home[cell] ^= TO_DO
+            me.left -= 1
         return MOVES
     if me.doing == COVERING:
         # The target of a coverage leg is always a cell to do.

@@ -519,12 +519,26 @@ def to_do_in(area):
 def next_leg(t, s, w, how, robot):
     """The leg to the cheapest cell to do, lowest index first; an adjacent one, by its side, is always the cheapest."""
     robots = s.robots
+    if how.in_area:
+        set_out_by_order(t, s, w, how, robot)
+        return
     # Cells of an area cost the same to enter, so nothing beats a neighbour.
     cell = adjacent(t, s, robots[robot].cell, to_do_in(robots[robot].area))
     if cell != NONE:
         robots[robot].target = robots[robot].next = cell
     else:
         set_out_far(t, s, w, how, robot)
+
+
+@rare_kernel
+def set_out_by_order(t, s, w, how, robot):
+    """The leg to the cell that goes first by a user's own order; as Python alone."""
+    here, area = s.robots[robot].cell, s.robots[robot].area
+    w.last[0] = NONE
+    seek_near(t, s, w, here, one_cell(NONE), area if how.stay_inside else NONE, len(t.near))
+    cells = s.order[s.areas[area].begin : s.areas[area].end]
+    to_do = [int(cell) for cell in cells if s.home[cell] & TO_DO and cell != here]
+    set_out(t, s, w, robot, min(to_do, key=lambda cell: how.in_area(here, cell, int(last_cost(w, cell)))), True)
 
 
 @kernel

@@ -41,6 +41,7 @@ class Policy(NamedTuple):
         view_begin, in_view: as of `Tables`, if the rule looks ahead and robots learn, else empty.
         stamp: int64 `[A + 1]`, scratch of a thread: the last offer that a cell was counted for; last: offers.
         is_own, own: whether the rule is a user's own, and what it orders offers by (`as_function`); else None.
+        key: None in compiled programs; by what a rule that runs as Python alone orders offers (`Rule.key`).
     """
 
     looks_again: bool
@@ -62,6 +63,7 @@ class Policy(NamedTuple):
     stamp: NDArray[np.int64]
     is_own: bool | None = None
     own: Any = None
+    key: Any = None
 
 
 @rare_kernel
@@ -137,6 +139,9 @@ def own_order(p, o):
 @kernel
 def is_before(p, one, other, by_id):
     """Whether the rule puts one offer before the other; `by_id`: where it does not tell them apart."""
+    if p.key:
+        mine, theirs = p.key(one), p.key(other)
+        return mine < theirs or (mine == theirs and by_id)
     mine, theirs = order_of(p, one), order_of(p, other)
     left, right = mine[0][0] * theirs[0][1], theirs[0][0] * mine[0][1]
     if left != right:

@@ -184,6 +184,7 @@ class Tables(NamedTuple):
             tables of distances; the map is uncertain; a loss makes a cell harmless; robots wear or differ in
             susceptibility; threats move; robots differ in type; in speed; radio has a range; robots return to base;
             they learn the map; they estimate hazards; threats change by phases.
+        asks: None in compiled programs; chooses areas in the place of the rule (`planner.rollouts.single_run`).
     """
 
     near: NDArray
@@ -268,6 +269,7 @@ class Tables(NamedTuple):
     learns: bool | None = None
     estimates: bool | None = None
     phased: bool | None = None
+    asks: Any = None
 
 
 class How(NamedTuple):
@@ -277,6 +279,8 @@ class How(NamedTuple):
 
     `aside`: 0, or how many sets of those who are hit the call puts aside, at most
     (`planner.simulator.rollouts.run_set`).
+    `pause`, `in_area`: None in compiled programs; of a rollout that runs as Python (`planner.rollouts.single_run`),
+    whether it stops after each step, and a user's own order of the cells of an area.
     `cut`: 0, or the mass below which a branch of a tree is left (`planner.rollouts.exact_tree`); `most`: histories of
     it.
     """
@@ -297,6 +301,8 @@ class How(NamedTuple):
     read1: np.uint32
     cut: int = 0
     most: int = 0
+    pause: bool | None = None
+    in_area: Callable[[int, int, int], Any] | None = None
 
 
 VISITED, SURVIVED, TO_DO, AREA_BITS = 1, 2, 4, 3

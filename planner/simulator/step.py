@@ -72,7 +72,7 @@ def advance(t, p, s, c, w, log, how, ids):
                         if verdict != ACTS:
                             break
                     outcome = end_step(t, p, s, c, w, log, how, ids)
-                    if outcome != NONE:
+                    if outcome != NONE or how.pause:
                         return outcome
                     word = 0
                 left = acting(t, p, s, word, NONE)
@@ -97,6 +97,8 @@ def advance(t, p, s, c, w, log, how, ids):
                 left = acting(t, p, s, word, robot % WORD)
                 continue
             group.progress = 1
+            if log.legs:
+                log.legs.note(s, robot)
             # t = 0 enters the start; a robot on an external path may wait, which is no visit.
             cell = np.int64(robots[robot].next if group.step > 0 else robots[robot].cell)
             if p is not None or group.step == 0 or cell != robots[robot].cell:

@@ -155,7 +155,7 @@ class Records:
 
 def with_records(values: Any) -> Any:
     """The same named tuple for code that is not compiled; NumPy's own records take microseconds for a field."""
-    if not isinstance(values, State):
+    if getattr(values, "_fields", ()) != State._fields:  # of either load
         return values
     return values._replace(robots=Records(values.robots), areas=Records(values.areas), marks=Record(values.marks))  # type: ignore[arg-type]
 

@@ -1,0 +1,369 @@
+"""One rollout, a step at a time: the simulator as Python (`planner.rollouts.interpreted`).
+
+It is the rollout of the same seed and id that the compiled programs count, event for event.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.plan.plan import Area, Leg, LegKind
+from planner.rollout_sampling import rows_met
+from planner.rollouts.closed_loop import trace_from
+from planner.rollouts.interpreted import interpreted
+from planner.rollouts.loop import ClosedLoop
+from planner.rollouts.runners import Runner
+from planner.rollouts.tables import first_frames
+from planner.simulator.areas import FRAME_ROWS, Log
+from planner.simulator.codes import NO_AREA, NO_ROBOT, NONE, Doing, EventKind, Outcome
+from planner.simulator.state import (
+    ACTS,
+    AREA_BITS,
+    MOST_NARROW,
+    SURVIVED,
+    TO_DO,
+    VISITED,
+    State,
+    first_room,
+)
+from planner.tally import Trace
+
+NOT_BEGUN = -1
+"""The step before t = 0, at which robots enter their starts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What happened in one run. Axis `K` = robots, `N` = H * W cells.
+
+    Attributes:
+        paths: per robot int64 `[steps + 1]`: its cell at each step from t = 0 to its last move.
+        legs: per robot, its travel and cover legs.
+        areas_added: areas made during the run, by sharing or reallocation, in id order.
+        outcome, time: how and at which step it ended.
+        bisected, divided: areas shared whose unvisited cells were one component, and that lay in several already.
+        visited, survived: bool `[N]`, cells entered, and entered without being lost there.
+        alive: bool `[K]`. home: bool `[K]`, alive and at a base, of robots that return to base (SPEC section 19).
+        area_of: int32 `[N]`, id of the last area that each cell belonged to, -1 where inaccessible.
+        trace: the same as every engine reports it.
+    """
+
+    paths: tuple[NDArray[np.int64], ...]
+    legs: tuple[tuple[Leg, ...], ...]
+    areas_added: tuple[Area, ...]
+    bisected: int
+    divided: int
+    visited: NDArray[np.bool_]
+    survived: NDArray[np.bool_]
+    alive: NDArray[np.bool_]
+    home: NDArray[np.bool_]
+    trace: Trace
+
+    @property
+    def outcome(self) -> Outcome:
+        """How it ended."""
+        return self.trace.outcome
+
+    @property
+    def time(self) -> int:
+        """At which step."""
+        return self.trace.time
+
+    @property
+    def area_of(self) -> NDArray[np.int32]:
+        """The last area of each cell."""
+        return self.trace.area_of
+
+    @property
+    def shares(self) -> int:
+        """Areas shared."""
+        return self.bisected + self.divided
+
+
+class Legs:
+    """The travel and cover legs of each robot, from its moves."""
+
+    def __init__(self, robots: int, pace: Callable[[int], int]) -> None:
+        self.of: list[list[tuple[LegKind, int, int, int]]] = [[] for _ in range(robots)]
+        self._pace = pace
+
+    def note(self, s: State, robot: int) -> None:
+        """The robot is about to enter its next cell: the last leg grows by a step, or another one begins."""
+        me, step, legs = s.robots[robot], s.marks.step, self.of[robot]
+        if not interpreted("areas").has_area(s.robots, robot):
+            return
+        kind: LegKind = "cover" if me.doing == Doing.COVERING or me.next == me.target else "travel"
+        if step == 0:
+            if int(s.home[me.cell]) >> AREA_BITS != me.area:
+                return
+            kind = "cover"
+        since = step - self._pace(robot) + 1
+        if legs and legs[-1][:2] == (kind, me.area) and since <= legs[-1][3] <= step:
+            legs[-1] = (kind, me.area, legs[-1][2], step + 1)
+        else:
+            legs.append((kind, me.area, step, step + 1))
+
+
+class SingleRun:
+    """A rollout in progress.
+
+    Attributes:
+        loop: what it is of. step: the last step that is over. outcome: how it ended, None while it goes on.
+        raw: its state, arrays; `s` the same for the simulator as Python, and `t`, `p`, `w`, `c`, `how`, `log` the other
+            arguments of its functions.
+        events: int32 `[n, 5]` of each step, cells as numbers of accessible cells, if they are kept.
+    """
+
+    def __init__(
+        self,
+        loop: ClosedLoop,
+        seed: int = 0,
+        rollout: int = 0,
+        in_area: Callable[[int, int, int], Any] | None = None,
+        legs: Legs | None = None,
+    ) -> None:
+        """`in_area`: a user's own order, `(here, cell, cost) -> anything that Python can compare`, cells as numbers."""
+        runner = Runner(loop, seed, 1)
+        self.loop, self.rollout = loop, rollout
+        self.t, self.p, self.c, self.w = runner.tables, runner.policy, runner.counts, runner.work
+        self.how = runner.how._replace(pause=True, in_area=in_area)
+        self.ids = np.array([rollout], dtype=np.uint32)
+        self.w.begin[0] = rollout
+        if loop.in_doubt:
+            self.w.left[:1] = loop.bearing.tolerances(seed, self.ids, loop.robots)
+        if loop.movers is not None:
+            self.w.at[:1] = loop.first_places(seed, self.ids)
+        truth = 0 if loop.doubt is None else int(rows_met(loop.doubt, seed, rollout)[0])
+        # Cells and areas take 32 bits: there is always room for more areas.
+        first = loop.first_state(max(first_room(loop.tables), MOST_NARROW + 1))
+        self._take(State._make(row[truth : truth + 1].copy() for row in first))
+        self.raw.marks["last"] = 1
+        rows = 8 * len(loop.cells) + 16 * loop.robots + 256
+        self.log = Log(np.zeros((rows, 5), dtype=np.int32), np.zeros((1, FRAME_ROWS, loop.robots), np.int32), legs)
+        self.outcome: Outcome | None = None
+        self.new_events = self.log.events[:0]
+
+    def _take(self, stack: State) -> None:
+        """The state is level 0 of the stack."""
+        self._stack, self.raw = stack, State._make(row[0] for row in stack)
+        self.s: Any = interpreted("struct_pointers").with_records(self.raw)
+
+    def fork(self) -> Self:
+        """The same rollout, which goes on by itself from here."""
+        other = object.__new__(type(self))
+        vars(other).update(vars(self))
+        other._take(State._make(row.copy() for row in self._stack))
+        kept = {name: getattr(self.w, name).copy() for name in ("left", "at", "met")}
+        other.w = self.w._replace(**kept)
+        other.log = Log(self.log.events.copy()[: self._room_for_events], self.log.frames.copy(), None)
+        return other
+
+    @property
+    def _room_for_events(self) -> int:
+        return len(self.log.events)
+
+    # --- steps ---
+
+    @property
+    def step(self) -> int:
+        """The last step that is over, NOT_BEGUN before t = 0."""
+        return int(self.raw.marks["step"]) - (self.outcome is None)
+
+    def advance(self) -> Outcome | None:
+        """To the end of the next step; how the rollout has ended there, None while it goes on."""
+        self._make_room()
+        self.log.events[0, 0] = 0
+        marks = self.s.marks
+        marks.robot, marks.verdict = 0, ACTS
+        with np.errstate(over="ignore"):
+            found = interpreted("step").advance(self.t, self.p, self.s, self.c, self.w, self.log, self.how, self.ids)
+        self.take_events()
+        self.outcome = None if found == NONE else Outcome(int(found))
+        return self.outcome
+
+    def take_events(self) -> None:
+        """What was noted in this step."""
+        self.new_events = self.log.events[1 : int(self.log.events[0, 0]) + 1].copy()
+
+    def _make_room(self) -> None:
+        """Room for all areas that a step may make."""
+        room, wanted = len(self.raw.areas), int(self.raw.marks["areas"]) + len(self.loop.cells) + 2
+        if room > wanted:
+            return
+        more = dict[str, NDArray]()
+        for name in ("areas", "open", "lowest", "fate"):
+            row = getattr(self._stack, name)
+            if row.shape[1]:
+                more[name] = np.zeros((1, 2 * row.shape[1] + wanted), dtype=row.dtype)
+                more[name][:, : row.shape[1]] = row
+        self._take(self._stack._replace(**more))
+        if self.loop.learns:  # the last area stands for none
+            self._number_none(room - 1, len(self.raw.areas) - 1)
+
+    def _number_none(self, old: int, new: int) -> None:
+        """The number of what is in no area is another one."""
+        home = self.raw.home
+        none = home >> AREA_BITS == old
+        none[-1] = False
+        home[none] = home[none] & ((1 << AREA_BITS) - 1) | new << AREA_BITS
+        self.raw.areas[new], self.raw.areas[old] = self.raw.areas[old].copy(), np.zeros((), self.raw.areas.dtype)
+
+    # --- where it stands ---
+
+    @property
+    def visited(self) -> NDArray[np.bool_]:
+        """bool `[A]`, of the accessible cells."""
+        return (self._inside & VISITED != 0) & ~self._out
+
+    @property
+    def survived(self) -> NDArray[np.bool_]:
+        """bool `[A]`, entered by a robot that was not lost there."""
+        return (self._inside & SURVIVED != 0) & ~self._out
+
+    @property
+    def _inside(self) -> NDArray[Any]:
+        return self.raw.home[:-1]
+
+    @property
+    def _out(self) -> NDArray[np.bool_]:
+        """Cells that are in no area and not visited, of robots that learn the map."""
+        out = interpreted("state").OUT
+        return self.raw.known & out != 0 if self.loop.learns else np.zeros(len(self.loop.cells), dtype=np.bool_)
+
+    @property
+    def area_of(self) -> NDArray[np.int32]:
+        """int32 `[A]`, the area of each cell, NO_AREA of none."""
+        found = (self._inside >> AREA_BITS).astype(np.int32)
+        return np.where(found == len(self.raw.areas) - 1, NO_AREA, found) if self.loop.learns else found
+
+    @property
+    def alive(self) -> NDArray[np.bool_]:
+        """bool `[K]`."""
+        return np.asarray(self.raw.robots["doing"] != Doing.DEAD)
+
+    def on_grid(self, values: NDArray[Any], other: Any = 0) -> NDArray[Any]:
+        """Values `[A]` of the accessible cells as those of all cells `[N]`."""
+        whole = np.full(self.loop.shape[0] * self.loop.shape[1], other, dtype=values.dtype)
+        whole[self.loop.cells] = values
+        return whole
+
+    def frame(self) -> NDArray[np.int32]:
+        """Cell, doing and area of each robot: int32 `[3, K]`, as in `Log.frames`."""
+        interpreted("areas").write_frame(self.log, self.s, 0)
+        return self.log.frames[0].copy()
+
+    def doing(self, robot: int) -> Doing:
+        """What the robot does."""
+        state, code = interpreted("state"), int(self.raw.robots["doing"][robot])
+        return {state.LANDING: Doing.IDLE, state.STARTING: Doing.TRAVELING}.get(code) or Doing(code)
+
+    def path_ahead(self, robot: int) -> list[int]:
+        """Cells, as numbers of accessible ones, that the robot is to enter as things stand, the next one first."""
+        return list(self._ahead(robot))
+
+    def _ahead(self, robot: int) -> Iterator[int]:
+        me, t, s, w = self.s.robots[robot], self.t, self.s, self.w
+        state, doing = interpreted("state"), self.doing(robot)
+        if doing is Doing.FOLLOWING:
+            yield from map(int, t.given[robot, max(s.marks.step, 0) + (s.marks.step == 0) : t.length[robot] + 1])
+        elif doing is Doing.RETURNING:
+            cell, onward = int(me.next), t.onward[t.home_of[robot]]
+            yield cell
+            while int(onward[cell]) != cell:
+                cell = int(onward[cell])
+                yield cell
+        elif me.doing == state.STARTING or doing in (Doing.TRAVELING, Doing.COVERING):
+            # Legs are found as the robot would find them, and all is put back as it was.
+            kept = self.raw.robots[robot].copy(), self.raw.legs[robot : robot + 1].copy(), self.raw.home.copy()
+            paths = interpreted("paths")
+            if me.doing == state.STARTING:
+                paths.set_out(t, s, w, robot, paths.entry_of(t, s, w, robot, me.area), t.searches)
+            found = list[int]()
+            while me.cell != me.target or me.left > 0:
+                if me.cell == me.target:
+                    if doing is not Doing.COVERING or self.p is not None:
+                        break
+                    paths.next_leg(t, s, w, self.how, robot)
+                cell = int(me.next)
+                found.append(cell)
+                me.cell = cell
+                if cell == me.target:
+                    s.home[cell] &= ~TO_DO
+                    me.left -= 1
+                    if doing is not Doing.COVERING or self.p is not None or me.left <= 0:
+                        break
+                else:
+                    paths.go_on(t, s, w, robot)
+            self.raw.robots[robot], self.raw.legs[robot : robot + 1], self.raw.home[:] = kept
+            yield from found
+
+
+def play(run: SingleRun, *, made: bool = True) -> Run:
+    """Run the rollout to its end, and tell what happened. `made`: with the areas that were made."""
+    loop, frames, events, added = run.loop, list[NDArray](), list[NDArray](), list[Area]()
+    if loop.state is not None:
+        frames += list(first_frames(loop.state, loop.cells))
+    while run.outcome is None:
+        known = int(run.raw.marks["areas"])
+        run.advance()
+        frames.append(run.frame())
+        events.append(run.new_events)
+        if made and int(run.raw.marks["areas"]) > known:
+            added += areas_made(run, known)
+    trace = trace_from(loop, run.rollout, np.array(frames), np.concatenate(events), run.area_of, run.outcome)
+    legs = run.log.legs
+    return Run(
+        paths=tuple(without_waiting(path) for path in trace.cells.T.astype(np.int64)),
+        legs=() if legs is None else tuple(tuple(map(run_leg(run), of)) for of in legs.of),
+        areas_added=tuple(added),
+        bisected=int(run.raw.marks["bisected"]),
+        divided=int(run.raw.marks["divided"]),
+        visited=run.on_grid(run.visited),
+        survived=run.on_grid(run.survived),
+        alive=run.alive,
+        home=at_base(run),
+        trace=trace,
+    )
+
+
+def run_leg(run: SingleRun) -> Callable[[tuple[LegKind, int, int, int]], Leg]:
+    """A leg as plans hold it: with the level of its area."""
+    level = run.raw.areas["level"]
+    return lambda one: Leg(one[0], one[1], int(level[one[1]]), one[2], one[3])
+
+
+def at_base(run: SingleRun) -> NDArray[np.bool_]:
+    """bool `[K]`, robots alive in one of their bases."""
+    if not run.loop.comes_home:
+        return np.zeros(run.loop.robots, dtype=np.bool_)
+    moves = run.t.home_steps[run.t.home_of, run.raw.robots["cell"]]
+    return (moves == 0) & run.alive
+
+
+def areas_made(run: SingleRun, known: int) -> list[Area]:
+    """The areas from the id `known` on, all made in the last step, with the cells that each was made of."""
+    count, home = int(run.raw.marks["areas"]), run.area_of
+    parent = {number: number for number in range(count)}
+    following = known
+    for _, _, kind, area, parts in run.new_events.tolist():
+        if kind in (EventKind.REALLOCATED, EventKind.SHARED):
+            parent |= dict.fromkeys(range(following, following + parts), area)
+            following += parts
+    inside: dict[int, list[int]] = {number: [number] for number in range(known, count)}
+    for number in range(count - 1, known - 1, -1):  # what was made of an area later in the step was in it
+        if known <= parent[number] < number:
+            inside[parent[number]] += inside[number]
+    level = run.raw.areas["level"]
+    cells = (run.loop.cells[np.isin(home, inside[number])] for number in range(known, count))
+    return [Area(int(level[number]), NO_ROBOT, of) for number, of in enumerate(cells, start=known)]
+
+
+def without_waiting(path: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The path without the waiting after its last move."""
+    moves = np.flatnonzero(path[1:] != path[:-1])
+    return path[: int(moves[-1]) + 2 if len(moves) else 1]
