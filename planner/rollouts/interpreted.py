@@ -18,6 +18,8 @@ from planner.simulator import jit
 
 NAME = "planner.simulator_as_python"
 """The name of the second load, in `sys.modules`."""
+MOST_CELLS = 2**17
+"""Cells of the maps of its calls from which on a search is compiled: as Python it has then taken about as long."""
 
 
 @cache
@@ -32,12 +34,34 @@ def interpreted(module: str) -> Any:
         spec = spec_from_file_location(NAME, file, submodule_search_locations=folders)
         assert spec is not None and spec.loader is not None
         package, plain = module_from_spec(spec), ModuleType(f"{NAME}.jit")
-        same = dict.fromkeys(("kernel", "rare_kernel", "spliced", "program", "threaded", "compiled"), _same)
-        vars(plain).update(vars(jit) | same | {"__name__": plain.__name__, "INTERPRETED": True})
-        sys.modules |= {NAME: package, plain.__name__: plain}
+        vars(plain).update(vars(jit) | dict.fromkeys(("kernel", "rare_kernel", "spliced", "program"), _same))
+        vars(plain).update(threaded=_compiled, compiled=_compiled, search=_search, INTERPRETED=True)
+        sys.modules |= {NAME: package, f"{NAME}.jit": plain}
         spec.loader.exec_module(package)
     return import_module(f"{NAME}.{module}")
 
 
 def _same(function: Any) -> Any:
     return function
+
+
+def _compiled(function: Any) -> Any:
+    """The compiled function of the same name."""
+    module = import_module(f"planner.simulator.{function.__module__.rpartition('.')[2]}")
+    return getattr(module, function.__name__)
+
+
+def _search(function: Any) -> Any:
+    """A loop over arrays: as Python while there is little to do, then compiled."""
+    found, done = None, 0
+
+    def call(*given: Any) -> Any:
+        nonlocal found, done
+        if found is None:
+            done += len(given[0])
+            if done <= MOST_CELLS:
+                return function(*given)
+            found = jit.program(_compiled(function).py_func)
+        return found(*[getattr(one, "array", one) for one in given])
+
+    return call

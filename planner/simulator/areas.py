@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .codes import NONE, EventKind
-from .jit import kernel, rare_kernel, spliced
+from .jit import kernel, rare_kernel, search, spliced
 from .paths import (
     cheapest_cell,
     entry_of,
@@ -276,11 +276,10 @@ def search_next_area(t, s, w, here):
         done = level
 
 
-@kernel
-def flood(t, s, w, first, of, mark):
+@search
+def flood(near, home, stack, first, of, mark):
     """Hand the component of the area's unvisited cells that holds `first` on to the area `mark`; returns its size."""
-    home, stack = s.home, w.stack
-    of, mark = np.int64(of) << AREA_BITS | TO_DO, np.int64(mark) << AREA_BITS
+    wanted, mark = np.int64(of) << AREA_BITS | TO_DO, np.int64(mark) << AREA_BITS
     # Handed on when it is met, so a cell is put on the stack once.
     home[first], stack[0] = mark, first
     top, size = 1, 1
@@ -288,8 +287,8 @@ def flood(t, s, w, first, of, mark):
         top -= 1
         here = stack[top]
         for side in range(4):
-            cell = t.near[here, side]
-            if np.int64(home[cell]) | TO_DO == of:
+            cell = near[here, side]
+            if np.int64(home[cell]) | TO_DO == wanted:
                 home[cell] = mark
                 stack[top] = cell
                 top += 1
@@ -300,90 +299,96 @@ def flood(t, s, w, first, of, mark):
 @kernel
 def list_unvisited(s, w, area):
     """The area's unvisited cells, rising, into `listed`; returns how many."""
+    return list_of(s.home, s.order, np.int64(s.areas[area].begin), np.int64(s.areas[area].end), w.listed)
+
+
+@search
+def list_of(home, order, begin, end, listed):
+    """`list_unvisited`, of arrays."""
     count = 0
-    for place in range(s.areas[area].begin, s.areas[area].end):
-        cell = s.order[place]
-        if s.home[cell] & VISITED == 0:
-            w.listed[count] = cell
+    for place in range(begin, end):
+        cell = order[place]
+        if home[cell] & VISITED == 0:
+            listed[count] = cell
             count += 1
     return count
 
 
 @kernel
-def in_layers(t, s, w, source, area, count):
+def in_layers(near, home, seen, stamps, stack, source, area, count):
     """Breadth-first over the area's unvisited cells from `source`, `count` at least, into `stack`.
 
     Returns where the last layer begins and ends; `seen` holds the new stamp where it came by.
     """
-    w.stamp[0] += 1
-    stamp, wanted = w.stamp[0], np.int64(area) << AREA_BITS
-    w.stack[0], w.seen[source] = source, stamp
+    stamps[0] += 1
+    stamp, wanted = stamps[0], np.int64(area) << AREA_BITS
+    stack[0], seen[source] = source, stamp
     layer, tail = 0, 1
     while tail < count:
         stop = tail
         for place in range(layer, stop):
-            here = w.stack[place]
+            here = stack[place]
             for side in range(4):
-                cell = t.near[here, side]
-                if s.home[cell] == wanted and w.seen[cell] != stamp:
-                    w.seen[cell] = stamp
-                    w.stack[tail] = cell
+                cell = near[here, side]
+                if home[cell] == wanted and seen[cell] != stamp:
+                    seen[cell] = stamp
+                    stack[tail] = cell
                     tail += 1
         layer = stop
     return layer, tail
 
 
-@kernel
-def bisect(t, s, w, area, count):
+@search
+def bisect(near, home, seen, stamps, stack, listed, area, count):
     """Split the area, whose `count` cells are one component and `listed`, in two (SPEC section 5).
 
     The half without the lowest cell becomes the area of the next id.
     """
-    lowest, goal = w.listed[0], (count + 1) // 2
-    layer, tail = in_layers(t, s, w, lowest, area, count)
+    lowest, goal = listed[0], (count + 1) // 2
+    layer, tail = in_layers(near, home, seen, stamps, stack, lowest, area, count)
     # Of the cells reached last the lowest index: the stack holds a layer in order of meeting, not of index.
-    far_end = w.stack[layer]
+    far_end = stack[layer]
     for place in range(layer, tail):
-        far_end = min(far_end, w.stack[place])
-    layer, tail = in_layers(t, s, w, far_end, area, goal)
-    reached, grown = w.stamp[0], w.stamp[0] + 1
-    w.stamp[0] = grown
+        far_end = min(far_end, stack[place])
+    layer, tail = in_layers(near, home, seen, stamps, stack, far_end, area, goal)
+    reached, grown = stamps[0], stamps[0] + 1
+    stamps[0] = grown
     for place in range(layer):
-        w.seen[w.stack[place]] = grown
+        seen[stack[place]] = grown
     left = goal - layer
     for index in range(count):  # the last layer in index order, as far as it is needed
-        cell = w.listed[index]
-        if w.seen[cell] == reached and left > 0:
-            w.seen[cell] = grown
+        cell = listed[index]
+        if seen[cell] == reached and left > 0:
+            seen[cell] = grown
             left -= 1
-    stays = largest_rest(t, s, w, area, count, grown)
-    with_lowest = w.seen[lowest] == stays
+    stays = largest_rest(near, home, seen, stamps, stack, listed, area, count, grown)
+    with_lowest = seen[lowest] == stays
     for index in range(count):
-        cell = w.listed[index]
+        cell = listed[index]
         # Parts are in order of lowest cell, so the one that holds it keeps the first id.
-        if (w.seen[cell] == stays) != with_lowest:
-            s.home[cell] = np.int64(area) + 1 << AREA_BITS
+        if (seen[cell] == stays) != with_lowest:
+            home[cell] = np.int64(area) + 1 << AREA_BITS
 
 
 @kernel
-def largest_rest(t, s, w, area, count, grown):
+def largest_rest(near, home, seen, stamps, stack, listed, area, count, grown):
     """Stamp the components of what has not `grown`; the stamp of the largest, of equal ones the lowest."""
     stays, stays_size, wanted = NONE, 0, np.int64(area) << AREA_BITS
     for index in range(count):
-        first = w.listed[index]
-        if w.seen[first] >= grown:
+        first = listed[index]
+        if seen[first] >= grown:
             continue
-        w.stamp[0] += 1
-        stamp, top, size = w.stamp[0], 1, 1
-        w.seen[first], w.stack[0] = stamp, first
+        stamps[0] += 1
+        stamp, top, size = stamps[0], 1, 1
+        seen[first], stack[0] = stamp, first
         while top > 0:
             top -= 1
-            here = w.stack[top]
+            here = stack[top]
             for side in range(4):
-                cell = t.near[here, side]
-                if s.home[cell] == wanted and w.seen[cell] < grown:
-                    w.seen[cell] = stamp
-                    w.stack[top] = cell
+                cell = near[here, side]
+                if home[cell] == wanted and seen[cell] < grown:
+                    seen[cell] = stamp
+                    stack[top] = cell
                     top += 1
                     size += 1
         if size > stays_size:
@@ -403,14 +408,14 @@ def replace(t, s, w, area, split):
             # Room for this part and for one more that a bisection may make.
             if first_new + parts + 2 > room_of(s):
                 return np.int64(NONE), 0
-            areas[first_new + parts].left = flood(t, s, w, cell, area, first_new + parts)
+            areas[first_new + parts].left = flood(t.near, s.home, w.stack, cell, area, first_new + parts)
             parts += 1
     if split:
         if parts > 1:
             marks.divided += 1
         else:
             marks.bisected += 1
-            bisect(t, s, w, first_new, count)
+            bisect(t.near, s.home, w.seen, w.stamp, w.stack, w.listed, first_new, count)
             parts = 2
             areas[first_new].left = areas[first_new + 1].left = 0
             for index in range(count):

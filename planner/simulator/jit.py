@@ -236,6 +236,15 @@ def kernel(function: Function) -> Function:
     return numba.njit(**UNCOUNTED, **WITHIN, forceinline=True)(function)
 
 
+def search(function: Function) -> Function:
+    """A loop over the arrays that it is called with, no tuples of them: a `kernel`.
+
+    Where the simulator runs as Python it is compiled for itself once it has much to do
+    (`planner.rollouts.interpreted`).
+    """
+    return kernel(function)
+
+
 def spliced(function: Function) -> Function:
     """The same for a part that is called in one place, or returns an array: it is its caller's before types are."""
     return numba.njit(**UNCOUNTED, **WITHIN, inline="always")(function)

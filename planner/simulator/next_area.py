@@ -9,7 +9,7 @@ import numpy as np
 
 from .areas import any_to_share, costs_from, has_area, is_within, make_lowest, may_be_shared
 from .codes import NONE
-from .jit import kernel, rare_kernel
+from .jit import kernel, rare_kernel, search
 from .offers import Offer, is_dangerous, price
 from .paths import one_cell, row_from, seek, set_out
 from .policy import is_before, is_danger, offer_of, refuses
@@ -32,10 +32,16 @@ from .state import (
 @kernel
 def cheapest_unvisited(costs, s, area):
     """(cell, cost): the area's unvisited cell of least cost in `costs` `[A]`, lowest index first; NONE if none is."""
-    best, best_cost = NONE, FAR
-    for place in range(s.areas[area].begin, s.areas[area].end):
-        cell = np.int64(s.order[place])
-        if s.home[cell] & VISITED == 0:
+    return cheapest_to_do(costs, s.home, s.order, np.int64(s.areas[area].begin), np.int64(s.areas[area].end))
+
+
+@search
+def cheapest_to_do(costs, home, order, begin, end):
+    """`cheapest_unvisited`, of arrays."""
+    best, best_cost = np.int64(NONE), np.int64(FAR)
+    for place in range(begin, end):
+        cell = np.int64(order[place])
+        if home[cell] & VISITED == 0:
             cost = np.int64(costs[cell])
             if cost >= 0 and (cost < best_cost or (cost == best_cost and cell < best)):
                 best, best_cost = cell, cost

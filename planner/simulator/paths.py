@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .codes import NO_CELL, NONE
-from .jit import kernel, rare_kernel, threaded
+from .jit import kernel, rare_kernel, search, threaded
 from .robot_types import own
 from .searches import TOO_FAR, UNREACHED, SafeParts, danger_ahead, far_search, pop, push
 from .state import (
@@ -184,15 +184,15 @@ def one_cell(cell):
 
 
 @kernel
-def is_goal(s, cell, goal):
+def is_goal(home, open_areas, areas, cell, goal):
     """Whether the cell is one of the goal's."""
-    home = np.int64(s.home[cell])
+    flags = np.int64(home[cell])
     if goal[0] >= 0:
-        return home | goal[1] == goal[0]
+        return flags | goal[1] == goal[0]
     if goal[0] == ONE_CELL:
         return cell == goal[1]
-    area = home >> AREA_BITS
-    return holds(s.open, area) and s.areas[area].level == goal[1]
+    area = flags >> AREA_BITS
+    return holds(open_areas, area) and areas[area].level == goal[1]
 
 
 @kernel
@@ -208,25 +208,36 @@ def seek(t, s, w, here, goal, inside):
 
 @rare_kernel
 def seek_near(t, s, w, here, goal, inside, most):
-    """The same; TOO_FAR if more than `most` cells have been passed before it was certain.
+    """The same; TOO_FAR if more than `most` cells have been passed before it was certain."""
+    near, entry = s.near if t.learns else t.near, s.entry if t.learns else t.entry
+    return search_near(
+        near, entry, s.home, s.open, s.areas, w.distance, w.seen, w.stamp, w.queue, w.heap_cost, w.heap_cell,
+        np.int64(here), goal, np.int64(inside), np.int64(most),
+    )  # fmt: skip
+
+
+@search
+def search_near(
+    near, entries, home, open_areas, areas, distance, seen, stamps, queue, heap_cost, heap_cell, here, goal, inside,
+    most,
+):  # fmt: skip
+    """`seek_near`, of arrays: Dijkstra with a queue in layers.
 
     Costs sit on the cells entered, so the first time a cell is met its distance is final: each is queued once. Cells
     one unit away (safe ones) go through a queue in layers, the others through a heap.
     """
-    distance, seen, queue = w.distance, w.seen, w.queue
-    near, entries = s.near if t.learns else t.near, s.entry if t.learns else t.entry
-    w.stamp[0] += 1
-    stamp, here = w.stamp[0], np.int64(here)
-    distance[here], seen[here], seen[len(t.near)] = 0, stamp, stamp  # what is blocked is met already
-    if is_goal(s, here, goal):
+    stamps[0] += 1
+    stamp = stamps[0]
+    distance[here], seen[here], seen[len(near)] = 0, stamp, stamp  # what is blocked is met already
+    if is_goal(home, open_areas, areas, here, goal):
         return here
     best, best_cost, best_area, last_cost = np.int64(NONE), np.int64(0), np.int64(0), np.int64(0)
     queue[0], head, tail, heap_size, now = here, 0, 1, 0, np.int64(0)
     while head <= most:
-        while heap_size > 0 and w.heap_cost[0] == now:
-            queue[tail] = w.heap_cell[0]
+        while heap_size > 0 and heap_cost[0] == now:
+            queue[tail] = heap_cell[0]
             tail += 1
-            heap_size = pop(w.heap_cost, w.heap_cell, heap_size)
+            heap_size = pop(heap_cost, heap_cell, heap_size)
         layer_end = tail
         while head < layer_end:
             at = np.int64(queue[head])
@@ -234,24 +245,24 @@ def seek_near(t, s, w, here, goal, inside, most):
             for side in range(4):
                 cell = np.int64(near[at, side])
                 # A stamp instead of clearing: a search costs what it passes, not the size of the map.
-                if seen[cell] == stamp or (inside != NONE and np.int64(s.home[cell]) >> AREA_BITS != inside):
+                if seen[cell] == stamp or (inside != NONE and np.int64(home[cell]) >> AREA_BITS != inside):
                     continue
                 seen[cell], entry = stamp, entries[cell]
                 cost = now + entry
                 distance[cell] = cost
-                if (best == NONE or cost <= best_cost) and is_goal(s, cell, goal):
-                    area = np.int64(s.home[cell]) >> AREA_BITS
+                if (best == NONE or cost <= best_cost) and is_goal(home, open_areas, areas, cell, goal):
+                    area = np.int64(home[cell]) >> AREA_BITS
                     if best == NONE or (cost, area, cell) < (best_cost, best_area, best):
                         best, best_cost, best_area, last_cost = cell, cost, area, entry
                 if entry == 1:
                     queue[tail] = cell
                     tail += 1
                 else:
-                    heap_size = push(w.heap_cost, w.heap_cell, heap_size, cost, cell)
+                    heap_size = push(heap_cost, heap_cell, heap_size, cost, cell)
         if tail > layer_end:
             now += 1
         elif heap_size > 0:
-            now = w.heap_cost[0]
+            now = heap_cost[0]
         else:
             return best
         # Nothing that is still due can be as cheap, not even with a lower area or index.
@@ -296,7 +307,7 @@ def mark_goal(s, w, goal):
             continue
         for place in range(s.areas[area].begin, s.areas[area].end):
             cell = np.int64(s.order[place])
-            if is_goal(s, cell, goal):
+            if is_goal(s.home, s.open, s.areas, cell, goal):
                 w.stack[count], w.rank[cell] = cell, area
                 count += 1
     return count
@@ -334,19 +345,21 @@ def row_from(t, s, w, here):
 @kernel
 def fill_row(t, w, here, row):
     """Costs to all cells, and of those to each area of t = 0 the least, lowest index first."""
-    costs, size = w.rows[row], len(t.near)
-    for cell in range(size):
-        costs[cell] = NONE
-    costs[size] = 0  # what is blocked is met already
-    spread(t, w, here, costs)
-    costs[size] = NONE
-    for area in range(len(t.level)):
-        best = np.int64(t.order[t.begin[area]])
-        for place in range(t.begin[area] + 1, t.begin[area + 1]):
-            cell = np.int64(t.order[place])
+    spread(t.near, t.kind, t.kind_cost, t.kind_begin, w.queue, w.heads, w.tails, w.heap_cost, w.heap_cell,
+        np.int64(here), w.rows[row])  # fmt: skip
+    nearest_of_areas(w.rows[row], t.order, t.begin, w.row_costs[row], w.row_entries[row])
+
+
+@search
+def nearest_of_areas(costs, order, begin, area_costs, area_entries):
+    """Of each area of t = 0 the cheapest cell, lowest index first, and its cost."""
+    for area in range(len(area_costs)):
+        best = np.int64(order[begin[area]])
+        for place in range(begin[area] + 1, begin[area + 1]):
+            cell = np.int64(order[place])
             if costs[cell] < costs[best]:
                 best = cell
-        w.row_costs[row, area], w.row_entries[row, area] = costs[best], best
+        area_costs[area], area_entries[area] = costs[best], best
 
 
 @kernel
@@ -359,40 +372,44 @@ def fill_row_believed(t, s, w, here, row):
     costs[len(t.near)] = NONE
 
 
-@kernel
-def spread(t, w, here, costs):
-    """Dijkstra from `here` to all cells that have no cost yet.
+@search
+def spread(near, kinds, kind_cost, kind_begin, queue, head, tail, heap_cost, heap_cell, here, costs):
+    """Dijkstra from `here` to all cells, whose costs `[A + 1]` are then known; NONE of those out of reach.
 
     What is paid on entering is the same for all cells of a kind, so those of a kind are met in the order in which they
-    are due: each kind has a queue of its own, in the part of `w.queue` for its cells, and the heap holds only the first
+    are due: each kind has a queue of its own, in the part of `queue` for its cells, and the heap holds only the first
     of each.
     """
-    queue, head, tail, heap_size, now = w.queue, w.heads, w.tails, 0, np.int64(0)
-    for kind in range(len(t.kind_cost)):
-        head[kind] = tail[kind] = t.kind_begin[kind]
-    kind = np.int64(t.kind[here])
+    for cell in range(len(near)):
+        costs[cell] = NONE
+    costs[len(near)] = 0  # what is blocked is met already
+    heap_size, now = 0, np.int64(0)
+    for kind in range(len(kind_cost)):
+        head[kind] = tail[kind] = kind_begin[kind]
+    kind = np.int64(kinds[here])
     costs[here], queue[tail[kind]] = 0, here
     tail[kind] += 1
-    heap_size = push(w.heap_cost, w.heap_cell, heap_size, now, kind)
+    heap_size = push(heap_cost, heap_cell, heap_size, now, kind)
     while heap_size > 0:
-        now, due = w.heap_cost[0], np.int64(w.heap_cell[0])
-        heap_size = pop(w.heap_cost, w.heap_cell, heap_size)
+        now, due = heap_cost[0], np.int64(heap_cell[0])
+        heap_size = pop(heap_cost, heap_cell, heap_size)
         end = tail[due]
         while head[due] < end and costs[queue[head[due]]] == now:
             at = np.int64(queue[head[due]])
             head[due] += 1
             for side in range(4):
-                cell = np.int64(t.near[at, side])
+                cell = np.int64(near[at, side])
                 if costs[cell] == NONE:
-                    kind = np.int64(t.kind[cell])
-                    cost = now + t.kind_cost[kind]
+                    kind = np.int64(kinds[cell])
+                    cost = now + kind_cost[kind]
                     costs[cell], queue[tail[kind]] = cost, cell
                     # Its queue was empty, so this cell is its first: the heap has to know.
                     if head[kind] == tail[kind] and kind != due:
-                        heap_size = push(w.heap_cost, w.heap_cell, heap_size, cost, kind)
+                        heap_size = push(heap_cost, heap_cell, heap_size, cost, kind)
                     tail[kind] += 1
         if head[due] < tail[due]:
-            heap_size = push(w.heap_cost, w.heap_cell, heap_size, np.int64(costs[queue[head[due]]]), due)
+            heap_size = push(heap_cost, heap_cell, heap_size, np.int64(costs[queue[head[due]]]), due)
+    costs[len(near)] = NONE
 
 
 @kernel
@@ -442,14 +459,19 @@ def cheapest_cell(costs, s, area):
 
     Its cells rise, and are reached from anywhere if one of them is.
     """
-    begin, end = np.int64(s.areas[area].begin), np.int64(s.areas[area].end)
-    best = np.int64(s.order[begin])
+    return cheapest_of(costs, s.order, np.int64(s.areas[area].begin), np.int64(s.areas[area].end))
+
+
+@search
+def cheapest_of(costs, order, begin, end):
+    """`cheapest_cell`, of arrays."""
+    best = np.int64(order[begin])
     least = costs[best]
     # An area is connected: if one cell cannot be reached none can.
     if least < 0:
         return np.int64(NONE)
     for place in range(begin + 1, end):
-        cell = s.order[place]
+        cell = order[place]
         if costs[cell] < least:
             best, least = np.int64(cell), costs[cell]
     return best

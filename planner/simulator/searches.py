@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .codes import NO_CELL
-from .jit import compiled, put_first, threaded
+from .jit import compiled, kernel, put_first, threaded
 from .offers import CellOffer
 
 # Eq. (3) made exact: integer entry costs, and the grid's neighbours that safest paths run over (SPEC section 3).
@@ -33,7 +33,7 @@ def neighbour_table(shape: tuple[int, int], passable: NDArray[np.bool_]) -> NDAr
 # A binary heap of (cost, cell) in two arrays, for the compiled searches.
 
 
-@threaded
+@kernel
 def push(heap_cost, heap_cell, size, cost, cell):  # type: ignore[no-untyped-def]
     """Add a cell to a heap of `size`; returns the new size."""
     child = size
@@ -47,7 +47,7 @@ def push(heap_cost, heap_cell, size, cost, cell):  # type: ignore[no-untyped-def
     return size + 1
 
 
-@threaded
+@kernel
 def pop(heap_cost, heap_cell, size):  # type: ignore[no-untyped-def]
     """Take the first off a heap of `size`, having read it; returns the new size."""
     size -= 1

@@ -118,46 +118,60 @@ def _hand(typing_context: Any, values: Any) -> Any:
     return kind(values), keep
 
 
-class Record:
-    """An element of a structured array as compiled code sees it: its fields are attributes."""
-
-    __slots__ = ("row",)
-
-    row: np.void
-
-    def __init__(self, row: np.void) -> None:
-        object.__setattr__(self, "row", row)
-
-    def __getattr__(self, name: str) -> int:
-        return int(self.row[name])
-
-    def __setattr__(self, name: str, value: int) -> None:
-        self.row[name] = value
-
-
 class Records:
-    """A structured array whose elements are such records."""
+    """A structured array whose elements are as compiled code sees them: their fields are attributes.
+
+    Through memory views: NumPy's own records take microseconds for a field.
+    """
 
     def __init__(self, array: NDArray[np.void]) -> None:
-        self.array, self.made = array, dict[int, Record]()
+        self.array = array
+        self._views = tuple(memoryview(array[name]) for name in array.dtype.names or ())
+        self._kind, self._made = _record_kind(array.dtype.names or ()), dict[int, Any]()
 
     def __len__(self) -> int:
         return len(self.array)
 
-    def __getitem__(self, place: int) -> Record:
-        if place not in self.made:
-            self.made[place] = Record(self.array[place])
-        return self.made[place]
+    def __getitem__(self, place: int) -> Any:
+        if place not in self._made:
+            self._made[place] = self._kind(self._views, place)
+        return self._made[place]
 
-    def __setitem__(self, place: int, record: Record) -> None:
-        self.array[place] = record.row
+    def __setitem__(self, place: int, record: Any) -> None:
+        for field in type(record).FIELDS:
+            setattr(self[place], field, getattr(record, field))
+
+
+@functools.cache
+def _record_kind(names: tuple[str, ...]) -> type:
+    """The class of records with these fields."""
+
+    def field(number: int) -> property:
+        def load(self: Any) -> int:
+            return self.views[number][self.place]
+
+        def store(self: Any, value: Any) -> None:
+            self.views[number][self.place] = int(value)
+
+        return property(load, store)
+
+    def begin(self: Any, views: tuple[memoryview, ...], place: int) -> None:
+        self.views, self.place = views, int(place)
+
+    fields: dict[str, Any] = {name: field(number) for number, name in enumerate(names)}
+    return type("Record", (), {"__slots__": ("place", "views"), "FIELDS": names, "__init__": begin, **fields})
 
 
 def with_records(values: Any) -> Any:
-    """The same named tuple for code that is not compiled; NumPy's own records take microseconds for a field."""
+    """The same named tuple for code that is not compiled."""
     if getattr(values, "_fields", ()) != State._fields:  # of either load
         return values
-    return values._replace(robots=Records(values.robots), areas=Records(values.areas), marks=Record(values.marks))  # type: ignore[arg-type]
+    marks = values.marks if isinstance(values.marks, np.ndarray) else np.asarray(values.marks.base).reshape(-1)
+    place = 0
+    if not isinstance(values.marks, np.ndarray):
+        offset = values.marks.__array_interface__["data"][0] - marks.__array_interface__["data"][0]
+        place = offset // marks.itemsize
+    return values._replace(robots=Records(values.robots), areas=Records(values.areas), marks=Records(marks)[place])
 
 
 hand: Callable[[Any], Any] = with_records if INTERPRETED else _hand
