@@ -20,7 +20,7 @@ from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.runners import Runner
 from planner.rollouts.tables import first_frames
 from planner.simulator.areas import FRAME_ROWS, Log
-from planner.simulator.codes import NO_AREA, NO_ROBOT, NONE, Doing, EventKind, Outcome
+from planner.simulator.codes import NO_AREA, NO_ROBOT, NONE, Doing, Outcome
 from planner.simulator.state import (
     ACTS,
     AREA_BITS,
@@ -29,6 +29,7 @@ from planner.simulator.state import (
     TO_DO,
     VISITED,
     State,
+    Work,
     first_room,
 )
 from planner.tally import Trace
@@ -85,16 +86,20 @@ class Run:
         return self.bisected + self.divided
 
 
-class Legs:
-    """The travel and cover legs of each robot, from its moves."""
+class Notes:
+    """What a plan holds of a run beside its trace: legs, and areas that are made on the way.
 
-    def __init__(self, robots: int, pace: Callable[[int], int]) -> None:
-        self.of: list[list[tuple[LegKind, int, int, int]]] = [[] for _ in range(robots)]
-        self._pace = pace
+    Attributes:
+        legs: of each robot, (kind, area, start, stop). made: areas in id order.
+    """
 
-    def note(self, s: State, robot: int) -> None:
+    def __init__(self, loop: ClosedLoop) -> None:
+        self.legs: list[list[tuple[LegKind, int, int, int]]] = [[] for _ in range(loop.robots)]
+        self.made, self._loop, self._known = list[Area](), loop, len(loop.tables.level)
+
+    def move(self, s: State, robot: int) -> None:
         """The robot is about to enter its next cell: the last leg grows by a step, or another one begins."""
-        me, step, legs = s.robots[robot], s.marks.step, self.of[robot]
+        me, step, legs = s.robots[robot], s.marks.step, self.legs[robot]
         if not interpreted("areas").has_area(s.robots, robot):
             return
         kind: LegKind = "cover" if me.doing == Doing.COVERING or me.next == me.target else "travel"
@@ -102,11 +107,19 @@ class Legs:
             if int(s.home[me.cell]) >> AREA_BITS != me.area:
                 return
             kind = "cover"
-        since = step - self._pace(robot) + 1
+        pace = self._loop.tables.pace
+        since = step - (int(pace[robot]) if len(pace) else 1) + 1
         if legs and legs[-1][:2] == (kind, me.area) and since <= legs[-1][3] <= step:
             legs[-1] = (kind, me.area, legs[-1][2], step + 1)
         else:
             legs.append((kind, me.area, step, step + 1))
+
+    def areas(self, s: State) -> None:
+        """Areas have been made."""
+        home = s.home[:-1] >> AREA_BITS
+        for number in range(self._known, int(s.marks.areas)):
+            self.made.append(Area(int(s.areas[number].level), NO_ROBOT, self._loop.cells[home == number]))
+        self._known = int(s.marks.areas)
 
 
 class SingleRun:
@@ -125,12 +138,16 @@ class SingleRun:
         seed: int = 0,
         rollout: int = 0,
         in_area: Callable[[int, int, int], Any] | None = None,
-        legs: Legs | None = None,
+        known: Work | None = None,
     ) -> None:
-        """`in_area`: a user's own order, `(here, cell, cost) -> anything that Python can compare`, cells as numbers."""
-        runner = Runner(loop, seed, 1)
+        """`in_area`: a user's own order, `(here, cell, cost) -> anything that Python can compare`, cells as numbers.
+
+        known: scratch of another run of the loop, which has costs between cells.
+        """
+        runner = Runner(loop, seed, 1, None if known is None else [known])
         self.loop, self.rollout = loop, rollout
-        self.t, self.p, self.c, self.w = runner.tables, runner.policy, runner.counts, runner.work
+        self.p, self.c, self.w, self.notes = runner.policy, runner.counts, runner.work, Notes(loop)
+        self.t = runner.tables._replace(notes=self.notes)
         self.how = runner.how._replace(pause=True, in_area=in_area)
         self.ids = np.array([rollout], dtype=np.uint32)
         self.w.begin[0] = rollout
@@ -144,7 +161,7 @@ class SingleRun:
         self._take(State._make(row[truth : truth + 1].copy() for row in first))
         self.raw.marks["last"] = 1
         rows = 8 * len(loop.cells) + 16 * loop.robots + 256
-        self.log = Log(np.zeros((rows, 5), dtype=np.int32), np.zeros((1, FRAME_ROWS, loop.robots), np.int32), legs)
+        self.log = Log(np.zeros((rows, 5), dtype=np.int32), np.zeros((1, FRAME_ROWS, loop.robots), np.int32))
         self.outcome: Outcome | None = None
         self.new_events = self.log.events[:0]
 
@@ -160,12 +177,9 @@ class SingleRun:
         other._take(State._make(row.copy() for row in self._stack))
         kept = {name: getattr(self.w, name).copy() for name in ("left", "at", "met")}
         other.w = self.w._replace(**kept)
-        other.log = Log(self.log.events.copy()[: self._room_for_events], self.log.frames.copy(), None)
+        other.log = Log(self.log.events.copy(), self.log.frames.copy())
+        other.t = self.t._replace(notes=None)
         return other
-
-    @property
-    def _room_for_events(self) -> int:
-        return len(self.log.events)
 
     # --- steps ---
 
@@ -303,24 +317,21 @@ class SingleRun:
             yield from found
 
 
-def play(run: SingleRun, *, made: bool = True) -> Run:
-    """Run the rollout to its end, and tell what happened. `made`: with the areas that were made."""
-    loop, frames, events, added = run.loop, list[NDArray](), list[NDArray](), list[Area]()
+def play(run: SingleRun) -> Run:
+    """Run the rollout to its end, and tell what happened."""
+    loop, frames, events = run.loop, list[NDArray](), list[NDArray]()
     if loop.state is not None:
         frames += list(first_frames(loop.state, loop.cells))
     while run.outcome is None:
-        known = int(run.raw.marks["areas"])
         run.advance()
         frames.append(run.frame())
         events.append(run.new_events)
-        if made and int(run.raw.marks["areas"]) > known:
-            added += areas_made(run, known)
     trace = trace_from(loop, run.rollout, np.array(frames), np.concatenate(events), run.area_of, run.outcome)
-    legs = run.log.legs
+    level = run.raw.areas["level"]
     return Run(
         paths=tuple(without_waiting(path) for path in trace.cells.T.astype(np.int64)),
-        legs=() if legs is None else tuple(tuple(map(run_leg(run), of)) for of in legs.of),
-        areas_added=tuple(added),
+        legs=tuple(tuple(Leg(*one[:2], int(level[one[1]]), *one[2:]) for one in of) for of in run.notes.legs),
+        areas_added=tuple(run.notes.made),
         bisected=int(run.raw.marks["bisected"]),
         divided=int(run.raw.marks["divided"]),
         visited=run.on_grid(run.visited),
@@ -331,36 +342,12 @@ def play(run: SingleRun, *, made: bool = True) -> Run:
     )
 
 
-def run_leg(run: SingleRun) -> Callable[[tuple[LegKind, int, int, int]], Leg]:
-    """A leg as plans hold it: with the level of its area."""
-    level = run.raw.areas["level"]
-    return lambda one: Leg(one[0], one[1], int(level[one[1]]), one[2], one[3])
-
-
 def at_base(run: SingleRun) -> NDArray[np.bool_]:
     """bool `[K]`, robots alive in one of their bases."""
     if not run.loop.comes_home:
         return np.zeros(run.loop.robots, dtype=np.bool_)
     moves = run.t.home_steps[run.t.home_of, run.raw.robots["cell"]]
     return (moves == 0) & run.alive
-
-
-def areas_made(run: SingleRun, known: int) -> list[Area]:
-    """The areas from the id `known` on, all made in the last step, with the cells that each was made of."""
-    count, home = int(run.raw.marks["areas"]), run.area_of
-    parent = {number: number for number in range(count)}
-    following = known
-    for _, _, kind, area, parts in run.new_events.tolist():
-        if kind in (EventKind.REALLOCATED, EventKind.SHARED):
-            parent |= dict.fromkeys(range(following, following + parts), area)
-            following += parts
-    inside: dict[int, list[int]] = {number: [number] for number in range(known, count)}
-    for number in range(count - 1, known - 1, -1):  # what was made of an area later in the step was in it
-        if known <= parent[number] < number:
-            inside[parent[number]] += inside[number]
-    level = run.raw.areas["level"]
-    cells = (run.loop.cells[np.isin(home, inside[number])] for number in range(known, count))
-    return [Area(int(level[number]), NO_ROBOT, of) for number, of in enumerate(cells, start=known)]
 
 
 def without_waiting(path: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -5,7 +5,7 @@ Part of `planner.simulator.rollouts`, which see; the rows are those of `planner.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,12 +60,10 @@ class Log(NamedTuple):
             the others are the rows of `Trace.events`.
         frames: int32 `[T, FRAME_ROWS, K]`: cell, doing and area of each robot at the end of each step; later steps are
             not kept.
-        legs: None in compiled programs; notes each move (`planner.rollouts.single_run`).
     """
 
     events: NDArray[np.int32]
     frames: NDArray[np.int32]
-    legs: Any = None
 
 
 def make_log(steps: int, events: int, robots: int) -> Log:
@@ -439,6 +437,8 @@ def replace(t, s, w, area, split):
             s.order[areas[new].end] = cell
             areas[new].end += 1
     marks.areas += parts
+    if t.notes:
+        t.notes.areas(s)
     for new in range(first_new, first_new + parts):
         reopen(s, new)
     marks.unfinished += parts - (1 if count > 0 else 0)

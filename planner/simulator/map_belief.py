@@ -253,6 +253,8 @@ def fall_apart(t, s, w, area):
                 return False
             hold(s, w, new, tail)
             s.areas[area].left -= tail
+            if t.notes:
+                t.notes.areas(s)
         number = NONE
     s.fate[area] = WHOLE
     if number != NONE:
@@ -315,6 +317,8 @@ def take_in(t, s, w):
         if area == NONE:
             return False
         hold(s, w, area, tail)
+        if t.notes:
+            t.notes.areas(s)
     return True
 
 

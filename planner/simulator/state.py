@@ -184,7 +184,8 @@ class Tables(NamedTuple):
             tables of distances; the map is uncertain; a loss makes a cell harmless; robots wear or differ in
             susceptibility; threats move; robots differ in type; in speed; radio has a range; robots return to base;
             they learn the map; they estimate hazards; threats change by phases.
-        asks: None in compiled programs; chooses areas in the place of the rule (`planner.rollouts.single_run`).
+        asks, notes: None in compiled programs; choose areas in the place of the rule, and note moves and areas that are
+            made (`planner.rollouts.single_run`).
     """
 
     near: NDArray
@@ -270,6 +271,7 @@ class Tables(NamedTuple):
     estimates: bool | None = None
     phased: bool | None = None
     asks: Any = None
+    notes: Any = None
 
 
 class How(NamedTuple):

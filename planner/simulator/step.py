@@ -97,8 +97,8 @@ def advance(t, p, s, c, w, log, how, ids):
                 left = acting(t, p, s, word, robot % WORD)
                 continue
             group.progress = 1
-            if log.legs:
-                log.legs.note(s, robot)
+            if t.notes:
+                t.notes.move(s, robot)
             # t = 0 enters the start; a robot on an external path may wait, which is no visit.
             cell = np.int64(robots[robot].next if group.step > 0 else robots[robot].cell)
             if p is not None or group.step == 0 or cell != robots[robot].cell:
