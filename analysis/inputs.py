@@ -238,7 +238,7 @@ def _plan_the_rest(asked: Asked, file: Path, plan_file: Path | None) -> Found:
 
 def plan_from_state(world: World, state: MissionState, settings: Settings, source: str = "state") -> Plan:
     """The plan of the rest of a mission; errors name `source`. Raises InputError."""
-    from planner.mrac.make_plan import make_plan
+    from planner.make_plan import make_plan
 
     if settings.plan_for != "closed":
         raise UsageError(f"{argument('plan_for', settings.plan_for)} for the rest of a mission", expected="closed")

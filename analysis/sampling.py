@@ -154,7 +154,7 @@ def knowing_deadline(world: World, plan: Plan, choices: RolloutChoices, *, nomin
     `nominal`: with its run without losses, which rollouts do not need. Raises PlanError where one is late from the
     start.
     """
-    from planner.mrac.make_plan import make_plan
+    from planner.make_plan import make_plan
 
     if not plan.comes_home or choices.loop == "open" or choices.deadline is None:
         return plan

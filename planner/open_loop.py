@@ -26,7 +26,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from planner.errors import PlanError
 from planner.ids import MAX_STEP
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.mrac.problem import Problem, prepare
 from planner.plan.plan import Plan, RobotPlan, entries
 from planner.policies.rules import NEAREST

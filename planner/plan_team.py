@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from planner.arguments import POSITIVE, argument
 from planner.errors import PlanError, UsageError
-from planner.mrac.make_plan import confirm_plan, make_plan
+from planner.make_plan import confirm_plan, make_plan
 from planner.plan.plan import FORMAT, Plan
 from planner.plan.plan_file import parse_plan, read_plan_json
 from planner.rule_versions import BEFORE, rules_of

@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.loop import ClosedLoop

@@ -24,7 +24,7 @@ from drawn_worlds import moving_world
 from helpers import VisitLoop
 
 from planner.errors import InputError
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan

@@ -10,7 +10,7 @@ from drawn_worlds import moving_world
 from numpy.typing import NDArray
 
 from planner.errors import MracError
-from planner.mrac.make_plan import allocated_plan
+from planner.make_plan import allocated_plan
 from planner.settings import Settings
 from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
 from planner.world.features import with_prior, with_sense, with_truth

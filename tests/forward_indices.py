@@ -14,7 +14,7 @@ from closed_loop_worlds import limited, survey_worlds
 from drawn_worlds import WORLDS
 from numba import config
 
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.rollouts import closed_loop, runners
 from planner.rollouts import open_loop_numba as numba_draws
 from planner.rollouts import open_loop_numba as numba_engine

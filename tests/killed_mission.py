@@ -11,8 +11,8 @@ from pathlib import Path
 from helpers import VisitDraws
 
 from planner.errors import StateError
+from planner.make_plan import make_plan
 from planner.mission.mission import Mission
-from planner.mrac.make_plan import make_plan
 from planner.plan.plan import Plan
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts

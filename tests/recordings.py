@@ -18,8 +18,8 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 
 from analysis.recording.container import LogSchema, LogWriter, open_log
 from analysis.recording.record import Request, record
+from planner.make_plan import make_plan
 from planner.mcap import LogMessage
-from planner.mrac.make_plan import make_plan
 from planner.plan.plan import Plan, RobotPlan
 from planner.settings import Settings
 from planner.world.generate import ThreatPattern, random_world

@@ -47,7 +47,7 @@ from analysis.theory.verdicts import (
     worst_of_robots,
 )
 from planner.errors import UsageError
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.settings import Choices, Settings
 from planner.simulator.codes import Outcome

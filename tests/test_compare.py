@@ -23,7 +23,7 @@ from analysis.inputs import load_world
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimates import FIRST_LOOK
 from planner.errors import UsageError
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.plan.plan import Plan
 from planner.settings import Settings
 from planner.world.features import with_prior, with_sense

@@ -22,9 +22,9 @@ from mrac_jax.environment.area_env import COLUMNS, AreaEnv
 from mrac_jax.environment.coverage_env import ACTIONS, AT_ONCE, PLANES, CoverageEnv, State
 from planner.errors import InputError
 from planner.failure_model import exposure_of, tolerances
+from planner.make_plan import make_plan
 from planner.mission.team_control import ChosenRun
 from planner.mrac.board import Recorder
-from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import ready_loop
 from planner.mrac.simulate import ReferenceLoop
 from planner.policies import RULES, Rule

@@ -66,7 +66,7 @@ from planner.formatting import (
     percent,
     share,
 )
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.plan.plan import NO_MORE, Plan, RobotPlan
 from planner.plan.state import NO_CELLS, MissionState, RobotState
 from planner.settings import Settings

@@ -27,7 +27,7 @@ from analysis.sampling import RolloutChoices
 from analysis.utils.tables import as_text
 from planner.errors import UsageError
 from planner.formatting import percent
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.plan.plan import is_certain
 from planner.rollouts import closed_loop
 from planner.rollouts.closed_loop import compile_closed_loop, run_range

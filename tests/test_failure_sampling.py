@@ -42,7 +42,7 @@ from planner.failure_model import (
     worn,
 )
 from planner.failure_model import susceptible as made_susceptible
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.plan.state_file import parse_state

@@ -30,7 +30,7 @@ from analysis.bench import engines
 from analysis.bench import engines as race
 from analysis.bench.engines import Contender, naive_rollouts
 from planner.errors import MracError
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.rollouts.open_loop import compile_plan
 from planner.tally import Tally
 from planner.world.generate import random_world

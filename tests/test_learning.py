@@ -21,9 +21,9 @@ from test_threats_over_time import POLICIES, changing
 
 from planner.errors import InputError, WorldError
 from planner.failure_model import own_key
+from planner.make_plan import make_plan
 from planner.mrac.board import Recorder
 from planner.mrac.choose import frontier
-from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import ReferenceLoop, make_team, play_step, simulate
 from planner.plan.plan import Plan

@@ -15,9 +15,9 @@ from test_learning import drawn
 
 from planner.errors import InputError, StateError, WorldError
 from planner.failure_model import Bearing, exposure_of
+from planner.make_plan import make_plan
 from planner.mission.mission import Mission
 from planner.mrac.board import Recorder
-from planner.mrac.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan

@@ -16,8 +16,8 @@ from test_return_home import check_rules, ways
 
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError, PlanError
+from planner.make_plan import make_plan
 from planner.mrac.choose import in_contact
-from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan

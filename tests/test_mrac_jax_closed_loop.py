@@ -39,7 +39,7 @@ from mrac_jax.closed_loop.tables import LEAST_PATHS, LaneTables, lane_tables
 from planner.errors import UsageError, WorldError
 from planner.failure_model import tolerances
 from planner.ids import MAX_STEP
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.plan.state_file import parse_state

@@ -17,8 +17,8 @@ from mrac_jax.closed_loop.beginning import nominal_of
 from mrac_jax.closed_loop.state import CELL_KINDS, STEP_KINDS
 from mrac_jax.closed_loop.tables import LaneTables, lane_tables
 from planner.errors import WorldError
+from planner.make_plan import allocated_plan, make_plan
 from planner.mission.mission import Mission
-from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.state_file import parse_state
 from planner.rollouts.closed_loop import compile_closed_loop

@@ -22,7 +22,7 @@ import pytest
 from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
 from closed_loop_worlds import SurveyWorld, survey_world
 
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts

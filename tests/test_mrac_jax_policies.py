@@ -20,7 +20,7 @@ from mrac_jax.closed_loop.engine import TRACED, JaxClosedLoop
 from mrac_jax.closed_loop.rules import Candidate, is_before
 from mrac_jax.closed_loop.tables import LARGEST_DENOMINATOR, LaneTables, lane_tables
 from planner.errors import WorldError
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.policies.rule import Rule
 from planner.rollouts.closed_loop import compile_closed_loop, trace_rollouts
 from planner.rollouts.engine import closed_loop_engine

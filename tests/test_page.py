@@ -53,7 +53,7 @@ from analysis.report.rendering import figure_of, page_of
 from analysis.report.rendering import page_of as page_of_report
 from analysis.sampling import RolloutChoices, make_engine_for
 from analysis.theory.verdicts import FORMULAS
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.plan.plan import Plan, RobotPlan
 from planner.settings import Choices, Settings
 from planner.world.levels import place_starts

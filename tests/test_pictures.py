@@ -37,7 +37,7 @@ from analysis.report.answer import save_report
 from analysis.report.rendering import charts_figure, figure_of
 from analysis.sampling import RolloutChoices
 from planner.formatting import percent
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.plan.plan import Plan, RobotPlan
 from planner.simulator.codes import Outcome
 from planner.world.levels import place_starts

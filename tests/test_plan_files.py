@@ -37,7 +37,7 @@ from planner.arguments import COMMAND_LINE
 from planner.errors import InputError, MapError, PlanError, UsageError
 from planner.files import LONG_BYTES, read_csv_grid
 from planner.formatting import UNITS, UNPACED, Pace, seconds_of
-from planner.mrac.make_plan import confirm_plan, make_plan
+from planner.make_plan import confirm_plan, make_plan
 from planner.plan.plan import Area, Leg, Plan, RobotPlan, headings, waypoints_csv
 from planner.plan.plan_file import count_shares
 from planner.plan_team import plan_team, read_plan

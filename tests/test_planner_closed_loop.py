@@ -15,7 +15,7 @@ from hypothesis import given
 from numba import typeof
 
 from planner.errors import PlanError
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import Run, simulate
 from planner.plan.plan import Plan

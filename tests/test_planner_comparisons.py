@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from analysis.statistics.estimates import mean_estimate
 from planner.errors import WorldError
+from planner.make_plan import allocated_plan, make_plan
 from planner.mrac import executive
 from planner.mrac import simulate as simulate_planted
-from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import ReferenceLoop, Run, simulate
 from planner.plan.plan import Plan

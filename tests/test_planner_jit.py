@@ -15,7 +15,7 @@ import pytest
 from forward_indices import forward
 from numpy.typing import NDArray
 
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.simulator.jit import KNOWN, PROGRAM, UNCOUNTED, WITHIN
 from planner.simulator.state import State, Tables, first_state
@@ -30,7 +30,7 @@ from numba.core.dispatcher import Dispatcher
 import planner.simulator.areas, planner.simulator.failure_sampling, planner.simulator.paths, planner.simulator.rollouts
 import planner.simulator.fixed_paths, planner.simulator.solo, planner.simulator.step, planner.simulator.visits
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.world.world import World
 
 world = World.create([[0.0, 0.1, 0.0]])

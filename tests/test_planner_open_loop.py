@@ -19,7 +19,7 @@ from analysis.cli.app import run
 from analysis.theory.exact import Worth, open_loop_exact
 from analysis.theory.flow_programme import optimum
 from planner.errors import PlanError, UsageError
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.mrac.problem import ready_loop
 from planner.mrac.simulate import ReferenceLoop, Run, simulate
 from planner.open_loop import make_open_loop_plan

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from validate import validate
 
 from planner.errors import UsageError, WorldError
+from planner.make_plan import allocate, allocated, make_plan, nominal_run
 from planner.mrac.areas import bisect, connected_parts, find_areas, metis_parts, wavefront_parts
-from planner.mrac.make_plan import allocate, allocated, make_plan, nominal_run
 from planner.mrac.paths import entry_costs, to_networkx
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import ReferenceLoop, simulate

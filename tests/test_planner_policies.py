@@ -26,10 +26,10 @@ from analysis.estimators.racing import order_areas
 from analysis.sampling import RolloutChoices
 from analysis.theory.flow_programme import optimum
 from planner.errors import InputError, PlanError, WorldError
+from planner.make_plan import allocated_plan, make_plan
 from planner.mrac import executive as executive_module
 from planner.mrac.choose import first_area
 from planner.mrac.executive import Executive
-from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import ReferenceLoop, Run, never_hit, play_step
 from planner.plan.plan import Plan

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from closed_loop_worlds import limited, survey_world
 
-from planner.mrac.make_plan import allocated_plan
+from planner.make_plan import allocated_plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.runners import KNOWN, Runner, singles_of

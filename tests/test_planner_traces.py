@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 from analysis.recording.contents import read_tally, tally_bytes
 from analysis.sweeps.store_files import pack, unpack
 from planner.errors import PlanError
+from planner.make_plan import make_plan
 from planner.mrac.areas import bisect, metis_parts
-from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import ReferenceLoop, Run, Split, simulate
 from planner.plan.plan import Plan

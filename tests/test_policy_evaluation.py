@@ -42,7 +42,7 @@ from analysis.theory.upper_bound import any_strategy
 from analysis.utils.tables import as_text
 from mrac_jax.environment.coverage_env import ACTIONS, CoverageEnv
 from planner.errors import UsageError
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.policies.rule import Rule
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.settings import Settings

@@ -32,7 +32,7 @@ from analysis.utils import progress as shown
 from analysis.utils.notes import of_things
 from analysis.utils.progress import Announcer, Interrupted, ask
 from analysis.utils.tables import SafeConsole
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.settings import SETTINGS, Settings
 from planner.simulator import jit
 from planner.simulator.jit import NO_CACHE

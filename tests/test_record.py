@@ -52,7 +52,7 @@ from analysis.recording.viewers.topics import (
 from analysis.recording.viewers.topics import path as ros_path
 from analysis.theory.bounds import all_bounds
 from planner.errors import InputError, MapError, UsageError
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.plan.plan import Plan, RobotPlan, headings
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import closed_loop_engine

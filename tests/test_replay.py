@@ -33,10 +33,10 @@ from analysis.recording.viewers import topics as schemas
 from analysis.recording.viewers.topics import DATA_TOPICS, Stage
 from planner.errors import InputError, UsageError
 from planner.files import npz_bytes
+from planner.make_plan import make_plan
 from planner.mcap import LogMessage
 from planner.mrac.board import State
 from planner.mrac.executive import Executive
-from planner.mrac.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import play_step
 from planner.plan.plan import Plan

@@ -32,7 +32,7 @@ from analysis.sweeps.store import Run, Store
 from analysis.sweeps.store_files import sums_of
 from analysis.theory.exact import open_loop_exact
 from planner.errors import UsageError
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.threshold_classes import luck_classes
 from planner.world.generate import ThreatPattern, random_world

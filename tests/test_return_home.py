@@ -24,8 +24,8 @@ from analysis.search.pareto import Ladders, find_front, settings_of
 from analysis.search.team_size import find_size, make_goal
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError, PlanError, ScenarioError, UsageError
+from planner.make_plan import allocated_plan, confirm_plan, make_plan
 from planner.mission.mission import Mission
-from planner.mrac.make_plan import allocated_plan, confirm_plan, make_plan
 from planner.mrac.problem import Problem, prepare
 from planner.mrac.simulate import ReferenceLoop, simulate
 from planner.plan.plan import Plan

@@ -32,7 +32,7 @@ from analysis.search.start_positions import border, candidate_cells, find_starts
 from analysis.search.threats import Attack, Clearing, by_cell, find_clearing, threats_of
 from analysis.theory.exact import coverage_gradient, open_loop_exact
 from planner.errors import InputError, PlanError, UsageError
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import ReferenceLoop, simulate
 from planner.policies import RULES

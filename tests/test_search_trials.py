@@ -35,7 +35,7 @@ from analysis.statistics.estimates import Estimate, bet_interval
 from analysis.statistics.variance_reduction import LEAST
 from analysis.theory.exact import Worth
 from analysis.utils.tables import policy_words
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.policies import RULES
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.exact_tree import WHOLE, Tree

@@ -76,7 +76,7 @@ from analysis.statistics.variance_reduction import tally_mean
 from analysis.theory.bounds import ideal_team
 from analysis.theory.exact import poisson_binomial
 from planner.errors import InputError, UsageError
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan_team import plan_team
 from planner.rollouts import tables

@@ -22,7 +22,7 @@ from analysis.recording.frames import make_frames
 from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError, PlanError, StateError, UsageError
-from planner.mrac.make_plan import confirm_plan, make_plan
+from planner.make_plan import confirm_plan, make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan

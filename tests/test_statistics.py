@@ -54,7 +54,7 @@ from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import longest_mission, longest_run
 from planner.errors import UsageError
 from planner.failure_model import tolerances
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.rollouts.engine import Engine, Rolling, make_engine, run_by_luck, run_chunks
 from planner.rollouts.threshold_classes import CLASSES_A_NAT, COLUMNS, luck_classes, sums_by_luck
 from planner.settings import Settings

@@ -32,7 +32,7 @@ from analysis.studio.server import HOST, MOST_BYTES, Latest, Sketch, Studio, rea
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
 from planner.formatting import Pace
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.settings import Settings
 from planner.world.features import with_truth
 from planner.world.grid import Georeference

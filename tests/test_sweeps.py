@@ -50,7 +50,7 @@ from analysis.sweeps.spec import read_spec
 from analysis.sweeps.store import Memory, Run, Store
 from analysis.sweeps.sweep import Sweep, run_sweep
 from planner.errors import PER_VISIT, InputError, ScenarioError, UsageError
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.threshold_classes import luck_classes
 from planner.settings import Settings

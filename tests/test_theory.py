@@ -64,7 +64,7 @@ from analysis.theory.upper_bound import (
 )
 from analysis.utils.tables import as_text
 from planner.errors import PlanError
-from planner.mrac.make_plan import allocated_plan, make_plan
+from planner.make_plan import allocated_plan, make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import simulate
 from planner.plan.plan import Plan, RobotPlan, entries

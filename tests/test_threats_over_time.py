@@ -20,7 +20,7 @@ from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
 from planner.failure_model import Bearing
 from planner.ids import MAX_STEP
-from planner.mrac.make_plan import allocated_plan, make_plan
+from planner.make_plan import allocated_plan, make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan, RobotPlan
 from planner.plan.plan_file import read_plan_json

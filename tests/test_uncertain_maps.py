@@ -16,7 +16,7 @@ from scipy import stats
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
 from planner.failure_model import own_key
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.rollout_sampling import Luck

@@ -35,7 +35,7 @@ from analysis.statistics.variance_reduction import LEAST, CommonLuck
 from analysis.theory.exact import Worth, open_loop_found
 from planner.errors import UsageError, WorldError
 from planner.formatting import percent
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import simulate
 from planner.plan.plan import Plan

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.settings import Settings
 from planner.world.generate import ThreatPattern, random_world

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from planner.errors import MracError
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop

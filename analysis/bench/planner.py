@@ -14,7 +14,7 @@ import time
 from rich.console import Console
 
 from analysis.utils.tables import make_table
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.world.generate import Kind, ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.scenario import load_input

@@ -46,7 +46,7 @@ from planner.arguments import argument, whole
 from planner.errors import UsageError
 from planner.files import Json
 from planner.formatting import counted
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.plan.plan import Plan
 from planner.plan_team import plan_team
 from planner.rollouts.closed_loop import compile_closed_loop, run_range

@@ -28,7 +28,7 @@ from planner.arguments import POSITIVE, argument
 from planner.errors import PlanError, UsageError
 from planner.formatting import counted
 from planner.ids import MOST_ROLLOUTS
-from planner.mrac.make_plan import allocated, allocated_plan, make_plan
+from planner.make_plan import allocated, allocated_plan, make_plan
 from planner.mrac.problem import Problem, worth_of
 from planner.plan.plan import Plan
 from planner.policies import DEFAULT

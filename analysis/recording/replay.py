@@ -38,8 +38,8 @@ from planner.arguments import argument
 from planner.errors import PER_VISIT, InputError, PlanError
 from planner.files import Json
 from planner.formatting import counted, in_percent
+from planner.make_plan import confirm_plan, make_plan
 from planner.mcap import LogMessage
-from planner.mrac.make_plan import confirm_plan, make_plan
 from planner.plan.plan import Plan
 from planner.simulator.codes import EventKind
 from planner.tally import RolloutResults

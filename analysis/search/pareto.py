@@ -27,7 +27,7 @@ from planner.arguments import Numbers, argument, exactly, numbers_of
 from planner.errors import UsageError
 from planner.formatting import UNPACED, Pace
 from planner.ids import MOST_ROLLOUTS
-from planner.mrac.make_plan import allocated_plan, make_plan
+from planner.make_plan import allocated_plan, make_plan
 from planner.mrac.problem import prepare
 from planner.plan.plan import Plan
 from planner.rollouts.tables import AllPairs

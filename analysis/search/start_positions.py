@@ -32,7 +32,7 @@ from analysis.utils.notes import Doing, ProgressCallback, quiet
 from planner.arguments import argument
 from planner.errors import MapError, UsageError
 from planner.files import check_file, read_csv_grid, read_npy, starts_with_header
-from planner.mrac.make_plan import allocated_plan, make_plan
+from planner.make_plan import allocated_plan, make_plan
 from planner.plan.plan import Plan
 from planner.rollouts.engine import choose_engine
 from planner.rollouts.tables import AllPairs

@@ -23,8 +23,8 @@ from planner.arguments import Numbers, argument, check_word, whole
 from planner.errors import UsageError
 from planner.files import Json
 from planner.formatting import counted
+from planner.make_plan import allocated_plan, make_plan
 from planner.mrac.areas import find_areas
-from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.plan.plan import Plan
 from planner.rollouts.engine import choose_engine
 from planner.settings import Settings

@@ -448,7 +448,7 @@ def _prepared(what: _Same, closed: bool) -> _Loops:
 @lru_cache(maxsize=1)
 def _allocated(what: _Same) -> tuple[Problem, Plan]:
     """The plan before its nominal run; the last one is kept, for other settings of a team on the same map."""
-    from planner.mrac.make_plan import allocated
+    from planner.make_plan import allocated
 
     kept, team = _of_world(what.team.world.sha256), what.team
     kept.problem, plan = allocated(team.world, team.starts, team.settings, before=kept.problem)

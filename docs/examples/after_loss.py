@@ -17,7 +17,7 @@ from analysis.estimators.racing import order_areas
 from analysis.estimators.trial import Trial
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import over_maps
-from planner.mrac.make_plan import allocated_plan, make_plan
+from planner.make_plan import allocated_plan, make_plan
 from planner.plan.state import MissionState
 from planner.rollouts.tables import AllPairs
 from planner.settings import MOST_PRIORITY, Settings

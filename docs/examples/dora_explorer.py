@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 import mrac_jax as mrac
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.rollouts.engine import Rolling, make_engine
 
 MAPS, ROBOTS = 10, 10

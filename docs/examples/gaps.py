@@ -20,7 +20,7 @@ from analysis.estimators.racing import order_areas
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import over_maps
 from analysis.theory.upper_bound import any_strategy
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
 from planner.world.generate import Kind, ThreatPattern, random_world

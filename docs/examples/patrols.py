@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import mrac_jax as mrac
-from planner.mrac.make_plan import make_plan
+from planner.make_plan import make_plan
 from planner.rollouts.engine import Rolling, make_engine
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts

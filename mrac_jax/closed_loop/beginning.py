@@ -26,7 +26,7 @@ from planner.arguments import argument
 from planner.errors import WorldError
 from planner.ids import MAX_STEP
 from planner.plan.state import ON_ITS_WAY, RobotState
-from planner.rollouts.closed_loop import nominal_trace
+from planner.rollouts.closed_loop import nominal_loop, trace_rollouts
 from planner.rollouts.loop import ClosedLoop, known_cells
 from planner.simulator import state as classical
 from planner.simulator.state import MOST_PASSES, State, first_room
@@ -255,7 +255,7 @@ class Nominal:
 
 def nominal_of(loop: ClosedLoop, most_begins: int) -> Nominal:
     """The nominal run of a closed loop; lanes begin at `most_begins` of its steps at most."""
-    trace = nominal_trace(loop)
+    (trace,) = trace_rollouts(nominal_loop(loop), 0, (0,))
     moved = np.diff(trace.cells, axis=0, prepend=-1) != 0  # all robots enter their starts at t = 0
     visited, survived = (np.isin(loop.cells, known) for known in known_cells(loop))
     moved[: 0 if loop.state is None else loop.state.step + 1] = False

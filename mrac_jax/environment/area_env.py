@@ -35,8 +35,8 @@ from mrac_jax.process import fixed_flags
 from planner.arguments import Numbers, argument, check_word, whole
 from planner.errors import UsageError
 from planner.failure_model import key_of
+from planner.make_plan import allocate
 from planner.mission.team_control import ChosenRun
-from planner.mrac.make_plan import allocate
 from planner.mrac.problem import prepare
 from planner.policies import DEFAULT, RULES
 from planner.rollout_sampling import Luck

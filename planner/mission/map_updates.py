@@ -17,9 +17,9 @@ from planner.arguments import is_whole, whole
 from planner.errors import StateError, WorldError
 from planner.files import Json, read_json, write_json
 from planner.ids import MAX_PLAN_BYTES
+from planner.make_plan import make_plan
 from planner.mission.team_control import Fleet, Reports, whole_numbers
 from planner.mrac.areas import connected_parts
-from planner.mrac.make_plan import make_plan
 from planner.mrac.map_belief import Learning
 from planner.mrac.problem import prepare
 from planner.mrac.simulate import areas_of, state_of

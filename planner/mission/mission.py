@@ -18,6 +18,7 @@ from planner.errors import StateError
 from planner.failure_model import exposure_of
 from planner.files import Json, check_new
 from planner.ids import MAX_STEP
+from planner.make_plan import allocated_plan, make_plan
 from planner.mission.map_updates import (
     Lessons,
     Seen,
@@ -35,7 +36,6 @@ from planner.mission.map_updates import (
 from planner.mission.team_control import Fleet, Order, Report, Reports, Why
 from planner.mrac.board import Recorder, Robot
 from planner.mrac.executive import NOT_BEGUN
-from planner.mrac.make_plan import allocated_plan, make_plan
 from planner.mrac.problem import NO_LIMIT, ready_loop
 from planner.mrac.simulate import state_of
 from planner.plan.plan import Plan

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from planner.rollouts.tables import AllPairs, first_frames, make_tables
 from planner.rule_versions import BEFORE, rules_of
 from planner.simulator.areas import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_log
 from planner.simulator.codes import NO_AREA, EventKind, Outcome
+from planner.simulator.offers import CellOffer
 from planner.simulator.state import Counts
 from planner.tally import RolloutResults, Tally, Trace, tally_key
 from planner.world.uncertain_maps import Uncertain
@@ -92,7 +94,13 @@ def compile_closed_loop(
         bearing=plan.bearing,
         movers=world.movers,
         doubt=world.doubt if learns and isinstance(world.doubt, Uncertain) else None,
+        in_area=None if isinstance(settings.in_area, str) else _by_order(settings.in_area, cells),
     )
+
+
+def _by_order(order: Callable[[CellOffer], Any], cells: NDArray[np.int64]) -> Callable[[int, int, int], Any]:
+    """`ClosedLoop.in_area`."""
+    return lambda here, cell, cost: order(CellOffer(int(cells[here]), int(cells[cell]), cost))
 
 
 def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool, state: MissionState | None) -> str:
@@ -264,15 +272,15 @@ def tally_from(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[
 # The nominal run by the compiled simulator: a hundred times quicker than the readable one, once it is compiled.
 
 
-def nominal_trace(loop: ClosedLoop) -> Trace:
-    """The run of a closed loop with no hits, in which all is as robots believe it once they have looked about."""
+def nominal_loop(loop: ClosedLoop) -> ClosedLoop:
+    """The closed loop without losses, in which all is as robots believe it once they have looked about."""
     tables = loop.tables
     safe = tables._replace(bound=np.zeros_like(tables.bound), movers=tables.movers[:0])
     if loop.learns and not len(tables.phases):  # threats change whatever happens
-        safe = safe._replace(truths=tables.belief[None], goal=len(tables.order))
+        safe = safe._replace(truths=np.tile(tables.belief, (len(tables.truths), 1)), goal=len(tables.order))
     policy = None if loop.policy is None else loop.policy._replace(view_begin=loop.policy.view_begin[:0])
     begin = replace if loop.learns or loop.movers is not None else ClosedLoop.again
-    return trace_rollouts(begin(loop, tables=safe, movers=None, doubt=None, policy=policy), 0, (0,))[0]
+    return begin(loop, tables=safe, movers=None, doubt=None, policy=policy)
 
 
 def with_nominal_run(plan: Plan, loop: ClosedLoop) -> Plan:
@@ -280,7 +288,7 @@ def with_nominal_run(plan: Plan, loop: ClosedLoop) -> Plan:
 
     Equal to the plan of `make_plan` but for legs and the areas that sharing adds, which it does without.
     """
-    trace = nominal_trace(loop)
+    (trace,) = trace_rollouts(nominal_loop(loop), 0, (0,))
     paths = [path[: last_move(path) + 1] for path in trace.cells.T.astype(np.int64)]
     return replace(
         plan,

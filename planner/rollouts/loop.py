@@ -103,6 +103,8 @@ class ClosedLoop:
         state: of the mission that rollouts go on from; None: they begin at t = 0.
         movers: threats that move, which are told for each rollout; None: there are none.
         doubt: maps of which each rollout draws the one that its robots learn; None: there is one truth.
+        in_area: a user's own order of the cells of an area, `(here, cell, cost) -> anything that Python can compare`,
+            cells by their place in `cells`; None: the planner's. Compiled programs do not follow it.
     """
 
     identity: str
@@ -120,6 +122,7 @@ class ClosedLoop:
     bearing: Bearing = PLAIN
     movers: Movers | None = None
     doubt: Uncertain | None = None
+    in_area: Callable[[int, int, int], Any] | None = None
 
     @property
     def accessible(self) -> int:

@@ -5,22 +5,24 @@ It is the rollout of the same seed and id that the compiled programs count, even
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.plan.plan import Area, Leg, LegKind
+from planner.mrac.problem import Problem, ready_loop
+from planner.plan.plan import Area, Leg, LegKind, Plan
+from planner.plan.state import AreaState, MissionState, RobotState
 from planner.rollout_sampling import rows_met
-from planner.rollouts.closed_loop import trace_from
+from planner.rollouts.closed_loop import compile_closed_loop, trace_from
 from planner.rollouts.interpreted import interpreted
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.runners import Runner
 from planner.rollouts.tables import first_frames
 from planner.simulator.areas import FRAME_ROWS, Log
-from planner.simulator.codes import NO_AREA, NO_ROBOT, NONE, Doing, Outcome
+from planner.simulator.codes import NO_AREA, NO_ROBOT, NONE, Doing, EventKind, Outcome
 from planner.simulator.state import (
     ACTS,
     AREA_BITS,
@@ -33,7 +35,9 @@ from planner.simulator.state import (
     first_room,
 )
 from planner.tally import Trace
+from planner.world.world import World
 
+holds = interpreted("state").holds
 NOT_BEGUN = -1
 """The step before t = 0, at which robots enter their starts."""
 
@@ -137,18 +141,14 @@ class SingleRun:
         loop: ClosedLoop,
         seed: int = 0,
         rollout: int = 0,
-        in_area: Callable[[int, int, int], Any] | None = None,
         known: Work | None = None,
     ) -> None:
-        """`in_area`: a user's own order, `(here, cell, cost) -> anything that Python can compare`, cells as numbers.
-
-        known: scratch of another run of the loop, which has costs between cells.
-        """
+        """`known`: scratch of another run of the loop, which has costs between cells."""
         runner = Runner(loop, seed, 1, None if known is None else [known])
         self.loop, self.rollout = loop, rollout
         self.p, self.c, self.w, self.notes = runner.policy, runner.counts, runner.work, Notes(loop)
         self.t = runner.tables._replace(notes=self.notes)
-        self.how = runner.how._replace(pause=True, in_area=in_area)
+        self.how = runner.how._replace(pause=True, in_area=loop.in_area)
         self.ids = np.array([rollout], dtype=np.uint32)
         self.w.begin[0] = rollout
         if loop.in_doubt:
@@ -164,6 +164,14 @@ class SingleRun:
         self.log = Log(np.zeros((rows, 5), dtype=np.int32), np.zeros((1, FRAME_ROWS, loop.robots), np.int32))
         self.outcome: Outcome | None = None
         self.new_events = self.log.events[:0]
+        # Of robots that neither move nor wait, moves left; `until` of a robot that moves is a turn.
+        self.left = dict[int, int]()
+        self.turned = set[int]()
+        for robot, given in enumerate(() if loop.state is None else loop.state.robots):
+            if given.turned:
+                self.turned.add(robot)
+            if not (holds(self.raw.movers, robot) or holds(self.raw.waiting, robot)):
+                self.left[robot] = int(self.raw.robots["until"][robot])
 
     def _take(self, stack: State) -> None:
         """The state is level 0 of the stack."""
@@ -178,7 +186,7 @@ class SingleRun:
         kept = {name: getattr(self.w, name).copy() for name in ("left", "at", "met")}
         other.w = self.w._replace(**kept)
         other.log = Log(self.log.events.copy(), self.log.frames.copy())
-        other.t = self.t._replace(notes=None)
+        other.t, other.left, other.turned = self.t._replace(notes=None), self.left.copy(), self.turned.copy()
         return other
 
     # --- steps ---
@@ -196,13 +204,19 @@ class SingleRun:
         marks.robot, marks.verdict = 0, ACTS
         with np.errstate(over="ignore"):
             found = interpreted("step").advance(self.t, self.p, self.s, self.c, self.w, self.log, self.how, self.ids)
-        self.take_events()
         self.outcome = None if found == NONE else Outcome(int(found))
+        self.take_events()
         return self.outcome
 
     def take_events(self) -> None:
-        """What was noted in this step."""
+        """What was noted in this step; of robots that neither move nor wait any more, the moves that are left."""
         self.new_events = self.log.events[1 : int(self.log.events[0, 0]) + 1].copy()
+        self.turned |= set(self.new_events[self.new_events[:, 2] == EventKind.TURNED_HOME, 1].tolist())
+        for robot in range(self.loop.robots):
+            if holds(self.raw.movers, robot) or holds(self.raw.waiting, robot):
+                self.left.pop(robot, None)
+            elif robot not in self.left:
+                self.left[robot] = int(self.raw.robots["until"][robot]) - self._turns(robot)
 
     def _make_room(self) -> None:
         """Room for all areas that a step may make."""
@@ -228,6 +242,22 @@ class SingleRun:
         self.raw.areas[new], self.raw.areas[old] = self.raw.areas[old].copy(), np.zeros((), self.raw.areas.dtype)
 
     # --- where it stands ---
+
+    @property
+    def robots(self) -> list[RobotNow]:
+        """All of them."""
+        return [RobotNow(self, number) for number in range(self.loop.robots)]
+
+    def moves_left(self, robot: int) -> int:
+        """Moves that the robot can still make, at the end of a step."""
+        until = int(self.raw.robots["until"][robot])
+        if robot in self.left or holds(self.raw.waiting, robot):
+            return self.left.get(robot, until)
+        return until - self._turns(robot)
+
+    def _turns(self, robot: int) -> int:
+        """Turns that the robot has had by the end of the last step."""
+        return int(interpreted("robot_types").own_turn(self.t, robot, max(self.step, 0)))
 
     @property
     def visited(self) -> NDArray[np.bool_]:
@@ -317,6 +347,81 @@ class SingleRun:
             yield from found
 
 
+class RobotNow:
+    """A robot of a run, as it stands. Cells are indices `row * W + col`.
+
+    Attributes:
+        number: its index.
+    """
+
+    def __init__(self, run: SingleRun, number: int) -> None:
+        self._run, self.number = run, number
+
+    @property
+    def _me(self) -> Any:
+        return self._run.raw.robots[self.number]
+
+    @property
+    def cell(self) -> int:
+        """Where it is."""
+        return int(self._run.loop.cells[self._me["cell"]])
+
+    @property
+    def status(self) -> Doing:
+        """What it does."""
+        return self._run.doing(self.number)
+
+    @property
+    def alive(self) -> bool:
+        """Not lost."""
+        return self.status is not Doing.DEAD
+
+    @property
+    def on_its_way(self) -> bool:
+        """Traveling or covering: it has an area."""
+        return self.status in (Doing.TRAVELING, Doing.COVERING)
+
+    @property
+    def busy(self) -> bool:
+        """It has a path ahead: to or in its area, to its base, or another planner's."""
+        return self.on_its_way or self.status in (Doing.FOLLOWING, Doing.RETURNING)
+
+    @property
+    def area(self) -> int:
+        """Its area, NO_AREA of none."""
+        return int(self._me["area"]) if self.on_its_way else NO_AREA
+
+    @property
+    def held(self) -> bool:
+        """Kept from areas at risk (`reserve`), until it gets one."""
+        return bool(self._me["held"])
+
+    @property
+    def ahead(self) -> list[int]:
+        """Cells of its path still to enter, the next one first."""
+        return self._run.loop.cells[self._run.path_ahead(self.number)].tolist()
+
+    @property
+    def to_do(self) -> NDArray[np.int64]:
+        """The cells that its coverage path has still to reach: no leg crosses one of them."""
+        run = self._run
+        if self.status is not Doing.COVERING:
+            return np.zeros(0, dtype=np.int64)
+        mine = run.area_of == self.area
+        flags = ~run.visited if run.p is not None else run.raw.home[:-1] & TO_DO != 0
+        return run.loop.cells[mine & flags]
+
+    @property
+    def moves(self) -> int:
+        """Moves that it can still make."""
+        return self._run.moves_left(self.number)
+
+    @property
+    def turned(self) -> bool:
+        """It has started its return to base, for good."""
+        return self.number in self._run.turned
+
+
 def play(run: SingleRun) -> Run:
     """Run the rollout to its end, and tell what happened."""
     loop, frames, events = run.loop, list[NDArray](), list[NDArray]()
@@ -354,3 +459,109 @@ def without_waiting(path: NDArray[np.int64]) -> NDArray[np.int64]:
     """The path without the waiting after its last move."""
     moves = np.flatnonzero(path[1:] != path[:-1])
     return path[: int(moves[-1]) + 2 if len(moves) else 1]
+
+
+# A run as the state of a mission (SPEC section 12).
+
+
+def state_of(run: SingleRun, problem: Problem, borne: Sequence[int] | None = None) -> MissionState:
+    """Where a run stands between two steps. Completed areas without cells are left out, the others close up.
+
+    borne: cumulative hazard of each robot, in units of 2**-32 nat, which is kept where robots wear. A real robot may
+    have borne more than any that is drawn: then it is kept as the most that one can.
+    """
+    world, settings, loop = problem.world, problem.settings, run.loop
+    settings.check_not_charged("the state of a mission")
+    settings.check_alike("the state of a mission")
+    known, home, cells = None, problem.home, loop.cells
+    if borne is not None and settings.wear != 1:
+        known = np.minimum(borne, settings.bearing().most(loop.robots)).tolist()
+    area_of, visited, areas = run.area_of, run.visited, list[AreaState]()
+    owner = {int(robot.area): robot.number for robot in run.robots if robot.on_its_way}
+    place = dict[int, int]()
+    for number in range(int(run.raw.marks["areas"])):
+        inside = area_of == number
+        if not inside.any():
+            continue
+        place[number] = len(areas)
+        left, status = int(run.raw.areas["left"][number]), "completed"
+        if holds(run.raw.open, number):
+            status = "unassigned"
+        elif number in owner and left > 0:
+            status = "assigned"
+        areas.append(AreaState(int(run.raw.areas["level"][number]), owner.get(number, NO_ROBOT), status, cells[inside]))
+    robots = tuple(
+        RobotState(
+            cell=robot.cell,
+            status=robot.status.name.lower(),
+            area=place[robot.area] if robot.on_its_way else NO_AREA,
+            ahead=np.array(robot.ahead if robot.on_its_way else [], dtype=np.int64),
+            to_do=robot.to_do,
+            moves=int(problem.range[robot.number]) - robot.moves,
+            held=robot.held,
+            exposure=None if known is None else known[robot.number],
+            home=None if home is None else int(home.starts[robot.number]),
+            turned=robot.turned,
+        )
+        for robot in run.robots
+    )
+    over, quiet = int(run.raw.marks["over"]), int(run.raw.marks["quiet"])
+    if run.outcome is None:  # else the run waits for an announced phase
+        quiet = min(quiet, int(run.t.quiet_steps) - 1)
+    return MissionState(
+        world.shape,
+        world.sha256,
+        run.step,
+        cells[visited],
+        cells[run.survived],
+        robots,
+        tuple(areas),
+        0 if over else quiet,
+        Outcome(over - 1).word if over else None,
+    )
+
+
+class PythonLoop:
+    """A plan's closed loop, rollout by rollout, by the simulator as Python; it follows any rule and order of cells.
+
+    Args:
+        plan: this project's, made for `world`, or the paths of another planner (`planner.mrac.problem`).
+        first_only: `threat_checks="first_visit"`.
+
+    Raises:
+        PlanError: a plan for another map.
+    """
+
+    def __init__(self, plan: Plan, world: World, *, first_only: bool = False) -> None:
+        self.problem, areas = ready_loop(plan, world)
+        plan = replace(plan, areas=areas)
+        self.loop = compile_closed_loop(plan, world, first_only=first_only, problem=self.problem, interpreted=True)
+        self._known: Work | None = None
+
+    def begin(self, seed: int, rollout: int) -> SingleRun:
+        """Rollout `rollout` (below 2**32) of `seed`, `0 <= seed < 2**64`, before its first step."""
+        run = SingleRun(self.loop, seed, rollout, self._known)
+        self._known = run.w
+        return run
+
+    def run(self, seed: int, rollout: int) -> Run:
+        """The whole rollout."""
+        return play(self.begin(seed, rollout))
+
+    def trace(self, seed: int, rollout: int) -> Trace:
+        """The same as the engines report it."""
+        return self.run(seed, rollout).trace
+
+    def runs(self, seed: int, rollout: int) -> Iterator[SingleRun]:
+        """The rollout as it stands at the end of every step: one, which goes on."""
+        run = self.begin(seed, rollout)
+        while run.outcome is None:
+            run.advance()
+            yield run
+
+    def state_at(self, step: int, seed: int, rollout: int) -> MissionState | None:
+        """Where the rollout stands at the end of a step, to go on from; None if it has ended by then."""
+        for run in self.runs(seed, rollout):
+            if run.step == step and run.outcome is None:
+                return state_of(run, self.problem, run.raw.robots["borne"].tolist())
+        return None

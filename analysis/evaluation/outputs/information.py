@@ -26,7 +26,7 @@ from planner.arguments import argument, numbers_of
 from planner.errors import UsageError
 from planner.files import Json
 from planner.formatting import counted, percent
-from planner.mrac.make_plan import allocated_plan
+from planner.make_plan import allocated_plan
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, final_odds
 from planner.world.features import seeing, with_sense

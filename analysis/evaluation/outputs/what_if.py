@@ -29,7 +29,7 @@ from planner.arguments import argument, is_real, numbers_of
 from planner.errors import UsageError
 from planner.files import Json
 from planner.formatting import counted, in_percent, percent
-from planner.mrac.make_plan import allocated_plan
+from planner.make_plan import allocated_plan
 from planner.plan.plan import Plan, is_certain
 from planner.rollout_sampling import rows_met, true_map
 from planner.rollouts.engine import run_ranges

@@ -1,0 +1,288 @@
+"""From a world and starts to a plan: levels, areas, Algorithm 1, and the nominal run of Algorithm 2."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.arguments import argument
+from planner.errors import PlanError, StateError
+from planner.mrac.areas import allocate_areas_to_robots, connected_parts, find_areas, metis_parts
+from planner.mrac.problem import Problem, prepare
+from planner.plan.plan import Area, Plan, RobotPlan, last_move
+from planner.plan.reading import check_partition
+from planner.plan.state import NAT, ON_ITS_WAY, RETURNING, AreaState, MissionState, RobotState
+from planner.rollouts.closed_loop import compile_closed_loop, nominal_loop
+from planner.rollouts.single_run import Run, SingleRun, play
+from planner.settings import Settings
+from planner.simulator.codes import NO_ROBOT
+from planner.simulator.searches import NOT_WANTED, UNREACHED
+from planner.simulator.thresholds import MOST
+from planner.world.features import as_planned
+from planner.world.levels import NO_LEVEL
+from planner.world.world import World
+
+
+def allocate(problem: Problem) -> tuple[Area, ...]:
+    """Algorithm 1: the areas in id order with the robots that they are given to before the start."""
+    shape = problem.world.shape
+    areas = find_areas(shape, problem.levels)
+    paths = [problem.paths_of(robot) for robot in range(len(problem.starts))]
+    return allocate_areas_to_robots(areas, problem.starts, shape, paths, problem.settings.density, metis_parts)
+
+
+def allocated_plan(world: World, starts: ArrayLike, settings: Settings, state: MissionState | None = None) -> Plan:
+    """The plan before its nominal run: the areas at t = 0, or in the state, and robots that stand where they begin.
+
+    It is rolled out as the whole plan is. Raises as `make_plan`.
+    """
+    return allocated(world, starts, settings, state)[1]
+
+
+def allocated(
+    world: World,
+    starts: ArrayLike,
+    settings: Settings,
+    state: MissionState | None = None,
+    before: Problem | None = None,
+) -> tuple[Problem, Plan]:
+    """`allocated_plan`, and the problem that it is of; `before`: as of `prepare`."""
+    homes = None if state is None else state.homes(settings.return_to)
+    problem = prepare(world, starts, settings, homes=homes, before=before)
+    robots = tuple(RobotPlan(cell) for cell in problem.starts[:, None])
+    if state is None:
+        areas = allocate(problem)
+        return problem, Plan(world.shape, world.sha256, problem.settings, robots, areas, source=world.source)
+    world.check_settled("the rest of a mission")
+    state = made_ready(problem, state)
+    areas = areas_of(state)
+    return problem, Plan(world.shape, world.sha256, problem.settings, robots, areas, state=state, source=world.source)
+
+
+def nominal_run(problem: Problem, plan: Plan) -> Run:
+    """Algorithm 2 from the areas of the plan, or from its state, without losses; threats change as they do.
+
+    Raises WorldError for legs that stay in areas which change on the way.
+    """
+    if problem.unknown is not None and problem.unknown.phases is not None and problem.stay_inside:
+        problem.world.check_told('`transit="area"`, legs that stay in their area,')
+    loop = compile_closed_loop(plan, problem.world, problem=problem, interpreted=True)
+    return play(SingleRun(nominal_loop(loop)))
+
+
+def make_plan(
+    world: World,
+    starts: ArrayLike,
+    settings: Settings | None = None,
+    allocation: tuple[Area, ...] | None = None,
+    state: MissionState | None = None,
+) -> Plan:
+    """Plan the coverage of `world` from `starts` `[K, 2]` (row, col): the MRAC algorithm with no hits.
+
+    By Theorem 1 the paths together visit every accessible cell, unless `max_steps` ends the run or the policy calls
+    robots off (`Plan.outcome`).
+
+    Args:
+        world: the map. starts: robots may share a cell.
+        settings: the planner's choices; None = the defaults.
+        allocation: areas at t = 0 in id order, from elsewhere; None = Algorithm 1's own.
+        state: of the mission under way that the plan is the rest of; `starts` and areas are then its own.
+
+    Raises:
+        WorldError: starts off the map or on obstacles, or threats whose costs do not fit.
+        StateError: a state that the settings do not fit.
+        PlanError: settings out of range, or an allocation that does not hold every accessible cell exactly once.
+    """
+    if settings is not None and settings.plan_for != "closed":
+        raise PlanError(f"plan_for is {settings.plan_for} in a plan with areas", expected="closed")
+    settings = settings or Settings()
+    problem = prepare(world, starts, settings, homes=None if state is None else state.homes(settings.return_to))
+    if state is not None:
+        world.check_settled("the rest of a mission")
+        state = made_ready(problem, state)
+        allocation = areas_of(state)
+    elif allocation is None:
+        allocation = allocate(problem)
+    else:
+        _check_allocation(problem, allocation)
+    robots = tuple(RobotPlan(cell) for cell in problem.starts[:, None])
+    plan = Plan(world.shape, world.sha256, problem.settings, robots, allocation, state=state, source=world.source)
+    run = nominal_run(problem, plan)
+    return replace(
+        plan,
+        robots=tuple(RobotPlan(path, legs) for path, legs in zip(run.paths, run.legs, strict=True)),
+        areas_added=run.areas_added,
+        outcome=run.outcome.by_deadline(problem.settings.ends_by_deadline).word,
+        time=run.time,
+        shares=run.shares,
+    )
+
+
+def confirm_plan(plan: Plan, world: World, source: str) -> Plan:
+    """A plan read from a file, made again from its allocation: its legs and outcome can be relied on.
+
+    The allocation at t = 0 is data; everything else follows from it. Raises PlanError, naming `source`, if the
+    allocation is none or the file's paths, legs or added areas are not what follows (legs may be left out).
+    """
+    if plan.settings is None:
+        return plan
+    try:
+        made = make_plan(world, plan.starts, plan.settings, plan.areas, plan.state)
+    except (PlanError, StateError) as error:
+        raise PlanError(error.problem, source=source, expected=error.expected, fix="make the plan anew") from error
+    for number, (given, follows) in enumerate(zip(plan.robots, made.robots, strict=True)):
+        length, what = len(follows.path), ""
+        if not np.array_equal(given.path[:length], follows.path) or last_move(given.path) >= length:
+            what = "path"
+        elif given.legs and given.legs != follows.legs:
+            what = "legs"
+        if what:
+            expected = "those of the run with no hits from the file's areas"
+            raise PlanError(f"the {what} of robot {number}", source=source, expected=expected, fix="make the plan anew")
+    return replace(made, notes=plan.notes)
+
+
+def _check_allocation(problem: Problem, allocation: tuple[Area, ...]) -> None:
+    world = problem.world
+    starts = np.stack(np.divmod(problem.starts, world.shape[1]), axis=1)
+    check_partition(allocation, as_planned(world, starts), starts, PlanError, world.source)
+    owners: set[int] = set()
+    for number, area in enumerate(allocation):
+        problem_with = _what_is_wrong(problem, area, owners)
+        if problem_with:
+            raise PlanError(f"area {number} {problem_with[0]}", source=problem.world.source, expected=problem_with[1])
+        owners.add(area.robot)
+
+
+def _what_is_wrong(problem: Problem, area: Area, owners: set[int]) -> tuple[str, str] | None:
+    """(what is wrong with an area of an allocation, what was expected), or None; `owners`: robots of earlier areas."""
+    if (problem.levels.of_cell[area.cells] != area.level).any():
+        return f"has level {area.level}", "the level of all its cells in this world"
+    if len(connected_parts(problem.world.shape, area.cells)) != 1:
+        return "is not connected", "4-connected cells"
+    if area.robot != NO_ROBOT:
+        if not 0 <= area.robot < len(problem.starts) or area.robot in owners:
+            return f"is given to robot {area.robot}", "a robot of the team that has no other area"
+        if problem.paths.to_all(int(problem.starts[area.robot]))[area.cells[0]] == UNREACHED:
+            return f"cannot be reached by its robot {area.robot}", "an area in its robot's part of the map"
+    return None
+
+
+# A state made ready to go on from (SPEC section 12).
+
+
+def made_ready(problem: Problem, state: MissionState) -> MissionState:
+    """The state as runs begin with it: with areas, those of Algorithm 1 where it has none. Raises StateError."""
+    problem.settings.check_not_charged("the state of a mission")
+    problem.settings.check_alike("the state of a mission")
+    if state.step >= problem.max_steps:
+        raise StateError(f"the state is of step {state.step}", expected=f"a step before the last, {problem.max_steps}")
+    left = problem.range - [robot.moves for robot in state.robots]
+    for number, robot in enumerate(state.robots):
+        if left[number] < 0 or (left[number] == 0 and robot.status in ON_ITS_WAY):
+            problem_is = f"robot {number} is {robot.status} after {robot.moves} moves"
+            raise StateError(problem_is, expected=f"at most its range, {problem.range[number]}")
+    _check_exposures(problem, state)
+    ended = [robot.alive and moves == 0 for robot, moves in zip(state.robots, left, strict=True)]
+    for number, robot in enumerate(state.robots):
+        if robot.status == RETURNING and (problem.home is None or problem.home.moves(number, robot.cell) <= 0):
+            ended[number] = True  # it is there, or cut off
+    robots = (replace(r, status="done") if end else r for r, end in zip(state.robots, ended, strict=True))
+    state = replace(state, robots=tuple(robots))
+    if not state.areas:
+        able = [n for n, r in enumerate(state.robots) if r.alive and not ended[n] and not r.turned]
+        return _allocated(problem, state, able)
+    for number, area in enumerate(state.areas):
+        if (problem.levels.of_cell[area.cells] != area.level).any():
+            expected = "the level of all its cells in this plan"
+            raise StateError(f"area {number} has level {area.level}", expected=expected, fix=_settings_asked("levels"))
+    robots = (
+        _sent(problem, robot, robot.area, state.areas[robot.area], state.visited)
+        if robot.status in ON_ITS_WAY and not len(robot.ahead)
+        else robot
+        for robot in state.robots
+    )
+    state = replace(state, robots=tuple(robots))
+    for number, robot in enumerate(state.robots):
+        if robot.status in ON_ITS_WAY and not _leads_on(robot, state.areas[robot.area], problem.rule.attentive):
+            expected = "a path that ends in its area, and what it has still to cover on it"
+            problem_is = f"robot {number} is {robot.status}, but not by policy {problem.rule.name}"
+            raise StateError(problem_is, expected=expected, fix=_settings_asked("policy"))
+    return state
+
+
+def _settings_asked(name: str) -> str:
+    """What to do about a state that another plan's settings have made."""
+    return f"give the settings of the plan that was driven, {argument(name)} among them, or go on with that plan"
+
+
+def _check_exposures(problem: Problem, state: MissionState) -> None:
+    """Raise StateError where robots wear, and what one of them has borne is not known, or more than any robot bears."""
+    bearing = problem.settings.bearing(state.exposures)
+    if problem.settings.wear == 1:
+        return
+    borne = bearing.fresh_begun(len(state.robots))
+    for number, robot in enumerate(state.robots):
+        if robot.alive and robot.exposure is None:
+            raise StateError(
+                f"robot {number} has no exposure, and robots wear (shape {problem.settings.wear:g})",
+                expected='"exposure": what each robot has borne so far, in nat: the sum of -ln(1 - p) over its visits',
+            )
+        if robot.alive and borne[number] > MOST:
+            raise StateError(
+                f"robot {number} has an exposure of {state.exposures[number] / NAT:g} nat",
+                expected="no more than a robot bears",
+            )
+
+
+def _leads_on(robot: RobotState, area: AreaState, attentive: bool) -> bool:
+    if robot.status == "traveling" or attentive:
+        return bool(np.isin(robot.ahead[-1], area.cells))
+    return robot.ahead[-1] in robot.to_do and bool(np.isin(robot.to_do, robot.ahead).all())
+
+
+def _allocated(problem: Problem, state: MissionState, able: list[int]) -> MissionState:
+    """Algorithm 1 over what is not visited, for the robots that can move; they set out in the next step."""
+    shape, levels = problem.world.shape, problem.levels
+    seen = np.zeros(problem.costs.size, dtype=np.bool_)
+    seen[state.visited] = True
+
+    def parts(of: NDArray[np.bool_]) -> list[tuple[int, NDArray[np.int64]]]:
+        return find_areas(shape, replace(levels, of_cell=np.where(of, levels.of_cell, NO_LEVEL)))
+
+    starts, density = problem.starts[able], problem.settings.density
+    given = allocate_areas_to_robots(parts(~seen), starts, shape, [problem.paths] * len(starts), density, metis_parts)
+    areas = [
+        AreaState(a.level, able[a.robot], "assigned", a.cells)
+        if a.robot != NO_ROBOT
+        else AreaState(a.level, NO_ROBOT, "unassigned", a.cells)
+        for a in given
+    ]
+    owner = {area.robot: number for number, area in enumerate(areas) if area.robot != NO_ROBOT}
+    done = [AreaState(level, NO_ROBOT, "completed", cells) for level, cells in parts(seen)]
+    robots = tuple(
+        _sent(problem, robot, owner[number], areas[owner[number]], state.visited)
+        if number in owner
+        else replace(robot, status="idle" if number in able else robot.status)
+        for number, robot in enumerate(state.robots)
+    )
+    return replace(state, robots=robots, areas=(*areas, *done), quiet=0)
+
+
+def _sent(problem: Problem, robot: RobotState, number: int, area: AreaState, visited: NDArray[np.int64]) -> RobotState:
+    """The robot on its way to what is to be done of its area."""
+    rank = np.full(problem.costs.size, NOT_WANTED, dtype=np.int32)
+    rank[np.setdiff1d(area.cells, visited)] = 0
+    target = problem.paths.nearest(robot.cell, rank)
+    assert target is not None  # Algorithm 1 gives away what can be reached
+    ahead = problem.paths.path(robot.cell, target.cell)
+    return replace(robot, status="traveling", area=number, ahead=ahead, held=False)
+
+
+def areas_of(state: MissionState) -> tuple[Area, ...]:
+    """The areas as a plan's allocation holds them."""
+    return tuple(
+        Area(area.level, area.robot if area.state == "assigned" else NO_ROBOT, area.cells) for area in state.areas
+    )
