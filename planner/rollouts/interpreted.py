@@ -18,8 +18,9 @@ from planner.simulator import jit
 
 NAME = "planner.simulator_as_python"
 """The name of the second load, in `sys.modules`."""
-MOST_CELLS = 2**17
-"""Cells of the maps of its calls from which on a search is compiled: as Python it has then taken about as long."""
+LARGE, MOST_CELLS = 2**12, 2**17
+"""Cells of a map whose searches are compiled; and of the maps of all calls of a search until it is compiled: as Python
+it has then taken about as long."""
 
 
 @cache
@@ -59,7 +60,7 @@ def _search(function: Any) -> Any:
         nonlocal found, done
         if found is None:
             done += len(given[0])
-            if done <= MOST_CELLS:
+            if done <= MOST_CELLS and len(given[0]) < LARGE:
                 return function(*given)
             found = jit.program(_compiled(function).py_func)
         return found(*[getattr(one, "array", one) for one in given])

@@ -147,6 +147,7 @@ class SingleRun:
         runner = Runner(loop, seed, 1, None if known is None else [known])
         self.loop, self.rollout = loop, rollout
         self.p, self.c, self.w, self.notes = runner.policy, runner.counts, runner.work, Notes(loop)
+        self.w = self.w._replace(paths=self.w.paths[:0])  # coverage paths are found a leg at a time
         self.t = runner.tables._replace(notes=self.notes)
         self.how = runner.how._replace(pause=True, in_area=loop.in_area)
         self.ids = np.array([rollout], dtype=np.uint32)
@@ -166,7 +167,7 @@ class SingleRun:
         self.new_events = self.log.events[:0]
         # Of robots that neither move nor wait, moves left; `until` of a robot that moves is a turn.
         self.left = dict[int, int]()
-        self.turned = set[int]()
+        self.turned, self._acting = set[int](), b""
         for robot, given in enumerate(() if loop.state is None else loop.state.robots):
             if given.turned:
                 self.turned.add(robot)
@@ -212,6 +213,10 @@ class SingleRun:
         """What was noted in this step; of robots that neither move nor wait any more, the moves that are left."""
         self.new_events = self.log.events[1 : int(self.log.events[0, 0]) + 1].copy()
         self.turned |= set(self.new_events[self.new_events[:, 2] == EventKind.TURNED_HOME, 1].tolist())
+        acting = self.raw.movers.tobytes() + self.raw.waiting.tobytes()
+        if acting == self._acting:
+            return
+        self._acting = acting
         for robot in range(self.loop.robots):
             if holds(self.raw.movers, robot) or holds(self.raw.waiting, robot):
                 self.left.pop(robot, None)
@@ -297,9 +302,10 @@ class SingleRun:
         return whole
 
     def frame(self) -> NDArray[np.int32]:
-        """Cell, doing and area of each robot: int32 `[3, K]`, as in `Log.frames`."""
-        interpreted("areas").write_frame(self.log, self.s, 0)
-        return self.log.frames[0].copy()
+        """Cell, doing and area of each robot at the end of a step: int32 `[3, K]`, as in `Log.frames`."""
+        robots = self.raw.robots
+        has_area = (robots["doing"] == Doing.TRAVELING) | (robots["doing"] == Doing.COVERING)
+        return np.stack([robots["cell"], robots["doing"], np.where(has_area, robots["area"], NO_AREA)])
 
     def doing(self, robot: int) -> Doing:
         """What the robot does."""

@@ -14,6 +14,7 @@ from .codes import NONE, EventKind
 from .jit import kernel, rare_kernel, search, spliced
 from .paths import (
     cheapest_cell,
+    cheapest_of,
     entry_of,
     open_at,
     row_from,
@@ -237,20 +238,26 @@ def look_up_further(s, costs, area_costs, area_entries):
 @kernel
 def look_up_among(s, areas, costs, area_costs, area_entries):
     """The same of these areas."""
-    best, best_level, best_cost, best_cell = np.int64(NONE), FAR, FAR, np.int64(NONE)
-    for word in range((s.marks.areas + WORD - 1) // WORD):
-        bits = areas[word]
+    return look_up(areas, np.int64(s.marks.areas), s.areas, s.home, s.order, costs, area_costs, area_entries)
+
+
+@search
+def look_up(members, count, areas, home, order, costs, area_costs, area_entries):
+    """`look_up_among`, of arrays: `members` are bits of `count` areas."""
+    best, best_level, best_cost, best_cell = np.int64(NONE), np.int64(FAR), np.int64(FAR), np.int64(NONE)
+    for word in range((count + WORD - 1) // WORD):
+        bits = members[word]
         while bits != 0:
-            area = word * WORD + lowest_bit(bits)
+            area = np.int64(word * WORD + lowest_bit(bits))
             bits &= bits - ONE
-            level = np.int64(s.areas[area].level)
-            root = np.int64(s.areas[area].root)
+            level = np.int64(areas[area].level)
+            root = np.int64(areas[area].root)
             cost, cell = np.int64(area_costs[root]), np.int64(area_entries[root])
             if level > best_level or (level == best_level and cost > best_cost):
                 continue
             # The nearest cell went to another part of the split area: look at this part's own cells.
-            if cost >= 0 and np.int64(s.home[cell]) >> AREA_BITS != area:
-                cell = cheapest_cell(costs, s, area)
+            if cost >= 0 and np.int64(home[cell]) >> AREA_BITS != area:
+                cell = cheapest_of(costs, order, np.int64(areas[area].begin), np.int64(areas[area].end))
                 cost = np.int64(costs[cell])
             if cost >= 0 and (level < best_level or cost < best_cost):
                 best, best_level, best_cost, best_cell = area, level, cost, cell
@@ -506,17 +513,24 @@ def owner_to_share_with(t, s, w, helper, costs):
     return best
 
 
-@kernel
-def choose_parts(s, owner_costs, helper_costs, first, parts):
+@search
+def choose_parts(order, areas, owner_costs, helper_costs, first, parts):
     """The owner's and the helper's part by least total cost; ties: the owner's lower part, then the helper's."""
-    least, of_owner, of_helper = FAR, NONE, NONE
-    for mine in range(first, first + parts):
-        to_mine = np.int64(owner_costs[cheapest_cell(owner_costs, s, mine)])
-        for theirs in range(first, first + parts):
-            if theirs != mine:
-                total = to_mine + helper_costs[cheapest_cell(helper_costs, s, theirs)]
-                if total < least:
-                    least, of_owner, of_helper = total, mine, theirs
+    # The helper takes the part nearest to it, or the second nearest where the owner takes that one.
+    nearest, second, nearest_cost, second_cost = np.int64(NONE), np.int64(NONE), np.int64(FAR), np.int64(FAR)
+    for part in range(first, first + parts):
+        cell = cheapest_of(helper_costs, order, np.int64(areas[part].begin), np.int64(areas[part].end))
+        cost = np.int64(helper_costs[cell])
+        if cost < nearest_cost:
+            second, second_cost, nearest, nearest_cost = nearest, nearest_cost, np.int64(part), cost
+        elif cost < second_cost:
+            second, second_cost = np.int64(part), cost
+    least, of_owner, of_helper = np.int64(FAR), np.int64(NONE), np.int64(NONE)
+    for part in range(first, first + parts):
+        cell = cheapest_of(owner_costs, order, np.int64(areas[part].begin), np.int64(areas[part].end))
+        total = owner_costs[cell] + (nearest_cost if part != nearest else second_cost)
+        if total < least:
+            least, of_owner, of_helper = np.int64(total), np.int64(part), nearest if part != nearest else second
     return of_owner, of_helper
 
 
@@ -539,7 +553,7 @@ def share_between(t, s, w, log, helper, owner, helper_costs):
     first, parts = replace(t, s, w, area, np.bool_(True))
     if first == NONE:
         return NONE
-    of_owner, of_helper = choose_parts(s, owner_costs, helper_costs, first, parts)
+    of_owner, of_helper = choose_parts(s.order, s.areas, owner_costs, helper_costs, np.int64(first), np.int64(parts))
     note(log, s, helper, SHARED_EVENT, area, parts)
     for robot, part in ((owner, of_owner), (helper, of_helper)):
         give(s, robot, part)

@@ -294,21 +294,27 @@ def seek_far(t, s, w, here, goal):
 @kernel
 def mark_goal(s, w, goal):
     """List the goal's cells in `stack`, and rank them by area; returns how many."""
-    count, last = 0, np.int64(s.marks.areas)
     if goal[0] == ONE_CELL:
         w.stack[0], w.rank[goal[1]] = goal[1], 0
         return 1
-    first = np.int64(0)
+    first, last = np.int64(0), np.int64(s.marks.areas)
     if goal[0] >= 0:
         first = goal[0] >> AREA_BITS
         last = first + 1
+    return list_goal(s.home, s.open, s.areas, s.order, goal, first, last, w.stack, w.rank)
+
+
+@search
+def list_goal(home, open_areas, areas, order, goal, first, last, stack, rank):
+    """`mark_goal`, of arrays: of the areas `first .. last - 1`."""
+    count = 0
     for area in range(first, last):
-        if goal[0] == NONE and not (holds(s.open, area) and s.areas[area].level == goal[1]):
+        if goal[0] == NONE and not (holds(open_areas, area) and areas[area].level == goal[1]):
             continue
-        for place in range(s.areas[area].begin, s.areas[area].end):
-            cell = np.int64(s.order[place])
-            if is_goal(s.home, s.open, s.areas, cell, goal):
-                w.stack[count], w.rank[cell] = cell, area
+        for place in range(areas[area].begin, areas[area].end):
+            cell = np.int64(order[place])
+            if is_goal(home, open_areas, areas, cell, goal):
+                stack[count], rank[cell] = cell, area
                 count += 1
     return count
 

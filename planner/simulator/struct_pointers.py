@@ -118,24 +118,26 @@ def _hand(typing_context: Any, values: Any) -> Any:
     return kind(values), keep
 
 
-class Records:
+class Records(dict[int, Any]):
     """A structured array whose elements are as compiled code sees them: their fields are attributes.
 
-    Through memory views: NumPy's own records take microseconds for a field.
+    Through memory views: NumPy's own records take microseconds for a field. Elements are made when first asked for.
     """
 
     def __init__(self, array: NDArray[np.void]) -> None:
+        super().__init__()
         self.array = array
         self._views = tuple(memoryview(array[name]) for name in array.dtype.names or ())
-        self._kind, self._made = _record_kind(array.dtype.names or ()), dict[int, Any]()
+        self._kind = _record_kind(array.dtype.names or ())
+
+    def __missing__(self, place: int) -> Any:
+        self_place = int(place)
+        record = self._kind(self._views, self_place)
+        super().__setitem__(self_place, record)
+        return record
 
     def __len__(self) -> int:
         return len(self.array)
-
-    def __getitem__(self, place: int) -> Any:
-        if place not in self._made:
-            self._made[place] = self._kind(self._views, place)
-        return self._made[place]
 
     def __setitem__(self, place: int, record: Any) -> None:
         for field in type(record).FIELDS:
