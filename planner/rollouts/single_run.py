@@ -5,7 +5,7 @@ It is the rollout of the same seed and id that the compiled programs count, even
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -38,6 +38,8 @@ from planner.tally import Trace
 from planner.world.world import World
 
 holds = interpreted("state").holds
+Hit = Callable[[int, int, int], bool]
+"""`hit(robot, step, cell)`: is the robot lost as it enters the cell at this step?"""
 NOT_BEGUN = -1
 """The step before t = 0, at which robots enter their starts."""
 
@@ -142,14 +144,18 @@ class SingleRun:
         seed: int = 0,
         rollout: int = 0,
         known: Work | None = None,
+        hit: Hit | None = None,
     ) -> None:
-        """`known`: scratch of another run of the loop, which has costs between cells."""
+        """`known`: scratch of another run of the loop, which has costs between cells. `hit`: decides every loss."""
         runner = Runner(loop, seed, 1, None if known is None else [known])
         self.loop, self.rollout = loop, rollout
         self.p, self.c, self.w, self.notes = runner.policy, runner.counts, runner.work, Notes(loop)
         self.w = self.w._replace(paths=self.w.paths[:0])  # coverage paths are found a leg at a time
         self.t = runner.tables._replace(notes=self.notes)
         self.how = runner.how._replace(pause=True, in_area=loop.in_area)
+        if hit is not None:
+            every = np.ones_like(self.t.bound)
+            self.t = self.t._replace(bound=every, loses=lambda *visit: hit(*visit[:2], int(loop.cells[visit[2]])))
         self.ids = np.array([rollout], dtype=np.uint32)
         self.w.begin[0] = rollout
         if loop.in_doubt:

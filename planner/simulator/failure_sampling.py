@@ -226,6 +226,8 @@ def stopped_from(t, s, c, w, how, ids, robot, cell, place):
     as much is lost as the chance says. `place`: of the visit (`visit_of`).
     """
     first, last = s.marks.first, s.marks.last
+    if t.loses:
+        return first if t.loses(robot, s.marks.step, cell) else last
     if how.cut > 0:
         c.histories[2] += 1
         return last - mass_stopped(t, s, robot, place, last - first)

@@ -184,8 +184,8 @@ class Tables(NamedTuple):
             tables of distances; the map is uncertain; a loss makes a cell harmless; robots wear or differ in
             susceptibility; threats move; robots differ in type; in speed; radio has a range; robots return to base;
             they learn the map; they estimate hazards; threats change by phases.
-        asks, notes: None in compiled programs; choose areas in the place of the rule, and note moves and areas that are
-            made (`planner.rollouts.single_run`).
+        asks, notes, loses: None in compiled programs; choose areas in the place of the rule, note moves and areas that
+            are made, and say which visits destroy a robot (`planner.rollouts.single_run`).
     """
 
     near: NDArray
@@ -272,6 +272,7 @@ class Tables(NamedTuple):
     phased: bool | None = None
     asks: Any = None
     notes: Any = None
+    loses: Any = None
 
 
 class How(NamedTuple):
