@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 import mrac_jax as mrac
-from planner.mrac.board import Recorder
 from planner.mrac.problem import prepare
-from planner.mrac.simulate import Hit, never_hit, simulate
+from planner.rollouts.closed_loop import compile_closed_loop
+from planner.rollouts.single_run import Hit, SingleRun, play
 from planner.simulator.codes import EventKind
 from planner.tally import Trace
 
@@ -29,6 +29,7 @@ threat = np.array(
 world = mrac.load(threat)
 plan = mrac.plan(world, robots=2)
 problem = prepare(world, plan.starts, mrac.Settings())
+loop = compile_closed_loop(plan, world, problem=problem, interpreted=True)
 
 COLOURS = {0.0: "#eef3ea", 0.05: "#f9d9a6", 0.1: "#ef9a76"}
 WALL, DONE, LINE = "#4a4f57", "#b9c4d6", "#333333"
@@ -76,11 +77,9 @@ def boards(count: int) -> NDArray:
     return axes
 
 
-def run(hit: Hit = never_hit) -> Trace:
+def run(hit: Hit = lambda robot, step, cell: False) -> Trace:
     """The run in which `hit(robot, step, cell)` says who is stopped."""
-    recorder = Recorder()
-    done = simulate(problem, plan.areas, hit=hit, recorder=recorder)
-    return recorder.trace(0, done.area_of, done.outcome)
+    return play(SingleRun(loop, hit=hit)).trace
 
 
 def robots_at(axes: Axes, trace: Trace, step: int) -> None:

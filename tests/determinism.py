@@ -4,8 +4,9 @@ python tests/determinism.py [--count N] [--first M]
 
 Setting number n is always the same one: a small world (known; in doubt; with hazards; not told to robots; with moving
 threats), a team and settings that `random.Random(n)` draws; what the product refuses is drawn again. Compared: traces
-of the compiled closed loop with the readable one's; tallies in one piece, in chunks, by one thread and by two, with
-tables and without; JAX's where it takes the setting; a run cut at a step, written as a state, read, and gone on with.
+of the compiled closed loop with those of the simulator as Python; tallies in one piece, in chunks, by one thread and by
+two, with tables and without; JAX's where it takes the setting; a run cut at a step, written as a state, read, and gone
+on with.
 """
 
 from __future__ import annotations
@@ -25,7 +26,6 @@ from helpers import VisitLoop
 
 from planner.errors import InputError
 from planner.make_plan import make_plan
-from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.plan.state_file import parse_state
@@ -35,6 +35,7 @@ from planner.policies.rules import ORDERS
 from planner.rollouts.closed_loop import compile_closed_loop, trace_rollouts
 from planner.rollouts.engine import Engine, Rolling, closed_loop_engine, make_engine, open_loop_engine
 from planner.rollouts.open_loop import compile_plan
+from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
 from planner.world.changing_maps import with_hazard, with_maps, with_spread
 from planner.world.features import with_prior, with_sense, with_truth
@@ -156,7 +157,7 @@ def unequal(number: int, *, jax: bool, refused: Counter[str]) -> Iterator[str]:
         compiled = compile_plan(plan, world)
         others |= {f"{n} threads": open_loop_engine(compiled, how.seed, "numba", n) for n in (1, 2)}
     else:
-        yield from unlike_readable(world, plan, how)
+        yield from unlike_python(world, plan, how)
         for tabled in (True, False):
             loop = compile_closed_loop(plan, world, first_only=how.first_only, tabled=tabled)
             name = f"{1 + tabled} threads, {'' if tabled else 'no '}tables"
@@ -176,13 +177,13 @@ def unequal(number: int, *, jax: bool, refused: Counter[str]) -> Iterator[str]:
             yield f"{name}, in chunks of {cut} and {ROLLOUTS - cut}"
 
 
-def unlike_readable(world: World, plan: Plan, how: Rolling) -> Iterator[str]:
-    """The closed loop against the readable one, and that one gone on with from a state."""
-    readable = ReferenceLoop(plan, world, first_only=how.first_only)
+def unlike_python(world: World, plan: Plan, how: Rolling) -> Iterator[str]:
+    """The compiled closed loop against the simulator as Python, and that one gone on with from a state."""
+    python = PythonLoop(plan, world, first_only=how.first_only)
     loop = compile_closed_loop(plan, world, first_only=how.first_only)
     for mine in trace_rollouts(loop, how.seed, range(TRACED)):
-        if mine != (trace := readable.trace(how.seed, mine.rollout)):
-            yield f"readable, rollout {mine.rollout}"
+        if mine != (trace := python.trace(how.seed, mine.rollout)):
+            yield f"as Python, rollout {mine.rollout}"
             return
     uncut = VisitLoop(plan, world, first_only=how.first_only)  # a state has no thresholds, so that rests draw them anew
     trace = uncut.trace(how.seed, TRACED - 1)
@@ -195,9 +196,9 @@ def unlike_readable(world: World, plan: Plan, how: Rolling) -> Iterator[str]:
     except InputError:  # what has no state
         return
     compiled = compile_closed_loop(rest, world, first_only=how.first_only)
-    readable = ReferenceLoop(rest, world, first_only=how.first_only)
-    if trace_rollouts(compiled, how.seed, [TRACED - 1])[0] != readable.trace(how.seed, TRACED - 1):
-        yield "the rest, readable and compiled"
+    python = PythonLoop(rest, world, first_only=how.first_only)
+    if trace_rollouts(compiled, how.seed, [TRACED - 1])[0] != python.trace(how.seed, TRACED - 1):
+        yield "the rest, as Python and compiled"
     again = VisitLoop(rest, world, first_only=how.first_only).trace(how.seed, TRACED - 1)
     if not np.array_equal(again.cells[state.step :], trace.cells[state.step :]) or again.outcome != trace.outcome:
         yield f"gone on with from step {state.step}"

@@ -11,17 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from closed_loop_compare import assert_same_trace, followed
 from numpy.typing import NDArray
 from oracle_enumeration import Threat
 
-from planner.mrac.problem import prepare
-from planner.mrac.simulate import ReferenceLoop, Run, simulate
 from planner.plan.plan import Plan
-from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.exact_tree import WHOLE, grow_tree
+from planner.rollouts.single_run import SingleRun
+from planner.rollouts.single_run import play as played
 from planner.simulator.codes import Outcome
-from planner.tally import Trace
 from planner.world.changing_maps import with_hazard, with_maps, with_spread
 from planner.world.features import PlannedOn, with_movers
 from planner.world.generate import PAPER_LEVELS, ThreatPattern, random_world
@@ -47,12 +45,11 @@ Play = Callable[[Callable[[int, int, int], bool]], np.ndarray]
 
 
 def closed_loop(plan: Plan, world: World) -> Play:
-    """Cells visited, survived, robots alive at the end, of a closed loop played by the readable simulator."""
-    assert plan.settings is not None
-    problem = prepare(world, plan.starts, plan.settings)
+    """Cells visited, survived, robots alive at the end, of a closed loop played by the simulator as Python."""
+    loop = compile_closed_loop(plan, world, interpreted=True)
 
     def play(hit: Callable[[int, int, int], bool]) -> np.ndarray:
-        run: Run = simulate(problem, plan.areas, hit=hit)
+        run = played(SingleRun(loop, hit=hit))
         return np.array([run.visited.sum(), run.survived.sum(), run.alive.sum()], dtype=float)
 
     return play
@@ -177,7 +174,7 @@ def in_rows(world: World) -> tuple[list[list[float | None]], list[Threat]]:
     ]
 
 
-# Teams whose robots differ, drawn anew, and what is asked of every one: engines agree, and all is as enumerated.
+# Teams whose robots differ, drawn anew, and what is asked of them: all is as enumerated.
 
 
 def drawn(seed: int, robots: int = 3) -> tuple[World, NDArray[np.int64], tuple[str, ...]]:
@@ -195,26 +192,6 @@ def drawn(seed: int, robots: int = 3) -> tuple[World, NDArray[np.int64], tuple[s
     free = np.argwhere(world.accessible(place_starts(world, 1)[0]))
     types = tuple(rng.choice(["a", "b", "c"], robots).tolist())
     return world, free[rng.integers(0, len(free), robots)], types
-
-
-def assert_engines_agree(plan: Plan, world: World, seed: int, rollouts: int) -> list[Trace]:
-    """Rollouts of both, event for event, and what they have covered; the compiled one's with tables and without.
-
-    Robots of several types have tables always.
-    """
-    assert plan.settings is not None
-    readable = ReferenceLoop(plan, world)
-    runs, known = zip(*(followed(readable, seed, rollout) for rollout in range(rollouts)), strict=True)
-    for tabled in (True,) if plan.settings.types else (True, False):
-        loop = compile_closed_loop(plan, world, tabled=tabled)
-        for mine, trace in zip(trace_rollouts(loop, seed, range(rollouts)), known, strict=True):
-            assert_same_trace(mine, trace)
-        _, singles = run_range(loop, seed, 0, rollouts, threads=1, singles=True)
-        assert singles is not None
-        assert singles.visited.tolist() == [run.visited.sum() for run in runs]
-        assert singles.survived.tolist() == [run.survived.sum() for run in runs]
-        assert singles.alive.tolist() == [run.alive.sum() for run in runs]
-    return list(known)
 
 
 def assert_as_enumerated(plan: Plan, world: World, wanted: dict[str, Counter[Any]]) -> None:

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from analysis.statistics.variance_reduction import LEAST
 from planner.failure_model import key_of
-from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan, read_plan_json
 from planner.rollout_sampling import Luck
@@ -21,6 +20,7 @@ from planner.rollouts.engine import Chunk, Engine, closed_loop_engine, open_loop
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.names import EngineName
 from planner.rollouts.open_loop import CompiledPlan
+from planner.rollouts.single_run import PythonLoop, SingleRun
 from planner.rollouts.threshold_classes import sums_by_luck
 from planner.simulator.thresholds import threefry2x32
 from planner.tally import RolloutResults, Tally
@@ -81,11 +81,12 @@ class VisitDraws(Luck):
         return bool(uniform(self._seed, self._rollout, self._step, robot) < chance)
 
 
-class VisitLoop(ReferenceLoop):
-    """The closed loop of the readable simulator by these draws."""
+class VisitLoop(PythonLoop):
+    """The closed loop of the simulator as Python by these draws."""
 
-    def _luck_of(self, seed: int, rollout: int) -> Luck:
-        return VisitDraws(self._world, seed, rollout, self._bearing)
+    def begin(self, seed: int, rollout: int) -> SingleRun:
+        draws = VisitDraws(self.problem.world, seed, rollout, self.loop.bearing)
+        return SingleRun(self.loop, seed, rollout, hit=draws.hits)
 
 
 # Many samples of rollouts from one long run, which costs a fraction of as many short ones.

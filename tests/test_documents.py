@@ -27,8 +27,8 @@ from analysis.sampling import RolloutChoices, make_singles
 from analysis.utils.tables import as_text
 from planner.errors import InputError
 from planner.formatting import percent
-from planner.mrac.simulate import ReferenceLoop
 from planner.rollouts.engine import Rolling, make_engine
+from planner.rollouts.single_run import PythonLoop
 from planner.settings import SETTINGS
 from planner.world.levels import place_starts
 from planner.world.scenario import load_input
@@ -208,7 +208,7 @@ def test_a_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan.save(tmp_path / "plan.json")
     again = load_plan(tmp_path / "plan.json", world)
     assert again.settings == plan.settings
-    assert ReferenceLoop(again, world).run(1, 0).visited.any()
+    assert PythonLoop(again, world).run(1, 0).visited.any()
 
 
 def test_an_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

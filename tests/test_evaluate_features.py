@@ -36,13 +36,13 @@ from analysis.sampling import RolloutChoices
 from analysis.theory.verdicts import longest_run
 from planner.errors import InputError, UsageError
 from planner.formatting import percent
-from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan, is_certain
 from planner.plan.state import MissionState
 from planner.plan.state_file import load_state
 from planner.rollout_sampling import hazards_met, rows_met, ways_of_movers
 from planner.rollouts.closed_loop import compile_closed_loop, trace_rollouts
 from planner.rollouts.engine import Rolling, make_engine
+from planner.rollouts.single_run import PythonLoop
 from planner.settings import Choices
 from planner.simulator.codes import NO_STEP, Doing
 from planner.world.generate import ThreatPattern, random_world
@@ -381,7 +381,7 @@ def test_three_teams_on_the_same_luck_and_what_is_known_in_the_end(tmp_path):
     # a rollout of the told ones, by hand: its own map, planned for and rolled out
     there = hazards_met(world.doubt, 4, [7])[0].reshape(SITE.shape)
     told = mrac.with_hazard(SITE, "persistent", np.where(there, 1.0, 0.0), 0.5)
-    run = ReferenceLoop(mrac.plan(told, starts=answer.plan.starts), told).run(4, 7)
+    run = PythonLoop(mrac.plan(told, starts=answer.plan.starts), told).run(4, 7)
     assert found.told.column("visited")[7] == run.visited.sum()
     assert (said["maps"], said["rollouts"], said["posterior"]["rollouts"]) == (128, 300, 256)
     bits = said["posterior"]["entropy"]

@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
+from closed_loop_compare import play_both_ways
 from drawn_worlds import WORLDS
 from helpers import uniform
 from numpy.typing import NDArray
@@ -43,13 +44,13 @@ from planner.failure_model import (
 )
 from planner.failure_model import susceptible as made_susceptible
 from planner.make_plan import make_plan
-from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.plan.state_file import parse_state
 from planner.plan_team import read_plan
-from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.exact_tree import grow_tree
+from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
 from planner.simulator import failure_sampling as kernels
 from planner.simulator.codes import Outcome
@@ -149,20 +150,19 @@ def test_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
     assert tolerances(seed, range(16), robots)[: len(answers["tolerance"])].tolist() == answers["tolerance"][:16]
     assert {str(cell): int(world.exposures[0][cell]) for cell in map(int, answers["exposure"])} == answers["exposure"]
     plan = make_plan(world, world.starts)
-    readable = ReferenceLoop(plan, world)
-    loop = compile_closed_loop(plan, world)
+    python, loop = PythonLoop(plan, world), compile_closed_loop(plan, world)
     _, singles = run_range(loop, seed, 0, len(answers["rollouts"]), singles=True, threads=1)
     assert singles is not None
     for one in answers["rollouts"]:
-        rollout, run = one["id"], readable.run(seed, one["id"])
+        rollout, run = one["id"], python.run(seed, one["id"])
         expected = [one[what] for what in ("visited", "survived", "time", "alive")]
         assert [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum()] == expected
         found = [getattr(singles, what)[rollout] for what in ("visited", "survived", "time", "alive")]
         assert found == expected
         ended = WORDS_OF_0_3.get(one["outcome"], one["outcome"])
         assert Outcome(singles.outcome[rollout]).word == run.outcome.word == ended
-        trace = readable.trace(seed, rollout)
-        assert trace.events[trace.events[:, 2] == 1][:, [0, 1, 4]].tolist() == one["hits"]
+        events = run.trace.events
+        assert events[events[:, 2] == 1][:, [0, 1, 4]].tolist() == one["hits"]
 
 
 def mean(counts: np.ndarray) -> tuple[float, float]:
@@ -170,53 +170,6 @@ def mean(counts: np.ndarray) -> tuple[float, float]:
     values, total = np.arange(len(counts)), counts.sum()
     middle = float(counts @ values / total)
     return middle, float(np.sqrt(counts @ (values - middle) ** 2)) / total
-
-
-CASES: tuple[tuple[dict[str, Any], dict[str, Any]], ...] = (
-    ({}, {}),
-    ({}, {"first_only": True}),
-    ({}, {"tabled": False}),
-    ({"range": 25}, {}),
-    ({"policy": "per_cell"}, {}),
-    ({"policy": "per_cell", "reserve": 0.5, "worth": 9.0}, {}),
-)
-
-
-@pytest.mark.parametrize(("settings", "how"), CASES, ids=lambda one: ",".join(one) or "plain")
-def test_compiled_rollouts_are_the_readable_ones(
-    settings: dict[str, Any], how: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("planner.rollouts.runners.LEAST_SHARED", 1)
-    for seed in range(3):
-        world = random_world(8, 9, ThreatPattern(("contiguous", "scattered")[seed % 2], 4, seed=seed))
-        plan = make_plan(world, place_starts(world, (2, 5, 9)[seed])[0], Settings(**settings))
-        loop = compile_closed_loop(plan, world, **how)
-        readable = ReferenceLoop(plan, world, first_only=how.get("first_only", False))
-        for trace in trace_rollouts(loop, 5, range(8)):
-            assert trace == readable.trace(5, trace.rollout), (seed, trace.rollout)
-        whole, singles = run_range(loop, 5, 0, 600, threads=1, singles=True)
-        assert singles is not None
-        for rollout in range(8, 20):
-            run = readable.run(5, rollout)
-            found = [getattr(singles, what)[rollout] for what in ("visited", "survived", "time", "alive", "outcome")]
-            assert found == [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome]
-        parts = [run_range(loop, 5, start, 200, threads=threads)[0] for start, threads in ((0, 1), (200, 2), (400, 2))]
-        assert parts[0] + parts[1] + parts[2] == whole
-
-
-@pytest.mark.parametrize("name", WORLDS)
-def test_maps_in_doubt_are_borne_rollout_by_rollout(name: str) -> None:
-    world = WORLDS[name]
-    plan = make_plan(world, place_starts(world, 4)[0], Settings())
-    loop, readable = compile_closed_loop(plan, world), ReferenceLoop(plan, world)
-    tally, singles = run_range(loop, 5, 0, 300, singles=True, threads=1)
-    assert singles is not None
-    for rollout in range(50):
-        run = readable.run(5, rollout)
-        found = [getattr(singles, what)[rollout] for what in ("visited", "survived", "time", "alive", "outcome")]
-        assert found == [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome], rollout
-    assert trace_rollouts(loop, 5, [7])[0] == readable.trace(5, 7)
-    assert run_range(loop, 5, 0, 100, threads=2)[0] + run_range(loop, 5, 100, 200)[0] == tally
 
 
 @pytest.mark.parametrize("name", ["persistent", "level", None])
@@ -310,15 +263,15 @@ def test_worn_rollouts_are_those_of_an_independent_simulator(name: str) -> None:
     (world, plan), wear, seed = worn_plan(name), known(name)["wear"], known(name)["seed"]
     found = plan.bearing.tolerances(seed, range(len(wear["tolerance"])), len(plan.robots))
     assert found.tolist() == wear["tolerance"]
-    readable, loop = ReferenceLoop(plan, world), compile_closed_loop(plan, world)
+    python, loop = PythonLoop(plan, world), compile_closed_loop(plan, world)
     _, singles = run_range(loop, seed, 0, len(wear["rollouts"]), singles=True, threads=1)
     assert singles is not None
     for one in wear["rollouts"]:
         expected = [one[what] for what in FIGURES]
-        run = readable.run(seed, one["id"])
+        run = python.run(seed, one["id"])
         assert [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum()] == expected
         assert [getattr(singles, what)[one["id"]] for what in FIGURES] == expected
-        hits = readable.trace(seed, one["id"]).events
+        hits = run.trace.events
         assert hits[hits[:, 2] == 1][:, [0, 1, 4]].tolist() == one["hits"]
 
 
@@ -391,40 +344,13 @@ def test_shape_1_and_susceptibility_1_change_no_bit() -> None:
     assert Settings(wear=1.0, susceptibility=1).to_json() == Settings().to_json()
 
 
-@pytest.mark.parametrize("settings", [{}, {"policy": "per_cell", "worth": 9.0}])
-def test_compiled_rollouts_of_worn_robots_are_the_readable_ones(settings: dict[str, Any]) -> None:
-    for seed in range(2):
-        world = random_world(8, 9, ThreatPattern(("contiguous", "scattered")[seed], 4, seed=seed))
-        bears = Settings(wear=(3.0, 0.5)[seed], susceptibility=(1.0, 0.3, 5.0), **settings)
-        plan = make_plan(world, place_starts(world, 3)[0], bears)
-        loop, readable = (
-            compile_closed_loop(plan, world),
-            ReferenceLoop(plan, world),
-        )
-        for trace in trace_rollouts(loop, 5, range(6)):
-            assert trace == readable.trace(5, trace.rollout), (seed, trace.rollout)
-        whole, singles = run_range(loop, 5, 0, 600, threads=1, singles=True)
-        assert singles is not None
-        for rollout in range(6, 30):
-            run = readable.run(5, rollout)
-            found = [getattr(singles, what)[rollout] for what in FIGURES]
-            assert found == [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum()]
-        assert run_range(loop, 5, 0, 200, threads=2)[0] + run_range(loop, 5, 200, 400)[0] == whole
-
-
 @pytest.mark.parametrize("name", ["persistent", "level"])
 def test_worn_robots_on_maps_in_doubt(name: str) -> None:
     world = WORLDS[name]
     plan = make_plan(world, place_starts(world, 2)[0], Settings(wear=2.0, susceptibility=(0.5, 3.0)))
-    loop, readable = compile_closed_loop(plan, world), ReferenceLoop(plan, world)
-    _, singles = run_range(loop, 5, 0, 100, singles=True, threads=1)
-    assert singles is not None
+    play_both_ways(plan, world, 5, 20)
     opened = make_engine(plan, world, Rolling("open", seed=5), "numba")
     alone = opened.results(0, 40)
-    for rollout in range(40):
-        run = readable.run(5, rollout)
-        found = [getattr(singles, what)[rollout] for what in FIGURES]
-        assert found == [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum()], rollout
     for trace in opened.traces(range(40)):
         assert trace.time == alone.time[trace.rollout]
         assert int((trace.doing[-1] != 4).sum()) == alone.alive[trace.rollout] or trace.time == 0
@@ -432,7 +358,7 @@ def test_worn_robots_on_maps_in_doubt(name: str) -> None:
 
 def test_the_rest_of_a_mission_goes_on_from_what_was_borne() -> None:
     plan = make_plan(ROW, ROW.starts[:1], Settings(wear=1.5, susceptibility=0.5))
-    whole, step = ReferenceLoop(plan, ROW), 3
+    whole, step = PythonLoop(plan, ROW), 3
     state = next(filter(None, (whole.state_at(step, 1, rollout) for rollout in range(50))))
     borne = state.robots[0].exposure
     assert borne == sum(ROW.exposures[0][cell] for cell in plan.robots[0].path[: step + 1]) > 0
@@ -442,7 +368,7 @@ def test_the_rest_of_a_mission_goes_on_from_what_was_borne() -> None:
     loop = compile_closed_loop(rest, ROW)
     tally, singles = run_range(loop, 9, 0, 20_000, singles=True)
     assert singles is not None
-    run = ReferenceLoop(rest, ROW).run(9, 7)
+    run = PythonLoop(rest, ROW).run(9, 7)
     assert [run.visited.sum(), run.time] == [singles.visited[7], singles.time[7]]
     exact = open_loop_exact(rest, ROW)
     for what, value in (("visited", exact.visited), ("survived", exact.survived), ("alive", exact.survival.sum())):

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drawn_worlds import assert_as_enumerated, assert_engines_agree, drawn, moving_world
+from closed_loop_compare import play_both_ways
+from drawn_worlds import assert_as_enumerated, drawn, moving_world
 from helpers import load_plan
 from oracle_enumeration import everything
 from test_return_home import check_rules, ways
@@ -17,16 +18,16 @@ from test_return_home import check_rules, ways
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError, PlanError
 from planner.make_plan import make_plan
-from planner.mrac.choose import in_contact
 from planner.mrac.problem import prepare
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.plan_team import plan_team, read_plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.engine import Rolling, make_engine
+from planner.rollouts.interpreted import interpreted
+from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
-from planner.simulator.codes import Outcome
-from planner.tally import Trace
+from planner.simulator.codes import Doing, Outcome
 from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
 from planner.world.features import with_movers
 from planner.world.levels import place_starts
@@ -34,7 +35,7 @@ from planner.world.robot_types import checked_types
 from planner.world.scenario import load_input
 from planner.world.world import World, world_of
 
-# Robots of several types: engines against each other, one type against none, the tree of all that can happen.
+# Robots of several types: both ways, one type against none, the tree of all that can happen.
 
 KINDS: list[dict[str, Any]] = [
     {},
@@ -53,21 +54,15 @@ HOMES: list[dict[str, Any]] = [
 ]
 
 
-def check_engines(seed: int, rollouts: int) -> None:
-    """The two engines agree on a drawn world, event for event."""
-    world, starts, types = drawn(seed)
-    plan = make_plan(world, starts, Settings(**KINDS[seed % len(KINDS)], types=types))
-    assert_engines_agree(plan, world, seed, rollouts)
-
-
 @pytest.mark.parametrize("part", range(len(KINDS)))
-def test_engines_agree(part: int) -> None:
+def test_runs_are_the_same_both_ways(part: int) -> None:
     for seed in range(part, 2 * len(KINDS), len(KINDS)):
-        check_engines(seed, 3)
+        world, starts, types = drawn(seed)
+        play_both_ways(make_plan(world, starts, Settings(**KINDS[part], types=types)), world, seed, 3)
 
 
 def check_homes(part: int, seed: int, rollouts: int) -> None:
-    """Engines agree, and each robot goes home by the safest way of its own type, found by the plainest search."""
+    """Each robot goes home by the safest way of its own type, found by the plainest search."""
     world, starts, types = drawn(seed)
     plan = make_plan(world, starts, Settings(**HOMES[part], types=types))
     problem = prepare(world, starts, Settings(**HOMES[part], types=types))
@@ -77,8 +72,8 @@ def check_homes(part: int, seed: int, rollouts: int) -> None:
     mine = [[int(row * world.shape[1] + col)] for row, col in starts]
     bases = mine if HOMES[part]["return_to"] == "home" else [[base for (base,) in mine]] * len(types)
     found = [ways(world, *known) for known in zip(bases, entry, strict=True)]
-    for trace in assert_engines_agree(plan, world, seed, rollouts):
-        check_rules(trace, world, plan, found)
+    for run in play_both_ways(plan, world, seed, rollouts):
+        check_rules(run.trace, world, plan, found)
 
 
 @pytest.mark.parametrize("part", range(len(HOMES)))
@@ -94,15 +89,8 @@ def test_they_do_on_hundreds_of_worlds(part: int) -> None:
         check_homes(part, seed, 4)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("part", range(20))
-def test_engines_agree_on_a_thousand_worlds(part: int) -> None:
-    for seed in range(1000 + part, 2000, 20):
-        check_engines(seed, 4)
-
-
 def test_everything_that_can_happen_on_rows() -> None:
-    """The tree of the closed loop, and readable runs, against an enumeration that shares no code with them."""
+    """The tree of the closed loop against an enumeration that shares no code with it."""
     for seed in range(12):
         rng = np.random.default_rng(seed)
         size, starts = int(rng.integers(4, 8)), None
@@ -136,7 +124,7 @@ def test_ties_of_the_price_go_to_the_nearest_target(policy: str, turned: int) ->
     plan = make_plan(world, at, Settings(policy=policy, types=("a", "b")))
     places = [2, 3, 4, 3, 2, 1, 0, 1, 2, 3, 4, 5]
     assert plan.robots[0].path.tolist() == [7 - place if turned % 2 else place for place in places]
-    assert_engines_agree(plan, world, turned, 3)
+    play_both_ways(plan, world, turned, 3)
 
 
 def test_robots_of_one_type_are_robots_of_none_on_its_map() -> None:
@@ -310,7 +298,7 @@ def test_robots_leave_to_a_type_what_it_covers_for_less() -> None:
         assert first_danger(("tank", "drone"), policy) == 5
 
 
-# Robots of several speeds: engines against each other, equal speeds against one, the tree of all that can happen.
+# Robots of several speeds: both ways, equal speeds against one, the tree of all that can happen.
 
 KINDS_SPEEDS: list[dict[str, Any]] = [
     {},
@@ -324,35 +312,17 @@ KINDS_SPEEDS: list[dict[str, Any]] = [
     {"return_to": "home", "policy": "per_cell", "deadline": 60},
     {"transit": "area", "return_to": "nearest", "range": 30, "recharge": 4},
 ]
-PACES = [(1, 2, 3), (2, 1, 1), (3, 2, 2), (1, 5, 1), (4, 6, 2)]
-
-
-def check_engines_speeds(seed: int, rollouts: int) -> None:
-    """The two engines agree on a drawn world, event for event; nobody moves out of turn."""
-    world, starts, _ = drawn(seed)
-    asked = {**KINDS_SPEEDS[seed % len(KINDS_SPEEDS)], "steps_per_move": PACES[seed // len(KINDS_SPEEDS) % len(PACES)]}
-    plan = make_plan(world, starts, Settings(**asked))
-    assert plan.settings is not None
-    for trace in assert_engines_agree(plan, world, seed, rollouts):
-        check_turns(trace, plan.settings.paces)
-
-
-def check_turns(trace: Trace, paces: tuple[int, ...]) -> None:
-    steps, robots = np.nonzero(np.diff(trace.cells, axis=0))
-    assert ((steps + 1) % np.array(paces)[robots] == 0).all()
+PACES = [(1, 2, 3), (4, 6, 2)]
 
 
 @pytest.mark.parametrize("part", range(len(KINDS_SPEEDS)))
-def test_engines_agree_speeds(part: int) -> None:
+def test_nobody_moves_out_of_turn(part: int) -> None:
     for seed in range(part, 2 * len(KINDS_SPEEDS), len(KINDS_SPEEDS)):
-        check_engines_speeds(seed, 3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("part", range(20))
-def test_engines_agree_on_a_thousand_worlds_speeds(part: int) -> None:
-    for seed in range(1000 + part, 2000, 20):
-        check_engines_speeds(seed, 4)
+        (world, starts, _), paces = drawn(seed), PACES[seed // len(KINDS_SPEEDS)]
+        plan = make_plan(world, starts, Settings(**KINDS_SPEEDS[part], steps_per_move=paces))
+        for run in play_both_ways(plan, world, seed, 3):
+            steps, robots = np.nonzero(np.diff(run.trace.cells, axis=0))
+            assert ((steps + 1) % np.array(paces)[robots] == 0).all()
 
 
 def test_everything_that_can_happen_on_rows_speeds() -> None:
@@ -372,7 +342,7 @@ def test_threats_that_move_meet_robots_of_every_speed_at_every_step() -> None:
         world = moving_world(seed)
         starts = place_starts(world, 3)[0]
         asked = {"steps_per_move": (1, 3, 2), "radio": (None, 2.5)[seed % 2], "policy": ("mrac", "per_cell")[seed // 3]}
-        assert_engines_agree(make_plan(world, starts, Settings(**asked)), world, seed, 3)
+        play_both_ways(make_plan(world, starts, Settings(**asked)), world, seed, 3)
 
 
 def test_one_speed_is_any_other() -> None:
@@ -417,37 +387,7 @@ def test_speeds_of_another_team_are_an_error() -> None:
         make_plan(World.create(np.zeros((2, 3))), [[0, 0]] * 3, Settings(steps_per_move=(1, 2)))
 
 
-# Robots that hear each other over a distance: engines against each other, everybody near against no limit, a tree.
-
-KINDS_RADIO: list[dict[str, Any]] = [
-    {},
-    {"policy": "per_cell"},
-    {"policy": "per_cell", "reserve": 0.4, "worth": 30.0},
-    {"policy": "watchful", "reserve": 0.4, "steps_per_move": (1, 2, 1, 3)},
-    {"policy": "watchful", "types": ("a", "c", "b", "a")},
-    {"range": 30, "deadline": 45},
-    {"return_to": "nearest", "range": 40, "recharge": 4},
-    {"return_to": "home", "policy": "per_cell", "deadline": 60},
-]
-
-
-def check_engines_radio(seed: int, rollouts: int) -> None:
-    world, starts, _ = drawn(seed, 4)
-    plan = make_plan(world, starts, Settings(**KINDS_RADIO[seed % len(KINDS_RADIO)], radio=(1.5, 3.0, 4.5)[seed % 3]))
-    assert_engines_agree(plan, world, seed, rollouts)
-
-
-@pytest.mark.parametrize("part", range(len(KINDS_RADIO)))
-def test_engines_agree_radio(part: int) -> None:
-    for seed in range(part, 2 * len(KINDS_RADIO), len(KINDS_RADIO)):
-        check_engines_radio(seed, 3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("part", range(20))
-def test_engines_agree_on_a_thousand_worlds_radio(part: int) -> None:
-    for seed in range(1000 + part, 2000, 20):
-        check_engines_radio(seed, 4)
+# Robots that hear each other over a distance: everybody near against no limit, a tree.
 
 
 def test_everything_that_can_happen_on_rows_radio() -> None:
@@ -461,11 +401,13 @@ def test_everything_that_can_happen_on_rows_radio() -> None:
 
 
 def test_a_chain_is_as_long_as_its_links_are_short() -> None:
-    places, bases = np.array([[0, 3], [0, 6], [0, 10], [4, 13]]), np.array([[0, 0]])
-    assert in_contact(places, bases, 9).tolist() == [True, True, False, False]
-    assert in_contact(places, bases, 16).tolist() == [True, True, True, False]
-    assert in_contact(places, bases, 25).tolist() == [True] * 4
-    assert in_contact(places[1:], bases, 9).tolist() == [False] * 3
+    world, every = World.create(np.zeros((5, 14))), [True] * 4
+    for radio, heard in ((3.0, [True, True, False, False]), (4.0, [True, True, True, False]), (5.0, every)):
+        run = PythonLoop(make_plan(world, [[0, 0]] * 4, Settings(radio=radio)), world).begin(0, 0)
+        run.raw.robots["cell"] = 3, 6, 10, 69  # the last one in [4, 13]
+        assert [interpreted("robot_types").hears(run.t, run.s, robot) for robot in range(4)] == heard
+        run.raw.robots["doing"][0] = Doing.DEAD
+        assert radio > 3 or not any(interpreted("robot_types").hears(run.t, run.s, robot) for robot in range(1, 4))
 
 
 def test_who_hears_everybody_is_who_has_no_limit() -> None:

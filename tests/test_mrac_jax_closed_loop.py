@@ -40,12 +40,12 @@ from planner.errors import UsageError, WorldError
 from planner.failure_model import tolerances
 from planner.ids import MAX_STEP
 from planner.make_plan import make_plan
-from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.plan.state_file import parse_state
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import Rolling, closed_loop_engine, make_engine
 from planner.rollouts.loop import ClosedLoop
+from planner.rollouts.single_run import PythonLoop
 from planner.rollouts.tables import luck_tables
 from planner.settings import Settings
 from planner.simulator.codes import EventKind, Outcome
@@ -425,7 +425,7 @@ def test_robots_that_wear_and_differ() -> None:
 @pytest.mark.usefixtures("one_program")
 def test_robots_that_wear_go_on_with_what_they_have_borne() -> None:
     world, plan = case(1)
-    state = ReferenceLoop(plan, world).state_at(11, 4, 2)
+    state = PythonLoop(plan, world).state_at(11, 4, 2)
     assert state is not None
     said = state.to_json()
     for number, robot in enumerate(said["robots"]):
@@ -442,7 +442,7 @@ def states(name: str) -> list[tuple[World, Plan]]:
     found = []
     for seed in range(3):
         world, plan = case(seed, **SETTINGS[name])
-        whole = ReferenceLoop(plan, world)
+        whole = PythonLoop(plan, world)
         for rollout, step in product(range(2), STEPS):
             state = whole.state_at(step, seed, rollout)
             if state is not None:

@@ -1,4 +1,4 @@
-"""Robots that come home in JAX's lanes (SPEC section 19) against the compiled simulator, judged by the readable one."""
+"""Robots that come home in JAX's lanes (SPEC section 19) against the compiled simulator."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from mrac_jax.closed_loop.tables import LaneTables, lane_tables
 from planner.errors import WorldError
 from planner.make_plan import allocated_plan, make_plan
 from planner.mission.mission import Mission
-from planner.mrac.simulate import ReferenceLoop
 from planner.plan.state_file import parse_state
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.loop import ClosedLoop
+from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
 from planner.simulator.codes import EventKind
 from planner.world.world import World
@@ -102,7 +102,7 @@ def test_missions_under_way_go_on_and_who_is_cut_off_stays() -> None:
         obey(mission)
     mission.close([[0, 1]])
     world, plan = mission.world, mission.rest()
-    trace = ReferenceLoop(plan, world).trace(0, 0)
+    trace = PythonLoop(plan, world).trace(0, 0)
     assert (trace.events[:, 2] == EventKind.TURNED_HOME).any() and not (trace.events[:, 2] == EventKind.HOME).any()
     same(compile_closed_loop(plan, world), 0, 60, "cut off", traced=(0, 1))
 

@@ -23,9 +23,9 @@ from closed_loop_compare import assert_same_results, assert_same_tally, assert_s
 from closed_loop_worlds import SurveyWorld, survey_world
 
 from planner.make_plan import make_plan
-from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
+from planner.rollouts.single_run import PythonLoop
 
 ROOT = Path(__file__).parent.parent
 WORLDS = ("contiguous-8", "combs-8", "crossings-0")
@@ -220,7 +220,7 @@ def held() -> tuple[SurveyWorld, Plan]:
 
 
 def compare_held_robots() -> None:
-    """In a process of its own: when runs of the copied planner's compiled simulator end, and the readable one's do."""
+    """In a process of its own: when runs of the copied planner's compiled simulator end, and as Python do."""
     one, plan = held()
     results = run_range(compile_closed_loop(plan, one.world), one.seed, 0, HELD_RUNS, singles=True, threads=1)[1]
     expected = pickle.loads(Path(sys.argv[3]).read_bytes())
@@ -262,8 +262,8 @@ def assert_found(fault: Fault, folder: Path, *, interpreted: bool) -> None:
 @pytest.mark.slow
 def test_a_held_flag_of_another_branch_is_found(tmp_path: Path) -> None:
     one, plan = held()
-    readable = ReferenceLoop(plan, one.world)
-    expected = pickle.dumps([readable.run(one.seed, number).time for number in range(HELD_RUNS)])
+    python = PythonLoop(plan, one.world)
+    expected = pickle.dumps([python.run(one.seed, number).time for number in range(HELD_RUNS)])
     said = []
     for package in (copy_of("planner", tmp_path / "honest"), plant(STALE_FLAG, tmp_path / "faulty")):
         done = compare_in_a_process(package, interpreted=True, traced=0, expected=expected, by="compare_held_robots")

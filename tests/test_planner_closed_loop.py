@@ -1,4 +1,4 @@
-"""The compiled classical simulator against the readable one, the fixtures and exact values; and its own contract."""
+"""The compiled classical simulator against it as Python, the fixtures and exact values; and its own contract."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_results
+from closed_loop_compare import assert_same_results, play_both_ways
 from closed_loop_worlds import walled
 from conftest import Fixture, load_fixture, worlds_with_starts
 from helpers import run_closed_chunks
@@ -17,24 +17,20 @@ from numba import typeof
 from planner.errors import PlanError
 from planner.make_plan import make_plan
 from planner.mrac.problem import prepare
-from planner.mrac.simulate import Run, simulate
 from planner.plan.plan import Plan
-from planner.rollout_sampling import Luck
 from planner.rollouts.closed_loop import compile_closed_loop, new_cells, run_range
 from planner.rollouts.loop import FEATURES, PROGRAMS, ClosedLoop, typed, with_features
 from planner.rollouts.runners import KNOWN, LEAST_SHARED, _in_rounds, remember_alike
 from planner.rollouts.tables import most_cost
 from planner.settings import Settings
 from planner.simulator import return_home as remember
-from planner.simulator.codes import Outcome
+from planner.simulator.codes import EventKind, Outcome
 from planner.simulator.searches import BLOCKED, neighbour_table
 from planner.simulator.state import first_room, largest_set, make_state, make_work
-from planner.tally import RolloutResults, Tally
+from planner.tally import RolloutResults, Tally, Trace
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.world import World
-
-COLUMNS = ("visited", "survived", "time", "alive", "outcome", "bisected", "divided")
 
 
 def fed(fixture: Fixture) -> ClosedLoop:
@@ -42,53 +38,36 @@ def fed(fixture: Fixture) -> ClosedLoop:
     return compile_closed_loop(plan, fixture.world)
 
 
-def readable_run(
-    world: World, plan: Plan, seed: int, rollout: int, first_only: bool = False
-) -> tuple[Run, dict[str, np.ndarray]]:
-    """One rollout of the readable simulator, and its counts per cell and step."""
-    assert plan.settings is not None
-    problem = prepare(world, plan.starts, plan.settings)
-    steps = problem.max_steps + 1
-    counts = {
-        name: np.zeros(world.threat.size, int) for name in ("visits", "stops", "covered_visited", "covered_survived")
-    }
-    counts |= {name: np.zeros(steps, int) for name in ("new_visited", "new_survived")}
-    luck = Luck(world, seed, rollout)
-
-    def hit(robot: int, step: int, cell: int) -> bool:
-        fresh = counts["covered_visited"][cell] == 0
-        stopped = (fresh or not first_only) and luck.hits(robot, step, cell)
-        counts["visits"][cell] += 1
-        counts["stops"][cell] += stopped
-        counts["new_visited"][step] += fresh
-        counts["covered_visited"][cell] = 1
-        if not stopped:
-            counts["new_survived"][step] += counts["covered_survived"][cell] == 0
-            counts["covered_survived"][cell] = 1
-        return stopped
-
-    run = simulate(problem, plan.areas, hit=hit)
-    return run, counts
+def counted(traces: list[Trace], cells: int) -> dict[str, np.ndarray]:
+    """Counts per cell and step of these rollouts, entry by entry."""
+    counts = {name: np.zeros(cells, int) for name in ("visits", "stops", "covered_visited", "covered_survived")}
+    counts |= {name: np.zeros(max(trace.time for trace in traces) + 1, int) for name in ("new_visited", "new_survived")}
+    for trace in traces:
+        hits = {(step, robot) for step, robot, kind, *_ in trace.events.tolist() if kind == EventKind.HIT}
+        covered = {"visited": set[int](), "survived": set[int]()}
+        for step, robot in np.ndindex(trace.cells.shape):
+            cell = int(trace.cells[step, robot])
+            if step > 0 and cell == trace.cells[step - 1, robot]:
+                continue
+            counts["visits"][cell] += 1
+            counts["stops"][cell] += (step, robot) in hits
+            for name in ("visited", "survived")[: 1 if (step, robot) in hits else 2]:
+                counts[f"new_{name}"][step] += cell not in covered[name]
+                covered[name].add(cell)
+        for name, found in covered.items():
+            counts[f"covered_{name}"][list(found)] += 1
+    return counts
 
 
 def compare(
     world: World, plan: Plan, rollouts: int, seed: int = 3, first_only: bool = False, tabled: bool = True
 ) -> Tally:
-    """Compiled and readable runs of the same ids: every outcome and every count equal."""
+    """Compiled runs, and those as Python, of the same ids: every outcome and every count equal."""
+    runs = play_both_ways(plan, world, seed, rollouts, first_only=first_only, tabled=(tabled,))
     loop = compile_closed_loop(plan, world, first_only=first_only, tabled=tabled)
-    tally, singles = run_range(loop, seed, 0, rollouts, singles=True)
-    assert singles is not None
-    total: dict[str, np.ndarray] = {}
-    for rollout in range(rollouts):
-        run, counts = readable_run(world, plan, seed, rollout, first_only)
-        found = [getattr(singles, name)[rollout] for name in COLUMNS]
-        expected = [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome]
-        assert found == [*expected, run.bisected, run.divided], rollout
-        total = {name: total.get(name, 0) + values for name, values in counts.items()}
-    for name, values in total.items():
-        mine = getattr(tally, name)
-        np.testing.assert_array_equal(mine, values[: len(mine)], err_msg=name)
-        assert not values[len(mine) :].any()
+    tally, _ = run_range(loop, seed, 0, rollouts)
+    for name, values in counted([run.trace for run in runs], world.threat.size).items():
+        np.testing.assert_array_equal(getattr(tally, name).ravel(), values, err_msg=name)
     return tally
 
 
@@ -100,7 +79,7 @@ def test_threshold_runs_are_the_fixtures(fixture: Fixture) -> None:
     assert np.stack(columns, axis=1).tolist() == known["runs"]
 
 
-def test_every_count_is_the_readable_simulator_s() -> None:
+def test_every_count_is_that_of_the_simulator_as_python() -> None:
     outcomes = np.zeros(len(Outcome), dtype=np.int64)
     for kind in ("contiguous", "scattered"):
         for seed, (height, width, robots) in enumerate([(6, 9, 1), (9, 6, 3), (7, 7, 6), (3, 14, 4), (5, 8, 20)]):
@@ -325,7 +304,7 @@ def test_no_path_costs_more_than_is_said(drawn: tuple[World, np.ndarray]) -> Non
 
 
 @pytest.mark.slow
-def test_costs_of_64_bits_are_the_readable_simulator_s() -> None:
+def test_costs_of_64_bits_come_to_the_same() -> None:
     world = walled(4)
     plan = make_plan(world, place_starts(world, 3)[0])
     tallies = [compare(world, plan, 30, tabled=tabled) for tabled in (True, False)]
@@ -344,7 +323,7 @@ def worlds_and_plans(transit: Literal["grid", "area"]) -> Iterator[tuple[World, 
         yield world, make_plan(world, place_starts(world, robots)[0], Settings(transit=transit))
 
 
-def test_legs_kept_inside_their_area_are_the_readable_simulator_s() -> None:
+def test_legs_kept_inside_their_area_are_others() -> None:
     tallies = [compare(world, plan, 15) for world, plan in worlds_and_plans("area")]
     others = [compare(world, plan, 15) for world, plan in worlds_and_plans("grid")]
     differ = [not np.array_equal(a.visits, b.visits) for a, b in zip(tallies, others, strict=True)]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_trace
+from closed_loop_compare import play_both_ways
 from helpers import load_plan
 from numpy.typing import NDArray
 from oracle_enumeration import best_of_one_robot
@@ -21,12 +21,12 @@ from analysis.theory.flow_programme import optimum
 from planner.errors import PlanError, UsageError
 from planner.make_plan import make_plan
 from planner.mrac.problem import ready_loop
-from planner.mrac.simulate import ReferenceLoop, Run, simulate
 from planner.open_loop import make_open_loop_plan
 from planner.plan.plan import Plan, RobotPlan
 from planner.plan_team import plan_team
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import Rolling, make_engine
+from planner.rollouts.single_run import Run, SingleRun, play
 from planner.settings import Settings
 from planner.simulator.codes import Doing, EventKind, Outcome
 from planner.world.generate import ThreatPattern, random_world
@@ -260,8 +260,8 @@ def map_of(seed: int) -> World:
 
 def run_by_hand(plan: Plan, world: World, hits: set[tuple[int, int]]) -> Run:
     """The run in which just these (robot, step) are stopped."""
-    problem, areas = ready_loop(plan, world)
-    return simulate(problem, areas, hit=lambda robot, step, cell: (robot, step) in hits)
+    loop = compile_closed_loop(plan, world, interpreted=True)
+    return play(SingleRun(loop, hit=lambda robot, step, cell: (robot, step) in hits))
 
 
 def routes(run: Run) -> list[list[int]]:
@@ -306,20 +306,7 @@ def test_the_cells_left_are_cut_by_level_and_connection() -> None:
 def test_the_compiled_simulator_follows_event_for_event(seed: int) -> None:
     rng, world = np.random.default_rng(seed), map_of(seed)
     plan = wanderings(world, int(rng.integers(1, 5)), int(rng.integers(0, 25)), rng)
-    first_only = seed % 3 == 0
-    reference = ReferenceLoop(plan, world, first_only=first_only)
-    expected = [reference.trace(SEED, rollout) for rollout in range(12)]
-    runs = [reference.run(SEED, rollout) for rollout in range(40)]
-    for tabled in (True, False):
-        loop = compile_closed_loop(plan, world, first_only=first_only, tabled=tabled)
-        for trace, other in zip(trace_rollouts(loop, SEED, range(12)), expected, strict=True):
-            assert_same_trace(trace, other, f"seed {seed}, rollout {other.rollout}")
-        results = run_range(loop, SEED, 0, 300, threads=1, singles=True)[1]
-        assert results is not None
-        for rollout, played in enumerate(runs):
-            found = (results.visited[rollout], results.survived[rollout], results.time[rollout])
-            assert found == (played.visited.sum(), played.survived.sum(), played.time)
-            assert results.outcome[rollout] == played.outcome
+    play_both_ways(plan, world, SEED, 12, first_only=seed % 3 == 0)
 
 
 def test_every_rollout_covers_what_it_covers_open_loop_and_more() -> None:

@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 from validate import validate
 
 from planner.errors import UsageError, WorldError
-from planner.make_plan import allocate, allocated, make_plan, nominal_run
+from planner.make_plan import allocate, allocated, allocated_plan, make_plan, nominal_run
 from planner.mrac.areas import bisect, connected_parts, find_areas, metis_parts, wavefront_parts
 from planner.mrac.paths import entry_costs, to_networkx
 from planner.mrac.problem import prepare
-from planner.mrac.simulate import ReferenceLoop, simulate
 from planner.plan.plan import Area, Leg, Plan, RobotPlan
+from planner.rollouts.closed_loop import compile_closed_loop
+from planner.rollouts.single_run import PythonLoop, SingleRun, play
 from planner.settings import Settings
 from planner.simulator.codes import Outcome
 from planner.simulator.paths import all_pairs, to_areas
@@ -58,10 +59,10 @@ def test_nominal_run_is_the_fixtures(fixture: Fixture) -> None:
 @pytest.mark.parametrize("most", [3, pytest.param(None, marks=pytest.mark.slow)])
 def test_threshold_runs_are_the_fixtures(fixture: Fixture, most: int | None) -> None:
     plan = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
-    readable = ReferenceLoop(plan, fixture.world)
+    loop = PythonLoop(plan, fixture.world)
     known = fixture.answers["threshold_runs"]
     for rollout, expected in enumerate(known["runs"][:most]):
-        run = readable.run(known["seed"], rollout)
+        run = loop.run(known["seed"], rollout)
         found = [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome]
         assert [int(value) for value in found] == expected, rollout
 
@@ -112,15 +113,14 @@ def test_timeout_is_reported() -> None:
 def test_a_run_that_cannot_go_on_is_stuck_after_two_quiet_steps() -> None:
     # A stop in its own part of the map leaves cells that the other robot cannot reach.
     world = World.create([[0.0, 0.5, 0.0, np.nan, 0.0]])
-    problem = prepare(world, [[0, 0], [0, 4]], Settings())
-    run = simulate(problem, allocate(problem), max_steps=99, hit=lambda robot, step, cell: cell == 1)
+    loop = compile_closed_loop(allocated_plan(world, [[0, 0], [0, 4]], Settings()), world, interpreted=True)
+    run = play(SingleRun(loop, hit=lambda robot, step, cell: cell == 1))
     assert (run.outcome, run.time, run.alive.tolist()) == (Outcome.NO_PROGRESS, 3, [False, True])
 
 
 def test_the_nominal_run_calls_no_luck() -> None:
     world = World.create(np.full((2, 3), 0.9))
-    problem = prepare(world, [[0, 0]], Settings())
-    assert nominal_run(problem, allocate(problem)).outcome is Outcome.COMPLETE
+    assert nominal_run(*allocated(world, [[0, 0]], Settings())).outcome is Outcome.COMPLETE
 
 
 # Levels, areas, partitions and the initial allocation as invariants on random worlds.

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_tally, assert_same_trace
-from closed_loop_worlds import survey_worlds, walled
+from closed_loop_compare import assert_same_tally, assert_same_trace, play_both_ways
+from closed_loop_worlds import walled
 from conftest import FOLDER, load_fixture, worlds_with_starts
 from helpers import VisitLoop, load_plan
 from hypothesis import example, given, settings
@@ -27,11 +27,7 @@ from analysis.sampling import RolloutChoices
 from analysis.theory.flow_programme import optimum
 from planner.errors import InputError, PlanError, WorldError
 from planner.make_plan import allocated_plan, make_plan
-from planner.mrac import executive as executive_module
-from planner.mrac.choose import first_area
-from planner.mrac.executive import Executive
 from planner.mrac.problem import prepare
-from planner.mrac.simulate import ReferenceLoop, Run, never_hit, play_step
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.policies import RULES
@@ -40,17 +36,19 @@ from planner.policies.rule import Rule
 from planner.rollouts import tables as tables_module
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import closed_loop_engine
+from planner.rollouts.interpreted import interpreted
+from planner.rollouts.single_run import PythonLoop, Run
 from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
-from planner.simulator.codes import EventKind, Outcome
-from planner.simulator.offers import NO_REFUSAL, CellOffer, Offer, is_refused
+from planner.simulator.codes import NONE, EventKind, Outcome
+from planner.simulator.offers import NO_REFUSAL, Offer, is_refused
 from planner.tally import WORDS_OF_0_3
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.scenario import load_input
 from planner.world.world import World
 
-# The policies of SPEC section 11 in the readable simulator, against two independent simulators and plain twins.
+# The policies of SPEC section 11, against two independent simulators and plain twins.
 
 CODES = (Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.NO_PROGRESS, Outcome.STEP_LIMIT, Outcome.NOT_WORTH_THE_RISK)
 """What the fixtures' own codes mean."""
@@ -59,7 +57,7 @@ TINY = sorted(path.stem for path in POLICIES.glob("tiny-*.json"))
 PAPER = sorted(path.stem for path in POLICIES.glob("*.json") if path.stem not in TINY)
 LARGE = [name for name in PAPER if name.endswith("k8")]
 FEW = 1
-"""Seeded runs of the readable simulator on the paper's maps; 8 on the tiny ones, of the compiled one all 24."""
+"""Seeded runs of the simulator as Python on the paper's maps; 8 on the tiny ones, of the compiled one all 24."""
 LIMITED: list[dict[str, Any]] = [
     {"policy": "per_cell", **limits}
     for limits in (
@@ -83,11 +81,11 @@ def check_runs(name: str, case: dict[str, Any], runs: int) -> None:
     assert plan.outcome == CODES[nominal["outcome"]].word
     assert (plan.time, plan.shares) == (nominal["time"], nominal["shares"])
     assert {item.rule for item in validate(plan, fixture.world)} <= {"area-order"}  # the allocation is the fixture's
-    reference: ReferenceLoop = (ReferenceLoop if "threshold_runs" in case else VisitLoop)(plan, fixture.world)
+    reference = (PythonLoop if "threshold_runs" in case else VisitLoop)(plan, fixture.world)
     fixed = case.get("threshold_runs") or case["seeded_runs"]
     for rollout, expected in enumerate(fixed["runs"][:runs]):
         assert columns_of(reference.run(fixed["seed"], rollout)) == expected, rollout
-    readable = ReferenceLoop(plan, fixture.world)
+    python = PythonLoop(plan, fixture.world)
     for tabled in (True, False):
         loop = compile_closed_loop(plan, fixture.world, tabled=tabled)
         singles = run_range(loop, fixed["seed"], 0, len(fixed["runs"]), singles=True)[1]
@@ -97,7 +95,7 @@ def check_runs(name: str, case: dict[str, Any], runs: int) -> None:
         if "threshold_runs" in case:
             assert found == fixed["runs"]
         else:
-            assert found[:runs] == [columns_of(readable.run(fixed["seed"], rollout)) for rollout in range(runs)]
+            assert found[:runs] == [columns_of(python.run(fixed["seed"], rollout)) for rollout in range(runs)]
 
 
 def columns_of(run: Run) -> list[int]:
@@ -136,42 +134,12 @@ def test_enumeration_and_chain_are_the_fixtures(name: str) -> None:
 # --- the compiled simulator ---
 
 
-def compare_traces(world: World, plan: Plan, ids: range, first_only: bool = False) -> np.ndarray:
-    """Compiled traces, with tables and with searches, are the readable simulator's; how often each event happened."""
-    reference = ReferenceLoop(plan, world, first_only=first_only)
-    expected = [reference.trace(5, rollout) for rollout in ids]
-    for tabled in (True, False):
-        loop = compile_closed_loop(plan, world, first_only=first_only, tabled=tabled)
-        assert trace_rollouts(loop, 5, ids) == expected
-    kinds = np.concatenate([trace.events[:, 2] for trace in expected])
-    return np.bincount(kinds, minlength=len(EventKind))
-
-
-@pytest.mark.parametrize("limits", LIMITED, ids=str)
-def test_compiled_runs_are_the_readable_ones_event_for_event(limits: dict[str, Any]) -> None:
-    """Worlds of all kinds that engines are compared on, others for every policy, with each transit in turn."""
-    counts, kinds = np.zeros(len(EventKind), dtype=np.int64), set()
-    for number, one in enumerate(survey_worlds()[LIMITED.index(limits) :: 15]):
-        transit: Any = ("grid", "area")[number % 2]
-        asked = replace(one.settings, transit=transit, **limits)
-        try:
-            plan = make_plan(one.world, one.starts, asked)
-        except WorldError as error:
-            assert "too dear" in str(error)
-            continue
-        counts += compare_traces(one.world, plan, range(1), one.first_only)
-        kinds.add(one.kind)
-    assert len(kinds) >= 12
-    assert counts[EventKind.LOOKED_AGAIN] > 0 and counts[EventKind.SHARED] > 0
-    assert (counts[EventKind.REFUSED] > 0) == ("worth" in limits)
-
-
 @pytest.mark.slow
 def test_costs_beyond_32_bits_are_another_program() -> None:
     world = walled(4)
     plan = make_plan(world, place_starts(world, 3)[0], Settings(policy="per_cell"))
     assert compile_closed_loop(plan, world).tables.cost_to.dtype == np.int64
-    compare_traces(world, plan, range(30))
+    play_both_ways(plan, world, 5, 30)
 
 
 def test_compiled_counts_deadlines_and_other_truths() -> None:
@@ -224,52 +192,32 @@ def test_areas_are_ranked_by_the_least_price_per_cell(kept: int, valued: bool, m
 
 
 def test_an_area_of_one_cell_stays_first_until_another_comes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the compiled simulator leaves out (`attentive.decide`): the readable one, which looks, finds the same."""
-    decided: dict[int, tuple[int, int]] = {}
-    stays: dict[bool, list[bool]] = {True: [], False: []}
-    came = [0]
+    """What the simulator leaves out (`replanning.settle_on`): one that looks each time finds the same."""
+    replanning, settled = interpreted("replanning"), list[bool]()
+    honest = replanning.settle_on
 
-    class Watched(Executive):
-        def _open(self, number: int) -> None:
-            came[0] += 1
-            super()._open(number)
+    def looks_each_time(t: Any, p: Any, s: Any, robot: int, area: int) -> None:
+        honest(t, p, s, robot, area)
+        settled.append(s.robots[robot].sure != NONE)
+        s.robots[robot].sure = NONE
 
-        def _take(self, robot: Any, choice: Any) -> None:
-            super()._take(robot, choice)
-            decided[robot.number] = (came[0], robot.area)
-
-        def _look_again(self, robot: Any) -> None:
-            before, left = robot.area, self.areas[robot.area].unvisited
-            settled = decided.get(robot.number) == (came[0], before)
-            super()._look_again(robot)
-            if settled:
-                stays[left == 1].append(robot.area == before)
-            decided[robot.number] = (came[0], robot.area)
-
-    monkeypatch.setattr("planner.mrac.simulate.Executive", Watched)
+    monkeypatch.setattr(replanning, "settle_on", looks_each_time)
     for name in ("scattered-20x20-1000-k8", "scattered-14x23-1001-k8"):
         fixture = load_fixture(name)
-        reference = ReferenceLoop(make_plan(fixture.world, fixture.starts, Settings(policy="per_cell")), fixture.world)
-        for rollout in range(4):
-            decided.clear()
-            reference.run(3, rollout)
-    assert all(stays[True]) and len(stays[True]) > 100
-    assert not all(stays[False])  # of larger ones it does not
+        play_both_ways(make_plan(fixture.world, fixture.starts, Settings(policy="per_cell")), fixture.world, 3, 4)
+    assert sum(settled) > 100
 
 
 def test_an_own_area_that_is_not_offered_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The comparison bites: next to a readable simulator with this fault, compiled runs differ."""
-    honest = executive_module.first_area
-
-    def without_own(board: Any, robot: Any, *, own: bool = False, refusing: bool = True) -> Any:
-        return honest(board, robot, own=False, refusing=refusing)
-
-    monkeypatch.setattr(executive_module, "first_area", without_own)
-    with pytest.raises(AssertionError):
+    """The comparison bites: next to a simulator as Python with this fault, compiled runs differ."""
+    replanning = interpreted("replanning")
+    honest = replanning.first_area
+    without_own = lambda t, p, s, w, robot, _, refusing: honest(t, p, s, w, robot, NONE, refusing)  # noqa: E731
+    monkeypatch.setattr(replanning, "first_area", without_own)
+    with pytest.raises(AssertionError, match="traces differ"):
         for name in TINY:
             fixture = load_fixture(name)
-            plan = make_plan(fixture.world, fixture.starts, Settings(policy="per_cell"))
-            compare_traces(fixture.world, plan, range(6))
+            play_both_ways(make_plan(fixture.world, fixture.starts, Settings(policy="per_cell")), fixture.world, 5, 6)
 
 
 @pytest.mark.parametrize("cost", [lambda offer: offer._asdict()["cost"], lambda offer: offer.cost * 0.5])
@@ -373,18 +321,26 @@ def test_the_limits_on_a_team() -> None:
     assert refusal_threshold(1e-300, 400, 0.04, "paper") == NO_REFUSAL
 
 
-def test_the_shortcut_of_the_nearest_area_is_the_rule() -> None:
-    slow = replace(RULES["mrac"], nearest=False)
+def test_the_nearest_area_is_the_first_by_the_rule(monkeypatch: pytest.MonkeyPatch) -> None:
+    fixed, areas, state, asked = interpreted("fixed_paths"), interpreted("areas"), interpreted("state"), 0
+    honest = fixed.find_next_area
+
+    def by_key(t: Any, s: Any, w: Any, robot: int) -> tuple[int, int]:
+        nonlocal asked
+        costs, offers, asked = np.asarray(areas.costs_from(t, s, w, robot)), [], asked + 1
+        for number in (number for number in range(s.marks.areas) if state.holds(s.open, number)):
+            cost = int(costs[np.flatnonzero(s.home[:-1] >> state.AREA_BITS == number)].min())
+            offers.append((RULES["mrac"].key(offer_of(s.areas[number].level, cost, 1, 1)), number))
+        found = honest(t, s, w, robot)
+        assert found[0] == min(offers, default=(0, NONE))[1]
+        return found
+
+    monkeypatch.setattr(fixed, "find_next_area", by_key)
     for name in ("tiny-4x8-12-k2", "contiguous-14x23-1001-k2"):
         fixture = load_fixture(name)
-        problem = prepare(fixture.world, fixture.starts, Settings())
-        run, other = (Executive(p, fixture.allocation) for p in (problem, replace(problem, rule=slow)))
-        while run.outcome(999) is None:
-            for robot, twin in zip(run.robots, other.robots, strict=True):
-                assert first_area(run, robot) == first_area(other, twin)
-            play_step(run, never_hit)
-            play_step(other, never_hit)
-        assert np.array_equal(run.visited, other.visited)
+        loop = PythonLoop(make_plan(fixture.world, fixture.starts, allocation=fixture.allocation), fixture.world)
+        assert loop.run(5, 1).visited.any()
+    assert asked > 10
 
 
 # --- runs end, and say how ---
@@ -397,7 +353,7 @@ def test_no_run_ends_at_the_limit(given_world: tuple[World, np.ndarray], limits:
     plan = make_plan(world, starts, Settings(transit=way, **limits))
     assert plan.outcome == "complete" or (plan.outcome == "not_worth_the_risk" and "worth" in limits)
     assert validate(plan, world) == []
-    run = ReferenceLoop(plan, world).run(5, rollout)
+    run = PythonLoop(plan, world).run(5, rollout)
     assert run.outcome is not Outcome.STEP_LIMIT
     assert run.outcome is not Outcome.NOT_WORTH_THE_RISK or "worth" in limits
 
@@ -430,7 +386,7 @@ def test_events_say_who_looked_again_and_what_was_refused() -> None:
         fixture = load_fixture(name)
         plan = make_plan(fixture.world, fixture.starts, Settings(policy="per_cell", **limits), fixture.allocation)
         for rollout in range(4):
-            trace = ReferenceLoop(plan, fixture.world).trace(1, rollout)
+            trace = PythonLoop(plan, fixture.world).trace(1, rollout)
             counts += np.bincount(trace.events[:, 2], minlength=len(EventKind))
             for step, robot, kind, area, other in trace.events.tolist():
                 if kind == EventKind.LOOKED_AGAIN:
@@ -507,46 +463,12 @@ def dearest_first(offer: Offer) -> tuple[tuple[int, int], tuple[int, int]]:
 dearest_rule = Rule("dearest", dearest_first)
 
 
-def test_a_rule_of_the_user_s_own(tmp_path: Path) -> None:
-    world = World.create([[0.3, 0.0, 0.0, 0.1]])
-    plan = mrac.plan(world, starts=[[0, 1]], policy=dearest_rule)
-    assert plan.robots[0].path.tolist() == [1, 2, 1, 0, 1, 2, 3]
-    assert mrac.plan(world, starts=[[0, 1]]).robots[0].path.tolist() == [1, 2, 3, 2, 1, 0]
-    function = mrac.plan(world, starts=[[0, 1]], policy=lambda offer: -offer.level)
-    assert function.robots[0].path.tolist() == plan.robots[0].path.tolist()
-    assert ReferenceLoop(function, world).run(1, 0).visited.any()
-    for own in (plan, function):
-        with pytest.raises(PlanError, match=r"own rule .* cannot be saved"):
-            own.save(tmp_path / "plan.json")
-        assert mrac.evaluate(world, own, rollouts=64, loop="open").tally.rollouts == 64
-    with pytest.raises(InputError, match=r"do not follow the user.s own rule .* readable simulator"):
-        mrac.evaluate(world, function, rollouts=64)
-
-
 @pytest.mark.slow
 def test_a_rule_of_the_user_s_own_is_compiled() -> None:
     """Once in every process."""
     fixture = load_fixture("tiny-4x8-12-k2")
     for rule in (dearest_rule, Rule("nearest", lambda offer: ((offer.cost, 1), (0, 1)))):
-        compare_traces(fixture.world, make_plan(fixture.world, fixture.starts, Settings(policy=rule)), range(12))
-
-
-def farthest_first(offer: CellOffer) -> tuple[int, int]:
-    return -offer.cost, offer.cell
-
-
-@pytest.mark.parametrize("transit", ["grid", "area"])
-def test_an_in_area_order_of_the_user_s_own_is_followed_or_refused(transit: Any, tmp_path: Path) -> None:
-    world = World.create(np.zeros((1, 5)))
-    plan = mrac.plan(world, starts=[[0, 1]], transit=transit, in_area=farthest_first)
-    assert plan.robots[0].path.tolist() == [1, 2, 3, 4, 3, 2, 1, 0]
-    assert ReferenceLoop(plan, world).run(1, 0).paths[0].tolist() == plan.robots[0].path.tolist()
-    with pytest.raises(PlanError, match="in-area order of the user's own cannot be saved"):
-        plan.save(tmp_path / "plan.json")
-    with pytest.raises(InputError, match="do not follow an in-area order"):
-        compile_closed_loop(plan, world)
-    same = mrac.plan(world, starts=[[0, 1]], transit=transit, in_area=lambda offer: (offer.cost, offer.cell))
-    assert same.robots[0].path.tolist() == mrac.plan(world, starts=[[0, 1]]).robots[0].path.tolist()
+        play_both_ways(make_plan(fixture.world, fixture.starts, Settings(policy=rule)), fixture.world, 5, 12)
 
 
 def test_a_comparison_tells_policies_apart() -> None:
@@ -609,25 +531,6 @@ def test_dangerous_areas_are_covered_as_before() -> None:
     assert len({tuple(path[3:]) for path in paths}) == 1
 
 
-@pytest.mark.parametrize("policy", ["mrac", "per_cell"])
-def test_compiled_runs_are_the_readable_ones_event_for_event_in_area(policy: str) -> None:
-    counts, differ = np.zeros(len(EventKind), dtype=np.int64), 0
-    for number, one in enumerate(survey_worlds()[5::17]):
-        transit: Any = ("grid", "area")[number % 2]
-        order = ("boustrophedon", "rows", "columns")[number % 3]
-        asked = replace(one.settings, policy=policy, transit=transit, in_area=order)
-        try:
-            plan = make_plan(one.world, one.starts, asked)
-        except WorldError as error:
-            assert "too dear" in str(error)
-            continue
-        usual = make_plan(one.world, one.starts, replace(asked, in_area="nearest"))
-        differ += any(not np.array_equal(a.path, b.path) for a, b in zip(plan.robots, usual.robots, strict=True))
-        counts += compare_traces(one.world, plan, range(1), one.first_only)
-    assert differ >= 6
-    assert counts[EventKind.SHARED] > 10
-
-
 def test_a_scenario_a_plan_file_and_an_identity_know_it(tmp_path: Any) -> None:
     np.save(tmp_path / "field.npy", np.zeros((3, 6)))
     (tmp_path / "field.yaml").write_text("map: field.npy\nin_area: columns\n")
@@ -684,10 +587,10 @@ def test_cells_count_in_decisions_as_if_they_were_worth_as_much(tmp_path: Path) 
         plan.save(tmp_path / "plan.json", force=True)
         loaded = load_plan(tmp_path / "plan.json", world)
         assert loaded.settings == plan.settings
-        readable, compiled = ReferenceLoop(loaded, world), closed_loop_engine(compile_closed_loop(loaded, world), 3)
+        python, compiled = PythonLoop(loaded, world), closed_loop_engine(compile_closed_loop(loaded, world), 3)
         by_value = closed_loop_engine(compile_closed_loop(other, valued(world, plan)), 3)
         for mine, theirs in zip(compiled.traces(range(8)), by_value.traces(range(8)), strict=True):
-            assert_same_trace(mine, readable.trace(3, mine.rollout))
+            assert_same_trace(mine, python.trace(3, mine.rollout))
             assert_same_trace(mine, theirs)
     assert differs
 

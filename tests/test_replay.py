@@ -35,15 +35,12 @@ from planner.errors import InputError, UsageError
 from planner.files import npz_bytes
 from planner.make_plan import make_plan
 from planner.mcap import LogMessage
-from planner.mrac.board import State
-from planner.mrac.executive import Executive
-from planner.mrac.problem import prepare
-from planner.mrac.simulate import play_step
 from planner.plan.plan import Plan
-from planner.rollout_sampling import Luck
 from planner.rollouts.closed_loop import compile_closed_loop, trace_rollouts
+from planner.rollouts.interpreted import interpreted
 from planner.rollouts.open_loop import compile_plan
 from planner.rollouts.open_loop_events import open_loop_trace
+from planner.rollouts.single_run import PythonLoop, SingleRun
 from planner.settings import Choices
 from planner.simulator.codes import NO_AREA, NO_ROBOT, NO_STEP, Doing, EventKind, Outcome
 from planner.tally import Trace
@@ -429,39 +426,38 @@ def test_nothing_in_a_message_makes_a_reader_fall_over(good: Path, tmp_path: Pat
                     read(bad)
 
 
-# Traces worked out step by step, against the readable simulator's own books.
+# Traces worked out step by step, against the simulator's own books.
 
-HELD = {State.UNASSIGNED: Held.UNASSIGNED, State.ASSIGNED: Held.ASSIGNED, State.COMPLETED: Held.COMPLETED}
 SURVEY = [one for one in first_worlds(30) if not one.first_only][:14]
 
 
 def check_against_simulation(plan: Plan, world: World, seed: int, trace: Trace) -> None:
-    """Drive the readable simulator through the same rollout, and compare its state at the end of every step."""
-    assert plan.settings is not None
-    problem = prepare(world, plan.starts, plan.settings)
-    run, hit = Executive(problem, plan.areas), Luck(world, seed, trace.rollout).hits
-    frames = make_frames(trace)
+    """The state of the same rollout at the end of every step."""
+    frames, had = make_frames(trace), {number: area.robot for number, area in enumerate(plan.areas)}
     maps = {areas.step: areas for areas in area_maps(trace, plan.areas)}
     areas = maps[0]
-    for step in range(trace.time + 1):
-        play_step(run, hit)
+    for step, run in enumerate(PythonLoop(plan, world).runs(seed, trace.rollout)):
         assert frames.visited[step] == run.visited.sum()
         assert frames.survived[step] == run.survived.sum()
-        assert frames.alive[step].tolist() == [robot.alive for robot in run.robots]
+        assert frames.alive[step].tolist() == run.alive.tolist()
         areas = maps.get(step, areas)
-        assert areas.open == sum(area.state is State.UNASSIGNED for area in run.areas)
-        check_areas(areas, run)
-    assert np.array_equal(frames.visited_at != NO_STEP, run.visited)
-    assert np.array_equal(frames.survived_at != NO_STEP, run.survived)
+        assert areas.open == run.raw.marks["open"]
+        had |= {robot.area: robot.number for robot in run.robots if robot.on_its_way}
+        check_areas(areas, run, had)
+    assert step == trace.time
+    assert np.array_equal(frames.visited_at != NO_STEP, run.on_grid(run.visited))
+    assert np.array_equal(frames.survived_at != NO_STEP, run.on_grid(run.survived))
 
 
-def check_areas(areas: AreaMap, run: Executive) -> None:
-    assert np.array_equal(areas.area, run.area_of)
+def check_areas(areas: AreaMap, run: SingleRun, had: dict[int, int]) -> None:
+    """`had`: who has each area, or had it last."""
+    assert np.array_equal(areas.area, run.on_grid(run.area_of, NO_AREA))
     inside = areas.area != NO_AREA
     for number in np.unique(areas.area[inside]).tolist():
-        cells = areas.area == number
-        assert set(areas.held[cells].tolist()) == {HELD[run.areas[number].state]}, number
-        assert set(areas.robot[cells].tolist()) == {run.areas[number].robot}
+        held = Held.COMPLETED if run.raw.areas["left"][number] == 0 else Held.ASSIGNED
+        held = Held.UNASSIGNED if interpreted("state").holds(run.raw.open, number) else held
+        assert set(areas.held[areas.area == number].tolist()) == {held}, number
+        assert set(areas.robot[areas.area == number].tolist()) == {had.get(number, NO_ROBOT)}
     assert (areas.robot[~inside] == NO_ROBOT).all()
 
 

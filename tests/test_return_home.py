@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_trace
-from drawn_worlds import moving_world
+from closed_loop_compare import assert_same_trace, play_both_ways
 from helpers import VisitLoop, load_plan
 from numpy.typing import NDArray
 from oracle_spec import MANY, Cell, Homing, allocation, mean_of
@@ -26,14 +25,14 @@ from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError, PlanError, ScenarioError, UsageError
 from planner.make_plan import allocated_plan, confirm_plan, make_plan
 from planner.mission.mission import Mission
-from planner.mrac.problem import Problem, prepare
-from planner.mrac.simulate import ReferenceLoop, simulate
+from planner.mrac.problem import prepare
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.plan.state_file import parse_state
 from planner.plan_team import plan_team
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.exact_tree import WHOLE, grow_tree
+from planner.rollouts.single_run import PythonLoop, SingleRun, play
 from planner.settings import Settings
 from planner.simulator.codes import NO_ROBOT, Doing, EventKind, Outcome
 from planner.tally import Trace
@@ -43,7 +42,7 @@ from planner.world.levels import place_starts
 from planner.world.scenario import load_input
 from planner.world.world import World
 
-# Robots that come home: engines against each other, plain code, closed forms, and the tree of all that can happen.
+# Robots that come home: plain code, closed forms, and the tree of all that can happen.
 
 KINDS: list[dict[str, Any]] = [
     {"return_to": "home"},
@@ -146,39 +145,26 @@ def test_who_goes_first_knows_what_those_have_left_that_have_yet_to_move() -> No
     for asked, rollout in zip(WATCHFUL[:2], (104, 3), strict=True):
         plan = make_plan(world, starts, Settings(**asked))
         trace = trace_rollouts(compile_closed_loop(plan, world), 7, [rollout])[0]
-        assert_same_trace(trace, ReferenceLoop(plan, world).trace(7, rollout))
-
-
-@pytest.mark.slow
-def test_so_they_do_on_drawn_worlds() -> None:
-    for seed in range(60):
-        world, starts = drawn(seed)
-        plan = make_plan(world, starts, Settings(**WATCHFUL[seed % 3]))
-        readable = ReferenceLoop(plan, world)
-        for trace in trace_rollouts(compile_closed_loop(plan, world), seed, range(8)):
-            assert_same_trace(trace, readable.trace(seed, trace.rollout))
+        assert_same_trace(trace, PythonLoop(plan, world).trace(7, rollout))
 
 
 @pytest.mark.parametrize("number", range(len(KINDS)))
-def test_engines_agree_and_who_is_alive_is_home(number: int) -> None:
+def test_who_is_alive_is_home(number: int) -> None:
     asked = KINDS[number]
     for seed in (number, number + 20):
         world, starts = drawn(seed)
         plan = make_plan(world, starts, Settings(**asked))
-        readable, entry = ReferenceLoop(plan, world), entries(world, plan)
+        entry = entries(world, plan)
         own = [[row * world.shape[1] + col] for row, col in starts.tolist()]
         bases = own if asked["return_to"] == "home" else [[base for (base,) in own]] * len(own)
         found = [ways(world, of, entry) for of in bases]
-        for tabled in (True, False):
-            loop = compile_closed_loop(plan, world, tabled=tabled)
-            for mine in trace_rollouts(loop, seed, range(6)):
-                assert_same_trace(mine, readable.trace(seed, mine.rollout))
-                check_rules(mine, world, plan, found)
+        for run in play_both_ways(plan, world, seed, 6):
+            check_rules(run.trace, world, plan, found)
+        loop = compile_closed_loop(plan, world)
         tally, singles = run_range(loop, seed, 0, 500, threads=1, singles=True)
         assert singles is not None
         np.testing.assert_array_equal(singles.home, singles.alive)
         np.testing.assert_array_equal(tally.home, np.bincount(singles.home, minlength=len(starts) + 1))
-        assert singles.home[:6].tolist() == [int(readable.run(seed, rollout).home.sum()) for rollout in range(6)]
         if "range" not in asked and "deadline" not in asked and "reserve" not in asked:  # Theorem 2
             assert set(np.unique(singles.outcome)) <= {Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST}
 
@@ -252,16 +238,6 @@ def test_the_exact_tree_knows_who_comes_home(number: int) -> None:
     assert (np.abs(sampled - chances) <= 5 * np.sqrt(chances * (1 - chances) / 20_000) + 1e-9).all()
 
 
-def test_threats_that_move_meet_who_goes_home_and_who_waits_there() -> None:
-    world = moving_world(3)
-    starts = place_starts(world, 3)[0]
-    for asked in (*KINDS[:3], KINDS[7], KINDS[8]):
-        plan = make_plan(world, starts, Settings(**asked))
-        readable, loop = ReferenceLoop(plan, world), compile_closed_loop(plan, world)
-        for mine in trace_rollouts(loop, 1, range(8)):
-            assert_same_trace(mine, readable.trace(1, mine.rollout))
-
-
 def test_open_loop_paths_end_at_home(tmp_path: Any) -> None:
     world, starts = drawn(3)
     plan = make_plan(world, starts, Settings(return_to="home", range=60))
@@ -323,9 +299,7 @@ def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped() -> None:
                 np.testing.assert_array_equal(again.cells[step:], trace.cells[step:])
                 assert again.outcome == trace.outcome
                 compiled = compile_closed_loop(rest, world, tabled=seed % 2 == 0)
-                assert_same_trace(
-                    trace_rollouts(compiled, 0, [rollout])[0], ReferenceLoop(rest, world).trace(0, rollout)
-                )
+                assert_same_trace(trace_rollouts(compiled, 0, [rollout])[0], PythonLoop(rest, world).trace(0, rollout))
                 returning += any(robot.status == "returning" for robot in read.robots)
     assert returning > 5
 
@@ -464,7 +438,7 @@ class Both:
             [asked.get("range", MANY)] * len(self.starts), asked.get("deadline", MANY), asked.get("recharge", 0),
         )  # fmt: skip
         self.plan: Plan = make_plan(self.world, self.starts, Settings(**asked))
-        self.problem: Problem = prepare(self.world, self.starts, self.plan.settings or Settings())
+        self.loop = compile_closed_loop(self.plan, self.world, interpreted=True)
         width = self.world.shape[1]
         self.areas = [
             (a.level, None if a.robot == NO_ROBOT else a.robot, [divmod(c, width) for c in a.cells.tolist()])
@@ -481,10 +455,8 @@ class Both:
 
         twin, width = Homing(self.maps, self.starts, self.areas, asked, *self.rules), self.world.shape[1]
         outcome = twin.run()
-        run = simulate(
-            self.problem, self.plan.areas, truth=0,
-            hit=lambda robot, step, cell: decided[robot, step, divmod(cell, width)],
-        )  # fmt: skip
+        hit = lambda robot, step, cell: decided[robot, step, divmod(cell, width)]  # noqa: E731
+        run = play(SingleRun(self.loop, hit=hit))
         assert (run.outcome.word, run.time) == (outcome, twin.step)
         assert [tuple(cell) for cell in np.argwhere(run.visited.reshape(self.world.shape)).tolist()] == sorted(
             twin.visited
@@ -526,7 +498,7 @@ def test_so_it_is_on_many_more_maps(part: int) -> None:
     assert sum(check(number) for number in range(56 + part, 656, 4)) > 80
 
 
-# Range: robots that make so many moves and then stay (SPEC section 13); the readable simulator is the oracle.
+# Range: robots that make so many moves and then stay (SPEC section 13).
 
 LIMITS: tuple[dict[str, Any], ...] = (
     {},
@@ -561,15 +533,13 @@ def test_a_corridor_by_hand_range() -> None:
 
 
 @pytest.mark.parametrize("more", LIMITS, ids=["mrac", "per_cell", "reserve", "worth"])
-def test_compiled_runs_are_the_readable_ones(more: dict[str, Any]) -> None:
+def test_robots_stay_where_their_moves_end(more: dict[str, Any]) -> None:
     ended = 0
     for seed in range(6):
         robots = 1 + seed % 4
         for given in (1, 9, tuple(range(5, 5 + 9 * robots, 9))):
             world, plan = small(seed, robots, given, **more)
-            loop, reference = compile_closed_loop(plan, world, tabled=seed > 0), ReferenceLoop(plan, world)
-            for trace in trace_rollouts(loop, seed, range(4)):
-                assert trace == reference.trace(seed, trace.rollout), (seed, given, trace.rollout)
+            for trace in trace_rollouts(compile_closed_loop(plan, world, tabled=seed > 0), seed, range(4)):
                 most = np.broadcast_to(given, robots)
                 for robot in range(robots):
                     assert moves(trace.cells[:, robot]) <= most[robot]

@@ -33,15 +33,15 @@ from analysis.search.threats import Attack, Clearing, by_cell, find_clearing, th
 from analysis.theory.exact import coverage_gradient, open_loop_exact
 from planner.errors import InputError, PlanError, UsageError
 from planner.make_plan import make_plan
-from planner.mrac.problem import prepare
-from planner.mrac.simulate import ReferenceLoop, simulate
 from planner.policies import RULES
 from planner.rollout_sampling import Luck
+from planner.rollouts.closed_loop import compile_closed_loop
+from planner.rollouts.single_run import PythonLoop, SingleRun, play
 from planner.settings import Choices, Settings
 from planner.world.scenario import load_input
 from planner.world.world import World
 
-# `mrac-jax starts`: candidates, what is simulated against the readable simulator, the scenario, wrong input.
+# `mrac-jax starts`: candidates, what is simulated against the simulator as Python, the scenario, wrong input.
 
 LAKE = np.zeros((6, 8))
 LAKE[2:4, 2:4] = np.nan  # no border: the edge cannot be reached from it over obstacles
@@ -95,7 +95,7 @@ def test_where_cells_are_worth_something_it_goes_by_value(depot: bool) -> None:
     answer = find_starts(valued, 2, Settings(), choices, depot=depot, candidates=given)
     worth = np.where(valued.free, value, 0.0).ravel() / value[valued.free].sum()
     for place in answer.places:
-        loop = ReferenceLoop(make_plan(WORLD, place.starts, Settings()), WORLD)
+        loop = PythonLoop(make_plan(WORLD, place.starts, Settings()), WORLD)
         runs = np.array([loop.run(3, rollout).visited for rollout in range(place.rollouts)])
         assert place.value is not None and place.coverage is not None
         assert place.value.mean == pytest.approx((runs @ worth).mean(), abs=1e-9)
@@ -113,7 +113,7 @@ def test_where_cells_are_worth_something_it_goes_by_value(depot: bool) -> None:
 
 
 @pytest.mark.parametrize("depot", [True, False])
-def test_what_is_simulated_is_what_the_readable_simulator_says(depot: bool) -> None:
+def test_what_is_simulated_is_what_the_simulator_as_python_says(depot: bool) -> None:
     given = [[0, 0], [5, 0], [3, 7], [2, 6]]
     choices = RolloutChoices(rollouts=RUNS, seed=3, engine="numba", exact="never")
     answer = find_starts(WORLD, 2, Settings(), choices, depot=depot, candidates=given)
@@ -121,14 +121,14 @@ def test_what_is_simulated_is_what_the_readable_simulator_says(depot: bool) -> N
         1 + (answer.best != answer.here)
     )
     for place in answer.places:
-        loop = ReferenceLoop(make_plan(WORLD, place.starts, Settings()), WORLD)
+        loop = PythonLoop(make_plan(WORLD, place.starts, Settings()), WORLD)
         mean = np.mean([loop.run(3, rollout).visited.sum() for rollout in range(place.rollouts)])
         assert place.coverage is not None and place.coverage.mean * answer.cells == pytest.approx(mean)
         assert place.coverage.mean * answer.cells <= place.screen + 5 * place.coverage.se * answer.cells
         if depot:
             assert place.now or (place.is_depot and place.starts[0].tolist() in given)
             assert place.now or (place.one_robot is not None and place.one_robot <= place.screen)
-    loop = ReferenceLoop(make_plan(WORLD, answer.starts, Settings()), WORLD)
+    loop = PythonLoop(make_plan(WORLD, answer.starts, Settings()), WORLD)
     again = np.mean([loop.run(3, rollout).visited.sum() for rollout in range(RUNS, 2 * RUNS)])
     assert answer.confirmed is not None and answer.confirmed.coverage is not None
     assert answer.confirmed.coverage.mean * answer.cells == pytest.approx(again)
@@ -159,7 +159,7 @@ def test_where_the_team_stands_and_the_best_depot_are_in_the_race_to_the_end() -
     assert not answer.stay and answer.gain is not None and answer.confirmed is not None
     told = {}
     for starts in (answer.starts, now.starts):
-        loop = ReferenceLoop(make_plan(world, starts, Settings()), world)
+        loop = PythonLoop(make_plan(world, starts, Settings()), world)
         told[starts.tobytes()] = np.mean([loop.run(4, rollout).visited.sum() for rollout in range(200, 400)]) / 27
     mine, theirs = told[answer.starts.tobytes()], told[now.starts.tobytes()]
     assert answer.gain.mean == pytest.approx(mine - theirs) and answer.gain.ci95[0] > 0
@@ -354,7 +354,7 @@ def test_the_answer_prints_and_saves_itself(tmp_path: Path) -> None:
         assert (answer.world_with_starts.starts == answer.starts).all()
 
 
-# `mrac-jax clear`: gains against the readable simulator, the gradient against differences, wrong input.
+# `mrac-jax clear`: gains against the simulator as Python, the gradient against differences, wrong input.
 
 RISKS = np.zeros((6, 9))
 RISKS[1:3, 3:7], RISKS[4:, 6:], RISKS[0, 8], RISKS[3, 2], RISKS[5, 0] = 0.2, 0.05, np.nan, np.nan, 0.2
@@ -368,12 +368,12 @@ def small() -> Clearing:
 
 
 @cache
-def by_the_readable_simulator(planned: World, true: World, ids: range) -> np.ndarray:
+def rolled_out(planned: World, true: World, ids: range) -> np.ndarray:
     """Cells visited, robots lost, value visited on average, planned on one map and hit on the other."""
     worth = np.ones(true.threat.size) if true.value is None else true.value.ravel()
     plan = make_plan(planned, WORLD_CLEAR.starts, Settings())
-    problem = prepare(planned, plan.starts, plan.settings)
-    runs = [simulate(problem, plan.areas, hit=Luck(true, 3, rollout).hits) for rollout in ids]
+    loop = compile_closed_loop(plan, planned, interpreted=True)
+    runs = [play(SingleRun(loop, hit=Luck(true, 3, rollout).hits)) for rollout in ids]
     return np.mean([[one.visited.sum(), (~one.alive).sum(), one.visited @ worth] for one in runs], axis=0)
 
 
@@ -387,20 +387,20 @@ def test_threats_are_connected_areas_of_one_level() -> None:
     assert np.isnan(without.threat[0, 8]) and WORLD_CLEAR.threat[1, 3] > 0
 
 
-def test_gains_are_what_the_readable_simulator_says(small: Clearing) -> None:
-    base = by_the_readable_simulator(WORLD_CLEAR, WORLD_CLEAR, range(RUNS))
+def test_gains_are_what_the_simulator_as_python_says(small: Clearing) -> None:
+    base = rolled_out(WORLD_CLEAR, WORLD_CLEAR, range(RUNS))
     for one in small.options:
         cleared = one.threat.cleared(WORLD_CLEAR)
         assert one.known is not None and one.unknown.rollouts == RUNS
-        start = by_the_readable_simulator(WORLD_CLEAR, WORLD_CLEAR, range(one.known.rollouts))
+        start = rolled_out(WORLD_CLEAR, WORLD_CLEAR, range(one.known.rollouts))
         for gain, planned, before in ((one.known, cleared, start), (one.unknown, WORLD_CLEAR, base)):
-            after = by_the_readable_simulator(planned, cleared, range(gain.rollouts))
+            after = rolled_out(planned, cleared, range(gain.rollouts))
             assert gain.cells.mean == pytest.approx(after[0] - before[0])
             assert gain.robots.mean == pytest.approx(before[1] - after[1])
     first, second = small.turns
     assert len(second.options) == len(first.options) - 1 and first.picked.threat not in small.picks[1:]
     far = range(RUNS, 2 * RUNS)
-    after, before = (by_the_readable_simulator(world, world, far) for world in (small.cleared_world, WORLD_CLEAR))
+    after, before = (rolled_out(world, world, far) for world in (small.cleared_world, WORLD_CLEAR))
     assert small.gain is not None and small.gain.cells.mean == pytest.approx(after[0] - before[0])
     through = [one for one in first.options if one.known is not None and one.known.rollouts == RUNS]
     assert first.picked in through
@@ -413,13 +413,13 @@ def test_where_cells_are_worth_something_gains_are_in_value() -> None:
     answer = find_clearing(
         valued, WORLD_CLEAR.starts, Settings(), RolloutChoices(rollouts=RUNS, seed=3, engine="numba", exact="never")
     )
-    base = by_the_readable_simulator(valued, valued, range(RUNS))
+    base = rolled_out(valued, valued, range(RUNS))
     for one in answer.options:
         cleared = one.threat.cleared(valued)
         assert one.known is not None and one.known.value is not None and one.unknown.value is not None
-        start = by_the_readable_simulator(valued, valued, range(one.known.rollouts))
+        start = rolled_out(valued, valued, range(one.known.rollouts))
         for gain, planned, before in ((one.known, cleared, start), (one.unknown, valued, base)):
-            after = by_the_readable_simulator(planned, cleared, range(gain.rollouts))
+            after = rolled_out(planned, cleared, range(gain.rollouts))
             assert gain.cells.mean == pytest.approx(after[0] - before[0])
             assert gain.counted.mean == pytest.approx(after[2] - before[2], abs=1e-9)
     through = [one.known.counted.mean for one in answer.options if one.known and one.known.rollouts == RUNS]

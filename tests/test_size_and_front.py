@@ -77,10 +77,10 @@ from analysis.theory.bounds import ideal_team
 from analysis.theory.exact import poisson_binomial
 from planner.errors import InputError, UsageError
 from planner.make_plan import make_plan
-from planner.mrac.simulate import ReferenceLoop
 from planner.plan_team import plan_team
 from planner.rollouts import tables
 from planner.rollouts.engine import run_by_luck
+from planner.rollouts.single_run import PythonLoop
 from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
 from planner.world.levels import place_starts
@@ -551,7 +551,7 @@ def test_wrong_usage_is_one_line_and_status_2(
     assert list(tmp_path.iterdir()) == []
 
 
-# `mrac-jax front`: what is looked at, what nothing beats, the pick; held against the readable simulator.
+# `mrac-jax front`: what is looked at, what nothing beats, the pick; held against the simulator as Python.
 
 THREAT = np.zeros((6, 9))
 THREAT[1:3, 3:7], THREAT[4:, 6:], THREAT[0, 8], THREAT[3, 2] = 0.2, 0.05, np.nan, np.nan
@@ -566,9 +566,9 @@ def small() -> Front:
     return find_front(WORLD_FRONT, WORLD_FRONT.starts, Settings(), choices, goal=FrontGoal(losses=0.8), ladders=ladders)
 
 
-def by_the_readable_simulator(setting: Setting, ids: range) -> NDArray[np.float64]:
+def rolled_out(setting: Setting, ids: range) -> NDArray[np.float64]:
     """Mean cells visited, robots lost and steps."""
-    loop = ReferenceLoop(make_plan(WORLD_FRONT, WORLD_FRONT.starts, settings_of(Settings(), setting)), WORLD_FRONT)
+    loop = PythonLoop(make_plan(WORLD_FRONT, WORLD_FRONT.starts, settings_of(Settings(), setting)), WORLD_FRONT)
     runs = [loop.run(3, rollout) for rollout in ids]
     lost = [(~one.alive).sum() for one in runs]
     return np.mean([[one.visited.sum() for one in runs], lost, [one.time for one in runs]], axis=1)
@@ -578,17 +578,17 @@ def shown(point: Point, cells: int) -> NDArray[np.float64]:
     return np.array([point.coverage.mean * cells, point.losses.mean, point.time.mean])
 
 
-def test_every_point_is_what_the_readable_simulator_says(small: Front) -> None:
+def test_every_point_is_what_the_simulator_as_python_says(small: Front) -> None:
     settings = {point.setting for point in small.points}
     assert {Setting("mrac"), Setting("per_cell"), Setting("per_cell", reserve=0.5)} <= settings
     assert {s.worth for s in settings if s.worth} == {*WORTHS}
     cut = {s.policy for s in settings if s.deadline is not None}
     assert cut == {"mrac", "per_cell"} and len(settings) == len(small.points) == 2 + 4 + 1 + 2
     for point in small.points:
-        assert shown(point, small.cells) == pytest.approx(by_the_readable_simulator(point.setting, range(RUNS)))
+        assert shown(point, small.cells) == pytest.approx(rolled_out(point.setting, range(RUNS)))
     picked, again = small.picked, small.confirmed
     assert picked is not None and again is not None and again.setting == picked.setting
-    assert shown(again, small.cells) == pytest.approx(by_the_readable_simulator(picked.setting, range(RUNS, 2 * RUNS)))
+    assert shown(again, small.cells) == pytest.approx(rolled_out(picked.setting, range(RUNS, 2 * RUNS)))
 
 
 def test_missions_end_at_the_first_step_by_which_a_landmark_is_covered(small: Front) -> None:
@@ -599,7 +599,7 @@ def test_missions_end_at_the_first_step_by_which_a_landmark_is_covered(small: Fr
             ]
             last = min(cut, key=lambda point: point.setting.deadline or 0)
             before = last.setting._replace(deadline=(last.setting.deadline or 0) - 1)
-            assert by_the_readable_simulator(before, range(RUNS))[0] / small.cells < mark <= last.coverage.mean
+            assert rolled_out(before, range(RUNS))[0] / small.cells < mark <= last.coverage.mean
 
 
 # The rules, as pure functions.

@@ -23,13 +23,13 @@ from analysis.theory.bounds import all_bounds
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError, PlanError, StateError, UsageError
 from planner.make_plan import confirm_plan, make_plan
-from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.plan.plan_file import parse_plan
 from planner.plan.state import MissionState
 from planner.plan.state_file import load_state, parse_state, read_state
 from planner.rollouts.closed_loop import compile_closed_loop, new_cells, run_range, trace_rollouts
 from planner.rollouts.open_loop import compile_plan
+from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
 from planner.world.world import World
 
@@ -69,15 +69,15 @@ def test_a_rollout_goes_on_as_if_it_had_not_been_cut(more: dict[str, Any]) -> No
                     np.testing.assert_array_equal(getattr(run, name), getattr(uncut, name))
                 for before, after in zip(uncut.paths, run.paths, strict=True):
                     np.testing.assert_array_equal(before[step + 1 :], after[step + 1 :])
-                readable = ReferenceLoop(rest, world)
-                run = readable.run(seed, rollout)
+                python = PythonLoop(rest, world)
+                run = python.run(seed, rollout)
                 loop = compile_closed_loop(rest, world, tabled=seed != 1)
                 tally, singles = run_range(loop, seed, rollout, 4, singles=True, threads=1)
                 assert singles is not None
                 found = [int(getattr(singles, name)[0]) for name in ("visited", "survived", "time", "alive", "outcome")]
                 assert found == [run.visited.sum(), run.survived.sum(), run.time, run.alive.sum(), run.outcome]
                 for trace in trace_rollouts(loop, seed, (rollout, rollout + 1)):
-                    assert trace == readable.trace(seed, trace.rollout), (seed, rollout, step)
+                    assert trace == python.trace(seed, trace.rollout), (seed, rollout, step)
                     frames = make_frames(trace, state)
                     at = trace.rollout - rollout
                     assert (frames.visited[-1], frames.survived[-1]) == (singles.visited[at], singles.survived[at])
@@ -153,7 +153,7 @@ def test_expected_values_of_the_rest_are_the_enumerated_ones() -> None:
 
 def test_the_door(tmp_path: Path) -> None:
     world, plan = case(1)
-    state = ReferenceLoop(plan, world).state_at(11, 4, 2)
+    state = PythonLoop(plan, world).state_at(11, 4, 2)
     assert state is not None
     state.save(tmp_path / "state.json")
     answers = [
@@ -172,7 +172,7 @@ def test_the_door(tmp_path: Path) -> None:
 
 def test_the_open_loop_does_not_go_on_and_says_so() -> None:
     world, plan = case(1)
-    state = ReferenceLoop(plan, world).state_at(3, 0, 0)
+    state = PythonLoop(plan, world).state_at(3, 0, 0)
     assert state is not None
     rest = make_plan(world, state.starts, state=state)
     with pytest.raises(PlanError, match="use loop='closed'"):
@@ -230,7 +230,7 @@ def _swap(data: dict[str, Any], old: str, new: str) -> None:
 @pytest.mark.parametrize("name", BAD)
 def test_bad_states(name: str) -> None:
     world, plan = case(3)
-    state = ReferenceLoop(plan, world).state_at(25, 1, 1)
+    state = PythonLoop(plan, world).state_at(25, 1, 1)
     assert state is not None
     data = json.loads(json.dumps(state.to_json()))
     parse_state(data, world, "state.json")
@@ -246,7 +246,7 @@ def test_an_obstacle_a_wrong_level_and_no_file(tmp_path: Path) -> None:
     blocked = int(np.flatnonzero(np.isnan(world.threat.ravel()))[0])
     with pytest.raises(StateError, match="an obstacle"):
         parse_state(by_hand(world, plan, [blocked]), world, "state.json")
-    state = ReferenceLoop(plan, world).state_at(3, 0, 0)
+    state = PythonLoop(plan, world).state_at(3, 0, 0)
     assert state is not None
     data = state.to_json()
     data["areas"][0]["level"] += 1
@@ -257,7 +257,7 @@ def test_an_obstacle_a_wrong_level_and_no_file(tmp_path: Path) -> None:
         data["robots"][0]["moves"] = 7
         make_plan(world, state.starts, Settings(range=6), state=parse_state(data, world, "state.json"))
     world, plan = case(3, policy="per_cell")
-    state = ReferenceLoop(plan, world).state_at(8, 0, 0)
+    state = PythonLoop(plan, world).state_at(8, 0, 0)
     assert state is not None
     with pytest.raises(StateError, match=r"not by policy mrac.* plan that was driven, policy among them"):
         make_plan(world, state.starts, state=state)

@@ -65,10 +65,10 @@ from analysis.theory.upper_bound import (
 from analysis.utils.tables import as_text
 from planner.errors import PlanError
 from planner.make_plan import allocated_plan, make_plan
-from planner.mrac.problem import prepare
-from planner.mrac.simulate import simulate
 from planner.plan.plan import Plan, RobotPlan, entries
+from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.engine import Rolling, make_engine
+from planner.rollouts.single_run import SingleRun
 from planner.settings import Settings
 from planner.simulator.codes import Outcome
 from planner.world.generate import ThreatPattern, random_world
@@ -621,8 +621,8 @@ def chances_from_the_start(plan: Plan, world: World, first_only: bool, most: int
 
     And how many patterns there are. Raises TooMany of more than `most`.
     """
-    problem, threat = prepare(world, plan.starts, plan.settings or Settings()), world.threat.ravel()
-    sizes = (len(Outcome), threat.size + 1, threat.size + 1, problem.max_steps + 1, len(plan.robots) + 1)
+    loop, threat = compile_closed_loop(plan, world, interpreted=True), world.threat.ravel()
+    sizes = (len(Outcome), threat.size + 1, threat.size + 1, loop.max_steps + 1, len(plan.robots) + 1)
     played = 0
 
     def play(hit: Callable[[int, int, int], bool]) -> np.ndarray:
@@ -630,7 +630,7 @@ def chances_from_the_start(plan: Plan, world: World, first_only: bool, most: int
         played += 1
         if played > most:
             raise TooMany
-        run = simulate(problem, plan.areas, hit=hit)
+        run = played(SingleRun(loop, hit=hit))
         found = (run.outcome, run.visited.sum(), run.survived.sum(), run.time, run.alive.sum())
         return np.concatenate([np.eye(size)[int(value)] for size, value in zip(sizes, found, strict=True)])
 

@@ -11,7 +11,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_trace, followed
+from closed_loop_compare import play_both_ways
 from drawn_worlds import in_rows, moving_world
 from oracle_enumeration import outcomes
 from oracle_spec import closed_loop, mean_of, open_loop
@@ -20,17 +20,16 @@ from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
 from planner.failure_model import Bearing
 from planner.ids import MAX_STEP
-from planner.make_plan import allocated_plan, make_plan
-from planner.mrac.simulate import ReferenceLoop
+from planner.make_plan import make_plan
 from planner.plan.plan import Plan, RobotPlan
 from planner.plan.plan_file import read_plan_json
 from planner.plan_team import read_plan, read_plan_on
 from planner.rollout_sampling import Roaming, first_places, ways_of_movers
-from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts, with_nominal_run
+from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.exact_tree import grow_tree
 from planner.settings import Settings
-from planner.simulator.codes import NO_ROBOT, Doing, EventKind
+from planner.simulator.codes import NO_ROBOT, Doing
 from planner.simulator.state import MOST_PASSES
 from planner.simulator.thresholds import threefry2x32
 from planner.world.changing_maps import with_phases
@@ -42,7 +41,7 @@ from planner.world.moving_threats import Foresight, Mover
 from planner.world.scenario import load_input
 from planner.world.world import World, load_world_file
 
-# Threats that move: compiled against readable, against exact values, and those against enumeration.
+# Threats that move: against exact values, and those against enumeration.
 
 KINDS: list[dict[str, Any]] = [
     {},
@@ -57,49 +56,18 @@ ROLLOUTS = 20_000
 SMALL = World.create([[0.0, 0.1, np.nan], [0.2, 0.0, 0.0], [np.nan, 0.3, 0.0]])
 
 
-def assert_equal_runs(world: World, plan: Plan, seed: int, first_only: bool = False, tabled: bool = True) -> None:
-    """Eight rollouts of the compiled simulator are the readable ones: events, figures, counts by cell."""
-    readable = ReferenceLoop(plan, world, first_only=first_only)
-    loop = compile_closed_loop(plan, world, first_only=first_only, tabled=tabled)
-    runs, known = zip(*(followed(readable, seed, rollout) for rollout in range(8)), strict=True)
-    for mine, trace in zip(trace_rollouts(loop, seed, range(8)), known, strict=True):
-        assert_same_trace(mine, trace)
-    tally, singles = run_range(loop, seed, 0, 8, threads=1, singles=True)
-    assert singles is not None
-    for name in ("visited", "survived", "alive"):
-        assert getattr(singles, name).tolist() == [int(getattr(run, name).sum()) for run in runs], name
-    np.testing.assert_array_equal(tally.covered_survived, sum(run.survived.astype(int) for run in runs))
-    assert tally.stops.sum() == sum(int((~run.alive).sum()) for run in runs)
-
-
-def check_worlds(seeds: range) -> None:
-    for seed in seeds:
-        world = moving_world(seed, plan_on=PLAN_ON[seed % 3])
-        plan = make_plan(world, place_starts(world, 1 + seed % 5)[0], Settings(**KINDS[seed % len(KINDS)]))
-        assert_equal_runs(world, plan, seed, seed % 4 == 3)
-
-
-def test_compiled_runs_are_the_readable_ones() -> None:
-    check_worlds(range(14))
-
-
-@pytest.mark.slow
-def test_many_compiled_runs_are_the_readable_ones() -> None:
-    check_worlds(range(14, 400))
-
-
 @pytest.mark.parametrize("policy", ["mrac", "per_cell"])
 def test_teams_of_more_than_a_word_and_maps_without_tables(policy: str) -> None:
     world = moving_world(8)
     plan = make_plan(world, place_starts(world, 70)[0], Settings(policy=policy))
-    assert_equal_runs(world, plan, 2, tabled=False)
+    play_both_ways(plan, world, 2, 8, tabled=(False,))
 
 
 def test_another_planners_robots_wait_and_are_met() -> None:
     world = with_movers(World.create(np.zeros((3, 4))), [Mover(0.3, 0.5), Mover(0.5, 0.0, 5, (5, 6, 10, 9))])
     paths = [[0, 0, 1, 1, 1, 2, 3], [8, 9, 10, 10, 11, 7]]
     plan = Plan(world.shape, world.sha256, None, tuple(RobotPlan(np.array(path)) for path in paths))
-    assert_equal_runs(world, plan, 3)
+    play_both_ways(plan, world, 3, 8)
 
 
 def test_rollouts_do_not_depend_on_how_they_are_run() -> None:
@@ -418,33 +386,6 @@ def changing(number: int, stream: Stream) -> tuple[World, np.ndarray]:
     return world, places[[stream.below(len(places)) for _ in range(1 + stream.below(5))]]
 
 
-def agree(number: int) -> int:
-    """Both engines, in a drawn world, and both plans; how often robots were surprised."""
-    stream = Stream(number, 1616)
-    world, starts = changing(number, stream)
-    settings = Settings(**POLICIES[number % len(POLICIES)])
-    if number % 5 == 0:
-        settings = replace(settings, in_area="boustrophedon")
-    plan, first_only = make_plan(world, starts, settings), number % 4 == 1
-    loop = compile_closed_loop(plan, world, first_only=first_only)
-    readable, traces = (
-        ReferenceLoop(plan, world, first_only=first_only),
-        trace_rollouts(loop, number, (0, 1)),
-    )
-    runs, known = zip(*(followed(readable, number, rollout) for rollout in range(4)), strict=True)
-    for trace in traces:
-        assert_same_trace(trace, known[trace.rollout])
-    quick = with_nominal_run(allocated_plan(world, starts, settings), loop)
-    assert [robot.path.tolist() for robot in quick.robots] == [robot.path.tolist() for robot in plan.robots], number
-    tally = run_range(loop, number, 0, 4, threads=1)[0]
-    assert tally.covered_survived.tolist() == sum(run.survived.astype(int) for run in runs).tolist(), number
-    return sum(int((trace.events[:, 2] == EventKind.SURPRISED).sum()) for trace in traces)
-
-
-def test_events_are_those_of_the_readable_simulator() -> None:
-    assert sum(agree(number) for number in range(48)) > 20
-
-
 # --- how a run ends ---
 
 
@@ -464,7 +405,7 @@ def test_a_team_waits_for_a_danger_that_is_announced_to_end(policy: str) -> None
         tally = run_range(loop, f, 0, 64, threads=1)[0]
         assert tally.alive.tolist() == [0, 64]
         assert tally.visited.tolist() == [64 * (n == (4 if done else 1)) for n in range(5)]
-        assert_same_trace(trace_rollouts(loop, f, (3,))[0], followed(ReferenceLoop(plan, timed), f, 3)[1])
+        play_both_ways(plan, timed, f, 4)
         tree = grow_tree(loop, 0.0, 10**6)
         assert tree is not None and tree.mean_alive == 1.0
 
@@ -503,13 +444,8 @@ def test_robots_that_come_home_wait_for_it_too() -> None:
         plan = make_plan(timed, [[0, 0]], settings)
         assert (plan.outcome, plan.time) == end
         loop = compile_closed_loop(plan, timed)
-        assert_same_trace(trace_rollouts(loop, f, (0,))[0], followed(ReferenceLoop(plan, timed), f, 0)[1])
+        play_both_ways(plan, timed, f, 1)
         assert run_range(loop, f, 0, 8, threads=1)[0].home.tolist() == [0, 8]
-
-
-@pytest.mark.slow
-def test_so_they_are_in_a_thousand_more() -> None:
-    assert sum(agree(number) for number in range(48, 1048)) > 500
 
 
 # --- what is expected ---

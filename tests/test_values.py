@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from closed_loop_compare import assert_same_results, assert_same_tally
+from closed_loop_compare import assert_same_results, assert_same_tally, play_both_ways
 from closed_loop_worlds import first_worlds
 from conftest import load_fixture, worlds_with_starts
 from drawn_worlds import expected, one_of
 from hypothesis import given
 from hypothesis import strategies as st
 from page_reader import refused
-from test_planner_policies import LIMITED, compare_traces
+from test_planner_policies import LIMITED
 from test_rasters import tif
 from test_statistics import fitted
 from test_theory import fates_of
@@ -37,11 +37,12 @@ from planner.errors import UsageError, WorldError
 from planner.formatting import percent
 from planner.make_plan import make_plan
 from planner.mrac.problem import prepare
-from planner.mrac.simulate import simulate
 from planner.plan.plan import Plan
 from planner.rollout_sampling import Luck
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.engine import Rolling, make_engine
+from planner.rollouts.single_run import SingleRun
+from planner.rollouts.single_run import play as played
 from planner.rollouts.threshold_classes import CLASSES_A_NAT, luck_classes
 from planner.settings import Settings
 from planner.simulator.state import MOST_PASSES
@@ -51,7 +52,7 @@ from planner.world.levels import place_starts
 from planner.world.scenario import load_input, route_over
 from planner.world.world import World, load_world_file
 
-# What cells are worth and show: closed forms and counts against enumeration and the readable simulator.
+# What cells are worth and show: closed forms and counts against enumeration and the simulator as Python.
 
 GRID = World.create([[0, 0.3, 0, 0.2], [0.4, np.nan, 0.1, 0], [0, 0.2, 0, 0.3]])
 VALUE = np.array([[1, 5, 0, 2], [3, 9, 1, 1], [0.5, 4, 2, 7]])
@@ -59,7 +60,7 @@ DETECT = np.array([[0.5, 0.3, 1, 0.9], [0.8, 0.5, 0.2, 0], [0.25, 0.6, 0.4, 0.7]
 
 
 def survived_visits(world: World, plan: Plan, seed: int, rollout: int) -> np.ndarray:
-    """int64 `[N]`, of one rollout of the readable simulator: entries of each cell that stopped nobody."""
+    """int64 `[N]`, of one rollout of the simulator as Python: entries of each cell that stopped nobody."""
     luck, passes = Luck(world, seed, rollout), np.zeros(world.threat.size, dtype=np.int64)
 
     def hit(robot: int, step: int, cell: int) -> bool:
@@ -67,8 +68,7 @@ def survived_visits(world: World, plan: Plan, seed: int, rollout: int) -> np.nda
         passes[cell] += not stopped
         return stopped
 
-    assert plan.settings is not None
-    simulate(prepare(world, plan.starts, plan.settings), plan.areas, hit=hit)
+    played(SingleRun(compile_closed_loop(plan, world, interpreted=True), hit=hit))
     return passes
 
 
@@ -94,7 +94,7 @@ def test_the_open_loop_s_chance_to_find_is_the_sum_over_every_luck(given_world, 
 
 @pytest.mark.parametrize("policy", ["mrac", "per_cell"])
 @pytest.mark.parametrize("robots", [1, 3])
-def test_survived_visits_are_those_of_the_readable_simulator(policy: str, robots: int) -> None:
+def test_survived_visits_are_those_of_the_simulator_as_python(policy: str, robots: int) -> None:
     """Of each rollout, so also of the ones that a set is parted into."""
     fixture = load_fixture("contiguous-14x23-1000-k8")
     world = fixture.world.with_values(np.arange(14 * 23).reshape(14, 23) % 5, 0.4)
@@ -140,7 +140,7 @@ def test_the_closed_loop_against_every_pattern_of_hits(policy: str) -> None:
     """Value covered and found, each within 5 standard errors of what all runs together come to, exactly."""
     world = GRID.with_values(VALUE, DETECT)
     plan = make_plan(world, [[0, 0], [2, 3]], Settings(policy=policy))
-    problem = prepare(world, plan.starts, plan.settings)
+    loop = compile_closed_loop(plan, world, interpreted=True)
 
     def play(hit: Callable[[int, int, int], bool]) -> np.ndarray:
         passes = np.zeros(12)
@@ -150,7 +150,7 @@ def test_the_closed_loop_against_every_pattern_of_hits(policy: str) -> None:
             passes[cell] += not stopped
             return stopped
 
-        done = simulate(problem, plan.areas, hit=judge)
+        done = played(SingleRun(loop, hit=judge))
         return np.stack([done.visited, 1 - (1 - world.detect.ravel()) ** passes])
 
     visited, found = expected(play, one_of([world.threat.ravel()]))
@@ -561,13 +561,13 @@ def test_whole_numbers_of_values() -> None:
 
 
 @pytest.mark.parametrize("limits", LIMITED[:3], ids=str)
-def test_compiled_runs_are_the_readable_ones_event_for_event(limits: dict[str, Any]) -> None:
+def test_decisions_by_value_are_others_and_the_same_both_ways(limits: dict[str, Any]) -> None:
     changed = 0
     for name, rollouts in (("contiguous-14x23-1000-k2", 2), ("scattered-14x23-1000-k8", 1)):
         fixture = load_fixture(name)
         world = fixture.world.with_values(values_of(fixture.world, 3))
         plan = make_plan(world, fixture.starts, Settings(**limits), fixture.allocation)
-        compare_traces(world, plan, range(rollouts))
+        play_both_ways(plan, world, 5, rollouts)
         plain = make_plan(fixture.world, fixture.starts, Settings(**limits), fixture.allocation)
         changed += any(
             one.path.tolist() != other.path.tolist() for one, other in zip(plan.robots, plain.robots, strict=True)
