@@ -167,6 +167,7 @@ class SingleRun:
         first = loop.first_state(max(first_room(loop.tables), MOST_NARROW + 1))
         self._take(State._make(row[truth : truth + 1].copy() for row in first))
         self.raw.marks["last"] = 1
+        self._recall()
         rows = 8 * len(loop.cells) + 16 * loop.robots + 256
         self.log = Log(np.zeros((rows, 5), dtype=np.int32), np.zeros((1, FRAME_ROWS, loop.robots), np.int32))
         self.outcome: Outcome | None = None
@@ -184,6 +185,11 @@ class SingleRun:
         """The state is level 0 of the stack."""
         self._stack, self.raw = stack, State._make(row[0] for row in stack)
         self.s: Any = interpreted("struct_pointers").with_records(self.raw)
+
+    def _recall(self) -> None:
+        """The scratch, which may be of another run, holds what this one believes of the map."""
+        if self.loop.learns:
+            interpreted("map_belief").recall(self.t, self.s, self.w)
 
     def fork(self) -> Self:
         """The same rollout, which goes on by itself from here."""
@@ -335,6 +341,7 @@ class SingleRun:
                 yield cell
         elif me.doing == state.STARTING or doing in (Doing.TRAVELING, Doing.COVERING):
             # Legs are found as the robot would find them, and all is put back as it was.
+            self._recall()
             kept = self.raw.robots[robot].copy(), self.raw.legs[robot : robot + 1].copy(), self.raw.home.copy()
             paths = interpreted("paths")
             if me.doing == state.STARTING:
