@@ -37,6 +37,8 @@ class Fleet(SingleRun):
     """
 
     under_way = False
+    _moves_now = False
+    """Whether the robot that decided last was to make a move, which counts as made."""
 
     def __init__(self, problem: Problem, plan: Plan, gain: float = 1.0, last_update: int = 0) -> None:
         """`last_update`: the step from which the last announced phase holds, 0: none."""
@@ -119,7 +121,7 @@ class Fleet(SingleRun):
         At t = 0 that is its start, entered like any other cell.
         """
         s, step, me = self.s, self.s.marks.step, self.s.robots[number]
-        s.marks.robot = number
+        s.marks.robot, self._moves_now = number, False
         if not int(interpreted("step").acting(self.t, self.p, s, number // 64, NONE)) >> number % 64 & 1:
             return None
         if self.gain < 1 and step > 0 and me.doing == Doing.TRAVELING and s.areas[me.area].left > 0:
@@ -131,7 +133,7 @@ class Fleet(SingleRun):
         if turn != MOVES:
             s.marks.progress |= turn
             return None
-        cell = me.next if step > 0 else me.cell
+        cell, self._moves_now = me.next if step > 0 else me.cell, step > 0
         if step > 0 and me.doing == Doing.FOLLOWING and cell == me.cell:  # a step of waiting on its path
             s.marks.progress = 1
             self._arrive(number)
@@ -178,9 +180,12 @@ class Fleet(SingleRun):
     def displace(self, number: int, cell: int) -> None:
         """The robot is at a cell that it was not to enter now: it is visited, and the robot goes on from there."""
         step, me, width = self.s.marks.step, self.s.robots[number], self.problem.world.shape[1]
-        before = self.path_ahead(number) if me.doing == Doing.COVERING else [me.target]
+        ahead = self.path_ahead(number)
+        before = ahead if me.doing == Doing.COVERING else ahead[-1:]
         here, there = divmod(int(self.loop.cells[me.cell]), width), divmod(cell, width)
-        left = max(0, self._left_to(number) - sum(abs(a - b) for a, b in zip(here, there, strict=True)))
+        left = max(
+            0, self.moves_left(number) + self._moves_now - sum(abs(a - b) for a, b in zip(here, there, strict=True))
+        )
         if holds(self.raw.movers, number) or holds(self.raw.waiting, number):
             me.until = left + (step if holds(self.raw.movers, number) else 0)
         else:
@@ -188,11 +193,6 @@ class Fleet(SingleRun):
         at = int(np.searchsorted(self.loop.cells, cell))
         self._enter(number, at)
         self._set_out(number, before)
-
-    def _left_to(self, number: int) -> int:
-        """Moves left to a robot whose turn it is, before it moves in this step."""
-        left = self.moves_left(number)
-        return left + (holds(self.raw.movers, number) and self.s.marks.step > 0)
 
     def go_on(self, number: int) -> None:
         """The robot, which was displaced or has no more moves, survived: it goes on from where it is."""
@@ -207,6 +207,8 @@ class Fleet(SingleRun):
         elif me.doing == Doing.FOLLOWING:
             self._arrive(number)
         elif interpreted("areas").has_area(s.robots, number):
+            if s.marks.step == 0 and int(s.home[me.cell]) >> AREA_BITS == me.area:
+                me.target = me.cell  # it begins in its area
             ended = me.cell == me.target or s.areas[me.area].left == 0
             if p is None and (me.cell == me.target or (me.doing == Doing.COVERING and me.left == 0)):
                 interpreted("fixed_paths").settle(t, s, w, log, how, number)
@@ -356,7 +358,7 @@ class Fleet(SingleRun):
     def _bring_back(self, number: int, doing: Doing) -> None:
         """The robot may get an area, if it has moves left."""
         me, left = self.s.robots[number], self.moves_left(number)
-        me.doing, me.until = doing, left
+        me.doing, me.until = doing if left > 0 else Doing.DONE, left
         self.left.pop(number, None)
         if left > 0:
             interpreted("state").put(self.s.waiting, number)
