@@ -24,7 +24,7 @@ from planner.ids import MOST_ROLLOUTS
 from planner.mission.map_updates import hand_on
 from planner.mission.mission import Mission
 from planner.mission.team_control import Order
-from planner.mrac.board import is_home
+from planner.rollouts.single_run import at_base
 from planner.rollouts.tables import AllPairs
 from planner.simulator.codes import Outcome
 from planner.tally import RolloutResults
@@ -305,9 +305,9 @@ class DrivenMission(Mission):
 
     def _ended(self, found: RolloutResults) -> RolloutResults:
         """The same rollouts of a mission that ends here."""
-        fleet, ways = self._fleet, self._fleet.problem.home
+        fleet = self._fleet
         visited, survived = (int(np.count_nonzero(cells)) for cells in (fleet.visited, fleet.survived))
         same = {"visited": visited, "survived": survived, "time": self._past, "alive": self._alive}
-        same["home"] = sum(ways is not None and robot.alive and is_home(ways, robot) for robot in fleet.robots)
+        same["home"] = int(at_base(fleet).sum())
         ended = {name: np.full_like(getattr(found, name), value) for name, value in same.items()}
         return replace(found, outcome=np.full_like(found.outcome, Outcome.ENDED_BY_OPERATOR), **ended)

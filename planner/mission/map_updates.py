@@ -1,6 +1,6 @@
 """Cells that robots saw to be other than the map says, in a mission under way: its world, and its state, with them.
 
-What follows from it is what follows in a simulated run: `planner.mrac.map_belief`, SPEC section 15.
+What follows from it is what follows in a simulated run: `planner.simulator.map_belief`, SPEC section 15.
 """
 
 from __future__ import annotations
@@ -17,22 +17,23 @@ from planner.arguments import is_whole, whole
 from planner.errors import StateError, WorldError
 from planner.files import Json, read_json, write_json
 from planner.ids import MAX_PLAN_BYTES
-from planner.make_plan import make_plan
+from planner.make_plan import areas_of, make_plan
 from planner.mission.team_control import Fleet, Reports, whole_numbers
 from planner.mrac.areas import connected_parts
-from planner.mrac.map_belief import Learning
-from planner.mrac.problem import prepare
-from planner.mrac.simulate import areas_of, state_of
-from planner.plan.plan import Plan
+from planner.mrac.problem import Problem, Unknown, prepare
+from planner.plan.plan import Plan, RobotPlan
 from planner.plan.reading import at, check_map
 from planner.plan.state import FORMAT, NO_CELLS, ON_ITS_WAY, VERSION, AreaState, MissionState, RobotState
 from planner.plan.state_file import parse_state
+from planner.rollouts.closed_loop import compile_closed_loop
+from planner.rollouts.single_run import SingleRun, state_of
 from planner.settings import SETTINGS, Settings
 from planner.simulator.codes import ALWAYS, NO_AREA, NO_ROBOT, Doing, Outcome
 from planner.tally import WORDS_OF_0_3
 from planner.world.keys import PROBABILITY, Key
 from planner.world.levels import NO_LEVEL, find_levels
-from planner.world.map_knowledge import added
+from planner.world.map_knowledge import Knowledge, Sense, added
+from planner.world.moving_threats import Phases
 from planner.world.uncertain_maps import Hazard
 from planner.world.world import MAX_CELLS, World
 
@@ -119,16 +120,42 @@ def learned_state(
         news[area.cells] |= (levels[area.cells] != level) & (levels[area.cells] != NO_LEVEL)
         areas.append(replace(area, level=level))
     state = replace(state, areas=tuple(areas))
-    team = Learning(problem, areas_of(state), state=state)
-    team.belief[news] = ANOTHER
-    found = np.flatnonzero(news)
-    team.believe(found, levels[found])
-    state, left = _without_completed(state_of(team, state.exposures)), problem.levels.accessible.copy()
+    state, got = _believing(problem, state, news)
+    seen = np.zeros(free.size, dtype=np.bool_)
+    seen[state.visited] = True
+    state, left = _without_completed(state), problem.levels.accessible.copy()
     for area in state.areas:
         left[area.cells] = False
     visited, survived = (cells[levels[cells] != NO_LEVEL] for cells in (state.visited, state.survived))
-    areas = [*state.areas, *_unheld(world, left, levels, team.visited)]
-    return replace(state, visited=visited, survived=survived, areas=tuple(areas)), team.progress
+    areas = [*state.areas, *_unheld(world, left, levels, seen)]
+    return replace(state, visited=visited, survived=survived, areas=tuple(areas)), got
+
+
+def _believing(problem: Problem, state: MissionState, news: NDArray[np.bool_]) -> tuple[MissionState, bool]:
+    """The state once its robots have come to believe the cells `news` `[N]`; and whether one got an area.
+
+    To the simulator the map of now is that of an announced phase, which begins with the next step.
+    """
+    levels, within = problem.levels.of_cell, problem.levels.accessible.copy()
+    for cells in (state.visited, problem.starts, *(area.cells for area in state.areas)):
+        within[cells] = True
+    belief = np.where(news, ANOTHER, levels).astype(np.int16)
+    begins = np.array([0, state.step + 1])
+    known, phases = Knowledge(problem.world.threat, Sense()), Phases(begins, np.stack([problem.world.threat] * 2))
+    unknown = Unknown(
+        known, problem.levels.values, problem.levels.quantised, belief, np.stack([belief, levels]), within,
+        problem.levels.accessible, phases=phases,
+    )  # fmt: skip
+    learning = replace(problem, unknown=unknown)
+    robots = tuple(RobotPlan(cell) for cell in problem.starts[:, None])
+    world = problem.world
+    plan = Plan(world.shape, world.sha256, problem.settings, robots, areas_of(state), state=state)
+    loop = compile_closed_loop(plan, world, problem=learning, interpreted=True)
+    if not loop.learns:  # what is news cannot be reached
+        return state, False
+    run = SingleRun(replace(loop, tables=loop.tables._replace(phases=begins)))
+    got = run.learn()
+    return state_of(run, problem, state.exposures), got
 
 
 def _without_completed(state: MissionState) -> MissionState:

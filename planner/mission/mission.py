@@ -1,7 +1,7 @@
 """A mission that is driven: orders out, reports in.
 
 What simulates, drives and learns differs in who answers the orders. Luck that answers them robot by robot makes the
-closed loop, event for event (`planner.mrac.simulate` is that, without what robots do against orders).
+closed loop, event for event (`planner.rollouts.single_run` is that, without what robots do against orders).
 """
 
 from __future__ import annotations
@@ -34,12 +34,10 @@ from planner.mission.map_updates import (
     write_mission,
 )
 from planner.mission.team_control import Fleet, Order, Report, Reports, Why
-from planner.mrac.board import Recorder, Robot
-from planner.mrac.executive import NOT_BEGUN
 from planner.mrac.problem import NO_LIMIT, ready_loop
-from planner.mrac.simulate import state_of
 from planner.plan.plan import Plan
 from planner.plan.state import MissionState
+from planner.rollouts.single_run import NOT_BEGUN, RobotNow, state_of
 from planner.settings import Settings
 from planner.simulator.codes import Doing, Outcome
 from planner.world.world import World
@@ -58,7 +56,6 @@ class Mission:
         patience: steps without progress after which a robot's work is others'; None: however many.
         gain: a robot leaves what it is under way to where another target saves more than this share of the cost of its
             way; 1: it never does, as in the closed loop.
-        recorder: writes down events and places, as of the readable simulator.
 
     Attributes:
         world: the map, with what was seen, learned and closed. given: as it was. closed: those cells, indices.
@@ -74,7 +71,6 @@ class Mission:
         *,
         patience: int | None = PATIENCE,
         gain: float = 1.0,
-        recorder: Recorder | None = None,
     ) -> None:
         FRACTION.check("gain", gain)
         whole(1).check("patience", patience, optional=True)
@@ -85,21 +81,19 @@ class Mission:
         if self._lessons:
             settings, world = plan.require(world), replace(world, doubt=None)
             plan = plan if plan.state is not None else make_plan(world, plan.starts, settings)
-        self.world, self.patience, self.gain, self._recorder = world, patience, gain, recorder
+        self.world, self.patience, self.gain = world, patience, gain
         self.closed: list[int] = []
         self.seen: Seen = {}
-        self._begin(world, plan, recorder)
+        self._begin(world, plan)
 
-    def _begin(self, world: World, plan: Plan, recorder: Recorder | None = None) -> None:
-        """`recorder`: writes down what has been, too."""
+    def _begin(self, world: World, plan: Plan) -> None:
         problem, areas = ready_loop(plan, world)
         problem.settings.check_not_charged("a mission that is driven")
         problem.settings.check_alike("a mission that is driven")
         self.world, self._plan = world, plan
-        self._fleet = Fleet(problem, areas, recorder=recorder, state=plan.state)
-        self._fleet.gain = self.gain
-        self._fleet.last_update = self._lessons.last_update(problem.levels.accessible)
-        robots = len(self._fleet.robots)
+        last_update = self._lessons.last_update(problem.levels.accessible)
+        self._fleet = Fleet(problem, replace(plan, areas=areas), self.gain, last_update)
+        robots = self._fleet.loop.robots
         self._borne = list(plan.state.exposures) if plan.state is not None else [0] * robots
         self._waits, self._reports = [0] * robots, Reports(self._fleet)
         self._orders: dict[int, Order] | None = None
@@ -114,7 +108,7 @@ class Mission:
     @property
     def outcome(self) -> Outcome | None:
         """How the mission has ended; None while it goes on."""
-        outcome = self._fleet.outcome(self.last_step)
+        outcome = self._fleet.outcome
         return None if outcome is None else outcome.by_deadline(self.settings.ends_by_deadline)
 
     @property
@@ -130,7 +124,7 @@ class Mission:
     @property
     def robots(self) -> int:
         """How many there are, lost ones too."""
-        return len(self._fleet.robots)
+        return self._fleet.loop.robots
 
     @property
     def last_step(self) -> int:
@@ -144,7 +138,7 @@ class Mission:
 
     @property
     def _aside(self) -> list[int]:
-        return [robot.number for robot in self._fleet.robots if robot.aside]
+        return sorted(self._fleet.aside)
 
     @property
     def settings(self) -> Settings:
@@ -169,7 +163,7 @@ class Mission:
         self._check_kept(fleet)
         if fleet.step == NOT_BEGUN:
             raise StateError("the mission has not begun", expected="a mission whose step 0 is over")
-        return state_of(fleet, self._borne)
+        return state_of(fleet, fleet.problem, self._borne)
 
     def _check_kept(self, fleet: Fleet) -> None:
         if any(robot.status is Doing.FOLLOWING for robot in fleet.robots):
@@ -262,7 +256,7 @@ class Mission:
             self._orders = None
 
     def _number(self, robot: int) -> int:
-        robots = len(self._fleet.robots)
+        robots = self.robots
         if not is_whole(robot, 0, robots - 1):
             raise StateError(f"robot {robot!r} reports", expected=f"a robot of the mission, 0 to {robots - 1}")
         return int(robot)
@@ -287,7 +281,9 @@ class Mission:
             self._go_on(world, allocated_plan(replace(world, doubt=None), state.starts, self.settings, state=state))
             # A map update is progress, as in a simulated run (SPEC section 15).
             known = known | self._fleet.problem.levels.accessible
-            self._fleet.progress = fleet.progress or got or bool(known[changed].any())
+            progress = bool(fleet.s.marks.progress) or got or bool(known[changed].any())
+            self._fleet.reopen_step()
+            self._fleet.s.marks.progress = int(progress)
             self.seen |= {cell: seen[cell] for cell in changed.tolist()}
         self._fleet.end_step()
 
@@ -309,8 +305,6 @@ class Mission:
     def _play(self, fleet: Fleet, ahead: bool) -> dict[int, Order]:
         """The step in `fleet` up to its end, and its orders; `ahead`: who has not reported gets there."""
         orders: dict[int, Order] = {}
-        if ahead:
-            fleet.recorder = None
         fleet.begin_step()
         for number, cell in self._reports.passed:
             fleet.visit(number, cell)
@@ -321,11 +315,11 @@ class Mission:
             if report is not None and report.found and not robot.alive:
                 fleet.find(number)
             if report is not None and (report.cell != robot.cell or report.moves_left):
-                robot.aside = False
+                fleet.bring_back(number)
             if not robot.alive:
                 continue
             due = fleet.decide(number)
-            orders[number] = self._order(robot, due)
+            orders[number] = self._order(fleet, robot, due)
             if report is None and due is not None and (ahead or fleet.step == 0):
                 report = Report(due)
             came = self._turn(fleet, number, due, report)
@@ -333,20 +327,21 @@ class Mission:
                 self._keep_count(robot, came, due)
         return orders
 
-    def _order(self, robot: Robot, due: int | None) -> Order:
+    def _order(self, fleet: Fleet, robot: RobotNow, due: int | None) -> Order:
         """What was decided, as it is told; a robot that gets its area in this step stays and looks at its way."""
-        ahead, width = robot.ahead[::-1], self.world.shape[1]
+        ahead, width = robot.ahead, self.world.shape[1]
         if due is not None and ahead[:1] == [due]:
             ahead = ahead[1:]
-        waits = robot.held or robot.aside or robot.moves == 0
+        waits = robot.held or robot.number in fleet.aside or robot.moves == 0
         why = WHY.get(robot.status, "hold" if waits else "idle")
         cells = [divmod(cell, width) for cell in [robot.cell if due is None else due, *ahead]]
         return Order(robot.number, cells[0], tuple(cells[1:]), robot.area, why)
 
     def _turn(self, fleet: Fleet, number: int, due: int | None, report: Report | None) -> bool:
         """What became of a robot that was to enter `due`; True if it entered a cell."""
-        robot, report = fleet.robots[number], report or Report(fleet.robots[number].cell)
-        came = report.cell == due or report.cell != robot.cell
+        here = fleet.cell(number)
+        report = report or Report(here)
+        came = report.cell == due or report.cell != here
         if report.cell == due:
             fleet.enter(number)
         elif came:
@@ -357,11 +352,13 @@ class Mission:
             fleet.limit(number, report.moves_left)
         if report.stopped:
             fleet.stop(number)
-        elif came or report.moves_left == 0:
+        elif report.cell == due:
             fleet.survive(number)
+        elif came or report.moves_left == 0:
+            fleet.go_on(number)
         return came
 
-    def _keep_count(self, robot: Robot, came: bool, due: int | None) -> None:
+    def _keep_count(self, robot: RobotNow, came: bool, due: int | None) -> None:
         """What the robot bore on the cell it came to, what it says of it, and for how many steps it has not moved."""
         number = robot.number
         if came:
@@ -401,7 +398,6 @@ class Mission:
         """By another plan, on a map that is known better."""
         kept, reports, aside = (self._borne, self._waits), self._reports, self._aside
         self._begin(world, plan)
-        self._fleet.recorder = self._recorder
         self._borne, self._waits = kept
         self._reports.carry(reports)
         self._set_aside(aside)
@@ -472,7 +468,9 @@ class Mission:
     def _set_aside(self, robots: list[int]) -> None:
         """As it was known before, in another fleet."""
         for number in robots:
-            self._fleet.robots[number].aside = True
+            if self._fleet.s.robots[number].doing != Doing.DEAD:
+                self._fleet.set_aside(number)
+            self._fleet.aside.add(number)
 
 
 def _pairs(seen: Seen) -> list[list[float | None]]:

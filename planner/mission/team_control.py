@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, Self
 
@@ -12,235 +14,436 @@ from planner.arguments import as_whole, is_whole
 from planner.errors import StateError
 from planner.files import Json
 from planner.ids import MAX_STEP
-from planner.mrac.board import Choice, Recorder, Robot, is_home
-from planner.mrac.choose import has_to_wait, offer_of, offered
-from planner.mrac.executive import Executive
 from planner.mrac.problem import Problem
-from planner.mrac.simulate import play_step
-from planner.plan.plan import Area
+from planner.plan.plan import Plan
 from planner.plan.reading import at
-from planner.rollout_sampling import Luck
-from planner.simulator.codes import NO_AREA, Doing, EventKind, Outcome
+from planner.rollouts.closed_loop import compile_closed_loop
+from planner.rollouts.interpreted import interpreted
+from planner.rollouts.single_run import NOT_BEGUN, SingleRun, holds
+from planner.simulator.codes import NO_AREA, NONE, Doing, Outcome
+from planner.simulator.offers import Offer
+from planner.simulator.state import AREA_BITS, MOVES, SURVIVED, TO_DO, VISITED
 
 
-class Fleet(Executive):
-    """What a simulator never reports. The turn of a robot is as of `Executive`, `displace` or `wait` beside `enter`.
+class Fleet(SingleRun):
+    """A team that reports what happens to it. In each step: `begin_step`, every robot's turn, `end_step`.
+
+    A turn is `decide`, then `enter`, `displace` or `wait`, then `stop` or `survive`.
 
     Attributes:
+        problem: the world made ready, with the range of each robot as far as it is known.
         gain: share of the cost of its way that another target must save for a robot to leave its own; 1: nothing does.
+        aside: numbers of robots that make no progress, and get nothing.
     """
 
-    gain: float = 1.0
+    under_way = False
+    _moves_now = False
+    """Whether the robot that decided last was to make a move, which counts as made."""
+
+    def __init__(self, problem: Problem, plan: Plan, gain: float = 1.0, last_update: int = 0) -> None:
+        """`last_update`: the step from which the last announced phase holds, 0: none."""
+        super().__init__(compile_closed_loop(plan, problem.world, problem=problem, interpreted=True))
+        # A visit may destroy a robot in any cell: it is survived only once that is reported.
+        self.t = self.t._replace(
+            bound=np.zeros_like(self.t.bound), phases=np.zeros(1, dtype=np.int64), phased=True, notes=None,
+            last_update=last_update,
+        )  # fmt: skip
+        self.problem, self.gain, self.aside = problem, gain, set[int]()
+        if self.step != NOT_BEGUN:
+            self._review()
+
+    def fork(self) -> Self:
+        """As of a run."""
+        other = super().fork()
+        other.aside = self.aside.copy()
+        return other
+
+    # --- steps ---
+
+    @property
+    def step(self) -> int:
+        """The step that is under way, or the last one that is over."""
+        return int(self.raw.marks["step"]) - (self.outcome is None and not self.under_way)
+
+    @property
+    def unvisited(self) -> int:
+        """Accessible cells that are not visited."""
+        return len(self.loop.cells) - int(self.raw.marks["covered"])
+
+    def begin_step(self) -> None:
+        """The next step."""
+        self._make_room()
+        marks = self.s.marks
+        if self.outcome is not None:
+            marks.step, self.outcome = marks.step + 1, None
+        self.log.events[0, 0], marks.progress, self.under_way = 0, 0, True
+        self.raw.robots["sure"] = NONE  # where robots may be displaced, nothing is settled
+        if self.p is not None:
+            interpreted("replanning").begin(self.t, self.s, self.w)
+        interpreted("step").forget(self.t, self.p, self.s, self.w)
+
+    def end_step(self) -> None:
+        """Every robot has had its turn."""
+        with np.errstate(over="ignore"):
+            found = interpreted("step").end_step(self.t, self.p, self.s, self.c, self.w, self.log, self.how, self.ids)
+        self.under_way = False
+        self.outcome = None if found == NONE else Outcome(int(found))
+        self.take_events()
+        if self.raw.marks["over"]:
+            self._call_home_from_aside()
+
+    def reopen_step(self) -> None:
+        """The last step, which is over, is under way again."""
+        if self.outcome is None:
+            self.s.marks.step -= 1
+        self.outcome, self.under_way = None, True
+
+    @contextmanager
+    def _between(self) -> Iterator[None]:
+        """Something happens between two steps, after the last one."""
+        last = self.s.marks.step = self.step
+        self.under_way, self.log.events[0, 0] = True, 0
+        yield
+        self.under_way, self.s.marks.step = False, last + (self.outcome is None)
+
+    def _review(self) -> None:
+        """Whether the run is over, after something has happened between two steps."""
+        with self._between():
+            step = interpreted("step")
+            found = step.over_by(self.t, self.p, self.s, self.w, int(step.end_of(self.t, self.s, self.how)))
+            self.outcome = None if found == NONE else Outcome(int(found))
+
+    # --- a robot's turn ---
 
     def decide(self, number: int) -> int | None:
-        """As of `Executive`, once a robot that is under way has looked for an area that is worth to turn round for."""
-        robot = self.robots[number]
-        if self.gain < 1 and self.step > 0 and robot.status is Doing.TRAVELING and self.areas[robot.area].unvisited:
-            self.next_move = self.step
-            self._look_round(robot)
-            self.next_move = self.step + 1
-        return super().decide(number)
+        """What the robot does in this step: the cell that it enters, or None, it stays where it is.
 
-    def _look_round(self, robot: Robot) -> None:
-        """The first of the areas that nobody has, if the policy has it before its own, and the way saves enough."""
-        first, left = self.choose(robot), self._cost(robot.ahead)
-        if first is None or not self._saves(first.offer.cost, left) or has_to_wait(self, robot, first):
-            return
-        if self.rule.key(first.offer) < self.rule.key(offer_of(self, robot, robot.area, left)):
-            self._note(EventKind.LOOKED_AGAIN, robot, robot.area, robot.ahead[-1])
-            self.release(robot)
-            self._take(robot, first)
-            self._finish_paths(robot)
+        At t = 0 that is its start, entered like any other cell.
+        """
+        s, step, me = self.s, self.s.marks.step, self.s.robots[number]
+        s.marks.robot, self._moves_now = number, False
+        if not int(interpreted("step").acting(self.t, self.p, s, number // 64, NONE)) >> number % 64 & 1:
+            return None
+        if self.gain < 1 and step > 0 and me.doing == Doing.TRAVELING and s.areas[me.area].left > 0:
+            self._look_round(number)
+        if self.p is None:
+            turn = interpreted("fixed_paths").act(self.t, s, self.w, self.log, self.how, number)
+        else:
+            turn = interpreted("replanning").act(self.t, self.p, s, self.w, self.log, self.how, number)
+        if turn != MOVES:
+            s.marks.progress |= turn
+            return None
+        cell, self._moves_now = me.next if step > 0 else me.cell, step > 0
+        if step > 0 and me.doing == Doing.FOLLOWING and cell == me.cell:  # a step of waiting on its path
+            s.marks.progress = 1
+            self._arrive(number)
+            return None
+        return int(self.loop.cells[cell])
+
+    def enter(self, number: int) -> None:
+        """The robot has entered the cell that was decided."""
+        me = self.s.robots[number]
+        self._enter(number, me.next if self.s.marks.step > 0 else me.cell)
+
+    def _enter(self, number: int, cell: int) -> None:
+        s = self.s
+        s.marks.progress = 1
+        if self.p is not None:
+            s.marks.changes += interpreted("replanning").is_news(s, number, cell)
+            s.home[cell] = int(s.home[cell]) & ~TO_DO
+        interpreted("visits").enter(self.t, s, self.c, self.w, self.log, self.how, self.ids, number, cell)
+
+    def stop(self, number: int) -> None:
+        """The robot, which has just entered its cell, is lost there."""
+        self.left[number] = self.moves_left(number)
+        interpreted("visits").lose(self.t, self.s, self.c, self.w, self.log, number)
+        interpreted("areas").unsettle(self.s)
+
+    def survive(self, number: int) -> None:
+        """The robot, which has just entered the cell that was decided, goes on."""
+        interpreted("visits").survive(self.s, self.c, self.s.robots[number].cell)
+        self._arrive(number)
+
+    def _arrive(self, number: int) -> None:
+        me = self.s.robots[number]
+        interpreted("step").arrive(self.t, self.p, self.s, self.w, self.log, self.how, number, me.cell)
+
+    def wait(self, number: int) -> None:
+        """The robot is on its way, and has not got there yet: the step is none of rest."""
+        me = self.s.robots[number]
+        self.s.marks.progress = 1
+        if holds(self.raw.movers, number):
+            me.until += 1  # as many moves are left as before
+        if me.doing == Doing.FOLLOWING:
+            self._insert(number, [me.cell])
+
+    def displace(self, number: int, cell: int) -> None:
+        """The robot is at a cell that it was not to enter now: it is visited, and the robot goes on from there."""
+        step, me, width = self.s.marks.step, self.s.robots[number], self.problem.world.shape[1]
+        ahead = self.path_ahead(number)
+        before = ahead if me.doing == Doing.COVERING else ahead[-1:]
+        here, there = divmod(int(self.loop.cells[me.cell]), width), divmod(cell, width)
+        left = max(
+            0, self.moves_left(number) + self._moves_now - sum(abs(a - b) for a, b in zip(here, there, strict=True))
+        )
+        if holds(self.raw.movers, number) or holds(self.raw.waiting, number):
+            me.until = left + (step if holds(self.raw.movers, number) else 0)
+        else:
+            self.left[number] = left
+        at = int(np.searchsorted(self.loop.cells, cell))
+        self._enter(number, at)
+        self._set_out(number, before)
+
+    def go_on(self, number: int) -> None:
+        """The robot, which was displaced or has no more moves, survived: it goes on from where it is."""
+        t, p, s, w, log, how, me = self.t, self.p, self.s, self.w, self.log, self.how, self.s.robots[number]
+        interpreted("visits").survive(s, self.c, me.cell)
+        if t.returns and me.doing == Doing.RETURNING:
+            interpreted("return_home").go_home(t, s, log, number)
+        elif self.moves_left(number) == 0:
+            if number not in self.left:
+                interpreted("return_home").stay(t, s, w, log, number)
+                self.left[number] = 0
+        elif me.doing == Doing.FOLLOWING:
+            self._arrive(number)
+        elif interpreted("areas").has_area(s.robots, number):
+            if s.marks.step == 0 and int(s.home[me.cell]) >> AREA_BITS == me.area:
+                me.target = me.cell  # it begins in its area
+            ended = me.cell == me.target or s.areas[me.area].left == 0
+            if p is None and (me.cell == me.target or (me.doing == Doing.COVERING and me.left == 0)):
+                interpreted("fixed_paths").settle(t, s, w, log, how, number)
+            elif p is not None and ended:
+                interpreted("replanning").end_leg(t, p, s, w, log, how, number)
+
+    def _set_out(self, number: int, before: list[int]) -> None:
+        """A new way to what the robot is about; `before`: cells that it was about to do."""
+        t, s, w, me = self.t, self.s, self.w, self.s.robots[number]
+        if number in self.turned and t.returns:
+            ahead = interpreted("range_budget").moves_home(t, number, me.cell)
+            if ahead < 0:
+                interpreted("state").drop(s.movers, number)
+                me.doing = Doing.DONE
+            elif holds(self.raw.movers, number) or ahead > 0:
+                me.doing, me.next = Doing.RETURNING, t.onward[t.home_of[number], me.cell]
+                interpreted("state").put(s.movers, number)
+        elif me.doing == Doing.FOLLOWING:
+            step = s.marks.step
+            due = int(t.given[number, min(max(step, 1), t.length[number])])
+            self._insert(number, [me.cell, *self._way(number, due)[:-1]])
+        elif interpreted("areas").has_area(s.robots, number) and s.areas[me.area].left > 0:
+            self._aim_as_before(number, before)
+        elif interpreted("areas").has_area(s.robots, number):
+            if self.p is None:
+                me.doing, me.left = Doing.COVERING, 0
+                interpreted("fixed_paths").settle(t, s, w, self.log, self.how, number)
+            else:
+                interpreted("replanning").allocate_next(t, self.p, s, w, self.log, number, False)
+
+    def _insert(self, number: int, cells: list[int]) -> None:
+        """The robot that follows a path is in these cells from this step on, before it goes on along the path."""
+        t, step = self.t, self.s.marks.step
+        path = t.given[number, : t.length[number] + 1].tolist()
+        path = [*path[:step], *cells, *path[step:]] if step > 0 else [*cells, *path[1:]]
+        longest = max(len(path), t.given.shape[1])
+        given = np.pad(t.given, ((0, 0), (0, longest - t.given.shape[1])), mode="edge")
+        given[number], length = path[-1], t.length.copy()
+        given[number, : len(path)], length[number] = path, len(path) - 1
+        self.t = t._replace(given=given, length=length)
+        self.s.robots[number].next = given[number, min(step + 1, length[number])]
+
+    def _way(self, number: int, target: int) -> list[int]:
+        """The cells entered on the safest path from where the robot is, as numbers of accessible cells."""
+        way = self.problem.paths_of(number).path(*self.loop.cells[[self.s.robots[number].cell, target]].tolist())
+        return np.searchsorted(self.loop.cells, way).tolist()
 
     def _cost(self, way: list[int]) -> int:
-        return int(self.problem.costs[way].sum())
+        return int(self.problem.costs[self.loop.cells[way]].sum())
 
     def _saves(self, cost: int, of: int) -> bool:
         return of - cost > self.gain * of
 
-    def wait(self, number: int) -> None:
-        """The robot is on its way, and has not got there yet: the step is none of rest."""
-        robot = self.robots[number]
-        robot.path.append(robot.cell)
-        self.progress = True
-
-    def displace(self, number: int, cell: int) -> None:
-        """The robot is at a cell that it was not to enter now: it is visited, and the robot goes on from there."""
-        robot, width = self.robots[number], self.problem.world.shape[1]
-        away = sum(abs(a - b) for a, b in zip(divmod(cell, width), divmod(robot.cell, width), strict=True))
-        robot.moves = max(0, robot.moves - away)
-        robot.cell = cell
-        robot.path.append(cell)
-        self.progress = True
-        self._mark(robot, cell)
-        self._set_out(robot)
-
-    def _set_out(self, robot: Robot) -> None:
-        """A new way to what the robot is about."""
-        home = self.problem.home
-        if robot.turned and home is not None:
-            robot.ahead = home.way(robot.number, robot.cell)[::-1]
-            robot.status = Doing.RETURNING if robot.ahead or is_home(home, robot) else Doing.DONE
-        elif robot.status is Doing.FOLLOWING:
-            robot.ahead = robot.ahead[:-1] + self._way(robot, robot.ahead[-1])
-        elif robot.on_its_way and self.areas[robot.area].unvisited == 0:
-            self.complete(robot.area)
-            self._allocate_next(robot)
-        elif robot.on_its_way:
-            self._aim_as_before(robot)
-        self._finish_paths(robot)
-
-    def _aim_as_before(self, robot: Robot) -> None:
+    def _aim_as_before(self, number: int, before: list[int]) -> None:
         """To what it was about to do next, or to what is nearest of its area now, if that is worth it."""
-        ahead, left = robot.ahead[::-1] if robot.status is Doing.COVERING else robot.ahead[:1], self.to_do(robot.area)
-        target = next((cell for cell in ahead if cell in left), None)
-        way = [] if target is None else self._way(robot, target)
-        if self._saves(self.problem.paths.cost_to(robot.cell, left), self._cost(way)) or not way:
-            self._travel(robot)
+        s, me = self.s, self.s.robots[number]
+        cells = s.order[s.areas[me.area].begin : s.areas[me.area].end]
+        left = [int(cell) for cell in cells if s.home[cell] & VISITED == 0]
+        target = next((cell for cell in before if cell in left), None)
+        way = [] if target is None else self._way(number, target)
+        nearest = self.problem.paths_of(number).cost_to(int(self.loop.cells[me.cell]), self.loop.cells[left])
+        if me.doing == Doing.COVERING:
+            mine = self.raw.home >> AREA_BITS == me.area
+            self.raw.home[mine] &= ~np.array(TO_DO, dtype=self.raw.home.dtype)
+        me.doing = Doing.TRAVELING
+        if self._saves(nearest, self._cost(way)) or not way:
+            self._travel(number)
         else:
-            robot.status, robot.ahead = Doing.TRAVELING, way
+            self._head_for(number, way[-1])
+
+    def _travel(self, number: int) -> None:
+        """The safest path to the target of the robot's area."""
+        s, me = self.s, self.s.robots[number]
+        if self.p is None:
+            self._head_for(number, interpreted("paths").entry_of(self.t, s, self.w, number, me.area))
+        else:
+            costs = interpreted("areas").costs_from(self.t, s, self.w, number)
+            self._head_for(number, interpreted("next_area").see(self.t, s, costs, number, me.cell, me.area)[0])
+
+    def _head_for(self, number: int, target: int) -> None:
+        interpreted("next_area").head_for(self.t, self.s, self.w, number, int(target))
+
+    # --- what else may happen ---
+
+    def _look_round(self, number: int) -> None:
+        """The first of the unassigned areas, if the policy has it before the robot's own, and the way saves enough."""
+        t, p, s, w, me = self.t, self.p, self.s, self.w, self.s.robots[number]
+        left = self._cost(self.path_ahead(number))
+        s.marks.now = 1
+        if p is None:
+            area, target = interpreted("areas").find_next_area(t, s, w, number)
+            cost = self._cost(self._way(number, target)) if area != NONE else 0
+        else:
+            area, target, cost = interpreted("next_area").first_area(t, p, s, w, number, NONE, True)
+        takes = area != NONE and self._saves(int(cost), left)
+        if takes and p is not None:
+            takes = not interpreted("next_area").has_to_wait(t, p, s, w, number, area, cost)
+        if takes and self._key(number, int(area), int(cost)) < self._key(number, me.area, left):
+            areas = interpreted("areas")
+            areas.note(self.log, s, number, areas.LOOKED_AGAIN_EVENT, me.area, me.next)
+            areas.reopen(s, me.area)
+            if p is not None:
+                interpreted("replanning").take(t, p, s, w, self.log, number, area, target)
+            else:
+                areas.give(s, number, area)
+                self._head_for(number, target)
+                areas.note(self.log, s, number, areas.ALLOCATED_EVENT, area, target)
+            self.s.marks.progress = 1
+            if me.cell == me.target:
+                self.go_on(number)
+        s.marks.now = 0
+
+    def _key(self, number: int, area: int, cost: int) -> Any:
+        """By what the rule orders an area whose target costs so much to reach."""
+        if self.p is not None:
+            return self.loop.rule.key(
+                Offer(*interpreted("policy").offer_of(self.t, self.p, self.s, number, area, cost))
+            )
+        level = interpreted("robot_types").own_level(self.t, number, self.s.areas[area].level)
+        return int(level), cost
 
     def visit(self, number: int, cell: int) -> None:
         """The robot has been at the cell, at some time before."""
-        self._mark(self.robots[number], cell)
-        self.survived[cell] = True
+        at, s = int(np.searchsorted(self.loop.cells, cell)), self.s
+        if s.home[at] & VISITED == 0:
+            interpreted("visits").visit(s, self.c, self.log, s.marks.step, number, at, 1, VISITED | SURVIVED)
+            if self.p is not None:
+                s.home[at] = int(s.home[at]) & ~TO_DO
+        elif s.home[at] & SURVIVED == 0:
+            interpreted("visits").mark_survived(s, self.c, at)
 
     def find(self, number: int) -> None:
         """A lost robot is back."""
-        robot = self.robots[number]
-        robot.status, robot.area, robot.ahead, robot.held = Doing.IDLE, NO_AREA, [], False
-        robot.turned = False
+        self.s.marks.alive += 1
+        self.turned.discard(number)
+        self.s.robots[number].held = 0
+        self._bring_back(number, Doing.IDLE)
+
+    def bring_back(self, number: int) -> None:
+        """The robot makes progress again."""
+        if number in self.aside:
+            self.aside.discard(number)
+            me = self.s.robots[number]
+            if me.doing == Doing.DONE and number not in self.turned:
+                self._bring_back(number, Doing.DONE)
+
+    def _bring_back(self, number: int, doing: Doing) -> None:
+        """The robot may get an area, if it has moves left."""
+        me, left = self.s.robots[number], self.moves_left(number)
+        me.doing, me.until = doing if left > 0 else Doing.DONE, left
+        self.left.pop(number, None)
+        if left > 0:
+            interpreted("state").put(self.s.waiting, number)
+        else:
+            self.left[number] = 0
 
     def set_aside(self, number: int) -> None:
         """The robot makes no progress: its work is for others, until it moves."""
-        robot = self.robots[number]
-        self._lay_down(robot)
-        robot.aside = True
+        self._lay_down(number)
+        self.aside.add(number)
+
+    def _lay_down(self, number: int) -> None:
+        """It is done, and what it leaves is for others."""
+        t, s, w, log, me = self.t, self.s, self.w, self.log, self.s.robots[number]
+        owns, followed, area = interpreted("areas").has_area(s.robots, number), me.doing == Doing.FOLLOWING, me.area
+        self.left[number] = self.moves_left(number)
+        interpreted("state").drop(s.movers, number)
+        interpreted("state").drop(s.waiting, number)
+        me.doing = Doing.DONE
+        home = interpreted("return_home")
+        if owns:
+            home.leave(t, s, w, log, number, area)
+        for left in range(len(t.owner)) if followed else ():
+            if t.owner[left] == number and s.areas[left].left > 0:
+                home.leave(t, s, w, log, number, left)
 
     def call_off(self) -> None:
-        """The operator ends the mission between two steps: robots that come home start their return.
+        """The operator ends the mission between two steps: robots that return to base start their return.
 
         What had ended it before stays the reason.
         """
-        self.over = Outcome.ENDED_BY_OPERATOR if self.over is None else self.over
-        self._call_home()
+        self._call_home(Outcome.ENDED_BY_OPERATOR)
 
     def come_home(self) -> None:
-        """Nothing may be left to do between two steps: then who is to come home turns."""
+        """Nothing may be left to do between two steps: then the robots that return to base start their return."""
         if self.problem.home is not None and self.unvisited == 0:
-            self._call_home()
+            self._call_home(Outcome.COMPLETE)
+
+    def _call_home(self, why: Outcome) -> None:
+        with self._between():
+            over, self.s.marks.over = self.s.marks.over, 0
+            why = Outcome(over - 1) if over else why
+            interpreted("return_home").call_home(self.t, self.s, self.w, self.log, int(why))
+            self.take_events()
+            self._call_home_from_aside()
+        self._review()
+
+    def _call_home_from_aside(self) -> None:
+        """Robots that make no progress start their return too."""
+        for number in sorted(self.aside - self.turned):
+            if self.s.robots[number].doing != Doing.DEAD and self.moves_left(number) > 0:
+                self.s.robots[number].until = self.left.pop(number) + self._turns(number)
+                interpreted("return_home").turn_home(self.t, self.s, self.w, self.log, number, False)
+                self.take_events()
+
+    @property
+    def over(self) -> Outcome | None:
+        """How the mission ended for which all have started their return; None: it goes on."""
+        over = int(self.raw.marks["over"])
+        return Outcome(over - 1) if over else None
 
     def retire(self, number: int) -> None:
         """The robot does no more."""
-        self.limit(number, 0)
-        if self.robots[number].alive:
-            self._lay_down(self.robots[number])
+        with self._between():
+            self.limit(number, 0)
+            if self.s.robots[number].doing != Doing.DEAD:
+                self._lay_down(number)
 
     def limit(self, number: int, moves: int) -> None:
         """The robot can still make so many moves, whatever was known of its range."""
-        robot, ranges = self.robots[number], self.problem.range.copy()
-        made = max(int(ranges[number]) - robot.moves, 1)
-        ranges[number], robot.moves = made + moves, moves
-        if moves > 0 and robot.status is Doing.DONE and self.over is None:
-            robot.turned = False  # with a new battery it gets work again
+        me, ranges = self.s.robots[number], self.problem.range.copy()
+        made = max(int(ranges[number]) - self.moves_left(number), 1)
+        ranges[number] = made + moves
         self.problem = replace(self.problem, range=ranges)
-
-
-# A run whose areas are chosen from outside, at the moments at which Algorithm 2 chooses them; the rest is as ever.
-#
-# A step that comes to a choice nobody has made yet is taken back, and played again with the answer.
-
-
-class Decision(Exception):
-    """A robot is to choose. offers: the areas that it may take, at least one, in the order of the rule."""
-
-    def __init__(self, robot: int, offers: list[Choice]) -> None:
-        super().__init__(robot, offers)
-        self.robot, self.offers = robot, offers
-
-
-class Chosen(Executive):
-    """The team, in a step whose first choices are known.
-
-    Attributes:
-        answers: areas that are to be taken, None for none, in the order in which the step asks.
-        luck: who is stopped. new: cells that each robot was the first to visit.
-    """
-
-    def __init__(
-        self, problem: Problem, allocation: tuple[Area, ...], luck: Luck, recorder: Recorder | None = None
-    ) -> None:
-        super().__init__(problem, allocation, recorder=recorder)
-        self.answers: list[int | None] = []
-        self.luck, self.new = luck, [0] * len(self.robots)
-
-    def fork(self) -> Self:
-        """As of a board."""
-        other = super().fork()
-        other.answers, other.luck, other.new = self.answers.copy(), self.luck.fork(), self.new.copy()
-        return other
-
-    def choose(self, robot: Robot, *, idle: bool = False, own: bool = False) -> Choice | None:
-        """As it was answered. Who took none is asked again once other areas are nobody's. Raises Decision."""
-        now = (self.changes, robot.cell, 0)
-        if idle and robot.asked == now:
-            return None
-        robot.asked = now
-        offers = offered(self, robot, own=own)
-        if not offers:
-            return None
-        if not self.answers:
-            raise Decision(robot.number, sorted(offers, key=lambda one: (self.rule.key(one.offer), one.area)))
-        area = self.answers.pop(0)
-        return next((one for one in offers if one.area == area), None)
-
-    def _refuses(self) -> bool:
-        return True
-
-    def _mark(self, robot: Robot, cell: int) -> None:
-        self.new[robot.number] += not self.visited[cell]
-        super()._mark(robot, cell)
-
-
-class ChosenRun:
-    """One rollout from choice to choice.
-
-    Attributes:
-        team: as it stands at the end of the last step that is over. decision: what is to be chosen before the next one
-            can be; None before the first `go_on`, and at the end. outcome: how the run ended.
-    """
-
-    def __init__(
-        self,
-        problem: Problem,
-        allocation: tuple[Area, ...],
-        luck: Luck,
-        max_steps: int | None = None,
-        recorder: Recorder | None = None,
-    ) -> None:
-        """The arguments are those of `Chosen` and `simulate`; a step is written down again with every answer to it."""
-        self.team = Chosen(problem, allocation, luck, recorder)
-        self.decision: Decision | None = None
-        self.outcome: Outcome | None = None
-        self._last = max_steps or problem.max_steps
-
-    def go_on(self, choice: int | None = None) -> None:
-        """To the next decision, or the end; `choice`: which of the offers is taken, by its place; None: none of them.
-
-        A robot that takes none helps another one, if Algorithm 2 has it so, or rests.
-        """
-        if self.decision is not None:
-            self.team.answers.append(None if choice is None else self.decision.offers[choice].area)
-        self.decision = None
-        while (outcome := self.team.outcome(self._last)) is None:
-            ahead = self.team.fork()
-            try:
-                play_step(ahead, ahead.luck.hits)
-            except Decision as decision:
-                self.decision = decision
-                return
-            self.team, ahead.answers = ahead, []
-        self.outcome = outcome
+        if holds(self.raw.movers, number):
+            me.until = moves + self._turns(number)
+        elif holds(self.raw.waiting, number):
+            me.until = moves
+        else:
+            self.left[number] = moves
+        rests = me.doing in (Doing.IDLE, Doing.DONE) and not holds(self.raw.waiting, number)
+        if moves > 0 and rests and self.over is None:
+            self.turned.discard(number)  # with a new battery it gets work again
+            if number not in self.aside:
+                self._bring_back(number, Doing(me.doing))
 
 
 # What robots are told, and what they tell.
@@ -343,7 +546,7 @@ class Reports:
     def _cell(self, number: int, cell: ArrayLike | None) -> int:
         """The index of the cell that a robot says it is at."""
         if cell is None:
-            return self.now[number].cell if number in self.now else self.fleet.robots[number].cell
+            return self.now[number].cell if number in self.now else self.fleet.cell(number)
         world, part, found = self.fleet.problem.world, self.fleet.problem.part, whole_numbers(cell)
         height, width = world.shape
         expected = f"[row, col] of a cell that it can reach, row 0..{height - 1} and col 0..{width - 1}"
@@ -355,7 +558,7 @@ class Reports:
             raise StateError(f"{where}, off the map", expected=expected)
         if not world.free[row, col] or (index in self.seen and self.seen[index] is None):
             raise StateError(f"{where}, an obstacle", expected=expected)
-        if part[index] != part[self.fleet.robots[number].cell]:
+        if part[index] != part[self.fleet.cell(number)]:
             raise StateError(f"{where}, with no way there", expected=expected)
         return index
 

@@ -198,7 +198,8 @@ class SingleRun:
         other._take(State._make(row.copy() for row in self._stack))
         kept = {name: getattr(self.w, name).copy() for name in ("left", "at", "met")}
         other.w = self.w._replace(**kept)
-        other.log = Log(self.log.events.copy(), self.log.frames.copy())
+        other.log = Log(np.zeros_like(self.log.events), self.log.frames.copy())
+        other.log.events[: self.log.events[0, 0] + 1] = self.log.events[: self.log.events[0, 0] + 1]
         other.t, other.left, other.turned = self.t._replace(notes=None), self.left.copy(), self.turned.copy()
         return other
 
@@ -220,6 +221,18 @@ class SingleRun:
         self.outcome = None if found == NONE else Outcome(int(found))
         self.take_events()
         return self.outcome
+
+    def learn(self) -> bool:
+        """Robots learn the map as at the end of the last step, once more; whether one got an area."""
+        self._make_room()
+        self.s.marks.step -= 1
+        step = interpreted("step")
+        step.forget(self.t, self.p, self.s, self.w)
+        self.log.events[0, 0] = 0
+        step.learn(self.t, self.p, self.s, self.w, self.log, self.how, self.ids)
+        self.take_events()
+        self.s.marks.step += 1
+        return bool((self.new_events[:, 2] == EventKind.ALLOCATED).any())
 
     def take_events(self) -> None:
         """What was noted in this step; of robots that neither move nor wait any more, the moves that are left."""
@@ -264,6 +277,10 @@ class SingleRun:
     def robots(self) -> list[RobotNow]:
         """All of them."""
         return [RobotNow(self, number) for number in range(self.loop.robots)]
+
+    def cell(self, robot: int) -> int:
+        """Where the robot is, as an index of the grid."""
+        return int(self.loop.cells[self.raw.robots["cell"][robot]])
 
     def moves_left(self, robot: int) -> int:
         """Moves that the robot can still make, at the end of a step."""
@@ -322,7 +339,7 @@ class SingleRun:
     def doing(self, robot: int) -> Doing:
         """What the robot does."""
         state, code = interpreted("state"), int(self.raw.robots["doing"][robot])
-        return {state.LANDING: Doing.IDLE, state.STARTING: Doing.TRAVELING}.get(code) or Doing(code)
+        return Doing({state.LANDING: Doing.IDLE, state.STARTING: Doing.TRAVELING}.get(code, code))
 
     def path_ahead(self, robot: int) -> list[int]:
         """Cells, as numbers of accessible ones, that the robot is to enter as things stand, the next one first."""
@@ -356,7 +373,7 @@ class SingleRun:
                 found.append(cell)
                 me.cell = cell
                 if cell == me.target:
-                    s.home[cell] &= ~TO_DO
+                    s.home[cell] = int(s.home[cell]) & ~TO_DO
                     me.left -= 1
                     if doing is not Doing.COVERING or self.p is not None or me.left <= 0:
                         break

@@ -29,6 +29,7 @@ from planner.simulator.state import (
     MOST_CELLS,
     MOVER_WORDS,
     NO_LEVEL,
+    OUT,
     RANKED,
     RETURNING,
     SURVIVED,
@@ -95,7 +96,7 @@ def make_tables(
     grid = neighbour_table(problem.world.shape, compact != NO_CELL)[cells]
     near = np.where(grid == NO_CELL, NO_CELL, compact[grid])
     entry = problem.costs[cells]
-    order = np.concatenate([compact[area.cells] for area in areas])
+    order = np.concatenate([compact[:0], *(compact[area.cells] for area in areas)])
     begin = np.concatenate([[0], np.cumsum([len(area.cells) for area in areas])]).astype(np.int32)
     level = np.array([area.level for area in areas], dtype=np.int32)
     narrow = np.uint16 if len(cells) < MOST_CELLS else np.uint32
@@ -372,6 +373,8 @@ DOINGS |= {"returning": RETURNING}
 def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDArray[np.int64]) -> None:
     """Write the mission into `state`, which holds t = 0 of its areas; `cells`: int64 `[A]`, the accessible ones."""
     state.home[np.searchsorted(cells, mission.visited)] |= VISITED
+    if len(state.mind):  # what was visited is no cell to take into an area
+        state.known[np.searchsorted(cells, mission.visited)] &= ~np.uint8(OUT)
     survived = np.searchsorted(cells, mission.survived)
     state.home[survived] |= SURVIVED
     if len(state.passes):

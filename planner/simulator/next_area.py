@@ -235,7 +235,7 @@ def first_area(t, p, s, w, robot, its_own, refusing):
     if its_own != NONE:  # its target stays the same on the way there, until it is visited, or costs are others
         cell = np.int64(s.robots[robot].target)
         cost = np.int64(costs[cell])
-        if s.home[cell] & VISITED or t.learns:
+        if s.home[cell] & VISITED or t.learns or t.phased:  # a robot of a mission may be displaced on its way
             cell, cost = see(t, s, costs, robot, here, its_own)
         offer = offer_of(t, p, s, robot, its_own, cost)
         before = goes_first(p, offer, its_own, first, best, refusing)

@@ -605,7 +605,9 @@ def _first_mind(tables: Tables, room: int, kind: DTypeLike) -> Iterator[NDArray]
     free = np.append(tables.belief >= 0, False)
     near = tables.near[:size]
     yield np.where(free[near], near, size).astype(near.dtype)
-    yield np.where(free[:-1], tables.price[tables.belief], 0) if learning else np.zeros(0, dtype=np.int64)
+    yield (
+        np.where(free[:-1], tables.price[np.maximum(tables.belief, 0)], 0) if learning else np.zeros(0, dtype=np.int64)
+    )
     yield tables.belief.copy()
     yield np.zeros(size, dtype=np.uint8)
     yield np.zeros(room if learning else 0, dtype=kind)
