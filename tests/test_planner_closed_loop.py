@@ -13,11 +13,11 @@ from conftest import Fixture, load_fixture, worlds_with_starts
 from helpers import run_closed_chunks
 from hypothesis import given
 from numba import typeof
+from planner.mrac.simulate import Run, simulate
 
 from planner.errors import PlanError
 from planner.make_plan import make_plan
 from planner.mrac.problem import prepare
-from planner.mrac.simulate import Run, simulate
 from planner.plan.plan import Plan
 from planner.rollout_sampling import Luck
 from planner.rollouts.closed_loop import compile_closed_loop, new_cells, run_range
@@ -26,8 +26,8 @@ from planner.rollouts.runners import KNOWN, LEAST_SHARED, _in_rounds, remember_a
 from planner.rollouts.tables import most_cost
 from planner.settings import Settings
 from planner.simulator import return_home as remember
-from planner.simulator.codes import Outcome
-from planner.simulator.searches import BLOCKED, neighbour_table
+from planner.simulator.codes import BLOCKED, Outcome
+from planner.simulator.searches import neighbour_table
 from planner.simulator.state import first_room, largest_set, make_state, make_work
 from planner.tally import RolloutResults, Tally
 from planner.world.generate import ThreatPattern, random_world

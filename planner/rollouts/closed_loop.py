@@ -17,9 +17,8 @@ from planner.plan.plan import Area, Plan, RobotPlan, last_move
 from planner.plan.state import MissionState
 from planner.rollout_sampling import check_counters
 from planner.rollouts.loop import NO_COUNTS, ClosedLoop, known_cells, purpose_of
-from planner.rollouts.policies import make_policy
 from planner.rollouts.runners import Runner, on_threads, run_sets, singles_of
-from planner.rollouts.tables import AllPairs, first_frames, make_tables
+from planner.rollouts.tables import AllPairs, first_frames, make_policy, make_tables
 from planner.rule_versions import BEFORE, rules_of
 from planner.simulator.areas import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_log
 from planner.simulator.codes import NO_AREA, EventKind, Outcome
@@ -63,7 +62,7 @@ def compile_closed_loop(
         raise PlanError(
             f"the compiled engines do not follow {settings.own_words}",
             expected="an exact Rule of attentive robots, cells in the planner's own order",
-            fix="roll it out open loop, or with the readable simulator: planner.mrac.simulate.ReferenceLoop",
+            fix="roll it out open loop, or with the simulator as Python: planner.rollouts.single_run.PythonLoop",
         )
     check_counters(world, len(problem.starts), problem.max_steps)
     check_every_visit(world, first_only)

@@ -314,6 +314,11 @@ class SingleRun:
         return np.where(found == len(self.raw.areas) - 1, NO_AREA, found) if self.loop.learns else found
 
     @property
+    def open(self) -> list[int]:
+        """Ids of the areas that are unassigned."""
+        return [number for number in range(int(self.raw.marks["areas"])) if holds(self.raw.open, number)]
+
+    @property
     def alive(self) -> NDArray[np.bool_]:
         """bool `[K]`."""
         return np.asarray(self.raw.robots["doing"] != Doing.DEAD)
