@@ -190,7 +190,7 @@ def check_alone(world: World, what: str, over: type[Hazard | Uncertain] | None =
 # Eq. (3) made exact: whole-number entry costs of safest paths (SPEC section 3), and the world as a NetworkX graph.
 
 
-def entry_costs(levels: ThreatLevels, risk: Literal[paper, log], source: str = "") -> NDArray[np.int64]:
+def entry_costs(levels: ThreatLevels, risk: Literal["paper", "log"], source: str = "") -> NDArray[np.int64]:
     """Cost of entering each cell, int64 `[N]`, BLOCKED where not accessible (eq. (3) times n, rounded).
 
     Raises WorldError, of `source`, if the sum over all cells, which no path can exceed, might not fit in 62 bits.
@@ -208,7 +208,7 @@ def entry_costs(levels: ThreatLevels, risk: Literal[paper, log], source: str = "
     return np.where(levels.accessible, costs, BLOCKED)
 
 
-def level_costs(values: NDArray[np.float64], n: int, risk: Literal[paper, log]) -> NDArray[np.float64]:
+def level_costs(values: NDArray[np.float64], n: int, risk: Literal["paper", "log"]) -> NDArray[np.float64]:
     """Cost of entering a cell of each level `[L]`, whole numbers.
 
     Safe 1; dangerous `floor(n * p / p_min + 0.5)`, or with logarithms of survival for `risk="log"`.
