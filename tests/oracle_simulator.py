@@ -20,7 +20,6 @@ Cell = tuple[int, int]
 Judge = Callable[[int, int, Cell], bool]
 """`(robot, step, cell)`: is it stopped there?"""
 WALL = -1
-MANY = 10**9
 WORKING = ("traveling", "covering")
 
 
@@ -154,8 +153,6 @@ class Paper:
         cost = self.costs(here)
         return min(((cost[cell], cell) for cell in self.goals(number) if cell in cost), default=None)
 
-    # --- areas ---
-
     def open(self) -> list[int]:
         """Those that nobody has."""
         return [number for number, patch in enumerate(self.patches) if patch.owner is None and not patch.over]
@@ -242,14 +239,10 @@ class Paper:
 
     def end_step(self) -> None:
         """Every robot has had its turn."""
-        self.look_about()
         self.quiet = 0 if self.moved else self.quiet + 1
         self.outcome = self.ended() or ("step_limit" if self.step >= self.last else "")
         if not self.outcome:
             self.step, self.moved = self.step + 1, False
-
-    def look_about(self) -> None:
-        """Robots that are told the map learn nothing."""
 
     def ended(self) -> str:
         """How the run ends after this step; "": it goes on."""
@@ -288,31 +281,24 @@ class Paper:
         walker = self.team[number]
         walker.patch, self.patches[area].owner = area, number
         self.set_out(walker)
+        self.moved = True
         self.note(number, "allocated", area, walker.way[-1] if walker.way else walker.at)
 
     def offers(self, walker: Walker, areas: Iterable[int]) -> Iterator[tuple[Any, int, int, Cell]]:
         """(key, area, cost, target) of those that it can have."""
         for area in areas:
             at = self.nearest(walker.at, area)
-            if at and self.affords(walker, at[1]):
+            if at:
                 yield self.key(area, at[0]), area, *at
-
-    def affords(self, walker: Walker, target: Cell) -> bool:
-        """Whether the area of this target is there for the walker."""
-        return True
 
     def allocate(self, number: int, walker: Walker, *, share: bool) -> bool:
         """`Allocate Next Area`, and if it is asked for `Find Area To Share`, else done. True if it got an area."""
         found = min(self.offers(walker, self.open()), default=None)
         if found:
             self.give(number, found[1])
-            self.moved = True
-            return True
-        if share and self.share(number, walker):
-            return True
-        if share:
+        elif share and not self.share(number, walker):
             walker.doing, walker.patch, walker.way = "done", None, []
-        return False
+        return walker.doing in WORKING
 
     def share(self, number: int, walker: Walker) -> bool:
         """`Find Area To Share`."""
@@ -333,7 +319,6 @@ class Paper:
         _, of_owner, of_helper = min((theirs[a] + mine[b], a, b) for a in new for b in new if a != b)
         self.give(owner, of_owner)
         self.give(number, of_helper)
-        self.moved = True
         return True
 
     def replace(self, number: int, parts: Sequence[Iterable[Cell]]) -> list[int]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
-from oracle_simulator import MANY, WALL, WORKING, Cell, Judge, Paper, Patch, Walker, beside, pieces
+from oracle_simulator import WALL, WORKING, Cell, Judge, Paper, Patch, Walker, beside, pieces
+
+MANY = 10**9
 
 # A closed loop of robots that are not told the map, by the paper's rule, once more: written from docs/spec.md alone.
 #
@@ -73,6 +75,10 @@ class Twin(Paper):
         return found
 
     # --- section 15 ---
+
+    def end_step(self) -> None:
+        self.look_about()
+        super().end_step()
 
     def look_about(self) -> None:
         live = [walker for walker in self.team if walker.doing != "dead"]
@@ -342,6 +348,9 @@ class Homing(Timed):
 
     # --- what it can afford ---
 
+    def offers(self, walker: Walker, areas: Iterable[int]) -> Iterator[tuple[Any, int, int, Cell]]:
+        return (offer for offer in super().offers(walker, areas) if self.affords(walker, offer[-1]))
+
     def affords(self, walker: Walker, target: Cell) -> bool:
         number = self.team.index(walker)
         h = self.far(number, target)
@@ -463,7 +472,8 @@ class Homing(Timed):
         return other
 
     def state_key(self) -> tuple[Any, ...]:
-        return *super().state_key(), self.over, *(tuple(getattr(self, name)) for name in OWN)
+        todo = (walker.todo for walker in self.team)
+        return *super().state_key(), self.over, *todo, *(tuple(getattr(self, name)) for name in OWN)
 
     def at_home(self) -> list[bool]:
         return [w.doing != "dead" and w.at in self.bases[n] for n, w in enumerate(self.team)]
