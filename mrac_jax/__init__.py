@@ -43,12 +43,12 @@ if TYPE_CHECKING:
     )
     from mrac_jax.environment.making import env
     from planner.errors import InputError
-    from planner.mrac.paths import to_networkx
     from planner.plan.plan import Plan
     from planner.plan_team import read_plan
     from planner.settings import Settings
     from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
     from planner.world.features import with_movers, with_prior, with_sense, with_truth
+    from planner.world.levels import to_networkx
     from planner.world.world import World
 
 __version__ = version("mrac-jax")
@@ -66,7 +66,7 @@ ELSEWHERE = {
     "env": "mrac_jax.environment.making",
     "plots": "analysis.plots",
     "read_plan": "planner.plan_team",
-    "to_networkx": "planner.mrac.paths",
+    "to_networkx": "planner.world.levels",
     "with_movers": "planner.world.features",
     "with_phases": "planner.world.changing_maps",
     **dict.fromkeys(("with_hazard", "with_maps", "with_spread"), "planner.world.changing_maps"),

@@ -15,7 +15,7 @@ from planner.plan.plan import Area, Plan, RobotPlan, last_move
 from planner.plan.reading import check_partition
 from planner.plan.state import NAT, ON_ITS_WAY, RETURNING, AreaState, MissionState, RobotState
 from planner.rollouts.closed_loop import compile_closed_loop, nominal_loop
-from planner.rollouts.single_run import Run, SingleRun, play
+from planner.rollouts.single_run import Run, SingleRun, play, play_compiled
 from planner.settings import Settings
 from planner.simulator.codes import NO_ROBOT
 from planner.simulator.searches import NOT_WANTED, UNREACHED
@@ -23,6 +23,9 @@ from planner.simulator.thresholds import MOST
 from planner.world.features import as_planned
 from planner.world.levels import NO_LEVEL
 from planner.world.world import World
+
+LARGE = 2**18
+"""Cells from which on it is faster to compile the simulator than to run it as Python."""
 
 
 def allocate(problem: Problem) -> tuple[Area, ...]:
@@ -69,7 +72,11 @@ def nominal_run(problem: Problem, plan: Plan) -> Run:
     if problem.unknown is not None and problem.unknown.phases is not None and problem.stay_inside:
         problem.world.check_told('`transit="area"`, legs that stay in their area,')
     loop = compile_closed_loop(plan, problem.world, problem=problem, interpreted=True)
-    return play(SingleRun(nominal_loop(loop)))
+    loop = nominal_loop(loop)
+    built_in = loop.in_area is None and (loop.policy is None or loop.policy.key is None)
+    if len(loop.cells) >= LARGE and built_in and not loop.learns:
+        return play_compiled(loop)
+    return play(SingleRun(loop))
 
 
 def make_plan(

@@ -4,36 +4,19 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
+from typing import Any, Self
 
 import numpy as np
+from oracle_simulator import WALL, WORKING, Cell, Judge, Paper, Patch, Walker, beside, pieces
+
+MANY = 10**9
 
 # A closed loop of robots that are not told the map, by the paper's rule, once more: written from docs/spec.md alone.
 #
-# It shares no code with the simulators: cells are (row, col), sets are sets, every distance is asked for anew. For
-# tiny worlds; who is stopped is scripted. The allocation at t = 0 is data, as everywhere.
-
-Cell = tuple[int, int]
-WALL = -1
-
-
-def beside(cell: Cell) -> list[Cell]:
-    row, col = cell
-    return [(row - 1, col), (row, col - 1), (row, col + 1), (row + 1, col)]
-
-
-def pieces(cells: Iterable[Cell]) -> list[list[Cell]]:
-    """Connected components, each sorted, by lowest cell."""
-    left, found = set(cells), []
-    while left:
-        piece = {min(left)}
-        while more := {other for cell in piece for other in beside(cell) if other in left} - piece:
-            piece |= more
-        left -= piece
-        found.append(sorted(piece))
-    return found
+# It shares no code with the product; what the paper itself says is `oracle_simulator`'s. For tiny worlds; who is
+# stopped is scripted. The allocation at t = 0 is data, as everywhere.
 
 
 def crosses(start: Cell, end: Cell, cell: Cell) -> bool:
@@ -53,32 +36,15 @@ def crosses(start: Cell, end: Cell, cell: Cell) -> bool:
     return False
 
 
-@dataclass
-class Patch:
-    level: int
-    cells: set[Cell]
-    owner: int | None = None
-    over: bool = False
-
-
-@dataclass
-class Walker:
-    at: Cell
-    doing: str = "idle"
-    patch: int | None = None
-    way: list[Cell] = field(default_factory=list)
-    todo: set[Cell] = field(default_factory=set)
-    path: list[Cell] = field(default_factory=list)
-
-
-class Twin:
+class Twin(Paper):
     """One run. `believed`, `true`: p `[H, W]`, NaN = obstacle. `areas`: (level, robot or None, cells) at t = 0."""
 
     def __init__(
         self, believed: np.ndarray, true: np.ndarray, starts: list[Cell], reach: float, sight: bool,
-        areas: list[tuple[int, int | None, list[Cell]]], stopped: Callable[[int, int, Cell], bool],
+        areas: list[tuple[int, int | None, list[Cell]]], stopped: Judge,
     ) -> None:  # fmt: skip
-        self.reach, self.sight, self.stopped, self.cells = reach, sight, stopped, np.prod(true.shape)
+        super().__init__(true, starts, areas, MANY)
+        self.reach, self.sight, self.stopped = reach, sight, stopped
         grid = list(np.ndindex(*true.shape))
         either = {c for c in grid if not math.isnan(believed[c]) or not math.isnan(true[c])}
         near = {c for piece in pieces(either) if set(piece) & set(starts) for c in piece}
@@ -90,16 +56,12 @@ class Twin:
 
         self.map = {c: level(believed[c]) for c in grid}
         self.true = {c: level(true[c]) for c in grid}
-        self.goal = {c for p in pieces(c for c in grid if self.true[c] != WALL) if set(p) & set(starts) for c in p}
-        self.visited: set[Cell] = set()
-        self.team = [Walker(start) for start in starts]
         for walker in self.team:
             self.map |= {c: self.true[c] for c in self.seen_from(walker.at)}
-        self.patches = [Patch(level, set(cells), robot) for level, robot, cells in areas]
-        for number, patch in enumerate(self.patches):
-            if patch.owner is not None:
-                self.team[patch.owner].patch, self.team[patch.owner].doing = number, "traveling"
-        self.step, self.quiet, self.moved = 0, 0, False
+
+    def run(self) -> str:
+        """All of it."""
+        return super().run(self.stopped)
 
     # --- what there is ---
 
@@ -112,165 +74,11 @@ class Twin:
                     found.add(cell)
         return found
 
-    def price(self, cell: Cell) -> int:
-        level = self.map[cell]
-        return 1 if level == 0 else math.floor(self.cells * self.scale[level] / self.scale[1] + 0.5)
-
-    def costs(self, source: Cell) -> dict[Cell, int]:
-        cost = {source: 0}
-        while True:
-            more = {}
-            for cell in cost:
-                for other in beside(cell):
-                    if self.map.get(other, WALL) != WALL:
-                        new = cost[cell] + self.price(other)
-                        if new < min(cost.get(other, new + 1), more.get(other, new + 1)):
-                            more[other] = new
-            if not more:
-                return cost
-            cost |= more
-
-    def way(self, source: Cell, target: Cell) -> list[Cell]:
-        cost, back = self.costs(source), [target]
-        while back[-1] != source:
-            here = back[-1]
-            back.append(next(c for c in beside(here) if cost.get(c, -1) == cost[here] - self.price(here)))
-        return back[-2::-1]
-
-    def open(self) -> list[int]:
-        return [n for n, patch in enumerate(self.patches) if patch.owner is None and not patch.over]
-
-    def left(self, number: int) -> set[Cell]:
-        return self.patches[number].cells - self.visited
-
-    # --- Algorithm 2 ---
-
-    def run(self) -> str:
-        while True:
-            self.moved = False
-            for number, walker in enumerate(self.team):
-                self.turn(number, walker)
-            self.look_about()
-            self.quiet = 0 if self.moved else self.quiet + 1
-            if ended := self.ended():
-                return ended
-            self.step += 1
-
-    def ended(self) -> str:
-        """How the run ends after this step; "": it goes on."""
-        if self.goal <= self.visited:
-            return "complete"
-        if all(walker.doing == "dead" for walker in self.team):
-            return "all_robots_lost"
-        return "no_progress" if self.quiet >= 2 else ""
-
-    def affords(self, walker: Walker, target: Cell) -> bool:
-        """Whether the area of this target is there for the walker."""
-        return True
-
-    def turn(self, number: int, walker: Walker) -> None:
-        if self.step == 0:
-            self.enter(number, walker, walker.at)
-            if walker.doing != "dead" and walker.patch is not None:
-                self.set_out(walker)
-                self.settle(number, walker)
-        elif walker.doing in ("idle", "done"):
-            if self.allocate(number, walker, share=False):
-                self.settle(number, walker)
-            walker.path.append(walker.at)
-        elif walker.doing != "dead":
-            self.enter(number, walker, walker.way.pop(0))
-            if walker.doing != "dead":
-                self.settle(number, walker)
-
-    def enter(self, number: int, walker: Walker, cell: Cell) -> None:
-        walker.at, self.moved = cell, True
-        walker.path.append(cell)
-        walker.todo.discard(cell)
-        self.visited.add(cell)
-        for patch in self.patches:
-            if cell in patch.cells and not patch.cells - self.visited:
-                patch.over = True
-        if self.stopped(number, self.step, cell):
-            walker.doing = "dead"
-            if walker.patch is not None:
-                self.replace(walker.patch, pieces(self.left(walker.patch)))
-
-    def replace(self, number: int, parts: list[list[Cell]]) -> list[int]:
-        """The parts become patches of their own; the patch keeps what is visited."""
-        patch = self.patches[number]
-        patch.cells &= self.visited
-        patch.over = True
-        self.patches += [Patch(patch.level, set(part)) for part in parts]
-        return list(range(len(self.patches) - len(parts), len(self.patches)))
-
-    def settle(self, number: int, walker: Walker) -> None:
-        while not walker.way:
-            if walker.doing == "traveling":
-                walker.doing, walker.todo = "covering", self.left(walker.patch)
-                self.cover(walker, walker.at)
-            elif walker.doing == "covering":
-                self.patches[walker.patch].over = True
-                self.allocate(number, walker, share=True)
-            else:
-                return
-
-    def cover(self, walker: Walker, here: Cell) -> None:
-        """Legs to the cheapest of what is to do, one after the other."""
-        todo = walker.todo - {here}
-        while todo:
-            cost = self.costs(here)
-            target = min(todo, key=lambda cell: (cost[cell], cell))
-            walker.way += self.way(here, target)
-            todo, here = todo - {target}, target
-
-    def nearest(self, here: Cell, number: int) -> tuple[int, Cell] | None:
-        cost = self.costs(here)
-        return min(((cost[c], c) for c in self.patches[number].cells if c in cost), default=None)
-
-    def set_out(self, walker: Walker) -> None:
-        _, target = self.nearest(walker.at, walker.patch)
-        walker.way, walker.doing = self.way(walker.at, target), "traveling"
-
-    def allocate(self, number: int, walker: Walker, *, share: bool) -> bool:
-        seen = [(n, at) for n in self.open() if (at := self.nearest(walker.at, n))]
-        found = [(self.patches[n].level, at[0], n) for n, at in seen if self.affords(walker, at[1])]
-        if found:
-            walker.patch = min(found)[2]
-            self.patches[walker.patch].owner = number
-            self.set_out(walker)
-            self.moved = True
-            return True
-        if share and self.share(number, walker):
-            return True
-        if share:
-            walker.doing, walker.patch, walker.way = "done", None, []
-        return False
-
-    def share(self, number: int, walker: Walker) -> bool:
-        found = []
-        for other, owner in enumerate(self.team):
-            if other != number and owner.doing in ("traveling", "covering") and len(self.left(owner.patch)) >= 2:
-                at = self.nearest(walker.at, owner.patch)
-                near = at and len(self.way(walker.at, at[1])) <= len(self.left(owner.patch))
-                if near and self.affords(walker, at[1]):
-                    found.append((self.patches[owner.patch].level, at[0], owner.patch, other))
-        if not found:
-            return False
-        *_, patch, other = min(found)
-        parts = pieces(self.left(patch))
-        new = self.replace(patch, sorted(halves(parts[0])) if len(parts) == 1 else parts)
-        owner = self.team[other]
-        pairs = [
-            (self.nearest(owner.at, a)[0] + self.nearest(walker.at, b)[0], a, b) for a in new for b in new if a != b
-        ]
-        for who, robot, part in ((owner, other, min(pairs)[1]), (walker, number, min(pairs)[2])):
-            who.patch, self.patches[part].owner = part, robot
-            self.set_out(who)
-        self.moved = True
-        return True
-
     # --- section 15 ---
+
+    def end_step(self) -> None:
+        self.look_about()
+        super().end_step()
 
     def look_about(self) -> None:
         live = [walker for walker in self.team if walker.doing != "dead"]
@@ -283,7 +91,7 @@ class Twin:
         for number, walker in enumerate(self.team):  # the leg that it is on, as it was found
             ends = [i for i, cell in enumerate(walker.way) if walker.doing == "traveling" or cell in walker.todo]
             legs[number] = walker.way[: (ends[-1] if walker.doing == "traveling" else ends[0]) + 1] if ends else []
-        self.map |= {cell: self.true[cell] for cell in seen}
+        self.map, self.known = self.map | {cell: self.true[cell] for cell in seen}, {}
         near = {n: set(self.costs(walker.at)) for n, walker in enumerate(self.team) if walker.doing != "dead"}
         reached = set().union(*near.values())
         for number, patch in enumerate(list(self.patches)):
@@ -295,8 +103,8 @@ class Twin:
                 apart = len({frozenset(one) for one in near.values() if one & patch.cells})
                 if patch.cells & news or not patch.cells <= reached or apart > 1:
                     parts = pieces((patch.cells - news - self.visited) & reached)
-                    patch.cells, patch.over = set(parts[0]) if parts else set(), not parts
-                    self.patches += [Patch(patch.level, set(part)) for part in parts[1:]]
+                    patch.cells, patch.over = frozenset(parts[0] if parts else ()), not parts
+                    self.patches += [Patch(patch.level, frozenset(part)) for part in parts[1:]]
         self.take_in(reached)
         for number, walker in enumerate(self.team):
             if walker.doing in WORKING:
@@ -316,11 +124,11 @@ class Twin:
                 if self.patches[n].level == self.map[part[0]] and self.patches[n].cells & round_about
             ]
             if not mine:
-                self.patches.append(Patch(self.map[part[0]], set(part)))
+                self.patches.append(Patch(self.map[part[0]], frozenset(part)))
                 continue
             for n in mine[1:]:
                 self.patches[mine[0]].cells |= self.patches[n].cells
-                self.patches[n].cells, self.patches[n].over = set(), True
+                self.patches[n].cells, self.patches[n].over = frozenset(), True
             self.patches[mine[0]].cells |= set(part)
 
     def set_right(self, number: int, walker: Walker, leg: list[Cell], news: set[Cell], near: set[Cell]) -> None:
@@ -339,34 +147,11 @@ class Twin:
         self.settle(number, walker)
 
 
-WORKING = ("traveling", "covering")
-
-
-def halves(cells: list[Cell]) -> list[list[Cell]]:
-    """Two connected halves of a connected set (docs/spec.md, section 5)."""
-    far = min(layers(cells, min(cells))[-1])
-    goal, grown = (len(cells) + 1) // 2, []
-    for layer in layers(cells, far):
-        grown += sorted(layer)[: goal - len(grown)]
-    rest = pieces(set(cells) - set(grown))
-    stays = max(rest, key=lambda part: (len(part), [-c for c in part[0]]))
-    return [sorted(set(cells) - set(stays)), stays]
-
-
-def layers(cells: list[Cell], source: Cell) -> list[list[Cell]]:
-    found, left = [[source]], set(cells) - {source}
-    while more := {other for cell in found[-1] for other in beside(cell) if other in left}:
-        left -= more
-        found.append(list(more))
-    return found
-
-
 # Threats that change with time, by everything that can happen: a closed loop by the paper's rule, and given paths.
 #
-# Written from docs/spec.md, sections 15 and 16, on the twin of section 15, which shares no code with the simulators.
+# Written from docs/spec.md, sections 15 and 16, on the twin of section 15, which shares no code with the product.
 # Maps are float arrays, NaN = obstacle; cells are (row, col).
 
-Judge = Callable[[int, int, Cell], bool]
 Areas = list[tuple[int, "int | None", list[Cell]]]
 
 
@@ -462,11 +247,59 @@ def open_loop(paths: list[list[Cell]], judge: Judge) -> tuple[int, int]:
     return len(visited), len(alive)
 
 
+class Following(Paper):
+    """One run of robots that follow given paths, one list a robot, a cell for each step, and then the paper's rule.
+
+    The cells that a robot is the first to visit are its areas, one a level, which nobody shares; if it is stopped, what
+    is unvisited of them is cut into connected areas. Cells on nobody's path are areas of nobody.
+    """
+
+    def __init__(self, threat: np.ndarray, paths: list[list[Cell]]) -> None:
+        super().__init__(threat, [path[0] for path in paths], [])
+        self.last += max(map(len, paths)) - 1
+        first: dict[Cell, int] = {}
+        for step in range(max(map(len, paths))):
+            for robot, path in enumerate(paths):
+                first.setdefault(path[min(step, len(path) - 1)], robot)
+        levels = range(len(self.scale))
+        for robot in range(len(paths)):
+            own = ({cell for cell, who in first.items() if who == robot and self.map[cell] == n} for n in levels)
+            self.patches += [Patch(n, frozenset(cells), robot) for n, cells in enumerate(own) if cells]
+        for n in levels:
+            parts = pieces(cell for cell in self.goal - {*first} if self.map[cell] == n)
+            self.patches += [Patch(n, frozenset(part)) for part in parts]
+        for walker, path in zip(self.team, paths, strict=True):
+            walker.doing, walker.way = "following", path[1:]
+
+    def decide(self, number: int) -> Cell | None:
+        walker = self.team[number]
+        if self.step == 0 or walker.doing != "following" or walker.way[0] != walker.at:
+            return super().decide(number)
+        walker.path.append(walker.way.pop(0))  # a step of waiting
+        self.moved = True
+        self.settle(number, walker)
+        return None
+
+    def settle(self, number: int, walker: Walker) -> None:
+        if walker.doing == "following" and not walker.way:
+            self.allocate(number, walker, share=True)
+        super().settle(number, walker)
+
+    def lose(self, number: int) -> None:
+        super().lose(number)
+        if self.team[number].patch is None:
+            for area, patch in enumerate(self.patches[:]):
+                if patch.owner == number and not patch.over:
+                    self.leave(number, area)
+
+
 # Robots that come home, once more: a twin written from docs/spec.md, sections 4 and 19, alone.
 #
-# What robots do with their areas is `oracle_unknown`'s; threats may change (`oracle_phases`). Cells are (row, col).
+# What robots do with their areas is the twin's; threats may change (`Timed`). Cells are (row, col).
 
-MANY = 10**9
+
+OWN = ("left_moves", "turned", "charges", "ready")
+"""What robots that come home have each."""
 
 
 class Homing(Timed):
@@ -492,7 +325,7 @@ class Homing(Timed):
                 offers = {}
                 for cell, (cost, moves) in found.items():
                     for other in (one for one in beside(cell) if self.map.get(one, WALL) != WALL):
-                        offer = (cost + self.price(cell), moves + 1)
+                        offer = (cost + self.price(self.map[cell]), moves + 1)
                         if offer < min(found.get(other, (MANY, 0)), offers.get(other, (MANY, 0))):
                             offers[other] = offer
                 if not offers:
@@ -505,7 +338,7 @@ class Homing(Timed):
         at, way = self.home(number), []
         while at.get(cell, (0, 0))[1] > 0:
             cost, moves = at[cell]
-            cell = next(o for o in beside(cell) if o in at and at[o] == (cost - self.price(o), moves - 1))
+            cell = next(o for o in beside(cell) if o in at and at[o] == (cost - self.price(self.map[o]), moves - 1))
             way.append(cell)
         return way
 
@@ -514,6 +347,9 @@ class Homing(Timed):
         return self.home(number).get(cell, (0, -1))[1]
 
     # --- what it can afford ---
+
+    def offers(self, walker: Walker, areas: Iterable[int]) -> Iterator[tuple[Any, int, int, Cell]]:
+        return (offer for offer in super().offers(walker, areas) if self.affords(walker, offer[-1]))
 
     def affords(self, walker: Walker, target: Cell) -> bool:
         number = self.team.index(walker)
@@ -524,6 +360,8 @@ class Homing(Timed):
     def goes_on(self, number: int, moves: int) -> bool:
         """Whether it could turn at every cell up to the end of its leg, with so many moves left."""
         walker = self.team[number]
+        if self.far(number, walker.at) < 0:
+            return True  # no base is left to be reached
         ends = [place for place, cell in enumerate(walker.way) if cell in walker.todo]
         leg = walker.way if walker.doing == "traveling" else walker.way[: ends[0] + 1]
         return all(self.far(number, cell) <= moves - k for k, cell in enumerate(leg, 1))
@@ -541,7 +379,7 @@ class Homing(Timed):
     def lay_down(self, walker: Walker) -> None:
         if walker.patch is not None:
             self.replace(walker.patch, pieces(self.left(walker.patch)))
-        walker.doing, walker.patch, walker.way, walker.todo = "done", None, [], set()
+        walker.doing, walker.patch, walker.way, walker.todo = "done", None, [], frozenset()
 
     def arrive(self, number: int) -> None:
         self.team[number].doing, self.team[number].way = "done", []
@@ -560,7 +398,8 @@ class Homing(Timed):
 
     # --- a turn ---
 
-    def turn(self, number: int, walker: Walker) -> None:
+    def decide(self, number: int) -> Cell | None:
+        walker = self.team[number]
         if walker.doing == "charging":
             self.moved = True
             if self.step >= self.ready[number]:
@@ -568,7 +407,7 @@ class Homing(Timed):
                 self.allocate(number, walker, share=True)
                 self.settle(number, walker)
             walker.path.append(walker.at)
-            return
+            return None
         if self.step > 0 and walker.doing in WORKING:
             moves = self.left_moves[number]
             if not self.goes_on(number, min(moves, self.last - self.step + 1)):
@@ -576,15 +415,15 @@ class Homing(Timed):
         waits = walker.doing in ("idle", "done") and (self.turned[number] or not self.left_moves[number])
         if self.step > 0 and (waits or walker.doing == "charging"):
             walker.path.append(walker.at)
-            return
-        super().turn(number, walker)
+            return None
+        return super().decide(number)
 
     def allocate(self, number: int, walker: Walker, *, share: bool) -> bool:
         return super().allocate(number, walker, share=share) or (self.rests(number) and False)
 
-    def enter(self, number: int, walker: Walker, cell: Cell) -> None:
+    def enter(self, number: int) -> None:
         self.left_moves[number] -= self.step > 0
-        super().enter(number, walker, cell)
+        super().enter(number)
 
     def settle(self, number: int, walker: Walker) -> None:
         if walker.doing == "returning":
@@ -626,6 +465,16 @@ class Homing(Timed):
         ended = ended or ("step_limit" if self.step >= self.last else "")
         return "complete" if ended and self.goal <= self.visited else ended
 
+    def fork(self) -> Self:
+        other = super().fork()
+        for name in OWN:
+            setattr(other, name, getattr(self, name)[:])
+        return other
+
+    def state_key(self) -> tuple[Any, ...]:
+        todo = (walker.todo for walker in self.team)
+        return *super().state_key(), self.over, *todo, *(tuple(getattr(self, name)) for name in OWN)
+
     def at_home(self) -> list[bool]:
         return [w.doing != "dead" and w.at in self.bases[n] for n, w in enumerate(self.team)]
 
@@ -656,7 +505,7 @@ def allocation(p: np.ndarray, starts: list[Cell]) -> Areas | None:
 
 # Robots that learn about hazards, once more: a twin written from docs/spec.md alone, by Bayes' rule in floats.
 #
-# It shares no code with the simulators; what robots do with what they believe is `oracle_unknown`'s.
+# It shares no code with the product; what robots do with what they believe is the twin's.
 
 
 class Pupil(Twin):
@@ -667,8 +516,8 @@ class Pupil(Twin):
 
     def __init__(
         self, q: np.ndarray, h: np.ndarray, consumed: bool, starts: list[Cell],
-        areas: list[tuple[int, int | None, list[Cell]]], stopped: Callable[[int, int, Cell], bool],
-        detector: tuple[float, float, float] | None = None, alarm: Callable[[int, int, Cell], bool] | None = None,
+        areas: list[tuple[int, int | None, list[Cell]]], stopped: Judge,
+        detector: tuple[float, float, float] | None = None, alarm: Judge | None = None,
     ) -> None:  # fmt: skip
         super().__init__(q * h, q * h, starts, 0, False, areas, stopped)
         self.hits, self.consumed, self.detector, self.alarm = h, consumed, detector, alarm
@@ -720,14 +569,17 @@ class Pupil(Twin):
     def seen_from(self, at: Cell) -> set[Cell]:
         return set(self.true)  # what is known all know: `true` is what the evidence says
 
-    def enter(self, number: int, walker: Walker, cell: Cell) -> None:
-        super().enter(number, walker, cell)
+    def lose(self, number: int) -> None:
+        super().lose(number)
+        self.chance[self.team[number].at] = 0.0 if self.consumed else 1.0
+
+    def survive(self, number: int) -> None:
+        cell = self.team[number].at
         q, h = self.chance[cell], float(self.hits[cell])
-        if walker.doing == "dead":
-            self.chance[cell] = 0.0 if self.consumed else 1.0
-        elif q < 1:
+        if q < 1:
             self.chance[cell] = q * (1 - h) / (1 - q * h)
             self.passed[cell] += 1
+        super().survive(number)
 
     def look_about(self) -> None:
         for number, walker in enumerate(self.team):

@@ -1,10 +1,10 @@
-"""The closed loop as a tree of everything that can happen, and as a Markov chain, from the plain simulator alone."""
+"""The closed loop as a tree of everything that can happen, and as a Markov chain, from the plain oracle alone."""
 
 from __future__ import annotations
 
 import tempfile
 from collections import defaultdict, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -12,21 +12,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from oracle_simulator import Paper, PerCell
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from planner.errors import PlanError
 from planner.files import atomic_write
-from planner.mrac.board import State
-from planner.mrac.executive import NOT_BEGUN, Executive
-from planner.mrac.problem import ready_loop
-from planner.mrac.simulate import play_step, take_turns
 from planner.plan.plan import Plan
-from planner.simulator.codes import Outcome
-from planner.tally import OF_CLOSED_LOOP
+from planner.settings import Settings
+from planner.simulator.codes import NO_ROBOT
 from planner.world.world import World
 
-# The closed loop as a tree of everything that can happen, played by the readable simulator: exact expected values.
+# The closed loop as a tree of everything that can happen, played by the plain oracle: exact expected values.
 #
 # A run is decided by which of its checked visits stop a robot. So all runs begin as one branch, and at each dangerous
 # visit a branch parts in two: one in which the robot is stopped, and one in which it goes on. Branches are played
@@ -36,24 +33,48 @@ from planner.world.world import World
 
 Chance = Any
 """float, or what else counts chances, as Fraction (no union: nobody mixes them)."""
-STEP_OVER = -1
-"""`Branch.turn` between two steps."""
-ENDS = tuple(one for one in OF_CLOSED_LOOP if one not in (Outcome.ENDED_BY_OPERATOR, Outcome.DEADLINE))
-OUTCOMES = tuple(outcome.word for outcome in ENDS)
-"""The closed loop's that rollouts have: complete, all_robots_lost, no_progress, step_limit, not_worth_the_risk."""
+OUTCOMES = ("complete", "all_robots_lost", "no_progress", "step_limit", "not_worth_the_risk")
+"""How rollouts of the closed loop can end; the last one is never the oracle's."""
+RULES = {"mrac": Paper, "per_cell": PerCell}
+
+
+def plain_run(plan: Plan, world: World) -> Paper:
+    """The plan's closed loop before its first step.
+
+    Raises PlanError of a plan for another map, ValueError of one with what the oracle knows nothing of.
+    """
+    settings = plan.require(world)
+    asked = settings.policy, settings.transit, settings.max_steps, settings.density, settings.levels
+    policy, transit, last, density, levels = asked
+    plain = Settings(policy=policy, transit=transit, max_steps=last, density=density, levels=levels)
+    odd = world.knowledge, world.doubt, world.value, world.types, world.movers, plan.state
+    if settings != plain or policy not in RULES or plan.is_foreign or any(one is not None for one in odd):
+        raise ValueError("the plain oracle knows `mrac` and `per_cell` alone, without limits, on a map that is known")
+    starts = [(row, col) for row, col in plan.starts.tolist()]
+    run = RULES[policy](world.threat.astype(np.float64), starts, plain_areas(plan), last, inside=transit == "area")
+    if len(run.scale) > levels:
+        raise ValueError("the plain oracle knows no bins of threats")
+    return run
+
+
+def plain_areas(plan: Plan) -> list[tuple[int, int | None, list[tuple[int, int]]]]:
+    """The plan's allocation as the oracle has it."""
+    width = plan.shape[1]
+    return [
+        (
+            area.level,
+            None if area.robot == NO_ROBOT else area.robot,
+            [divmod(cell, width) for cell in area.cells.tolist()],
+        )
+        for area in plan.areas
+    ]
 
 
 @dataclass(eq=False)
 class Branch:
-    """A run in progress.
+    """A run in progress. `turn`: the robot that acts next in its step. `chance`: of everything that has happened."""
 
-    Attributes:
-        run: between two robots' actions in a step.
-        turn: the robot whose turn it is in that step (K: only the end of the step is left), or STEP_OVER.
-        chance: probability of everything that has happened.
-    """
-
-    run: Executive
+    run: Paper
     turn: int
     chance: Chance
 
@@ -63,7 +84,7 @@ class End:
     """A run that is over: how, and with how many cells covered, at which step, with how many robots left."""
 
     chance: Chance
-    outcome: Outcome
+    outcome: str
     visited: int
     survived: int
     time: int
@@ -71,111 +92,78 @@ class End:
 
 
 class Tree:
-    """A plan's closed loop, to be played as a tree.
+    """A closed loop, to be played as a tree.
 
     Args:
-        plan: this project's, made for `world`, or the paths of another planner.
-        first_only: `threat_checks="first_visit"`.
-        number: what chances are counted in.
+        root: the run before its first step. threat: p of its cells `[H, W]`.
+        first_only: `threat_checks="first_visit"`. number: what chances are counted in.
 
     Attributes:
         accessible: cells. robots: K. max_steps: T_max. certain: the chance 1.
-
-    Raises:
-        PlanError: a plan for another map.
     """
 
     def __init__(
-        self, plan: Plan, world: World, *, first_only: bool = False, number: Callable[[float], Chance] = float
+        self, root: Paper, threat: NDArray, *, first_only: bool = False, number: Callable[[float], Chance] = float
     ) -> None:
-        world.check_settled("the tree of everything that can happen")
-        plan.bearing.check_known("the tree of everything that can happen")
-        self._problem, self._areas = ready_loop(plan, world)
-        self._first_only, self._state, self.certain = first_only, plan.state, number(1)
-        self.accessible = int(self._problem.levels.accessible.sum())
-        self.robots, self.max_steps = len(plan.robots), self._problem.max_steps
-        self._threat = [number(p) for p in np.nan_to_num(world.threat).ravel().tolist()]
-        self._branch: Branch
-        self._to_play: list[Branch] = []
-        self._ends: list[End] = []
+        self._root, self._first_only, self.certain = root, first_only, number(1)
+        self.accessible, self.robots, self.max_steps = len(root.goal), len(root.team), root.last
+        self._threat = {cell: number(float(threat[cell])) for cell in root.goal}
 
-    def start(self) -> Branch:
-        """The run before any robot has entered its start, or as the mission's state has it."""
-        return Branch(Executive(self._problem, self._areas, state=self._state), STEP_OVER, self.certain)
+    def start(self, last: int | None = None) -> Branch:
+        """The run before any robot has entered its start; it is cut off at step `last`, None: T_max."""
+        run = self._root.fork()
+        run.last = self.max_steps if last is None else last
+        return Branch(run, 0, self.certain)
 
-    def step(self, branch: Branch, max_steps: int) -> tuple[list[Branch], list[End]]:
+    def step(self, branch: Branch) -> tuple[list[Branch], list[End]]:
         """All that can happen in the branch's next step: the branches that go on after it, and the ends.
 
-        `branch` itself becomes the one in which nobody is stopped. `max_steps`: a run is cut off at that step.
+        `branch` itself becomes the one in which nobody is stopped.
         """
-        self._to_play, self._ends, going = [branch], [], []
-        while self._to_play:
-            self._branch = branch = self._to_play.pop()
-            if branch.turn == STEP_OVER:
-                play_step(branch.run, self._hit)
+        to_play, going, ends = [branch], [], []
+        while to_play:
+            branch = to_play.pop()
+            for found in self._play(branch):
+                if isinstance(found, End):
+                    ends.append(found)
+                else:
+                    to_play.append(found)
+            if branch.run.outcome:
+                ends.append(self._end(branch.run, branch.chance, branch.run.outcome))
             else:
-                take_turns(branch.run, self._hit, branch.turn)
-                branch.turn = STEP_OVER
-            outcome = branch.run.outcome(max_steps)
-            if outcome is None:
                 going.append(branch)
-            else:
-                self._end(branch.run, branch.chance, outcome)
-        return going, self._ends
+        return going, ends
 
-    def _end(self, run: Executive, chance: Chance, outcome: Outcome, lost: int = 0) -> None:
-        visited, survived = self.covered(run)
-        self._ends.append(End(chance, outcome, visited, survived, run.step, alive(run) - lost))
+    def _play(self, branch: Branch) -> Iterator[Branch | End]:
+        """The rest of the step, in which nobody is stopped; what else may happen: copies in mid-step, or ends."""
+        run = branch.run
+        for robot in range(branch.turn, self.robots):
+            cell = run.decide(robot)
+            if cell is None:
+                continue
+            threat = 0 if self._first_only and cell in run.visited else self._threat[cell]
+            run.enter(robot)
+            if threat:
+                chance = branch.chance * threat
+                branch.chance *= 1 - threat
+                if alive(run) == 1:  # nothing follows: no copy is needed
+                    outcome = "complete" if run.goal <= run.visited else "all_robots_lost"
+                    yield self._end(run, chance, outcome, lost=1)
+                else:
+                    other = run.fork()
+                    other.lose(robot)
+                    yield Branch(other, robot + 1, chance)
+            run.survive(robot)
+        run.end_step()
+        branch.turn = 0
 
-    def covered(self, run: Executive) -> tuple[int, int]:
-        """Cells visited and survived so far."""
-        return self.accessible - run.unvisited, int(np.count_nonzero(run.survived))
-
-    def _hit(self, robot: int, step: int, cell: int) -> bool:
-        """Part the branch that is being played: it goes on without the hit, a copy in mid-step with it."""
-        branch, threat = self._branch, self._threat[cell]
-        if threat == 0 or (self._first_only and _entered_before(branch.run, robot, cell)):
-            return False
-        chance = branch.chance * threat
-        branch.chance *= 1 - threat
-        if alive(branch.run) == 1:  # nothing follows: no copy is needed
-            self._end(branch.run, chance, Outcome.ALL_ROBOTS_LOST if branch.run.unvisited else Outcome.COMPLETE, lost=1)
-        else:
-            run = branch.run.fork()
-            run.stop(robot)
-            self._to_play.append(Branch(run, robot + 1, chance))
-        return False
+    def _end(self, run: Paper, chance: Chance, outcome: str, lost: int = 0) -> End:
+        return End(chance, outcome, len(run.visited), len(run.survived), run.step, alive(run) - lost)
 
 
-def alive(run: Executive) -> int:
+def alive(run: Paper) -> int:
     """Robots not stopped so far."""
-    return sum(robot.alive for robot in run.robots)
-
-
-def _entered_before(run: Executive, number: int, cell: int) -> bool:
-    """Had any robot entered the cell before this one did just now? It passed there, or was stopped there."""
-    return bool(run.survived[cell]) or any(not r.alive and r.cell == cell for r in run.robots if r.number != number)
-
-
-def state_key(branch: Branch) -> tuple[object, ...]:
-    """What the rest of the run depends on, the step left out: equal for equal states.
-
-    Areas are named by their order alone, and those that are completed and held by no live robot are left out. Where
-    stopped robots lie matters for `first_only` alone, and is told by the cells visited but not survived.
-    """
-    run = branch.run
-    held = {robot.area for robot in run.robots if robot.alive}
-    kept = [number for number, area in enumerate(run.areas) if area.state is not State.COMPLETED or number in held]
-    place = {number: index for index, number in enumerate(kept)}
-    limited = run.problem.settings.range is not None
-    areas = tuple((a.level, a.state, a.robot, a.cells.tobytes()) for a in (run.areas[number] for number in kept))
-    robots = tuple(
-        (robot.cell, robot.status, robot.held, place.get(robot.area), tuple(robot.ahead), limited and robot.moves)
-        if robot.alive
-        else None
-        for robot in run.robots
-    )
-    return branch.turn, run.quiet, run.progress, robots, areas, run.visited.tobytes(), run.survived.tobytes()
+    return sum(walker.doing != "dead" for walker in run.team)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,19 +200,20 @@ def closed_loop_exact(plan: Plan, world: World, *, first_only: bool = False) -> 
     """The closed loop's expected values and distributions (SPEC section 6; the paper's Algorithm 2).
 
     Args:
-        plan: with its allocation, or the paths of another planner. world: the one that it was made for.
+        plan, world: as of `plain_run`, which may raise.
         first_only: `threat_checks="first_visit"`.
-
-    Raises:
-        PlanError: a plan for another map.
     """
-    tree = Tree(plan, world, first_only=first_only)
+    return exactly(Tree(plain_run(plan, world), world.threat, first_only=first_only))
+
+
+def exactly(tree: Tree) -> ClosedLoopExact:
+    """The same of any run."""
     ends: list[End] = []
     branches, now = 0, [tree.start()]
     while now:
         after: list[Branch] = []
         for branch in now:
-            going, over = tree.step(branch, tree.max_steps)
+            going, over = tree.step(branch)
             branches += bool(over or len(going) > 1)
             after += going
             ends += over
@@ -236,13 +225,13 @@ def _joined(branches: list[Branch]) -> list[Branch]:
     """Branches of equal states as one. Only those whose robots stand alike are compared: states are long."""
     alike: defaultdict[tuple[object, ...], list[Branch]] = defaultdict(list)
     for branch in branches:
-        where = tuple(robot.cell if robot.alive else None for robot in branch.run.robots)
-        alike[branch.run.unvisited, where].append(branch)
+        where = tuple(walker.doing != "dead" and walker.at for walker in branch.run.team)
+        alike[len(branch.run.visited), where].append(branch)
     kept: list[Branch] = []
     for group in alike.values():
         same: dict[tuple[object, ...], Branch] = {}
         for branch in group:
-            one = same.setdefault(state_key(branch) if len(group) > 1 else (), branch)
+            one = same.setdefault(branch.run.state_key() if len(group) > 1 else (), branch)
             if one is not branch:
                 one.chance += branch.chance
         kept += same.values()
@@ -251,7 +240,7 @@ def _joined(branches: list[Branch]) -> list[Branch]:
 
 def _summed(ends: list[End], branches: int, tree: Tree) -> ClosedLoopExact:
     weights = np.array([end.chance for end in ends])
-    outcomes = np.bincount([ENDS.index(end.outcome) for end in ends], weights, len(OUTCOMES))
+    outcomes = np.bincount([OUTCOMES.index(end.outcome) for end in ends], weights, len(OUTCOMES))
     values: dict[str, Any] = dict(zip(OUTCOMES, outcomes.tolist(), strict=True))
     cells = tree.accessible + 1
     for figure, size in (("visited", cells), ("survived", cells), ("time", 0), ("alive", tree.robots + 1)):
@@ -319,14 +308,15 @@ def closed_loop_chain(
     """The chain of a plan's closed loop (SPEC section 5). It has about as many states as the tree of hits has steps.
 
     Args:
-        plan: with its allocation. world: the one that it was made for. first_only: `threat_checks="first_visit"`.
+        plan, world: as of `plain_run`. first_only: `threat_checks="first_visit"`.
         exact: chances and rewards are Fractions, exact for the float32 threats; for tiny worlds.
         most_states: more are refused.
 
     Raises:
-        PlanError: a plan without areas or for another map, or more than `most_states` states.
+        PlanError: a plan for another map, or more than `most_states` states.
     """
-    loop = Tree(plan, world, first_only=first_only, number=Fraction if exact else float)
+    number: Callable[[float], Chance] = Fraction if exact else float
+    loop = Tree(plain_run(plan, world), world.threat, first_only=first_only, number=number)
     builder = _Builder(loop, most_states, timed=False)
     builder.explore()
     if builder.longest() > loop.max_steps:
@@ -346,14 +336,14 @@ class _Builder:
         self.waiting: deque[tuple[int, Branch]] = deque()
 
     def explore(self) -> None:
-        self._place(self.loop.start())
+        self._place(self.loop.start(None if self.timed else ENDLESS))
         while self.waiting:
             self._play(*self.waiting.popleft())
 
     def _place(self, branch: Branch) -> int:
         """The number of the branch's state; a new one waits to be played, with chance 1."""
         step = branch.run.step if self.timed else None
-        number = self.number.setdefault((step, state_key(branch)), len(self.number))
+        number = self.number.setdefault((step, branch.run.state_key()), len(self.number))
         if number == len(self.moves):
             if number >= self.most_states:
                 raise PlanError(f"more than {self.most_states} states", expected="a smaller world or team")
@@ -364,16 +354,16 @@ class _Builder:
 
     def _play(self, number: int, branch: Branch) -> None:
         """One step from a state: chance and rewards of whatever its hits may be."""
-        loop, steps = self.loop, int(branch.run.step != NOT_BEGUN)
-        visited, survived = loop.covered(branch.run)
+        loop, steps = self.loop, int(branch.run.step > 0)
+        visited, survived = len(branch.run.visited), len(branch.run.survived)
         lost = loop.robots - alive(branch.run)
-        going, ends = loop.step(branch, loop.max_steps if self.timed else ENDLESS)
+        going, ends = loop.step(branch)
         for end in ends:
             gain = end.visited - visited, end.survived - survived, steps, loop.robots - end.alive - lost
-            self._add(number, _place_of(end.outcome), end.chance, gain)
+            self._add(number, -1 - OUTCOMES.index(end.outcome), end.chance, gain)
         for after in going:
-            by_now = loop.covered(after.run)
-            gain = by_now[0] - visited, by_now[1] - survived, steps, loop.robots - alive(after.run) - lost
+            by_now = len(after.run.visited) - visited, len(after.run.survived) - survived
+            gain = *by_now, steps, loop.robots - alive(after.run) - lost
             self._add(number, self._place(after), after.chance, gain)
 
     def _add(self, number: int, target: int, chance: Chance, gain: tuple[int, ...]) -> None:
@@ -399,11 +389,6 @@ class _Builder:
         nothing: list[tuple[Chance, ...]] = [(0,) * len(REWARDS)] * len(OUTCOMES)
         rewards = [*(tuple(reward) for reward in self.rewards), *nothing]
         return Chain((*named, *({} for _ in OUTCOMES)), tuple(rewards), self.loop.robots, self.timed)
-
-
-def _place_of(outcome: Outcome) -> int:
-    """The target that stands for an outcome until the chain is made."""
-    return -1 - ENDS.index(outcome)
 
 
 def _sources_first(moves: list[dict[int, Chance]] | tuple[dict[int, Chance], ...]) -> list[int] | None:

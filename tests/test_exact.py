@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from drawn_worlds import closed_loop as closed_loop_in_doubt
 from drawn_worlds import expected, one_of, open_loop
-from oracle_tree import closed_loop_exact
+from oracle_spec import MANY, Homing
+from oracle_tree import Tree as OracleTree
+from oracle_tree import closed_loop_exact, exactly, plain_areas
 from test_failure_sampling import NAMES, known, world_of
 
 import mrac_jax as mrac
@@ -408,7 +410,7 @@ def test_the_chance_that_a_robot_is_left_is_always_in_the_json() -> None:
     assert known.to_json()["some_left"]["mean"] == pytest.approx(1 - np.prod(1 - known.closed_form.survival))
 
 
-# Trees of all that can happen: against an independent enumeration, the readable one, and rollouts.
+# Trees of all that can happen: against an independent enumeration, the oracle's, and rollouts.
 
 
 def mean(masses: np.ndarray) -> float:
@@ -436,12 +438,17 @@ CASES: tuple[tuple[int, dict[str, Any], bool], ...] = (
 
 
 @pytest.mark.parametrize(("robots", "settings", "first_only"), CASES)
-def test_trees_are_what_the_readable_simulator_enumerates(
-    robots: int, settings: dict[str, Any], first_only: bool
-) -> None:
+def test_trees_are_what_the_oracle_enumerates(robots: int, settings: dict[str, Any], first_only: bool) -> None:
     world = random_world(4, 5, ThreatPattern("scattered", 3, (0.1, 0.3), 5), obstacles=0.1, threats=0.3)
-    plan = make_plan(world, place_starts(world, robots)[0], Settings(**settings))
-    oracle = closed_loop_exact(plan, world, first_only=first_only)
+    starts = place_starts(world, robots)[0]
+    plan = make_plan(world, starts, Settings(**settings))
+    if moves := settings.get("range"):  # who comes home, where there is no base
+        team = [(row, col) for row, col in starts.tolist()]
+        rules = [[]] * robots, [moves] * robots, MANY, 0
+        run = Homing([(0, world.threat)], team, plain_areas(plan), lambda *_: False, *rules)
+        oracle = exactly(OracleTree(run, world.threat))
+    else:
+        oracle = closed_loop_exact(plan, world, first_only=first_only)
     tree = grow_tree(compile_closed_loop(plan, world, first_only=first_only), 1e-7, 10**6)
     assert tree is not None
     for figure in ("visited", "survived"):

@@ -24,8 +24,8 @@ from planner.rollouts.runners import KNOWN, LEAST_SHARED, _in_rounds, remember_a
 from planner.rollouts.tables import most_cost
 from planner.settings import Settings
 from planner.simulator import return_home as remember
-from planner.simulator.codes import EventKind, Outcome
-from planner.simulator.searches import BLOCKED, neighbour_table
+from planner.simulator.codes import BLOCKED, EventKind, Outcome
+from planner.simulator.searches import neighbour_table
 from planner.simulator.state import first_room, largest_set, make_state, make_work
 from planner.tally import RolloutResults, Tally, Trace
 from planner.world.generate import ThreatPattern, random_world

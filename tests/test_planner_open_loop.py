@@ -11,7 +11,8 @@ from closed_loop_compare import play_both_ways
 from helpers import load_plan
 from numpy.typing import NDArray
 from oracle_enumeration import best_of_one_robot
-from oracle_tree import closed_loop_exact
+from oracle_spec import Following
+from oracle_tree import Tree, exactly
 from validate import validate
 
 import mrac_jax as mrac
@@ -323,8 +324,9 @@ def test_every_rollout_covers_what_it_covers_open_loop_and_more() -> None:
 
 def test_sampled_values_are_those_of_enumeration() -> None:
     world = World.create([[0.0, 0.3, 0.0], [0.2, 0.0, 0.5], [0.0, 0.4, 0.0]])
-    plan = paths_plan(world, [0, 1, 2, 5], [6, 3, 3, 4])
-    exact = closed_loop_exact(plan, world)
+    paths = [0, 1, 2, 5], [6, 3, 3, 4]
+    plan = paths_plan(world, *paths)
+    exact = exactly(Tree(Following(world.threat, [[divmod(cell, 3) for cell in path] for path in paths]), world.threat))
     count = 40_000
     results = run_range(compile_closed_loop(plan, world), SEED, 0, count, singles=True)[1]
     assert results is not None

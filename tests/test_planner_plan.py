@@ -22,7 +22,6 @@ from validate import validate
 from planner.errors import UsageError, WorldError
 from planner.make_plan import allocate, allocated, allocated_plan, make_plan, nominal_run
 from planner.mrac.areas import bisect, connected_parts, find_areas, metis_parts, wavefront_parts
-from planner.mrac.paths import entry_costs, to_networkx
 from planner.mrac.problem import prepare
 from planner.plan.plan import Area, Leg, Plan, RobotPlan
 from planner.rollouts.closed_loop import compile_closed_loop
@@ -40,7 +39,7 @@ from planner.simulator.searches import (
     neighbour_table,
 )
 from planner.world.generate import ThreatPattern, random_world
-from planner.world.levels import NO_LEVEL, find_levels, place_starts, starts_of
+from planner.world.levels import NO_LEVEL, entry_costs, find_levels, place_starts, starts_of, to_networkx
 from planner.world.world import World, load_world_file
 
 # Algorithms 1-3 against an independent simulator's runs: every path, and seeded runs with hits, event counts equal.

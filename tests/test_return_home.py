@@ -12,7 +12,8 @@ from closed_loop_compare import assert_same_trace, play_both_ways
 from helpers import VisitLoop, load_plan
 from numpy.typing import NDArray
 from oracle_spec import MANY, Cell, Homing, allocation, mean_of
-from oracle_tree import Tree as ReadableTree
+from oracle_tree import Tree as OracleTree
+from oracle_tree import exactly, plain_areas
 from validate import validate
 
 from analysis.comparison import compare, make_side
@@ -34,7 +35,7 @@ from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_r
 from planner.rollouts.exact_tree import WHOLE, grow_tree
 from planner.rollouts.single_run import PythonLoop, SingleRun, play
 from planner.settings import Settings
-from planner.simulator.codes import NO_ROBOT, Doing, EventKind, Outcome
+from planner.simulator.codes import Doing, EventKind, Outcome
 from planner.tally import Trace
 from planner.world.changing_maps import with_phases
 from planner.world.generate import PAPER_LEVELS, Stream, ThreatPattern, random_world
@@ -216,24 +217,32 @@ def test_a_charged_robot_goes_out_again_by_hand() -> None:
     assert (without.outcome, len(np.unique(without.robots[0].path))) == ("no_progress", 5)
 
 
-@pytest.mark.parametrize("number", [0, 1, 3, 4, 7])
+def rules_of(asked: dict[str, Any], starts: list[Cell]) -> tuple[list[list[Cell]], list[int], int, int]:
+    """Bases and range of each robot, the deadline, and steps to charge, as the twin of section 19 has them."""
+    to, k = asked["return_to"], len(starts)
+    bases = {"home": [[start] for start in starts], "nearest": [starts] * k}
+    limit = np.broadcast_to(asked.get("range", MANY), k).tolist()
+    own = bases[to] if isinstance(to, str) else [list(to)] * k
+    return own, limit, asked.get("deadline", MANY), asked.get("recharge", 0)
+
+
+@pytest.mark.parametrize("number", [0, 1, 2, 3, 4, 7])
 def test_the_exact_tree_knows_who_comes_home(number: int) -> None:
     world = World.create(
         [[0, 0.1, 0.1, 0], [0, np.nan, 0, 0.3], [0.2, 0, 0, np.nan], [0.2, 0.1, 0, 0.3]],
         [[0, 0], [0, 3], [2, 1]],
     )
     assert world.starts is not None
-    plan = make_plan(world, world.starts, Settings(**{**KINDS[number], "density": 1.5}))
+    asked = KINDS[number]
+    plan = make_plan(world, world.starts, Settings(**{**asked, "density": 1.5}))
     tree = grow_tree(compile_closed_loop(plan, world), 0.0, 10**6)
     assert tree is not None and not tree.left
-    oracle = ReadableTree(plan, world)
-    chances, branches = np.zeros(4), [oracle.start()]
-    while branches:
-        going, ends = oracle.step(branches.pop(), oracle.max_steps)
-        branches += going
-        for end in ends:
-            chances[end.alive] += end.chance
-    np.testing.assert_allclose(tree.counts.home / WHOLE, chances, atol=1e-9)
+    chances = tree.counts.home / WHOLE
+    if "policy" not in asked:  # the twin knows the paper's rule alone
+        starts = [(row, col) for row, col in world.starts.tolist()]
+        twin = Homing([(0, world.threat)], starts, plain_areas(plan), lambda *_: False, *rules_of(asked, starts))
+        found = exactly(OracleTree(twin, world.threat))  # who is alive is at home
+        np.testing.assert_allclose(chances, found.alive_chance, atol=1e-9)
     sampled = run_range(compile_closed_loop(plan, world), 5, 0, 20_000)[0].home / 20_000
     assert (np.abs(sampled - chances) <= 5 * np.sqrt(chances * (1 - chances) / 20_000) + 1e-9).all()
 
@@ -431,19 +440,10 @@ class Both:
     def __init__(self, number: int) -> None:
         self.world, self.maps, self.starts = tiny(number)
         asked = HOMES[number % len(HOMES)]
-        bases = {"home": [[start] for start in self.starts], "nearest": [self.starts] * len(self.starts)}
-        to = asked["return_to"]
-        self.rules = (
-            bases[to] if isinstance(to, str) else [list(to)] * len(self.starts),
-            [asked.get("range", MANY)] * len(self.starts), asked.get("deadline", MANY), asked.get("recharge", 0),
-        )  # fmt: skip
+        self.rules = rules_of(asked, self.starts)
         self.plan: Plan = make_plan(self.world, self.starts, Settings(**asked))
         self.loop = compile_closed_loop(self.plan, self.world, interpreted=True)
-        width = self.world.shape[1]
-        self.areas = [
-            (a.level, None if a.robot == NO_ROBOT else a.robot, [divmod(c, width) for c in a.cells.tolist()])
-            for a in self.plan.areas
-        ]
+        self.areas = plain_areas(self.plan)
         assert len(self.maps) > 1 or allocation(self.maps[0][1], self.starts) in (None, self.areas)
 
     def play(self, judge: Any) -> tuple[float, ...]:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import VisitLoop
-from oracle_tree import closed_loop_exact
+from oracle_simulator import Paper
+from oracle_tree import Tree, exactly
 from PIL import Image
 from test_map_files import grid as serialised
 from test_map_files import log
@@ -31,6 +32,7 @@ from planner.rollouts.closed_loop import compile_closed_loop, new_cells, run_ran
 from planner.rollouts.open_loop import compile_plan
 from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
+from planner.simulator.codes import NO_AREA, NO_ROBOT
 from planner.world.world import World
 
 # State files: a mission cut at a step, saved and gone on with ends as the uncut one (SPEC section 12).
@@ -130,14 +132,33 @@ def test_where_areas_are_given_anew_nobody_has_waited_or_is_held() -> None:
     assert not any(robot.held for robot in rest.state.robots)
 
 
+def oracle_of(plan: Plan, threat: np.ndarray) -> Paper:
+    """The plain oracle's run where the plan's state stands."""
+    state, width = plan.state, plan.shape[1]
+    assert state is not None
+
+    def cells_of(numbers: Any) -> list[tuple[int, int]]:
+        return [divmod(cell, width) for cell in numbers.tolist()]
+
+    areas = [(area.level, None, cells_of(area.cells)) for area in state.areas]
+    run = Paper(threat, [(row, col) for row, col in state.starts.tolist()], areas)
+    run.visited, run.survived, run.step = set(cells_of(state.visited)), set(cells_of(state.survived)), state.step + 1
+    for patch, area in zip(run.patches, state.areas, strict=True):
+        patch.owner, patch.over = None if area.robot == NO_ROBOT else area.robot, area.state == "completed"
+    for walker, robot in zip(run.team, state.robots, strict=True):
+        walker.doing, walker.way = robot.status, cells_of(robot.ahead)
+        walker.patch = None if robot.area == NO_AREA else robot.area
+    return run
+
+
 def test_expected_values_of_the_rest_are_the_enumerated_ones() -> None:
     """One robot left: the closed form, the tree of all hits, and 20,000 rollouts agree."""
-    threat = np.zeros((3, 4))
+    threat = np.zeros((3, 4), dtype=np.float32)
     threat[1, 1:3], threat[2, 3] = 0.3, 0.2
     world = World.create(threat)
     state = parse_state(by_hand(world, make_plan(world, [[0, 1], [0, 0]]), [0, 1, 2, 5]), world, "hand.json")
     plan = make_plan(world, state.starts, state=state)
-    exact, tree = open_loop_exact(plan, world), closed_loop_exact(plan, world)
+    exact, tree = open_loop_exact(plan, world), exactly(Tree(oracle_of(plan, threat), threat))
     assert exact.visited == pytest.approx(tree.visited, abs=1e-9)
     assert exact.survived == pytest.approx(tree.survived, abs=1e-9)
     assert exact.visited_curve[0] == 4

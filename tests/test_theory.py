@@ -24,9 +24,11 @@ from oracle_tree import (
     ClosedLoopExact,
     closed_loop_chain,
     closed_loop_exact,
+    plain_run,
     solve_chain,
     write_drn,
 )
+from test_house import imports_of
 
 import mrac_jax as mrac
 from analysis.checking.report import check_report
@@ -65,8 +67,6 @@ from analysis.utils.tables import as_text
 from planner.errors import PlanError
 from planner.make_plan import allocated_plan, make_plan
 from planner.plan.plan import Plan, RobotPlan, entries
-from planner.rollouts import single_run
-from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.engine import Rolling, make_engine
 from planner.settings import Settings
 from planner.simulator.codes import Outcome
@@ -620,23 +620,25 @@ def chances_from_the_start(plan: Plan, world: World, first_only: bool, most: int
 
     And how many patterns there are. Raises TooMany of more than `most`.
     """
-    loop, threat = compile_closed_loop(plan, world, interpreted=True), world.threat.ravel()
-    sizes = (len(Outcome), threat.size + 1, threat.size + 1, loop.max_steps + 1, len(plan.robots) + 1)
+    root = plain_run(plan, world)
+    sizes = (len(Outcome), root.cells + 1, root.cells + 1, root.last + 1, len(plan.robots) + 1)
     played = 0
 
-    def play(hit: Callable[[int, int, int], bool]) -> np.ndarray:
+    def play(hit: Callable[..., bool]) -> np.ndarray:
         nonlocal played
         played += 1
         if played > most:
             raise TooMany
-        run = single_run.play(single_run.SingleRun(loop, hit=hit))
-        found = (run.outcome, run.visited.sum(), run.survived.sum(), run.time, run.alive.sum())
+        run = root.fork()
+        outcome = Outcome[run.run(hit).upper()]
+        alive = sum(walker.doing != "dead" for walker in run.team)
+        found = (outcome, len(run.visited), len(run.survived), run.step, alive)
         return np.concatenate([np.eye(size)[int(value)] for size, value in zip(sizes, found, strict=True)])
 
-    def draw(chance: Callable[[float], bool], entered: dict, cell: int) -> bool:
+    def draw(chance: Callable[[float], bool], entered: dict, cell: tuple[int, int]) -> bool:
         again = cell in entered
         entered[cell] = True
-        return not (first_only and again) and chance(float(threat[cell]))
+        return not (first_only and again) and chance(float(world.threat[cell]))
 
     return np.split(expected(play, draw), np.cumsum(sizes)[:-1]), played
 
@@ -695,6 +697,14 @@ def test_plans_that_have_no_closed_loop_are_refused() -> None:
     world = World.create([[0.0, 0.1]])
     with pytest.raises(PlanError, match="another map"):
         closed_loop_exact(make_plan(world, [[0, 0]]), World.create([[0.0, 0.2]]))
+
+
+def test_the_oracles_see_no_engine() -> None:
+    """`test_house` looks at those of `analysis.theory`."""
+    for path in Path(__file__).parent.glob("oracle_*.py"):
+        engines = ("planner.mrac", "planner.rollouts", "planner.simulator", "mrac_jax", "jax")
+        seen = {module for module in imports_of(path) if not module.startswith("planner.simulator.codes")}
+        assert not [module for module in seen if module.startswith(engines)]
 
 
 # The bound for every strategy: above the optimum, above what is sampled, and proven whatever the solver says.
@@ -974,7 +984,8 @@ def test_of_robots_that_come_home_the_bound_knows_the_way_home(seed: int) -> Non
             best, can = best_that_comes_home(world, moves, bases, recharge is not None)
             assert {tuple(cell) for cell in np.argwhere(within(world, plan)).tolist()} == can
             assert best <= any_strategy(trimmed(world, plan), [[0, 0]]).cells + 1e-9
-            assert closed_loop_exact(make_plan(world, [[0, 0]], settings), world).visited <= best + 1e-9
+            # of one robot both loops are the same
+            assert open_loop_exact(make_plan(world, [[0, 0]], settings), world).visited <= best + 1e-9
 
 
 def test_what_is_too_far_to_come_home_from_is_not_in_the_bound() -> None:

@@ -22,10 +22,10 @@ import planner.files
 from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.failure_model import key_of
 from planner.files import atomic_write
-from planner.mrac.paths import to_networkx
 from planner.simulator.thresholds import threefry2x32
 from planner.world.generate import OBSTACLES, PAPER_LEVELS, Stream, ThreatPattern, random_threats, random_world
 from planner.world.keys import read_yaml
+from planner.world.levels import to_networkx
 from planner.world.map_files import load_map
 from planner.world.scenario import load_input
 from planner.world.world import World, load_world_file

@@ -23,12 +23,12 @@ from rich.console import Console
 
 from planner.errors import MracError
 from planner.make_plan import make_plan
-from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.engine import Engine, closed_loop_engine, open_loop_engine
 from planner.rollouts.names import EngineName
 from planner.rollouts.open_loop import compile_plan
+from planner.rollouts.single_run import PythonLoop
 from planner.tally import Tally
 from planner.world.generate import Kind, ThreatPattern, random_world
 from planner.world.levels import place_starts
@@ -160,7 +160,7 @@ def contenders(world: World, plan: Plan, loop: str) -> Iterator[Contender]:
 
 def readable(world: World, plan: Plan) -> Contender:
     """The readable simulator."""
-    loop = ReferenceLoop(plan, world)
+    loop = PythonLoop(plan, world)
     return Contender("readable", lambda: (lambda count: len([loop.run(SEED, one) for one in range(count)]), 1, None))
 
 

@@ -33,8 +33,8 @@ from analysis.theory.verdicts import MEANINGS, ClosedTruth, Truth
 from analysis.utils.tables import json_text, plan_words, policy_words, span_words, without_level
 from planner.files import Json
 from planner.formatting import ceiled, counted, floored, percent, share
-from planner.mrac.executive import STUCK_AFTER
 from planner.plan.plan import Plan, drive_of
+from planner.rollouts.tables import STUCK_AFTER
 from planner.simulator.codes import Outcome
 from planner.tally import counts_by_word
 from planner.world.world import World

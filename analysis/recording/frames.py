@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from planner.failure_model import PLAIN
 from planner.formatting import chance, counted, share
-from planner.mrac.board import State
-from planner.mrac.executive import Executive
 from planner.plan.plan import Area, Plan
 from planner.plan.state import MissionState
 from planner.rollout_sampling import true_map
+from planner.rollouts.single_run import SingleRun
 from planner.simulator.codes import NO_AREA, NO_ROBOT, NO_STEP, Doing, EventKind, Outcome
 from planner.tally import Trace
 from planner.world.uncertain_maps import Uncertain
@@ -320,14 +319,25 @@ def discovery_of(world: World, seed: int, trace: Trace) -> Discovery:
     return Discovery(world.threat, truth, when)
 
 
-def learned_maps(teams: Iterable[Executive]) -> Iterator[AreaMap]:
+def learned_maps(runs: Iterable[SingleRun]) -> Iterator[AreaMap]:
     """The areas at the end of step 0, and of every later step that changes who holds what, of a run that is played."""
-    before: tuple[NDArray[np.int32], list[tuple[State, int]]] | None = None
-    for team in teams:
-        now = team.area_of, [(area.state, area.robot) for area in team.areas]
-        if before is None or before[1] != now[1] or not np.array_equal(before[0], now[0]):
-            before = now[0].copy(), now[1]
-            held = np.array([Held[state.name] for state, _ in now[1]] + [Held.UNASSIGNED], dtype=np.int8)
-            robot = np.array([robot for _, robot in now[1]] + [NO_ROBOT], dtype=np.int32)
-            area = before[0]  # NO_AREA, -1, is the last
-            yield AreaMap(team.step, area, held[area], robot[area], len(team.unassigned))
+    before: tuple[bytes, bytes, bytes] | None = None
+    robot = np.zeros(0, dtype=np.int32)
+    for run in runs:
+        if not len(robot):
+            robot = run.loop.tables.owner.astype(np.int32)
+        count = int(run.raw.marks["areas"])
+        robot = np.append(robot, np.full(count - len(robot), NO_ROBOT, dtype=np.int32))
+        for _, who, kind, number, _ in run.new_events.tolist():
+            if kind in (EventKind.ALLOCATED, EventKind.LOOKED_AGAIN):
+                robot[number] = who if kind == EventKind.ALLOCATED else NO_ROBOT
+        held = np.full(count, Held.COMPLETED, dtype=np.int8)
+        held[[one.area for one in run.robots if one.on_its_way]] = Held.ASSIGNED
+        held[run.raw.areas["left"][:count] == 0] = Held.COMPLETED
+        held[run.open] = Held.UNASSIGNED
+        area = run.on_grid(run.area_of, NO_AREA)
+        now = area.tobytes(), held.tobytes(), robot.tobytes()
+        if now != before:
+            before = now
+            of_area, of_robot = np.append(held, Held.UNASSIGNED), np.append(robot, NO_ROBOT)  # NO_AREA is the last
+            yield AreaMap(run.step, area, of_area[area].astype(np.int8), of_robot[area], len(run.open))

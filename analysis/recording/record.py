@@ -30,10 +30,10 @@ from planner.failure_model import key_of
 from planner.files import why_no_file
 from planner.formatting import UNPACED, Pace
 from planner.ids import BLOCK
-from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan, is_certain
 from planner.plan.state import MissionState
 from planner.rollouts.names import ENGINES, EngineName
+from planner.rollouts.single_run import PythonLoop
 from planner.simulator.codes import NO_ROLLOUT
 from planner.simulator.thresholds import threefry2x32
 from planner.tally import RolloutResults, Tally, Trace
@@ -450,7 +450,7 @@ def state_of_rollout(world: World, plan: Plan, request: Request, step: int) -> M
         raise UsageError(f"{said} without one closed-loop rollout", expected=f"{argument('ids')} with one number")
     if plan.state is not None and step <= plan.state.step:
         raise UsageError(said, expected=f"a step after the state's, {plan.state.step}")
-    loop = ReferenceLoop(plan, world, first_only=request.first_only)
+    loop = PythonLoop(plan, world, first_only=request.first_only)
     found = loop.state_at(step, request.seed, request.ids[0])
     if found is None:
         raise UsageError(

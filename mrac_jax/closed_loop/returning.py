@@ -1,6 +1,6 @@
 """When robots turn for home (SPEC section 19) in the lanes, when they are there or charged, and when all turn.
 
-The readable statement is `planner.mrac.executive`, the concise one `planner.simulator.return_home`. A robot that has
+The same rules in the simulator: `planner.simulator.return_home`. A robot that has
 turned is
 among those that are `done`, not among those alive. While it has still to move, to say that it is home, or to be charged
 it is `returning`. Axis letters as in `mrac_jax.closed_loop.state`.

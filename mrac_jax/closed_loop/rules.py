@@ -1,6 +1,6 @@
 """Robots that look at what others have visited (SPEC section 11): what the lanes do beside the paper's rule.
 
-The readable statement is `planner.mrac.simulate`, the concise one `planner.simulator.replanning`. A cell to do is one
+The same rules in the simulator: `planner.simulator.replanning`. A cell to do is one
 that
 nobody has visited: its PENDING bit. A robot that notices something does not move until a search has told where to.
 Axis letters as in `mrac_jax.closed_loop.state`.

@@ -446,7 +446,7 @@ def write_down(
 
 # What robots that come home can afford (SPEC section 19) in the lanes: how far they can go, and how far home is.
 #
-# The readable statement is `planner.mrac.board`. Axis letters as in `mrac_jax.closed_loop.state`.
+# The same rules in the simulator: `planner.simulator.areas`. Axis letters as in `mrac_jax.closed_loop.state`.
 
 
 def moves_left(tables: LaneTables, lanes: Lanes, lane: jax.Array, robot: jax.Array) -> jax.Array:

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from planner.arguments import argument
 from planner.errors import PlanError
 from planner.ids import MAX_STEP
-from planner.mrac.paths import entry_costs, level_costs
 from planner.settings import Settings
 from planner.simulator.codes import NO_CELL
 from planner.simulator.jit import compiled
 from planner.simulator.searches import UNREACHED, SafestPaths, safest_paths
-from planner.world.levels import NO_LEVEL, ThreatLevels, levels_of_maps
+from planner.world.levels import NO_LEVEL, ThreatLevels, entry_costs, level_costs, levels_of_maps
 from planner.world.world import World
 
 # The maps of robots that differ in type: one book of areas, and for each type its own costs and ways (SPEC 22).

@@ -14,16 +14,15 @@ from planner.errors import PlanError, WorldError
 from planner.ids import MAX_STEP
 from planner.mrac.areas import connected_parts, sides_first
 from planner.mrac.home_paths import Homeward, OwnMaps, own_maps, ways_home, ways_to
-from planner.mrac.paths import entry_costs, level_costs
 from planner.plan.plan import Area, Plan
 from planner.policies import Rule, rule_of
 from planner.policies.limits import refusal_threshold
 from planner.settings import Settings
-from planner.simulator.codes import NO_ROBOT
+from planner.simulator.codes import BLOCKED, NO_ROBOT
 from planner.simulator.offers import Offer
-from planner.simulator.searches import BLOCKED, SafestPaths, safest_paths
+from planner.simulator.searches import SafestPaths, safest_paths
 from planner.world.features import as_planned
-from planner.world.levels import NO_LEVEL, ThreatLevels, find_levels, levels_of_maps
+from planner.world.levels import NO_LEVEL, ThreatLevels, entry_costs, find_levels, level_costs, levels_of_maps
 from planner.world.map_knowledge import Evidence, Knowledge, Sense
 from planner.world.moving_threats import Phases
 from planner.world.uncertain_maps import Hazard, Uncertain

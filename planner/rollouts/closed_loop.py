@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -17,9 +17,8 @@ from planner.plan.plan import Area, Plan, RobotPlan, last_move
 from planner.plan.state import MissionState
 from planner.rollout_sampling import check_counters
 from planner.rollouts.loop import NO_COUNTS, ClosedLoop, known_cells, purpose_of
-from planner.rollouts.policies import make_policy
 from planner.rollouts.runners import Runner, on_threads, run_sets, singles_of
-from planner.rollouts.tables import AllPairs, first_frames, make_tables
+from planner.rollouts.tables import AllPairs, first_frames, make_policy, make_tables
 from planner.rule_versions import BEFORE, rules_of
 from planner.simulator.areas import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_log
 from planner.simulator.codes import NO_AREA, EventKind, Outcome
@@ -63,7 +62,7 @@ def compile_closed_loop(
         raise PlanError(
             f"the compiled engines do not follow {settings.own_words}",
             expected="an exact Rule of attentive robots, cells in the planner's own order",
-            fix="roll it out open loop, or with the readable simulator: planner.mrac.simulate.ReferenceLoop",
+            fix="roll it out open loop, or with the simulator as Python: planner.rollouts.single_run.PythonLoop",
         )
     check_counters(world, len(problem.starts), problem.max_steps)
     check_every_visit(world, first_only)
@@ -183,11 +182,19 @@ def trace_rollouts(loop: ClosedLoop, seed: int, ids: Iterable[int]) -> list[Trac
 
     They are the rollouts that `run_range` counts. Memory: 12 bytes a step and robot, and the state of one rollout.
     """
-    steps = events = 4 * len(loop.cells) + 64
-    runner, traces = Runner(loop, seed, 1), []
+    return [trace for trace, _, _ in logged_rollouts(loop, seed, ids)]
+
+
+def logged_rollouts(
+    loop: ClosedLoop, seed: int, ids: Iterable[int], legs: bool = False
+) -> Iterator[tuple[Trace, NDArray[np.int32], Runner]]:
+    """The same one after the other, with `Log.legs` `[T, K]` if asked, and the thread's runner as it stands then."""
+    events = 4 * len(loop.cells) + 64
+    steps = events // loop.robots + 64
+    runner = Runner(loop, seed, 1)
     for rollout in ids:
         while True:
-            log = make_log(steps, events, loop.robots)
+            log = make_log(steps, events, loop.robots, legs)
             if loop.state is not None:
                 log.frames[: loop.state.step + 1] = first_frames(loop.state, loop.cells)[:steps]
             single = runner.run_one(rollout, log)
@@ -196,11 +203,9 @@ def trace_rollouts(loop: ClosedLoop, seed: int, ids: Iterable[int]) -> list[Trac
             if last < steps and happened <= events:
                 break
             steps, events = max(steps, last + 1), max(events, happened)
-        outcome = Outcome(int(single[OUTCOME]))
-        traces.append(
-            trace_from(loop, rollout, log.frames[: last + 1], log.events[1 : happened + 1], runner.area_of, outcome)
-        )
-    return traces
+        kept = log.frames[: last + 1], log.events[1 : happened + 1]
+        trace = trace_from(loop, rollout, *kept, runner.area_of, Outcome(int(single[OUTCOME])))
+        yield trace, log.legs[: last + 1], runner
 
 
 def trace_from(

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from planner.errors import UsageError, WorldError
 from planner.ids import BLOCK, MOST_ROLLOUTS
-from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Plan, is_certain
 from planner.rollouts import closed_loop
 from planner.rollouts.closed_loop import compile_closed_loop
@@ -22,6 +21,7 @@ from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.names import ENGINES, EngineName, check_jax, of_jax
 from planner.rollouts.open_loop import CompiledPlan, OpenLoop, compile_plan
 from planner.rollouts.open_loop_numba import NumbaOpenLoop
+from planner.rollouts.single_run import PythonLoop
 from planner.rollouts.tables import AllPairs
 from planner.rollouts.threshold_classes import sums_by_luck
 from planner.simulator.codes import Outcome
@@ -108,7 +108,7 @@ class NominalRun:
         """Those rollouts in full, in the order given."""
         if self.loop.max_steps < self.plan.time:
             return self._full.traces(rollouts)
-        once = ReferenceLoop(self.plan, self.world).trace(self.seed, 0)
+        once = PythonLoop(self.plan, self.world).trace(self.seed, 0)
         return (replace(once, rollout=rollout) for rollout in rollouts)
 
     def until(self, step: int) -> NominalRun:

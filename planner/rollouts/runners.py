@@ -286,7 +286,7 @@ class Runner:
         moving = [own_key(seed, draw) for draw in (MOVE_DRAW, MEETING_DRAW, READING_DRAW)]
         keys = [np.uint32(half) for key in (key_of_luck(seed), own, *moving) for half in key]
         options = loop.max_steps, loop.first_only, loop.stay_inside, 0
-        self.how = How(*keys[:4], *options, *keys[4:])
+        self.how = How._make((*keys[:4], *options, *keys[4:], 0, 0, None, None))
         remembers = loop.policy is None and not (loop.stay_inside or loop.learns or loop.comes_home or loop.is_mixed)
         self.work = make_work(loop.tables, most, remembers, known.pop() if known else None)
         self._done: list[tuple[int, int]] = []
@@ -297,6 +297,11 @@ class Runner:
         """The last area of each cell, int32 `[A]`, at the end of the last run."""
         found = (self._state.home[0, :-1] >> AREA_BITS).astype(np.int32)
         return np.where(found == self._room - 1, NO_AREA, found) if self._loop.learns else found
+
+    @property
+    def state(self) -> State:
+        """At the end of the last run."""
+        return State._make(row[0] for row in self._state)
 
     @property
     def odds(self) -> NDArray[np.int64]:

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.mrac.problem import Problem, ready_loop
-from planner.plan.plan import Area, Leg, LegKind, Plan
+from planner.plan.plan import Area, Leg, Plan
 from planner.plan.state import AreaState, MissionState, RobotState
 from planner.rollout_sampling import rows_met
-from planner.rollouts.closed_loop import compile_closed_loop, trace_from
+from planner.rollouts.closed_loop import compile_closed_loop, logged_rollouts, trace_from
 from planner.rollouts.interpreted import interpreted
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.runners import Runner
@@ -93,34 +93,16 @@ class Run:
 
 
 class Notes:
-    """What a plan holds of a run beside its trace: legs, and areas that are made on the way.
+    """Areas that are made on the way, each with its cells at that moment.
 
     Attributes:
-        legs: of each robot, (kind, area, start, stop). made: areas in id order.
+        made: in id order.
     """
 
     def __init__(self, loop: ClosedLoop) -> None:
-        self.legs: list[list[tuple[LegKind, int, int, int]]] = [[] for _ in range(loop.robots)]
         self.made, self._loop, self._known = list[Area](), loop, len(loop.tables.level)
 
-    def move(self, s: State, robot: int) -> None:
-        """The robot is about to enter its next cell: the last leg grows by a step, or another one begins."""
-        me, step, legs = s.robots[robot], s.marks.step, self.legs[robot]
-        if not interpreted("areas").has_area(s.robots, robot):
-            return
-        kind: LegKind = "cover" if me.doing == Doing.COVERING or me.next == me.target else "travel"
-        if step == 0:
-            if int(s.home[me.cell]) >> AREA_BITS != me.area:
-                return
-            kind = "cover"
-        pace = self._loop.tables.pace
-        since = step - (int(pace[robot]) if len(pace) else 1) + 1
-        if legs and legs[-1][:2] == (kind, me.area) and since <= legs[-1][3] <= step:
-            legs[-1] = (kind, me.area, legs[-1][2], step + 1)
-        else:
-            legs.append((kind, me.area, step, step + 1))
-
-    def areas(self, s: State) -> None:
+    def areas(self, s: Any) -> None:
         """Areas have been made."""
         home = s.home[:-1] >> AREA_BITS
         for number in range(self._known, int(s.marks.areas)):
@@ -169,7 +151,12 @@ class SingleRun:
         self.raw.marks["last"] = 1
         self._recall()
         rows = 8 * len(loop.cells) + 16 * loop.robots + 256
-        self.log = Log(np.zeros((rows, 5), dtype=np.int32), np.zeros((1, FRAME_ROWS, loop.robots), np.int32))
+        self.log = Log(
+            np.zeros((rows, 5), dtype=np.int32),
+            np.zeros((1, FRAME_ROWS, loop.robots), np.int32),
+            np.full((1, loop.robots), NONE, np.int32),
+            True,
+        )
         self.outcome: Outcome | None = None
         self.new_events = self.log.events[:0]
         # Of robots that neither move nor wait, moves left; `until` of a robot that moves is a turn.
@@ -198,7 +185,7 @@ class SingleRun:
         other._take(State._make(row.copy() for row in self._stack))
         kept = {name: getattr(self.w, name).copy() for name in ("left", "at", "met")}
         other.w = self.w._replace(**kept)
-        other.log = Log(np.zeros_like(self.log.events), self.log.frames.copy())
+        other.log = self.log._replace(events=np.zeros_like(self.log.events), frames=self.log.frames.copy())
         other.log.events[: self.log.events[0, 0] + 1] = self.log.events[: self.log.events[0, 0] + 1]
         other.t, other.left, other.turned = self.t._replace(notes=None), self.left.copy(), self.turned.copy()
         return other
@@ -213,7 +200,7 @@ class SingleRun:
     def advance(self) -> Outcome | None:
         """To the end of the next step; how the rollout has ended there, None while it goes on."""
         self._make_room()
-        self.log.events[0, 0] = 0
+        self.log.events[0, 0], self.log.legs[:] = 0, NONE
         marks = self.s.marks
         marks.robot, marks.verdict = 0, ACTS
         with np.errstate(over="ignore"):
@@ -318,6 +305,11 @@ class SingleRun:
         """int32 `[A]`, the area of each cell, NO_AREA of none."""
         found = (self._inside >> AREA_BITS).astype(np.int32)
         return np.where(found == len(self.raw.areas) - 1, NO_AREA, found) if self.loop.learns else found
+
+    @property
+    def open(self) -> list[int]:
+        """Ids of the areas that are unassigned."""
+        return [number for number in range(int(self.raw.marks["areas"])) if holds(self.raw.open, number)]
 
     @property
     def alive(self) -> NDArray[np.bool_]:
@@ -460,18 +452,18 @@ class RobotNow:
 
 def play(run: SingleRun) -> Run:
     """Run the rollout to its end, and tell what happened."""
-    loop, frames, events = run.loop, list[NDArray](), list[NDArray]()
+    loop, frames, events, legs = run.loop, list[NDArray](), list[NDArray](), list[NDArray]()
     if loop.state is not None:
         frames += list(first_frames(loop.state, loop.cells))
     while run.outcome is None:
         run.advance()
         frames.append(run.frame())
         events.append(run.new_events)
+        legs.append(run.log.legs[0].copy())
     trace = trace_from(loop, run.rollout, np.array(frames), np.concatenate(events), run.area_of, run.outcome)
-    level = run.raw.areas["level"]
     return Run(
         paths=tuple(without_waiting(path) for path in trace.cells.T.astype(np.int64)),
-        legs=tuple(tuple(Leg(*one[:2], int(level[one[1]]), *one[2:]) for one in of) for of in run.notes.legs),
+        legs=legs_of(loop, np.array(legs), run.raw.areas["level"]),
         areas_added=tuple(run.notes.made),
         bisected=int(run.raw.marks["bisected"]),
         divided=int(run.raw.marks["divided"]),
@@ -481,6 +473,71 @@ def play(run: SingleRun) -> Run:
         home=at_base(run),
         trace=trace,
     )
+
+
+def play_compiled(loop: ClosedLoop) -> Run:
+    """The same of rollout 0 by a compiled program, for large maps; robots do not learn, and follow a built-in rule."""
+    ((trace, legs, runner),) = logged_rollouts(loop, 0, (0,), legs=True)
+    state, shape = runner.state, loop.shape
+    flags = np.zeros(shape[0] * shape[1], dtype=np.int64)
+    flags[loop.cells] = state.home[:-1]
+    return Run(
+        paths=tuple(without_waiting(path) for path in trace.cells.T.astype(np.int64)),
+        legs=legs_of(loop, legs[0 if loop.state is None else loop.state.step + 1 :], state.areas["level"]),
+        areas_added=areas_made(loop, trace, state.areas["level"]),
+        bisected=int(state.marks["bisected"]),
+        divided=int(state.marks["divided"]),
+        visited=flags & VISITED != 0,
+        survived=flags & SURVIVED != 0,
+        alive=state.robots["doing"] != Doing.DEAD,
+        home=np.zeros(loop.robots, dtype=np.bool_),
+        trace=trace,
+    )
+
+
+def areas_made(loop: ClosedLoop, trace: Trace, level: NDArray[np.int32]) -> tuple[Area, ...]:
+    """Areas made in a run without map updates, each with the cells of all that was made of it later."""
+    given, events = len(loop.tables.level), trace.events
+    made = events[np.isin(events[:, 2], (EventKind.REALLOCATED, EventKind.SHARED))]
+    parents = np.repeat(made[:, 3], made[:, 4])
+    order = np.argsort(trace.area_of, kind="stable")
+    begin = np.searchsorted(trace.area_of[order], np.arange(given + len(parents) + 1))
+    inside = [order[begin[number] : begin[number + 1]] for number in range(given + len(parents))]
+    for number in range(len(parents) - 1, -1, -1):
+        inside[parents[number]] = np.concatenate([inside[parents[number]], inside[given + number]])
+    return tuple(
+        Area(int(level[number]), NO_ROBOT, np.sort(inside[number]).astype(np.int64))
+        for number in range(given, given + len(parents))
+    )
+
+
+def legs_of(loop: ClosedLoop, noted: NDArray[np.int32], level: NDArray[np.int32]) -> tuple[tuple[Leg, ...], ...]:
+    """Travel and cover legs of each robot: of what was `noted` `[T, K]` in steps from the first one on (`Log.legs`).
+
+    A leg goes on while the robot makes its next move as soon as it can; `level`: of each area.
+    """
+    first, found = 0 if loop.state is None else loop.state.step + 1, list[tuple[Leg, ...]]()
+    for robot, of in enumerate(noted.T.astype(np.int64)):
+        moves = np.flatnonzero(of != NONE)
+        if len(moves) == 0:
+            found.append(())
+            continue
+        pace = int(loop.tables.pace[robot]) if len(loop.tables.pace) else 1
+        begins = np.flatnonzero((np.diff(of[moves], prepend=NONE - 1) != 0) | (np.diff(moves, prepend=-pace) > pace))
+        ends = np.append(begins[1:], len(moves)) - 1
+        rows = zip(
+            of[moves[begins]].tolist(),
+            (first + moves[begins]).tolist(),
+            (first + moves[ends] + 1).tolist(),
+            strict=True,
+        )
+        found.append(
+            tuple(
+                Leg("cover" if code & 1 else "travel", code >> 1, int(level[code >> 1]), start, stop)
+                for code, start, stop in rows
+            )
+        )
+    return tuple(found)
 
 
 def at_base(run: SingleRun) -> NDArray[np.bool_]:

@@ -5,20 +5,30 @@ Axis letters: `A` accessible cells, `M` areas.
 
 from __future__ import annotations
 
+from math import floor
 from typing import Any
 
+import numba
 import numpy as np
+from numba import types
+from numba.core.errors import NumbaError
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from planner.errors import PlanError
 from planner.failure_model import PLAIN, Bearing
-from planner.mrac.choose import reach_of
-from planner.mrac.executive import STUCK_AFTER
 from planner.mrac.problem import Problem, Unknown
 from planner.plan.plan import Area
 from planner.plan.state import ON_ITS_WAY, MissionState, RobotState
+from planner.policies import RULES
+from planner.policies.limits import most_at_risk
+from planner.policies.rule import Rule
 from planner.rollout_sampling import chance_bound
 from planner.simulator.codes import NO_CELL, Outcome
+from planner.simulator.jit import UNCOUNTED
+from planner.simulator.offers import NO_REFUSAL, Offer
 from planner.simulator.paths import all_pairs, to_areas
+from planner.simulator.policy import Policy
 from planner.simulator.searches import BY_INDEX, UNREACHED, SafestPaths, find_safe_parts, neighbour_table
 from planner.simulator.state import (
     AREA_BITS,
@@ -45,6 +55,10 @@ from planner.world.map_knowledge import Evidence
 from planner.world.uncertain_maps import bounds_of
 from planner.world.world import World
 
+STUCK_AFTER = 2
+"""Steps in a row without a move or an allocation that end a run as one of no progress."""
+EPSILON = 1e-9
+"""Squares of distances are whole numbers: a radius of 5 reaches (3, 4)."""
 NEAR_CELLS = 500
 """Cells that a search passes before it is one for what is far."""
 ASKED_BEFORE = 2
@@ -252,7 +266,7 @@ def _radio(problem: Problem, cells: NDArray[np.int64]) -> dict[str, Any]:
         pairs = np.zeros((0, 2), dtype=np.int64)
         return {"place": pairs, "bases": pairs, "reach": pairs[:, 0].copy()}
     place = np.stack(np.divmod(cells, problem.world.shape[1]), axis=1)
-    return {"place": place, "bases": problem.bases, "reach": np.array([reach_of(problem.settings)])}
+    return {"place": place, "bases": problem.bases, "reach": np.array([floor(problem.settings.radio**2 + EPSILON)])}
 
 
 def _kinds(problem: Problem) -> tuple[World, ...]:
@@ -443,3 +457,72 @@ def first_frames(mission: MissionState, cells: NDArray[np.int64]) -> NDArray[np.
         [robot.area for robot in robots],
     ]
     return np.broadcast_to(np.array(now, dtype=np.int32), (mission.step + 1, 3, len(robots)))
+
+
+# The policy of a plan as the simulator follows it, and a user's own rule as a compiled function.
+
+
+OF_OFFER = types.int64(*[types.int64] * (1 + len(Offer._fields)))
+"""Signature of `Policy.own`."""
+
+
+def as_function(rule: Rule) -> Any:
+    """The order of a user's own rule as a function with a C signature: programs are not compiled anew for each rule.
+
+    Arguments: which of the four numbers of `Rule.order`, and those of an `Offer`. Raises PlanError for an order that is
+    not arithmetic.
+    """
+    order = register_jitable(**UNCOUNTED)(rule.order)
+
+    def number(which, level, cost, unvisited, entry, value, beyond, frontier, surcharge):  # type: ignore[no-untyped-def]
+        (one, two), (three, four) = order(Offer(level, cost, unvisited, entry, value, beyond, frontier, surcharge))
+        # A float has no `|`: an order that is not of whole numbers does not compile, instead of being cut to them.
+        return (one if which == 0 else two if which == 1 else three if which == 2 else four) | 0
+
+    try:
+        return numba.cfunc(OF_OFFER, error_model="numpy")(number)
+    except NumbaError as error:
+        raise PlanError(
+            f"the order of rule {rule.name} cannot be compiled",
+            expected="whole-number arithmetic of an Offer: two pairs (numerator, denominator)",
+            fix="roll it out with planner.rollouts.single_run.PythonLoop",
+        ) from error
+
+
+def dangerous(problem: Problem, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """`Policy.danger` of these cells `[A]`; where robots differ in type, `[Y A]`."""
+    of_cell = problem.levels.of_cell[cells]
+    return (of_cell if problem.own is None else problem.own.level[:, of_cell].ravel()) > 0
+
+
+def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables, *, interpreted: bool = False) -> Policy:
+    """The policy of a rule that re-evaluates; `cells` int64 `[A]`, the accessible ones. Raises PlanError.
+
+    `interpreted`: for the simulator as Python, which follows any rule; compiled programs follow exact ones.
+    """
+    rule, settings, unknown = problem.rule, problem.settings, problem.unknown
+    ahead = slice(None if rule.looks_ahead and (unknown is None or unknown.looks) else 0)
+    alive = range(len(problem.starts) + 1 if settings.reserve is not None else 0)
+    is_own = RULES.get(rule.name) is not rule
+    return Policy(
+        looks_again=rule.looks_again,
+        breaks_off=rule.breaks_off,
+        looks_ahead=rule.looks_ahead,
+        by_price=rule.by_price,
+        limited=rule.limited and problem.theta < NO_REFUSAL,
+        entry=problem.entry,
+        danger=dangerous(problem, cells),
+        cells=problem.costs.size,
+        theta=problem.theta,
+        worth=settings.worth is not None,
+        most=np.array([most_at_risk(settings.reserve or 1.0, robots) for robots in alive], dtype=np.int64),
+        value=np.zeros(0, dtype=np.int64) if problem.value is None else problem.value[cells],
+        scale=problem.scale,
+        beyond=problem.beyond,
+        view_begin=tables.view_begin[ahead],
+        in_view=tables.in_view[ahead],
+        stamp=np.zeros(len(cells) + 1, dtype=np.int64)[ahead],
+        is_own=True if is_own else None,
+        own=as_function(rule) if is_own and not interpreted else None,
+        key=rule.key if is_own and interpreted else None,
+    )

@@ -61,16 +61,35 @@ class Log(NamedTuple):
             the others are the rows of `Trace.events`.
         frames: int32 `[T, FRAME_ROWS, K]`: cell, doing and area of each robot at the end of each step; later steps are
             not kept.
+        legs: int32 `[L, K]`, kept in row `step % L`: twice the area that each robot has as it enters its next cell, and
+            1 where it begins to cover or covers; NONE where it enters none, or has no area.
+        noted: whether legs are; None: a program without.
     """
 
     events: NDArray[np.int32]
     frames: NDArray[np.int32]
+    legs: NDArray[np.int32]
+    noted: bool | None = None
 
 
-def make_log(steps: int, events: int, robots: int) -> Log:
-    """Room for so many steps and events; none for no steps."""
+def make_log(steps: int, events: int, robots: int, legs: bool = False) -> Log:
+    """Room for so many steps and events; none for no steps. `legs`: for these too."""
     rows = events + 1 if steps else 0
-    return Log(np.zeros((rows, 5), dtype=np.int32), np.zeros((steps, FRAME_ROWS, robots), dtype=np.int32))
+    frames = np.zeros((steps, FRAME_ROWS, robots), dtype=np.int32)
+    noted = np.full((steps if legs else 0, robots), NONE, dtype=np.int32)
+    return Log(np.zeros((rows, 5), dtype=np.int32), frames, noted, True if legs else None)
+
+
+@rare_kernel
+def note_leg(log, s, robot):
+    """Write down what the robot, which is about to enter its next cell, is about."""
+    me, step = s.robots[robot], s.marks.step
+    if has_area(s.robots, robot):
+        covers = me.doing == COVERING or me.next == me.target
+        if step == 0:
+            covers = np.int64(s.home[me.cell]) >> AREA_BITS == me.area
+        if step > 0 or covers:
+            log.legs[step % len(log.legs), robot] = 2 * me.area + covers
 
 
 @kernel

@@ -10,6 +10,8 @@ NONE = -1
 NO_CELL = NO_AREA = NO_ROBOT = NO_STEP = NO_ROLLOUT = NONE
 ALWAYS, NEVER = 2**62, -(2**62)
 """That a hazard is there, and that none is."""
+BLOCKED = 0
+"""Entry cost of a cell that cannot be entered."""
 
 
 class Outcome(IntEnum):

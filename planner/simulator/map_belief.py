@@ -1,6 +1,6 @@
 """Robots that learn the map, compiled: what they see, what of it surprises, and what becomes of the areas.
 
-Part of `planner.simulator.rollouts`, which see; `planner.mrac.map_belief` is the readable one. What is believed is
+Part of `planner.simulator.rollouts`, which see. What is believed is
 part of a
 set's state, since it follows from the set's history: its rollouts share it until they part. A cell that is in no area
 (an obstacle, out of reach, or left over) has the area NOWHERE, and looks visited, so that nobody heads for it.
@@ -380,7 +380,7 @@ def is_lost(s, w, robot):
     return lost
 
 
-# Threats that change with time, compiled: `planner.mrac.map_belief` is the readable one.
+# Threats that change with time.
 #
 # Time is a function of the step, so a set's rollouts have it in common. Part of `planner.simulator.rollouts`, which
 # see.
@@ -412,7 +412,7 @@ def foresee(t, s, w):
     return count
 
 
-# Robots that learn about hazards, compiled: `planner.mrac.map_belief` is the readable one.
+# Robots that learn about hazards.
 #
 # Part of `planner.simulator.rollouts`, which see. What a set's rollouts have in common is what happened to its robots,
 # so

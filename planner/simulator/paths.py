@@ -153,7 +153,7 @@ def _nearest(part, parts, cost, order, begin, area_cost, area_entry):
 #
 # Part of `planner.simulator.rollouts`, which see. A goal tells by a cell's area and flags whether it is looked for, so
 # that nothing has to be marked before a search. What is near is found by Dijkstra's algorithm in layers, what is far by
-# the planner's `planner.mrac.paths`. Ties are those of SPEC section 3.
+# the planner's `SafestPaths`. Ties are those of SPEC section 3.
 
 ONE_CELL = -2
 """In the first place of a goal of one cell; NONE is there in that of the unassigned areas of a level."""

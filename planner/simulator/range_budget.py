@@ -1,6 +1,6 @@
 """What a robot that comes home can afford (SPEC section 19): how far it can still go, and how far home is.
 
-Part of `planner.simulator.rollouts`, which see; `planner.mrac.board` is the readable one. Ways home are tables:
+Part of `planner.simulator.rollouts`, which see. Ways home are tables:
 `Tables.home_of`, `home_steps`, `home_cost`, `onward`; the costs are empty where robots stay where they end.
 """
 

@@ -1,6 +1,6 @@
 """Robots that do no more: at the end of their range, or since they turn for home (SPEC section 19).
 
-Part of `planner.simulator.rollouts`, which see; the readable one is `planner.mrac.executive`.
+Part of `planner.simulator.rollouts`, which see.
 """
 
 from __future__ import annotations

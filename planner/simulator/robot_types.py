@@ -53,7 +53,7 @@ def moves_until(t, helper, owner, moves):
     return moves if not t.paced else moves * t.pace[owner] // t.pace[helper]
 
 
-# Who hears whom (SPEC section 22): `planner.mrac.choose` for one robot of a set.
+# Which robots hear each other (SPEC section 22).
 #
 # Part of `planner.simulator.rollouts`, which see. `Tables.place`, `bases` and `reach` are empty where all do.
 

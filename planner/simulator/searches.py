@@ -11,14 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.simulator.codes import BLOCKED
+
 from .codes import NO_CELL
 from .jit import compiled, kernel, put_first, threaded
 from .offers import CellOffer
 
 # Eq. (3) made exact: integer entry costs, and the grid's neighbours that safest paths run over (SPEC section 3).
-
-BLOCKED = 0
-"""Entry cost of a cell that cannot be entered."""
 
 
 def neighbour_table(shape: tuple[int, int], passable: NDArray[np.bool_]) -> NDArray[np.int32]:
@@ -67,7 +66,7 @@ def pop(heap_cost, heap_cell, size):  # type: ignore[no-untyped-def]
     return size
 
 
-# The search for safest paths, compiled, for `planner.mrac.paths`.
+# The search for safest paths, compiled, for `SafestPaths`.
 #
 # Among targets of equal cost the one of least rank, then of lowest index, is nearest; among equal-cost paths to one
 # target, walking back from the target, the predecessor of lowest index is taken (SPEC section 3).
@@ -163,7 +162,7 @@ def walk_back(source, target, distance, seen, stamp, neighbours, costs):  # type
 # before it goes through a second dangerous cell. Here a search backwards from the targets, in which every component of
 # safe cells is one node (safe cells cost nothing there), finds the danger still to go; A* with it as its potential then
 # spends time on safe steps alone. Where that search was ended early, its last cost is the potential: a lower bound that
-# keeps A* exact. Answers, ties and paths are those of `planner.mrac.paths`.
+# keeps A* exact. Answers, ties and paths are those of `SafestPaths`.
 
 
 class SafeParts(NamedTuple):

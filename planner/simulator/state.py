@@ -452,7 +452,7 @@ class Work(NamedTuple):
             int64 `[P / 32]`, where path n = 1, 2, .. ends; slots: uint16 `[P / 16]`, a path by its key's hash, 0: none.
             Empty where none are remembered. remembered: int64 `[1]`, the number of the next one.
         everywhere: bool `[A + 1]`, all cells but the last one. The others are `[A]` (distance with NONE at its end), or
-            empty, as of `planner.mrac.paths` and `far_search`.
+            empty, as of `SafestPaths` and `far_search`.
         part: int64 `[A + 1]`, gone: uint8 `[A]`, news: uint32 `[A]`, minds: int64 `[2]`, the beliefs so far, and the
             one that rows are of (`planner.simulator.map_belief`); the first three are empty where robots are told.
     """

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from . import fixed_paths, replanning
-from .areas import has_area, unsettle, write_frame
+from .areas import has_area, note_leg, unsettle, write_frame
 from .codes import NONE
 from .jit import kernel, rare_kernel
 from .map_belief import forget_news, learns_of, recall, revise, take_note
@@ -97,8 +97,8 @@ def advance(t, p, s, c, w, log, how, ids):
                 left = acting(t, p, s, word, robot % WORD)
                 continue
             group.progress = 1
-            if t.notes:
-                t.notes.move(s, robot)
+            if log.noted:
+                note_leg(log, s, robot)
             # t = 0 enters the start; a robot on an external path may wait, which is no visit.
             cell = np.int64(robots[robot].next if group.step > 0 else robots[robot].cell)
             if p is not None or group.step == 0 or cell != robots[robot].cell:

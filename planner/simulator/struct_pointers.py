@@ -127,7 +127,7 @@ class Records(dict[int, Any]):
     def __init__(self, array: NDArray[np.void]) -> None:
         super().__init__()
         self.array = array
-        self._views = tuple(memoryview(array[name]) for name in array.dtype.names or ())
+        self._views = tuple(memoryview(array[name].data) for name in array.dtype.names or ())
         self._kind = _record_kind(array.dtype.names or ())
 
     def __missing__(self, place: int) -> Any:

@@ -29,8 +29,8 @@ from analysis.recording.container import LogSchema
 from analysis.recording.frames import AreaMap, Discovery, area_maps, discovery_of, learned_maps
 from planner.files import Json, atomic_write
 from planner.mrac.problem import ready_loop
-from planner.mrac.simulate import ReferenceLoop
 from planner.plan.plan import Area, Plan
+from planner.rollouts.single_run import PythonLoop
 from planner.tally import Trace
 from planner.world.world import World
 
@@ -253,8 +253,8 @@ class Stage:
     def area_maps(self, trace: Trace) -> Iterator[AreaMap]:
         """Who holds what, at the end of step 0 and of every later step that changes it; nothing without areas."""
         if self.rearranges:
-            loop = ReferenceLoop(self.plan, self.world, first_only=self.first_only)
-            return learned_maps(loop.teams(self.seed, trace.rollout))
+            loop = PythonLoop(self.plan, self.world, first_only=self.first_only)
+            return learned_maps(loop.runs(self.seed, trace.rollout))
         return area_maps(trace, self.areas, self.plan.state) if self.areas else iter(())
 
     @property
