@@ -23,12 +23,9 @@ from mrac_jax.environment.coverage_env import ACTIONS, AT_ONCE, PLANES, Coverage
 from planner.errors import InputError
 from planner.failure_model import exposure_of, tolerances
 from planner.make_plan import make_plan
-from planner.mission.team_control import ChosenRun
-from planner.mrac.board import Recorder
-from planner.mrac.problem import ready_loop
-from planner.mrac.simulate import ReferenceLoop
+from planner.mission.external_allocation import ChosenRun
 from planner.policies import RULES, Rule
-from planner.rollout_sampling import Luck
+from planner.rollouts.single_run import PythonLoop
 from planner.settings import Policy, Settings
 from planner.simulator.codes import Outcome
 from planner.simulator.offers import Offer
@@ -254,23 +251,6 @@ def world(seed: int = 1) -> World:
     return random_world(8 + seed % 5, 9, pattern, obstacles=0.2, threats=0.35)
 
 
-class Repeated(Recorder):
-    """Of a step that is played again with every answer, the last time."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.now: list[Any] = []
-
-    def note(self, *event: Any) -> None:
-        self.now.append(event)
-
-    def look(self, robots: list[Any]) -> None:
-        for event in self.now:
-            super().note(*event)
-        self.now.clear()
-        super().look(robots)
-
-
 @pytest.mark.parametrize("policy", POLICIES.values(), ids=list(POLICIES))
 def test_the_first_offers_of_a_rule_are_its_closed_loop(policy: Policy) -> None:
     """Event for event, in worlds of both kinds and with hazards that are consumed, with robots that are lost."""
@@ -280,17 +260,15 @@ def test_the_first_offers_of_a_rule_are_its_closed_loop(policy: Policy) -> None:
         if seed > 2:
             there = with_hazard(there, "consumed", 3 * np.nan_to_num(there.threat), 0.4)
         plan = make_plan(there, place_starts(there, 4)[0], Settings(policy=policy))
-        loop = ReferenceLoop(plan, there)
+        loop = PythonLoop(plan, there)
         for rollout in range(3):
-            recorder = Repeated()
-            run = ChosenRun(*ready_loop(plan, there), Luck(there, seed, rollout), recorder=recorder)
+            run = ChosenRun(loop, seed, rollout, traced=True)
             run.go_on()
             while run.decision is not None:
-                recorder.now.clear()
                 run.go_on(0)
                 choices += 1
             assert run.outcome is not None
-            assert_same_trace(recorder.trace(rollout, run.team.area_of, run.outcome), loop.trace(seed, rollout))
+            assert_same_trace(run.trace(), loop.trace(seed, rollout))
     assert choices > 100
 
 
@@ -383,10 +361,10 @@ def test_who_takes_none_rests_until_areas_change() -> None:
     run, asked = env.begin(0, 0), []
     run.go_on()
     while run.decision is not None:
-        asked.append((run.team.step, run.decision.robot))
+        asked.append((run.now.step, run.decision.robot))
         run.go_on(None)
     assert run.outcome is Outcome.NOT_WORTH_THE_RISK
-    assert 0 < len(set(asked)) == len(asked) < 40 and run.team.unvisited > 0
+    assert 0 < len(set(asked)) == len(asked) < 40 and run.unvisited > 0
 
 
 def test_pettingzoo_and_gymnasium_conform() -> None:

@@ -150,14 +150,14 @@ class SingleRun:
         runner = Runner(loop, seed, 1, None if known is None else [known])
         self.loop, self.rollout = loop, rollout
         self.p, self.c, self.w, self.notes = runner.policy, runner.counts, runner.work, Notes(loop)
-        self.w = self.w._replace(paths=self.w.paths[:0])  # coverage paths are found a leg at a time
+        # Coverage paths are found a leg at a time. Runs of one loop may go on in turn, each with its own rollout.
+        self.w = self.w._replace(paths=self.w.paths[:0], begin=np.array([rollout], dtype=np.int64))
         self.t = runner.tables._replace(notes=self.notes)
         self.how = runner.how._replace(pause=True, in_area=loop.in_area)
         if hit is not None:
             every = np.ones_like(self.t.bound)
             self.t = self.t._replace(bound=every, loses=lambda *visit: hit(*visit[:2], int(loop.cells[visit[2]])))
         self.ids = np.array([rollout], dtype=np.uint32)
-        self.w.begin[0] = rollout
         if loop.in_doubt:
             self.w.left[:1] = loop.bearing.tolerances(seed, self.ids, loop.robots)
         if loop.movers is not None:
@@ -195,6 +195,24 @@ class SingleRun:
         other.log = Log(self.log.events.copy(), self.log.frames.copy())
         other.t, other.left, other.turned = self.t._replace(notes=None), self.left.copy(), self.turned.copy()
         return other
+
+    def save(self) -> list[NDArray[Any]]:
+        """What the next step may change, so that it can be taken back; what `notes` has written down is not."""
+        self._make_room()
+        return [row.copy() for row in self._changing(int(self.raw.marks["areas"]))]
+
+    def take_back(self, saved: list[NDArray[Any]]) -> None:
+        """The step that has begun since `save`, and has not come to its end, has not begun."""
+        for row, before in zip(self._changing(len(saved[0])), saved, strict=True):
+            row[...] = before
+
+    def _changing(self, areas: int) -> Iterator[NDArray[Any]]:
+        """The rows of the state that are not empty, of so many areas, and of the scratch what is no scratch."""
+        yield self.raw.areas[:areas]
+        for row in self._stack:
+            if row is not self._stack.areas and row.size:
+                yield row
+        yield from (row for row in (self.w.left, self.w.at, self.w.met) if row.size)
 
     # --- steps ---
 
@@ -538,14 +556,16 @@ class PythonLoop:
 
     Args:
         plan: this project's, made for `world`, or the paths of another planner (`planner.mrac.problem`).
-        first_only: `threat_checks="first_visit"`.
+        first_only: `threat_checks="first_visit"`. problem: the plan's own, if it is available.
 
     Raises:
         PlanError: a plan for another map.
     """
 
-    def __init__(self, plan: Plan, world: World, *, first_only: bool = False) -> None:
-        self.problem, areas = ready_loop(plan, world)
+    def __init__(
+        self, plan: Plan, world: World, *, first_only: bool = False, problem: Problem | None = None
+    ) -> None:
+        self.problem, areas = ready_loop(plan, world) if problem is None else (problem, plan.areas)
         plan = replace(plan, areas=areas)
         self.loop = compile_closed_loop(plan, world, first_only=first_only, problem=self.problem, interpreted=True)
         self._known: Work | None = None

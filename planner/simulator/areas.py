@@ -201,8 +201,6 @@ def affordable(t, s, w, robot, costs, area_costs, area_entries):
 @kernel
 def find_next_area(t, s, w, robot):
     """(area, cell) of the next area by (level, cost, id), NONE if none is reachable."""
-    if t.asks:
-        return t.asks.area(t, s, w, robot)[:2]
     if not hears(t, s, robot):
         return np.int64(NONE), np.int64(NONE)
     if t.returns or t.mixed:

@@ -227,6 +227,8 @@ def call_back(t, p, s, w, log):
 @kernel
 def over_by(t, p, s, w, outcome):
     """The outcome; of no progress, NOT_WORTH_THE_RISK where robots refuse an area that they could reach."""
+    if t.asks and outcome == NO_PROGRESS and t.asks.could_go_on(t, s, w):
+        return np.int64(NOT_WORTH_THE_RISK)
     if p is not None and outcome == NO_PROGRESS and could_go_on(t, p, s, w):
         return np.int64(NOT_WORTH_THE_RISK)
     return outcome
