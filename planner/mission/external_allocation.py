@@ -5,12 +5,14 @@ A step that comes to a choice which nobody has made yet is taken back, and playe
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.mrac.problem import Problem
+from planner.policies.rule import Rule
 from planner.rollouts.closed_loop import trace_from
 from planner.rollouts.interpreted import interpreted
 from planner.rollouts.policies import make_policy
@@ -41,13 +43,22 @@ class Decision(Exception):
         self.robot, self.offers = robot, offers
 
 
+def keys_of(rule: Rule, offers: list[Offer]) -> list[Any]:
+    """What the offers are sorted by: as `Rule.key` of each, but fractions with the same denominator, faster."""
+    found = [rule.order(offer) for offer in offers]
+    if not rule.exact:
+        return found
+    common = [math.lcm(*(below for _, below in column)) for column in zip(*found, strict=True)]
+    return [tuple(top * (whole // below) for (top, below), whole in zip(of, common, strict=True)) for of in found]
+
+
 class _Asked:
     """Whom the simulator asks in the place of the rule (`Tables.asks`), and tells of moves (`Tables.notes`).
 
     Attributes:
         answers: what robots took, in the order in which the step asks; those of who had offers came from outside.
         policy: of the rule, as attentive robots have it.
-        new: cells that each robot was the first to visit. lost: unassigned areas' cells to do that were visited.
+        new: cells that each robot was the first to visit. shrunk: how often an unassigned area lost a cell to do.
         told: of each robot when, and where, it was asked for the last time.
     """
 
@@ -57,18 +68,18 @@ class _Asked:
         self.policy = run.p or make_policy(problem, loop.cells, loop.tables, interpreted=True)
         self.policy = self.policy._replace(limited=True)
         self.answers: list[tuple[int, int, int]] = []
-        self.new, self.lost, self._place = [0] * loop.robots, 0, 0
+        self.new, self.shrunk, self._place = [0] * loop.robots, 0, 0
         self.told: list[tuple[int, ...] | None] = [None] * loop.robots
-        self._before = self.new, self.lost, self.told
+        self._before = self.new, self.shrunk, self.told
 
     def begin(self) -> None:
         """The step begins, perhaps once more."""
-        self._place, (new, self.lost, told) = 0, self._before
+        self._place, (new, self.shrunk, told) = 0, self._before
         self.new, self.told = new.copy(), told.copy()
 
     def end(self) -> None:
         """The step is over."""
-        self._before = self.new, self.lost, self.told
+        self._before = self.new, self.shrunk, self.told
         self.answers.clear()
 
     def area(self, t: Any, s: Any, w: Any, robot: int, own: int = NONE) -> tuple[int, int, int]:
@@ -77,8 +88,8 @@ class _Asked:
         Who took none is asked again once other areas are nobody's. Raises Decision.
         """
         marks = s.marks
-        # Areas that became nobody's (a loss counts as one arrival more), and those that did not stay so.
-        now = marks.arrivals + marks.alive, marks.open, self.lost, s.robots[robot].cell
+        # How often an area became nobody's (a lost robot counts as one arrival more), how many are, and what they lost.
+        now = marks.arrivals + marks.alive, marks.open, self.shrunk, s.robots[robot].cell
         if self.told[robot] == now and holds(s.waiting, robot):
             return NOTHING
         self.told[robot] = now
@@ -110,14 +121,22 @@ class _Asked:
         numbers, costs = numbers[reached], costs[reached]
         order = np.lexsort((costs, area_of[numbers]))  # stable: of equal cells the lowest index
         areas, first = np.unique(area_of[numbers][order], return_index=True)
-        places, offer_of = order[first], interpreted("policy").offer_of
-        found = [
-            Choice(area, target, Offer(*map(int, offer_of(t, self.policy, s, robot, area, cost))))
-            for area, target, cost in zip(
-                areas.tolist(), cells[numbers[places]].tolist(), costs[places].tolist(), strict=True
-            )
-        ]
-        return sorted(found, key=lambda one: (self.rule.key(one.offer), one.area))
+        places = order[first]
+        offers = self._seen(t, s, robot, areas, costs[places])
+        found = list(map(Choice, areas.tolist(), cells[numbers[places]].tolist(), offers))
+        keys = keys_of(self.rule, offers)
+        return [found[place] for place in sorted(range(len(found)), key=keys.__getitem__)]
+
+    def _seen(self, t: Any, s: Any, robot: int, areas: NDArray[Any], costs: NDArray[Any]) -> list[Offer]:
+        """Areas at these costs `[M]` as the rule sees them."""
+        p = self.policy
+        if t.mixed or len(p.value) or len(p.view_begin):
+            offer_of = interpreted("policy").offer_of
+            each = zip(areas.tolist(), costs.tolist(), strict=True)
+            return [Offer(*map(int, offer_of(t, p, s, robot, area, cost))) for area, cost in each]
+        levels, left = (self.run.raw.areas[name][areas] for name in ("level", "left"))
+        columns = levels, costs, left, p.entry[levels], left, np.full_like(left, p.beyond)
+        return list(map(Offer, *(column.tolist() for column in columns)))
 
     def could_go_on(self, t: Any, s: Any, w: Any) -> bool:
         """Whether a robot that can move can reach an unassigned area."""
@@ -129,7 +148,7 @@ class _Asked:
         home = int(s.home[me.next if s.marks.step > 0 else me.cell])
         if home & VISITED == 0:
             self.new[robot] += 1
-            self.lost += bool(holds(s.open, home >> AREA_BITS))
+            self.shrunk += bool(holds(s.open, home >> AREA_BITS))
 
     def areas(self, s: Any) -> None:
         """Areas have been made."""
