@@ -23,12 +23,9 @@ from mrac_jax.environment.coverage_env import ACTIONS, AT_ONCE, PLANES, Coverage
 from planner.errors import InputError
 from planner.failure_model import exposure_of, tolerances
 from planner.make_plan import make_plan
-from planner.mission.team_control import ChosenRun
-from planner.mrac.board import Recorder
-from planner.mrac.problem import ready_loop
-from planner.mrac.simulate import ReferenceLoop
-from planner.policies import RULES, Rule
-from planner.rollout_sampling import Luck
+from planner.mission.external_allocation import ChosenRun, keys_of
+from planner.policies import RULES, Rule, rule_of
+from planner.rollouts.single_run import PythonLoop
 from planner.settings import Policy, Settings
 from planner.simulator.codes import Outcome
 from planner.simulator.offers import Offer
@@ -254,23 +251,6 @@ def world(seed: int = 1) -> World:
     return random_world(8 + seed % 5, 9, pattern, obstacles=0.2, threats=0.35)
 
 
-class Repeated(Recorder):
-    """Of a step that is played again with every answer, the last time."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.now: list[Any] = []
-
-    def note(self, *event: Any) -> None:
-        self.now.append(event)
-
-    def look(self, robots: list[Any]) -> None:
-        for event in self.now:
-            super().note(*event)
-        self.now.clear()
-        super().look(robots)
-
-
 @pytest.mark.parametrize("policy", POLICIES.values(), ids=list(POLICIES))
 def test_the_first_offers_of_a_rule_are_its_closed_loop(policy: Policy) -> None:
     """Event for event, in worlds of both kinds and with hazards that are consumed, with robots that are lost."""
@@ -280,18 +260,56 @@ def test_the_first_offers_of_a_rule_are_its_closed_loop(policy: Policy) -> None:
         if seed > 2:
             there = with_hazard(there, "consumed", 3 * np.nan_to_num(there.threat), 0.4)
         plan = make_plan(there, place_starts(there, 4)[0], Settings(policy=policy))
-        loop = ReferenceLoop(plan, there)
+        loop = PythonLoop(plan, there)
         for rollout in range(3):
-            recorder = Repeated()
-            run = ChosenRun(*ready_loop(plan, there), Luck(there, seed, rollout), recorder=recorder)
+            run = ChosenRun(loop, seed, rollout, traced=True)
             run.go_on()
             while run.decision is not None:
-                recorder.now.clear()
                 run.go_on(0)
                 choices += 1
             assert run.outcome is not None
-            assert_same_trace(recorder.trace(rollout, run.team.area_of, run.outcome), loop.trace(seed, rollout))
+            assert_same_trace(run.trace(), loop.trace(seed, rollout))
     assert choices > 100
+
+
+@pytest.mark.parametrize("rule", ["mrac", "per_cell"])
+def test_rollouts_of_one_loop_may_go_on_in_turn(rule: str) -> None:
+    """They share scratch, and each has its own luck: what robots meet in doubt too. Choices are drawn."""
+    there = world(3)
+    there = with_hazard(there, "consumed", 3 * np.nan_to_num(there.threat), 0.4)
+    loop = PythonLoop(make_plan(there, place_starts(there, 4)[0], Settings(policy=rule)), there)
+
+    def go_on(run: ChosenRun, draw: np.random.Generator) -> None:
+        last = -1 if run.decision is None else len(run.decision.offers) - 1
+        run.go_on(int(draw.integers(last + 1)) if last >= 0 and draw.random() < 0.8 else None)
+
+    def begun(rollout: int) -> tuple[ChosenRun, np.random.Generator]:
+        return ChosenRun(loop, 8, rollout, traced=True), np.random.default_rng(rollout)
+
+    in_turn, asked = [begun(rollout) for rollout in range(5)], 0
+    while left := [one for one in in_turn if one[0].outcome is None]:
+        for one in left:
+            go_on(*one)
+            asked += one[0].decision is not None
+    for rollout, (run, _) in enumerate(in_turn):
+        alone, draw = begun(rollout)
+        while alone.outcome is None:
+            go_on(alone, draw)
+        assert_same_trace(alone.trace(), run.trace())
+        assert alone.unvisited == run.unvisited == loop.loop.accessible - run.now.visited.sum()
+        assert alone.new.sum() == run.now.visited.sum()
+    assert asked > 20 and not all(run.now.alive.all() for run, _ in in_turn)
+
+
+def test_offers_are_in_the_order_of_the_rule() -> None:
+    """Fractions with one denominator are in the order of the fractions."""
+    draw = np.random.default_rng(0)
+    numbers = draw.integers(1, [4, 40, 9, 30, 9], (200, 5)).tolist()
+    offers = [Offer(level, cost, left, entry, value, 0) for level, cost, left, entry, value in numbers]
+    for policy in POLICIES.values():
+        rule = rule_of(policy)
+        keys = keys_of(rule, offers)
+        assert sorted(range(200), key=keys.__getitem__) == sorted(range(200), key=lambda one: rule.key(offers[one]))
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -383,10 +401,10 @@ def test_who_takes_none_rests_until_areas_change() -> None:
     run, asked = env.begin(0, 0), []
     run.go_on()
     while run.decision is not None:
-        asked.append((run.team.step, run.decision.robot))
+        asked.append((run.now.step, run.decision.robot))
         run.go_on(None)
     assert run.outcome is Outcome.NOT_WORTH_THE_RISK
-    assert 0 < len(set(asked)) == len(asked) < 40 and run.team.unvisited > 0
+    assert 0 < len(set(asked)) == len(asked) < 40 and run.unvisited > 0
 
 
 def test_pettingzoo_and_gymnasium_conform() -> None:

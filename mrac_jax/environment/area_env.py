@@ -1,7 +1,7 @@
 """The environment of `actions="areas"`: an action is the area that a robot works on next; the planner does the rest.
 
 An agent acts where Algorithm 2 decides (semi-Markov): `step` goes on until the next robot needs an area, or the mission
-is over. It is the readable executive with luck (`planner.mission.team_control`), in Python.
+is over. It is the simulator as Python (`planner.mission.external_allocation`), with the luck of `evaluate`.
 
 Axis letters: `K` robots, `M` offers, `F` columns of them.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -35,11 +36,11 @@ from mrac_jax.process import fixed_flags
 from planner.arguments import Numbers, argument, check_word, whole
 from planner.errors import UsageError
 from planner.failure_model import key_of
-from planner.make_plan import allocate
-from planner.mission.team_control import ChosenRun
-from planner.mrac.problem import prepare
+from planner.ids import MAX_STEP
+from planner.make_plan import allocated
+from planner.mission.external_allocation import ChosenRun
 from planner.policies import DEFAULT, RULES
-from planner.rollout_sampling import Luck
+from planner.rollouts.single_run import PythonLoop
 from planner.settings import Policy
 from planner.simulator.codes import Outcome
 from planner.world.levels import starts_of
@@ -82,12 +83,21 @@ class AreaEnv:
         if isinstance(rule, str):
             check_word("rule", rule, tuple(RULES))
         whole(1).check("max_steps", max_steps, optional=True)
-        self._problem = prepare(world, placed, asked_of(world, policy=rule))
-        self._areas = allocate(self._problem)
+        self._problem, self._plan = allocated(world, placed, asked_of(world, policy=rule))
         self.world, self.starts, self.worth, self.offers = world, placed, float(worth), int(offers)
         self.num_agents, self.accessible = len(placed), int(self._problem.levels.accessible.sum())
         self.max_steps = self._problem.max_steps if max_steps is None else int(max_steps)
         self.agents = [f"agent_{robot}" for robot in range(self.num_agents)]
+
+    @cached_property
+    def _loop(self) -> PythonLoop:
+        loop = PythonLoop(self._plan, self.world, problem=self._problem)
+        loop.loop = replace(loop.loop, max_steps=min(self.max_steps, MAX_STEP))
+        return loop
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is sent to other processes: they make the loop themselves."""
+        return {name: value for name, value in vars(self).items() if name != "_loop"}
 
     def action_space(self, agent: str) -> Discrete:
         """0: go on, or where there are offers none of them; 1 .. M: an offer. What is not there is as 0."""
@@ -99,7 +109,7 @@ class AreaEnv:
 
     def begin(self, seed: int, rollout: int) -> ChosenRun:
         """A rollout, before its first step: the luck of `evaluate`."""
-        return ChosenRun(self._problem, self._areas, Luck(self.world, seed, rollout), self.max_steps)
+        return ChosenRun(self._loop, seed, rollout)
 
     def take(self, run: ChosenRun, actions: NDArray[np.int64]) -> None:
         """On to the next decision, with an action of each robot `[K]`: of who is to choose, that is."""
@@ -117,9 +127,10 @@ class AreaEnv:
         seen = np.zeros((self.num_agents, self.offers, len(COLUMNS)), np.float32)
         if run.decision is not None:
             number = run.decision.robot
-            team = 1 - run.team.unvisited / self.accessible, self.alive(run).mean()
+            team = 1 - run.unvisited / self.accessible, self.alive(run).mean()
+            mine = run.now.robots[number].area
             for place, (area, _, offer) in enumerate(run.decision.offers[: self.offers]):
-                own = area == run.team.robots[number].area
+                own = area == mine
                 seen[number, place] = 1, own, offer.level, offer.cost, offer.unvisited, offer.entry, *team
         return seen
 
@@ -133,7 +144,7 @@ class AreaEnv:
 
     def alive(self, run: ChosenRun) -> NDArray[np.bool_]:
         """bool `[K]`, not lost."""
-        return np.array([robot.alive for robot in run.team.robots])
+        return run.now.alive
 
     def roll_out(
         self, act: Callable[[NDArray[np.float32], NDArray[np.bool_], np.random.Generator], NDArray[np.int64]],
@@ -149,7 +160,7 @@ class AreaEnv:
             run.go_on()
             while run.decision is not None:
                 self.take(run, act(self.observe(run), self.legal(run), draws))
-            found[:, rollout - start] = self.accessible - run.team.unvisited, (~self.alive(run)).sum(), run.team.step
+            found[:, rollout - start] = self.accessible - run.unvisited, (~self.alive(run)).sum(), run.now.step
         return found[0], found[1], found[2]
 
 
@@ -178,9 +189,9 @@ class AreaRuns:
             if run.outcome is not None:
                 self._runs[place] = env.begin(self._next.seed, int(rollouts[place]))
                 continue
-            new, alive = np.array(run.team.new), env.alive(run)
+            new, alive = run.new, env.alive(run)
             env.take(run, given[place])
-            rewards[place] = run.team.new - new - env.worth * (alive & ~env.alive(run))
+            rewards[place] = run.new - new - env.worth * (alive & ~env.alive(run))
         return self._tell(rewards)
 
     def _tell(self, rewards: NDArray[np.float32]) -> Told:
@@ -193,18 +204,18 @@ class AreaRuns:
             alive=alive,
             done=np.array([run.outcome is not None for run in runs]),
             truncated=np.array([run.outcome is Outcome.STEP_LIMIT for run in runs]),
-            covered=np.array([1 - run.team.unvisited / env.accessible for run in runs], np.float32),
+            covered=np.array([1 - run.unvisited / env.accessible for run in runs], np.float32),
             lost=(~alive).sum(axis=1, dtype=np.int32),
-            step=np.array([max(run.team.step, 0) for run in runs], np.int32),
+            step=np.array([max(run.now.step, 0) for run in runs], np.int32),
         )
 
     def picture(self) -> NDArray[np.uint8]:
         """As of `Runs`."""
         if not self._runs:
             raise RuntimeError("render before reset")
-        team = self._runs[0].team
-        cells = np.array([robot.cell for robot in team.robots])
-        return picture_of(self.env.world, team.visited, cells, self.env.alive(self._runs[0]))
+        now = self._runs[0].now
+        cells = now.loop.cells[now.raw.robots["cell"]]
+        return picture_of(self.env.world, now.on_grid(now.visited), cells, now.alive)
 
 
 # The environment whose actions are moves, or that whose actions are areas; and episodes of it.

@@ -102,6 +102,9 @@ class Notes:
     def __init__(self, loop: ClosedLoop) -> None:
         self.made, self._loop, self._known = list[Area](), loop, len(loop.tables.level)
 
+    def move(self, s: Any, robot: int) -> None:
+        """The robot is about to enter its next cell."""
+
     def areas(self, s: Any) -> None:
         """Areas have been made."""
         home = s.home[:-1] >> AREA_BITS
@@ -132,14 +135,14 @@ class SingleRun:
         runner = Runner(loop, seed, 1, None if known is None else [known])
         self.loop, self.rollout = loop, rollout
         self.p, self.c, self.w, self.notes = runner.policy, runner.counts, runner.work, Notes(loop)
-        self.w = self.w._replace(paths=self.w.paths[:0])  # coverage paths are found a leg at a time
+        # Coverage paths are found a leg at a time. Runs of one loop may go on in turn, each with its own rollout.
+        self.w = self.w._replace(paths=self.w.paths[:0], begin=np.array([rollout], dtype=np.int64))
         self.t = runner.tables._replace(notes=self.notes)
         self.how = runner.how._replace(pause=True, in_area=loop.in_area)
         if hit is not None:
             every = np.ones_like(self.t.bound)
             self.t = self.t._replace(bound=every, loses=lambda *visit: hit(*visit[:2], int(loop.cells[visit[2]])))
         self.ids = np.array([rollout], dtype=np.uint32)
-        self.w.begin[0] = rollout
         if loop.in_doubt:
             self.w.left[:1] = loop.bearing.tolerances(seed, self.ids, loop.robots)
         if loop.movers is not None:
@@ -172,6 +175,10 @@ class SingleRun:
         """The state is level 0 of the stack."""
         self._stack, self.raw = stack, State._make(row[0] for row in stack)
         self.s: Any = interpreted("struct_pointers").with_records(self.raw)
+        # As bytes rows are copied several times faster than as records.
+        kept = stack._replace(areas=stack.areas[:, :0])
+        rows = stack.areas, *kept, self.w.left, self.w.at, self.w.met
+        self._bytes = [row.reshape(-1).view(np.uint8) for row in rows if row.size]
 
     def _recall(self) -> None:
         """The scratch, which may be of another run, holds what this one believes of the map."""
@@ -182,13 +189,29 @@ class SingleRun:
         """The same rollout, which goes on by itself from here."""
         other = object.__new__(type(self))
         vars(other).update(vars(self))
-        other._take(State._make(row.copy() for row in self._stack))
         kept = {name: getattr(self.w, name).copy() for name in ("left", "at", "met")}
         other.w = self.w._replace(**kept)
+        other._take(State._make(row.copy() for row in self._stack))
         other.log = self.log._replace(events=np.zeros_like(self.log.events), frames=self.log.frames.copy())
         other.log.events[: self.log.events[0, 0] + 1] = self.log.events[: self.log.events[0, 0] + 1]
-        other.t, other.left, other.turned = self.t._replace(notes=None), self.left.copy(), self.turned.copy()
+        other.t, other.left, other.turned = self.t._replace(asks=None, notes=None), self.left.copy(), self.turned.copy()
         return other
+
+    def save(self) -> list[NDArray[np.uint8]]:
+        """What the next step may change, so that it can be taken back; what `notes` has written down is not."""
+        self._make_room()
+        return [row.copy() for row in self._changing(int(self.raw.marks["areas"]))]
+
+    def take_back(self, saved: list[NDArray[np.uint8]]) -> None:
+        """The step that has begun since `save`, and has not come to its end, has not begun."""
+        areas = len(saved[0]) // self.raw.areas.itemsize
+        for row, before in zip(self._changing(areas), saved, strict=True):
+            row[:] = before
+
+    def _changing(self, areas: int) -> Iterator[NDArray[np.uint8]]:
+        """Bytes of the state with so many areas, and of what is kept of the rollout in the scratch."""
+        yield self._bytes[0][: areas * self.raw.areas.itemsize]
+        yield from self._bytes[1:]
 
     # --- steps ---
 
@@ -224,7 +247,8 @@ class SingleRun:
     def take_events(self) -> None:
         """What was noted in this step; of robots that neither move nor wait any more, the moves that are left."""
         self.new_events = self.log.events[1 : int(self.log.events[0, 0]) + 1].copy()
-        self.turned |= set(self.new_events[self.new_events[:, 2] == EventKind.TURNED_HOME, 1].tolist())
+        if len(self.new_events):
+            self.turned |= set(self.new_events[self.new_events[:, 2] == EventKind.TURNED_HOME, 1].tolist())
         acting = self.raw.movers.tobytes() + self.raw.waiting.tobytes()
         if acting == self._acting:
             return
@@ -619,14 +643,14 @@ class PythonLoop:
 
     Args:
         plan: this project's, made for `world`, or the paths of another planner (`planner.mrac.problem`).
-        first_only: `threat_checks="first_visit"`.
+        first_only: `threat_checks="first_visit"`. problem: the plan's own, if it is available.
 
     Raises:
         PlanError: a plan for another map.
     """
 
-    def __init__(self, plan: Plan, world: World, *, first_only: bool = False) -> None:
-        self.problem, areas = ready_loop(plan, world)
+    def __init__(self, plan: Plan, world: World, *, first_only: bool = False, problem: Problem | None = None) -> None:
+        self.problem, areas = ready_loop(plan, world) if problem is None else (problem, plan.areas)
         plan = replace(plan, areas=areas)
         self.loop = compile_closed_loop(plan, world, first_only=first_only, problem=self.problem, interpreted=True)
         self._known: Work | None = None

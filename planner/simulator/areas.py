@@ -81,9 +81,11 @@ def make_log(steps: int, events: int, robots: int, legs: bool = False) -> Log:
 
 
 @rare_kernel
-def note_leg(log, s, robot):
+def note_leg(t, s, log, robot):
     """Write down what the robot, which is about to enter its next cell, is about."""
     me, step = s.robots[robot], s.marks.step
+    if t.notes:
+        t.notes.move(s, robot)
     if has_area(s.robots, robot):
         covers = me.doing == COVERING or me.next == me.target
         if step == 0:
@@ -220,8 +222,6 @@ def affordable(t, s, w, robot, costs, area_costs, area_entries):
 @kernel
 def find_next_area(t, s, w, robot):
     """(area, cell) of the next area by (level, cost, id), NONE if none is reachable."""
-    if t.asks:
-        return t.asks.area(t, s, w, robot)[:2]
     if not hears(t, s, robot):
         return np.int64(NONE), np.int64(NONE)
     if t.returns or t.mixed:

@@ -39,7 +39,7 @@ def take_next_area(t, s, w, log, robot):
     """`Allocate Next Area`: whether the robot got one."""
     if s.marks.open == 0:
         return False
-    area, cell = find_next_area(t, s, w, robot)
+    area, cell = t.asks.area(t, s, w, robot)[:2] if t.asks else find_next_area(t, s, w, robot)
     if area == NONE:
         return False
     give(s, robot, area)

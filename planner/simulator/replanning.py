@@ -133,7 +133,9 @@ def allocate_next(t, p, s, w, log, robot, idle):
 
     `idle`: it has been without an area; unless it is held, it does not try to share again.
     """
-    if idle:
+    if t.asks:
+        area, target, cost = t.asks.area(t, s, w, robot)
+    elif idle:
         area, target, cost = first_of_idle(t, p, s, w, robot)
     else:
         area, target, cost = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))
@@ -154,7 +156,10 @@ def allocate_next(t, p, s, w, log, robot, idle):
 def look_again(t, p, s, w, log, robot):
     """Before a danger: another area may be better by now, or none worth it; answers as `share_or_rest`."""
     own = np.int64(s.robots[robot].area)
-    area, target, cost = first_area(t, p, s, w, robot, own, np.bool_(True))
+    if t.asks:
+        area, target, cost = t.asks.area(t, s, w, robot, own)
+    else:
+        area, target, cost = first_area(t, p, s, w, robot, own, np.bool_(True))
     waits = p.breaks_off and area != NONE and has_to_wait(t, p, s, w, robot, area, cost)
     if area == own and not waits:
         settle_on(t, p, s, robot, own)

@@ -184,8 +184,9 @@ class Tables(NamedTuple):
             tables of distances; the map is uncertain; a loss makes a cell harmless; robots wear or differ in
             susceptibility; threats move; robots differ in type; in speed; radio has a range; robots return to base;
             they learn the map; they estimate hazards; threats change by phases.
-        asks, notes, loses: None in compiled programs; choose areas in the place of the rule, note moves and areas that
-            are made, and say which visits destroy a robot (`planner.rollouts.single_run`).
+        asks, notes, loses: None in compiled programs; choose areas in the place of the rule
+            (`planner.mission.external_allocation`), note moves and areas that are made, and say which visits destroy a
+            robot (`planner.rollouts.single_run`).
     """
 
     near: NDArray

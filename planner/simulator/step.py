@@ -98,7 +98,7 @@ def advance(t, p, s, c, w, log, how, ids):
                 continue
             group.progress = 1
             if log.noted:
-                note_leg(log, s, robot)
+                note_leg(t, s, log, robot)
             # t = 0 enters the start; a robot on an external path may wait, which is no visit.
             cell = np.int64(robots[robot].next if group.step > 0 else robots[robot].cell)
             if p is not None or group.step == 0 or cell != robots[robot].cell:

@@ -1,0 +1,238 @@
+"""A rollout whose areas are chosen from outside, at the moments at which Algorithm 2 chooses them; the rest is as ever.
+
+A step that comes to a choice which nobody has made yet is taken back, and played again with the answer.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.mrac.problem import Problem
+from planner.policies.rule import Rule
+from planner.rollouts.closed_loop import trace_from
+from planner.rollouts.interpreted import interpreted
+from planner.rollouts.single_run import PythonLoop, SingleRun, holds
+from planner.rollouts.tables import first_frames, make_policy
+from planner.simulator.codes import NONE, Outcome
+from planner.simulator.offers import Offer
+from planner.simulator.state import AREA_BITS, FAR, VISITED
+from planner.tally import Trace
+
+NOTHING = NONE, NONE, FAR
+"""The answer to the simulator of a robot that takes no area: area, target, cost."""
+
+
+class Choice(NamedTuple):
+    """An area that a robot may take. `target`: the index of the cell that it would go to."""
+
+    area: int
+    target: int
+    offer: Offer
+
+
+class Decision(Exception):
+    """A robot is to choose. offers: the areas that it may take, at least one, in the order of the rule."""
+
+    def __init__(self, robot: int, offers: list[Choice]) -> None:
+        super().__init__(robot, offers)
+        self.robot, self.offers = robot, offers
+
+
+def keys_of(rule: Rule, offers: list[Offer]) -> list[Any]:
+    """What the offers are sorted by: as `Rule.key` of each, but fractions with the same denominator, faster."""
+    found = [rule.order(offer) for offer in offers]
+    if not rule.exact:
+        return found
+    common = [math.lcm(*(below for _, below in column)) for column in zip(*found, strict=True)]
+    return [tuple(top * (whole // below) for (top, below), whole in zip(of, common, strict=True)) for of in found]
+
+
+class _Asked:
+    """Whom the simulator asks in the place of the rule (`Tables.asks`), and tells of moves (`Tables.notes`).
+
+    Attributes:
+        answers: what robots took, in the order in which the step asks; those of who had offers came from outside.
+        policy: of the rule, as attentive robots have it.
+        new: cells that each robot was the first to visit. shrunk: how often an unassigned area lost a cell to do.
+        told: of each robot when, and where, it was asked for the last time.
+    """
+
+    def __init__(self, run: SingleRun, problem: Problem) -> None:
+        loop = run.loop
+        self.run, self.rule = run, loop.rule
+        self.policy = run.p or make_policy(problem, loop.cells, loop.tables, interpreted=True)
+        self.policy = self.policy._replace(limited=True)
+        self.answers: list[tuple[int, int, int]] = []
+        self.new, self.shrunk, self._place = [0] * loop.robots, 0, 0
+        self.told: list[tuple[int, ...] | None] = [None] * loop.robots
+        self._before = self.new, self.shrunk, self.told
+
+    def begin(self) -> None:
+        """The step begins, perhaps once more."""
+        self._place, (new, self.shrunk, told) = 0, self._before
+        self.new, self.told = new.copy(), told.copy()
+
+    def end(self) -> None:
+        """The step is over."""
+        self._before = self.new, self.shrunk, self.told
+        self.answers.clear()
+
+    def area(self, t: Any, s: Any, w: Any, robot: int, own: int = NONE) -> tuple[int, int, int]:
+        """(area, target, cost) of what the robot takes, area NONE of nothing; `own`: its own area is offered too.
+
+        Who took none is asked again once other areas are nobody's. Raises Decision.
+        """
+        marks = s.marks
+        # How often an area became nobody's (a lost robot counts as one arrival more), how many are, and what they lost.
+        now = marks.arrivals + marks.alive, marks.open, self.shrunk, s.robots[robot].cell
+        if self.told[robot] == now and holds(s.waiting, robot):
+            return NOTHING
+        self.told[robot] = now
+        place, self._place = self._place, self._place + 1
+        if place == len(self.answers):
+            offers = self._offers(t, s, w, robot, own)
+            if offers:
+                raise Decision(robot, offers)
+            self.answers.append(NOTHING)
+        answer = self.answers[place]
+        if answer[0] != NONE:  # the robot sets out by the costs that were told last
+            interpreted("areas").costs_from(t, s, w, robot)
+        return answer
+
+    def _offers(self, t: Any, s: Any, w: Any, robot: int, own: int) -> list[Choice]:
+        """The unassigned areas that the robot can reach, with its own one if there is one, in the order of the rule."""
+        raw, cells, count = self.run.raw, self.run.loop.cells, int(s.marks.areas)
+        offered = np.unpackbits(raw.open.view(np.uint8), bitorder="little").astype(np.bool_)
+        offered[count:] = False
+        if own != NONE:
+            offered[own] = True
+        area_of = raw.home[:-1] >> AREA_BITS
+        goals = offered[area_of]
+        if self.run.p is not None:  # targets of attentive robots are cells to do
+            goals &= raw.home[:-1] & VISITED == 0
+        numbers = np.flatnonzero(goals)
+        costs = interpreted("areas").costs_from(t, s, w, robot)[numbers]
+        reached = costs >= 0
+        numbers, costs = numbers[reached], costs[reached]
+        order = np.lexsort((costs, area_of[numbers]))  # stable: of equal cells the lowest index
+        areas, first = np.unique(area_of[numbers][order], return_index=True)
+        places = order[first]
+        offers = self._seen(t, s, robot, areas, costs[places])
+        found = list(map(Choice, areas.tolist(), cells[numbers[places]].tolist(), offers))
+        keys = keys_of(self.rule, offers)
+        return [found[place] for place in sorted(range(len(found)), key=keys.__getitem__)]
+
+    def _seen(self, t: Any, s: Any, robot: int, areas: NDArray[Any], costs: NDArray[Any]) -> list[Offer]:
+        """Areas at these costs `[M]` as the rule sees them."""
+        p = self.policy
+        if t.mixed or len(p.value) or len(p.view_begin):
+            offer_of = interpreted("policy").offer_of
+            each = zip(areas.tolist(), costs.tolist(), strict=True)
+            return [Offer(*map(int, offer_of(t, p, s, robot, area, cost))) for area, cost in each]
+        levels, left = (self.run.raw.areas[name][areas] for name in ("level", "left"))
+        columns = levels, costs, left, p.entry[levels], left, np.full_like(left, p.beyond)
+        return list(map(Offer, *(column.tolist() for column in columns)))
+
+    def move(self, s: Any, robot: int) -> None:
+        """The robot is about to enter its next cell."""
+        me = s.robots[robot]
+        home = int(s.home[me.next if s.marks.step > 0 else me.cell])
+        if home & VISITED == 0:
+            self.new[robot] += 1
+            self.shrunk += bool(holds(s.open, home >> AREA_BITS))
+
+    def areas(self, s: Any) -> None:
+        """Areas have been made."""
+
+
+class ChosenRun:
+    """One rollout from choice to choice.
+
+    Attributes:
+        now: as it stands at the end of the last step that is over.
+        decision: what is to be chosen before the next one can be; None before the first `go_on`, and at the end.
+    """
+
+    def __init__(self, loop: PythonLoop, seed: int, rollout: int, *, traced: bool = False) -> None:
+        """A rollout of the loop, before its first step. `traced`: it is kept what `trace` tells."""
+        self.now = loop.begin(seed, rollout)
+        self.decision: Decision | None = None
+        self._asked = _Asked(self.now, loop.problem)
+        self.now.t = self.now.t._replace(asks=self._asked, notes=self._asked)
+        if self.now.p is not None:  # robots look again before each danger, whatever the rule would say
+            self.now.p = self.now.p._replace(by_price=False)
+        self._saved: list[NDArray[Any]] | None = None
+        state = loop.loop.state
+        self._frames = list(first_frames(state, loop.loop.cells)) if traced and state is not None else []
+        self._events, self._traced = list[NDArray[np.int32]](), traced
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """How the rollout ended."""
+        return self.now.outcome
+
+    def _end(self) -> None:
+        """A rollout without progress ended by choice if a robot that can move can reach an unassigned area."""
+        now = self.now
+        if now.outcome is Outcome.NO_PROGRESS:
+            could = interpreted("next_area").could_go_on(now.t, self._asked.policy, now.s, now.w)
+            now.outcome = Outcome.NOT_WORTH_THE_RISK if could else now.outcome
+
+    @property
+    def unvisited(self) -> int:
+        """Cells that count, and that nobody has visited."""
+        return self.now.loop.accessible - int(self.now.raw.marks["covered"])
+
+    @property
+    def new(self) -> NDArray[np.int64]:
+        """Cells that each robot was the first to visit, `[K]`."""
+        return np.array(self._asked.new)
+
+    def go_on(self, choice: int | None = None) -> None:
+        """To the next decision, or the end; `choice`: which of the offers is taken, by its place; None: none of them.
+
+        A robot that takes none helps another one, if Algorithm 2 has it so, or rests.
+        """
+        if self.decision is not None:
+            self._asked.answers.append(self._answer(self.decision, choice))
+        self.decision = None
+        while self.outcome is None and self.decision is None:
+            self._play_step()
+
+    def _answer(self, decision: Decision, choice: int | None) -> tuple[int, int, int]:
+        if choice is None:
+            return NOTHING
+        area, target, offer = decision.offers[choice]
+        return area, int(np.searchsorted(self.now.loop.cells, target)), offer.cost
+
+    def _play_step(self) -> None:
+        """The next step, if all its choices are made; else it is taken back."""
+        if self._saved is None:
+            self._saved = self.now.save()
+        self._asked.begin()
+        try:
+            self.now.advance()
+        except BaseException as stopped:
+            self.now.take_back(self._saved)
+            self._asked.begin()
+            if not isinstance(stopped, Decision):
+                raise
+            self.decision = stopped.with_traceback(None)
+            return
+        self._asked.end()
+        self._end()
+        self._saved = None
+        if self._traced:
+            self._frames.append(self.now.frame())
+            self._events.append(self.now.new_events)
+
+    def trace(self) -> Trace:
+        """What happened, once the rollout has ended; of one that was `traced`."""
+        now = self.now
+        assert now.outcome is not None
+        events = np.concatenate(self._events)
+        return trace_from(now.loop, now.rollout, np.array(self._frames), events, now.area_of, now.outcome)
