@@ -249,7 +249,7 @@ QUIET = {"advice": False, "band": False, "engine": "numba"}
 
 
 def test_losses_alive_and_time_of_the_closed_loop_are_its_own() -> None:
-    """Against the readable simulator, played through every pattern of hits; time against its own rollouts."""
+    """Against the plain oracle, played through every pattern of hits; time against its own rollouts."""
     plan = mrac.plan(WORLD, starts=STARTS)
     answer = mrac.evaluate(WORLD, plan, rollouts=20_000, **QUIET)
     said, tally = answer.to_json(), answer.tally

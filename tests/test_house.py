@@ -450,7 +450,7 @@ def test_without_jax_its_own_engine_alone_is_missed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("loop", "asked", "rows"),
-    [("open", ["numba", "jax"], ["numba", "numba", "jax"]), ("closed", ["readable"], ["readable"])],
+    [("open", ["numba", "jax"], ["numba", "numba", "jax"]), ("closed", ["python"], ["python"])],
 )
 def test_every_engine_has_a_row(
     loop: str, asked: list[str], rows: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -1,6 +1,6 @@
 """How fast the engines roll out: `python -m analysis.bench.engines [ENGINE ...]`. Full tallies, side by side in a run.
 
-Both loops of every world: the naive JAX program (open loop), the readable simulator (closed loop), Numba, JAX on the
+Both loops of every world: the naive JAX program (open loop), the simulator as Python (closed loop), Numba, JAX on the
 device that it has; only those that are named, if any are. Before anything is timed, the engines' tallies must be equal
 count for count. A row is printed as soon as it is there: medians, with the least and the most.
 """
@@ -151,17 +151,17 @@ def contenders(world: World, plan: Plan, loop: str) -> Iterator[Contender]:
     else:
         closed = compile_closed_loop(plan, world)
         make = lambda engine, threads: closed_loop_engine(closed, SEED, engine, threads)  # noqa: E731
-        slow = readable(world, plan)
+        slow = as_python(world, plan)
     if world.threat.size <= LARGE:
         yield slow
     for name, engine, threads in ENGINES:
         yield engine_contender(name, partial(make, engine, threads), CHECKED)
 
 
-def readable(world: World, plan: Plan) -> Contender:
-    """The readable simulator."""
+def as_python(world: World, plan: Plan) -> Contender:
+    """The simulator as Python."""
     loop = PythonLoop(plan, world)
-    return Contender("readable", lambda: (lambda count: len([loop.run(SEED, one) for one in range(count)]), 1, None))
+    return Contender("python", lambda: (lambda count: len([loop.run(SEED, one) for one in range(count)]), 1, None))
 
 
 def naive(paths: list[NDArray[np.int64]], threat: NDArray[np.float32]) -> Contender:

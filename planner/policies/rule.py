@@ -30,7 +30,7 @@ class Rule:
         nearest: the order is (level, cost): engines may search for the nearest area of the least level.
         by_price: the order is (C / U, d), those of U = 0 last: engines may leave out areas for which bounds of C tell
             that they come later.
-        exact: False: `order` returns anything that Python can compare; the readable simulator alone follows it.
+        exact: False: `order` returns anything that Python can compare; the simulator as Python alone follows it.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Rule:
             )
 
     def key(self, offer: Offer) -> Any:
-        """What the readable simulator sorts by: the fractions as such."""
+        """By what offers are sorted: the fractions themselves."""
         found = self.order(offer)
         return tuple(Fraction(*pair) for pair in found) if self.exact else found
 
@@ -67,6 +67,6 @@ class Rule:
 def own_rule(order: Callable[[Offer], Any]) -> Rule:
     """The rule of a user's own function, `order(offer)` -> anything that Python can compare, least first.
 
-    Its robots are attentive. The readable simulator alone follows it, which is slow.
+    Its robots are attentive. The simulator as Python alone follows it, which is slow.
     """
     return Rule(getattr(order, "__name__", "own"), order, exact=False)

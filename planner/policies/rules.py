@@ -38,4 +38,5 @@ the lowest index; in safe areas `rows` goes on along the row and `columns` along
 
 
 InAreaOrder = str | Callable[[CellOffer], Any]
-"""One of ORDERS, or a user's own: the cell of the least value is next, which the readable simulator alone follows."""
+"""One of ORDERS, or a user's own: the cell of the least value is next, which the simulator
+as Python alone follows."""

@@ -140,8 +140,12 @@ class SingleRun:
         self.t = runner.tables._replace(notes=self.notes)
         self.how = runner.how._replace(pause=True, in_area=loop.in_area)
         if hit is not None:
-            every = np.ones_like(self.t.bound)
-            self.t = self.t._replace(bound=every, loses=lambda *visit: hit(*visit[:2], int(loop.cells[visit[2]])))
+            cells = loop.cells
+
+            def loses(robot: int, step: int, cell: int) -> bool:
+                return hit(robot, step, int(cells[cell]))
+
+            self.t = self.t._replace(bound=np.ones_like(self.t.bound), loses=loses)
         self.ids = np.array([rollout], dtype=np.uint32)
         if loop.in_doubt:
             self.w.left[:1] = loop.bearing.tolerances(seed, self.ids, loop.robots)
