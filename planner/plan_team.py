@@ -12,8 +12,7 @@ from planner.errors import PlanError, UsageError
 from planner.make_plan import confirm_plan, make_plan
 from planner.plan.plan import FORMAT, Plan
 from planner.plan.plan_file import parse_plan, read_plan_json
-from planner.rule_versions import BEFORE, rules_of
-from planner.settings import Settings
+from planner.settings import BEFORE, Settings, rules_of
 from planner.world.features import as_before
 from planner.world.world import World
 

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_results, assert_same_tally
-from helpers import load_plan
+from helpers import assert_same_results, assert_same_tally, load_plan
 from make_examples import main, office_floor, paper_world
 
 import analysis.examples

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_trace
+from helpers import assert_same_trace
 
 import mrac_jax as mrac
 from analysis.policy_evaluation.policy_evaluation import roll_policy

@@ -18,9 +18,8 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from closed_loop_compare import play_both_ways
 from drawn_worlds import WORLDS
-from helpers import uniform
+from helpers import play_both_ways, uniform
 from numpy.typing import NDArray
 from recordings import rewrite
 

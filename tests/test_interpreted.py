@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_loop_compare import play_both_ways
 from closed_loop_worlds import survey_worlds
-from drawn_missions import drawn_mission
+from drawn_worlds import drawn_mission
+from helpers import play_both_ways
 from numba.core.dispatcher import Dispatcher
 from test_planner_policies import LIMITED, dearest_rule
 

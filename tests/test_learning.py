@@ -12,9 +12,9 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from closed_loop_compare import play_both_ways
 from closed_loop_worlds import survey_worlds
 from drawn_worlds import expected, persistent
+from helpers import play_both_ways
 from numpy.typing import NDArray
 from oracle_spec import Pupil, Twin
 from test_return_home import ways

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_trace
+from helpers import assert_same_trace
 from test_learning import drawn
 
 from planner.errors import InputError, StateError, WorldError

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_loop_compare import play_both_ways
 from drawn_worlds import assert_as_enumerated, drawn, moving_world
-from helpers import load_plan
+from helpers import load_plan, play_both_ways
 from oracle_enumeration import everything
 from test_return_home import check_rules, ways
 

@@ -15,10 +15,9 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
 from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_world, survey_worlds
 from conftest import LANES
-from helpers import run_closed_chunks
+from helpers import assert_same_results, assert_same_tally, assert_same_trace, run_closed_chunks
 from test_failure_sampling import NAMES as WORN
 from test_failure_sampling import worn_plan
 from test_mission import case

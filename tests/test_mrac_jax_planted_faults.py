@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from closed_loop_compare import assert_same_results, assert_same_tally, assert_same_trace
 from closed_loop_worlds import SurveyWorld, survey_world
+from helpers import assert_same_results, assert_same_tally, assert_same_trace
 
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan

@@ -7,10 +7,9 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_results, play_both_ways
 from closed_loop_worlds import walled
 from conftest import Fixture, load_fixture, worlds_with_starts
-from helpers import run_closed_chunks
+from helpers import assert_same_results, play_both_ways, run_closed_chunks
 from hypothesis import given
 from numba import typeof
 

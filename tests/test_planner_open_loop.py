@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from closed_loop_compare import play_both_ways
-from helpers import load_plan
+from helpers import load_plan, play_both_ways
 from numpy.typing import NDArray
 from oracle_enumeration import best_of_one_robot
 from oracle_spec import Following

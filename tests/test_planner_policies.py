@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_tally, assert_same_trace, play_both_ways
 from closed_loop_worlds import walled
 from conftest import FOLDER, load_fixture, worlds_with_starts
-from helpers import VisitLoop, load_plan
+from helpers import VisitLoop, assert_same_tally, assert_same_trace, load_plan, play_both_ways
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from oracle_tree import closed_loop_chain, closed_loop_exact, solve_chain

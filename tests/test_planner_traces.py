@@ -11,7 +11,7 @@ from random import Random
 
 import numpy as np
 import pytest
-from closed_loop_compare import play_both_ways
+from helpers import play_both_ways
 from hypothesis import given
 from hypothesis import strategies as st
 

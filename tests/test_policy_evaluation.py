@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from own_policies import mostly_east
+from helpers import mostly_east
 
 import analysis.experiments.policies
 import mrac_jax as mrac

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_trace
 from conftest import FOLDER
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from helpers import load_plan
+from helpers import assert_same_trace, load_plan
 from page_reader import refused
 from recordings import nth, rewrite, small_task
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_trace, play_both_ways
-from helpers import VisitLoop, load_plan
+from helpers import VisitLoop, assert_same_trace, load_plan, play_both_ways
 from numpy.typing import NDArray
 from oracle_spec import MANY, Cell, Homing, allocation, mean_of
 from oracle_tree import Tree as OracleTree

@@ -11,8 +11,8 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from closed_loop_compare import play_both_ways
 from drawn_worlds import in_rows, moving_world
+from helpers import play_both_ways
 from oracle_enumeration import outcomes
 from oracle_spec import closed_loop, mean_of, open_loop
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from closed_loop_compare import assert_same_results, play_both_ways
 from drawn_worlds import WORLDS, closed_loop, expected, one_of, open_loop, persistent
+from helpers import assert_same_results, play_both_ways
 from numba import typeof
 from open_loop_reference import plan_of as external_plan
 from scipy import stats

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from closed_loop_compare import assert_same_results, assert_same_tally, play_both_ways
 from closed_loop_worlds import first_worlds
 from conftest import load_fixture, worlds_with_starts
 from drawn_worlds import expected, one_of
+from helpers import assert_same_results, assert_same_tally, play_both_ways
 from hypothesis import given
 from hypothesis import strategies as st
 from page_reader import refused

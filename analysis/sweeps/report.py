@@ -21,7 +21,7 @@ from analysis.utils.tables import csv_text, make_table
 from planner.arguments import argument
 from planner.files import Json
 from planner.formatting import counted, duration, in_percent
-from planner.rule_versions import BEFORE, RELEASES
+from planner.settings import BEFORE, RELEASES
 from planner.simulator.codes import Outcome
 
 NAMES = {
