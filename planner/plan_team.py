@@ -12,8 +12,8 @@ from planner.errors import PlanError, UsageError
 from planner.make_plan import confirm_plan, make_plan
 from planner.plan.plan import FORMAT, Plan
 from planner.plan.plan_file import parse_plan, read_plan_json
-from planner.settings import BEFORE, Settings, rules_of
-from planner.world.features import as_before
+from planner.settings import Settings
+from planner.world.features import BEFORE, as_before, rules_of
 from planner.world.world import World
 
 KEPT_READING = (

@@ -54,6 +54,8 @@ class Forward(np.ndarray):
         for part in index if isinstance(index, tuple) else (index,):
             places = (part.start, part.stop) if isinstance(part, slice) else (part,)
             for place in places:
+                if isinstance(place, str):  # a field
+                    continue
                 assert place is None or place >= 0, f"index {index}"
                 seen += 1
 

@@ -35,9 +35,9 @@ from planner.ids import BLOCK
 from planner.plan.plan import Plan
 from planner.plan_team import plan_team, read_plan_on
 from planner.policies import DEFAULT
-from planner.settings import BEARING, BEFORE, NOW, RELEASES, Choices, Settings, rules_of
+from planner.settings import BEARING, Choices, Settings
 from planner.tally import Tally
-from planner.world.features import as_before
+from planner.world.features import BEFORE, NOW, RELEASES, as_before, rules_of
 from planner.world.generate import PAPER_LEVELS, Kind, ThreatPattern, random_world
 from planner.world.keys import Key
 from planner.world.levels import check_same_team, place_starts
@@ -114,7 +114,7 @@ class Written:
 
 
 RULES = "rules"
-"""The label of runs whose rules an earlier release had otherwise (`planner.settings`), and of those of that
+"""The label of runs whose rules an earlier release had otherwise (`planner.world.features`), and of those of that
 release."""
 REMEMBERED = 4
 """Worlds that `Places` keeps: the next case is mostly another team in the same one."""
@@ -256,7 +256,7 @@ def _rules(team: Team, model: RolloutChoices) -> int:
 def run_key(team: Team, model: RolloutChoices, rules: int | None = None) -> str:
     """The identity of a run: sha256, as 64 hex digits, of all that its rollouts follow from. Cheap: nothing planned.
 
-    `rules`: the version that it follows; None: today's for such a team (`planner.settings.rules_of`), so that
+    `rules`: the version that it follows; None: today's for such a team (`planner.world.features.rules_of`), so that
     runs which
     no change of the rules concerns keep their keys.
     """

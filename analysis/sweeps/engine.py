@@ -39,7 +39,7 @@ from analysis.utils.pool import Pool, wanted_processes
 from planner.errors import UsageError
 from planner.formatting import counted
 from planner.ids import BLOCK, MOST_ROLLOUTS
-from planner.settings import BEFORE, NOW, RELEASES
+from planner.world.features import BEFORE, NOW, RELEASES
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -293,7 +293,7 @@ def _split(wanted: list[Wanted], share: int) -> list[tuple[Wanted, ...]]:
     return [tuple(tasks[number]) for number in sorted(tasks)]
 
 
-# Runs of a store that follow rules which a later release changed (`planner.settings`): told apart, and never
+# Runs of a store that follow rules which a later release changed (`planner.world.features`): told apart, and never
 # mixed.
 #
 # Runs by the rules of release 0.4, where an earlier release had others, have the label RULES. A sweep gives this label

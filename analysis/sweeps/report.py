@@ -21,8 +21,8 @@ from analysis.utils.tables import csv_text, make_table
 from planner.arguments import argument
 from planner.files import Json
 from planner.formatting import counted, duration, in_percent
-from planner.settings import BEFORE, RELEASES
 from planner.simulator.codes import Outcome
+from planner.world.features import BEFORE, RELEASES
 
 NAMES = {
     "visited": "cells visited, of the accessible ones",

@@ -224,21 +224,9 @@ class Problem:
         bases = np.unique(self.starts)
         return of, np.stack([ways_to(bases, *kind)[2] for kind in kinds])
 
-    def pace(self, robot: int) -> int:
-        """Steps that a move of the robot takes."""
-        return self.settings.paces[robot] if self.settings.paces else 1
-
     def paths_of(self, robot: int) -> SafestPaths:
         """The robot's safest paths."""
         return self.paths if self.own is None else self.own.paths[self.own.of[robot]]
-
-    def level_for(self, robot: int, level: int) -> int:
-        """What an area of this level is to the robot: a level of its own map, 0 = safe."""
-        return level if self.own is None else int(self.own.level[self.own.of[robot], level])
-
-    def is_dangerous(self, robot: int, levels: NDArray[np.int16]) -> bool:
-        """Whether a cell of one of these levels is dangerous to the robot."""
-        return bool(((levels if self.own is None else self.own.level[self.own.of[robot]][levels]) > 0).any())
 
     @property
     def max_steps(self) -> int:

@@ -19,12 +19,12 @@ from planner.rollout_sampling import check_counters
 from planner.rollouts.loop import NO_COUNTS, ClosedLoop, known_cells, purpose_of
 from planner.rollouts.runners import Runner, on_threads, run_sets, singles_of
 from planner.rollouts.tables import AllPairs, first_frames, make_policy, make_tables
-from planner.settings import BEFORE, rules_of
 from planner.simulator.areas import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_log
 from planner.simulator.codes import NO_AREA, EventKind, Outcome
 from planner.simulator.offers import CellOffer
 from planner.simulator.state import Counts
 from planner.tally import RolloutResults, Tally, Trace, tally_key
+from planner.world.features import BEFORE, rules_of
 from planner.world.uncertain_maps import Uncertain
 from planner.world.world import World
 

@@ -62,7 +62,8 @@ def _search(function: Any) -> Any:
             done += len(given[0])
             if done <= MOST_CELLS and len(given[0]) < LARGE:
                 return function(*given)
-            found = jit.program(_compiled(function).py_func)
+            compiled = _compiled(function)
+            found = jit.program(getattr(compiled, "py_func", compiled))  # Numba may be switched off
         return found(*[getattr(one, "array", one) for one in given])
 
     return call

@@ -201,6 +201,14 @@ class SingleRun:
         other.t, other.left, other.turned = self.t._replace(asks=None, notes=None), self.left.copy(), self.turned.copy()
         return other
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but views of the state."""
+        return {name: value for name, value in vars(self).items() if name not in ("raw", "s", "_bytes")}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        vars(self).update(kept)
+        self._take(self._stack)
+
     def save(self) -> list[NDArray[np.uint8]]:
         """What the next step may change, so that it can be taken back; what `notes` has written down is not."""
         self._make_room()

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.arguments import check_word, whole
 from planner.errors import WorldError
+from planner.settings import Settings
 from planner.world.keys import CHANCE, PLACE, PROBABILITY, Key, read_yaml
 from planner.world.levels import check_alone
 from planner.world.map_knowledge import Sense, make_detector, make_knowledge, make_sense
@@ -273,3 +274,25 @@ def _cell(key: Key, world: World) -> int:
     if not (0 <= row < height and 0 <= col < width):
         raise key.wrong(f"a cell of the map: row 0..{height - 1} and col 0..{width - 1}")
     return int(row * width + col)
+
+
+# Which release's rules a team's closed loop follows: rollouts of different rules are never added up.
+#
+# Release 0.4 changed (docs/spec.md, sections 15, 16, 19, 22): how a run ends with phases and detectors, and where all
+# robots are lost on the way home; ties between areas for robots of several types; what robots plan on by default among
+# moving threats. All else is as in release 0.3, and results of it go on to be used.
+
+BEFORE, NOW = 1, 2
+"""Versions of the rules: those of releases before 0.4, and those of release 0.4."""
+RELEASES = {BEFORE: "before 0.4", NOW: "0.4"}
+
+
+def rules_of(world: World, settings: Settings, *, closed: bool = True) -> int:
+    """The last version that changed a rule that the team's rollouts follow. `closed`: of the closed loop."""
+    told = world.phases is not None and world.phases.told
+    mixed = settings.types is not None and not isinstance(settings.types, str) and len(set(settings.types)) > 1
+    by_default = world.movers is not None and world.movers.by_default
+    detects = world.learned_hazard is not None and world.learned_hazard.detector is not None
+    # The run without losses is a closed loop too, whose paths the open loop follows.
+    ends_otherwise = closed and (detects or settings.return_to is not None)
+    return NOW if told or mixed or by_default or ends_otherwise else BEFORE
