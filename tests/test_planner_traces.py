@@ -17,15 +17,11 @@ from hypothesis import strategies as st
 
 from analysis.recording.contents import read_tally, tally_bytes
 from analysis.sweeps.store_files import pack, unpack
-from planner.make_plan import make_plan, nominal_run
-from planner.mrac.areas import metis_parts
-from planner.mrac.problem import prepare
+from planner.make_plan import make_plan
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
-from planner.rollouts.interpreted import interpreted
 from planner.settings import Settings
 from planner.simulator.codes import NO_AREA, NO_ROBOT, Doing, EventKind, Outcome
-from planner.simulator.state import AREA_BITS
 from planner.tally import (
     ByRobots,
     RolloutResults,
@@ -99,29 +95,6 @@ def test_traces_need_no_order_and_no_neighbours() -> None:
     assert trace_rollouts(loop, 5, [7, 2]) == [whole[7], whole[2]]
     assert whole[7] != whole[2]
     assert trace_rollouts(loop, 5, []) == []
-
-
-def test_areas_may_be_bisected_by_metis_instead(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The nominal run with METIS covers everything without a hit, and some robots go another way."""
-    bisected = others = 0
-    for seed in range(12):
-        world = random_world(10, 10, ThreatPattern(seed=seed), threats=0.1)
-        plan = make_plan(world, place_starts(world, 8)[0])
-        cells = np.flatnonzero(world.accessible(plan.starts))
-
-        def by_metis(_n, home, _s, _p, _k, listed, area, count, cells=cells, shape=world.shape):  # type: ignore[no-untyped-def]
-            _, other = sorted(metis_parts(shape, cells[listed[:count]], 2), key=lambda part: int(part[0]))
-            home[np.searchsorted(cells, other)] = area + 1 << AREA_BITS
-
-        with monkeypatch.context() as patch:
-            patch.setattr(interpreted("areas"), "bisect", by_metis)
-            run = nominal_run(prepare(world, plan.starts, Settings()), plan)
-        assert run.outcome is Outcome.COMPLETE
-        assert np.flatnonzero(run.visited).tolist() == cells.tolist()
-        bisected += run.bisected
-        others += any(not np.array_equal(mine, usual.path) for mine, usual in zip(run.paths, plan.robots, strict=True))
-    assert bisected >= 10
-    assert others >= 2
 
 
 def test_an_owner_that_shares_before_it_has_entered_its_start() -> None:
