@@ -237,7 +237,6 @@ def test_theorem_3_counts_the_start_of_a_robot_that_never_moves() -> None:
 
 # Our own bounds against exact values, enumeration, the best of all strategies, rollouts, and numbers made by hand.
 
-ENUMERATED = [name for name in NAMES if "closed_loop_exact" in load_fixture(name).answers]
 NEAR = 1e-9
 
 
