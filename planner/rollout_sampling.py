@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from copy import copy
 from functools import cache
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from planner.errors import WorldError
 from planner.failure_model import PLAIN, Bearing, exposure_of, own_key
 from planner.simulator.thresholds import threefry2x32
-from planner.world.map_knowledge import READING_DRAW
 from planner.world.moving_threats import ANYWHERE, Movers, Phases
 from planner.world.uncertain_maps import HAZARD_DRAW, MAP_DRAW, UNIT, Hazard, Uncertain, bounds_of
 from planner.world.world import World
@@ -30,12 +27,6 @@ class Luck:
         self._spent: set[int] = set()
         self._exposure: defaultdict[int, int] = defaultdict(int)
 
-    def fork(self) -> Self:
-        """The luck of a run that goes on from here by itself."""
-        other = copy(self)
-        other._spent, other._exposure = self._spent.copy(), self._exposure.copy()
-        return other
-
     def hits(self, robot: int, step: int, cell: int) -> bool:
         """Whether the robot is stopped as it enters the cell at this step."""
         chance = self._chance(robot, cell, step)
@@ -44,17 +35,6 @@ class Luck:
         if isinstance(self._world.doubt, Hazard) and self._world.doubt.kind == "consumed":
             self._spent.add(cell)
         return True
-
-    def readings(self, robot: int, step: int, cells: NDArray[np.integer]) -> NDArray[np.bool_]:
-        """For which of the cells the robot's detector gives an alarm at the end of this step, bool `[n]`."""
-        doubt = self._world.doubt
-        assert isinstance(doubt, Hazard)
-        assert doubt.detector is not None
-        own = threefry2x32(own_key(self._seed, READING_DRAW), self._rollout, step)
-        words, _ = threefry2x32((int(own[0]), int(own[1])), robot, cells)
-        there = self._are_there(doubt, cells)
-        chances = np.array([doubt.detector.false_alarm, doubt.detector.detect], dtype=np.float32)
-        return (words >> np.uint32(8)) < bounds_of(chances)[there.astype(np.intp)]
 
     def _reaches_threshold(self, robot: int, chance: np.float32) -> bool:
         if robot not in self._tolerance:

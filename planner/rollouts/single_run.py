@@ -33,6 +33,7 @@ from planner.simulator.state import (
     State,
     Work,
     first_room,
+    make_work,
 )
 from planner.tally import Trace
 from planner.world.world import World
@@ -40,6 +41,8 @@ from planner.world.world import World
 holds = interpreted("state").holds
 Hit = Callable[[int, int, int], bool]
 """`hit(robot, step, cell)`: is the robot lost as it enters the cell at this step?"""
+OWN = "left", "at", "met", "begin"
+"""What the scratch holds of the rollout itself."""
 NOT_BEGUN = -1
 """The step before t = 0, at which robots enter their starts."""
 
@@ -193,8 +196,7 @@ class SingleRun:
         """The same rollout, which goes on by itself from here."""
         other = object.__new__(type(self))
         vars(other).update(vars(self))
-        kept = {name: getattr(self.w, name).copy() for name in ("left", "at", "met")}
-        other.w = self.w._replace(**kept)
+        other.w = self.w._replace(**{name: getattr(self.w, name).copy() for name in OWN})
         other._take(State._make(row.copy() for row in self._stack))
         other.log = self.log._replace(events=np.zeros_like(self.log.events), frames=self.log.frames.copy())
         other.log.events[: self.log.events[0, 0] + 1] = self.log.events[: self.log.events[0, 0] + 1]
@@ -202,11 +204,13 @@ class SingleRun:
         return other
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but views of the state."""
-        return {name: value for name, value in vars(self).items() if name not in ("raw", "s", "_bytes")}
+        """For a copy, or another process: all but views of the state, and the scratch, which may be large."""
+        kept = {name: value for name, value in vars(self).items() if name not in ("raw", "s", "_bytes")}
+        return kept | {"w": {name: getattr(self.w, name) for name in OWN}}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
-        vars(self).update(kept)
+        work = make_work(kept["loop"].tables, 1, False)._replace(**kept["w"])
+        vars(self).update(kept | {"w": work})
         self._take(self._stack)
 
     def save(self) -> list[NDArray[np.uint8]]:
