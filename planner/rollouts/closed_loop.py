@@ -58,7 +58,7 @@ def compile_closed_loop(
     problem, areas = ready_loop(plan, world) if problem is None else (problem, plan.areas)
     settings, rule = problem.settings, problem.rule
     follows = isinstance(settings.in_area, str) and (rule.nearest or (rule.attentive and rule.exact))
-    if not follows and not interpreted:
+    if not follows and not (interpreted and (rule.nearest or rule.attentive)):
         raise PlanError(
             f"the compiled engines do not follow {settings.own_words}",
             expected="an exact Rule of attentive robots, cells in the planner's own order",
