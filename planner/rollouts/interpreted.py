@@ -60,10 +60,9 @@ def _search(function: Any) -> Any:
         nonlocal found, done
         if found is None:
             done += len(given[0])
-            if done <= MOST_CELLS and len(given[0]) < LARGE:
-                return function(*given)
-            compiled = _compiled(function)
-            found = jit.program(getattr(compiled, "py_func", compiled))  # Numba may be switched off
+            if jit.INTERPRETED or (done <= MOST_CELLS and len(given[0]) < LARGE):
+                return function(*given)  # Numba may be switched off
+            found = jit.program(_compiled(function).py_func)
         return found(*[getattr(one, "array", one) for one in given])
 
     return call
