@@ -308,6 +308,6 @@ class DrivenMission(Mission):
         fleet = self._fleet
         visited, survived = (int(np.count_nonzero(cells)) for cells in (fleet.visited, fleet.survived))
         same = {"visited": visited, "survived": survived, "time": self._past, "alive": self._alive}
-        same["home"] = int(at_base(fleet).sum())
+        same["home"] = int(at_base(fleet.t, fleet.raw).sum()) if fleet.loop.comes_home else 0
         ended = {name: np.full_like(getattr(found, name), value) for name, value in same.items()}
         return replace(found, outcome=np.full_like(found.outcome, Outcome.ENDED_BY_OPERATOR), **ended)

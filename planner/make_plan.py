@@ -50,17 +50,21 @@ def allocated(
     settings: Settings,
     state: MissionState | None = None,
     before: Problem | None = None,
+    allocation: tuple[Area, ...] | None = None,
 ) -> tuple[Problem, Plan]:
-    """`allocated_plan`, and the problem that it is of; `before`: as of `prepare`."""
+    """`allocated_plan`, and the problem that it is of. `before`: as of `prepare`; `allocation`: as of `make_plan`."""
     homes = None if state is None else state.homes(settings.return_to)
     problem = prepare(world, starts, settings, homes=homes, before=before)
     robots = tuple(RobotPlan(cell) for cell in problem.starts[:, None])
-    if state is None:
+    if state is not None:
+        world.check_settled("the rest of a mission")
+        state = made_ready(problem, state)
+        areas = areas_of(state)
+    elif allocation is None:
         areas = allocate(problem)
-        return problem, Plan(world.shape, world.sha256, problem.settings, robots, areas, source=world.source)
-    world.check_settled("the rest of a mission")
-    state = made_ready(problem, state)
-    areas = areas_of(state)
+    else:
+        _check_allocation(problem, allocation)
+        areas = allocation
     return problem, Plan(world.shape, world.sha256, problem.settings, robots, areas, state=state, source=world.source)
 
 
@@ -104,18 +108,7 @@ def make_plan(
     """
     if settings is not None and settings.plan_for != "closed":
         raise PlanError(f"plan_for is {settings.plan_for} in a plan with areas", expected="closed")
-    settings = settings or Settings()
-    problem = prepare(world, starts, settings, homes=None if state is None else state.homes(settings.return_to))
-    if state is not None:
-        world.check_settled("the rest of a mission")
-        state = made_ready(problem, state)
-        allocation = areas_of(state)
-    elif allocation is None:
-        allocation = allocate(problem)
-    else:
-        _check_allocation(problem, allocation)
-    robots = tuple(RobotPlan(cell) for cell in problem.starts[:, None])
-    plan = Plan(world.shape, world.sha256, problem.settings, robots, allocation, state=state, source=world.source)
+    problem, plan = allocated(world, starts, settings or Settings(), state, allocation=allocation)
     run = nominal_run(problem, plan)
     return replace(
         plan,

@@ -296,7 +296,7 @@ def test_rollouts_of_one_loop_may_go_on_in_turn(rule: str) -> None:
         while alone.outcome is None:
             go_on(alone, draw)
         assert_same_trace(alone.trace(), run.trace())
-        assert alone.unvisited == run.unvisited == loop.loop.accessible - run.now.visited.sum()
+        assert alone.now.unvisited == run.now.unvisited == loop.loop.accessible - run.now.visited.sum()
         assert alone.new.sum() == run.now.visited.sum()
     assert asked > 20 and not all(run.now.alive.all() for run, _ in in_turn)
 
@@ -404,7 +404,7 @@ def test_who_takes_none_rests_until_areas_change() -> None:
         asked.append((run.now.step, run.decision.robot))
         run.go_on(None)
     assert run.outcome is Outcome.NOT_WORTH_THE_RISK
-    assert 0 < len(set(asked)) == len(asked) < 40 and run.unvisited > 0
+    assert 0 < len(set(asked)) == len(asked) < 40 and run.now.unvisited > 0
 
 
 def test_pettingzoo_and_gymnasium_conform() -> None:

@@ -198,7 +198,7 @@ def test_what_an_area_would_show_is_counted_cell_by_cell():
         return any(hypot(*np.subtract(divmod(cell, 9), divmod(int(other), 9))) <= 1.5 for other in cells)
 
     unseen = [cell for cell in np.flatnonzero(problem.unknown.within) if not near(cell, problem.starts)]
-    to_do = np.where(run.on_grid(run.visited), NO_AREA, run.on_grid(run.area_of, NO_AREA))
+    to_do = np.where(run.loop.on_grid(run.visited), NO_AREA, run.loop.on_grid(run.area_of, NO_AREA))
     shown = [sum(near(cell, np.flatnonzero(to_do == number)) for cell in unseen) for number in range(run.s.marks.areas)]
     assert [interpreted("policy").frontier(run.p, run.s, number) for number in range(len(shown))] == shown
     assert len(set(shown)) > 1 and max(shown) == len(unseen)
@@ -578,7 +578,7 @@ class Both:
     def ours(self, hit, alarm=wants):
         run, done = played(compile_closed_loop(self.plan, self.world, interpreted=True), hit, alarm)
         paths = [moves(cells_of(self.world, path)) for path in done.paths]
-        chances = chance_of(run.on_grid(run.raw.odds))
+        chances = chance_of(run.loop.on_grid(run.raw.odds))
         return paths, set(cells_of(self.world, np.flatnonzero(done.visited))), done.outcome.word, chances
 
     def theirs(self, hit, alarm=wants):

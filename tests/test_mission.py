@@ -169,7 +169,7 @@ def test_so_it_is_from_a_state_and_through_its_file(more: dict[str, Any], tmp_pa
                     mission = again
             mission.advance()
         assert (mission.outcome, mission.step - 1) == (plan.ending(whole.outcome), whole.time)
-        np.testing.assert_array_equal(mission._fleet.on_grid(mission._fleet.visited), whole.visited)
+        np.testing.assert_array_equal(mission._fleet.loop.on_grid(mission._fleet.visited), whole.visited)
         assert mission.lost == tuple(np.flatnonzero(~whole.alive))
         if plan.bearing.shape > 1:
             assert mission.state.exposures == tuple(luck.borne(robot) for robot in range(mission.robots))

@@ -335,7 +335,7 @@ def learned_maps(runs: Iterable[SingleRun]) -> Iterator[AreaMap]:
         held[[one.area for one in run.robots if one.on_its_way]] = Held.ASSIGNED
         held[run.raw.areas["left"][:count] == 0] = Held.COMPLETED
         held[run.open] = Held.UNASSIGNED
-        area = run.on_grid(run.area_of, NO_AREA)
+        area = run.loop.on_grid(run.area_of, NO_AREA)
         now = area.tobytes(), held.tobytes(), robot.tobytes()
         if now != before:
             before = now

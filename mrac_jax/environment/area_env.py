@@ -127,7 +127,7 @@ class AreaEnv:
         seen = np.zeros((self.num_agents, self.offers, len(COLUMNS)), np.float32)
         if run.decision is not None:
             number = run.decision.robot
-            team = 1 - run.unvisited / self.accessible, self.alive(run).mean()
+            team = 1 - run.now.unvisited / self.accessible, self.alive(run).mean()
             mine = run.now.robots[number].area
             for place, (area, _, offer) in enumerate(run.decision.offers[: self.offers]):
                 own = area == mine
@@ -160,7 +160,7 @@ class AreaEnv:
             run.go_on()
             while run.decision is not None:
                 self.take(run, act(self.observe(run), self.legal(run), draws))
-            found[:, rollout - start] = self.accessible - run.unvisited, (~self.alive(run)).sum(), run.now.step
+            found[:, rollout - start] = self.accessible - run.now.unvisited, (~self.alive(run)).sum(), run.now.step
         return found[0], found[1], found[2]
 
 
@@ -204,7 +204,7 @@ class AreaRuns:
             alive=alive,
             done=np.array([run.outcome is not None for run in runs]),
             truncated=np.array([run.outcome is Outcome.STEP_LIMIT for run in runs]),
-            covered=np.array([1 - run.unvisited / env.accessible for run in runs], np.float32),
+            covered=np.array([1 - run.now.unvisited / env.accessible for run in runs], np.float32),
             lost=(~alive).sum(axis=1, dtype=np.int32),
             step=np.array([max(run.now.step, 0) for run in runs], np.int32),
         )
@@ -215,7 +215,7 @@ class AreaRuns:
             raise RuntimeError("render before reset")
         now = self._runs[0].now
         cells = now.loop.cells[now.raw.robots["cell"]]
-        return picture_of(self.env.world, now.on_grid(now.visited), cells, now.alive)
+        return picture_of(self.env.world, now.loop.on_grid(now.visited), cells, now.alive)
 
 
 # The environment whose actions are moves, or that whose actions are areas; and episodes of it.

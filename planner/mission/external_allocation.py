@@ -1,6 +1,6 @@
-"""A rollout whose areas are chosen from outside, at the moments at which Algorithm 2 chooses them; the rest is as ever.
+"""A rollout whose areas are chosen from outside, at the moments at which Algorithm 2 chooses them.
 
-A step that comes to a choice which nobody has made yet is taken back, and played again with the answer.
+A step that comes to a choice without an answer is undone, and run again once the answer is known.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from planner.simulator.state import AREA_BITS, FAR, VISITED
 from planner.tally import Trace
 
 NOTHING = NONE, NONE, FAR
-"""The answer to the simulator of a robot that takes no area: area, target, cost."""
+"""The answer for a robot that takes no area: area, target, cost."""
 
 
 class Choice(NamedTuple):
@@ -51,14 +51,14 @@ def keys_of(rule: Rule, offers: list[Offer]) -> list[Any]:
     return [tuple(top * (whole // below) for (top, below), whole in zip(of, common, strict=True)) for of in found]
 
 
-class _Asked:
-    """Whom the simulator asks in the place of the rule (`Tables.asks`), and tells of moves (`Tables.notes`).
+class _Chooser:
+    """Chooses areas in the place of the rule (`Tables.asks`), and follows moves (`Tables.notes`).
 
     Attributes:
-        answers: what robots took, in the order in which the step asks; those of who had offers came from outside.
-        policy: of the rule, as attentive robots have it.
-        new: cells that each robot was the first to visit. shrunk: how often an unassigned area lost a cell to do.
-        told: of each robot when, and where, it was asked for the last time.
+        answers: choices of the step, in the order in which the simulator asks for them.
+        policy: that a rule that re-evaluates has.
+        new: cells that each robot was the first to visit. shrunk: visits of cells of unassigned areas.
+        asked_at: of each robot the state of the unassigned areas, and its cell, at its last choice.
     """
 
     def __init__(self, run: SingleRun, problem: Problem) -> None:
@@ -68,30 +68,30 @@ class _Asked:
         self.policy = self.policy._replace(limited=True)
         self.answers: list[tuple[int, int, int]] = []
         self.new, self.shrunk, self._place = [0] * loop.robots, 0, 0
-        self.told: list[tuple[int, ...] | None] = [None] * loop.robots
-        self._before = self.new, self.shrunk, self.told
+        self.asked_at: list[tuple[int, ...] | None] = [None] * loop.robots
+        self._before = self.new, self.shrunk, self.asked_at
 
     def begin(self) -> None:
         """The step begins, perhaps once more."""
-        self._place, (new, self.shrunk, told) = 0, self._before
-        self.new, self.told = new.copy(), told.copy()
+        self._place, (new, self.shrunk, asked_at) = 0, self._before
+        self.new, self.asked_at = new.copy(), asked_at.copy()
 
     def end(self) -> None:
         """The step is over."""
-        self._before = self.new, self.shrunk, self.told
+        self._before = self.new, self.shrunk, self.asked_at
         self.answers.clear()
 
     def area(self, t: Any, s: Any, w: Any, robot: int, own: int = NONE) -> tuple[int, int, int]:
-        """(area, target, cost) of what the robot takes, area NONE of nothing; `own`: its own area is offered too.
+        """(area, target, cost) that the robot takes, area NONE if it takes none; `own`: its own area is offered too.
 
-        Who took none is asked again once other areas are nobody's. Raises Decision.
+        A robot that took none chooses again once the unassigned areas have changed. Raises Decision.
         """
         marks = s.marks
-        # How often an area became nobody's (a lost robot counts as one arrival more), how many are, and what they lost.
+        # Equal numbers mean equal offers; a loss counts as an arrival, and `alive` takes that back.
         now = marks.arrivals + marks.alive, marks.open, self.shrunk, s.robots[robot].cell
-        if self.told[robot] == now and holds(s.waiting, robot):
+        if self.asked_at[robot] == now and holds(s.waiting, robot):
             return NOTHING
-        self.told[robot] = now
+        self.asked_at[robot] = now
         place, self._place = self._place, self._place + 1
         if place == len(self.answers):
             offers = self._offers(t, s, w, robot, own)
@@ -99,12 +99,12 @@ class _Asked:
                 raise Decision(robot, offers)
             self.answers.append(NOTHING)
         answer = self.answers[place]
-        if answer[0] != NONE:  # the robot sets out by the costs that were told last
+        if answer[0] != NONE:  # its leg follows the costs that were found last
             interpreted("areas").costs_from(t, s, w, robot)
         return answer
 
     def _offers(self, t: Any, s: Any, w: Any, robot: int, own: int) -> list[Choice]:
-        """The unassigned areas that the robot can reach, with its own one if there is one, in the order of the rule."""
+        """The unassigned areas that the robot can reach, and `own`, in the order of the rule."""
         raw, cells, count = self.run.raw, self.run.loop.cells, int(s.marks.areas)
         offered = np.unpackbits(raw.open.view(np.uint8), bitorder="little").astype(np.bool_)
         offered[count:] = False
@@ -112,7 +112,7 @@ class _Asked:
             offered[own] = True
         area_of = raw.home[:-1] >> AREA_BITS
         goals = offered[area_of]
-        if self.run.p is not None:  # targets of attentive robots are cells to do
+        if self.run.p is not None:  # rules that re-evaluate head for unvisited cells
             goals &= raw.home[:-1] & VISITED == 0
         numbers = np.flatnonzero(goals)
         costs = interpreted("areas").costs_from(t, s, w, robot)[numbers]
@@ -158,12 +158,12 @@ class ChosenRun:
     """
 
     def __init__(self, loop: PythonLoop, seed: int, rollout: int, *, traced: bool = False) -> None:
-        """A rollout of the loop, before its first step. `traced`: it is kept what `trace` tells."""
+        """A rollout of the loop, before its first step. `traced`: frames and events are kept for `trace`."""
         self.now = loop.begin(seed, rollout)
         self.decision: Decision | None = None
-        self._asked = _Asked(self.now, loop.problem)
-        self.now.t = self.now.t._replace(asks=self._asked, notes=self._asked)
-        if self.now.p is not None:  # robots look again before each danger, whatever the rule would say
+        self._chooser = _Chooser(self.now, loop.problem)
+        self.now.t = self.now.t._replace(asks=self._chooser, notes=self._chooser)
+        if self.now.p is not None:  # else a robot may leave out a comparison (`replanning.settle_on`)
             self.now.p = self.now.p._replace(by_price=False)
         self._saved: list[NDArray[Any]] | None = None
         state = loop.loop.state
@@ -179,18 +179,13 @@ class ChosenRun:
         """A rollout without progress ended by choice if a robot that can move can reach an unassigned area."""
         now = self.now
         if now.outcome is Outcome.NO_PROGRESS:
-            could = interpreted("next_area").could_go_on(now.t, self._asked.policy, now.s, now.w)
+            could = interpreted("next_area").could_go_on(now.t, self._chooser.policy, now.s, now.w)
             now.outcome = Outcome.NOT_WORTH_THE_RISK if could else now.outcome
-
-    @property
-    def unvisited(self) -> int:
-        """Cells that count, and that nobody has visited."""
-        return self.now.loop.accessible - int(self.now.raw.marks["covered"])
 
     @property
     def new(self) -> NDArray[np.int64]:
         """Cells that each robot was the first to visit, `[K]`."""
-        return np.array(self._asked.new)
+        return np.array(self._chooser.new)
 
     def go_on(self, choice: int | None = None) -> None:
         """To the next decision, or the end; `choice`: which of the offers is taken, by its place; None: none of them.
@@ -198,7 +193,7 @@ class ChosenRun:
         A robot that takes none helps another one, if Algorithm 2 has it so, or rests.
         """
         if self.decision is not None:
-            self._asked.answers.append(self._answer(self.decision, choice))
+            self._chooser.answers.append(self._answer(self.decision, choice))
         self.decision = None
         while self.outcome is None and self.decision is None:
             self._play_step()
@@ -210,20 +205,20 @@ class ChosenRun:
         return area, int(np.searchsorted(self.now.loop.cells, target)), offer.cost
 
     def _play_step(self) -> None:
-        """The next step, if all its choices are made; else it is taken back."""
+        """The next step, if all its choices have answers; else it is undone."""
         if self._saved is None:
             self._saved = self.now.save()
-        self._asked.begin()
+        self._chooser.begin()
         try:
             self.now.advance()
-        except BaseException as stopped:
+        except BaseException as raised:
             self.now.take_back(self._saved)
-            self._asked.begin()
-            if not isinstance(stopped, Decision):
+            self._chooser.begin()
+            if not isinstance(raised, Decision):
                 raise
-            self.decision = stopped.with_traceback(None)
+            self.decision = raised.with_traceback(None)
             return
-        self._asked.end()
+        self._chooser.end()
         self._end()
         self._saved = None
         if self._traced:

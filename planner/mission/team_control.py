@@ -65,11 +65,6 @@ class Fleet(SingleRun):
         """The step that is under way, or the last one that is over."""
         return int(self.raw.marks["step"]) - (self.outcome is None and not self.under_way)
 
-    @property
-    def unvisited(self) -> int:
-        """Accessible cells that are not visited."""
-        return len(self.loop.cells) - int(self.raw.marks["covered"])
-
     def begin_step(self) -> None:
         """The next step."""
         self._make_room()

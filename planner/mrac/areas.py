@@ -160,7 +160,7 @@ def _adjacency(shape: tuple[int, int], ordered: NDArray[np.int64]) -> tuple[NDAr
     return np.concatenate([[0], np.cumsum(present.sum(axis=1))]), sides[present]
 
 
-# Who gets which area before the start (Algorithm 1), and who which part of an area that is shared.
+# The allocation of areas before the start (Algorithm 1).
 
 
 @dataclass(frozen=True)
@@ -224,25 +224,6 @@ def _split_between(
     of_row, of_column = linear_sum_assignment(costs)
     robot_of_part = {int(part): area.robots[int(row)] for row, part in zip(of_row, of_column, strict=True)}
     return [Area(0, robot_of_part[number], part) for number, part in enumerate(parts)]
-
-
-@dataclass(frozen=True)
-class SharedParts:
-    """How an area is shared: positions in the list of parts that the owner and the helper take."""
-
-    owner: int
-    helper: int
-
-
-def choose_parts(of_owner: list[int], of_helper: list[int]) -> SharedParts:
-    """Two different parts by least total cost; ties: the owner's lower part, then the helper's (SPEC section 5).
-
-    `of_owner`, `of_helper`: the cost of each robot's way to each part.
-    """
-    parts = range(len(of_owner))
-    pairs = ((of_owner[o] + of_helper[h], o, h) for o in parts for h in parts if o != h)
-    _, owner, helper = min(pairs)
-    return SharedParts(owner, helper)
 
 
 def sides_first(order: object, safe: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -106,18 +106,6 @@ class Homeward:
         cost, steps, onward = (np.stack(rows) for rows in zip(*found, strict=True))
         return replace(self, cost=cost, steps=steps, onward=onward)
 
-    def further(self, robot: int, here: int, there: int) -> int:
-        """How much dearer the robot's way home is from `there` than from `here`, 0 if it is not."""
-        cost = self.cost[self.of[robot]]
-        return max(int(cost[there] - cost[here]), 0)
-
-    def way(self, robot: int, cell: int) -> list[int]:
-        """The cells that the robot enters on its way home from the cell; none at a base, and where it is cut off."""
-        onward, found = self.onward[self.of[robot]], []
-        while (cell := int(onward[cell])) != NO_CELL:
-            found.append(cell)
-        return found
-
 
 def ways_home(
     settings: Settings,

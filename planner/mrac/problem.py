@@ -90,23 +90,6 @@ class Unknown:
         kept = self.within[seen]
         return np.append(0, np.cumsum(kept))[begin], seen[kept]
 
-    def view(self, cell: int) -> NDArray[np.int32]:
-        """The cells that are seen from a cell."""
-        begin, seen = self.views
-        number = int(self._place[cell])
-        return seen[begin[number] : begin[number + 1]]
-
-    def seen_at(self, starts: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """bool `[N]`: what robots in these cells have seen before the first step: nothing where the truth is drawn."""
-        seen = np.zeros(len(self.within), dtype=np.bool_)
-        for cell in starts.tolist() if len(self.truths) == 1 else ():
-            seen[self.view(cell)] = True
-        return seen
-
-    @cached_property
-    def _place(self) -> NDArray[np.int64]:
-        return np.cumsum(self.within) - 1
-
 
 def unknown_of(world: World, starts: NDArray[np.int64], most: int) -> Unknown | None:
     """Of robots at `starts` `[K, 2]` and at most so many levels; None where they are told the map."""

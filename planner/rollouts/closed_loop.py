@@ -217,8 +217,6 @@ def trace_from(
     outcome: Outcome,
 ) -> Trace:
     """What a rollout wrote down, in cells of the grid: frames `[T, 3, K]`, events `[E, 5]`, area_of `[A]`."""
-    grid = np.full(loop.shape[0] * loop.shape[1], NO_AREA, dtype=np.int32)
-    grid[loop.cells] = area_of
     happened = events.copy()
     tells_cell = ~np.isin(happened[:, 2], (EventKind.REALLOCATED, EventKind.SHARED, EventKind.SURPRISED))
     happened[tells_cell, 4] = loop.cells[happened[tells_cell, 4]]
@@ -228,7 +226,7 @@ def trace_from(
         doing=frames[:, FRAME_DOING].astype(np.int8),
         areas=frames[:, FRAME_AREA].copy(),
         events=happened,
-        area_of=grid,
+        area_of=loop.on_grid(area_of, NO_AREA),
         outcome=outcome,
     )
 
@@ -238,17 +236,11 @@ def tally_from(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[
     if count == 0:
         return loop.empty_tally(seed)
     counts = Counts(*(sum(values[1:], values[0]) for values in zip(*parts, strict=True)))
-
-    def on_grid(values: NDArray[np.int64]) -> NDArray[np.int64]:
-        out = np.zeros(loop.shape[0] * loop.shape[1], dtype=np.int64)
-        out[loop.cells] = values
-        return out
-
     visited, survived = known_cells(loop)
     # What was covered before a mission's state counts from step 0 on.
     counts.new[0] += count * len(visited)
     counts.late[0] += count * (len(survived) - len(visited))
-    covered, unsurvived = on_grid(counts.covered), on_grid(counts.unsurvived)
+    covered, unsurvived = loop.on_grid(counts.covered), loop.on_grid(counts.unsurvived)
     covered[visited] += count
     unsurvived[visited] += count
     unsurvived[survived] -= count
@@ -266,15 +258,15 @@ def tally_from(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[
         outcomes=counts.outcomes,
         new_visited=counts.new[:last],
         new_survived=counts.new[:last] + counts.late[:last],
-        visits=on_grid(counts.visits),
-        stops=on_grid(counts.stops),
+        visits=loop.on_grid(counts.visits),
+        stops=loop.on_grid(counts.stops),
         covered_visited=covered,
         covered_survived=covered - unsurvived,
-        passes=np.stack([on_grid(column) for column in counts.passes.T], axis=1).ravel() if passes else NO_COUNTS,
+        passes=np.stack([loop.on_grid(column) for column in counts.passes.T], axis=1).ravel() if passes else NO_COUNTS,
     )
 
 
-# The nominal run by the compiled simulator: a hundred times quicker than the readable one, once it is compiled.
+# The nominal run by the compiled simulator.
 
 
 def nominal_loop(loop: ClosedLoop) -> ClosedLoop:

@@ -18,9 +18,10 @@ from planner.simulator import jit
 
 NAME = "planner.simulator_as_python"
 """The name of the second load, in `sys.modules`."""
-LARGE, MOST_CELLS = 2**12, 2**17
-"""Cells of a map whose searches are compiled; and of the maps of all calls of a search until it is compiled: as Python
-it has then taken about as long."""
+LARGE = 2**12
+"""Cells of a map from which on its searches are compiled at once."""
+MOST_CELLS = 2**17
+"""Cells, summed over its calls, after which a search is compiled: as Python it has then taken about as long."""
 
 
 @cache

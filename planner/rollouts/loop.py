@@ -169,6 +169,12 @@ class ClosedLoop:
         """True if something is kept for every rollout."""
         return self.in_doubt or self.movers is not None or self.runs_alone
 
+    def on_grid(self, values: NDArray[Any], other: Any = 0) -> NDArray[Any]:
+        """Values `[A]` of the accessible cells as those of all cells `[N]`, `other` elsewhere."""
+        grid = np.full(self.shape[0] * self.shape[1], other, dtype=values.dtype)
+        grid[self.cells] = values
+        return grid
+
     @cached_property
     def _first(self) -> dict[int, State]:
         return {}
@@ -197,8 +203,7 @@ class ClosedLoop:
         assert self.movers is not None
         places = first_places(self.movers, seed, ids)
         walks = np.array([not one.patrols for one in self.movers.members])
-        number = np.full(self.shape[0] * self.shape[1], len(self.cells), dtype=np.int64)
-        number[self.cells] = np.arange(len(self.cells))
+        number = self.on_grid(np.arange(len(self.cells)), len(self.cells))
         places[:, walks] = number[places[:, walks]]
         return places
 

@@ -27,10 +27,12 @@ from planner.simulator.state import (
     ACTS,
     AREA_BITS,
     MOST_NARROW,
+    OUT,
     SURVIVED,
     TO_DO,
     VISITED,
     State,
+    Tables,
     Work,
     first_room,
     make_work,
@@ -42,7 +44,7 @@ holds = interpreted("state").holds
 Hit = Callable[[int, int, int], bool]
 """`hit(robot, step, cell)`: is the robot lost as it enters the cell at this step?"""
 OWN = "left", "at", "met", "begin"
-"""What the scratch holds of the rollout itself."""
+"""The arrays of the scratch that belong to the rollout itself, not to the world."""
 NOT_BEGUN = -1
 """The step before t = 0, at which robots enter their starts."""
 
@@ -76,27 +78,27 @@ class Run:
 
     @property
     def outcome(self) -> Outcome:
-        """How it ended."""
+        """The outcome of the run."""
         return self.trace.outcome
 
     @property
     def time(self) -> int:
-        """At which step."""
+        """The step at which the run ended."""
         return self.trace.time
 
     @property
     def area_of(self) -> NDArray[np.int32]:
-        """The last area of each cell."""
+        """int32 `[N]`: the last area of each cell, -1 where inaccessible."""
         return self.trace.area_of
 
     @property
     def shares(self) -> int:
-        """Areas shared."""
+        """The number of areas shared."""
         return self.bisected + self.divided
 
 
 class Notes:
-    """Areas that are made on the way, each with its cells at that moment.
+    """The areas made during a run, each with its cells at that moment.
 
     Attributes:
         made: in id order.
@@ -106,10 +108,10 @@ class Notes:
         self.made, self._loop, self._known = list[Area](), loop, len(loop.tables.level)
 
     def move(self, s: Any, robot: int) -> None:
-        """The robot is about to enter its next cell."""
+        """Called before the robot enters its next cell."""
 
     def areas(self, s: Any) -> None:
-        """Areas have been made."""
+        """Called after areas have been made."""
         home = s.home[:-1] >> AREA_BITS
         for number in range(self._known, int(s.marks.areas)):
             self.made.append(Area(int(s.areas[number].level), NO_ROBOT, self._loop.cells[home == number]))
@@ -120,10 +122,10 @@ class SingleRun:
     """A rollout in progress.
 
     Attributes:
-        loop: what it is of. step: the last step that is over. outcome: how it ended, None while it goes on.
-        raw: its state, arrays; `s` the same for the simulator as Python, and `t`, `p`, `w`, `c`, `how`, `log` the other
-            arguments of its functions.
-        events: int32 `[n, 5]` of each step, cells as numbers of accessible cells, if they are kept.
+        loop: the closed loop. rollout: the number of the rollout. outcome: None until the rollout ends.
+        raw: the state, as arrays. `s` holds the same memory as records, for the simulator as Python; `t`, `p`, `w`,
+            `c`, `how` and `log` are the other arguments of its functions.
+        new_events: int32 `[n, 5]`, the events of the last step, with cells as numbers of accessible cells.
     """
 
     def __init__(
@@ -134,11 +136,12 @@ class SingleRun:
         known: Work | None = None,
         hit: Hit | None = None,
     ) -> None:
-        """`known`: scratch of another run of the loop, which has costs between cells. `hit`: decides every loss."""
+        """`known`: the scratch of another run of the loop, which holds path costs. `hit` decides every loss."""
         runner = Runner(loop, seed, 1, None if known is None else [known])
         self.loop, self.rollout = loop, rollout
         self.p, self.c, self.w, self.notes = runner.policy, runner.counts, runner.work, Notes(loop)
-        # Coverage paths are found a leg at a time. Runs of one loop may go on in turn, each with its own rollout.
+        # The scratch is shared by the runs of one loop, which may advance in turn: each has its own `begin`, and finds
+        # coverage paths one leg at a time.
         self.w = self.w._replace(paths=self.w.paths[:0], begin=np.array([rollout], dtype=np.int64))
         self.t = runner.tables._replace(notes=self.notes)
         self.how = runner.how._replace(pause=True, in_area=loop.in_area)
@@ -179,7 +182,7 @@ class SingleRun:
                 self.left[robot] = int(self.raw.robots["until"][robot])
 
     def _take(self, stack: State) -> None:
-        """The state is level 0 of the stack."""
+        """Use level 0 of the stack as the state."""
         self._stack, self.raw = stack, State._make(row[0] for row in stack)
         self.s: Any = interpreted("struct_pointers").with_records(self.raw)
         # As bytes rows are copied several times faster than as records.
@@ -188,12 +191,12 @@ class SingleRun:
         self._bytes = [row.reshape(-1).view(np.uint8) for row in rows if row.size]
 
     def _recall(self) -> None:
-        """The scratch, which may be of another run, holds what this one believes of the map."""
+        """Write this run's estimate of the map to the scratch, which another run may have used."""
         if self.loop.learns:
             interpreted("map_belief").recall(self.t, self.s, self.w)
 
     def fork(self) -> Self:
-        """The same rollout, which goes on by itself from here."""
+        """An independent copy of the rollout, at the same step."""
         other = object.__new__(type(self))
         vars(other).update(vars(self))
         other.w = self.w._replace(**{name: getattr(self.w, name).copy() for name in OWN})
@@ -204,7 +207,7 @@ class SingleRun:
         return other
 
     def __getstate__(self) -> dict[str, Any]:
-        """For a copy, or another process: all but views of the state, and the scratch, which may be large."""
+        """All but the views of the state and the scratch, which may be large."""
         kept = {name: value for name, value in vars(self).items() if name not in ("raw", "s", "_bytes")}
         return kept | {"w": {name: getattr(self.w, name) for name in OWN}}
 
@@ -214,18 +217,18 @@ class SingleRun:
         self._take(self._stack)
 
     def save(self) -> list[NDArray[np.uint8]]:
-        """What the next step may change, so that it can be taken back; what `notes` has written down is not."""
+        """A copy of all that the next step may change, except `notes`: the argument of `take_back`."""
         self._make_room()
         return [row.copy() for row in self._changing(int(self.raw.marks["areas"]))]
 
     def take_back(self, saved: list[NDArray[np.uint8]]) -> None:
-        """The step that has begun since `save`, and has not come to its end, has not begun."""
+        """Undo an unfinished step that began after `save`."""
         areas = len(saved[0]) // self.raw.areas.itemsize
         for row, before in zip(self._changing(areas), saved, strict=True):
             row[:] = before
 
     def _changing(self, areas: int) -> Iterator[NDArray[np.uint8]]:
-        """Bytes of the state with so many areas, and of what is kept of the rollout in the scratch."""
+        """The bytes of the state with this number of areas, and of the rollout's own part of the scratch."""
         yield self._bytes[0][: areas * self.raw.areas.itemsize]
         yield from self._bytes[1:]
 
@@ -233,11 +236,11 @@ class SingleRun:
 
     @property
     def step(self) -> int:
-        """The last step that is over, NOT_BEGUN before t = 0."""
+        """The last completed step, NOT_BEGUN before t = 0."""
         return int(self.raw.marks["step"]) - (self.outcome is None)
 
     def advance(self) -> Outcome | None:
-        """To the end of the next step; how the rollout has ended there, None while it goes on."""
+        """Advance by one step and return the outcome, None while the rollout continues."""
         self._make_room()
         self.log.events[0, 0], self.log.legs[:] = 0, NONE
         marks = self.s.marks
@@ -249,7 +252,7 @@ class SingleRun:
         return self.outcome
 
     def learn(self) -> bool:
-        """Robots learn the map as at the end of the last step, once more; whether one got an area."""
+        """Repeat the map update at the end of the last step; True if a robot got an area."""
         self._make_room()
         self.s.marks.step -= 1
         step = interpreted("step")
@@ -261,7 +264,7 @@ class SingleRun:
         return bool((self.new_events[:, 2] == EventKind.ALLOCATED).any())
 
     def take_events(self) -> None:
-        """What was noted in this step; of robots that neither move nor wait any more, the moves that are left."""
+        """Read the events of this step from the log, and the moves left of robots that have stopped moving."""
         self.new_events = self.log.events[1 : int(self.log.events[0, 0]) + 1].copy()
         if len(self.new_events):
             self.turned |= set(self.new_events[self.new_events[:, 2] == EventKind.TURNED_HOME, 1].tolist())
@@ -276,7 +279,7 @@ class SingleRun:
                 self.left[robot] = int(self.raw.robots["until"][robot]) - self._turns(robot)
 
     def _make_room(self) -> None:
-        """Room for all areas that a step may make."""
+        """Grow the arrays so that they hold all areas that a step may make."""
         room, wanted = len(self.raw.areas), int(self.raw.marks["areas"]) + len(self.loop.cells) + 2
         if room > wanted:
             return
@@ -291,76 +294,65 @@ class SingleRun:
             self._number_none(room - 1, len(self.raw.areas) - 1)
 
     def _number_none(self, old: int, new: int) -> None:
-        """The number of what is in no area is another one."""
+        """Renumber NO_AREA, which is the last row of `areas`."""
         home = self.raw.home
         none = home >> AREA_BITS == old
         none[-1] = False
         home[none] = home[none] & ((1 << AREA_BITS) - 1) | new << AREA_BITS
         self.raw.areas[new], self.raw.areas[old] = self.raw.areas[old].copy(), np.zeros((), self.raw.areas.dtype)
 
-    # --- where it stands ---
+    # --- the current state ---
 
     @property
     def robots(self) -> list[RobotNow]:
-        """All of them."""
+        """The robots, in index order."""
         return [RobotNow(self, number) for number in range(self.loop.robots)]
 
     def cell(self, robot: int) -> int:
-        """Where the robot is, as an index of the grid."""
+        """The cell of the robot, `row * W + col`."""
         return int(self.loop.cells[self.raw.robots["cell"][robot]])
 
     def moves_left(self, robot: int) -> int:
-        """Moves that the robot can still make, at the end of a step."""
+        """The number of moves that the robot can still make, at the end of a step."""
         until = int(self.raw.robots["until"][robot])
         if robot in self.left or holds(self.raw.waiting, robot):
             return self.left.get(robot, until)
         return until - self._turns(robot)
 
     def _turns(self, robot: int) -> int:
-        """Turns that the robot has had by the end of the last step."""
+        """The number of the robot's turns by the end of the last step."""
         return int(interpreted("robot_types").own_turn(self.t, robot, max(self.step, 0)))
 
     @property
+    def unvisited(self) -> int:
+        """The number of cells that count for coverage and are not visited."""
+        return self.loop.accessible - int(self.raw.marks["covered"])
+
+    @property
     def visited(self) -> NDArray[np.bool_]:
-        """bool `[A]`, of the accessible cells."""
-        return (self._inside & VISITED != 0) & ~self._out
+        """bool `[A]`: accessible cells that are visited."""
+        return flagged(self.loop, self.raw, VISITED)
 
     @property
     def survived(self) -> NDArray[np.bool_]:
-        """bool `[A]`, entered by a robot that was not lost there."""
-        return (self._inside & SURVIVED != 0) & ~self._out
-
-    @property
-    def _inside(self) -> NDArray[Any]:
-        return self.raw.home[:-1]
-
-    @property
-    def _out(self) -> NDArray[np.bool_]:
-        """Cells that are in no area and not visited, of robots that learn the map."""
-        out = interpreted("state").OUT
-        return self.raw.known & out != 0 if self.loop.learns else np.zeros(len(self.loop.cells), dtype=np.bool_)
+        """bool `[A]`: accessible cells that a robot entered without being lost."""
+        return flagged(self.loop, self.raw, SURVIVED)
 
     @property
     def area_of(self) -> NDArray[np.int32]:
-        """int32 `[A]`, the area of each cell, NO_AREA of none."""
-        found = (self._inside >> AREA_BITS).astype(np.int32)
+        """int32 `[A]`: the area of each accessible cell, NO_AREA if it is in none."""
+        found = (self.raw.home[:-1] >> AREA_BITS).astype(np.int32)
         return np.where(found == len(self.raw.areas) - 1, NO_AREA, found) if self.loop.learns else found
 
     @property
     def open(self) -> list[int]:
-        """Ids of the areas that are unassigned."""
+        """The ids of unassigned areas."""
         return [number for number in range(int(self.raw.marks["areas"])) if holds(self.raw.open, number)]
 
     @property
     def alive(self) -> NDArray[np.bool_]:
-        """bool `[K]`."""
+        """bool `[K]`: robots that are not lost."""
         return np.asarray(self.raw.robots["doing"] != Doing.DEAD)
-
-    def on_grid(self, values: NDArray[Any], other: Any = 0) -> NDArray[Any]:
-        """Values `[A]` of the accessible cells as those of all cells `[N]`."""
-        whole = np.full(self.loop.shape[0] * self.loop.shape[1], other, dtype=values.dtype)
-        whole[self.loop.cells] = values
-        return whole
 
     def frame(self) -> NDArray[np.int32]:
         """Cell, doing and area of each robot at the end of a step: int32 `[3, K]`, as in `Log.frames`."""
@@ -369,12 +361,12 @@ class SingleRun:
         return np.stack([robots["cell"], robots["doing"], np.where(has_area, robots["area"], NO_AREA)])
 
     def doing(self, robot: int) -> Doing:
-        """What the robot does."""
+        """The status of the robot."""
         state, code = interpreted("state"), int(self.raw.robots["doing"][robot])
         return Doing({state.LANDING: Doing.IDLE, state.STARTING: Doing.TRAVELING}.get(code, code))
 
     def path_ahead(self, robot: int) -> list[int]:
-        """Cells, as numbers of accessible ones, that the robot is to enter as things stand, the next one first."""
+        """The cells of the robot's current path, as numbers of accessible cells, the next one first."""
         return list(self._ahead(robot))
 
     def _ahead(self, robot: int) -> Iterator[int]:
@@ -389,7 +381,7 @@ class SingleRun:
                 cell = int(onward[cell])
                 yield cell
         elif me.doing == state.STARTING or doing in (Doing.TRAVELING, Doing.COVERING):
-            # Legs are found as the robot would find them, and all is put back as it was.
+            # The functions that find legs change the state: it is restored below.
             self._recall()
             kept = self.raw.robots[robot].copy(), self.raw.legs[robot : robot + 1].copy(), self.raw.home.copy()
             paths = interpreted("paths")
@@ -416,7 +408,7 @@ class SingleRun:
 
 
 class RobotNow:
-    """A robot of a run, as it stands. Cells are indices `row * W + col`.
+    """A robot in the current state of a run. Cells are indices `row * W + col`.
 
     Attributes:
         number: its index.
@@ -431,47 +423,47 @@ class RobotNow:
 
     @property
     def cell(self) -> int:
-        """Where it is."""
+        """The cell of the robot."""
         return int(self._run.loop.cells[self._me["cell"]])
 
     @property
     def status(self) -> Doing:
-        """What it does."""
+        """The status of the robot."""
         return self._run.doing(self.number)
 
     @property
     def alive(self) -> bool:
-        """Not lost."""
+        """True if the robot is not lost."""
         return self.status is not Doing.DEAD
 
     @property
     def on_its_way(self) -> bool:
-        """Traveling or covering: it has an area."""
+        """True if the robot travels to an area or covers one."""
         return self.status in (Doing.TRAVELING, Doing.COVERING)
 
     @property
     def busy(self) -> bool:
-        """It has a path ahead: to or in its area, to its base, or another planner's."""
+        """True if the robot has a path: to or in its area, to its base, or an external plan's."""
         return self.on_its_way or self.status in (Doing.FOLLOWING, Doing.RETURNING)
 
     @property
     def area(self) -> int:
-        """Its area, NO_AREA of none."""
+        """The id of its area, NO_AREA if it has none."""
         return int(self._me["area"]) if self.on_its_way else NO_AREA
 
     @property
     def held(self) -> bool:
-        """Kept from areas at risk (`reserve`), until it gets one."""
+        """True if the cap on robots at risk (`reserve`) keeps it from areas with threats, until it gets an area."""
         return bool(self._me["held"])
 
     @property
     def ahead(self) -> list[int]:
-        """Cells of its path still to enter, the next one first."""
+        """The cells of its current path, the next one first."""
         return self._run.loop.cells[self._run.path_ahead(self.number)].tolist()
 
     @property
     def to_do(self) -> NDArray[np.int64]:
-        """The cells that its coverage path has still to reach: no leg crosses one of them."""
+        """The cells that its coverage path still has to reach; no leg crosses one of them."""
         run = self._run
         if self.status is not Doing.COVERING:
             return np.zeros(0, dtype=np.int64)
@@ -481,17 +473,17 @@ class RobotNow:
 
     @property
     def moves(self) -> int:
-        """Moves that it can still make."""
+        """The number of moves that the robot can still make."""
         return self._run.moves_left(self.number)
 
     @property
     def turned(self) -> bool:
-        """It has started its return to base, for good."""
+        """True if the robot has started its return to base, which it never breaks off."""
         return self.number in self._run.turned
 
 
 def play(run: SingleRun) -> Run:
-    """Run the rollout to its end, and tell what happened."""
+    """Advance the run to its end."""
     loop, frames, events, legs = run.loop, list[NDArray](), list[NDArray](), list[NDArray]()
     if loop.state is not None:
         frames += list(first_frames(loop.state, loop.cells))
@@ -501,42 +493,45 @@ def play(run: SingleRun) -> Run:
         events.append(run.new_events)
         legs.append(run.log.legs[0].copy())
     trace = trace_from(loop, run.rollout, np.array(frames), np.concatenate(events), run.area_of, run.outcome)
-    return Run(
-        paths=tuple(without_waiting(path) for path in trace.cells.T.astype(np.int64)),
-        legs=legs_of(loop, np.array(legs), run.raw.areas["level"]),
-        areas_added=tuple(run.notes.made),
-        bisected=int(run.raw.marks["bisected"]),
-        divided=int(run.raw.marks["divided"]),
-        visited=run.on_grid(run.visited),
-        survived=run.on_grid(run.survived),
-        alive=run.alive,
-        home=at_base(run),
-        trace=trace,
-    )
+    return _as_run(loop, run.t, run.raw, trace, np.array(legs), tuple(run.notes.made))
 
 
 def play_compiled(loop: ClosedLoop) -> Run:
-    """The same of rollout 0 by a compiled program, for large maps; robots do not learn, and follow a built-in rule."""
+    """Rollout 0 by the compiled engine, for large maps: of a known map and a built-in policy."""
     ((trace, legs, runner),) = logged_rollouts(loop, 0, (0,), legs=True)
-    state, shape = runner.state, loop.shape
-    flags = np.zeros(shape[0] * shape[1], dtype=np.int64)
-    flags[loop.cells] = state.home[:-1]
+    first = 0 if loop.state is None else loop.state.step + 1
+    made = areas_made(loop, trace, runner.state.areas["level"])
+    return _as_run(loop, runner.tables, runner.state, trace, legs[first:], made)
+
+
+def _as_run(
+    loop: ClosedLoop, tables: Tables, raw: State, trace: Trace, legs: NDArray[np.int32], made: tuple[Area, ...]
+) -> Run:
+    """The run that ended in the state `raw`. `legs`: `Log.legs` of its own steps."""
+    alive, home = raw.robots["doing"] != Doing.DEAD, np.zeros(loop.robots, dtype=np.bool_)
     return Run(
         paths=tuple(without_waiting(path) for path in trace.cells.T.astype(np.int64)),
-        legs=legs_of(loop, legs[0 if loop.state is None else loop.state.step + 1 :], state.areas["level"]),
-        areas_added=areas_made(loop, trace, state.areas["level"]),
-        bisected=int(state.marks["bisected"]),
-        divided=int(state.marks["divided"]),
-        visited=flags & VISITED != 0,
-        survived=flags & SURVIVED != 0,
-        alive=state.robots["doing"] != Doing.DEAD,
-        home=np.zeros(loop.robots, dtype=np.bool_),
+        legs=legs_of(loop, legs, raw.areas["level"]),
+        areas_added=made,
+        bisected=int(raw.marks["bisected"]),
+        divided=int(raw.marks["divided"]),
+        visited=loop.on_grid(flagged(loop, raw, VISITED)),
+        survived=loop.on_grid(flagged(loop, raw, SURVIVED)),
+        alive=alive,
+        home=at_base(tables, raw) if loop.comes_home else home,
         trace=trace,
     )
 
 
+def flagged(loop: ClosedLoop, raw: State, flag: int) -> NDArray[np.bool_]:
+    """bool `[A]`: accessible cells with this flag, VISITED or SURVIVED."""
+    has_it = raw.home[:-1] & flag != 0
+    # While robots learn the map, an unvisited cell in no area has both flags.
+    return has_it & (raw.known & OUT == 0) if loop.learns else has_it
+
+
 def areas_made(loop: ClosedLoop, trace: Trace, level: NDArray[np.int32]) -> tuple[Area, ...]:
-    """Areas made in a run without map updates, each with the cells of all that was made of it later."""
+    """The areas made in a run without map updates, each with the cells of the areas that were later split from it."""
     given, events = len(loop.tables.level), trace.events
     made = events[np.isin(events[:, 2], (EventKind.REALLOCATED, EventKind.SHARED))]
     parents = np.repeat(made[:, 3], made[:, 4])
@@ -552,9 +547,9 @@ def areas_made(loop: ClosedLoop, trace: Trace, level: NDArray[np.int32]) -> tupl
 
 
 def legs_of(loop: ClosedLoop, noted: NDArray[np.int32], level: NDArray[np.int32]) -> tuple[tuple[Leg, ...], ...]:
-    """Travel and cover legs of each robot: of what was `noted` `[T, K]` in steps from the first one on (`Log.legs`).
+    """Travel and cover legs of each robot, from `Log.legs` of successive steps, `[T, K]`.
 
-    A leg goes on while the robot makes its next move as soon as it can; `level`: of each area.
+    A leg ends where the robot waits longer than its pace. `level`: the threat level of each area.
     """
     first, found = 0 if loop.state is None else loop.state.step + 1, list[tuple[Leg, ...]]()
     for robot, of in enumerate(noted.T.astype(np.int64)):
@@ -580,16 +575,13 @@ def legs_of(loop: ClosedLoop, noted: NDArray[np.int32], level: NDArray[np.int32]
     return tuple(found)
 
 
-def at_base(run: SingleRun) -> NDArray[np.bool_]:
-    """bool `[K]`, robots alive in one of their bases."""
-    if not run.loop.comes_home:
-        return np.zeros(run.loop.robots, dtype=np.bool_)
-    moves = run.t.home_steps[run.t.home_of, run.raw.robots["cell"]]
-    return (moves == 0) & run.alive
+def at_base(tables: Tables, raw: State) -> NDArray[np.bool_]:
+    """bool `[K]`: robots that are not lost and are at a base. Only for robots that return to base."""
+    return (tables.home_steps[tables.home_of, raw.robots["cell"]] == 0) & (raw.robots["doing"] != Doing.DEAD)
 
 
 def without_waiting(path: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The path without the waiting after its last move."""
+    """The path up to its last move."""
     moves = np.flatnonzero(path[1:] != path[:-1])
     return path[: int(moves[-1]) + 2 if len(moves) else 1]
 
@@ -597,18 +589,18 @@ def without_waiting(path: NDArray[np.int64]) -> NDArray[np.int64]:
 # A run as the state of a mission (SPEC section 12).
 
 
-def state_of(run: SingleRun, problem: Problem, borne: Sequence[int] | None = None) -> MissionState:
-    """Where a run stands between two steps. Completed areas without cells are left out, the others close up.
+def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] | None = None) -> MissionState:
+    """The mission state of a run between two steps. Completed areas without cells are dropped and ids closed up.
 
-    borne: cumulative hazard of each robot, in units of 2**-32 nat, which is kept where robots wear. A real robot may
-    have borne more than any that is drawn: then it is kept as the most that one can.
+    cumulative_hazard: of each robot, in units of 2**-32 nat; kept where the Weibull shape is not 1. A real robot's may
+    exceed every threshold that can be drawn: then the largest possible one is kept.
     """
     world, settings, loop = problem.world, problem.settings, run.loop
     settings.check_not_charged("the state of a mission")
     settings.check_alike("the state of a mission")
     known, home, cells = None, problem.home, loop.cells
-    if borne is not None and settings.wear != 1:
-        known = np.minimum(borne, settings.bearing().most(loop.robots)).tolist()
+    if cumulative_hazard is not None and settings.wear != 1:
+        known = np.minimum(cumulative_hazard, settings.bearing().most(loop.robots)).tolist()
     area_of, visited, areas = run.area_of, run.visited, list[AreaState]()
     owner = {int(robot.area): robot.number for robot in run.robots if robot.on_its_way}
     place = dict[int, int]()
@@ -639,7 +631,7 @@ def state_of(run: SingleRun, problem: Problem, borne: Sequence[int] | None = Non
         for robot in run.robots
     )
     over, quiet = int(run.raw.marks["over"]), int(run.raw.marks["quiet"])
-    if run.outcome is None:  # else the run waits for an announced phase
+    if run.outcome is None:  # the run waits for an announced phase: that is not yet no progress
         quiet = min(quiet, int(run.t.quiet_steps) - 1)
     return MissionState(
         world.shape,
@@ -655,7 +647,7 @@ def state_of(run: SingleRun, problem: Problem, borne: Sequence[int] | None = Non
 
 
 class PythonLoop:
-    """A plan's closed loop, rollout by rollout, by the simulator as Python; it follows any rule and order of cells.
+    """The closed loop of a plan by the simulator as Python, one rollout at a time; for any policy and cell order.
 
     Args:
         plan: this project's, made for `world`, or the paths of another planner (`planner.mrac.problem`).
@@ -678,22 +670,22 @@ class PythonLoop:
         return run
 
     def run(self, seed: int, rollout: int) -> Run:
-        """The whole rollout."""
+        """A whole rollout."""
         return play(self.begin(seed, rollout))
 
     def trace(self, seed: int, rollout: int) -> Trace:
-        """The same as the engines report it."""
+        """The trace of a whole rollout, as the engines report it."""
         return self.run(seed, rollout).trace
 
     def runs(self, seed: int, rollout: int) -> Iterator[SingleRun]:
-        """The rollout as it stands at the end of every step: one, which goes on."""
+        """Advance a rollout step by step; yields the same run after each."""
         run = self.begin(seed, rollout)
         while run.outcome is None:
             run.advance()
             yield run
 
     def state_at(self, step: int, seed: int, rollout: int) -> MissionState | None:
-        """Where the rollout stands at the end of a step, to go on from; None if it has ended by then."""
+        """The mission state at the end of a step; None if the rollout has ended by then."""
         for run in self.runs(seed, rollout):
             if run.step == step and run.outcome is None:
                 return state_of(run, self.problem, run.raw.robots["borne"].tolist())

@@ -497,7 +497,6 @@ def coverage_path(
     inside: NDArray[np.bool_] | None,
     order: str | Callable[[CellOffer], Any],
     sides: NDArray[np.int64],
-    legs: int | None = None,
 ) -> NDArray[np.int64]:
     """The cells entered, in order, to visit every cell of `to_do` from `here` (left out).
 
@@ -509,23 +508,22 @@ def coverage_path(
         here: where the robot stands.
         to_do: the unvisited cells of the area at this moment, reachable from `here`.
         inside: bool `[N]`, the cells that legs may enter (`transit="area"`), or None for all.
-        order: which cell is next. sides: `Problem.sides`. legs: stop after so many; None = all.
+        order: which cell is next. sides: int64 `[N, 4]`, of each cell its sides in their order (`planner.mrac.areas`).
     """
     rank = np.full(len(paths.neighbours), NOT_WANTED, dtype=np.int32)
     rank[to_do] = 0
     rank[here] = NOT_WANTED
     left = int(np.count_nonzero(rank != NOT_WANTED))
     path = [np.empty(0, dtype=np.int64)]
-    while left and legs != 0:
+    while left:
         if isinstance(order, str):
-            leg = _cheapest_legs(paths, here, rank, inside, to_do, sides, len(to_do) if legs is None else 1)
+            leg = _cheapest_legs(paths, here, rank, inside, to_do, sides)
         else:
             leg = _leg_by(order, paths, here, to_do[rank[to_do] != NOT_WANTED], inside)
         left -= int(np.count_nonzero(rank[leg] != NOT_WANTED))
         rank[leg] = NOT_WANTED
         path.append(leg)
         here = int(leg[-1])
-        legs = None if legs is None else legs - 1
     return np.concatenate(path)
 
 
@@ -536,13 +534,12 @@ def _cheapest_legs(
     inside: NDArray[np.bool_] | None,
     to_do: NDArray[np.int64],
     sides: NDArray[np.int64],
-    most: int,
 ) -> NDArray[np.int64]:
-    """The cheapest cell first: legs to adjacent cells, at most so many; if there is none, one leg by a search.
+    """The cheapest cell first: legs to adjacent cells; if there is none, one leg by a search.
 
     The cells are of one level, so an adjacent one is always cheapest.
     """
-    adjacent = _adjacent_run(here, rank, paths.neighbours, sides, most)
+    adjacent = _adjacent_run(here, rank, paths.neighbours, sides, len(to_do))
     if len(adjacent):
         return adjacent
     target = paths.nearest(here, rank, inside, to_do)
