@@ -1,1 +1,1 @@
-"""The closed loop as one JAX program over lanes, and the batches of either engine."""
+"""The closed loop in JAX: a book of decisions, and lanes that jump from one to the next."""

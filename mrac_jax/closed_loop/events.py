@@ -1,0 +1,512 @@
+"""The closed loop event by event: a lane jumps from one decision of a robot to the next (`mrac_jax.closed_loop.book`).
+
+A lane is a rollout. Each robot is on a walk of the book, up to its end or to the visit that destroys the robot, which
+is known when the walk begins: a threshold is one number. The next event is the least (step, robot) at which a walk
+ends. What is visited by then is the cells of the walks that have ended, and a row of `prefix` for each robot. There are
+no moves and no searches: what a robot does next is looked up. A set that is not in the book makes its lane wait.
+
+Axis letters: `B` lanes, `K` robots, `G` areas that a lane has room for; the others as in `mrac_jax.closed_loop.book`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import jax
+import jax.numpy as jnp
+
+from mrac_jax.arrays import STATIC, is_reached, less
+from mrac_jax.closed_loop.book import BISECTED, BUCKET, COUNT, FIRST, HALVE, NEVER, PARTS, PIECE, SPLIT, mixed
+from planner.simulator.codes import Outcome
+
+START, FOLLOW, TRAVEL, COVER, LAND, IDLE, OUT, DEAD = range(8)
+"""What a robot does: enters its start and has an area; follows an external path; travels; covers; enters its start and
+has none; waits; is at the end of its range; is lost."""
+ARRIVES, DIES, ENDS = range(3)
+"""How its walk ends: at its end, at a visit, or with the last move of the robot's range."""
+OFF, RUN, MISSING, DONE, FULL = range(5)
+"""Of a lane: no rollout; its next event; an entry is missing in the book; at its end; it needs more room."""
+DOING, FATE, HERE, AREA, IDENT, WALK, ROW, SINCE, LAST, UNTIL, FIELDS = range(11)
+"""Of a robot: its fate, the cell at which its walk ends, its piece (NONE) and the id of that area, its walk's entry and
+first row, the step before its first move, how many it makes, and the step of the last move of its range (of one that
+waits, moves left)."""
+LIMITLESS = 2**28
+"""The range of a robot without one."""
+STOPPED, FINAL = 2**31, 2**30
+"""Flags of a log's row above the moves: the last one destroyed the robot; the rollout ended before the walk."""
+HALVINGS = 23
+"""Steps of a run fit into so many bits."""
+
+hold = jax.lax.optimization_barrier
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Lanes:
+    """Rollouts in progress. All int32 but sets and thresholds, uint32.
+
+    Attributes:
+        mode, number: `[B]`, of the lane, and of its rollout in the queue. fuel: `[B]`, events after which it halts.
+        visited, survived: `[B, W]`, by walks that have ended; now: visited by the last event.
+        slots: `[B, G]`, the piece of each unassigned area by its id, NONE of others; made: `[B]`, areas so far.
+        key: `[B, K]`, step * K + robot of each robot's next event, NEVER: none. robots: `[B, K, FIELDS]`.
+        left: `[B, K, 2]`, the threshold that is left as the walk begins, leading word first.
+        shared: `[B, 2]`, areas bisected, and divided. last: `[B]`, the last step with progress; of a lane at its end the
+            step of it. outcome: `[B]`.
+        asked: `[B, W + 1]`, the set and the salt of the entry that is missing.
+    """
+
+    mode: jax.Array
+    number: jax.Array
+    fuel: jax.Array
+    visited: jax.Array
+    survived: jax.Array
+    now: jax.Array
+    slots: jax.Array
+    made: jax.Array
+    key: jax.Array
+    robots: jax.Array
+    left: jax.Array
+    shared: jax.Array
+    last: jax.Array
+    outcome: jax.Array
+    asked: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Book:
+    """The decisions of a closed loop on a device: a frozen pytree. What a lane misses in it is reported.
+
+    Attributes:
+        entries .. buckets: as of `HostBook`; sums: uint32 `[D, 2]`, leading word first.
+        mask: int32, costs without their level. every: uint32 `[W]`, all cells. max_steps, quiet: int32, T_max, and the
+            steps in a row without progress after which a run ends. next_of: int32 `[P']`, of an external plan's area
+            the next one of the same robot, NONE after the last.
+        first: Lanes `[M]`, snapshots of the run without losses, at which lanes begin; before: uint32 `[M, K, 2]`, the
+            hazard that robots have met by then, without the walk that they are on. milestones: int32 `[K]`, entries
+            that tell from a robot's threshold the snapshot before its loss.
+        halvings, parts: static: bits of the most visits of a walk; parts that a split may have.
+    """
+
+    entries: jax.Array
+    sets: jax.Array
+    salts: jax.Array
+    prefix: jax.Array
+    cell_at: jax.Array
+    sums: jax.Array
+    at: jax.Array
+    bits: jax.Array
+    cost: jax.Array
+    target: jax.Array
+    steps: jax.Array
+    buckets: jax.Array
+    mask: jax.Array
+    every: jax.Array
+    max_steps: jax.Array
+    quiet: jax.Array
+    next_of: jax.Array
+    first: Lanes
+    before: jax.Array
+    milestones: jax.Array
+    halvings: int = field(metadata=STATIC)
+    parts: int = field(metadata=STATIC)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Walks that have ended, of all lanes: uint32 `[L, 4]` rows (number * 1024 + robot, entry, step before its first
+    move, moves and flags), and how many, int32."""
+
+    rows: jax.Array
+    used: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Ended:
+    """Results of lanes: numbers int32 `[.., 7]`: visited, survived, time, alive, outcome, bisected, divided; sets of
+    the visited and the survived cells, uint32 `[.., W]`."""
+
+    numbers: jax.Array
+    visited: jax.Array
+    survived: jax.Array
+
+
+def at(table: jax.Array, place: jax.Array) -> jax.Array:
+    """Rows of a table; every place is in it."""
+    return table.at[place].get(mode="promise_in_bounds")
+
+
+def pick(rows: jax.Array, robot: jax.Array) -> jax.Array:
+    """The entry of one robot in each lane, `[B, ..]` of `[B, K, ..]`."""
+    return jnp.take_along_axis(rows, robot.reshape(-1, *[1] * (rows.ndim - 1)), axis=1)[:, 0]
+
+
+def entered(book: Book, row: jax.Array) -> jax.Array:
+    """The cells of walks up to these rows, int32 `[B, K]`, of all robots: uint32 `[B, W]`."""
+    if row.shape[1] > 16:
+        return jnp.bitwise_or.reduce(at(book.prefix, row), axis=1)
+    total = at(book.prefix, row[:, 0])
+    for robot in range(1, row.shape[1]):
+        total = total | at(book.prefix, row[:, robot])
+    return total
+
+
+def is_in(book: Book, first: jax.Array, count: jax.Array, before: jax.Array, left: jax.Array | None) -> jax.Array:
+    """How many of a walk's visits `[S]` come before a move (`left` is None), or leave some threshold `[S, 2]`."""
+
+    def halve(_: int, span: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        low, high = span
+        middle = (low + high) >> 1
+        place = first + middle
+        passes = at(book.at, place) <= before if left is None else ~is_reached(left, at(book.sums, place))
+        passes = (low < high) & passes
+        # A barrier: XLA would compute a chain of gathers anew for each of its readers.
+        return hold((jnp.where(passes, middle + 1, low), jnp.where(passes, high, middle)))
+
+    return jax.lax.fori_loop(0, book.halvings, halve, (jnp.zeros_like(count), count))[0]
+
+
+def walk(book: Book, entry: jax.Array, left: jax.Array, budget: jax.Array) -> tuple[jax.Array, ...]:
+    """Of walks that begin `[S]`, with this threshold `[S, 2]` and so many moves: (first row, moves, fate, last cell)."""
+    base, length, end, first, count = hold(at(book.entries, entry)).T[:5]
+    survived = is_in(book, first, count, first, left)
+    lost = jnp.where(survived < count, at(book.at, first + survived), NEVER)
+    last = jnp.minimum(lost, length)
+    ends = (budget < lost) & (budget <= length)
+    fate = jnp.where(ends, ENDS, jnp.where(lost < NEVER, DIES, ARRIVES))
+    return hold((base, jnp.where(ends, budget, last), fate, end))
+
+
+def hazard_of(book: Book, entry: jax.Array, visits: jax.Array | None = None) -> jax.Array:
+    """The hazard of a walk's first visits, all of them if None, uint32 `[S, 2]`."""
+    row = at(book.entries, entry)
+    return at(book.sums, row[:, FIRST] - 1 + (row[:, COUNT] if visits is None else visits))
+
+
+def look_up(book: Book, row: jax.Array, salt: jax.Array) -> jax.Array:
+    """The entries of sets `[S, W]` and salts, uint32 `[S]`; -1: missing."""
+    bucket, tag = hold(mixed(row, salt))
+    there = at(book.buckets, (bucket & jnp.uint32(book.buckets.shape[0] - 1)).astype(jnp.int32))
+    entry = jnp.where(there[:, :BUCKET] == tag[:, None], there[:, BUCKET:], 0).max(axis=1).astype(jnp.int32)
+    # Equal hashes are not enough: the set itself has to be the same.
+    same = (at(book.sets, entry) == row).all(axis=1) & (at(book.salts, entry) == salt)
+    return jnp.where(same & (entry > 0), entry, -1)
+
+
+def one_cell(book: Book, cell: jax.Array) -> jax.Array:
+    """The sets of one cell, uint32 `[S, W]`."""
+    word = jnp.arange(book.every.shape[0], dtype=jnp.int32)
+    bit = jnp.uint32(1) << (cell & 31).astype(jnp.uint32)
+    return jnp.where(word == (cell >> 5)[:, None], bit[:, None], jnp.uint32(0))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Sharing:
+    """What comes of looking for an area to share, `[B]` each: whether there is one, and its owner; the split of its
+    unvisited cells and the walks of owner and helper to their parts; each -1: missing, then asked for; parts `[B, 2]`,
+    counted from the split's first."""
+
+    found: jax.Array
+    owner: jax.Array
+    split: jax.Array
+    parts: jax.Array
+    walks: jax.Array
+    asked: jax.Array
+
+
+def find_to_share(book: Book, lanes: Lanes, helper: jax.Array, here: jax.Array, offset: jax.Array) -> Sharing:
+    """`Find Area To Share` for helpers in the cells `here`: of those near enough the least (level, cost, id)."""
+    robots, flat = jnp.arange(lanes.key.shape[1], dtype=jnp.int32), book.cost.shape[1]
+    doing, area = lanes.robots[:, :, DOING], lanes.robots[:, :, AREA]
+    owns = (doing == START) | (doing == TRAVEL) | (doing == COVER)
+    piece = jnp.maximum(area, 0)
+    place = piece * flat + here[:, None]
+    rest = at(book.bits, piece) & ~lanes.now[:, None]
+    left = jax.lax.population_count(rest).sum(axis=2, dtype=jnp.uint32).astype(jnp.int32)
+    cost = at(book.cost.reshape(-1), place)
+    fits = owns & (robots != helper[:, None]) & (left >= 2) & (at(book.steps.reshape(-1), place) <= left)
+    fits = fits & (cost < NEVER)
+    found = fits.any(axis=1)
+    for value in (cost, lanes.robots[:, :, IDENT]):
+        fits = fits & (value == jnp.where(fits, value, NEVER).min(axis=1, keepdims=True))
+    owner = jnp.argmax(fits, axis=1).astype(jnp.int32)
+    todo = pick(rest, owner)
+    halve = jnp.full(owner.shape, HALVE, jnp.uint32)
+    split = look_up(book, todo, halve)
+    entry = at(book.entries, jnp.maximum(split, 0))
+    there = at(book.cell_at, pick(lanes.robots[:, :, ROW] + offset, owner))
+    parts = jnp.arange(book.parts, dtype=jnp.int32)
+    piece = jnp.minimum(entry[:, PIECE, None] + parts, book.bits.shape[0] - 1) * flat
+    one, two = (at(book.cost.reshape(-1), piece + cell[:, None]) & book.mask for cell in (there, here))
+    differ = (parts[:, None] != parts) & (jnp.maximum(parts[:, None], parts) < entry[:, PARTS, None, None])
+    total = jnp.where(differ, one[:, :, None] + two[:, None, :], 2 * NEVER - 1)
+    best = jnp.argmin(total.reshape(total.shape[0], -1), axis=1).astype(jnp.int32)
+    chosen = jnp.stack([best // book.parts, best % book.parts], axis=1)
+    cells = jnp.stack([there, here], axis=1).reshape(-1)
+    goal = at(book.target.reshape(-1), (entry[:, PIECE, None] + chosen).reshape(-1) * flat + cells)
+    ways = one_cell(book, goal)
+    walks = look_up(book, ways, cells.astype(jnp.uint32)).reshape(-1, 2)
+    ways = jnp.concatenate([ways, cells[:, None].astype(jnp.uint32)], axis=1).reshape(*walks.shape, -1)
+    way = jnp.where(walks[:, :1] < 0, ways[:, 0], ways[:, 1])
+    asked = jnp.where((split < 0)[:, None], jnp.concatenate([todo, halve[:, None]], axis=1), way)
+    return Sharing(found, owner, split, chosen, walks, asked)
+
+
+def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | None]:
+    """The next event of every lane that runs."""
+    (K, G), flat = (lanes.key.shape[1], lanes.slots.shape[1]), book.cost.shape[1]
+    robots = jnp.arange(K, dtype=jnp.int32)
+    runs, key = (lanes.mode == RUN) & (lanes.fuel > 0), lanes.key.min(axis=1)
+    none, step, who = key == NEVER, key // K, key % K
+    late = step > book.max_steps
+    step = jnp.where(late, book.max_steps, step)
+    mine = robots == who[:, None]
+    # Robots that act later in this step have not moved in it.
+    behind = (robots > who[:, None]) & ~late[:, None]
+    last = lanes.robots[:, :, LAST]
+    offset = jnp.clip(step[:, None] - lanes.robots[:, :, SINCE] - behind, 0, last)
+    row = lanes.robots[:, :, ROW]
+    now = hold(lanes.visited | entered(book, row + offset))
+    me, left = hold((pick(lanes.robots, who), pick(lanes.left, who)))
+    doing, fate, here, piece = me[:, DOING], me[:, FATE], me[:, HERE], jnp.maximum(me[:, AREA], 0)
+    over = (now == book.every).all(axis=1)
+    ends = over | late | none
+    dies, leaves = fate == DIES, fate != ARRIVES
+    alive = (lanes.robots[:, :, DOING] != DEAD).sum(axis=1, dtype=jnp.int32) - dies
+    todo = hold(at(book.bits, piece) & ~now)
+    owns = (me[:, AREA] >= 0) & ((doing != FOLLOW) | dies)
+    rest = (todo != 0).any(axis=1) & owns
+    splits = leaves & rest & (alive > 0)
+    again = (doing == FOLLOW) & dies & (at(book.next_of, piece) >= 0) & (me[:, AREA] >= 0) & (alive > 0)
+    covers, starts = ~leaves & (doing == TRAVEL) & rest, ~leaves & (doing == START)
+    wants = ~leaves & ~covers & ~starts & (doing != LAND)
+
+    # The unassigned area of least (level, cost, id): slots are in order of id.
+    costs = at(book.cost.reshape(-1), jnp.maximum(lanes.slots, 0) * flat + here[:, None])
+    costs = jnp.where(lanes.slots >= 0, costs, NEVER)
+    best = jnp.argmin(costs, axis=1).astype(jnp.int32)
+    least, area = hold((costs.min(axis=1), jnp.maximum(pick(lanes.slots, best), 0)))
+    is_open = least < NEVER
+    # It may have been completed by a robot that passed: then it is closed, and the robot looks again.
+    closed = wants & is_open & ((at(book.bits, area) & ~now) == 0).all(axis=1)
+    takes = wants & is_open & ~closed
+    asks = wants & ~is_open & (doing != IDLE)
+
+    area = jnp.where(starts, piece, area)
+    goal = one_cell(book, at(book.target.reshape(-1), area * flat + here))
+    salt = jnp.where(splits, jnp.uint32(SPLIT), here.astype(jnp.uint32))
+    wanted = jnp.where((splits | covers)[:, None], todo, goal)
+    entry = hold(look_up(book, wanted, salt))
+    needs = splits | covers | starts | takes
+    asked = jnp.concatenate([wanted, salt[:, None]], axis=1)
+
+    lanes = replace(lanes, now=jnp.where(runs[:, None], now, lanes.now))
+    share = _if_any(runs & asks & ~ends, lambda: find_to_share(book, lanes, who, here, offset))
+    shares = asks & share.found
+    entry = jnp.where(shares, share.split, entry)
+    split = at(book.entries, jnp.maximum(entry, 0))
+    first, count = split[:, PIECE], split[:, PARTS]
+    missing = (needs & (entry < 0)) | (shares & ((share.split < 0) | (share.walks < 0).any(axis=1)))
+    makes = splits | shares
+    full = makes & ~missing & ((lanes.made + count > G) | (shares & (count > book.parts)))
+    acts = runs & ~ends & ~missing & ~full
+    splits, takes, closed, shares, makes = (acts & of for of in (splits, takes, closed, shares, makes))
+    goes = acts & (covers | starts | takes | shares)
+    again, rests = acts & again, acts & ((wants & ~is_open & ~shares) | (~leaves & (doing == LAND)))
+    gone = acts & leaves & ~again
+
+    # A robot that waits has moves left, one that moves a step at which they end.
+    until = me[:, UNTIL] + jnp.where(doing == IDLE, step, 0)
+    left = jnp.where(acts[:, None] & (fate == ARRIVES)[:, None], less(left, hazard_of(book, me[:, WALK])), left)
+    way = jnp.maximum(jnp.where(shares, share.walks[:, 1], entry), 0)
+    base, moves, how, end = walk(book, way, left, until - step)
+    given, number = first + share.parts[:, 1], lanes.made + share.parts[:, 1]
+    columns = {
+        DOING: jnp.where(covers, COVER, TRAVEL), FATE: how, HERE: end, WALK: way, ROW: base, SINCE: step, LAST: moves,
+        AREA: jnp.where(shares, given, jnp.where(covers, piece, area)), UNTIL: until,
+        IDENT: jnp.where(shares, number, jnp.where(covers | starts, me[:, IDENT], best)),
+    }  # fmt: skip
+    fresh = jnp.stack([columns[name].astype(jnp.int32) for name in range(FIELDS)], axis=1)
+    still = {
+        DOING: jnp.where(gone, jnp.where(dies, DEAD, OUT), jnp.where(closed, doing, IDLE)), FATE: ARRIVES,
+        HERE: here, AREA: jnp.where(closed, me[:, AREA], -1), IDENT: me[:, IDENT], WALK: 0, ROW: 0, SINCE: step,
+        LAST: 0, UNTIL: jnp.where(closed, me[:, UNTIL], until - step),
+    }  # fmt: skip
+    stays = jnp.stack([jnp.broadcast_to(still[name], step.shape).astype(jnp.int32) for name in range(FIELDS)], axis=1)
+    after = jnp.where(goes[:, None], fresh, stays)
+    after = jnp.where(again[:, None], me.at[:, AREA].set(at(book.next_of, piece)), after)
+    key = jnp.where(goes, (step + moves) * K + who, jnp.where(closed | again, key, NEVER))
+    # A robot without an area at its start looks for one from the next step on.
+    key = jnp.where(rests & (doing == LAND), (step + 1) * K + who, key)
+    mine = mine & acts[:, None]
+    opened = splits | (shares & (count > 2))
+    waits = (lanes.robots[:, :, DOING] == IDLE) & opened[:, None]
+    keys = jnp.where(waits, (step[:, None] + (robots < who[:, None])) * K + robots, lanes.key)
+
+    place = jnp.arange(G, dtype=jnp.int32)
+    slots = jnp.where((takes | closed)[:, None] & (place == best[:, None]), -1, lanes.slots)
+    part = place - lanes.made[:, None]
+    new = makes[:, None] & (part >= 0) & (part < count[:, None])
+    taken = shares[:, None] & (part[:, :, None] == share.parts[:, None]).any(axis=2)
+    slots = jnp.where(new, jnp.where(taken, -1, first[:, None] + part), slots)
+
+    come = acts & ~again
+    row_end = pick(row, who) + me[:, LAST]
+    bisected = split[:, BISECTED] > 0
+    kinds = shares[:, None] & jnp.stack([bisected, ~bisected], axis=1)
+    ended = runs & (ends | (acts & dies & (alive == 0)))
+    ahead = lanes.last + book.quiet
+    final = jnp.where(none, jnp.minimum(ahead, book.max_steps), step)
+    outcome = jnp.where(late, int(Outcome.STEP_LIMIT), int(Outcome.ALL_ROBOTS_LOST))
+    outcome = jnp.where(none & (ahead <= book.max_steps), int(Outcome.NO_PROGRESS), outcome)
+    moved = come & (goes | ((doing != IDLE) & (step > me[:, SINCE])))
+    mode = jnp.where(ended, DONE, jnp.where(missing, MISSING, jnp.where(full, FULL, RUN)))
+    changed = replace(
+        lanes,
+        mode=jnp.where(runs, mode, lanes.mode),
+        fuel=lanes.fuel - (acts | (runs & ends)).astype(jnp.int32),
+        visited=jnp.where(come[:, None], lanes.visited | at(book.prefix, row_end), lanes.visited),
+        survived=jnp.where(come[:, None], lanes.survived | at(book.prefix, row_end - dies), lanes.survived),
+        slots=slots,
+        made=lanes.made + jnp.where(makes, count, 0),
+        key=jnp.where(mine, key[:, None], keys),
+        robots=jnp.where(mine[:, :, None], after[:, None], lanes.robots),
+        left=jnp.where(mine[:, :, None], left[:, None], lanes.left),
+        shared=lanes.shared + kinds,
+        last=jnp.where(ended, final, jnp.where(moved, step, lanes.last)),
+        outcome=jnp.where(ended, outcome, lanes.outcome),
+        asked=jnp.where((runs & missing)[:, None], jnp.where(asks[:, None], share.asked, asked), lanes.asked),
+    )
+    if log is not None:
+        flags = jnp.where(dies, jnp.uint32(STOPPED), jnp.uint32(0))
+        log = write(log, come & (me[:, LAST] > 0), _row(lanes.number, who, me, me[:, LAST], flags))
+    share = replace(share, found=shares)
+    return _if_any_else(
+        shares, lambda: _owner_sets_out(book, changed, log, share, lanes.made, first, step, who, offset), (changed, log)
+    )
+
+
+def _row(number: jax.Array, robot: jax.Array, me: jax.Array, moves: jax.Array, flags: jax.Array) -> jax.Array:
+    """Rows of the log, uint32 `[.., 4]`."""
+    whole = (number * 1024 + robot, me[..., WALK], me[..., SINCE], moves)
+    first, entry, since, last = (part.astype(jnp.uint32) for part in whole)
+    return jnp.stack([first, entry, since, last | flags], axis=-1)
+
+
+def write(log: Log, chosen: jax.Array, rows: jax.Array) -> Log:
+    """Append the chosen rows, `[S]` of `[S, 4]`."""
+    place = log.used + jnp.cumsum(chosen, dtype=jnp.int32) - 1
+    place = jnp.where(chosen, place, log.rows.shape[0])
+    return Log(log.rows.at[place].set(rows, mode="drop"), log.used + chosen.sum(dtype=jnp.int32))
+
+
+def _if_any(wanted, make):  # type: ignore[no-untyped-def]
+    """`make()` where some lane wants it, else zeros. On a GPU a branch would make the host wait."""
+    if jax.default_backend() != "cpu":
+        return make()
+    none = jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), jax.eval_shape(make))
+    return jax.lax.cond(wanted.any(), make, lambda: none)
+
+
+def _if_any_else(wanted, make, other):  # type: ignore[no-untyped-def]
+    return make() if jax.default_backend() != "cpu" else jax.lax.cond(wanted.any(), make, lambda: other)
+
+
+def _owner_sets_out(book, lanes, log, share, made, first, step, helper, offset):  # type: ignore[no-untyped-def]
+    """The owner of a shared area leaves its walk where it is, and sets out to its part.
+
+    One that has yet to enter its start only has another area.
+    """
+    K, owner = lanes.key.shape[1], share.owner
+    me, by = pick(lanes.robots, owner), pick(offset, owner)
+    waits = me[:, DOING] == START
+    entry = at(book.entries, me[:, WALK])
+    visits = is_in(book, entry[:, FIRST], entry[:, COUNT], by, None)
+    left = less(pick(lanes.left, owner), hazard_of(book, me[:, WALK], visits))
+    since = step - (owner > helper)
+    way, budget = jnp.maximum(share.walks[:, 0], 0), me[:, UNTIL] - since
+    base, moves, fate, end = walk(book, way, left, budget)
+    # One that is at its target already begins to cover at its next turn, which may be the last of its range.
+    fate = jnp.where((moves == 0) & (budget <= 1), ENDS, fate)
+    columns = {
+        DOING: TRAVEL, FATE: fate, HERE: end, AREA: first + share.parts[:, 0], IDENT: made + share.parts[:, 0],
+        WALK: way, ROW: base, SINCE: since, LAST: moves, UNTIL: me[:, UNTIL],
+    }  # fmt: skip
+    after = jnp.stack([jnp.broadcast_to(columns[name], step.shape).astype(jnp.int32) for name in range(FIELDS)], axis=1)
+    given = jnp.array([name in (AREA, IDENT) for name in range(FIELDS)])
+    after = jnp.where(waits[:, None] & ~given, me, after)
+    here = share.found[:, None] & (jnp.arange(K, dtype=jnp.int32) == owner[:, None])
+    goes = here & ~waits[:, None]
+    come = jnp.where((share.found & ~waits)[:, None], at(book.prefix, me[:, ROW] + by), jnp.uint32(0))
+    lanes = replace(
+        lanes,
+        visited=lanes.visited | come,
+        survived=lanes.survived | come,
+        key=jnp.where(goes, ((since + jnp.maximum(moves, 1)) * K + owner)[:, None], lanes.key),
+        robots=jnp.where(here[:, :, None], after[:, None], lanes.robots),
+        left=jnp.where(goes[:, :, None], left[:, None], lanes.left),
+    )
+    if log is not None:
+        rows = _row(lanes.number, owner, me, by, jnp.zeros(by.shape, jnp.uint32))
+        log = write(log, share.found & ~waits & (by > 0), rows)
+    return lanes, log
+
+
+def begin(book: Book, left: jax.Array, number: jax.Array) -> Lanes:
+    """Lanes of rollouts with these thresholds, `[S, K, 2]`, at the snapshot before their first loss."""
+    S, K = left.shape[:2]
+    endless = jnp.full(S * K, LIMITLESS, jnp.int32)
+    marks = walk(book, jnp.tile(book.milestones, S), left.reshape(-1, 2), endless)[1]
+    which = marks.reshape(S, K).min(axis=1)
+    lanes = jax.tree.map(lambda of: at(of, which), book.first)
+    left = less(left, at(book.before, which))
+    me = lanes.robots.reshape(S * K, FIELDS)
+    _, moves, fate, _ = walk(book, me[:, WALK], left.reshape(-1, 2), me[:, UNTIL] - me[:, SINCE])
+    moves, fate = moves.reshape(S, K), fate.reshape(S, K)
+    stands = lanes.robots[:, :, LAST] == 0
+    key = (lanes.robots[:, :, SINCE] + moves) * K + jnp.arange(K, dtype=jnp.int32)
+    fate = jnp.where(stands, lanes.robots[:, :, FATE], fate)
+    kept = lanes.robots.at[:, :, LAST].set(jnp.where(stands, 0, moves)).at[:, :, FATE].set(fate)
+    return replace(lanes, number=number, left=left, key=jnp.where(stands, lanes.key, key), robots=kept)
+
+
+def ended(book: Book, lanes: Lanes) -> tuple[Ended, jax.Array, jax.Array]:
+    """What lanes at their end have come to; and rows of the log, uint32 `[S, K, 4]`, and which of them there are."""
+    robots, row = lanes.robots, lanes.robots[:, :, ROW]
+
+    def by(time: jax.Array) -> jax.Array:
+        return jnp.clip(time[:, None] - robots[:, :, SINCE], 0, robots[:, :, LAST])
+
+    def covered(time: jax.Array) -> jax.Array:
+        return lanes.visited | entered(book, row + by(time))
+
+    def halve(_: int, span: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        low, high = span
+        middle = (low + high) >> 1
+        full = (covered(middle) == book.every).all(axis=1)
+        return hold((jnp.where(full, low, middle + 1), jnp.where(full, middle, high)))
+
+    complete = (lanes.now == book.every).all(axis=1)
+    span = jnp.zeros_like(lanes.last), lanes.last
+    first = jax.lax.cond(
+        complete.any(), lambda: jax.lax.fori_loop(0, HALVINGS, halve, span)[1], lambda: lanes.last
+    )
+    time = jnp.where(complete, first, lanes.last)
+    moves = by(time)
+    stopped = (robots[:, :, FATE] == DIES) & (robots[:, :, SINCE] + robots[:, :, LAST] <= time[:, None])
+    lost = (robots[:, :, DOING] == DEAD) | stopped
+    visited, survived = covered(time), lanes.survived | entered(book, row + moves - stopped)
+
+    def size(cells: jax.Array) -> jax.Array:
+        return jax.lax.population_count(cells).sum(axis=1, dtype=jnp.uint32).astype(jnp.int32)
+
+    numbers = [size(visited), size(survived), time, (~lost).sum(axis=1, dtype=jnp.int32)]
+    numbers += [jnp.where(complete, int(Outcome.COMPLETE), lanes.outcome), lanes.shared[:, 0], lanes.shared[:, 1]]
+    flags = jnp.where(stopped, jnp.uint32(STOPPED), jnp.uint32(0)) | jnp.uint32(FINAL)
+    who = jnp.arange(robots.shape[1], dtype=jnp.int32)
+    rows = _row(lanes.number[:, None], who, robots, moves, flags)
+    return Ended(jnp.stack(numbers, axis=1), visited, survived), rows, moves > 0
