@@ -18,16 +18,18 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
 from mrac_jax.arrays import on_host, tolerance_words, threefry2x32, two_words
-from mrac_jax.closed_loop.book import HostBook
+from mrac_jax.closed_loop.book import COUNT, FIRST, HostBook
 from mrac_jax.closed_loop.counting import Counting, follow_nominal, nothing_begun
 from mrac_jax.closed_loop.events import (
     DONE,
-    FIELDS,
     FINAL,
     FULL,
+    LAST,
     MISSING,
     OFF,
     RUN,
+    SINCE,
+    WALK,
     Book,
     Ended,
     Lanes,
@@ -268,8 +270,7 @@ class JaxClosedLoop:
         last = int(ends.argmax()) if ends.any() else B - 1
         follow_nominal(host, self._begun, rows)
         keys = halted.key.min(axis=1)[:last].astype(np.int64)
-        mine = rows[(rows[:, 0] >> 10) == last]
-        marks = [self._milestones(mine, robot, K, keys, last) for robot in range(K)]
+        marks = [self._milestones(halted, rows, robot, keys, last) for robot in range(K)]
         left = (halted.left[..., 0].astype(np.int64) << 32) + halted.left[..., 1]
         halted = replace(
             halted, mode=np.where(ends, DONE, RUN), fuel=np.full(B, 2**30, np.int32),
@@ -277,18 +278,29 @@ class JaxClosedLoop:
         )  # fmt: skip
         some = {"first": halted, "before": two_words(ENDLESS - left), "milestones": np.array(marks, np.int32)}
         self._fixed |= jax.device_put(some, self._whole)
+        self._lanes = replace(self._lanes, mode=jax.device_put(np.full(D * B, OFF, np.int32), self._shared))
 
-    def _milestones(self, rows: NDArray[np.uint32], robot: int, K: int, keys: NDArray[np.int64], last: int) -> int:
-        """The entry that tells from a robot's threshold the last snapshot before its loss in the run without losses."""
-        host, exposure, marks = self.host, [], []
-        for _, entry, since, moves in rows[(rows[:, 0] & 1023) == robot].tolist():
-            first, count = host.entries.rows[entry, 3:5]
-            some = host.at.rows[first : first + count] <= moves & (FINAL - 1)
+    def _milestones(
+        self, halted: Lanes, rows: NDArray[np.uint32], robot: int, keys: NDArray[np.int64], last: int
+    ) -> int:
+        """The entry that tells from a robot's threshold the last snapshot before its loss in the run without losses.
+
+        `keys`: of the event after each snapshot but the last.
+        """
+        host, K = self.host, halted.key.shape[1]
+        walks = rows[rows[:, 0] == last << 10 | robot, 1:].astype(np.int64)
+        walks[:, 1] = walks[:, 1].astype(np.int32)
+        walks[:, 2] &= FINAL - 1
+        if halted.mode[last] == RUN:  # the walk that it is on has begun before the last snapshot
+            walks = np.append(walks, [halted.robots[last, robot, [WALK, SINCE, LAST]]], axis=0)
+        marks, exposure = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+        for entry, since, moves in walks.tolist():
+            first, count = host.entries.rows[entry, [FIRST, COUNT]].tolist()
+            at_ = host.at.rows[first : first + count]
+            some = at_ <= moves
             exposure.append(np.diff(host.sums.rows[first - 1 : first + count])[some])
-            key = (np.int64(np.int32(np.uint32(since))) + host.at.rows[first : first + count][some]) * K + robot
-            marks.append(np.searchsorted(keys, key))
-        none = [np.zeros(0, np.int64)]
-        return host.add_milestones(last, np.concatenate(marks + none), np.concatenate(exposure + none))
+            marks.append(np.searchsorted(keys, (since + at_[some].astype(np.int64)) * K + robot))
+        return host.add_milestones(last, np.concatenate(marks), np.concatenate(exposure))
 
     def _book(self) -> Book:
         """The book on the devices, as it is by now."""
