@@ -241,13 +241,13 @@ class HostBook:
         self.cell_at.add(np.append(here, entered))
         end = int(cells[-1]) if len(cells) else here
         moves = np.flatnonzero((entered >= 0) & (self.loop.tables.bound[cells] > 0))
+        self.most_visits = max(self.most_visits, len(moves))
         first = self.add_visits(moves + 1, self.loop.tables.exposure[entered[moves]])
         return self._add_entry(base, len(entered), end, first, len(moves))
 
     def add_visits(self, moves: NDArray[np.int64], exposure: NDArray[np.int64]) -> int:
         """Append the dangerous visits of a walk; where they begin."""
         self.at.add(np.append(0, moves))
-        self.most_visits = max(self.most_visits, len(moves))
         return self.sums.add(np.append(0, np.cumsum(exposure))) + 1
 
     def _add_entry(self, *columns: int) -> int:

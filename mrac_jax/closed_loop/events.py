@@ -154,25 +154,32 @@ def entered(book: Book, row: jax.Array) -> jax.Array:
     return total
 
 
-def is_in(book: Book, first: jax.Array, count: jax.Array, before: jax.Array, left: jax.Array | None) -> jax.Array:
-    """How many of a walk's visits `[S]` come before a move (`left` is None), or leave some threshold `[S, 2]`."""
+def visits_before(
+    book: Book, first: jax.Array, count: jax.Array, move: jax.Array, left: jax.Array | None, halvings: int
+) -> jax.Array:
+    """How many of a walk's dangerous visits `[S]` come up to a move, or leave some of a threshold `[S, 2]`.
+
+    `halvings`: as many as the number of visits has bits. `left`: None, or the threshold.
+    """
 
     def halve(_: int, span: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = span
         middle = (low + high) >> 1
         place = first + middle
-        passes = at(book.at, place) <= before if left is None else ~is_reached(left, at(book.sums, place))
+        passes = at(book.at, place) <= move if left is None else ~is_reached(left, at(book.sums, place))
         passes = (low < high) & passes
         # A barrier: XLA would compute a chain of gathers anew for each of its readers.
         return hold((jnp.where(passes, middle + 1, low), jnp.where(passes, high, middle)))
 
-    return jax.lax.fori_loop(0, book.halvings, halve, (jnp.zeros_like(count), count))[0]
+    return jax.lax.fori_loop(0, halvings, halve, (jnp.zeros_like(count), count))[0]
 
 
-def walk(book: Book, entry: jax.Array, left: jax.Array, budget: jax.Array) -> tuple[jax.Array, ...]:
+def walk(
+    book: Book, entry: jax.Array, left: jax.Array, budget: jax.Array, halvings: int | None = None
+) -> tuple[jax.Array, ...]:
     """Of walks that begin `[S]`, with this threshold `[S, 2]` and so many moves: (first row, moves, fate, last cell)."""
     base, length, end, first, count = hold(at(book.entries, entry)).T[:5]
-    survived = is_in(book, first, count, first, left)
+    survived = visits_before(book, first, count, first, left, halvings or book.halvings)
     lost = jnp.where(survived < count, at(book.at, first + survived), NEVER)
     last = jnp.minimum(lost, length)
     ends = (budget < lost) & (budget <= length)
@@ -425,7 +432,7 @@ def _owner_sets_out(book, lanes, log, share, made, first, step, helper, offset):
     me, by = pick(lanes.robots, owner), pick(offset, owner)
     waits = me[:, DOING] == START
     entry = at(book.entries, me[:, WALK])
-    visits = is_in(book, entry[:, FIRST], entry[:, COUNT], by, None)
+    visits = visits_before(book, entry[:, FIRST], entry[:, COUNT], by, None, book.halvings)
     left = less(pick(lanes.left, owner), hazard_of(book, me[:, WALK], visits))
     since = step - (owner > helper)
     way, budget = jnp.maximum(share.walks[:, 0], 0), me[:, UNTIL] - since
@@ -460,7 +467,7 @@ def begin(book: Book, left: jax.Array, number: jax.Array) -> Lanes:
     """Lanes of rollouts with these thresholds, `[S, K, 2]`, at the snapshot before their first loss."""
     S, K = left.shape[:2]
     endless = jnp.full(S * K, LIMITLESS, jnp.int32)
-    marks = walk(book, jnp.tile(book.milestones, S), left.reshape(-1, 2), endless)[1]
+    marks = walk(book, jnp.tile(book.milestones, S), left.reshape(-1, 2), endless, HALVINGS)[1]
     which = marks.reshape(S, K).min(axis=1)
     lanes = jax.tree.map(lambda of: at(of, which), book.first)
     left = less(left, at(book.before, which))
