@@ -43,7 +43,7 @@ from planner.simulator.state import first_room
 
 ENDLESS = 2**62
 """A threshold that no hazard reaches."""
-ROBOTS = (4, 8, 16, 32, 64, 128, 256, 512, 1024)
+ROBOTS = (8, 16, 32, 64, 128, 256, 512, 1024)
 """Teams are padded to one of these."""
 AREAS = 64
 """Room for areas is a multiple of this."""
