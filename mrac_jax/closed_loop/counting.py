@@ -11,7 +11,7 @@ from mrac_jax.closed_loop.book import BASE, HostBook
 from mrac_jax.closed_loop.events import FINAL, STOPPED
 from planner.rollouts.loop import ClosedLoop, known_cells
 from planner.simulator.jit import threaded
-from planner.simulator.state import MOST_PASSES, Counts, make_counts
+from planner.simulator.state import MOST_PASSES, make_counts
 
 NO_STEP = 2**30
 """The first visit of a cell that was not visited."""
@@ -103,9 +103,9 @@ def _count(  # type: ignore[no-untyped-def]
                 late[safe[cell]] += 1
             unsurvived[cell] += (first[cell] < NO_STEP) - (safe[cell] < NO_STEP)
         if len(by_passes):
-            for cell in range(size):
-                if passes[cell] > 0:
-                    by_passes[cell, passes[cell] - 1] += 1
+            for cell in range(size):  # with at least so many
+                for many in range(passes[cell]):
+                    by_passes[cell, many] += 1
             for cell in range(size):
                 if first[cell] < NO_STEP:
                     worth[number, 0] += weights[cell]
@@ -115,19 +115,18 @@ def _count(  # type: ignore[no-untyped-def]
 class Counting:
     """Counts of one call, added up over its batches."""
 
-    def __init__(self, loop: ClosedLoop, steps: int, begun: Begun) -> None:
-        """`steps`: the last that is counted."""
-        self.loop, self.begun = loop, begun
-        self.counts = make_counts(len(loop.cells), len(loop.cells), loop.robots, steps, passes=loop.weights is not None)
+    def __init__(self, loop: ClosedLoop, begun: Begun) -> None:
+        size, self.loop, self.begun, self.weighs = len(loop.cells), loop, begun, loop.weights is not None
+        self.counts = make_counts(size, size, loop.robots, loop.max_steps, passes=self.weighs)
 
     def add(self, book: HostBook, rows: NDArray[np.uint32], which: NDArray[np.int32]) -> NDArray[np.int64]:
-        """Count the rollouts of a batch, which began at these snapshots `[n]`; the sums of their weights `[n, 2]`."""
+        """Count the rollouts of a batch, which began at these snapshots `[n]`; the sums of their weights `[n, 2 or 0]`."""
         c, loop = self.counts, self.loop
         begins, order = np.zeros(len(which) + 1, np.int64), np.empty(len(rows), np.int64)
         _sort(rows, begins, order)
         none = np.zeros(0, np.int64)
         covered, found = (none, none[:, None]) if loop.weights is None else (loop.weights.covered, loop.weights.found)
-        worth = np.zeros((len(which) if loop.weights is not None else 0, 2), np.int64)
+        worth = np.zeros((len(which), 2 * self.weighs), np.int64)
         unsurvived = np.zeros(len(loop.cells), np.int64)
         _count(
             rows, begins, order, which, book.entries.rows[:, BASE].copy(), book.cell_at.rows, self.begun.first,
@@ -142,7 +141,7 @@ class Counting:
         return worth
 
     def add_numbers(self, numbers: NDArray[np.int32]) -> None:
-        """Count the results `[n, 7]` of rollouts."""
+        """Count the results of rollouts, int32 `[n, NUMBERS]`."""
         c = self.counts
         for column, counted in enumerate((c.visited, c.survived, c.time, c.alive, c.outcomes)):
             counted[:] += np.bincount(numbers[:, column], minlength=len(counted))
@@ -159,8 +158,3 @@ def follow_nominal(book: HostBook, begun: Begun, rows: NDArray[np.uint32]) -> No
             mine, base, book.cell_at.rows, np.uint32(FINAL), begun.first[lane], begun.safe[lane], begun.visits[lane],
             stops, begun.passes[lane],
         )  # fmt: skip
-
-
-def counted(counts: list[Counts]) -> Counts:
-    """One `Counts` of several."""
-    return Counts(*(sum(values[1:], values[0]) for values in zip(*counts, strict=True)))

@@ -6,6 +6,7 @@ tally, results, traces; equal count for count and event for event. `mrac_jax.clo
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -17,8 +18,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
-from mrac_jax.arrays import on_host, tolerance_words, threefry2x32, two_words
-from mrac_jax.closed_loop.book import COUNT, FIRST, HostBook
+from mrac_jax.arrays import on_host, threefry2x32, tolerance_words, two_words
+from mrac_jax.closed_loop.book import BASE, COUNT, FIRST, HostBook
 from mrac_jax.closed_loop.counting import Counting, follow_nominal, nothing_begun
 from mrac_jax.closed_loop.events import (
     DONE,
@@ -26,9 +27,12 @@ from mrac_jax.closed_loop.events import (
     FULL,
     LAST,
     MISSING,
+    NUMBERS,
     OFF,
     RUN,
     SINCE,
+    STOPPED,
+    TIME,
     WALK,
     Book,
     Ended,
@@ -47,6 +51,7 @@ from planner.failure_model import key_of_luck
 from planner.ids import BLOCK
 from planner.rollouts.closed_loop import results_from, tally_from
 from planner.rollouts.loop import ClosedLoop
+from planner.rollouts.single_run import SingleRun, play
 from planner.tally import RolloutResults, Tally, Trace
 from planner.world.world import World
 
@@ -74,12 +79,13 @@ class Batch:
 
     Attributes:
         left: uint32 `[R, K, 2]`, thresholds. count: int32 `[1]`, how many there are; next: how many have begun.
-        ended: results `[R]`. log: walks.
+        begun: int32 `[R]`, the snapshot at which each began. ended: results `[R]`. log: walks.
     """
 
     left: jax.Array
     count: jax.Array
     next: jax.Array
+    begun: jax.Array
     ended: Ended
     log: Log
 
@@ -123,7 +129,7 @@ def hand_over(book: Book, lanes: Lanes, batch: Batch, width: int) -> tuple[Lanes
     log = write(replace(batch.log, used=batch.log.used[0]), (there & is_done[:, None]).reshape(-1), rows.reshape(-1, 4))
     number = batch.next[0] + jnp.cumsum(chosen, dtype=jnp.int32) - 1
     begins = chosen & (number < batch.count[0])
-    new = begin(book, at(batch.left, jnp.minimum(number, room - 1)), number)
+    new, which = begin(book, at(batch.left, jnp.minimum(number, room - 1)), number)
 
     def put(old: jax.Array, new: jax.Array, of: jax.Array) -> jax.Array:
         return jnp.where(of.reshape(-1, *[1] * (old.ndim - 1)), new, old)
@@ -132,10 +138,13 @@ def hand_over(book: Book, lanes: Lanes, batch: Batch, width: int) -> tuple[Lanes
     few = replace(few, mode=jnp.where(begins, few.mode, OFF))
     back = jnp.minimum(slot, width - 1)
     lanes = jax.tree.map(lambda old, new: put(old, at(new, back), slot < width), lanes, few)
-    batch = replace(
-        batch, ended=kept, log=replace(log, used=log.used[None]), next=batch.next + begins.sum(dtype=jnp.int32)
+    return lanes, replace(
+        batch,
+        next=batch.next + begins.sum(dtype=jnp.int32),
+        begun=batch.begun.at[jnp.where(begins, number, room)].set(which, mode="drop"),
+        ended=kept,
+        log=replace(log, used=log.used[None]),
     )
-    return lanes, batch
 
 
 def thresholds(seed: int, ids: NDArray[np.int64] | jax.Array, robots: int) -> jax.Array:
@@ -164,8 +173,7 @@ def _program(mesh: Mesh) -> Any:
 def _append(tables: dict[str, jax.Array], rows: dict[str, jax.Array], begins: dict[str, jax.Array]) -> Any:
     """Write rows into tables, each from its own place on."""
     return {
-        name: jax.lax.dynamic_update_slice_in_dim(table, rows[name], begins[name], 0)
-        for name, table in tables.items()
+        name: jax.lax.dynamic_update_slice_in_dim(table, rows[name], begins[name], 0) for name, table in tables.items()
     }
 
 
@@ -232,14 +240,21 @@ class JaxClosedLoop:
         self.lanes, self._devices = lanes or LANES[platform], len(local)
         self.least = -(-BATCH * self.lanes * self._devices // BLOCK) * BLOCK
         self._mesh = Mesh(np.array(local), (AXIS,))
-        self._whole, self._shared = (NamedSharding(self._mesh, PartitionSpec(axis)) for axis in (None, AXIS))
-        self._whole = NamedSharding(self._mesh, PartitionSpec())
+        self._whole, self._shared = (NamedSharding(self._mesh, PartitionSpec(*axis)) for axis in ((), (AXIS,)))
         self.host = HostBook(loop)
         self._room, self._parts = room, parts
         self._start()
 
     def _start(self) -> None:
-        """Find the snapshots at which lanes begin: the run without losses."""
+        """Find the snapshots at which lanes begin, with more room if it takes more."""
+        while True:
+            try:
+                return self._find_snapshots()
+            except _NoRoom:
+                self._room, self._parts = 2 * self._room, 2 * self._parts
+
+    def _find_snapshots(self) -> None:
+        """Roll out the run without losses: one lane halts after each event."""
         loop, host, D, B = self.loop, self.host, self._devices, self.lanes
         K, lane = padded_team(loop.robots), first_lane(host, self._room)
         owned = np.full(len(host.bits.rows), -1, np.int32)
@@ -263,8 +278,7 @@ class JaxClosedLoop:
         given = jax.tree.map(lambda of: np.broadcast_to(of, (D * B, *of.shape)).copy(), lane)
         self._lanes = jax.device_put(replace(given, fuel=count, number=count), self._shared)
         self._begun = nothing_begun(loop, B)
-        parts = list(self._roll_out(self._batch(np.zeros((0, loop.robots), np.int64))))
-        rows = np.concatenate([rows for rows, device in parts if device == 0])
+        _, (rows, *_) = self._roll_out(self._batch(np.zeros(0, np.int64))[0])
         halted = jax.tree.map(lambda of: np.array(of[:B]), self._lanes)
         ends = halted.mode == OFF
         last = int(ends.argmax()) if ends.any() else B - 1
@@ -308,57 +322,59 @@ class JaxClosedLoop:
         halvings = max(6, (self.host.most_visits.bit_length() + 2) // 2 * 2)
         return Book(**tables, **self._fixed, halvings=halvings, parts=self._parts)
 
-    def _batch(self, left: NDArray[np.int64]) -> tuple[Batch, NDArray[np.int64]]:
-        """A batch of these thresholds, int64 `[n, K']`, shared out; and the rollout of each of its places, -1: none."""
-        D, K, room = self._devices, padded_team(self.loop.robots), BATCH * self.lanes
-        W, B = self.host.words, self.lanes
-        each = -(-len(left) // D)
-        places = np.full((D, room), -1, np.int64)
-        counts = np.clip(len(left) - each * np.arange(D), 0, each).astype(np.int32)
-        queue = np.zeros((D, room, K, 2), np.uint32)
-        for device, count in enumerate(counts.tolist()):
-            mine = np.arange(count) + device * each
-            places[device, :count], queue[device, :count, : left.shape[1]] = mine, two_words(left[mine])
+    def _batch(self, ids: NDArray[np.int64]) -> tuple[Batch, NDArray[np.int64]]:
+        """A batch of these rollouts, shared out among the devices, and the place of each of them."""
+        D, K, B, W = self._devices, padded_team(self.loop.robots), self.lanes, self.host.words
+        room, each = BATCH * B, -(-len(ids) // D)
+        number = np.arange(len(ids))
+        places = number // max(each, 1) * room + number % max(each, 1)
+        queue = np.zeros(D * room, np.int64)
+        queue[places] = ids
+        put = partial(jax.device_put, device=self._shared)
+        if self.loop.bearing.is_even:
+            left = put(thresholds(self.seed, put(queue.astype(np.uint32)), K))
+        else:  # robots that wear, or differ in susceptibility
+            drawn = self.loop.bearing.tolerances(self.seed, queue, self.loop.robots)
+            left = put(two_words(np.pad(drawn, ((0, 0), (0, K - drawn.shape[1])))))
         rows = (LOG_ROUNDS + 1) * (2 * EVENTS * B + max(B // BEGIN, 1) * K)
         made = on_host(
             Batch,
-            left=queue.reshape(D * room, K, 2),
-            count=counts,
+            left=left,
+            count=np.clip(len(ids) - each * np.arange(D), 0, each).astype(np.int32),
             next=np.zeros(D, np.int32),
+            begun=np.zeros(D * room, np.int32),
             ended=on_host(
                 Ended,
-                numbers=np.zeros((D * room, 7), np.int32),
+                numbers=np.zeros((D * room, NUMBERS), np.int32),
                 visited=np.zeros((D * room, W), np.uint32),
                 survived=np.zeros((D * room, W), np.uint32),
             ),
             log=on_host(Log, rows=np.zeros((D * rows, 4), np.uint32), used=np.zeros(D, np.int32)),
         )
-        return jax.device_put(made, self._shared), places
+        return put(made), places
 
-    def _roll_out(self, given: tuple[Batch, NDArray[np.int64]]) -> Iterator[tuple[NDArray[np.uint32], int]]:
-        """Roll out a batch; the log's rows of each device as they come. Afterwards `_ended` has the results."""
-        batch, D = given[0], self._devices
-        program = _program(self._mesh)
+    def _roll_out(self, batch: Batch) -> tuple[Batch, list[NDArray[np.uint32]]]:
+        """Roll out a batch: with its results, and the rows of each device's log. Raises _NoRoom."""
+        program, logs = _program(self._mesh), [[] for _ in range(self._devices)]  # type: list[list[NDArray[np.uint32]]]
         while True:
             self._lanes, batch = program(self._book(), self._lanes, batch)
-            used, rows = np.asarray(batch.log.used), np.asarray(batch.log.rows).reshape(D, -1, 4)
-            for device in range(D):
-                yield rows[device, : used[device]].copy(), device
-            batch = replace(
-                batch, log=replace(batch.log, used=jax.device_put(np.zeros(D, np.int32), self._shared))
-            )
-            mode = np.asarray(self._lanes.mode)
+            # What is read is copied: the program is given the memory back.
+            used, mode, fuel = (np.array(of) for of in (batch.log.used, self._lanes.mode, self._lanes.fuel))
+            rows = np.asarray(batch.log.rows).reshape(self._devices, -1, 4)
+            for device, log in enumerate(logs):
+                log.append(rows[device, : used[device]].copy())
             if (mode == FULL).any():
                 raise _NoRoom
-            waits = np.flatnonzero(mode == MISSING)
-            if len(waits):
-                self._find(np.asarray(self._lanes.asked)[waits])
-                mode = np.where(mode == MISSING, RUN, mode)
-                self._lanes = replace(self._lanes, mode=jax.device_put(mode, self._shared))
-            running = (mode == RUN) & (np.asarray(self._lanes.fuel) > 0)
-            if not (running.any() or (mode == DONE).any() or (np.asarray(batch.next) < np.asarray(batch.count)).any()):
-                self._ended = batch.ended
-                return
+            missing = mode == MISSING
+            goes_on = (((mode == RUN) & (fuel > 0)) | missing | (mode == DONE)).any()
+            if not goes_on and (np.asarray(batch.next) >= np.asarray(batch.count)).all():
+                return batch, [np.concatenate(log) for log in logs]
+            if missing.any():
+                self._find(np.asarray(self._lanes.asked)[missing])
+                mode = jax.device_put(np.where(missing, RUN, mode), self._shared)
+                self._lanes = replace(self._lanes, mode=mode)
+            none = jax.device_put(np.zeros(self._devices, np.int32), self._shared)
+            batch = replace(batch, log=replace(batch.log, used=none))
 
     def _find(self, asked: NDArray[np.uint32]) -> None:
         """Add the entries that lanes miss to the book."""
@@ -373,46 +389,64 @@ class JaxClosedLoop:
         """What each of those rollouts came to."""
         return self.run(start, count)[1]
 
-    @fixed_flags()
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
         """The tally and the single results of those rollouts: one pass gives both."""
-        counting = Counting(self.loop, self.loop.max_steps, self._begun)
-        numbers, worth = np.zeros((count, 7), np.int32), np.zeros((count, 2 * (self.loop.weights is not None)), np.int64)
+        counting = Counting(self.loop, self._begun)
+        numbers, worth = np.zeros((count, NUMBERS), np.int32), np.zeros((count, 2 * counting.weighs), np.int64)
         room = BATCH * self.lanes * self._devices
         for first in range(0, count, room):
             some = slice(first, min(first + room, count))
-            ids = np.arange(start + some.start, start + some.stop)
-            left = self.loop.bearing.tolerances(self.seed, ids, self.loop.robots)
-            batch, places = self._batch(left)
-            rows: list[list[NDArray[np.uint32]]] = [[] for _ in range(self._devices)]
-            for found, device in self._roll_out((batch, places)):
-                rows[device].append(found)
-            ended_ = np.asarray(self._ended.numbers).reshape(self._devices, -1, 7)
-            for device in range(self._devices):
-                used = places[device] >= 0
-                mine = places[device][used] + some.start
-                numbers[mine] = ended_[device][used]
-                which = self._which(left[places[device][used]])
-                sums = counting.add(self.host, np.concatenate(rows[device]), which)
-                if len(sums):
-                    worth[mine] = sums
+            numbers[some], begun, logs, device = self._batch_of(np.arange(start + some.start, start + some.stop))
+            for one, rows in enumerate(logs):
+                mine = np.flatnonzero(device == one) + first
+                worth[mine] = counting.add(self.host, rows, begun[mine - first])
         counting.add_numbers(numbers)
         tally = tally_from(self.loop, self.seed, start, count, [counting.counts])
         return tally, results_from(start, numbers, worth)
 
-    def _which(self, left: NDArray[np.int64]) -> NDArray[np.int32]:
-        """The snapshot at which rollouts with these thresholds began."""
-        which = np.full(len(left), 2**30, np.int64)
-        for robot, entry in enumerate(np.asarray(self._fixed["milestones"])[: left.shape[1]].tolist()):
-            _, length, _, first, count = self.host.entries.rows[entry, :5].tolist()
-            marks = np.append(self.host.at.rows[first : first + count], length)
-            sums = self.host.sums.rows[first : first + count]
-            which = np.minimum(which, marks[np.searchsorted(sums, left[:, robot])])
-        return which.astype(np.int32)
+    @fixed_flags()
+    def _batch_of(self, ids: NDArray[np.int64]) -> tuple[NDArray, NDArray, list[NDArray[np.uint32]], NDArray]:
+        """Of a batch: results `[n, NUMBERS]`, snapshots `[n]`, the log of each device, and the device of each rollout."""
+        while True:
+            try:
+                given, places = self._batch(ids)
+                batch, logs = self._roll_out(given)
+                break
+            except _NoRoom:
+                self._room, self._parts = 2 * self._room, 2 * self._parts
+                self._start()
+        return (
+            np.asarray(batch.ended.numbers)[places],
+            np.asarray(batch.begun)[places],
+            logs,
+            places // (BATCH * self.lanes),
+        )
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
-        """Those rollouts in full, in the order given."""
-        raise NotImplementedError
+        """Those rollouts in full, in the order given, a few at a time.
+
+        A trace is that of the simulator as Python, in which the robots are lost that the lane has lost: its moves are
+        the lane's, or an AssertionError is raised.
+        """
+        waiting = iter(rollouts)
+        while few := list(itertools.islice(waiting, BATCH * self.lanes * self._devices)):
+            numbers, _, logs, device = self._batch_of(np.array(few))
+            for place, rollout in enumerate(few):
+                rows = logs[device[place]]
+                number = place - int(np.argmax(device == device[place]))
+                yield self._trace(rollout, rows[rows[:, 0] >> 10 == number], numbers[place])
+
+    def _trace(self, rollout: int, rows: NDArray[np.uint32], numbers: NDArray[np.int32]) -> Trace:
+        robot, since = (rows[:, 0] & 1023).astype(np.int64), rows[:, 2].astype(np.int32).astype(np.int64)
+        moves, stopped = (rows[:, 3] & (FINAL - 1)).astype(np.int64), rows[:, 3] & STOPPED > 0
+        lost = set(zip(robot[stopped].tolist(), (since + moves)[stopped].tolist(), strict=True))
+        run = SingleRun(self.loop, self.seed, rollout, hit=lambda robot, step, _: (robot, step) in lost)
+        trace = play(run).trace
+        base = self.host.entries.rows[rows[:, 1], BASE]
+        ends = self.loop.cells[self.host.cell_at.rows[base + moves]]
+        if len(trace.cells) != numbers[TIME] + 1 or (trace.cells[since + moves, robot] != ends).any():
+            raise AssertionError(f"rollout {rollout}: the lane's walks are not those of the simulator")
+        return trace
 
     def until(self, step: int) -> JaxClosedLoop:
         """The same rollouts cut off at the end of `step`."""

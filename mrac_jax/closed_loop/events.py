@@ -30,6 +30,8 @@ DOING, FATE, HERE, AREA, IDENT, WALK, ROW, SINCE, LAST, UNTIL, FIELDS = range(11
 """Of a robot: its fate, the cell at which its walk ends, its piece (NONE) and the id of that area, its walk's entry and
 first row, the step before its first move, how many it makes, and the step of the last move of its range (of one that
 waits, moves left)."""
+TIME, NUMBERS = 2, 7
+"""Numbers of a rollout: visited, survived, time, alive, outcome, bisected, divided."""
 LIMITLESS = 2**28
 """The range of a robot without one."""
 STOPPED, FINAL = 2**31, 2**30
@@ -126,8 +128,7 @@ class Log:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Ended:
-    """Results of lanes: numbers int32 `[.., 7]`: visited, survived, time, alive, outcome, bisected, divided; sets of
-    the visited and the survived cells, uint32 `[.., W]`."""
+    """Results of lanes: int32 `[.., NUMBERS]`, and sets of the visited and the survived cells, uint32 `[.., W]`."""
 
     numbers: jax.Array
     visited: jax.Array
@@ -463,8 +464,8 @@ def _owner_sets_out(book, lanes, log, share, made, first, step, helper, offset):
     return lanes, log
 
 
-def begin(book: Book, left: jax.Array, number: jax.Array) -> Lanes:
-    """Lanes of rollouts with these thresholds, `[S, K, 2]`, at the snapshot before their first loss."""
+def begin(book: Book, left: jax.Array, number: jax.Array) -> tuple[Lanes, jax.Array]:
+    """Lanes of rollouts with these thresholds, `[S, K, 2]`, at the snapshot before their first loss; and which it is."""
     S, K = left.shape[:2]
     endless = jnp.full(S * K, LIMITLESS, jnp.int32)
     marks = walk(book, jnp.tile(book.milestones, S), left.reshape(-1, 2), endless, HALVINGS)[1]
@@ -478,7 +479,7 @@ def begin(book: Book, left: jax.Array, number: jax.Array) -> Lanes:
     key = (lanes.robots[:, :, SINCE] + moves) * K + jnp.arange(K, dtype=jnp.int32)
     fate = jnp.where(stands, lanes.robots[:, :, FATE], fate)
     kept = lanes.robots.at[:, :, LAST].set(jnp.where(stands, 0, moves)).at[:, :, FATE].set(fate)
-    return replace(lanes, number=number, left=left, key=jnp.where(stands, lanes.key, key), robots=kept)
+    return replace(lanes, number=number, left=left, key=jnp.where(stands, lanes.key, key), robots=kept), which
 
 
 def ended(book: Book, lanes: Lanes) -> tuple[Ended, jax.Array, jax.Array]:
@@ -499,9 +500,7 @@ def ended(book: Book, lanes: Lanes) -> tuple[Ended, jax.Array, jax.Array]:
 
     complete = (lanes.now == book.every).all(axis=1)
     span = jnp.zeros_like(lanes.last), lanes.last
-    first = jax.lax.cond(
-        complete.any(), lambda: jax.lax.fori_loop(0, HALVINGS, halve, span)[1], lambda: lanes.last
-    )
+    first = jax.lax.cond(complete.any(), lambda: jax.lax.fori_loop(0, HALVINGS, halve, span)[1], lambda: lanes.last)
     time = jnp.where(complete, first, lanes.last)
     moves = by(time)
     stopped = (robots[:, :, FATE] == DIES) & (robots[:, :, SINCE] + robots[:, :, LAST] <= time[:, None])

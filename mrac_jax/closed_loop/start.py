@@ -12,7 +12,6 @@ from mrac_jax.closed_loop.events import (
     ARRIVES,
     COVER,
     DEAD,
-    DIES,
     DOING,
     ENDS,
     FATE,
@@ -36,7 +35,6 @@ from mrac_jax.closed_loop.events import (
 )
 from planner.arguments import argument
 from planner.errors import UsageError, WorldError
-from planner.mrac.problem import NO_LIMIT
 from planner.rollouts.closed_loop import MOST_TABLED
 from planner.rollouts.loop import ClosedLoop, known_cells
 from planner.simulator.state import first_room
