@@ -34,7 +34,7 @@ NEVER = 2**30
 """Later than every step, and more than every cost."""
 BUCKET = 4
 """Entries that a bucket of the hash table has room for: as many tags, then their entries."""
-WORDS = (4, 10, 13, 16, 20, 26, 32, 40, 52, 64, 80, 96, 128, 160, 200, 256, 320)
+WORDS = (5, 10, 13, 16, 20, 26, 32, 40, 52, 64, 80, 96, 128, 160, 200, 256, 320)
 """Words of bits are padded to one of these, so that programs are compiled for few sizes."""
 MOST_BYTES = 2**31
 """Memory that a book may take up."""

@@ -109,7 +109,7 @@ def _count(  # type: ignore[no-untyped-def]
             for cell in range(size):
                 if first[cell] < NO_STEP:
                     worth[number, 0] += weights[cell]
-                worth[number, 1] += found[cell, passes[cell]]
+                    worth[number, 1] += found[cell, passes[cell]]
 
 
 class Counting:

@@ -316,7 +316,7 @@ class JaxClosedLoop:
             marks.append(np.searchsorted(keys, (since + at_[some].astype(np.int64)) * K + robot))
         return host.add_milestones(last, np.concatenate(marks), np.concatenate(exposure))
 
-    def _book(self) -> Book:
+    def book(self) -> Book:
         """The book on the devices, as it is by now."""
         tables = self._device_book.tables()
         halvings = max(6, (self.host.most_visits.bit_length() + 2) // 2 * 2)
@@ -357,7 +357,7 @@ class JaxClosedLoop:
         """Roll out a batch: with its results, and the rows of each device's log. Raises _NoRoom."""
         program, logs = _program(self._mesh), [[] for _ in range(self._devices)]  # type: list[list[NDArray[np.uint32]]]
         while True:
-            self._lanes, batch = program(self._book(), self._lanes, batch)
+            self._lanes, batch = program(self.book(), self._lanes, batch)
             # What is read is copied: the program is given the memory back.
             used, mode, fuel = (np.array(of) for of in (batch.log.used, self._lanes.mode, self._lanes.fuel))
             rows = np.asarray(batch.log.rows).reshape(self._devices, -1, 4)
@@ -406,7 +406,7 @@ class JaxClosedLoop:
 
     @fixed_flags()
     def _batch_of(self, ids: NDArray[np.int64]) -> tuple[NDArray, NDArray, list[NDArray[np.uint32]], NDArray]:
-        """Of a batch: results `[n, NUMBERS]`, snapshots `[n]`, the log of each device, and the device of each rollout."""
+        """Of a batch: results `[n, NUMBERS]`, snapshots `[n]`, the log of each device, and the device of each."""
         while True:
             try:
                 given, places = self._batch(ids)
