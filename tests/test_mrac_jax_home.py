@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import VisitLoop
+from mrac_jax.closed_loop.beginning import nominal_of
+from mrac_jax.closed_loop.state import CELL_KINDS, STEP_KINDS
+from mrac_jax.closed_loop.tables import LaneTables, lane_tables
 from test_mission import obey
 from test_mrac_jax_closed_loop import same
 from test_return_home import KINDS, WATCHFUL, corridor, drawn
 
 from mrac_jax.closed_loop import engine as engine_module
-from mrac_jax.closed_loop.beginning import nominal_of
-from mrac_jax.closed_loop.state import CELL_KINDS, STEP_KINDS
-from mrac_jax.closed_loop.tables import LaneTables, lane_tables
 from planner.errors import WorldError
 from planner.make_plan import allocated_plan, make_plan
 from planner.mission.mission import Mission

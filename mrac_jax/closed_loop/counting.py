@@ -120,12 +120,13 @@ class Counting:
         self.counts = make_counts(size, size, loop.robots, loop.max_steps, passes=self.weighs)
 
     def add(self, book: HostBook, rows: NDArray[np.uint32], which: NDArray[np.int32]) -> NDArray[np.int64]:
-        """Count the rollouts of a batch, which began at these snapshots `[n]`; the sums of their weights `[n, 2 or 0]`."""
+        """Count rollouts of a batch, which began at these snapshots `[n]`; the sums of their weights `[n, 2 or 0]`."""
         c, loop = self.counts, self.loop
         begins, order = np.zeros(len(which) + 1, np.int64), np.empty(len(rows), np.int64)
         _sort(rows, begins, order)
         none = np.zeros(0, np.int64)
-        covered, found = (none, none[:, None]) if loop.weights is None else (loop.weights.covered, loop.weights.found)
+        weights = loop.weights
+        covered, found = (none, none[:, None]) if weights is None else (weights.covered, weights.found)
         worth = np.zeros((len(which), 2 * self.weighs), np.int64)
         unsurvived = np.zeros(len(loop.cells), np.int64)
         _count(

@@ -53,8 +53,8 @@ class Lanes:
         slots: `[B, G]`, the piece of each unassigned area by its id, NONE of others; made: `[B]`, areas so far.
         key: `[B, K]`, step * K + robot of each robot's next event, NEVER: none. robots: `[B, K, FIELDS]`.
         left: `[B, K, 2]`, the threshold that is left as the walk begins, leading word first.
-        shared: `[B, 2]`, areas bisected, and divided. last: `[B]`, the last step with progress; of a lane at its end the
-            step of it. outcome: `[B]`.
+        shared: `[B, 2]`, areas bisected, and divided. last: `[B]`, the last step with progress, or that of the end.
+            outcome: `[B]`.
         asked: `[B, W + 1]`, the set and the salt of the entry that is missing.
     """
 
@@ -178,7 +178,7 @@ def visits_before(
 def walk(
     book: Book, entry: jax.Array, left: jax.Array, budget: jax.Array, halvings: int | None = None
 ) -> tuple[jax.Array, ...]:
-    """Of walks that begin `[S]`, with this threshold `[S, 2]` and so many moves: (first row, moves, fate, last cell)."""
+    """Of walks that begin `[S]`, with such thresholds `[S, 2]` and moves left: (first row, moves, fate, last cell)."""
     base, length, end, first, count = hold(at(book.entries, entry)).T[:5]
     survived = visits_before(book, first, count, first, left, halvings or book.halvings)
     lost = jnp.where(survived < count, at(book.at, first + survived), NEVER)
@@ -465,7 +465,7 @@ def _owner_sets_out(book, lanes, log, share, made, first, step, helper, offset):
 
 
 def begin(book: Book, left: jax.Array, number: jax.Array) -> tuple[Lanes, jax.Array]:
-    """Lanes of rollouts with these thresholds, `[S, K, 2]`, at the snapshot before their first loss; and which it is."""
+    """Lanes of rollouts with these thresholds, `[S, K, 2]`, at the snapshot before their first loss, and its number."""
     S, K = left.shape[:2]
     endless = jnp.full(S * K, LIMITLESS, jnp.int32)
     marks = walk(book, jnp.tile(book.milestones, S), left.reshape(-1, 2), endless, HALVINGS)[1]

@@ -51,7 +51,7 @@ def book(world: World, plan: Plan, *, seed: int = 0, rollouts: int = 4096, lanes
 
 
 def closed_rollouts(book: Book, thresholds: ArrayLike) -> Closed:
-    """Closed-loop rollouts with these failure thresholds, uint32 `[B, K, 2]` (`mrac_jax.closed_loop.engine.thresholds`).
+    """Closed-loop rollouts with these failure thresholds, uint32 `[B, K, 2]` (`closed_loop.engine.thresholds`).
 
     Raises UsageError for another shape or dtype, when it is traced.
     """
@@ -64,12 +64,13 @@ def closed_rollouts(book: Book, thresholds: ArrayLike) -> Closed:
             fix="draw them by thresholds(seed, ids, robots)",
         )
     left = jnp.pad(left, ((0, 0), (0, room - team[0]), (0, 0)), constant_values=np.uint32(2**30))
-    lanes = begin(book, left, jnp.zeros(left.shape[0], jnp.int32))[0]
-    lanes = jax.lax.while_loop(
-        lambda lanes: (lanes.mode == RUN).any(), lambda lanes: next_event(book, lanes, None)[0], lanes
-    )
-    missing = lanes.mode != DONE
-    lanes = replace(lanes, last=jnp.maximum(lanes.last, 0))
-    result = ended(book, lanes)[0]
+    # The program broadcasts, whatever the caller's own code may do.
+    with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
+        lanes = begin(book, left, jnp.zeros(left.shape[0], jnp.int32))[0]
+        lanes = jax.lax.while_loop(
+            lambda lanes: (lanes.mode == RUN).any(), lambda lanes: next_event(book, lanes, None)[0], lanes
+        )
+        missing = lanes.mode != DONE
+        result = ended(book, replace(lanes, last=jnp.maximum(lanes.last, 0)))[0]
     columns = (result.numbers[:, column] for column in (TIME, ALIVE, OUTCOME))
     return Closed(result.visited, result.survived, *columns, missing)

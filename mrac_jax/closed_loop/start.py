@@ -53,22 +53,24 @@ def check_supported(loop: ClosedLoop) -> None:
     size = f"a map of {loop.shape[0]} x {loop.shape[1]} cells, {len(loop.cells)} of them accessible"
     if not loop.tabled and not loop.learns:
         raise WorldError(size, expected=f"at most {MOST_TABLED} accessible ones for the closed loop in JAX", fix=fix)
-    left_out = {
-        argument("transit", "area"): loop.stay_inside,
-        argument("policy", loop.rule.name): loop.policy is not None,
-        argument("threat_checks", "first_visit"): loop.first_only,
-        argument("return_to"): loop.comes_home,
-        "types of robots": len(t.type_of) > 0,
-        argument("steps_per_move"): len(t.pace) > 0,
-        argument("radio"): len(t.reach) > 0,
+    of_the_map = {
         "threats that change with time": len(t.phases) > 0,
         "robots that learn the map": loop.learns,
         "an uncertain map": loop.in_doubt,
         "moving threats": loop.movers is not None,
     }
-    for named, asked in left_out.items():
-        if asked:
-            raise UsageError(f"{argument('engine', 'jax')} with {named}, in the closed loop", fix=fix)
+    options = {
+        argument("transit", "area"): loop.stay_inside,
+        argument("policy", loop.rule.name): loop.policy is not None,
+        argument("threat_checks", "first_visit"): loop.first_only,
+        argument("return_to"): loop.comes_home,
+        argument("types"): len(t.type_of) > 0,
+        argument("steps_per_move"): len(t.pace) > 0,
+        argument("radio"): len(t.reach) > 0,
+    }
+    for kind, asked in ((WorldError, of_the_map), (UsageError, options)):
+        for named in (name for name, is_asked in asked.items() if is_asked):
+            raise kind(f"{argument('engine', 'jax')} with {named}, in the closed loop", fix=fix)
 
 
 def padded_team(robots: int) -> int:
