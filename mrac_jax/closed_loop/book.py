@@ -23,13 +23,16 @@ from planner.simulator.jit import compiled
 from planner.simulator.state import AREA_BITS, SURVIVED, VISITED
 
 WORD_BITS = 32
-SPLIT, HALVE = 2**32 - 1, 2**32 - 2
-"""In the place of the cell that a walk begins at: the parts of a set; the same, bisected if it is one part."""
+SPLIT, HALVE, HOMEWARD = 2**32 - 1, 2**32 - 2, 2**32 - 3
+"""In the place of the cell that a walk begins at: the parts of a set; the same, bisected if it is one part; the way
+from the set's one cell to a base of the first set of bases, of the next one a number less."""
 NOWHERE = 0
 """The entry of no walk: of robots that stay where they are."""
 BASE, LENGTH, END, FIRST, COUNT, PIECE, PARTS, BISECTED, COLUMNS = range(9)
 """Columns of `entries`: first row, moves, last cell; first and number of its dangerous visits; of a split: its first
 piece, how many there are, and whether one part was bisected."""
+CELLS = 2**31
+"""More than any cell: what a walk begins at is below."""
 NEVER = 2**30
 """Later than every step, and more than every cost."""
 BUCKET = 4
@@ -57,10 +60,10 @@ def mixed(words, salt):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _cover(here, todo, sweep, cost, hop, out):  # type: ignore[no-untyped-def]
+def _cover(here, todo, sweep, cost, hop, out, ends):  # type: ignore[no-untyped-def]
     """Algorithm 3: write the cells entered from `here` to cover `todo` (bool, used up) into `out`; how many.
 
-    Returns NONE where `out` has no room for them.
+    `ends`: bool, whether a leg ends there. Returns NONE where `out` has no room for them.
     """
     size, left = 0, 0
     for cell in range(len(todo)):
@@ -79,7 +82,7 @@ def _cover(here, todo, sweep, cost, hop, out):  # type: ignore[no-untyped-def]
             here = hop[target, here]
             if size == len(out):
                 return -1
-            out[size] = here
+            out[size], ends[size] = here, here == target
             size += 1
         todo[target] = False
         left -= 1
@@ -93,6 +96,24 @@ def _enter(cells, rows):  # type: ignore[no-untyped-def]
         rows[step + 1] = rows[step]
         if cells[step] >= 0:
             rows[step + 1, cells[step] >> 5] |= np.uint32(1) << np.uint32(cells[step] & 31)
+
+
+@compiled
+def _need(here, cells, ends, home, rows):  # type: ignore[no-untyped-def]
+    """Fill the rows `[M + 1]` of a walk: the moves after its begin that a robot needs to make each move.
+
+    It needs to be within range of a base (`home` `[A]`, moves from each cell) from every cell of the leg's rest. Each
+    row has the most up to then; row 0 is of a move that stays. ends: bool `[M]`, where legs end.
+    """
+    rows[0] = home[here] + 1
+    most = 0
+    for move in range(len(cells), 0, -1):
+        most = 0 if ends[move - 1] else most
+        if home[cells[move - 1]] >= 0:
+            most = max(most, home[cells[move - 1]] + move)
+        rows[move] = most
+    for move in range(2, len(cells) + 1):
+        rows[move] = max(rows[move], rows[move - 1])
 
 
 @compiled
@@ -149,6 +170,8 @@ class HostBook:
         bits: uint32 `[P, W]`, pieces: sets of cells that are or were areas, those of the plan first. cost: int32
             `[P, A']`, from each cell, its level on top, NEVER if it is out of reach; target: int32, to which of its
             cells; steps: int32, moves there.
+        need: int32 `[R, S]`, by set of bases, moves from the walk's begin on without which a robot returns to base
+            before that move; no column where none does.
         buckets: uint32 `[H, 2 * BUCKET]`.
     """
 
@@ -164,6 +187,8 @@ class HostBook:
         self.sums, self.at = Grown(room, (), np.int64), Grown(room, (), np.int32)
         self.bits = Grown(2**10, (self.words,), np.uint32)
         self.cost, self.target, self.steps = (Grown(2**10, (wide,), np.int32) for _ in range(3))
+        self.need = Grown(room, (len(t.home_steps),), np.int32)
+        self.longest = 1
         self.buckets = np.zeros((room // 16, 2 * BUCKET), dtype=np.uint32)
         self.most_visits = 1
         self.shift = int(t.cost_to.max(initial=0)).bit_length()
@@ -204,7 +229,12 @@ class HostBook:
             if self.salts.rows[entry] == salt and (self.sets.rows[entry] == row).all():
                 return int(entry)
         cells = self.cells_of(row)
-        entry = self._add_split(cells, salt == HALVE) if salt >= HALVE else self.add_walk(salt, self.path(salt, cells))
+        if salt >= HALVE:
+            entry = self._add_split(cells, salt == HALVE)
+        elif salt >= CELLS:
+            entry = self.add_walk(int(cells[0]), self.way_home(int(cells[0]), HOMEWARD - salt))
+        else:
+            entry = self.add_walk(salt, *self.path(salt, cells))
         self.sets.rows[entry], self.salts.rows[entry] = row, salt
         self._put(entry, int(bucket), int(tag))
         return entry
@@ -221,24 +251,47 @@ class HostBook:
         place = int((there[:BUCKET] > 0).sum())
         there[place], there[BUCKET + place] = tag, entry
 
-    def path(self, here: int, cells: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The cells entered from `here` to cover these; to reach one is to cover it."""
+    def way_home(self, here: int, bases: int) -> NDArray[np.int64]:
+        """The cells entered from `here` to the base of this set of bases."""
+        t, way = self.loop.tables, []
+        while t.home_steps[bases, here] > 0:
+            here = int(t.onward[bases, here])
+            way.append(here)
+        return np.array(way, dtype=np.int64)
+
+    def path(self, here: int, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], None, NDArray[np.bool_]]:
+        """The cells entered from `here` to cover these, and where legs end; to reach one is to cover it."""
         t = self.loop.tables
         while True:
             todo = np.zeros(self.cells, dtype=np.bool_)
             todo[cells] = True
-            size = _cover(np.int64(here), todo, t.sweep, t.cost_to, t.hop_to, self._path)
+            ends = np.zeros(len(self._path), dtype=np.bool_)
+            size = _cover(np.int64(here), todo, t.sweep, t.cost_to, t.hop_to, self._path, ends)
             if size >= 0:
-                return self._path[:size].copy()
+                return self._path[:size].copy(), None, ends[:size]
             self._path = np.empty(2 * len(self._path), dtype=np.int64)
 
-    def add_walk(self, here: int, cells: NDArray[np.int64], waits: NDArray[np.bool_] | None = None) -> int:
-        """The entry of a walk from `here` through the cells, without a key; where it `waits` it enters none."""
+    def add_walk(
+        self,
+        here: int,
+        cells: NDArray[np.int64],
+        waits: NDArray[np.bool_] | None = None,
+        ends: NDArray[np.bool_] | None = None,
+    ) -> int:
+        """The entry of a walk from `here` through the cells, without a key.
+
+        waits: bool `[M]`, where it stays and enters no cell; None: nowhere. ends: where legs end; None: at the end.
+        """
         entered = cells if waits is None else np.where(waits, NONE, cells)
         rows = np.zeros((len(entered) + 1, self.words), dtype=np.uint32)
         _enter(entered, rows)
         base = self.prefix.add(rows)
         self.cell_at.add(np.append(here, entered))
+        self.longest = max(self.longest, len(cells))
+        need = np.zeros((len(cells) + 1, len(self.loop.tables.home_steps)), dtype=np.int32)
+        for bases, home in enumerate(self.loop.tables.home_steps):
+            _need(here, cells, np.arange(len(cells)) == len(cells) - 1 if ends is None else ends, home, need[:, bases])
+        self.need.add(need)
         end = int(cells[-1]) if len(cells) else here
         moves = np.flatnonzero((entered >= 0) & (self.loop.tables.bound[cells] > 0))
         self.most_visits = max(self.most_visits, len(moves))

@@ -117,7 +117,7 @@ class Counting:
 
     def __init__(self, loop: ClosedLoop, begun: Begun) -> None:
         size, self.loop, self.begun, self.weighs = len(loop.cells), loop, begun, loop.weights is not None
-        self.counts = make_counts(size, size, loop.robots, loop.max_steps, passes=self.weighs)
+        self.counts = make_counts(size, size, loop.robots, loop.max_steps, passes=self.weighs, home=loop.comes_home)
 
     def add(self, book: HostBook, rows: NDArray[np.uint32], which: NDArray[np.int32]) -> NDArray[np.int64]:
         """Count rollouts of a batch, which began at these snapshots `[n]`; the sums of their weights `[n, 2 or 0]`."""
@@ -146,6 +146,8 @@ class Counting:
         c = self.counts
         for column, counted in enumerate((c.visited, c.survived, c.time, c.alive, c.outcomes)):
             counted[:] += np.bincount(numbers[:, column], minlength=len(counted))
+        if len(c.home):
+            c.home[:] += np.bincount(numbers[:, -1], minlength=len(c.home))
 
 
 def follow_nominal(book: HostBook, begun: Begun, rows: NDArray[np.uint32]) -> None:

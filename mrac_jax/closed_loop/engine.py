@@ -19,13 +19,14 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
 from mrac_jax.arrays import on_host, threefry2x32, tolerance_words, two_words
-from mrac_jax.closed_loop.book import BASE, COUNT, FIRST, HostBook
+from mrac_jax.closed_loop.book import BASE, COUNT, FIRST, WORD_BITS, HostBook
 from mrac_jax.closed_loop.counting import Counting, follow_nominal, nothing_begun
 from mrac_jax.closed_loop.events import (
     DONE,
     FINAL,
     FULL,
     LAST,
+    LIMITLESS,
     MISSING,
     NUMBERS,
     OFF,
@@ -36,6 +37,7 @@ from mrac_jax.closed_loop.events import (
     WALK,
     Book,
     Ended,
+    Homes,
     Lanes,
     Log,
     at,
@@ -44,7 +46,7 @@ from mrac_jax.closed_loop.events import (
     next_event,
     write,
 )
-from mrac_jax.closed_loop.start import ENDLESS, check_supported, first_lane, padded_team
+from mrac_jax.closed_loop.start import ENDLESS, check_supported, first_lane, padded_team, stride_of
 from mrac_jax.process import fixed_flags
 from mrac_jax.runtime import keep_jax_programs
 from planner.failure_model import key_of_luck
@@ -94,7 +96,7 @@ def run(book: Book, lanes: Lanes, batch: Batch) -> tuple[Lanes, Batch]:
     """Roll out the batch until it has ended, many lanes wait for the book, or the log is full."""
     B, K = lanes.key.shape
     width = max(B // BEGIN, 1)
-    needed = 2 * EVENTS * B + width * K
+    needed = rows_of_round(book.homes is not None, B, K)
 
     def goes_on(state: tuple[Lanes, Batch]) -> jax.Array:
         lanes, batch = state
@@ -111,6 +113,11 @@ def run(book: Book, lanes: Lanes, batch: Batch) -> tuple[Lanes, Batch]:
         return lanes, replace(batch, log=replace(log, used=log.used[None]))
 
     return jax.lax.while_loop(goes_on, round_, (lanes, batch))
+
+
+def rows_of_round(comes_home: bool, lanes: int, robots: int) -> int:
+    """Rows of the log that a round may add: two an event, and one a robot where a rollout or all walks end."""
+    return EVENTS * lanes * (2 + comes_home * robots) + max(lanes // BEGIN, 1) * robots
 
 
 def hand_over(book: Book, lanes: Lanes, batch: Batch, width: int) -> tuple[Lanes, Batch]:
@@ -262,6 +269,7 @@ class JaxClosedLoop:
             for robot in range(loop.robots):
                 mine = np.flatnonzero(loop.tables.owner == robot)
                 owned[mine[:-1]] = mine[1:]
+        self._homes: Homes | None = None
         self._device_book = DeviceBook(host, self._whole)
         self._fixed: dict[str, Any] = {
             "mask": np.int32((1 << host.shift) - 1),
@@ -273,6 +281,19 @@ class JaxClosedLoop:
             "before": np.zeros((B, K, 2), np.uint32),
             "milestones": np.zeros(K, np.int32),
         }
+        if loop.comes_home:
+            t, pad = loop.tables, (0, K - loop.robots)
+            wide = host.words * WORD_BITS
+            self._homes = on_host(
+                Homes,
+                of=np.pad(t.home_of, pad).astype(np.int32),
+                steps=np.pad(t.home_steps, ((0, 0), (0, wide - host.cells)), constant_values=-1).astype(np.int32),
+                range=np.pad(np.minimum(t.range, LIMITLESS), pad).astype(np.int32),
+                last=np.int32(t.last_step),
+                recharge=np.int32(t.recharge),
+                turnings=0,
+            )
+            self._homes = jax.device_put(self._homes, self._whole)
         self._fixed = jax.device_put(self._fixed, self._whole)
         count = np.arange(D * B, dtype=np.int32) % B
         given = jax.tree.map(lambda of: np.broadcast_to(of, (D * B, *of.shape)).copy(), lane)
@@ -284,6 +305,8 @@ class JaxClosedLoop:
         last = int(ends.argmax()) if ends.any() else B - 1
         follow_nominal(host, self._begun, rows)
         keys = halted.key.min(axis=1)[:last].astype(np.int64)
+        # That all return to base is an event of the end of a step which shows in the next key alone.
+        keys = np.minimum.accumulate(keys[::-1])[::-1]
         marks = [self._milestones(halted, rows, robot, keys, last) for robot in range(K)]
         left = (halted.left[..., 0].astype(np.int64) << 32) + halted.left[..., 1]
         halted = replace(
@@ -301,7 +324,7 @@ class JaxClosedLoop:
 
         `keys`: of the event after each snapshot but the last.
         """
-        host, K = self.host, halted.key.shape[1]
+        host = self.host
         walks = rows[rows[:, 0] == last << 10 | robot, 1:].astype(np.int64)
         walks[:, 1] = walks[:, 1].astype(np.int32)
         walks[:, 2] &= FINAL - 1
@@ -313,14 +336,17 @@ class JaxClosedLoop:
             at_ = host.at.rows[first : first + count]
             some = at_ <= moves
             exposure.append(np.diff(host.sums.rows[first - 1 : first + count])[some])
-            marks.append(np.searchsorted(keys, (since + at_[some].astype(np.int64)) * K + robot))
+            marks.append(np.searchsorted(keys, (since + at_[some].astype(np.int64)) * stride_of(self.loop) + robot))
         return host.add_milestones(last, np.concatenate(marks), np.concatenate(exposure))
 
     def book(self) -> Book:
         """The book on the devices, as it is by now."""
         tables = self._device_book.tables()
         halvings = max(6, (self.host.most_visits.bit_length() + 2) // 2 * 2)
-        return Book(**tables, **self._fixed, halvings=halvings, parts=self._parts)
+        homes = self._homes
+        if homes is not None:
+            homes = replace(homes, turnings=max(8, (self.host.longest.bit_length() + 4) // 4 * 4))
+        return Book(**tables, **self._fixed, homes=homes, halvings=halvings, parts=self._parts)
 
     def _batch(self, ids: NDArray[np.int64]) -> tuple[Batch, NDArray[np.int64]]:
         """A batch of these rollouts, shared out among the devices, and the place of each of them."""
@@ -336,7 +362,7 @@ class JaxClosedLoop:
         else:  # robots that wear, or differ in susceptibility
             drawn = self.loop.bearing.tolerances(self.seed, queue, self.loop.robots)
             left = put(two_words(np.pad(drawn, ((0, 0), (0, K - drawn.shape[1])))))
-        rows = (LOG_ROUNDS + 1) * (2 * EVENTS * B + max(B // BEGIN, 1) * K)
+        rows = (LOG_ROUNDS + 1) * rows_of_round(self.loop.comes_home, B, K)
         made = on_host(
             Batch,
             left=left,
@@ -402,7 +428,8 @@ class JaxClosedLoop:
                 worth[mine] = counting.add(self.host, rows, begun[mine - first])
         counting.add_numbers(numbers)
         tally = tally_from(self.loop, self.seed, start, count, [counting.counts])
-        return tally, results_from(start, numbers, worth)
+        own = NUMBERS if self.loop.comes_home else NUMBERS - 1
+        return tally, results_from(start, numbers[:, :own], worth)
 
     @fixed_flags()
     def _batch_of(self, ids: NDArray[np.int64]) -> tuple[NDArray, NDArray, list[NDArray[np.uint32]], NDArray]:

@@ -16,22 +16,35 @@ import jax
 import jax.numpy as jnp
 
 from mrac_jax.arrays import STATIC, is_reached, less
-from mrac_jax.closed_loop.book import BISECTED, BUCKET, COUNT, FIRST, HALVE, NEVER, PARTS, PIECE, SPLIT, mixed
+from mrac_jax.closed_loop.book import (
+    BISECTED,
+    BUCKET,
+    COUNT,
+    FIRST,
+    HALVE,
+    HOMEWARD,
+    LENGTH,
+    NEVER,
+    PARTS,
+    PIECE,
+    SPLIT,
+    mixed,
+)
 from planner.simulator.codes import Outcome
 
-START, FOLLOW, TRAVEL, COVER, LAND, IDLE, OUT, DEAD = range(8)
+START, FOLLOW, TRAVEL, COVER, LAND, RETURN, RECALL, CHARGE, IDLE, OUT, DEAD = range(11)
 """What a robot does: enters its start and has an area; follows an external path; travels; covers; enters its start and
-has none; waits; is at the end of its range; is lost."""
-ARRIVES, DIES, ENDS = range(3)
-"""How its walk ends: at its end, at a visit, or with the last move of the robot's range."""
+has none; returns to base for good, or to be recharged; is recharged; waits; neither moves nor waits; is lost."""
+ARRIVES, DIES, ENDS, TURNS = range(4)
+"""How its walk ends: at its end, at a visit, with the last move of the robot's range, or with its return to base."""
 OFF, RUN, MISSING, DONE, FULL = range(5)
 """Of a lane: no rollout; its next event; an entry is missing in the book; at its end; it needs more room."""
 DOING, FATE, HERE, AREA, IDENT, WALK, ROW, SINCE, LAST, UNTIL, FIELDS = range(11)
 """Of a robot: its fate, the cell at which its walk ends, its piece (NONE) and the id of that area, its walk's entry and
 first row, the step before its first move, how many it makes, and the step of the last move of its range (of one that
 waits, moves left)."""
-TIME, NUMBERS = 2, 7
-"""Numbers of a rollout: visited, survived, time, alive, outcome, bisected, divided."""
+TIME, NUMBERS = 2, 8
+"""Numbers of a rollout: visited, survived, time, alive, outcome, bisected, divided, robots at a base."""
 LIMITLESS = 2**28
 """The range of a robot without one."""
 STOPPED, FINAL = 2**31, 2**30
@@ -54,7 +67,7 @@ class Lanes:
         key: `[B, K]`, step * K + robot of each robot's next event, NEVER: none. robots: `[B, K, FIELDS]`.
         left: `[B, K, 2]`, the threshold that is left as the walk begins, leading word first.
         shared: `[B, 2]`, areas bisected, and divided. last: `[B]`, the last step with progress, or that of the end.
-            outcome: `[B]`.
+            outcome: `[B]`. over: `[B]`, 0, or the outcome plus 1 once all robots return to base.
         asked: `[B, W + 1]`, the set and the salt of the entry that is missing.
     """
 
@@ -72,7 +85,28 @@ class Lanes:
     shared: jax.Array
     last: jax.Array
     outcome: jax.Array
+    over: jax.Array
     asked: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Homes:
+    """Where robots return to. All int32, `S` sets of bases.
+
+    Attributes:
+        of: `[K]`, the bases of each robot. steps: `[S, A']`, moves of the way there, below 0 where there is none.
+        range: `[K]`, moves that a robot can make. last, recharge: the step by which they are to be there; steps until a
+            robot has its range again, 0: it does not.
+        turnings: static: bits of the moves of the longest walk.
+    """
+
+    of: jax.Array
+    steps: jax.Array
+    range: jax.Array
+    last: jax.Array
+    recharge: jax.Array
+    turnings: int = field(metadata=STATIC)
 
 
 @jax.tree_util.register_dataclass
@@ -88,6 +122,7 @@ class Book:
         first: Lanes `[M]`, snapshots of the run without losses, at which lanes begin; before: uint32 `[M, K, 2]`, the
             hazard that robots have met by then, without the walk that they are on. milestones: int32 `[K]`, entries
             that tell from a robot's threshold the snapshot before its loss.
+        homes: None where robots stay where they end.
         halvings, parts: static: bits of the most visits of a walk; parts that a split may have.
     """
 
@@ -102,7 +137,9 @@ class Book:
     cost: jax.Array
     target: jax.Array
     steps: jax.Array
+    need: jax.Array
     buckets: jax.Array
+    homes: Homes | None
     mask: jax.Array
     every: jax.Array
     max_steps: jax.Array
@@ -194,6 +231,47 @@ def hazard_of(book: Book, entry: jax.Array, visits: jax.Array | None = None) -> 
     return at(book.sums, row[:, FIRST] - 1 + (row[:, COUNT] if visits is None else visits))
 
 
+def stride_of(book: Book, lanes: Lanes) -> int:
+    """Keys of a step: the robots' turns, and where they return to base, what they do at the end of the step."""
+    return lanes.key.shape[1] * (1 if book.homes is None else 2)
+
+
+def moves_home(book: Book, robot: jax.Array, cell: jax.Array) -> jax.Array:
+    """Moves of robots' ways to a base from cells, of the same shape; below 0: there is none."""
+    assert book.homes is not None
+    place = at(book.homes.of, robot) * book.homes.steps.shape[1] + cell
+    return at(book.homes.steps.reshape(-1), place)
+
+
+def turning(
+    book: Book, robot: jax.Array, entry: jax.Array, since: jax.Array, until: jax.Array, moves: jax.Array,
+    fate: jax.Array, waits: bool = False,
+) -> tuple[jax.Array, jax.Array]:  # fmt: skip
+    """(moves, fate) of walks `[S]` of robots with an area, which return to base as soon as they could not later on.
+
+    `waits`: one of no moves takes a turn.
+    """
+    if book.homes is None:
+        return moves, fate
+    homes, sets = book.homes, book.need.shape[1]
+    within = jnp.minimum(until, homes.last) - since
+    row, length = at(book.entries, entry)[:, :2].T
+    table, column = book.need.reshape(-1), at(homes.of, robot)
+
+    def halve(_: int, span: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        low, high = span
+        middle = (low + high) >> 1
+        goes = (low < high) & (at(table, (row + middle) * sets + column) <= within)
+        return hold((jnp.where(goes, middle + 1, low), jnp.where(goes, high, middle)))
+
+    first = jax.lax.fori_loop(0, homes.turnings, halve, (jnp.ones_like(length), length + 1))[0]
+    turns = (first <= length) & (first <= moves)
+    moves = jnp.where(turns, first - 1, moves)
+    if waits:
+        turns = turns | ((length == 0) & (at(table, row * sets + column) > within))
+    return hold((moves, jnp.where(turns, TURNS, fate)))
+
+
 def look_up(book: Book, row: jax.Array, salt: jax.Array) -> jax.Array:
     """The entries of sets `[S, W]` and salts, uint32 `[S]`; -1: missing."""
     bucket, tag = hold(mixed(row, salt))
@@ -226,7 +304,9 @@ class Sharing:
     asked: jax.Array
 
 
-def find_to_share(book: Book, lanes: Lanes, helper: jax.Array, here: jax.Array, offset: jax.Array) -> Sharing:
+def find_to_share(
+    book: Book, lanes: Lanes, helper: jax.Array, here: jax.Array, offset: jax.Array, afford: jax.Array
+) -> Sharing:
     """`Find Area To Share` for helpers in the cells `here`: of those near enough the least (level, cost, id)."""
     robots, flat = jnp.arange(lanes.key.shape[1], dtype=jnp.int32), book.cost.shape[1]
     doing, area = lanes.robots[:, :, DOING], lanes.robots[:, :, AREA]
@@ -238,6 +318,8 @@ def find_to_share(book: Book, lanes: Lanes, helper: jax.Array, here: jax.Array, 
     cost = at(book.cost.reshape(-1), place)
     fits = owns & (robots != helper[:, None]) & (left >= 2) & (at(book.steps.reshape(-1), place) <= left)
     fits = fits & (cost < NEVER)
+    if book.homes is not None:
+        fits = fits & affords(book, place, helper, afford)
     found = fits.any(axis=1)
     for value in (cost, lanes.robots[:, :, IDENT]):
         fits = fits & (value == jnp.where(fits, value, NEVER).min(axis=1, keepdims=True))
@@ -264,25 +346,40 @@ def find_to_share(book: Book, lanes: Lanes, helper: jax.Array, here: jax.Array, 
     return Sharing(found, owner, split, chosen, walks, asked)
 
 
+def affords(book: Book, place: jax.Array, robot: jax.Array, left: jax.Array) -> jax.Array:
+    """Whether robots `[B]` with so many moves left could return to base from pieces at these places `[B, n]`."""
+    steps, goal = at(book.steps.reshape(-1), place), at(book.target.reshape(-1), place)
+    way = moves_home(book, jnp.broadcast_to(robot[:, None], place.shape), goal)
+    return (way < 0) | (steps + way <= left[:, None])
+
+
 def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | None]:
     """The next event of every lane that runs."""
     (K, G), flat = (lanes.key.shape[1], lanes.slots.shape[1]), book.cost.shape[1]
     robots = jnp.arange(K, dtype=jnp.int32)
+    homes, stride = book.homes, stride_of(book, lanes)
     runs, key = (lanes.mode == RUN) & (lanes.fuel > 0), lanes.key.min(axis=1)
-    none, step, who = key == NEVER, key // K, key % K
+    if homes is not None:
+        lanes, log, over = _all_return(book, lanes, log, runs, key)
+        runs, key = runs & ~over, lanes.key.min(axis=1)
+    none, step, who = key == NEVER, key // stride, key % stride % K
+    due = key % stride >= K  # at the end of the step
     late = step > book.max_steps
     step = jnp.where(late, book.max_steps, step)
     mine = robots == who[:, None]
     # Robots that act later in this step have not moved in it.
-    behind = (robots > who[:, None]) & ~late[:, None]
+    behind = (robots > who[:, None]) & ~(late | due)[:, None]
     last = lanes.robots[:, :, LAST]
     offset = jnp.clip(step[:, None] - lanes.robots[:, :, SINCE] - behind, 0, last)
     row = lanes.robots[:, :, ROW]
     now = hold(lanes.visited | entered(book, row + offset))
     me, left = hold((pick(lanes.robots, who), pick(lanes.left, who)))
-    doing, fate, here, piece = me[:, DOING], me[:, FATE], me[:, HERE], jnp.maximum(me[:, AREA], 0)
-    over = (now == book.every).all(axis=1)
-    ends = over | late | none
+    doing, fate, piece = me[:, DOING], me[:, FATE], jnp.maximum(me[:, AREA], 0)
+    row_end = pick(row, who) + me[:, LAST]
+    here = hold(jnp.where(me[:, WALK] > 0, at(book.cell_at, row_end), me[:, HERE]))
+    ends = late | none
+    if homes is None:
+        ends = ends | (now == book.every).all(axis=1)
     dies, leaves = fate == DIES, fate != ARRIVES
     alive = (lanes.robots[:, :, DOING] != DEAD).sum(axis=1, dtype=jnp.int32) - dies
     todo = hold(at(book.bits, piece) & ~now)
@@ -291,30 +388,61 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     splits = leaves & rest & (alive > 0)
     again = (doing == FOLLOW) & dies & (at(book.next_of, piece) >= 0) & (me[:, AREA] >= 0) & (alive > 0)
     covers, starts = ~leaves & (doing == TRAVEL) & rest, ~leaves & (doing == START)
-    wants = ~leaves & ~covers & ~starts & (doing != LAND)
+    returns = (doing == RETURN) | (doing == RECALL)
+    wants = ~leaves & ~covers & ~starts & ~returns & ~due & (doing != LAND)
+    # A robot that waits or is charged has moves left, another one a step at which they end.
+    until = me[:, UNTIL] + jnp.where(doing == IDLE, step, 0)
+    if homes is not None:
+        until = jnp.where(doing == CHARGE, step + at(homes.range, who), until)
 
     # The unassigned area of least (level, cost, id): slots are in order of id.
-    costs = at(book.cost.reshape(-1), jnp.maximum(lanes.slots, 0) * flat + here[:, None])
-    costs = jnp.where(lanes.slots >= 0, costs, NEVER)
+    place = jnp.maximum(lanes.slots, 0) * flat + here[:, None]
+    costs = jnp.where(lanes.slots >= 0, at(book.cost.reshape(-1), place), NEVER)
+    afford, too_far = until - step, jnp.zeros_like(due)
+    if homes is not None:
+        afford = jnp.minimum(until, homes.last) - step
+        every, costs = costs, jnp.where(affords(book, place, who, afford), costs, NEVER)
+        too_far = (costs.min(axis=1) == NEVER) & (every.min(axis=1) < NEVER)
+        costs = jnp.where(too_far[:, None], every, costs)
     best = jnp.argmin(costs, axis=1).astype(jnp.int32)
     least, area = hold((costs.min(axis=1), jnp.maximum(pick(lanes.slots, best), 0)))
     is_open = least < NEVER
     # It may have been completed by a robot that passed: then it is closed, and the robot looks again.
     closed = wants & is_open & ((at(book.bits, area) & ~now) == 0).all(axis=1)
-    takes = wants & is_open & ~closed
-    asks = wants & ~is_open & (doing != IDLE)
+    takes = wants & is_open & ~closed & ~too_far
+    asks = wants & (~is_open | too_far) & ~closed & (doing != IDLE)
 
     area = jnp.where(starts, piece, area)
-    goal = one_cell(book, at(book.target.reshape(-1), area * flat + here))
+    goal = at(book.target.reshape(-1), area * flat + here)
     salt = jnp.where(splits, jnp.uint32(SPLIT), here.astype(jnp.uint32))
+    lanes = replace(lanes, now=jnp.where(runs[:, None], now, lanes.now))
+    share = _if_any(runs & asks & ~ends, lambda: find_to_share(book, lanes, who, here, offset, afford))
+    shares = asks & share.found
+    arrives = turned = homeward = recalls = jnp.zeros_like(due)
+    if homes is not None:
+        way = moves_home(book, who, here)
+        # For what is out of its range alone a robot is recharged, if it has made a move.
+        recalls = wants & too_far & ~closed & ~shares & (homes.recharge > 0) & (until - step < at(homes.range, who))
+        turned = (fate == TURNS) | ((fate == ENDS) & (way == 0) & ~returns) | recalls | due
+        need = at(
+            book.need.reshape(-1),
+            jnp.where(me[:, LAST] < at(book.entries, me[:, WALK])[:, LENGTH], row_end + 1, row_end) * book.need.shape[1]
+            + at(homes.of, who),
+        )
+        own = (homes.recharge > 0) & (until - step + 1 < at(homes.range, who)) & (need > until - me[:, SINCE])
+        recalls = recalls | ((fate == TURNS) & own) | ((fate == ENDS) & (way == 0) & (homes.recharge > 0))
+        recalls = jnp.where(returns, doing == RECALL, recalls)
+        again = again | (turned & splits)
+        arrives = (turned & (way == 0)) | (returns & (fate == ARRIVES))
+        homeward = turned & (way > 0) & ~splits
+        goal = jnp.where(homeward, here, goal)
+        salt = jnp.where(homeward, jnp.uint32(HOMEWARD) - at(homes.of, who).astype(jnp.uint32), salt)
+    goal = one_cell(book, goal)
     wanted = jnp.where((splits | covers)[:, None], todo, goal)
     entry = hold(look_up(book, wanted, salt))
-    needs = splits | covers | starts | takes
+    needs = splits | covers | starts | takes | homeward
     asked = jnp.concatenate([wanted, salt[:, None]], axis=1)
 
-    lanes = replace(lanes, now=jnp.where(runs[:, None], now, lanes.now))
-    share = _if_any(runs & asks & ~ends, lambda: find_to_share(book, lanes, who, here, offset))
-    shares = asks & share.found
     entry = jnp.where(shares, share.split, entry)
     split = at(book.entries, jnp.maximum(entry, 0))
     first, count = split[:, PIECE], split[:, PARTS]
@@ -322,38 +450,59 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     makes = splits | shares
     full = makes & ~missing & ((lanes.made + count > G) | (shares & (count > book.parts)))
     acts = runs & ~ends & ~missing & ~full
+    wanted_share = shares
     splits, takes, closed, shares, makes = (acts & of for of in (splits, takes, closed, shares, makes))
-    goes = acts & (covers | starts | takes | shares)
-    again, rests = acts & again, acts & ((wants & ~is_open & ~shares) | (~leaves & (doing == LAND)))
-    gone = acts & leaves & ~again
+    goes = acts & (covers | starts | takes | shares | (homeward & ~again))
+    again, rests = acts & again, acts & ((asks & ~shares) | (wants & ~is_open) | (~leaves & (doing == LAND)))
+    rests = (rests | (acts & wants & too_far & ~closed & ~shares)) & ~turned
+    gone = acts & (leaves | turned | returns) & ~again & ~goes
+    charges = gone & arrives & recalls & (lanes.over == 0)
 
-    # A robot that waits has moves left, one that moves a step at which they end.
-    until = me[:, UNTIL] + jnp.where(doing == IDLE, step, 0)
-    left = jnp.where(acts[:, None] & (fate == ARRIVES)[:, None], less(left, hazard_of(book, me[:, WALK])), left)
-    way = jnp.maximum(jnp.where(shares, share.walks[:, 1], entry), 0)
-    base, moves, how, end = walk(book, way, left, until - step)
+    done = None
+    if homes is not None:  # one that turns back goes on with what is left of its threshold
+        walked = at(book.entries, me[:, WALK])
+        done = visits_before(book, walked[:, FIRST], walked[:, COUNT], me[:, LAST], None, book.halvings)
+    spent = acts & ~again & ~dies & ((fate == ARRIVES) | (homes is not None))
+    left = jnp.where(spent[:, None], less(left, hazard_of(book, me[:, WALK], done)), left)
+    leg = jnp.maximum(jnp.where(shares, share.walks[:, 1], entry), 0)
+    # A robot that turns back before its move makes it on its way to the base.
+    since = step - (fate == TURNS)
+    base, moves, how, end = walk(book, leg, left, until - since + homeward)
+    if homes is not None:
+        turns = turning(book, who, leg, since, until, moves, how)
+        moves, how = (jnp.where(homeward, old, new) for old, new in zip((moves, how), turns, strict=True))
     given, number = first + share.parts[:, 1], lanes.made + share.parts[:, 1]
     columns = {
-        DOING: jnp.where(covers, COVER, TRAVEL), FATE: how, HERE: end, WALK: way, ROW: base, SINCE: step, LAST: moves,
-        AREA: jnp.where(shares, given, jnp.where(covers, piece, area)), UNTIL: until,
+        DOING: jnp.where(homeward, jnp.where(recalls, RECALL, RETURN), jnp.where(covers, COVER, TRAVEL)), FATE: how,
+        HERE: end, WALK: leg, ROW: base, SINCE: since, LAST: moves, UNTIL: until,
+        AREA: jnp.where(shares, given, jnp.where(covers, piece, jnp.where(homeward, -1, area))),
         IDENT: jnp.where(shares, number, jnp.where(covers | starts, me[:, IDENT], best)),
     }  # fmt: skip
     fresh = jnp.stack([columns[name].astype(jnp.int32) for name in range(FIELDS)], axis=1)
     still = {
-        DOING: jnp.where(gone, jnp.where(dies, DEAD, OUT), jnp.where(closed, doing, IDLE)), FATE: ARRIVES,
+        DOING: jnp.where(gone, jnp.where(dies, DEAD, jnp.where(charges, CHARGE, OUT)), jnp.where(closed, doing, IDLE)),
+        FATE: ARRIVES,
         HERE: here, AREA: jnp.where(closed, me[:, AREA], -1), IDENT: me[:, IDENT], WALK: 0, ROW: 0, SINCE: step,
         LAST: 0, UNTIL: jnp.where(closed, me[:, UNTIL], until - step),
     }  # fmt: skip
     stays = jnp.stack([jnp.broadcast_to(still[name], step.shape).astype(jnp.int32) for name in range(FIELDS)], axis=1)
     after = jnp.where(goes[:, None], fresh, stays)
-    after = jnp.where(again[:, None], me.at[:, AREA].set(at(book.next_of, piece)), after)
-    key = jnp.where(goes, (step + moves) * K + who, jnp.where(closed | again, key, NEVER))
+    left_over = jnp.where(turned, -1, at(book.next_of, piece))
+    after = jnp.where(again[:, None], me.at[:, AREA].set(left_over), after)
+    key = jnp.where(goes, (since + moves + (how == TURNS)) * stride + who, jnp.where(closed | again, key, NEVER))
+    if homes is not None:
+        key = jnp.where(charges, (step + homes.recharge) * stride + who, key)
+        # One that waits returns at the end of the step after which it would be late.
+        rest_until = jnp.maximum(homes.last - moves_home(book, who, here), step) * stride + K + who
+        is_due = rests & (moves_home(book, who, here) > 0) & (homes.last <= book.max_steps)
+        key = jnp.where(is_due, rest_until, key)
     # A robot without an area at its start looks for one from the next step on.
-    key = jnp.where(rests & (doing == LAND), (step + 1) * K + who, key)
+    key = jnp.where(rests & (doing == LAND), (step + 1) * stride + who, key)
     mine = mine & acts[:, None]
     opened = splits | (shares & (count > 2))
     waits = (lanes.robots[:, :, DOING] == IDLE) & opened[:, None]
-    keys = jnp.where(waits, (step[:, None] + (robots < who[:, None])) * K + robots, lanes.key)
+    woken = (step[:, None] + (robots < who[:, None])) * stride + robots
+    keys = jnp.where(waits, jnp.minimum(woken, lanes.key), lanes.key)
 
     place = jnp.arange(G, dtype=jnp.int32)
     slots = jnp.where((takes | closed)[:, None] & (place == best[:, None]), -1, lanes.slots)
@@ -363,7 +512,6 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     slots = jnp.where(new, jnp.where(taken, -1, first[:, None] + part), slots)
 
     come = acts & ~again
-    row_end = pick(row, who) + me[:, LAST]
     bisected = split[:, BISECTED] > 0
     kinds = shares[:, None] & jnp.stack([bisected, ~bisected], axis=1)
     ended = runs & (ends | (acts & dies & (alive == 0)))
@@ -371,7 +519,10 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     final = jnp.where(none, jnp.minimum(ahead, book.max_steps), step)
     outcome = jnp.where(late, int(Outcome.STEP_LIMIT), int(Outcome.ALL_ROBOTS_LOST))
     outcome = jnp.where(none & (ahead <= book.max_steps), int(Outcome.NO_PROGRESS), outcome)
-    moved = come & (goes | ((doing != IDLE) & (step > me[:, SINCE])))
+    if homes is not None:
+        outcome = jnp.where(none & (lanes.over > 0), lanes.over - 1, outcome)
+        final = jnp.where(none & (lanes.over > 0), lanes.last, final)
+    moved = come & ~due & (goes | ((doing != IDLE) & (step > me[:, SINCE])))
     mode = jnp.where(ended, DONE, jnp.where(missing, MISSING, jnp.where(full, FULL, RUN)))
     changed = replace(
         lanes,
@@ -387,7 +538,7 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
         shared=lanes.shared + kinds,
         last=jnp.where(ended, final, jnp.where(moved, step, lanes.last)),
         outcome=jnp.where(ended, outcome, lanes.outcome),
-        asked=jnp.where((runs & missing)[:, None], jnp.where(asks[:, None], share.asked, asked), lanes.asked),
+        asked=jnp.where((runs & missing)[:, None], jnp.where(wanted_share[:, None], share.asked, asked), lanes.asked),
     )
     if log is not None:
         flags = jnp.where(dies, jnp.uint32(STOPPED), jnp.uint32(0))
@@ -440,6 +591,7 @@ def _owner_sets_out(book, lanes, log, share, made, first, step, helper, offset):
     base, moves, fate, end = walk(book, way, left, budget)
     # One that is at its target already begins to cover at its next turn, which may be the last of its range.
     fate = jnp.where((moves == 0) & (budget <= 1), ENDS, fate)
+    moves, fate = turning(book, owner, way, since, me[:, UNTIL], moves, fate, True)
     columns = {
         DOING: TRAVEL, FATE: fate, HERE: end, AREA: first + share.parts[:, 0], IDENT: made + share.parts[:, 0],
         WALK: way, ROW: base, SINCE: since, LAST: moves, UNTIL: me[:, UNTIL],
@@ -454,7 +606,11 @@ def _owner_sets_out(book, lanes, log, share, made, first, step, helper, offset):
         lanes,
         visited=lanes.visited | come,
         survived=lanes.survived | come,
-        key=jnp.where(goes, ((since + jnp.maximum(moves, 1)) * K + owner)[:, None], lanes.key),
+        key=jnp.where(
+            goes,
+            ((since + jnp.maximum(moves + (fate == TURNS), 1)) * stride_of(book, lanes) + owner)[:, None],
+            lanes.key,
+        ),
         robots=jnp.where(here[:, :, None], after[:, None], lanes.robots),
         left=jnp.where(goes[:, :, None], left[:, None], lanes.left),
     )
@@ -473,10 +629,16 @@ def begin(book: Book, left: jax.Array, number: jax.Array) -> tuple[Lanes, jax.Ar
     lanes = jax.tree.map(lambda of: at(of, which), book.first)
     left = less(left, at(book.before, which))
     me = lanes.robots.reshape(S * K, FIELDS)
-    _, moves, fate, _ = walk(book, me[:, WALK], left.reshape(-1, 2), me[:, UNTIL] - me[:, SINCE])
-    moves, fate = moves.reshape(S, K), fate.reshape(S, K)
-    stands = lanes.robots[:, :, LAST] == 0
-    key = (lanes.robots[:, :, SINCE] + moves) * K + jnp.arange(K, dtype=jnp.int32)
+    doing, stride = me[:, DOING], stride_of(book, lanes)
+    homeward = (doing == RETURN) | (doing == RECALL)
+    _, moves, fate, _ = walk(book, me[:, WALK], left.reshape(-1, 2), me[:, UNTIL] - me[:, SINCE] + homeward)
+    who = jnp.tile(jnp.arange(K, dtype=jnp.int32), S)
+    turns = turning(book, who, me[:, WALK], me[:, SINCE], me[:, UNTIL], moves, fate)
+    owns = (doing == TRAVEL) | (doing == COVER)
+    moves, fate = (jnp.where(owns, new, old).reshape(S, K) for old, new in zip((moves, fate), turns, strict=True))
+    stands = (lanes.robots[:, :, LAST] == 0) & (lanes.robots[:, :, FATE] != TURNS)
+    stands = stands | (at(book.entries, lanes.robots[:, :, WALK])[:, :, LENGTH] == 0)
+    key = (lanes.robots[:, :, SINCE] + moves + (fate == TURNS)) * stride + jnp.arange(K, dtype=jnp.int32)
     fate = jnp.where(stands, lanes.robots[:, :, FATE], fate)
     kept = lanes.robots.at[:, :, LAST].set(jnp.where(stands, 0, moves)).at[:, :, FATE].set(fate)
     return replace(lanes, number=number, left=left, key=jnp.where(stands, lanes.key, key), robots=kept), which
@@ -500,7 +662,8 @@ def ended(book: Book, lanes: Lanes) -> tuple[Ended, jax.Array, jax.Array]:
 
     complete = (lanes.now == book.every).all(axis=1)
     span = jnp.zeros_like(lanes.last), lanes.last
-    first = jax.lax.cond(complete.any(), lambda: jax.lax.fori_loop(0, HALVINGS, halve, span)[1], lambda: lanes.last)
+    rewinds = complete.any() if book.homes is None else jnp.bool_(False)
+    first = jax.lax.cond(rewinds, lambda: jax.lax.fori_loop(0, HALVINGS, halve, span)[1], lambda: lanes.last)
     time = jnp.where(complete, first, lanes.last)
     moves = by(time)
     stopped = (robots[:, :, FATE] == DIES) & (robots[:, :, SINCE] + robots[:, :, LAST] <= time[:, None])
@@ -514,5 +677,80 @@ def ended(book: Book, lanes: Lanes) -> tuple[Ended, jax.Array, jax.Array]:
     numbers += [jnp.where(complete, int(Outcome.COMPLETE), lanes.outcome), lanes.shared[:, 0], lanes.shared[:, 1]]
     flags = jnp.where(stopped, jnp.uint32(STOPPED), jnp.uint32(0)) | jnp.uint32(FINAL)
     who = jnp.arange(robots.shape[1], dtype=jnp.int32)
+    home = jnp.zeros_like(time)
+    if book.homes is not None:
+        cell = jnp.where(robots[:, :, WALK] > 0, at(book.cell_at, row + moves), robots[:, :, HERE])
+        is_home = moves_home(book, jnp.broadcast_to(who, cell.shape), cell) == 0
+        home = (is_home & ~lost).sum(axis=1, dtype=jnp.int32)
+    numbers.append(home)
     rows = _row(lanes.number[:, None], who, robots, moves, flags)
     return Ended(jnp.stack(numbers, axis=1), visited, survived), rows, moves > 0
+
+
+def _all_return(book, lanes, log, runs, key):  # type: ignore[no-untyped-def]
+    """Lanes whose mission is over before the next event: at the end of that step all robots return to base.
+
+    Each leaves its walk where it is; at the end of the step it sets out. Returns lanes, log, and which lanes these are.
+    """
+    robots, stride = lanes.robots, stride_of(book, lanes)
+    step, K = jnp.minimum(key // stride, book.max_steps + 1), lanes.key.shape[1]
+    moving = (robots[:, :, DOING] <= CHARGE).any(axis=1)
+
+    def covered(time: jax.Array) -> jax.Array:
+        offset = jnp.clip(time[:, None] - robots[:, :, SINCE], 0, robots[:, :, LAST])
+        return (lanes.visited | entered(book, robots[:, :, ROW] + offset) == book.every).all(axis=1)
+
+    stuck = lanes.last + book.quiet
+    asleep = ~moving & (step + (key % stride >= K) > stuck) & (stuck <= book.max_steps)
+    may = runs & (lanes.over == 0)
+    # What has been visited by the last event was not complete before it.
+    complete = (step > lanes.last) & covered(step - 1)
+    over = may & (complete | asleep)
+
+    def halve(_: int, span: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        low, high = span
+        middle = (low + high) >> 1
+        full = covered(middle)
+        return hold((jnp.where(full, low, middle + 1), jnp.where(full, middle, high)))
+
+    def turn() -> tuple[Lanes, Log | None]:
+        first = jax.lax.fori_loop(0, HALVINGS, halve, (jnp.minimum(lanes.last, step - 1), step - 1))[1]
+        time = jnp.where(complete, first, stuck)
+        offset = jnp.clip(time[:, None] - robots[:, :, SINCE], 0, robots[:, :, LAST])
+        doing = robots[:, :, DOING]
+        cut = over[:, None] & ((doing < RETURN) | (doing == IDLE))
+        flat = robots.reshape(-1, FIELDS)
+        entry = at(book.entries, flat[:, WALK])
+        visits = visits_before(book, entry[:, FIRST], entry[:, COUNT], offset.reshape(-1), None, book.halvings)
+        left = less(lanes.left.reshape(-1, 2), hazard_of(book, flat[:, WALK], visits)).reshape(lanes.left.shape)
+        rows = jnp.where(cut, robots[:, :, ROW] + offset, 0)
+        come = jnp.bitwise_or.reduce(at(book.prefix, rows), axis=1)
+        cell = jnp.where(robots[:, :, WALK] > 0, at(book.cell_at, robots[:, :, ROW] + offset), robots[:, :, HERE])
+        who = jnp.broadcast_to(jnp.arange(K, dtype=jnp.int32), doing.shape)
+        values = {
+            DOING: IDLE, FATE: ARRIVES, HERE: cell, AREA: -1, IDENT: 0, WALK: 0, ROW: 0, SINCE: time[:, None], LAST: 0,
+            UNTIL: jnp.where(doing == IDLE, robots[:, :, UNTIL], robots[:, :, UNTIL] - time[:, None]),
+        }  # fmt: skip
+        after = jnp.stack([jnp.broadcast_to(values[name], doing.shape).astype(jnp.int32) for name in range(FIELDS)], -1)
+        charging = over[:, None] & (doing == CHARGE)
+        kept = robots.at[:, :, DOING].set(jnp.where(charging, OUT, doing))
+        keys = jnp.where(cut, time[:, None] * stride + K + who, jnp.where(charging, NEVER, lanes.key))
+        changed = replace(
+            lanes,
+            visited=lanes.visited | come,
+            survived=lanes.survived | come,
+            robots=jnp.where(cut[:, :, None], after, kept),
+            left=jnp.where(cut[:, :, None], left, lanes.left),
+            key=keys,
+            over=jnp.where(over, jnp.where(complete, int(Outcome.COMPLETE), int(Outcome.NO_PROGRESS)) + 1, lanes.over),
+            last=jnp.where(over, time, lanes.last),
+            fuel=lanes.fuel - over.astype(jnp.int32),
+        )
+        if log is None:
+            return changed, None
+        flags = jnp.zeros(doing.shape, jnp.uint32)
+        written = _row(lanes.number[:, None], who, robots, offset, flags).reshape(-1, 4)
+        return changed, write(log, (cut & (offset > 0)).reshape(-1), written)
+
+    lanes, log = _if_any_else(over, turn, (lanes, log))
+    return lanes, log, over

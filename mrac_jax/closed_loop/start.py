@@ -24,11 +24,13 @@ from mrac_jax.closed_loop.events import (
     LAST,
     LIMITLESS,
     OUT,
+    RETURN,
     ROW,
     RUN,
     SINCE,
     START,
     TRAVEL,
+    TURNS,
     UNTIL,
     WALK,
     Lanes,
@@ -63,7 +65,6 @@ def check_supported(loop: ClosedLoop) -> None:
         argument("transit", "area"): loop.stay_inside,
         argument("policy", loop.rule.name): loop.policy is not None,
         argument("threat_checks", "first_visit"): loop.first_only,
-        argument("return_to"): loop.comes_home,
         argument("types"): len(t.type_of) > 0,
         argument("steps_per_move"): len(t.pace) > 0,
         argument("radio"): len(t.reach) > 0,
@@ -76,6 +77,11 @@ def check_supported(loop: ClosedLoop) -> None:
 def padded_team(robots: int) -> int:
     """Robots that lanes of such a team have room for."""
     return next(room for room in ROBOTS if room >= robots)
+
+
+def stride_of(loop: ClosedLoop) -> int:
+    """Keys of a step: the robots' turns, and where they return to base, what they do at the end of the step."""
+    return padded_team(loop.robots) * (2 if loop.comes_home else 1)
 
 
 def members(bits: NDArray[np.uint64]) -> NDArray[np.int64]:
@@ -93,7 +99,7 @@ def first_lane(book: HostBook, room: int) -> Lanes:
     robots, key = np.zeros((K, FIELDS), np.int32), np.full(K, NEVER, np.int32)
     robots[:, DOING], robots[:, AREA], robots[:, SINCE] = DEAD, -1, step - 1
     for number in range(team):
-        robots[number], key[number] = _robot(book, raw, number, step, K)
+        robots[number], key[number] = _robot(book, raw, number, step)
     G = -(-(given + room) // AREAS) * AREAS
     slots = np.full(G, -1, np.int32)
     open_ = members(raw.open)
@@ -104,12 +110,12 @@ def first_lane(book: HostBook, room: int) -> Lanes:
         mode=np.int32(RUN), number=np.int32(0), fuel=np.int32(NEVER), visited=visited, survived=survived,
         now=np.zeros_like(visited), slots=slots, made=np.int32(given), key=key, robots=robots,
         left=np.broadcast_to(two_words(np.array(ENDLESS)), (K, 2)).copy(), shared=np.zeros(2, np.int32),
-        last=np.int32(step - 1 - int(raw.marks["quiet"])), outcome=np.int32(0),
+        last=np.int32(step - 1 - int(raw.marks["quiet"])), outcome=np.int32(0), over=np.int32(raw.marks["over"]),
         asked=np.zeros(book.words + 1, np.uint32),
     )  # fmt: skip
 
 
-def _robot(book: HostBook, raw, number: int, step: int, K: int) -> tuple[NDArray[np.int32], int]:  # type: ignore[no-untyped-def]
+def _robot(book: HostBook, raw, number: int, step: int) -> tuple[NDArray[np.int32], int]:  # type: ignore[no-untyped-def]
     """One robot's fields and its key."""
     loop, t = book.loop, book.loop.tables
     me, begins = raw.robots[number], loop.state is None
@@ -129,7 +135,7 @@ def _robot(book: HostBook, raw, number: int, step: int, K: int) -> tuple[NDArray
     else:
         robot = loop.state.robots[number]
         if number in members(raw.movers):
-            doing, area = (COVER, int(robot.area)) if robot.status == "covering" else (TRAVEL, int(robot.area))
+            doing, area = {"covering": COVER, "returning": RETURN}.get(robot.status, TRAVEL), int(robot.area)
             entry = _rest_of(book, raw, number, cell)
         elif number in members(raw.waiting):
             doing = IDLE
@@ -137,15 +143,21 @@ def _robot(book: HostBook, raw, number: int, step: int, K: int) -> tuple[NDArray
             doing = OUT if robot.alive else DEAD
     base, length, end = book.entries.rows[entry, [BASE, LENGTH, END]].tolist()
     since = step - 1
-    ends = until - since <= length
-    last = until - since if ends else length
+    fate, last, stride = ARRIVES, length, stride_of(loop)
+    if until - since < length + (doing != RETURN):
+        fate, last = ENDS, until - since
+    if loop.comes_home and doing in (TRAVEL, COVER):
+        need = book.need.rows[base + 1 : base + 1 + length, t.home_of[number]]
+        beyond = need > min(until, t.last_step) - since
+        if beyond.any() and int(beyond.argmax()) < last:
+            fate, last = TURNS, int(beyond.argmax())
     fields = {
-        DOING: doing, FATE: ENDS if ends else ARRIVES, HERE: end if entry else cell, AREA: area, IDENT: max(area, 0),
+        DOING: doing, FATE: fate, HERE: end if entry else cell, AREA: area, IDENT: max(area, 0),
         WALK: entry, ROW: base, SINCE: since, LAST: last, UNTIL: until,
     }  # fmt: skip
-    key = (since + last) * K + number
+    key = (since + last + (fate == TURNS)) * stride + number
     if doing == IDLE:
-        key = step * K + number
+        key = step * stride + number
     elif doing in (OUT, DEAD):
         key = NEVER
     return np.array([fields[name] for name in range(FIELDS)], np.int32), key
@@ -155,10 +167,18 @@ def _rest_of(book: HostBook, raw, number: int, cell: int) -> int:  # type: ignor
     """The walk of a robot of a mission's state: along its way, and through the rest of the cells to do."""
     loop = book.loop
     robot = loop.state.robots[number]  # type: ignore[union-attr]
+    if robot.status == "returning":
+        return book.add_walk(cell, book.way_home(cell, int(loop.tables.home_of[number])))
     ahead, to_do = np.searchsorted(loop.cells, robot.ahead), np.searchsorted(loop.cells, robot.to_do)
+    found = np.flatnonzero(np.isin(ahead, to_do)) if robot.status == "covering" else ahead[:0]
+    leg = ahead[: int(found[0]) + 1] if len(found) else ahead
+    if (loop.tables.hop_to[leg[-1], leg[:-1]] != leg[1:]).any():
+        raise WorldError(
+            f"robot {number} is not on the safest way to cell {loop.cells[leg[-1]]}",
+            expected="the ways that plans have for the closed loop in JAX",
+            fix=f"use {argument('engine', 'numba')}",
+        )
     if robot.status != "covering":
         return book.add_walk(cell, ahead, np.append(cell, ahead[:-1]) == ahead)
-    ends = np.flatnonzero(np.isin(ahead, to_do))
-    leg = ahead[: int(ends[0]) + 1] if len(ends) else ahead
-    rest = np.setdiff1d(to_do, leg[-1:])
-    return book.add_walk(cell, np.concatenate([leg, book.path(int(leg[-1]), rest)]) if len(rest) else leg)
+    rest, _, ends = book.path(int(leg[-1]), np.setdiff1d(to_do, leg[-1:]))
+    return book.add_walk(cell, np.append(leg, rest), None, np.append(np.arange(len(leg)) == len(leg) - 1, ends))
