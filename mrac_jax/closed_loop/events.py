@@ -376,7 +376,9 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     me, left = hold((pick(lanes.robots, who), pick(lanes.left, who)))
     doing, fate, piece = me[:, DOING], me[:, FATE], jnp.maximum(me[:, AREA], 0)
     row_end = pick(row, who) + me[:, LAST]
-    here = hold(jnp.where(me[:, WALK] > 0, at(book.cell_at, row_end), me[:, HERE]))
+    here = me[:, HERE]
+    if homes is not None:  # who turns back is not at the end of its walk
+        here = hold(jnp.where(me[:, WALK] > 0, at(book.cell_at, row_end), here))
     ends = late | none
     if homes is None:
         ends = ends | (now == book.every).all(axis=1)
@@ -522,7 +524,7 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     if homes is not None:
         outcome = jnp.where(none & (lanes.over > 0), lanes.over - 1, outcome)
         final = jnp.where(none & (lanes.over > 0), lanes.last, final)
-    moved = come & ~due & (goes | ((doing != IDLE) & (step > me[:, SINCE])))
+    moved = come & ~due & (goes | ((doing != IDLE) & (step > me[:, SINCE]) & (fate != TURNS)))
     mode = jnp.where(ended, DONE, jnp.where(missing, MISSING, jnp.where(full, FULL, RUN)))
     changed = replace(
         lanes,
