@@ -146,7 +146,8 @@ class Grown:
     """A table whose first axis doubles, so that programs are compiled for few sizes."""
 
     def __init__(self, room: int, width: tuple[int, ...], dtype: type) -> None:
-        self.rows, self.used = np.zeros((room, *width), dtype=dtype), 0
+        self.rows: NDArray = np.zeros((room, *width), dtype=dtype)
+        self.used = 0
 
     def add(self, values: NDArray) -> int:
         """Append the rows; where they begin."""

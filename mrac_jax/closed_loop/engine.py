@@ -346,7 +346,8 @@ class JaxClosedLoop:
         homes = self._homes
         if homes is not None:
             homes = replace(homes, turnings=max(8, (self.host.longest.bit_length() + 4) // 4 * 4))
-        return Book(**tables, **self._fixed, homes=homes, halvings=halvings, parts=self._parts)
+        fixed: dict[str, Any] = self._fixed | {"homes": homes}
+        return Book(**tables, **fixed, halvings=halvings, parts=self._parts)
 
     def _batch(self, ids: NDArray[np.int64]) -> tuple[Batch, NDArray[np.int64]]:
         """A batch of these rollouts, shared out among the devices, and the place of each of them."""
@@ -381,7 +382,8 @@ class JaxClosedLoop:
 
     def _roll_out(self, batch: Batch) -> tuple[Batch, list[NDArray[np.uint32]]]:
         """Roll out a batch: with its results, and the rows of each device's log. Raises _NoRoom."""
-        program, logs = _program(self._mesh), [[] for _ in range(self._devices)]  # type: list[list[NDArray[np.uint32]]]
+        program = _program(self._mesh)
+        logs: list[list[NDArray[np.uint32]]] = [[] for _ in range(self._devices)]
         while True:
             self._lanes, batch = program(self.book(), self._lanes, batch)
             # What is read is copied: the program is given the memory back.

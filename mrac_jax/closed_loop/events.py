@@ -11,6 +11,7 @@ Axis letters: `B` lanes, `K` robots, `G` areas that a lane has room for; the oth
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -729,7 +730,7 @@ def _all_return(book, lanes, log, runs, key):  # type: ignore[no-untyped-def]
         come = jnp.bitwise_or.reduce(at(book.prefix, rows), axis=1)
         cell = jnp.where(robots[:, :, WALK] > 0, at(book.cell_at, robots[:, :, ROW] + offset), robots[:, :, HERE])
         who = jnp.broadcast_to(jnp.arange(K, dtype=jnp.int32), doing.shape)
-        values = {
+        values: dict[int, Any] = {
             DOING: IDLE, FATE: ARRIVES, HERE: cell, AREA: -1, IDENT: 0, WALK: 0, ROW: 0, SINCE: time[:, None], LAST: 0,
             UNTIL: jnp.where(doing == IDLE, robots[:, :, UNTIL], robots[:, :, UNTIL] - time[:, None]),
         }  # fmt: skip

@@ -72,5 +72,5 @@ def closed_rollouts(book: Book, thresholds: ArrayLike) -> Closed:
         )
         missing = lanes.mode != DONE
         result = ended(book, replace(lanes, last=jnp.maximum(lanes.last, 0)))[0]
-    columns = (result.numbers[:, column] for column in (TIME, ALIVE, OUTCOME))
-    return Closed(result.visited, result.survived, *columns, missing)
+    time, alive, outcome = (result.numbers[:, column] for column in (TIME, ALIVE, OUTCOME))
+    return Closed(result.visited, result.survived, time, alive, outcome, missing)

@@ -133,7 +133,7 @@ def _robot(book: HostBook, raw, number: int, step: int) -> tuple[NDArray[np.int3
                 doing, area = START, int(owned[0])
             entry = book.add_walk(cell, np.array([cell]))
     else:
-        robot = loop.state.robots[number]
+        robot = loop.state.robots[number]  # type: ignore[union-attr]
         if number in members(raw.movers):
             doing, area = {"covering": COVER, "returning": RETURN}.get(robot.status, TRAVEL), int(robot.area)
             entry = _rest_of(book, raw, number, cell)
