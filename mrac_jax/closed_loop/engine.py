@@ -346,8 +346,8 @@ class JaxClosedLoop:
         homes = self._homes
         if homes is not None:
             homes = replace(homes, turnings=max(8, (self.host.longest.bit_length() + 4) // 4 * 4))
-        fixed: dict[str, Any] = self._fixed | {"homes": homes}
-        return Book(**tables, **fixed, halvings=halvings, parts=self._parts)
+        fields: dict[str, Any] = tables | self._fixed | {"homes": homes}
+        return Book(**fields, halvings=halvings, parts=self._parts)
 
     def _batch(self, ids: NDArray[np.int64]) -> tuple[Batch, NDArray[np.int64]]:
         """A batch of these rollouts, shared out among the devices, and the place of each of them."""
