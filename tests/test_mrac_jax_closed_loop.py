@@ -332,7 +332,7 @@ def test_sets_with_one_hash_are_told_apart(loop: ClosedLoop, monkeypatch: pytest
         bucket, tag = mixed(words, salt)
         return bucket, (tag & 15) | 1
 
-    for module in ("book", "events"):
+    for module in ("book", "lanes"):
         monkeypatch.setattr(f"mrac_jax.closed_loop.{module}.mixed", poor)
     engine_module._program.cache_clear()
     try:
