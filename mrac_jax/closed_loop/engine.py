@@ -27,6 +27,7 @@ from mrac_jax.closed_loop.lanes import Book, Ended, Homes, Lanes, Log, at, write
 from mrac_jax.closed_loop.start import ENDLESS, check_supported, first_lane, padded_team, stride_of
 from mrac_jax.process import fixed_flags
 from mrac_jax.runtime import keep_jax_programs
+from planner.errors import UsageError
 from planner.failure_model import key_of_luck
 from planner.ids import BLOCK
 from planner.rollouts.closed_loop import results_from, tally_from
@@ -37,6 +38,8 @@ from planner.world.world import World
 
 LANES = {"cpu": 1024, "gpu": 2**16}
 """Rollouts at a time on a device."""
+MOST_LANES = 2**17
+"""Numbers of a batch's rollouts and robots share a word of the log."""
 BATCH = 16
 """Rollouts of a batch a lane: at its end lanes run empty."""
 EVENTS, BEGIN = 8, 3
@@ -220,6 +223,8 @@ class JaxClosedLoop:
             room, parts: areas that a rollout may make and parts of a split, at first.
         """
         check_supported(loop)
+        if lanes is not None and not 0 < lanes <= MOST_LANES:
+            raise UsageError(f"lanes is {lanes}", expected=f"1 to {MOST_LANES:,} on each device")
         keep_jax_programs()
         self.loop, self.seed, self.accessible = loop, seed, loop.accessible
         local = jax.local_devices()[:devices]

@@ -29,6 +29,9 @@ def check_supported(loop: ClosedLoop) -> None:
     size = f"a map of {loop.shape[0]} x {loop.shape[1]} cells, {len(loop.cells)} of them accessible"
     if not loop.tabled and not loop.learns:
         raise WorldError(size, expected=f"at most {MOST_TABLED} accessible ones for the closed loop in JAX", fix=fix)
+    if (loop.max_steps + 2) * stride_of(loop) >= NEVER:
+        problem = f"{loop.robots} robots that may run for {loop.max_steps:,} steps"
+        raise WorldError(problem, expected="a product below 2**30 for the closed loop in JAX", fix=fix)
     of_the_map = {
         "threats that change with time": len(t.phases) > 0,
         "robots that learn the map": loop.learns,
