@@ -105,7 +105,11 @@ def pytest_runtest_setup() -> None:
         keep_all_programs()
 
 
-EFFORTS = {"analysis.estimators.trial.EFFORT": 0.1, "analysis.theory.upper_bound.GAIN": 20.0}
+EFFORTS = {
+    "analysis.estimators.trial.EFFORT": 0.1,
+    "analysis.theory.upper_bound.GAIN": 20.0,
+    "analysis.theory.upper_bound.PATIENCE": 0.3,
+}
 """What the quick tests multiply: histories of a tree of all that can happen; where the bound for every strategy ends.
 
 Most evaluations in tests are about neither, but each looks for both. A tree that is found is the same; a bound is less
@@ -121,7 +125,7 @@ def little_effort(pytestconfig: pytest.Config) -> dict[str, float]:
         module, _, constant = name.rpartition(".")
         full[name] = getattr(import_module(module), constant)
         if pytestconfig.getoption("markexpr") == "not slow":
-            setattr(import_module(module), constant, factor * full[name])
+            setattr(import_module(module), constant, type(full[name])(factor * full[name]))
     return full
 
 
