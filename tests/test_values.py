@@ -266,10 +266,7 @@ def test_what_many_passes_find_is_aimed_at_not_bounded_from_below() -> None:
     passes = np.rint(runs * reached).astype(np.int64)
     stops = runs - passes[-1]
     tally = SimpleNamespace(
-        passes=passes[:MOST_PASSES],
-        visits=np.array([passes.sum() + stops]),
-        stops=np.array([stops]),
-        rollouts=runs,
+        passes=passes[:MOST_PASSES], visits=np.array([passes.sum() + stops]), stops=np.array([stops]), rollouts=runs
     )
     found, rest = found_chances(tally, Worth(np.ones(1), np.array([d])))  # type: ignore[arg-type]
     truth = d * (reached @ (1 - d) ** np.arange(12))
