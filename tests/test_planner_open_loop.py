@@ -107,7 +107,7 @@ def test_drivable_complete_below_the_optimum_and_never_worse_than_the_nominal_pl
 def test_clearly_better_than_the_nominal_plan_and_the_same_again(kind: str) -> None:
     world = random_world(pattern=ThreatPattern(kind=kind, seed=1))  # type: ignore[arg-type]
     starts = place_starts(world, 4)[0]
-    plan, again = planned(world, starts, 4_000), planned(world, starts, 4_000)
+    plan, again = planned(world, starts, 8_000), planned(world, starts, 8_000)
     cells = int(world.accessible(starts).sum())
     value, none, nominal = (
         open_loop_exact(some, world).visited for some in (plan, planned(world, starts, 0), make_plan(world, starts))
