@@ -22,10 +22,10 @@ import mrac_jax as mrac
 from planner.errors import InputError, PlanError, WorldError
 from planner.make_plan import allocated_plan, make_plan
 from planner.rollouts.closed_loop import compile_closed_loop, with_nominal_run
-from planner.rollouts.interpreted import NAME, interpreted
 from planner.rollouts.single_run import PythonLoop
 from planner.simulator import jit, step
 from planner.simulator.codes import Doing, EventKind
+from planner.simulator.jit import NAME, interpreted
 from planner.simulator.offers import CellOffer
 from planner.world.uncertain_maps import Hazard
 from planner.world.world import World

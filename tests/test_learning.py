@@ -28,10 +28,10 @@ from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, final_odds, run_range, trace_rollouts
 from planner.rollouts.engine import Rolling, closed_loop_engine, make_engine
 from planner.rollouts.exact_tree import WHOLE, grow_tree
-from planner.rollouts.interpreted import interpreted
 from planner.rollouts.single_run import PythonLoop, SingleRun, play
 from planner.settings import Settings
 from planner.simulator.codes import ALWAYS, NEVER, NO_AREA, NO_ROBOT, Doing, EventKind, Outcome
+from planner.simulator.jit import interpreted
 from planner.simulator.state import ALARM, SILENCE
 from planner.simulator.thresholds import threefry2x32
 from planner.tally import Trace

@@ -23,10 +23,10 @@ from planner.plan.plan_file import parse_plan
 from planner.plan_team import plan_team, read_plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.engine import Rolling, make_engine
-from planner.rollouts.interpreted import interpreted
 from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
 from planner.simulator.codes import Doing, Outcome
+from planner.simulator.jit import interpreted
 from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
 from planner.world.features import with_movers
 from planner.world.levels import place_starts

@@ -34,9 +34,9 @@ from planner.simulator.searches import (
     NOT_WANTED,
     UNREACHED,
     SafestPaths,
-    TabledPaths,
     find_safe_parts,
     neighbour_table,
+    safest_paths,
 )
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import NO_LEVEL, entry_costs, find_levels, place_starts, starts_of, to_networkx
@@ -245,10 +245,9 @@ def test_a_team_takes_over_what_is_of_its_own_map_and_nothing_of_another_shape()
 # Safest paths against NetworkX on random worlds: costs, ties, tables and searches, overflow.
 
 
-def both_paths(world: World, starts: np.ndarray, risk: str = "paper") -> tuple[SafestPaths, TabledPaths]:
+def paths_over(world: World, starts: np.ndarray, risk: str = "paper") -> SafestPaths:
     costs = entry_costs(find_levels(world, world.accessible(starts), 16), risk)  # type: ignore[arg-type]
-    neighbours = neighbour_table(world.shape, costs != BLOCKED)
-    return SafestPaths(neighbours, costs), TabledPaths(neighbours, costs)
+    return safest_paths(world.shape, costs)
 
 
 def safest_path_by_ties(graph: nx.DiGraph, source: tuple[int, int], target: tuple[int, int]) -> list[tuple[int, int]]:
@@ -275,14 +274,14 @@ def test_costs_and_paths_are_networkx(given_world: tuple[World, np.ndarray]) -> 
     expected = nx.single_source_dijkstra_path_length(
         graph.subgraph(nx.node_connected_component(graph.to_undirected(), source)), source, weight="cost"
     )
-    for paths in both_paths(world, starts):
-        cost = paths.to_all(source[0] * width + source[1])
-        found = {divmod(int(c), width): int(cost[c]) for c in np.flatnonzero(cost >= 0)}
-        assert found == expected
-        target = max(expected)
-        walk = safest_path_by_ties(graph, source, target)
-        cells = paths.path(source[0] * width + source[1], target[0] * width + target[1])
-        assert [divmod(int(c), width) for c in cells] == walk
+    paths = paths_over(world, starts)
+    cost = paths.to_all(source[0] * width + source[1])
+    found = {divmod(int(c), width): int(cost[c]) for c in np.flatnonzero(cost >= 0)}
+    assert found == expected
+    target = max(expected)
+    walk = safest_path_by_ties(graph, source, target)
+    cells = paths.path(source[0] * width + source[1], target[0] * width + target[1])
+    assert [divmod(int(c), width) for c in cells] == walk
 
 
 @given(worlds_with_starts())
@@ -294,45 +293,34 @@ def test_nearest_is_least_cost_then_rank_then_index(given_world: tuple[World, np
         members = np.flatnonzero(levels.of_cell == level)
         rank = np.full(world.threat.size, -1, dtype=np.int32)
         rank[members] = members[::-1] % 3
-        for paths in both_paths(world, starts):
-            cost = paths.to_all(source)
-            reachable = [int(c) for c in members if cost[c] >= 0]
-            best = min(((int(cost[c]), int(rank[c]), c) for c in reachable), default=None)
-            found = paths.nearest(source, rank)
-            assert (None if found is None else (found.cost, found.cell)) == (best and (best[0], best[2]))
-            if len(members):  # an area is connected: all of it can be reached, or nothing
-                asked = np.array(reachable) if reachable else members
-                assert paths.cost_to(source, asked) == (UNREACHED if best is None else best[0])
-
-
-def test_tables_and_searches_agree_on_large_worlds() -> None:
-    for name in [name for name in NAMES if name.startswith("scattered") and name.endswith("k2")]:
-        fixture = load_fixture(name)
-        searched, tabled = both_paths(fixture.world, fixture.starts)
-        source = int(fixture.starts[0, 0] * fixture.world.shape[1] + fixture.starts[0, 1])
-        np.testing.assert_array_equal(searched.to_all(source), tabled.to_all(source))
-        for target in np.flatnonzero(tabled.costs != BLOCKED):
-            if tabled.to_all(source)[target] >= 0:
-                np.testing.assert_array_equal(searched.path(source, target), tabled.path(source, target))
+        paths = paths_over(world, starts)
+        cost = paths.to_all(source)
+        reachable = [int(c) for c in members if cost[c] >= 0]
+        best = min(((int(cost[c]), int(rank[c]), c) for c in reachable), default=None)
+        found = paths.nearest(source, rank)
+        assert (None if found is None else (found.cost, found.cell)) == (best and (best[0], best[2]))
+        if len(members):  # an area is connected: all of it can be reached, or nothing
+            asked = np.array(reachable) if reachable else members
+            assert paths.cost_to(source, asked) == (UNREACHED if best is None else best[0])
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name.endswith("k2")][:6])
-def test_the_compiled_tables_are_the_readable_ones(name: str) -> None:
+def test_tables_are_those_of_searches(name: str) -> None:
     """All pairs, first hops by the tie rule, the nearest cells, and areas, on a map in two parts."""
     cells = load_fixture(name).world.threat.copy()
     cells[:, 9] = np.nan
     world = World.create(cells)
-    _, tabled = both_paths(world, np.argwhere(world.free))
-    kept = np.flatnonzero(tabled.costs != BLOCKED)
-    near = neighbour_table(world.shape, tabled.costs != BLOCKED)[kept]
+    searched = paths_over(world, np.argwhere(world.free))
+    kept = np.flatnonzero(searched.costs != BLOCKED)
+    near = neighbour_table(world.shape, searched.costs != BLOCKED)[kept]
     near = np.where(near < 0, -1, np.searchsorted(kept, near)).astype(np.int32)
-    cost, hop, ranked = all_pairs(near, tabled.costs[kept], np.dtype(np.int32), np.dtype(np.uint16))
-    expected = np.array([tabled.to_all(source)[kept] for source in kept.tolist()])
+    cost, hop, ranked = all_pairs(near, searched.costs[kept], np.dtype(np.int32), np.dtype(np.uint16))
+    expected = np.array([searched.to_all(source)[kept] for source in kept.tolist()])
     assert (expected < 0).any()
     np.testing.assert_array_equal(cost, expected)
     for place in range(0, len(kept), 9):
         ways = np.flatnonzero(expected[place] > 0).tolist()
-        firsts = [tabled.path(int(kept[place]), int(kept[target]))[0] for target in ways]
+        firsts = [searched.path(int(kept[place]), int(kept[target]))[0] for target in ways]
         assert hop[ways, place].tolist() == np.searchsorted(kept, firsts).tolist()
         assert not np.delete(hop[:, place], ways).any()
     for row, of_row in zip(ranked, expected, strict=True):
@@ -349,13 +337,12 @@ def test_the_compiled_tables_are_the_readable_ones(name: str) -> None:
 
 def test_a_search_kept_inside_does_not_answer_for_the_open_grid() -> None:
     world = World.create(np.zeros((2, 3)))
-    searched, tabled = both_paths(world, np.array([[0, 0]]))
+    paths = paths_over(world, np.array([[0, 0]]))
     rank = np.array([-1, -1, 0, -1, -1, -1], dtype=np.int32)
     below = np.array([True, False, True, True, True, True])
-    for paths in (searched, tabled):
-        assert paths.nearest(0, rank, below) == (2, 4)
-        assert paths.path(0, 2).tolist() == [1, 2]
-        assert paths.path(0, 2, below).tolist() == [3, 4, 5, 2]
+    assert paths.nearest(0, rank, below) == (2, 4)
+    assert paths.path(0, 2).tolist() == [1, 2]
+    assert paths.path(0, 2, below).tolist() == [3, 4, 5, 2]
 
 
 def test_one_dangerous_cell_outweighs_every_safe_one() -> None:

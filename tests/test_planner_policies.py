@@ -38,11 +38,11 @@ from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_r
 from planner.rollouts.engine import closed_loop_engine
 from planner.rollouts.exact_tree import WHOLE as MASS
 from planner.rollouts.exact_tree import grow_tree
-from planner.rollouts.interpreted import interpreted
 from planner.rollouts.single_run import PythonLoop, Run
 from planner.rollouts.tables import AllPairs
 from planner.settings import Settings
 from planner.simulator.codes import NONE, EventKind, Outcome
+from planner.simulator.jit import interpreted
 from planner.simulator.offers import NO_REFUSAL, Offer, is_refused
 from planner.tally import WORDS_OF_0_3
 from planner.world.generate import ThreatPattern, random_world
