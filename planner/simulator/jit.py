@@ -192,6 +192,10 @@ class FunctionCache(NullCache):
         except Exception as error:  # a Numba with other internals
             self.folder.report(f"is not kept ({error})")
 
+    def has(self, sig: Any, target_context: Any) -> bool:
+        """Whether there is a file for the signature."""
+        return (self.folder.path / (self._file(sig, target_context.codegen()) + SUFFIX)).exists()
+
     def _file(self, sig: Any, codegen: Any) -> str:
         key = repr((*self._key, sig, codegen.magic_tuple()))
         return f"{self.name}-{_hash(key.encode()).hex()[:32]}"
@@ -307,6 +311,14 @@ def is_cached(function: Callable[..., Any]) -> bool:
     """Whether compiled code of a `program` is in the cache, for some signature."""
     cache = getattr(function, "_cache", None)
     return isinstance(cache, FunctionCache) and any(cache.folder.path.glob(f"{cache.name}-*"))
+
+
+def has_program(function: Any, given: tuple[Any, ...], cached: bool) -> bool:
+    """Whether a call with these arguments runs code of this process, or, if `cached` is asked, code in the cache."""
+    kinds, cache = tuple(map(numba.typeof, given)), getattr(function, "_cache", None)
+    if kinds in getattr(function, "overloads", ()):  # Numba may be switched off
+        return True
+    return cached and isinstance(cache, FunctionCache) and cache.has(kinds, function.targetctx)
 
 
 @threaded
