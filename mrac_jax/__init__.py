@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from planner.errors import InputError
     from planner.plan.plan import Plan
     from planner.plan_team import read_plan
+    from planner.rollouts.coverage_gradient import closed_loop_gradient
     from planner.settings import Settings
     from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
     from planner.world.features import with_movers, with_prior, with_sense, with_truth
@@ -54,16 +55,17 @@ if TYPE_CHECKING:
 
 __version__ = version("mrac-jax")
 __all__ = [
-    "InputError", "Plan", "Settings", "World", "attack", "check", "clear", "compare", "env", "evaluate", "export",
-    "front", "functional", "judge", "load", "mission", "plan", "plots", "read_outcomes", "read_plan", "read_rollouts",
-    "record", "reproduce", "results", "size", "starts", "suite", "sweep", "to_networkx", "with_hazard", "with_maps",
-    "with_movers", "with_phases", "with_prior", "with_sense", "with_spread", "with_truth",
+    "InputError", "Plan", "Settings", "World", "attack", "check", "clear", "closed_loop_gradient", "compare", "env",
+    "evaluate", "export", "front", "functional", "judge", "load", "mission", "plan", "plots", "read_outcomes",
+    "read_plan", "read_rollouts", "record", "reproduce", "results", "size", "starts", "suite", "sweep", "to_networkx",
+    "with_hazard", "with_maps", "with_movers", "with_phases", "with_prior", "with_sense", "with_spread", "with_truth",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",
     "Plan": "planner.plan.plan",
     "Settings": "planner.settings",
     "World": "planner.world.world",
+    "closed_loop_gradient": "planner.rollouts.coverage_gradient",
     "env": "mrac_jax.environment.making",
     "functional": "mrac_jax.functional",
     "plots": "analysis.plots",
