@@ -17,8 +17,9 @@ Cells that are obstacles in the world are ignored: `p` and `value` may be NaN th
 cells NaN, p < 0 and p >= 1 are an InputError where `p` is concrete. Under a trace values cannot be checked, and the
 result is undefined. Shapes are checked in both cases.
 
-`key` is a seed, a whole number `0 <= seed < 2**64`, or a key of `jax.random`. Rollouts 0, 1, ... of a seed are those
-of the other engines, robot by robot; a key of `jax.random` draws the seed. Nothing here changes a setting of JAX.
+`key` is a seed, a whole number `0 <= seed < 2**64` or an integer scalar of JAX, or a key of `jax.random`. Rollouts
+0, 1, ... of a seed are those of the other engines, robot by robot; a key of `jax.random` draws the seed. Nothing here
+changes a setting of JAX.
 """
 
 from __future__ import annotations
@@ -237,15 +238,19 @@ def thresholds(key: Key, ids: ArrayLike, robots: int) -> Array:
         ids: uint32 `[..]`, rollout ids.
         robots: K.
     """
-    return tolerance_words(_random_words(key, ids, robots))
+    return tolerance_words(_words_of(_seed_words(key), _ids("ids", ids), robots))
 
 
-def _random_words(key: Key, ids: ArrayLike, robots: int) -> Array:
-    """The random word of each robot in each rollout, uint32 `[.., K]`: the first of Threefry at (id, robot)."""
-    return _words_of(_seed_words(key), jnp.asarray(ids).astype(jnp.uint32), robots)
+def _ids(name: str, given: ArrayLike) -> Array:
+    """Rollout ids, uint32. Raises InputError."""
+    ids = jnp.asarray(given)
+    if not jnp.issubdtype(ids.dtype, jnp.integer):
+        raise InputError(f"{name}: {ids.dtype}", expected="whole numbers, 0 .. 2**32 - 1")
+    return ids.astype(jnp.uint32)
 
 
 def _words_of(seed: Array, ids: Array, robots: int) -> Array:
+    """The random word of each robot in each rollout, uint32 `[.., K]`: the first of Threefry at (id, robot)."""
     purpose = threefry2x32(seed, jnp.uint32(OWN_KEYS), jnp.uint32(LUCK_DRAW))
     rollout = ids[..., None]
     shape = (*rollout.shape[:-1], robots)
@@ -258,6 +263,10 @@ def _seed_words(key: Key) -> Array:
     if isinstance(key, int | np.integer) and not isinstance(key, bool) and 0 <= key < 2**64:
         return jnp.asarray(np.array(key_of(int(key)), dtype=np.uint32))
     kind, shape = getattr(key, "dtype", None), getattr(key, "shape", None)
+    traced = isinstance(key, jax.core.Tracer)
+    if isinstance(key, jax.Array) and jnp.issubdtype(key.dtype, jnp.integer) and shape == () and (traced or key >= 0):
+        high = (key >> 32).astype(jnp.uint32) if key.dtype.itemsize == 8 else jnp.uint32(0)
+        return jnp.stack([key.astype(jnp.uint32), high])
     typed = kind is not None and jnp.issubdtype(kind, jax.dtypes.prng_key) and shape == ()
     if not typed and not (isinstance(key, jax.Array) and kind == jnp.uint32 and shape in ((2,), (4,))):
         said = repr(key) if kind is None else f"an array {kind}{list(shape or ())}"
@@ -291,17 +300,17 @@ def _limits(arrays: PlanArrays, p: Array) -> tuple[Array, Array]:
 
 
 def _to_fresh_robot(hazard: Array, times: Array, shape: float) -> Array:
-    """`planner.simulator.thresholds.unworn` in jnp, int64 `[K, E]`."""
+    """`planner.simulator.thresholds.unworn` in jnp: hazards to a robot whose threshold is Exp(1), int64 `[K, E]`."""
     some = (hazard > 0).astype(jnp.int64)
     after = jnp.minimum(hazard, (2**62 // jnp.maximum(times, SCALE)) << 16) + some
-    borne = (after >> 16) * times + (((after & (SCALE - 1)) * times - some) >> 16)
+    multiplied = (after >> 16) * times + (((after & (SCALE - 1)) * times - some) >> 16)
     if shape == 1:
-        return borne
+        return multiplied
     nodes = jnp.asarray(wear_nodes(shape))
-    borne = jnp.minimum(borne, nodes[-1] - 1)
-    node = jnp.searchsorted(nodes, borne, side="right").astype(jnp.int64) - 1
+    multiplied = jnp.minimum(multiplied, nodes[-1] - 1)
+    node = jnp.searchsorted(nodes, multiplied, side="right").astype(jnp.int64) - 1
     octave = jnp.maximum((node >> 6) - 1, 0)
-    part = (((borne - nodes[node] + 1) << 16) - 1) // (nodes[node + 1] - nodes[node])
+    part = (((multiplied - nodes[node] + 1) << 16) - 1) // (nodes[node + 1] - nodes[node])
     return ((node - (octave << 6)) << octave) + ((((part + 1) << octave) - 1) >> 16)
 
 
@@ -314,7 +323,10 @@ def rollout(key: Key, arrays: PlanArrays, p: ArrayLike, rollout_id: ArrayLike = 
         p: `[H, W]`.
         rollout_id: uint32 scalar.
     """
-    word = _random_words(key, rollout_id, arrays.cell.shape[0])
+    number = _ids("rollout_id", rollout_id)
+    if number.shape != ():
+        raise InputError(f"rollout_id: shape {list(number.shape)}", expected="one id", fix="use jax.vmap over several")
+    word = _words_of(_seed_words(key), number, arrays.cell.shape[0])
     return _outcome(arrays, _lost_entry(word, *_limits(arrays, _probabilities(arrays, p))))
 
 

@@ -83,6 +83,10 @@ def test_coverage_and_survival_are_exact(kind: str) -> None:
         assert coverage_of(arrays, p) == pytest.approx(exact.visited, rel=1e-12)
         by_cell = 1.0 - np.prod(1.0 - np.asarray(survival_of(arrays, p)), axis=0)
         np.testing.assert_allclose(by_cell.ravel(), exact.visited_by_cell, rtol=0, atol=1e-12)
+        if kind != "both":  # as docs/jax.md says
+            passed = np.asarray(survival_of(arrays, p)) * (1 - np.nan_to_num(p))
+            survived = 1.0 - np.prod(1.0 - passed, axis=0)
+            np.testing.assert_allclose(survived.ravel(), exact.survived_by_cell, rtol=0, atol=1e-12)
         value = np.arange(by_cell.size, dtype=np.float64).reshape(by_cell.shape)
         value[~world.free] = np.nan
         expected = np.nansum(value.ravel() * exact.visited_by_cell)
@@ -170,6 +174,8 @@ def test_keys_of_jax_draw_the_seed() -> None:
     counts = F.rollouts(key, arrays, p, N, batch_size=B)
     same(counts, F.rollouts(low + (high << 32), arrays, p, N, batch_size=B))
     same(counts, F.rollouts(jax.random.PRNGKey(8), arrays, p, N, batch_size=B))
+    seeded = jax.jit(partial(F.rollouts, batch_size=B))(7, arrays, p, N)  # under jit a seed is an array
+    same(seeded, F.rollouts(7, arrays, p, N, batch_size=B))
     exact, covered = open_loop_exact(plan, world), np.arange(p.size + 1)
     mean = np.asarray(counts.cells_visited) @ covered / N
     error = np.sqrt((np.asarray(counts.cells_visited) @ (covered - mean) ** 2) / N / N)
@@ -322,7 +328,7 @@ def test_shapes_are_checked_under_a_trace_too(shape: tuple[int, ...]) -> None:
         jax.jit(F.expected_coverage)(arrays, threat, bad)
 
 
-@pytest.mark.parametrize("key", [-1, 2**64, 1.5, True, "0", None, np.zeros(3, np.uint32), jnp.zeros(2), jnp.int32(1)])
+@pytest.mark.parametrize("key", [-1, 2**64, 1.5, True, "0", None, np.zeros(3, np.uint32), jnp.zeros(2), jnp.int32(-1)])
 def test_what_is_no_key_is_refused(key: Any) -> None:
     arrays, p, _, _ = small()
     for call in (partial(F.rollout, key, arrays, p), partial(F.thresholds, key, 0, 2)):
@@ -334,6 +340,9 @@ def test_what_is_no_key_is_refused(key: Any) -> None:
 
 def test_numbers_are_checked() -> None:
     arrays, p, _, _ = small()
+    for ids, words in ((jnp.arange(3), "one id; use jax.vmap"), (0.5, "whole numbers")):
+        with pytest.raises(InputError, match=f"rollout_id: .*{words}"):
+            F.rollout(1, arrays, p, ids)
     for given in ({"n": -1}, {"n": 2**31}, {"n": 1, "batch_size": 0}, {"n": 1, "start": -1}):
         with pytest.raises(InputError, match=f"{list(given)[-1]}: "):
             F.rollouts(1, arrays, p, **given)

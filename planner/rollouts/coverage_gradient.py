@@ -32,7 +32,7 @@ from planner.world.world import World
 BLOCKS = 64
 """Parts of the rollouts, from whose scatter the standard error follows; its own relative error is 1 / sqrt(2 * 63)."""
 LEAST_LOSSES = 10
-"""Losses in a cell below which its standard error is not told: what is rare was hardly seen."""
+"""Losses in a cell below which its standard error is NaN: so few losses say little of their scatter."""
 MOST_HISTORIES = 3e8
 """Histories times cells of an exact tree."""
 
@@ -42,7 +42,7 @@ class CoverageGradient:
     """d E[cells visited] / dp of each cell, with decisions held. NaN on obstacles and where p = 0.
 
     Attributes:
-        mean: float64 `[H, W]`, in cells; 0 where no robot ever comes.
+        mean: float64 `[H, W]`, in cells; 0 in cells that no robot enters.
         standard_error: float64 `[H, W]`, of `mean`; 0 where it is exact, NaN where fewer than LEAST_LOSSES losses were
             seen in a cell that was visited.
         losses: float64 `[H, W]`, robots lost in each cell, a rollout.
@@ -122,7 +122,7 @@ def _sums_of(runner: Runner) -> Sums:
 
 
 def _tree_sums(loop: ClosedLoop) -> Sums:
-    """Of everything that can happen, in chances."""
+    """Of the exact tree, in probabilities."""
     runner = Runner(loop, 0, loop.robots + 1)
     most = int(MOST_HISTORIES / len(loop.cells))
     counts = runner.grow(WHOLE, 1, most)
