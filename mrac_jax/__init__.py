@@ -41,10 +41,12 @@ if TYPE_CHECKING:
         suite,
         sweep,
     )
+    from mrac_jax import functional
     from mrac_jax.environment.making import env
     from planner.errors import InputError
     from planner.plan.plan import Plan
     from planner.plan_team import read_plan
+    from planner.rollouts.coverage_gradient import closed_loop_gradient
     from planner.settings import Settings
     from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
     from planner.world.features import with_movers, with_prior, with_sense, with_truth
@@ -53,17 +55,19 @@ if TYPE_CHECKING:
 
 __version__ = version("mrac-jax")
 __all__ = [
-    "InputError", "Plan", "Settings", "World", "attack", "check", "clear", "compare", "env", "evaluate", "export",
-    "front", "judge", "load", "mission", "plan", "plots", "read_outcomes", "read_plan", "read_rollouts", "record",
-    "reproduce", "results", "size", "starts", "suite", "sweep", "to_networkx", "with_hazard", "with_maps",
-    "with_movers", "with_phases", "with_prior", "with_sense", "with_spread", "with_truth",
+    "InputError", "Plan", "Settings", "World", "attack", "check", "clear", "closed_loop_gradient", "compare", "env",
+    "evaluate", "export", "front", "functional", "judge", "load", "mission", "plan", "plots", "read_outcomes",
+    "read_plan", "read_rollouts", "record", "reproduce", "results", "size", "starts", "suite", "sweep", "to_networkx",
+    "with_hazard", "with_maps", "with_movers", "with_phases", "with_prior", "with_sense", "with_spread", "with_truth",
 ]  # fmt: skip
 ELSEWHERE = {
     "InputError": "planner.errors",
     "Plan": "planner.plan.plan",
     "Settings": "planner.settings",
     "World": "planner.world.world",
+    "closed_loop_gradient": "planner.rollouts.coverage_gradient",
     "env": "mrac_jax.environment.making",
+    "functional": "mrac_jax.functional",
     "plots": "analysis.plots",
     "read_plan": "planner.plan_team",
     "to_networkx": "planner.world.levels",
@@ -72,7 +76,9 @@ ELSEWHERE = {
     **dict.fromkeys(("with_hazard", "with_maps", "with_spread"), "planner.world.changing_maps"),
     **dict.fromkeys(("with_prior", "with_sense", "with_truth"), "planner.world.features"),
 }
-"""Where a name lives, if not in `analysis.api`; `plots` is a module itself."""
+"""Where a name lives, if not in `analysis.api`."""
+MODULES = ("functional", "plots")
+"""Names that are modules themselves."""
 NEIGHBOURS = ("planner", "analysis")
 HOME = Path(__file__).parent.parent
 
@@ -83,7 +89,7 @@ def __getattr__(name: str) -> Any:
     for neighbour in NEIGHBOURS:
         _check_is_ours(neighbour)
     home = import_module(ELSEWHERE.get(name, "analysis.api"))
-    if name == "plots":
+    if name in MODULES:
         return home
     found = getattr(home, name)
     return (

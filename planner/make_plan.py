@@ -15,6 +15,7 @@ from planner.plan.plan import Area, Plan, RobotPlan, last_move
 from planner.plan.reading import check_partition
 from planner.plan.state import NAT, ON_ITS_WAY, RETURNING, AreaState, MissionState, RobotState
 from planner.rollouts.closed_loop import compile_closed_loop, nominal_loop
+from planner.rollouts.runners import Runner
 from planner.rollouts.single_run import Run, SingleRun, play, play_compiled
 from planner.settings import Settings
 from planner.simulator.codes import NO_ROBOT
@@ -24,8 +25,9 @@ from planner.world.features import as_planned
 from planner.world.levels import NO_LEVEL
 from planner.world.world import World
 
-LARGE = 2**18
-"""Cells from which on it is faster to compile the simulator than to run it as Python."""
+MEDIUM, LARGE = 2**10, 2**18
+"""Cells from which on it is faster to read the compiled simulator from the cache, and to compile it, than to run it as
+Python. Where this process has it, it always is."""
 
 
 def allocate(problem: Problem) -> tuple[Area, ...]:
@@ -78,7 +80,8 @@ def nominal_run(problem: Problem, plan: Plan) -> Run:
     loop = compile_closed_loop(plan, problem.world, problem=problem, interpreted=True)
     loop = nominal_loop(loop)
     built_in = loop.in_area is None and (loop.policy is None or loop.policy.key is None)
-    if len(loop.cells) >= LARGE and built_in and not loop.learns:
+    cells = len(loop.cells)
+    if built_in and not loop.learns and (cells >= LARGE or Runner(loop, 0, 1).is_compiled(cached=cells >= MEDIUM)):
         return play_compiled(loop)
     return play(SingleRun(loop))
 

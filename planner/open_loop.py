@@ -29,7 +29,6 @@ from planner.ids import MAX_STEP
 from planner.make_plan import make_plan
 from planner.mrac.problem import Problem, prepare
 from planner.plan.plan import Plan, RobotPlan, entries
-from planner.policies.rules import NEAREST
 from planner.settings import Settings
 from planner.simulator.codes import NO_CELL, Outcome
 from planner.simulator.jit import put_first, threaded
@@ -82,7 +81,7 @@ class Nodes:
             before, target = node, int(self.cells[node][0])
             if node < self.areas:
                 to_do = self.cells[node][:0] if node in seen else self.cells[node]
-                leg = coverage_path(paths, here, to_do, inside, NEAREST, problem.sides)
+                leg = coverage_path(paths, here, to_do, inside, problem.sides)
             else:
                 leg = paths.path(here, target, inside) if here != target else self.cells[node][:0]
             seen.add(node)

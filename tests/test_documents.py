@@ -210,6 +210,7 @@ def test_a_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert PythonLoop(again, world).run(1, 0).visited.any()
 
 
+@pytest.mark.usefixtures("one_picture")
 def test_an_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     world = mrac.load(np.full((4, 4), 0.05))
     plan = mrac.plan(world, robots=3)

@@ -244,6 +244,7 @@ def test_what_one_robot_that_learns_covers_is_not_its_plan_s() -> None:
     assert (both.a.exact[0], both.b.exact[0]) == pytest.approx((tree.cells, by_plan.cells))
 
 
+@pytest.mark.usefixtures("one_picture")
 def test_a_start_that_is_falsely_believed_an_obstacle(tmp_path: Path) -> None:
     world = mrac.with_truth(mrac.load(np.array([[np.nan, 0, 0], [0, 0.2, 0]])), np.array([[0, 0, 0], [0, 0.2, 0]]), 1)
     world = world.with_starts([[0, 0]])

@@ -589,7 +589,7 @@ def test_how_long_an_exact_value_is_looked_for() -> None:
 def test_large_teams_that_come_home_have_fewer_histories(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
     monkeypatch.setattr("analysis.estimators.trial.grow_tree", lambda loop, slack, most, cheap: asked.append(most))
-    world = mrac.load("example:paper")
+    world = mrac.load(np.full((6, 8), 0.05))
     for robots, home in ((8, None), (8, "home"), (32, None), (32, "home")):
         closed_tree(mrac.plan(world, robots, range=60, return_to=home), world)
     assert asked[0] == asked[1]

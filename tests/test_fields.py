@@ -145,7 +145,7 @@ NAN = '{"type": "Polygon", "coordinates": [[[0, 0], [NaN, 0], [1, 1]]]}'
         ("f.gpx", "<gpx></gpx>", 10, "holds no features"),
         ("f.kml", "<kml><Placemark/></kml>", 10, "holds no features"),
         ("f.csv", "x,y\n1,2\n3,4\n", 10, "2 corners"),
-        ("f.csv", "x,y\n" + "1,2\n" * 10**6, 10, "at most 131072"),
+        ("f.csv", "x,y\n" + "1,2\n" * 131_073, 10, "at most 131072"),
         ("f.csv", "x,y\n1,2\nnan,4\n5,6\n", 10, "line 3: x is 'nan'"),
         ("f.csv", "a,b,c\n1,2,3\n", 10, "columns x and y, or lon and lat"),
         ("f.csv", "lon,lat\n8,200\n9,1\n9,2\n", 10, "line 2: latitude stands first, as in 8, 200: 200 is no latitude"),

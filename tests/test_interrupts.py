@@ -184,7 +184,7 @@ def interrupt_sweeps(folder: Path, times: int, span: float) -> None:
         assert all(store.tally(run.key) is not None for run in store.runs())
 
 
-@pytest.mark.parametrize("after", [0.1, 0.2])
+@pytest.mark.parametrize("after", [0.2, pytest.param(0.1, marks=pytest.mark.slow)])
 def test_sigterm_is_an_interrupt_while_metis_splits(after: float) -> None:
     splitting = subprocess.Popen(
         [sys.executable, "-c", SPLITTING], env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -244,7 +244,7 @@ from mrac_jax.__main__ import main
 
 def run():
     print("waits", flush=True)
-    time.sleep(2)
+    time.sleep(1)
     return 0
 
 analysis.cli.app.run = run

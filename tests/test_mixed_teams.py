@@ -23,10 +23,10 @@ from planner.plan.plan_file import parse_plan
 from planner.plan_team import plan_team, read_plan
 from planner.rollouts.closed_loop import compile_closed_loop, run_range
 from planner.rollouts.engine import Rolling, make_engine
-from planner.rollouts.interpreted import interpreted
 from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
 from planner.simulator.codes import Doing, Outcome
+from planner.simulator.jit import interpreted
 from planner.world.changing_maps import with_hazard, with_maps, with_phases, with_spread
 from planner.world.features import with_movers
 from planner.world.levels import place_starts
@@ -57,7 +57,7 @@ HOMES: list[dict[str, Any]] = [
 def test_runs_are_the_same_both_ways(part: int) -> None:
     for seed in range(part, 2 * len(KINDS), len(KINDS)):
         world, starts, types = drawn(seed)
-        play_both_ways(make_plan(world, starts, Settings(**KINDS[part], types=types)), world, seed, 3)
+        play_both_ways(make_plan(world, starts, Settings(**KINDS[part], types=types)), world, seed, 2)
 
 
 def check_homes(part: int, seed: int, rollouts: int) -> None:
@@ -78,7 +78,7 @@ def check_homes(part: int, seed: int, rollouts: int) -> None:
 @pytest.mark.parametrize("part", range(len(HOMES)))
 def test_robots_of_several_types_come_home_each_by_its_own_way(part: int) -> None:
     for seed in range(part, 2 * len(HOMES), len(HOMES)):
-        check_homes(part, seed, 3)
+        check_homes(part, seed, 2)
 
 
 @pytest.mark.slow
@@ -210,11 +210,7 @@ def test_a_scenario_says_what_a_threat_is_to_a_type(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("was", "now", "said"),
     [
-        (
-            "type: mine",
-            "type: mines",
-            "`threats\\[1\\].type` is 'mines'; expected mine or radiation; did you",
-        ),
+        ("type: mine", "type: mines", "`threats\\[1\\].type` is 'mines'; expected mine or radiation; did you"),
         ("types: [drone, rover]", "types: [drone, 3]", "`robots.types` is"),
         ("matrix: {drone: {mine: 0}", "matrix: {drone: {mine: -1}", "`robots.matrix.drone.mine` is -1"),
         ("matrix: {drone: {mine: 0}", "matrix: {drone: 2", "`robots.matrix.drone`"),
@@ -319,7 +315,7 @@ def test_nobody_moves_out_of_turn(part: int) -> None:
     for seed in range(part, 2 * len(KINDS_SPEEDS), len(KINDS_SPEEDS)):
         (world, starts, _), given = drawn(seed), PACES[seed // len(KINDS_SPEEDS)]
         plan = make_plan(world, starts, settings := Settings(**KINDS_SPEEDS[part], steps_per_move=given))
-        for run in play_both_ways(plan, world, seed, 3):
+        for run in play_both_ways(plan, world, seed, 2):
             steps, robots = np.nonzero(np.diff(run.trace.cells, axis=0))
             assert ((steps + 1) % np.array(settings.paces)[robots] == 0).all()
 

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from types import CodeType
 from typing import Any
@@ -331,6 +332,17 @@ def names_in(code: CodeType) -> set[str]:
     return set(code.co_names).union(*inner)
 
 
+@cache
+def origins_in(file: str) -> dict[str, str | None]:
+    """The modules of the names that a file imports."""
+    return {
+        alias.asname or alias.name: f"planner.simulator.{node.module}" if node.level else node.module
+        for node in ast.walk(ast.parse(Path(file).read_text()))
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+
+
 def test_all_that_compiled_functions_use_is_in_the_hash() -> None:
     """Functions and constants of this project that they look up, and named tuples that may be their arguments.
 
@@ -344,13 +356,7 @@ def test_all_that_compiled_functions_use_is_in_the_hash() -> None:
     todo, seen = [(function, function.__module__.rpartition(".")[0]) for function in functions], 0
     while todo:
         function, package = todo.pop()
-        tree = ast.parse(Path(function.__code__.co_filename).read_text())
-        origins = {
-            alias.asname or alias.name: f"planner.simulator.{node.module}" if node.level else node.module
-            for node in ast.walk(tree)
-            if isinstance(node, ast.ImportFrom)
-            for alias in node.names
-        }
+        origins = origins_in(function.__code__.co_filename)
         modules = {function.__module__}
         for name in names_in(function.__code__) & function.__globals__.keys():
             value = inspect.unwrap(getattr(function.__globals__[name], "py_func", function.__globals__[name]))

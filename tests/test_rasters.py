@@ -656,7 +656,7 @@ HEADER = "x_m,y_m,counts,rate_cps\n"
         (HEADER + "600000,1,2,3\n", {}, "lie off the map"),
         (HEADER + "11.57549,48.13743,2,3\n", {}, "look like longitude and latitude"),
         ("lon,lat,rate_cps\n11.5,48.1,3\n", {}, "expected x, y in metres"),
-        (HEADER + "1,1,2,3\n" * 10**6, {}, "at most 131072 points"),
+        (HEADER + "1,1,2,3\n" * 131_073, {}, "at most 131072 points"),
         (HEADER + "".join(f"{n % 64}.5,{n // 64}.5,2,3\n" for n in range(2100)), {}, "up to 2048"),
         (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "spline"}}, "expected idw or kriging"),
         (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "idw", "nugget": 3}}, "`threats[0].interpolate.nugget`"),

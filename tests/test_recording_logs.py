@@ -181,7 +181,7 @@ def test_huge_claimed_lengths(folder: Path, whole: bytes) -> None:
             assert rescued is None or set(rescued) <= set(full)
 
 
-@settings(max_examples=150)
+@settings(max_examples=80)
 @given(st.lists(st.tuples(st.integers(0, 10**9), st.binary(min_size=1, max_size=9)), min_size=1, max_size=4))
 @example([(0, b"\0")])
 def test_a_mutated_log_is_right_or_refused(folder: Path, whole: bytes, changes: list[tuple[int, bytes]]) -> None:
@@ -195,7 +195,7 @@ def test_a_mutated_log_is_right_or_refused(folder: Path, whole: bytes, changes: 
     assert rescued is None or [m for m in full if m in set(rescued)] == rescued
 
 
-@settings(max_examples=150)
+@settings(max_examples=80)
 @given(st.integers(0, 10**9), st.integers(0, 40), st.binary(max_size=40), st.sampled_from(["replace", "cut", "repeat"]))
 def test_without_checksums_still_only_clear_errors(
     folder: Path, whole: bytes, at: int, size: int, new: bytes, how: str

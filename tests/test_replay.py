@@ -37,12 +37,12 @@ from planner.make_plan import make_plan
 from planner.mcap import LogMessage
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop, trace_rollouts
-from planner.rollouts.interpreted import interpreted
 from planner.rollouts.open_loop import compile_plan
 from planner.rollouts.open_loop_events import open_loop_trace
 from planner.rollouts.single_run import PythonLoop, SingleRun
 from planner.settings import Choices
 from planner.simulator.codes import NO_AREA, NO_ROBOT, NO_STEP, Doing, EventKind, Outcome
+from planner.simulator.jit import interpreted
 from planner.tally import Trace
 from planner.world.world import World
 

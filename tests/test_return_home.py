@@ -158,7 +158,7 @@ def test_who_is_alive_is_home(number: int) -> None:
         own = [[row * world.shape[1] + col] for row, col in starts.tolist()]
         bases = own if asked["return_to"] == "home" else [[base for (base,) in own]] * len(own)
         found = [ways(world, of, entry) for of in bases]
-        for run in play_both_ways(plan, world, seed, 6):
+        for run in play_both_ways(plan, world, seed, 3):
             check_rules(run.trace, world, plan, found)
         loop = compile_closed_loop(plan, world)
         tally, singles = run_range(loop, seed, 0, 500, threads=1, singles=True)
@@ -231,8 +231,7 @@ def rules_of(asked: dict[str, Any], starts: list[Cell]) -> tuple[list[list[Cell]
 @pytest.mark.parametrize("number", [0, 1, 2, 3, 4, 7])
 def test_the_exact_tree_knows_who_comes_home(number: int) -> None:
     world = World.create(
-        [[0, 0.1, 0.1, 0], [0, np.nan, 0, 0.3], [0.2, 0, 0, np.nan], [0.2, 0.1, 0, 0.3]],
-        [[0, 0], [0, 3], [2, 1]],
+        [[0, 0.1, 0.1, 0], [0, np.nan, 0, 0.3], [0.2, 0, 0, np.nan], [0.2, 0.1, 0, 0.3]], [[0, 0], [0, 3], [2, 1]]
     )
     assert world.starts is not None
     asked = KINDS[number]
@@ -298,7 +297,7 @@ def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped() -> None:
         world, starts = drawn(seed)
         plan = make_plan(world, starts, Settings(**KINDS[number]))
         whole = VisitLoop(plan, world)
-        for rollout in range(3):
+        for rollout in range(2):
             trace = whole.trace(0, rollout)
             for step in {4, trace.time // 2, trace.time - 5, trace.time - 1}:
                 state = whole.state_at(step, 0, rollout)
@@ -312,7 +311,7 @@ def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped() -> None:
                 compiled = compile_closed_loop(rest, world, tabled=seed % 2 == 0)
                 assert_same_trace(trace_rollouts(compiled, 0, [rollout])[0], PythonLoop(rest, world).trace(0, rollout))
                 returning += any(robot.status == "returning" for robot in read.robots)
-    assert returning > 5
+    assert returning > 3
 
 
 def driven(mission: Mission, steps: int) -> list[str]:
@@ -491,7 +490,7 @@ def check(number: int) -> int:
 
 
 def test_all_that_can_happen_to_teams_that_come_home() -> None:
-    assert sum(check(number) for number in range(56)) > 30
+    assert sum(check(number) for number in range(28)) > 15
 
 
 @pytest.mark.slow

@@ -49,7 +49,7 @@ LAKE[0, 6:], LAKE[1, 7] = np.nan, np.nan
 LAKE[4:, 4:] = 0.3
 LAKE[2, 5:] = 0.1
 WORLD = World.create(LAKE)
-RUNS = 24
+RUNS = 16
 
 
 def test_the_border_is_the_edge_and_what_reaches_to_it() -> None:
@@ -152,15 +152,15 @@ ISLANDS[:, 3], ISLANDS[:, 6] = 0.5, 0.5
 def test_where_the_team_stands_and_the_best_depot_are_in_the_race_to_the_end() -> None:
     """And the pick is told against where the team stands, on rollouts that had no part in the choice."""
     world = World.create(ISLANDS, starts=[[0, 0], [0, 0], [0, 0]])
-    answer = mrac.starts(world, 3, rollouts=200, seed=4, exact="never")
+    answer = mrac.starts(world, 3, rollouts=96, seed=4, exact="never")
     now, last = answer.places[answer.here], max(place.rollouts for place in answer.places)  # type: ignore[index]
-    assert now.starts.tolist() == [[0, 0]] * 3 and now.rollouts == last == 200
+    assert now.starts.tolist() == [[0, 0]] * 3 and now.rollouts == last == 96
     assert any(place.is_depot and not place.now and place.rollouts == last for place in answer.places) or now.is_depot
     assert not answer.stay and answer.gain is not None and answer.confirmed is not None
     told = {}
     for starts in (answer.starts, now.starts):
         loop = PythonLoop(make_plan(world, starts, Settings()), world)
-        told[starts.tobytes()] = np.mean([loop.run(4, rollout).visited.sum() for rollout in range(200, 400)]) / 27
+        told[starts.tobytes()] = np.mean([loop.run(4, rollout).visited.sum() for rollout in range(96, 192)]) / 27
     mine, theirs = told[answer.starts.tobytes()], told[now.starts.tobytes()]
     assert answer.gain.mean == pytest.approx(mine - theirs) and answer.gain.ci95[0] > 0
     assert answer.confirmed.coverage.mean == pytest.approx(mine)  # type: ignore[union-attr]
@@ -730,18 +730,7 @@ def test_the_command_says_it_as_json_and_writes_both_maps(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, attacked: Attack
 ) -> None:
     attacked.world.save(tmp_path / "map.npz")
-    words = [
-        "attack",
-        str(tmp_path / "map.npz"),
-        "--count",
-        "2",
-        "--p",
-        str(P),
-        "--rollouts",
-        str(RUNS_ATTACK),
-        "--seed",
-        "3",
-    ]
+    words = ["attack", str(tmp_path / "map.npz"), *f"--count 2 --p {P} --rollouts {RUNS_ATTACK} --seed 3".split()]
     assert run([*words, "--exact", "never", "--json", "--out", str(tmp_path / "out")]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found == json.loads(json.dumps(attacked.to_json()))

@@ -556,7 +556,7 @@ def test_wrong_usage_is_one_line_and_status_2(
 THREAT = np.zeros((6, 9))
 THREAT[1:3, 3:7], THREAT[4:, 6:], THREAT[0, 8], THREAT[3, 2] = 0.2, 0.05, np.nan, np.nan
 WORLD_FRONT = World.create(THREAT, starts=[[0, 0], [5, 0]])
-RESERVED, WORTHS, RUNS = (0.5,), (4.0, 15.0), 200
+RESERVED, WORTHS, RUNS = (0.5,), (4.0, 15.0), 50
 
 
 @pytest.fixture(scope="module")
@@ -930,6 +930,7 @@ def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
     assert escape(lead) in told._repr_html_()
 
 
+@pytest.mark.usefixtures("one_picture")
 def test_the_answer_is_printed_before_anything_else_is_worked_out(
     capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -954,6 +955,7 @@ def test_the_answer_is_printed_before_anything_else_is_worked_out(
     assert sorted(whole.split()) == sorted(f"{first} {rest}".split())
 
 
+@pytest.mark.usefixtures("one_picture")
 def test_alternatives_that_are_interrupted_leave_the_answer(
     capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -968,6 +970,7 @@ def test_alternatives_that_are_interrupted_leave_the_answer(
     assert json.loads(saved.read_text())["partial"] and page.is_file()
 
 
+@pytest.mark.usefixtures("one_picture")
 def test_files_are_written_though_the_reader_has_gone(
     world_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

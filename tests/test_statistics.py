@@ -91,8 +91,8 @@ def test_interval_does_not_collapse_without_variance() -> None:
 
 
 def test_interval_holds_as_often_as_it_says() -> None:
-    """10,000 samples of 400 values: 95 % of the intervals hold the mean, within 3 standard errors."""
-    repeats, n = 10_000, 400
+    """4,000 samples of 400 values: 95 % of the intervals hold the mean, within 3 standard errors."""
+    repeats, n = 4_000, 400
     sample, draw = np.arange(repeats)[:, None], np.arange(n)[None]
     values = np.floor((uniform(5, sample, draw, 0) + uniform(5, sample, draw, 1)) * 50).astype(int)
     truth = 49.5  # 50 times the mean of two uniforms, less the half that rounding down takes
@@ -348,8 +348,8 @@ def test_a_difference_is_that_of_the_rollouts() -> None:
 
 
 def test_the_interval_of_a_difference_holds_as_often_as_it_says() -> None:
-    """10,000 samples of 400: within 3 standard errors."""
-    repeats, n = 10_000, 400
+    """4,000 samples of 400: within 3 standard errors."""
+    repeats, n = 4_000, 400
     ids, at = np.arange(repeats)[:, None], np.arange(n)[None]
     own, other, shared = (uniform(11, ids, at, robot) for robot in range(3))
     xs, ys = (20 * (own + shared)).astype(int), (30 * (other + shared)).astype(int)

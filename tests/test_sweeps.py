@@ -699,7 +699,7 @@ def held(make: object, truth: float) -> tuple[float, float]:
     return float(inside), float(np.mean([each.half_width for each in found]) / spread / 1.96)
 
 
-TRIALS = 1000
+TRIALS = 500
 SLACK = 3 * math.sqrt(0.05 * 0.95 / TRIALS)
 """Three standard errors of a share of 95 % in so many trials."""
 

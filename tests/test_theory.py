@@ -79,8 +79,8 @@ from planner.world.world import World
 
 def plans_of(fixture: Fixture) -> list[Plan]:
     """The plan fed with the fixture's allocation and, for one robot, the planner's own."""
-    fed = make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
-    return [fed, make_plan(fixture.world, fixture.starts)] if len(fed.robots) == 1 else [fed]
+    own = [make_plan(fixture.world, fixture.starts)] if len(fixture.starts) == 1 else []
+    return [fixture.plan, *own]
 
 
 def test_closed_form_and_every_formula_are_the_fixtures(fixture: Fixture) -> None:
@@ -240,16 +240,6 @@ def test_theorem_3_counts_the_start_of_a_robot_that_never_moves() -> None:
 NEAR = 1e-9
 
 
-def plan_of(fixture: Fixture) -> Plan:
-    return plan_named(fixture.name)
-
-
-@cache
-def plan_named(name: str) -> Plan:
-    fixture = load_fixture(name)
-    return make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
-
-
 def paths(world: World, *cells: list[int]) -> Plan:
     return Plan(world.shape, world.sha256, None, tuple(RobotPlan(np.array(path)) for path in cells))
 
@@ -262,7 +252,7 @@ def in_order(bound: MendedTheorem3, truth: float) -> bool:
 
 
 def test_theorem_3_mended_holds_on_every_fixture(fixture: Fixture) -> None:
-    bound, truth = mended_theorem3(plan_of(fixture), fixture.world), fixture.answers["open_loop_exact"]
+    bound, truth = mended_theorem3(fixture.plan, fixture.world), fixture.answers["open_loop_exact"]
     assert in_order(bound.visited, truth["visited"])
     assert in_order(bound.survived, truth["survived"])
     if fixture.answers["k"] <= 2:
@@ -325,7 +315,7 @@ def test_until_the_first_loss_by_hand() -> None:
 
 
 def test_until_the_first_loss_is_below_both_loops(fixture: Fixture) -> None:
-    bound, answers = until_first_loss(plan_of(fixture), fixture.world), fixture.answers
+    bound, answers = until_first_loss(fixture.plan, fixture.world), fixture.answers
     for key in {"open_loop_exact", "closed_loop_exact"} & set(answers):
         assert bound.visited <= answers[key]["visited"] + NEAR
         assert bound.survived <= answers[key]["survived"] + NEAR
@@ -427,7 +417,7 @@ NUMBERS = [pytest.param(number, marks=pytest.mark.slow if number % 2 == 0 else (
 
 def fixture_case(name: str) -> tuple[Plan, World]:
     fixture = load_fixture(name)
-    return make_plan(fixture.world, fixture.starts, allocation=fixture.allocation), fixture.world
+    return fixture.plan, fixture.world
 
 
 @cache
@@ -599,15 +589,11 @@ ENUMERATED_TREE = [
 ]
 
 
-def plan_of_tree(fixture: Fixture) -> Plan:
-    return make_plan(fixture.world, fixture.starts, allocation=fixture.allocation)
-
-
 @cache
 def exact_of(name: str) -> ClosedLoopExact:
     """Of a fixture's plan, all of it."""
     fixture = load_fixture(name)
-    return closed_loop_exact(plan_of_tree(fixture), fixture.world)
+    return closed_loop_exact(fixture.plan, fixture.world)
 
 
 class TooMany(Exception):
@@ -688,8 +674,8 @@ def test_forking_is_running_every_pattern_from_the_start(given_world, max_steps,
 def test_equal_states_are_joined() -> None:
     """tiny-2x8-25: 115 patterns, many of which lead to the same state."""
     fixture = load_fixture("tiny-2x8-25-k5")
-    _, played = chances_from_the_start(plan_of_tree(fixture), fixture.world, False, most=1000)
-    assert closed_loop_exact(plan_of_tree(fixture), fixture.world).ends < played == 115
+    _, played = chances_from_the_start(fixture.plan, fixture.world, False, most=1000)
+    assert closed_loop_exact(fixture.plan, fixture.world).ends < played == 115
 
 
 def test_plans_that_have_no_closed_loop_are_refused() -> None:
@@ -938,6 +924,7 @@ def test_evaluate_says_it_where_it_holds() -> None:
         )
 
 
+@pytest.mark.usefixtures("one_picture")
 def test_the_bound_is_on_the_mean_wherever_it_is_said(tmp_path: Path) -> None:
     """Half of the runs on this row visit more than the bound: terminal, summary, page and value say "on average"."""
     world = World.create([[0, 0.5, 0, 0, 0, 0]])

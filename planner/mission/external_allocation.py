@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from planner.mrac.problem import Problem
 from planner.policies.rule import Rule
 from planner.rollouts.closed_loop import trace_from
-from planner.rollouts.interpreted import interpreted
 from planner.rollouts.single_run import PythonLoop, SingleRun, holds
 from planner.rollouts.tables import first_frames, make_policy
 from planner.simulator.codes import NONE, Outcome
+from planner.simulator.jit import interpreted
 from planner.simulator.offers import Offer
 from planner.simulator.state import AREA_BITS, FAR, VISITED
 from planner.tally import Trace

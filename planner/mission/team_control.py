@@ -18,9 +18,9 @@ from planner.mrac.problem import Problem
 from planner.plan.plan import Plan
 from planner.plan.reading import at
 from planner.rollouts.closed_loop import compile_closed_loop
-from planner.rollouts.interpreted import interpreted
 from planner.rollouts.single_run import NOT_BEGUN, SingleRun, holds
 from planner.simulator.codes import NO_AREA, NONE, Doing, Outcome
+from planner.simulator.jit import interpreted
 from planner.simulator.offers import Offer
 from planner.simulator.state import AREA_BITS, MOVES, SURVIVED, TO_DO, VISITED
 

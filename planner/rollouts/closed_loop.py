@@ -18,9 +18,10 @@ from planner.plan.state import MissionState
 from planner.rollout_sampling import check_counters
 from planner.rollouts.loop import NO_COUNTS, ClosedLoop, known_cells, purpose_of
 from planner.rollouts.runners import Runner, on_threads, run_sets, singles_of
-from planner.rollouts.tables import AllPairs, first_frames, make_policy, make_tables
+from planner.rollouts.tables import ASKED_BEFORE, AllPairs, first_frames, make_policy, make_tables
 from planner.simulator.areas import FRAME_AREA, FRAME_CELL, FRAME_DOING, make_log
 from planner.simulator.codes import NO_AREA, EventKind, Outcome
+from planner.simulator.jit import LARGE
 from planner.simulator.offers import CellOffer
 from planner.simulator.state import Counts
 from planner.tally import RolloutResults, Tally, Trace, tally_key
@@ -78,6 +79,8 @@ def compile_closed_loop(
                 fix="coarsen the map",
             )
     tables = make_tables(problem, cells, areas, tabled, kept, plan.bearing)
+    if interpreted and len(cells) >= LARGE:  # one run seldom asks for the costs from a cell again
+        tables = tables._replace(patience=ASKED_BEFORE)
     return ClosedLoop(
         identity=_identity(problem, areas, first_only, plan.state),
         shape=world.shape,

@@ -227,6 +227,10 @@ class ClosedLoop:
         tables = self.tables._replace(**luck_tables(self._kinds(world), self.cells))
         return replace(self, identity=f"{self.identity}~{world.luck_sha256}", tables=tables, purpose=purpose_of(world))
 
+    def scoring(self) -> ClosedLoop:
+        """The same rollouts, counted for `planner.rollouts.coverage_gradient` as well."""
+        return replace(self, identity=f"{self.identity}#scores", tables=self.tables._replace(scores=True))
+
     def _kinds(self, world: World) -> tuple[World, ...]:
         return kinds_of(world, self.bearing.types, self.robots)
 

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -23,6 +24,7 @@ from planner.rollout_sampling import MEETING_DRAW, MOVE_DRAW, rows_met
 from planner.rollouts.loop import NO_COUNTS, ClosedLoop, typed, with_features
 from planner.simulator.areas import Log, make_log
 from planner.simulator.codes import NO_AREA, NONE
+from planner.simulator.jit import has_program
 from planner.simulator.rollouts import run_set
 from planner.simulator.state import (
     AREA_BITS,
@@ -396,11 +398,19 @@ class Runner:
         passes = self._loop.weights is not None
         loop = self._loop
         sizes = len(loop.cells), loop.accessible, loop.robots, loop.max_steps
-        self.counts = make_counts(*sizes, passes, loop.comes_home)
+        self.counts = make_counts(*sizes, passes, loop.comes_home, bool(loop.tables.scores))
 
     def _call(
         self, waiting: State, tasks: Tasks, stack: State, log: Log, how: How, ids: NDArray[np.uint32], singles: Singles
     ) -> int:
         """`run_set`, by the loop's policy."""
-        given = (self.counts, waiting, *tasks, stack, self.work, log, how, ids, singles)
-        return int(run_set(self.tables, self.policy, *given))
+        return int(run_set(*self._arguments(waiting, tasks, stack, log, how, ids, singles)))
+
+    def _arguments(self, waiting: State, tasks: Tasks, stack: State, *others: Any) -> tuple[Any, ...]:
+        return self.tables, self.policy, self.counts, waiting, *tasks, stack, self.work, *others
+
+    def is_compiled(self, cached: bool) -> bool:
+        """True if this process has the program of these rollouts, or, if `cached` is asked, the cache has it."""
+        ids, state = np.zeros(1, dtype=np.uint32), self._state
+        given = self._arguments(state, whole_set(ids), state, NO_LOG, self.how, ids, singles_of(self._loop, 0, 0))
+        return has_program(run_set, given, cached)

@@ -1,4 +1,4 @@
-"""One rollout, a step at a time: the simulator as Python (`planner.rollouts.interpreted`).
+"""One rollout, a step at a time: the simulator as Python (`planner.simulator.jit.interpreted`).
 
 It is the rollout of the same seed and id that the compiled programs count, event for event.
 """
@@ -17,12 +17,12 @@ from planner.plan.plan import Area, Leg, Plan
 from planner.plan.state import AreaState, MissionState, RobotState
 from planner.rollout_sampling import rows_met
 from planner.rollouts.closed_loop import compile_closed_loop, logged_rollouts, trace_from
-from planner.rollouts.interpreted import interpreted
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.runners import Runner
 from planner.rollouts.tables import first_frames
 from planner.simulator.areas import FRAME_ROWS, Log
 from planner.simulator.codes import NO_AREA, NO_ROBOT, NONE, Doing, EventKind, Outcome
+from planner.simulator.jit import interpreted
 from planner.simulator.state import (
     ACTS,
     AREA_BITS,

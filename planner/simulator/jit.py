@@ -1,4 +1,6 @@
-"""Numba's compiler with a cache on disk: `compiled`, `threaded` and `program` mark functions that Python calls.
+"""Numba's compiler with a cache on disk, and the simulator as plain Python (`interpreted`).
+
+`compiled`, `threaded` and `program` mark functions that Python calls.
 
 The cache folder is `$NUMBA_CACHE_DIR/mrac-jax` if set, else `$XDG_CACHE_HOME/mrac-jax/compiled`, else
 `~/.cache/mrac-jax/compiled`. Numba's code has a folder in it, named by the hash of the sources and the versions.
@@ -18,7 +20,10 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar
 
 import llvmlite  # type: ignore[import-untyped]
@@ -187,6 +192,10 @@ class FunctionCache(NullCache):
         except Exception as error:  # a Numba with other internals
             self.folder.report(f"is not kept ({error})")
 
+    def has(self, sig: Any, target_context: Any) -> bool:
+        """Whether there is a file for the signature."""
+        return (self.folder.path / (self._file(sig, target_context.codegen()) + SUFFIX)).exists()
+
     def _file(self, sig: Any, codegen: Any) -> str:
         key = repr((*self._key, sig, codegen.magic_tuple()))
         return f"{self.name}-{_hash(key.encode()).hex()[:32]}"
@@ -201,11 +210,15 @@ if numba.__version__.startswith(KNOWN):
 
     PART, PROGRAM = jit_parts.PartCompiler, jit_parts.ProgramCompiler
 WITHIN: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": PART}
+LARGE = 2**12
+"""Cells of a map from which on its searches are compiled at once."""
+MOST_CELLS = 2**17
+"""Cells, summed over its calls, after which a search is compiled: as Python it has then taken about as long."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 INTERPRETED = bool(numba.config.DISABLE_JIT)
-"""Whether this package runs as Python: Numba's switch, or its second load (`planner.rollouts.interpreted`)."""
+"""Whether this package runs as Python: Numba's switch, or its second load (`interpreted`)."""
 
 
 def compiled(function: Function) -> Function:
@@ -219,6 +232,38 @@ def threaded(function: Function) -> Function:
     Threads of our own, never `parallel=True`: it would need a cache that knows the threading layer.
     """
     return _cached(function, nogil=True)
+
+
+def host_search(function: Function) -> Function:
+    """The same for a loop over arrays that the planner calls: as Python while there is little to do.
+
+    Code that is in the cache is taken at once.
+    """
+    if INTERPRETED:
+        return function
+    compiled = threaded(function)
+    cached = cache(lambda: is_cached(compiled))
+
+    def as_python(*given: Any) -> Any:
+        if cached():
+            return compiled(*given)
+        return getattr(interpreted(function.__module__.rpartition(".")[2]), function.__name__).py_func(*given)
+
+    return as_work_grows(as_python, compiled)
+
+
+def as_work_grows(as_python: Callable[..., Any], compiled: Callable[..., Any]) -> Any:
+    """Calls the first function, and the second once there is much to do: `LARGE`, `MOST_CELLS`."""
+    done = 0
+
+    def call(*given: Any) -> Any:
+        nonlocal done
+        if done <= MOST_CELLS:
+            cells = next(len(one) for one in given if hasattr(one, "__len__"))
+            done += 2 * MOST_CELLS if cells >= LARGE else cells
+        return (as_python if done <= MOST_CELLS else compiled)(*given)
+
+    return call
 
 
 def program(function: Function) -> Function:
@@ -239,8 +284,7 @@ def kernel(function: Function) -> Function:
 def search(function: Function) -> Function:
     """A loop over the arrays that it is called with, no tuples of them: a `kernel`.
 
-    Where the simulator runs as Python it is compiled for itself once it has much to do
-    (`planner.rollouts.interpreted`).
+    Where the simulator runs as Python (`interpreted`) it is compiled for itself once it has much to do.
     """
     return kernel(function)
 
@@ -269,8 +313,78 @@ def is_cached(function: Callable[..., Any]) -> bool:
     return isinstance(cache, FunctionCache) and any(cache.folder.path.glob(f"{cache.name}-*"))
 
 
+def has_program(function: Any, given: tuple[Any, ...], cached: bool) -> bool:
+    """Whether a call with these arguments runs code of this process, or, if `cached` is asked, code in the cache."""
+    kinds, cache = tuple(map(numba.typeof, given)), getattr(function, "_cache", None)
+    if kinds in getattr(function, "overloads", ()):  # Numba may be switched off
+        return True
+    return cached and isinstance(cache, FunctionCache) and cache.has(kinds, function.targetctx)
+
+
 @threaded
 def put_first(values, into):  # type: ignore[no-untyped-def]
     """`into[: len(values)] = values` without Numba's message about other lengths, which takes 3 s to compile."""
     for place in range(len(values)):
         into[place] = values[place]
+
+
+# The simulator as plain Python: a second load of its modules, in which nothing is compiled.
+#
+# One source serves both. Nominal runs, missions, environments and a user's own functions run a rollout or a step at a
+# time, and do not wait for a compilation.
+
+FIRST = sys.modules[__package__]
+"""The package as it was loaded first, which is compiled."""
+NAME = f"{__package__}_as_python"
+"""The name of the second load, in `sys.modules`."""
+SAME = "kernel", "rare_kernel", "spliced", "program"
+"""Decorators in whose place stands the identity."""
+
+
+@cache
+def interpreted(module: str) -> Any:
+    """A module of the simulator, as Python.
+
+    Its own imports are relative, so they find the modules of the same load. In the place of the decorators of this
+    module stands the identity.
+    """
+    if NAME not in sys.modules:
+        spec = spec_from_file_location(NAME, FIRST.__file__, submodule_search_locations=list(FIRST.__path__))
+        assert spec is not None and spec.loader is not None
+        package, plain = module_from_spec(spec), ModuleType(f"{NAME}.jit")
+        vars(plain).update(globals() | dict.fromkeys(SAME, _same))
+        vars(plain).update(threaded=_compiled, compiled=_compiled, INTERPRETED=True)
+        vars(plain).update(search=_search, host_search=_host_search)
+        sys.modules |= {NAME: package, f"{NAME}.jit": plain}
+        spec.loader.exec_module(package)
+    return import_module(f"{NAME}.{module}")
+
+
+def _same(function: Any) -> Any:
+    return function
+
+
+def _compiled(function: Any) -> Any:
+    """The compiled function of the same name."""
+    module = import_module(f"{__package__}.{function.__module__.rpartition('.')[2]}")
+    return getattr(module, function.__name__)
+
+
+def _host_search(function: Any) -> Any:
+    """The function of the first load, which calls `py_func` while there is little to do."""
+
+    def call(*given: Any) -> Any:
+        return _compiled(function)(*given)
+
+    vars(call)["py_func"] = function
+    return function if INTERPRETED else call
+
+
+def _search(function: Any) -> Any:
+    """A loop over arrays: as Python while there is little to do, then compiled."""
+    alone = cache(lambda: program(_compiled(function).py_func))
+
+    def compiled(*given: Any) -> Any:
+        return alone()(*[getattr(one, "array", one) for one in given])
+
+    return function if INTERPRETED else as_work_grows(function, compiled)

@@ -22,6 +22,7 @@ from .state import (
     AREAS_FULL,
     CUT,
     HIT,
+    MOST_PASSES,
     NOWHERE_LEVEL,
     OUT,
     PARTED,
@@ -32,6 +33,7 @@ from .state import (
 )
 from .step import advance
 from .struct_pointers import flat, hand
+from .visits import count_scores
 
 
 def take(taken):
@@ -112,7 +114,7 @@ def count_passes(s, c, ids, singles):
     """Add a set's survived visits by cell, and what its cells add up to in each of its rollouts."""
     first, last, covered, found = s.marks.first, s.marks.last, np.int64(0), np.int64(0)
     for cell in range(len(s.passes)):
-        passes = np.int64(s.passes[cell])
+        passes = min(np.int64(s.passes[cell]), MOST_PASSES)
         for times in range(passes):
             c.passes[cell, times] += last - first
         if s.home[cell] & VISITED and (len(s.known) == 0 or s.known[cell] & OUT == 0):
@@ -125,7 +127,7 @@ def count_passes(s, c, ids, singles):
 
 
 @kernel
-def count_set(s, c, ids, singles, outcome):
+def count_set(t, s, c, ids, singles, outcome):
     """Add a set at the end of its run."""
     marks, first, last = s.marks, s.marks.first, s.marks.last
     size, covered, safely = last - first, marks.covered, marks.covered - marks.unsurvived
@@ -137,7 +139,9 @@ def count_set(s, c, ids, singles, outcome):
     if len(c.home) > 0:
         c.home[marks.at_home] += size
     c.histories[0] += 1
-    if len(s.passes) > 0:
+    if t.scores:
+        count_scores(s, c, covered, size)
+    elif len(s.passes) > 0:
         count_passes(s, c, ids, singles)
     if len(singles.numbers) > 0:
         for place in range(first, last):
@@ -170,7 +174,7 @@ def go_on_with(t, s, c, stack, level, ids, singles, how, top, last, found):
     """
     if found != PARTED:
         if found != CUT:
-            count_set(s, c, ids, singles, found)
+            count_set(t, s, c, ids, singles, found)
         # Its ids are counted: the level is empty.
         s.marks.last = s.marks.first
         return (top - 1, top - 1) if how.aside == 0 else (NONE, top)

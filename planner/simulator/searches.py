@@ -5,8 +5,7 @@ A path's cost is the sum of the entry costs of its cells, the first one left out
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +13,7 @@ from numpy.typing import NDArray
 from planner.simulator.codes import BLOCKED
 
 from .codes import NO_CELL
-from .jit import compiled, kernel, put_first, threaded
-from .offers import CellOffer
+from .jit import host_search, kernel, threaded
 
 # Eq. (3) made exact: integer entry costs, and the grid's neighbours that safest paths run over (SPEC section 3).
 
@@ -79,7 +77,7 @@ TOO_FAR = -2
 """In the place of a nearest target: none was certain within the cells that a search was allowed."""
 
 
-@threaded
+@host_search
 def search_within(source, rank, inside, neighbours, costs, distance, seen, stamp, queue, heap_cost, heap_cell, most):  # type: ignore[no-untyped-def]
     """Dijkstra from `source` until the nearest target is certain; `distance[v]` is final where `seen[v] == stamp`.
 
@@ -135,16 +133,14 @@ def search_within(source, rank, inside, neighbours, costs, distance, seen, stamp
             return TOO_FAR, np.int64(UNREACHED)
 
 
-@compiled
+@host_search
 def walk_back(source, target, distance, seen, stamp, neighbours, costs):  # type: ignore[no-untyped-def]
     """The cells of the safest path after `source`, in driving order, by the lowest-index predecessor."""
     length, here = 0, target
     path = np.empty(64, dtype=np.int64)
     while here != source:
         if length == len(path):
-            longer = np.empty(2 * length, dtype=np.int64)
-            put_first(path, longer)
-            path = longer
+            path = np.append(path, np.empty(length, dtype=np.int64))
         path[length] = here
         length += 1
         before = distance[here] - costs[here]
@@ -196,7 +192,7 @@ def find_safe_parts(neighbours: NDArray[np.int32], costs: NDArray[np.int64], wid
     return SafeParts(node, begin, (pairs % n).astype(np.int32), wide, np.zeros(n, np.int64), np.zeros(n, np.int64))
 
 
-@compiled
+@host_search
 def _label(neighbours, costs):  # type: ignore[no-untyped-def]
     """`SafeParts.node`."""
     n = len(costs)
@@ -320,8 +316,6 @@ def far_search(  # type: ignore[no-untyped-def]
 
 NEAR = 4_000
 """Cells that a search for a target takes before it turns to `far_search`; small maps have fewer."""
-TABLE_CELLS = 600
-"""Most cells of a map for which costs from each source are kept (3 MB); beyond, each question is searched for."""
 
 
 class Target(NamedTuple):
@@ -332,7 +326,7 @@ class Target(NamedTuple):
 
 
 class SafestPaths:
-    """Safest paths by a search for each question: for worlds too large for tables. Memory: about 84 bytes a cell.
+    """Safest paths by a search for each question. Memory: about 84 bytes a cell.
 
     Cells are indices; `[N]` arrays run over the whole grid. `inside` `[N]` limits the cells that a path may enter.
     `near`: cells that a search for a target may take; a target farther off is looked for by `far_search`.
@@ -437,54 +431,9 @@ class SafestPaths:
             raise ValueError(f"cell {target} cannot be reached from {source}")
 
 
-class TabledPaths(SafestPaths):
-    """Safest paths with the costs from each source, int64 `[N]`, kept once they are asked for: for small worlds.
-
-    A question with `inside` is searched each time, since what is kept is of unrestricted paths.
-    """
-
-    def __init__(self, neighbours: NDArray[np.int32], costs: NDArray[np.int64]) -> None:
-        super().__init__(neighbours, costs)
-        self._kept: dict[int, NDArray[np.int64]] = {}
-
-    def to_all(self, source: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
-        if inside is not None:
-            return super().to_all(source, inside)
-        if source not in self._kept:
-            self._kept[source] = super().to_all(source)
-        return self._kept[source]
-
-    def cost_to(self, source: int, cells: NDArray[np.int64]) -> int:
-        return int(self.to_all(source)[cells].min())
-
-    def nearest(
-        self,
-        source: int,
-        rank: NDArray[np.int32],
-        inside: NDArray[np.bool_] | None = None,
-        among: NDArray[np.int64] | None = None,
-    ) -> Target | None:
-        if inside is not None:
-            return super().nearest(source, rank, inside, among)
-        to_each = self.to_all(source)
-        targets = np.flatnonzero((rank != NOT_WANTED) & (to_each != UNREACHED))
-        if len(targets) == 0:
-            return None
-        costs = to_each[targets]
-        tied = targets[costs == costs.min()]
-        return Target(int(tied[np.argmin(rank[tied])]), int(costs.min()))
-
-    def path(self, source: int, target: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
-        if inside is not None:
-            return super().path(source, target, inside)
-        to_each = self.to_all(source)
-        return walk_back(source, target, to_each, np.minimum(to_each, 0), 0, self.neighbours, self.costs)
-
-
 def safest_paths(shape: tuple[int, int], costs: NDArray[np.int64]) -> SafestPaths:
-    """Safest paths over a grid with these entry costs `[N]`: kept for small worlds, searched for each time in large."""
-    neighbours = neighbour_table(shape, costs != BLOCKED)
-    return (TabledPaths if len(costs) <= TABLE_CELLS else SafestPaths)(neighbours, costs)
+    """Safest paths over a grid with these entry costs `[N]`."""
+    return SafestPaths(neighbour_table(shape, costs != BLOCKED), costs)
 
 
 # Algorithm 3, the modified GAC: cover what is left of an area, nearest cell first.
@@ -495,20 +444,19 @@ def coverage_path(
     here: int,
     to_do: NDArray[np.int64],
     inside: NDArray[np.bool_] | None,
-    order: str | Callable[[CellOffer], Any],
     sides: NDArray[np.int64],
 ) -> NDArray[np.int64]:
     """The cells entered, in order, to visit every cell of `to_do` from `here` (left out).
 
-    Repeatedly the first cell to do, in this order, from where the last leg ended, by the safest path (paper,
-    Algorithm 3, with SPEC's ties).
+    Repeatedly the cheapest cell to do from where the last leg ended, by the safest path (paper, Algorithm 3, with
+    SPEC's ties).
 
     Args:
         paths: the safest paths of the world.
         here: where the robot stands.
         to_do: the unvisited cells of the area at this moment, reachable from `here`.
         inside: bool `[N]`, the cells that legs may enter (`transit="area"`), or None for all.
-        order: which cell is next. sides: int64 `[N, 4]`, of each cell its sides in their order (`planner.mrac.areas`).
+        sides: int64 `[N, 4]`, of each cell its sides in their order (`planner.mrac.areas`).
     """
     rank = np.full(len(paths.neighbours), NOT_WANTED, dtype=np.int32)
     rank[to_do] = 0
@@ -516,10 +464,7 @@ def coverage_path(
     left = int(np.count_nonzero(rank != NOT_WANTED))
     path = [np.empty(0, dtype=np.int64)]
     while left:
-        if isinstance(order, str):
-            leg = _cheapest_legs(paths, here, rank, inside, to_do, sides)
-        else:
-            leg = _leg_by(order, paths, here, to_do[rank[to_do] != NOT_WANTED], inside)
+        leg = _cheapest_legs(paths, here, rank, inside, to_do, sides)
         left -= int(np.count_nonzero(rank[leg] != NOT_WANTED))
         rank[leg] = NOT_WANTED
         path.append(leg)
@@ -548,20 +493,7 @@ def _cheapest_legs(
     return paths.path(here, target.cell, inside)
 
 
-def _leg_by(
-    order: Callable[[CellOffer], Any],
-    paths: SafestPaths,
-    here: int,
-    to_do: NDArray[np.int64],
-    inside: NDArray[np.bool_] | None,
-) -> NDArray[np.int64]:
-    """The way to the first of the cells in any order."""
-    cost = paths.to_all(here, inside)[to_do].tolist()
-    offers = [CellOffer(here, *item) for item in zip(to_do.tolist(), cost, strict=True)]
-    return paths.path(here, min(offers, key=order).cell, inside)
-
-
-@compiled
+@host_search
 def _adjacent_run(here, rank, neighbours, sides, most):  # type: ignore[no-untyped-def]
     """From cell to adjacent cell of rank 0, by `sides`, until there is none or it is `most`; int64 `[legs]`."""
     run, length = np.empty(most, dtype=np.int64), 0

@@ -116,6 +116,8 @@ MOST_CELLS = 2**16 - 1
 MOST_PASSES = 8
 """Survived visits of a cell that are told apart; what further ones add to a chance to detect is bounded
 (`analysis.evaluation.outputs.value`)."""
+MOST_COUNTED = 2**16 - 1
+"""Survived visits of a cell that a state counts."""
 
 
 class Tables(NamedTuple):
@@ -183,7 +185,8 @@ class Tables(NamedTuple):
             compiled (`jit_features.FoldAbsent`). Robots follow external paths; legs are searched for; there are no
             tables of distances; the map is uncertain; a loss makes a cell harmless; robots wear or differ in
             susceptibility; threats move; robots differ in type; in speed; radio has a range; robots return to base;
-            they learn the map; they estimate hazards; threats change by phases.
+            they learn the map; they estimate hazards; threats change by phases. scores: the sums of
+            `planner.rollouts.coverage_gradient` are counted.
         asks, notes, loses: None in compiled programs; choose areas in the place of the rule
             (`planner.mission.external_allocation`), note moves and areas that are made, and say which visits destroy a
             robot (`planner.rollouts.single_run`).
@@ -271,6 +274,7 @@ class Tables(NamedTuple):
     learns: bool | None = None
     estimates: bool | None = None
     phased: bool | None = None
+    scores: bool | None = None
     asks: Any = None
     notes: Any = None
     loses: Any = None
@@ -400,7 +404,8 @@ class State(NamedTuple):
         open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area hold anything.
         lowest: like open, those of level `marks.lowest`; no unassigned area has a lower one.
         spent: uint64 `[A / 64]`, bits of the cells that a hit made harmless, or empty.
-        passes: uint8 `[A]`, survived visits of each cell, MOST_PASSES for more; empty where nobody asks.
+        passes: uint16 `[A]`, survived visits of each cell, MOST_COUNTED for more; empty where nobody asks. With
+            `Tables.scores` `[2 A]`: behind them the robots lost in each cell.
         entered: uint64 `[K / 64]`, bits of the robots that have entered a cell in this step; empty where nothing moves
             but robots: only then it is not said by the end of their turns whether they survive there.
         heard: uint64 `[K / 64]`, scratch; empty where robots hear each other everywhere.
@@ -510,6 +515,8 @@ class Counts(NamedTuple):
             histories: `[3]`, ends of a tree, branches left, visits at which it may part. Zeros but for trees.
         home: `[K + 1]`, rollouts by robots at home at the end; empty where they do not come home.
         passes: `[A, MOST_PASSES]`, rollouts with 1, 2, ... or more survived visits of the cell; no rows: not asked for.
+            With `Tables.scores`: float64 `[A, 2]`, sums over rollouts of the cells covered times the robots lost in the
+            cell, and times its survived visits. Of rollouts they are whole numbers, exact below 2**53.
     """
 
     visits: NDArray
@@ -558,14 +565,16 @@ ROWS_BYTES = 2**28
 """What a thread's rows of costs may take up, about; two of them there are always."""
 
 
-def make_counts(cells: int, goal: int, robots: int, steps: int, passes: bool = False, home: bool = False) -> Counts:
+def make_counts(
+    cells: int, goal: int, robots: int, steps: int, passes: bool = False, home: bool = False, scores: bool = False
+) -> Counts:
     """Empty counts for rollouts of at most `steps` steps, in which `goal` of the cells can be visited.
 
-    `passes`: survived visits are counted too; `home`: robots at home.
+    `passes`: survived visits are counted too; `home`: robots at home; `scores`: see `Tables`.
     """
     figures = (goal + 1, goal + 1, robots + 1)
     sizes = (*[cells] * 4, *[steps + 1] * 3, *figures, len(Outcome), *figures, 3, home * (robots + 1))
-    by_cell = np.zeros((cells if passes else 0, MOST_PASSES), dtype=np.int64)
+    by_cell = np.zeros((cells, 2)) if scores else np.zeros((cells if passes else 0, MOST_PASSES), dtype=np.int64)
     return Counts(*[*(np.zeros(size, dtype=np.int64) for size in sizes), by_cell])
 
 
@@ -590,7 +599,7 @@ def first_state(tables: Tables, room: int, passes: bool = False) -> State:
     words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD))
     rows = np.zeros(size + 1, dtype=kind), np.zeros(size, dtype=kind), np.zeros(room, AREA), np.zeros(team, ROBOT)
     bits = [np.zeros(count, dtype=np.uint64) for count in words]
-    passed = np.zeros(size if passes else 0, dtype=np.uint8)
+    passed = np.zeros(2 * size if tables.scores else size if passes else 0, dtype=np.uint16)
     legs, spent = np.zeros((searching, size), dtype=kind), np.zeros(len(tables.spent), dtype=np.uint64)
     entered = np.zeros(words[0] if len(tables.movers) else 0, dtype=np.uint64)
     heard = np.zeros(words[0] if len(tables.reach) else 0, dtype=np.uint64)

@@ -24,7 +24,7 @@ from .state import (
     FAR,
     FOLLOWING,
     HIT,
-    MOST_PASSES,
+    MOST_COUNTED,
     PARTED,
     PASSED,
     SURVIVED,
@@ -61,8 +61,8 @@ def visit(s, c, log, step, robot, cell, size, flags):
 @kernel
 def count_pass(s, cell):
     """A robot was in the cell and was not stopped."""
-    if len(s.passes) > 0 and s.passes[cell] < MOST_PASSES:
-        s.passes[cell] += np.uint8(1)
+    if len(s.passes) > 0 and s.passes[cell] < MOST_COUNTED:
+        s.passes[cell] += np.uint16(1)
 
 
 @kernel
@@ -71,12 +71,24 @@ def is_complete(t, s):
     return s.marks.covered == t.goal if t.learns else s.marks.unfinished == 0
 
 
+@rare_kernel
+def count_scores(s, c, covered, size):
+    """Add the cells covered by a history of so many rollouts, times its losses and its passes, by cell."""
+    weight, cells = float(covered) * size, len(c.passes)
+    for cell in range(cells):
+        c.passes[cell, 0] += weight * s.passes[cells + cell]
+        c.passes[cell, 1] += weight * s.passes[cell]
+
+
 @kernel
 def count_last(t, s, c, cell, mass):
     """Add so much of a tree's branch at the stop of the last robot alive."""
     marks = s.marks
     covered, safely = marks.covered, marks.covered - marks.unsurvived
     c.stops[cell] += mass
+    if t.scores:
+        count_scores(s, c, covered, mass)
+        c.passes[cell, 0] += float(covered) * mass
     c.visited[covered] += mass
     c.survived[safely] += mass
     c.time[marks.step] += mass
@@ -170,6 +182,8 @@ def lose(t, s, c, w, log, robot):
     cell, area = s.robots[robot].cell, np.int64(s.robots[robot].area)
     owns, followed = has_area(s.robots, robot), s.robots[robot].doing == FOLLOWING
     c.stops[cell] += s.marks.last - s.marks.first
+    if t.scores:
+        s.passes[len(s.passes) // 2 + cell] += np.uint16(1)
     if t.spends:
         put(s.spent, cell)
     if t.estimates:

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RBFInterpolator
 from scipy.spatial import KDTree
 
 from planner.arguments import Numbers, did_you_mean, whole
@@ -634,6 +633,8 @@ def interpolated(key: Key, samples: NDArray[np.float64], places: NDArray[np.floa
     nugget = key.mapping(("kind",), defaults={"nugget": 0.0})["nugget"].number(Numbers(0, FARTHEST, "metres"))
     if len(at) > MOST_KRIGED:
         raise key.wrong(f"idw: {len(at)} samples, and kriging is for up to {MOST_KRIGED}", "or thin the samples out")
+    from scipy.interpolate import RBFInterpolator  # takes .2 s, which no other command waits for
+
     try:
         found = RBFInterpolator(at, values, smoothing=nugget, kernel="linear", degree=0)(places)
     except np.linalg.LinAlgError:
