@@ -32,7 +32,7 @@ from mrac_jax.closed_loop import book as book_module
 from mrac_jax.closed_loop import engine as engine_module
 from mrac_jax.closed_loop.book import HALVE, SPLIT, HostBook, mixed
 from mrac_jax.closed_loop.engine import JaxClosedLoop, thresholds
-from mrac_jax.closed_loop.pure import book, closed_rollouts
+from mrac_jax.functional import book, closed_rollouts
 from planner.errors import InputError, UsageError, WorldError
 from planner.failure_model import tolerances
 from planner.make_plan import make_plan

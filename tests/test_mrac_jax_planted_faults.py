@@ -150,7 +150,7 @@ COMPILED = {
         "    behind = (robots > who[:, None]) & (late | due)[:, None]\n",
     ),
     "jax owner loses a turn": Fault(
-        "mrac_jax/closed_loop/sharing.py",
+        "mrac_jax/closed_loop/decisions.py",
         "    since = step - (owner > helper)\n",
         "    since = step\n",
     ),

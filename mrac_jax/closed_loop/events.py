@@ -14,9 +14,8 @@ import jax.numpy as jnp
 from mrac_jax.arrays import less
 from mrac_jax.closed_loop import lanes as ln
 from mrac_jax.closed_loop.book import BISECTED, COUNT, FIRST, HOMEWARD, LENGTH, NEVER, PARTS, PIECE, SPLIT
+from mrac_jax.closed_loop.decisions import affords, all_return, find_to_share, moves_home, owner_sets_out, turning
 from mrac_jax.closed_loop.lanes import Book, Ended, Lanes, Log, at, entered, hold, look_up, one_cell, pick, walk
-from mrac_jax.closed_loop.returning import affords, all_return, moves_home, turning
-from mrac_jax.closed_loop.sharing import find_to_share, owner_sets_out
 from planner.simulator.codes import Outcome
 
 

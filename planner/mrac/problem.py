@@ -16,7 +16,7 @@ from planner.mrac.areas import connected_parts, sides_first
 from planner.mrac.home_paths import Homeward, OwnMaps, own_maps, ways_home, ways_to
 from planner.plan.plan import Area, Plan
 from planner.policies import Rule, rule_of
-from planner.policies.limits import refusal_threshold
+from planner.policies.rules import refusal_threshold
 from planner.settings import Settings
 from planner.simulator.codes import BLOCKED, NO_ROBOT
 from planner.simulator.offers import Offer

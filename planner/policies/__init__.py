@@ -1,7 +1,7 @@
-"""Which area does a robot take next, and when does it change its mind? Rules, each in a file; plain arithmetic.
+"""Which area does a robot take next, and when does it change its mind? Rules; plain arithmetic.
 
-A rule is stated once, here, and followed by every engine; the limits on a team (`limits`) and the order of the cells
-within an area (`in_area`) likewise. No NumPy and no JAX: a rule's numbers may be Python's, Numba's or JAX's.
+A rule is stated once, here, and followed by every engine; the limits on a team (`reserve`, `worth`) and the order of
+the cells within an area (`in_area`) likewise. No NumPy and no JAX: a rule's numbers may be Python's, Numba's or JAX's.
 """
 
 from __future__ import annotations

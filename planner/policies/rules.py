@@ -1,12 +1,15 @@
-"""The paper's rule: the safest area first, of those the nearest (SPEC section 5)."""
+"""The rules for the next area, the limits on a team, and the orders of the cells of an area."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 from planner.policies.rule import Rule
-from planner.simulator.offers import CellOffer, Offer, by_cost_and_frontier, by_cost_per_cell
+from planner.simulator.offers import NO_REFUSAL, CellOffer, Offer, by_cost_and_frontier, by_cost_per_cell
+
+# The paper's rule: the safest area first, of those the nearest (SPEC section 5).
 
 
 def by_level(offer: Offer) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
@@ -40,3 +43,25 @@ the lowest index; in safe areas `rows` goes on along the row and `columns` along
 InAreaOrder = str | Callable[[CellOffer], Any]
 """One of ORDERS, or a user's own: the cell of the least value is next, which the simulator
 as Python alone follows."""
+
+
+# The limits on a team: how many may be at risk (`reserve`), and what a robot is worth (`worth`) (SPEC section 11).
+
+
+def most_at_risk(reserve: float, alive: int) -> int:
+    """m, the robots that may be at risk at once of so many alive: a share of them, at least one."""
+    return max(1, math.ceil(reserve * alive))
+
+
+def refusal_threshold(worth: float | None, cells: int, least_threat: float, risk: str) -> int:
+    """theta: an area is refused where its price per new cell is above it. NO_REFUSAL where nothing ever is.
+
+    Args:
+        worth: V, the new cells that a robot is worth; None = any number. cells: n of the whole map (SPEC section 3).
+        least_threat: p of the first dangerous level, 0 where nothing is dangerous. risk: "paper" or "log".
+    """
+    if worth is None or least_threat == 0:
+        return NO_REFUSAL
+    rho = least_threat if risk == "paper" else -math.log1p(-least_threat)
+    theta = cells / (rho * worth)
+    return NO_REFUSAL if theta >= NO_REFUSAL else math.floor(theta)
