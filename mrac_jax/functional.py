@@ -464,7 +464,7 @@ class Closed:
     Attributes:
         visited, survived: uint32 `[B, W]`, bit c % 32 of word c // 32 is accessible cell c, in rising index.
         time, alive, outcome: int32 `[B]`, the last step, robots alive, a `planner.simulator.codes.Outcome`.
-        missing: bool `[B]`, the book lacks a decision of the rollout: the rest of it is that of where it stopped.
+        missing: bool `[B]`, the book lacks a decision of the rollout, which stops there: its other values are of no use.
     """
 
     visited: jax.Array
@@ -476,9 +476,13 @@ class Closed:
 
 
 def book(world: World, plan: Plan, *, seed: int = 0, rollouts: int = 4096, lanes: int = 256) -> Book:
-    """The decisions of a plan's closed loop, as those of so many rollouts need them: a frozen pytree of fixed shapes.
+    """The decisions of rollouts 0 .. `rollouts` - 1 of a seed in a plan's closed loop: a frozen pytree of fixed shapes.
 
-    More rollouts of other seeds meet few decisions more: `Closed.missing` names them.
+    Other rollouts may need decisions that it lacks (`Closed.missing`), the fewer the more rollouts it is of.
+
+    Args:
+        world: the map of the plan. plan: as of `mrac.plan`.
+        seed, rollouts: see above. lanes: rollouts at a time.
 
     Raises InputError for a plan of another world, and for a mission that the book does not hold.
     """
