@@ -464,7 +464,7 @@ class Closed:
     Attributes:
         visited, survived: uint32 `[B, W]`, bit c % 32 of word c // 32 is accessible cell c, in rising index.
         time, alive, outcome: int32 `[B]`, the last step, robots alive, a `planner.simulator.codes.Outcome`.
-        missing: bool `[B]`, the book lacks a decision of the rollout, which stops there: its other values are of no use.
+        missing: bool `[B]`, the book lacks a decision of the rollout, which stops there: ignore its other values.
     """
 
     visited: jax.Array
