@@ -60,7 +60,9 @@ class Fault:
 
 
 AREAS, ROLL, VISITS = (f"planner/simulator/{name}.py" for name in ("areas", "rollouts", "visits"))
-BOOK, EVENTS = "mrac_jax/closed_loop/book.py", "mrac_jax/closed_loop/events.py"
+BOOK, COUNTING, ENGINE, EVENTS, SHARING = (
+    f"mrac_jax/closed_loop/{name}.py" for name in ("book", "counting", "engine", "events", "sharing")
+)
 INTERPRETED = {
     "classical tie order": Fault(AREAS, "or cost < best_cost):", "or cost <= best_cost):"),
     "classical survivors find the state that the others left": Fault(
@@ -76,11 +78,7 @@ INTERPRETED = {
         "    stale = to.open[0] & np.uint64(0xFF)\n"
         "    copy_row(of.open, to.open, (areas + WORD - 1) // WORD)\n    to.open[0] |= stale\n",
     ),
-    "jax snapshot after the loss": Fault(
-        "mrac_jax/closed_loop/engine.py",
-        "marks.append(np.searchsorted(keys, ",
-        "marks.append(np.searchsorted(keys[:-1], 1 + ",
-    ),
+    "jax snapshot after the loss": Fault(ENGINE, "searchsorted(keys, ", "searchsorted(keys[:-1], 1 + "),
     "jax component lost": Fault(BOOK, "if bisected else parts:", "if bisected else parts[:2]:"),
 }
 QUICK = (
@@ -109,20 +107,12 @@ COMPILED = {
         "    robots[robot].ahead, robots[robot].path = ahead, 0\n",
         "    if searched:\n        robots[robot].ahead, robots[robot].path = ahead, 0\n",
     ),
-    "jax walks counted a step short": Fault(
-        "mrac_jax/closed_loop/counting.py", "in range(1, moves + 1):", "in range(1, max(moves, 2)):", seen_in="tallies"
-    ),
+    "jax walks counted a step short": Fault(COUNTING, "(1, moves + 1):", "(1, max(moves, 2)):", seen_in="tallies"),
     "jax tie order": Fault(BOOK, "if target < 0 and cell < len(todo)", "if cell < len(todo)"),
-    "jax tie order of areas": Fault(
-        EVENTS, "best = jnp.argmin(costs, axis=1)", "best = G - 1 - jnp.argmin(costs[:, ::-1], axis=1)"
-    ),
-    "jax loss before the cell is marked": Fault(
-        EVENTS, "lanes.visited | at(book.prefix, row_end)", "lanes.visited | at(book.prefix, row_end - dies)"
-    ),
+    "jax tie order of areas": Fault(EVENTS, "jnp.argmin(costs, axis=1)", "G - 1 - jnp.argmin(costs[:, ::-1], axis=1)"),
+    "jax loss before the cell is marked": Fault(EVENTS, "(book.prefix, row_end)", "(book.prefix, row_end - dies)"),
     "jax robots that act later have moved": Fault(EVENTS, "& ~(late | due)[:, None]", "& (late | due)[:, None]"),
-    "jax owner loses a turn": Fault(
-        "mrac_jax/closed_loop/sharing.py", "since = step - (owner > helper)", "since = step"
-    ),
+    "jax owner loses a turn": Fault(SHARING, "since = step - (owner > helper)", "since = step"),
     "jax threshold of the whole run": Fault(EVENTS, "    left = less(left, at(book.before, which))\n", ""),
 }
 FAULTS = INTERPRETED | COMPILED
@@ -200,12 +190,8 @@ def compare_in_a_process(
     """
     folder, (other,) = package.parent, set(PACKAGES) - {package.name}
     (folder / "answers").write_bytes(answers(other, traced) if expected is None else expected)
-    environment = {
-        **os.environ,
-        "JAX_PLATFORMS": "cpu",
-        "PYTHONDONTWRITEBYTECODE": "1",
-        "PYTHONPATH": os.pathsep.join(str(path) for path in (folder, ROOT, Path(__file__).parent)),
-    }
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu", "PYTHONDONTWRITEBYTECODE": "1"}
+    environment["PYTHONPATH"] = os.pathsep.join(map(str, (folder, ROOT, Path(__file__).parent)))
     if package.name == "planner" and interpreted:
         environment["NUMBA_DISABLE_JIT"] = "1"
     command = [sys.executable, "-c", COMPARISON.format(by), str(package), str(traced), str(folder / "answers")]
