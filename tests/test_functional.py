@@ -32,7 +32,6 @@ from planner.rollouts.open_loop import compile_plan
 from planner.rollouts.runners import Runner
 from planner.settings import Settings
 from planner.simulator.jit import interpreted
-from planner.tally import Tally
 from planner.world.changing_maps import with_hazard
 from planner.world.generate import random_world
 from planner.world.levels import place_starts
@@ -108,14 +107,11 @@ def test_the_gradient_of_robots_that_wear_is_the_limit_of_differences() -> None:
     row, col = np.argwhere(world.threat > 0)[3]
     step = np.zeros(world.shape, np.float32)
     step[row, col] = 2.0**-8  # float32 has p + step exactly
-    more, less = (open_loop_exact(at(plan, near), near).visited for near in shifted(world, step))
+    near = (World.create(world.threat + sign * step) for sign in (1, -1))
+    more, less = (open_loop_exact(at(plan, one), one).visited for one in near)
     with jax.enable_x64(True):
         gradient = gradient_of(F.arrays(world, plan), world.threat.astype(np.float64))
     assert gradient[row, col] == pytest.approx((more - less) / 2.0**-7, rel=1e-3)
-
-
-def shifted(world: World, step: np.ndarray) -> tuple[World, World]:
-    return World.create(world.threat + step), World.create(world.threat - step)
 
 
 def at(plan: Plan, world: World) -> Plan:
@@ -125,15 +121,11 @@ def at(plan: Plan, world: World) -> Plan:
 # Rollouts.
 
 
-def tally_of(world: World, plan: Plan, seed: int, start: int, count: int) -> Tally:
-    return open_loop_engine(compile_plan(plan, world), seed, "numba", 1).tally(start, count)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_counts_are_those_of_the_other_engines(kind: str) -> None:
     world, plan = case(kind)
     counts = F.rollouts(2**63 + 5, F.arrays(world, plan), world.threat, N, batch_size=B, start=70)
-    tally = tally_of(world, plan, 2**63 + 5, 70, N)
+    tally = open_loop_engine(compile_plan(plan, world), 2**63 + 5, "numba", 1).tally(70, N)
     assert counts.rollouts == N
     for name, theirs in (
         ("visits", tally.visits), ("losses", tally.stops), ("visited", tally.covered_visited),
@@ -299,16 +291,9 @@ def test_importing_changes_no_setting() -> None:
 # Bad input.
 
 
-@pytest.mark.parametrize(
-    ("p", "words"),
-    [
-        (np.nan, "p: nan at [0, 3]; expected 0 <= p < 1 in every free cell; only obstacles may be NaN"),
-        (1.0, "p: 1.0 at [0, 3]"),
-        (-0.25, "p: -0.25 at [0, 3]"),
-        (np.inf, "p: inf at [0, 3]"),
-    ],
-)
-def test_probabilities_are_checked_where_they_are_concrete(p: float, words: str) -> None:
+@pytest.mark.parametrize("p", [np.nan, 1.0, -0.25, np.inf])
+def test_probabilities_are_checked_where_they_are_concrete(p: float) -> None:
+    words = f"p: {p} at [0, 3]; expected 0 <= p < 1 in every free cell; only obstacles may be NaN"
     arrays, threat, _, _ = small()
     bad = np.where(np.arange(threat.size).reshape(threat.shape) == 3, np.float32(p), threat)
     for call in (F.expected_coverage, F.survival, partial(F.rollout, 1), partial(F.rollouts, 1, n=8)):

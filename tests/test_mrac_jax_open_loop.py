@@ -7,28 +7,35 @@ import os
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import rollout_results, rollouts, run_chunks
+from helpers import assert_same_results, rollout_results, rollouts, run_chunks
 from open_loop_reference import fixture, plan_of, tolerance_stops, walk
 from test_failure_sampling import KNOWN
 
 from analysis.policy_evaluation.policy_evaluation import roll_policy
 from mrac_jax import runtime as accelerators
+from mrac_jax.arrays import threefry2x32 as jax_threefry
 from mrac_jax.environment.coverage_env import CoverageEnv
-from mrac_jax.open_loop import jitted, pad_tables, size_bucket
+from mrac_jax.open_loop import JaxOpenLoop, advance, jitted, pad_tables, size_bucket
 from planner.errors import PlanError, UsageError
 from planner.failure_model import exposure_of, key_of, least_word
+from planner.plan.plan import Plan
 from planner.rollouts import open_loop as compiled_module
 from planner.rollouts.engine import choose_engine
 from planner.rollouts.open_loop import CompiledPlan, OpenLoopTables, compile_plan, share_out
 from planner.rollouts.open_loop_events import Guide, make_groups, make_guide
-from planner.rollouts.open_loop_numba import BLOCK_WORDS
+from planner.rollouts.open_loop_numba import BLOCK_WORDS, _words
 from planner.simulator.codes import Outcome
+from planner.simulator.failure_sampling import threefry
+from planner.simulator.jit import program
 from planner.simulator.thresholds import threefry2x32
 from planner.tally import Tally, tally_key
 from planner.world.uncertain_maps import bounds_of
@@ -38,24 +45,18 @@ from planner.world.world import World
 
 ENGINES = ("numba", "jax")
 STANDARD_ERRORS = 5.0
+FIGURES = ("visited", "survived", "time", "alive")
 WALKED = [
-    ("tiny-2x8-25", 5),  # starts on threats, shared starts
-    ("tiny-3x3-15", 4),
-    ("tiny-4x3-23", 4),
-    ("tiny-3x6-21", 5),
-    ("tiny-2x6-08", 4),
-    ("tiny-6x7-09", 2),
-    ("tiny-2x4-04", 3),  # nobody moves
-    ("tiny-5x4-11", 1),  # no threat
-    ("contiguous-14x23-1001", 8),
-    ("scattered-14x23-1000", 2),
-    ("scattered-20x20-1000", 8),
-]
+    ("waiting", 3), ("tiny-2x8-25", 5), ("tiny-3x3-15", 4), ("tiny-4x3-23", 4), ("tiny-3x6-21", 5), ("tiny-2x6-08", 4),
+    ("tiny-6x7-09", 2), ("tiny-2x4-04", 3), ("tiny-5x4-11", 1), ("contiguous-14x23-1001", 8),
+    ("scattered-14x23-1000", 2), ("scattered-20x20-1000", 8),
+]  # fmt: skip
+"""Among them: waits and returns, starts on threats and shared starts, a team that does not move, no threat."""
 COMPILED_ALONE = [("tiny-3x3-15", 4), ("scattered-14x23-1000", 2), ("scattered-20x20-1000", 8)]
 """Plans for which JAX compiles a program that no other quick test runs."""
 
 
-def waiting_plan() -> tuple:
+def waiting_plan() -> tuple[Plan, World]:
     """Three robots that wait, turn back and share a start on a threat; a 2 x 4 world with one obstacle."""
     threat = np.array([[0.3, 0.0, 0.2, 0.4], [0.0, np.nan, 0.25, 0.0]], dtype=np.float32)
     world = World.create(threat)
@@ -63,9 +64,13 @@ def waiting_plan() -> tuple:
     return plan_of(world, paths), world
 
 
+def plan_in(name: str, robots: int) -> tuple[Plan, World]:
+    """A fixture's plan and world, or the waiting plan's."""
+    return waiting_plan() if name == "waiting" else fixture(name, robots)[:2]
+
+
 def compiled_fixture(name: str, robots: int) -> CompiledPlan:
-    plan, world, _ = fixture(name, robots)
-    return compile_plan(plan, world)
+    return compile_plan(*plan_in(name, robots))
 
 
 SEED = 7 * 2**32 + 5
@@ -74,10 +79,10 @@ SEED = 7 * 2**32 + 5
 @cache
 def walked(name: str, robots: int) -> Tally:
     """The plain walk, which no engine has a part in, and which takes longer than all of them."""
-    plan, world, _ = fixture(name, robots)
+    plan, world = plan_in(name, robots)
     stops = tolerance_stops(plan, world, SEED)
     key = tally_key(compile_plan(plan, world).identity, "open", SEED)
-    ids = range(4000, 4150) if name.startswith("tiny") else range(4089, 4105)  # from two blocks
+    ids = range(4000, 4400) if name.startswith(("tiny", "waiting")) else range(4089, 4105)  # from two blocks
     return walk(plan, world, ids, stops, key)
 
 
@@ -94,35 +99,30 @@ def test_equals_a_plain_walk_count_for_count(name: str, robots: int, engine: str
     expected = walked(name, robots)
     [(start, stop)] = expected.ids
     assert rollouts(compiled, seed=SEED, start=start, count=stop - start, engine=engine) == expected
+    if name == "tiny-5x4-11":  # nothing is dangerous
+        assert expected.outcomes[Outcome.COMPLETE] == expected.alive[1] == expected.rollouts
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_waits_returns_and_shared_dangerous_starts(engine: str) -> None:
-    plan, world = waiting_plan()
-    compiled = compile_plan(plan, world)
-    stops = tolerance_stops(plan, world, 3)
-    expected = walk(plan, world, range(400), stops, tally_key(compiled.identity, "open", 3))
-    assert rollouts(compiled, seed=3, count=400, engine=engine) == expected
+def ways_to_end(plan: Plan, world: World) -> Iterator[tuple[tuple[int, ...], tuple[int, ...]]]:
+    """Each combination of the robots' outcomes with its (visited, survived, time, alive), walked plainly."""
+    danger = [[*steps, -1] for steps in compile_plan(plan, world).danger_step]  # -1: is not lost
+    for outcomes in itertools.product(*map(range, map(len, danger))):
+        at = [steps[outcome] for steps, outcome in zip(danger, outcomes, strict=True)]
+        tally = walk(plan, world, range(1), lambda _rollout, robot, step, _cell, at=at: step == at[robot], "")
+        yield outcomes, tuple(int(np.flatnonzero(getattr(tally, name))[0]) for name in FIGURES)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_frequencies_of_every_hit_pattern(engine: str) -> None:
     plan, world = waiting_plan()
     compiled = compile_plan(plan, world)
-    chances: Counter[tuple[int, int, int, int]] = Counter()
+    chances: Counter[tuple[int, ...]] = Counter()
     threat = [world.threat.ravel()[cells].astype(float) for cells in compiled.danger_cell]
-    for outcomes in itertools.product(*(range(len(t) + 1) for t in threat)):
+    for outcomes, end in ways_to_end(plan, world):
         chance = 1.0
         for mine, outcome in zip(threat, outcomes, strict=True):
             chance *= float(np.prod(1 - mine[:outcome])) * (mine[outcome] if outcome < len(mine) else 1.0)
-        stop_steps = [int(np.append(s, 99)[o]) for s, o in zip(compiled.danger_step, outcomes, strict=True)]
-
-        def stops(_rollout: int, robot: int, step: int, _cell: int, at: list[int] = stop_steps) -> bool:
-            return step == at[robot]
-
-        tally = walk(plan, world, range(1), stops, "")
-        end = [int(np.flatnonzero(getattr(tally, name))[0]) for name in ("visited", "survived", "time", "alive")]
-        chances[tuple(end)] += chance
+        chances[end] += chance
     count = 200_000
     found = rollout_results(compiled, seed=11, count=count, engine=engine)
     seen = Counter(zip(found.visited, found.survived, found.time, found.alive, strict=True))
@@ -181,30 +181,18 @@ def test_parts_in_any_order_add_to_the_whole(engine: str) -> None:
     assert parts.ids == ((0, 20_000),)
 
 
-def test_single_rollouts_add_up_to_the_tally() -> None:
-    compiled = compiled_fixture("contiguous-20x20-1002", 8)
-    tally = rollouts(compiled, seed=6, start=50, count=9000, engine="numba")
-    found = [rollout_results(compiled, seed=6, start=50, count=9000, engine=engine) for engine in ENGINES]
-    for name in ("visited", "survived", "time", "alive", "outcome"):
-        assert np.array_equal(getattr(found[0], name), getattr(found[-1], name))
-        values = getattr(found[0], name).astype(np.int64)
+def test_single_rollouts_add_up_to_the_tally_to_the_last_id() -> None:
+    compiled, start = compiled_fixture("contiguous-20x20-1002", 8), 2**32 - 9000
+    how: dict[str, Any] = {"seed": 6, "start": start, "count": 9000}
+    tally, other = (rollouts(compiled, engine=engine, **how) for engine in ENGINES)
+    assert tally == other and tally.ids == ((start, 2**32),)
+    found, same = (rollout_results(compiled, engine=engine, **how) for engine in ENGINES)
+    assert_same_results(found, same)
+    for name in (*FIGURES, "outcome"):
         histogram = tally.outcomes if name == "outcome" else getattr(tally, name)
-        assert np.array_equal(np.bincount(values, minlength=len(histogram)), histogram)
-    assert found[0].start == 50
-
-
-def test_last_ids_of_all() -> None:
-    compiled = compiled_fixture("tiny-4x8-12", 2)
-    how = {"seed": 0, "start": 2**32 - 5000, "count": 5000}
-    tallies = [rollouts(compiled, engine=engine, **how) for engine in ENGINES]  # type: ignore[arg-type]
-    assert tallies[0] == tallies[1]
-    assert tallies[0].ids == ((2**32 - 5000, 2**32),)
-
-
-def test_certain_coverage_is_complete() -> None:
-    tally = rollouts(compiled_fixture("tiny-5x4-11", 1), seed=0, count=100, engine="numba")
-    assert tally.outcomes[Outcome.COMPLETE] == 100
-    assert tally.alive[1] == 100
+        counts = np.bincount(getattr(found, name).astype(np.int64), minlength=len(histogram))
+        np.testing.assert_array_equal(counts, histogram)
+    assert found.start == start
 
 
 def test_chunks_report_where_the_run_stands() -> None:
@@ -218,33 +206,18 @@ def test_chunks_report_where_the_run_stands() -> None:
 
 
 def test_one_compilation_serves_plans_of_one_bucket() -> None:
-    from mrac_jax import open_loop
-
-    compiled = [
-        compiled_fixture("tiny-4x3-23", 4),
-        compiled_fixture("tiny-3x6-21", 5),
-        compiled_fixture("tiny-2x8-25", 5),
-    ]
-    run = open_loop.jitted(open_loop.advance, open_loop.JaxOpenLoop(compiled[0], 0).batch)
-    rollouts(compiled[1], seed=0, count=10, engine="jax")
+    of_shape, *others = (compiled_fixture(*one) for one in (("tiny-4x3-23", 4), ("tiny-3x6-21", 5), ("tiny-2x8-25", 5)))
+    run = jitted(advance, JaxOpenLoop(of_shape, 0).batch)
+    rollouts(others[0], seed=0, count=10, engine="jax")
     before = run._cache_size()
     for seed in (0, 1, 2):
-        rollouts(compiled[1], seed=seed, count=5000 * (seed + 1), engine="jax")
-        rollouts(compiled[2], seed=seed, count=5000 * (seed + 1), engine="jax")
+        for compiled in others:
+            rollouts(compiled, seed=seed, count=5000 * (seed + 1), engine="jax")
     assert run._cache_size() == before
 
 
-def test_jit_equals_no_jit() -> None:
-    import jax
-
-    world = World.create(np.array([[0.3, 0.0, 0.2, 0.1]], dtype=np.float32))
-    compiled = compile_plan(plan_of(world, [[1, 0], [1, 2, 3], [1, 2]]), world)
-    jitted = rollouts(compiled, seed=3, count=100, engine="jax")
-    with jax.disable_jit():
-        assert rollouts(compiled, seed=3, count=100, engine="jax") == jitted
-
-
-DEVICES = """
+PROGRAMS = {
+    "two devices equal one": """
 import jax
 jax.config.update("jax_num_cpu_devices", 2)
 from test_mrac_jax_open_loop import compiled_fixture
@@ -253,40 +226,31 @@ compiled = compiled_fixture("tiny-6x3-20", 5)
 assert len(jax.devices()) == 2
 whole = rollouts(compiled, seed=5, start=77, count=40_000, engine="numba")
 assert rollouts(compiled, seed=5, start=77, count=40_000, engine="jax") == whole
-"""
-
-
-def test_two_devices_equal_one() -> None:
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent), "JAX_PLATFORMS": "cpu"}
-    done = subprocess.run([sys.executable, "-c", DEVICES], env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-
-
-def test_numba_alone_does_not_import_jax() -> None:
-    program = (
-        "import sys; from open_loop_reference import fixture; from helpers import rollouts;"
-        "from planner.rollouts.open_loop import compile_plan;"
-        "plan, world, _ = fixture('tiny-4x8-12', 2);"
-        "rollouts(compile_plan(plan, world), seed=0, count=10, engine='numba');"
-        "assert 'jax' not in sys.modules"
-    )
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
-    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-
-
-FLAGS = {
-    "numpy_rank_promotion": "raise",
-    "numpy_dtype_promotion": "strict",
-    "enable_x64": True,
-    "disable_jit": True,
-    "debug_nans": True,
-    "debug_infs": True,
-    "check_tracer_leaks": True,
-    "transfer_guard": "disallow",
-    "threefry_partitionable": False,
-    "default_prng_impl": "rbg",
+""",
+    "numba alone does not import jax": """
+import sys
+from open_loop_reference import fixture
+from helpers import rollouts
+from planner.rollouts.open_loop import compile_plan
+rollouts(compile_plan(*fixture("tiny-4x8-12", 2)[:2]), seed=0, count=10, engine="numba")
+assert "jax" not in sys.modules
+""",
 }
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_in_a_process_of_its_own(name: str) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent), "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run([sys.executable, "-c", PROGRAMS[name]], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+FLAGS: dict[str, Any] = dict.fromkeys(
+    ("enable_x64", "disable_jit", "debug_nans", "debug_infs", "check_tracer_leaks"), True
+) | {
+    "numpy_rank_promotion": "raise", "numpy_dtype_promotion": "strict", "transfer_guard": "disallow",
+    "threefry_partitionable": False, "default_prng_impl": "rbg",
+}  # fmt: skip
 """Flags of JAX's that a user may have set, and values that would stop the programs, or change what they draw."""
 
 
@@ -350,12 +314,8 @@ def test_a_jax_that_cannot_start_is_an_error_where_it_is_asked_for(tmp_path: Pat
         asked = run("--engine", "jax", **flags)
         assert asked.returncode == 2 and not asked.stdout
         *_, line = asked.stderr.splitlines()  # after what it was doing, on a slow machine
-        assert (
-            "Traceback" not in asked.stderr
-            and line.startswith("error: JAX cannot start")
-            and said in line
-            and line.endswith("use --engine numba")
-        )
+        assert "Traceback" not in asked.stderr and said in line
+        assert line.startswith("error: JAX cannot start") and line.endswith("use --engine numba")
     auto = run(JAX_PLATFORMS="cuda")
     assert auto.returncode == 0 and auto.stdout
     assert auto.stderr.count("JAX cannot start with JAX_PLATFORMS=cuda") == 1
@@ -364,14 +324,10 @@ def test_a_jax_that_cannot_start_is_an_error_where_it_is_asked_for(tmp_path: Pat
 # The compile step: thresholds, the guide, events, groups and padding, each against its definition.
 
 THREATS = {
-    "falling": np.full(38, 0.12),
-    "long": np.full(500, 0.04),
-    "faint": np.full(300, 0.001),
-    "fainter": np.full(2000, 1e-5),
-    "beyond 32 bits": np.array([1e-30, 1e-17, 0.5, 1e-20, 0.999999]),
-    "deadly": np.full(33, 0.5),
-    "none": np.zeros(0),
-}
+    "falling": np.full(38, 0.12), "long": np.full(500, 0.04), "faint": np.full(300, 0.001),
+    "fainter": np.full(2000, 1e-5), "beyond 32 bits": np.array([1e-30, 1e-17, 0.5, 1e-20, 0.999999]),
+    "deadly": np.full(33, 0.5), "none": np.zeros(0),
+}  # fmt: skip
 
 
 def guide_outcomes(guide: Guide, slot: int, words: np.ndarray) -> np.ndarray:
@@ -395,12 +351,9 @@ def test_guide_counts_thresholds_exactly(name: str) -> None:
     threat = THREATS[name].astype(np.float32)
     whole = least_word(np.cumsum(exposure_of(threat))).astype(np.uint64)
     sets = [whole, whole[: len(threat) // 2]]
-    random = np.random.default_rng(0)
-    near = [np.clip(sets[0].astype(np.int64) + shift, 0, 2**32 - 1) for shift in (-1, 0, 1)]
-    powers = [2 ** np.arange(32, dtype=np.int64) + shift for shift in (-1, 0, 1)]
-    words = np.concatenate(
-        [random.integers(0, 2**32, 3000), np.arange(300), 2**32 - 1 - np.arange(300), *near, *powers]
-    )
+    near = np.concatenate([whole.astype(np.int64), 2 ** np.arange(32, dtype=np.int64)])
+    words = np.concatenate([near - 1, near, near + 1, np.arange(300), 2**32 - 1 - np.arange(300)]).clip(0, 2**32 - 1)
+    words = np.concatenate([words, np.random.default_rng(0).integers(0, 2**32, 3000)])
     guide = make_guide(sets)
     for slot, thresholds in enumerate(sets):
         expected = (words[:, None] < thresholds.astype(np.int64)[None, :]).sum(axis=1)
@@ -430,31 +383,20 @@ def scores_of(tables: OpenLoopTables, outcomes: tuple[int, ...]) -> tuple[int, i
 
 @pytest.mark.parametrize(("name", "robots"), [("tiny-3x6-21", 5), ("tiny-4x3-23", 4), ("tiny-2x6-08", 4)])
 @pytest.mark.parametrize("pair_rows", [0, 2**14])
-def test_every_combination_of_outcomes_scores_as_walked(name: str, robots: int, pair_rows: int) -> None:
+def test_every_combination_of_outcomes_scores_as_walked(
+    name: str, robots: int, pair_rows: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With robots paired or not, whatever the plan's size."""
     plan, world, _ = fixture(name, robots)
-    compiled = compile_plan(plan, world)
-    tables = tables_with_groups(compiled, pair_rows)
-    for outcomes in itertools.product(*(range(len(steps) + 1) for steps in compiled.danger_step)):
-        stop_steps = [int(np.append(s, -1)[o]) for s, o in zip(compiled.danger_step, outcomes, strict=True)]
-
-        def stops(_rollout: int, robot: int, step: int, _cell: int, at: list[int] = stop_steps) -> bool:
-            return step == at[robot]
-
-        tally = walk(plan, world, range(1), stops, "")
-        walked = [int(np.flatnonzero(getattr(tally, key))[0]) for key in ("visited", "survived", "time", "alive")]
-        assert list(scores_of(tables, outcomes)) == walked
-
-
-def tables_with_groups(compiled: CompiledPlan, most_pair_rows: int) -> OpenLoopTables:
-    """The tables with robots paired or not, whatever the plan's size."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled_module, "make_groups", lambda depth: make_groups(depth, most_pair_rows))
-        return compiled_module._make_tables(compiled)
+    monkeypatch.setattr(compiled_module, "make_groups", lambda depth: make_groups(depth, pair_rows))
+    tables = compile_plan(plan, world).tables
+    for outcomes, end in ways_to_end(plan, world):
+        assert scores_of(tables, outcomes) == end
 
 
 @pytest.mark.parametrize("engine", ["numba", "jax"])
 def test_single_robots_and_pairs_give_one_tally(engine: str) -> None:
-    plan, world, _ = fixture("scattered-20x20-1000", 8)
+    plan, world = plan_in("scattered-20x20-1000", 8)
     whole = rollouts(compile_plan(plan, world), seed=3, count=20_000, engine=engine)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiled_module, "make_groups", lambda depth: make_groups(depth, 0))
@@ -485,26 +427,19 @@ def test_plans_that_cannot_be_rolled_out() -> None:
 
 @pytest.mark.parametrize(
     ("options", "match"),
-    [
-        ({"engine": "torch"}, "engine"),
-        ({"seed": -1}, "seed"),
-        ({"start": 2**32 - 1, "count": 2}, "rollouts"),
-        ({"chunk": 0}, "chunk"),
-    ],
-)
+    [({"engine": "torch"}, "engine"), ({"seed": -1}, "seed"), ({"chunk": 0}, "chunk"),
+     ({"start": 2**32 - 1, "count": 2}, "rollouts")],
+)  # fmt: skip
 def test_usage_errors_name_the_value(options: dict, match: str) -> None:
-    world = World.create(np.array([[0.0, 0.1]], np.float32))
-    compiled = compile_plan(plan_of(world, [[0, 1]]), world)
     with pytest.raises(UsageError, match=match):
-        list(run_chunks(compiled, **{"seed": 0, "count": 1, **options}))
+        list(run_chunks(compiled_fixture("tiny-4x8-12", 2), **{"seed": 0, "count": 1, **options}))
 
 
 def test_padding_keeps_few_sizes() -> None:
     sizes = {size_bucket(size) for size in range(1, 1000)}
     assert all(size <= size_bucket(size) <= max(8, 1.25 * size + 1) for size in range(1, 1000))
     assert len(sizes) < 40
-    plans = [fixture(name, robots)[:2] for name, robots in (("tiny-3x6-21", 5), ("tiny-2x8-25", 5))]
-    padded = [pad_tables(compile_plan(plan, world), 0) for plan, world in plans]
+    padded = [pad_tables(compiled_fixture(name, 5), 0) for name in ("tiny-3x6-21", "tiny-2x8-25")]
     assert padded[0].visited.shape == padded[1].visited.shape and padded[0].guide.shape == padded[1].guide.shape
 
 
@@ -523,35 +458,23 @@ def test_shares_cover_the_ids_once(start: int, count: int, workers: int) -> None
 
 @pytest.mark.parametrize(("counter", "key", "words"), KNOWN)
 def test_published_vectors(counter: tuple[int, int], key: tuple[int, int], words: tuple[int, int]) -> None:
-    import jax.numpy as jnp
-
-    from mrac_jax.arrays import threefry2x32 as jax_threefry
-    from planner.simulator.failure_sampling import threefry
-
-    of_jax = jax_threefry(jnp.array(key, jnp.uint32), jnp.uint32(counter[0]), jnp.uint32(counter[1]))
-    of_numba = threefry(*(np.uint32(word) for word in (*key, *counter)))
+    of_jax = jax_threefry(jnp.array(key, jnp.uint32), *np.array(counter, np.uint32))
+    of_numba = threefry(*np.array((*key, *counter), np.uint32))
     for found in (of_jax, of_numba):
         assert tuple(int(word) for word in found) == words
 
 
 def test_equal_to_numpy_on_many_counters() -> None:
-    import jax
-    import jax.numpy as jnp
-
-    from mrac_jax.arrays import threefry2x32 as jax_threefry
-    from planner.rollouts.open_loop_numba import _words
-    from planner.simulator.jit import program
-
     key = key_of(0x0123456789ABCDEF)
     counters = np.arange(2**32 - 500, 2**32 + 500, dtype=np.uint64).astype(np.uint32)
     expected = threefry2x32(key, counters, 77)
-    found = jax.vmap(jax_threefry, in_axes=(None, 0, None))(jnp.array(key, jnp.uint32), counters, jnp.uint32(77))
-    assert np.array_equal(found[0], expected[0]) and np.array_equal(found[1], expected[1])
+    found = jax.vmap(jax_threefry, in_axes=(None, 0, None))(jnp.array(key, jnp.uint32), counters, np.uint32(77))
+    np.testing.assert_array_equal(found, expected)
     words = np.zeros(1000, np.uint32)
 
     @program
     def draw(*of):  # type: ignore[no-untyped-def]
         _words(*of)
 
-    draw(np.uint32(key[0]), np.uint32(key[1]), counters[0], np.uint32(77), words)
-    assert np.array_equal(words, expected[0])
+    draw(*np.array((*key, counters[0], 77), np.uint32), words)
+    np.testing.assert_array_equal(words, expected[0])

@@ -52,48 +52,34 @@ class Fault:
     new: str
     seen_in: str = "results|tallies"
 
-    @property
-    def package(self) -> str:
-        """The package that it is planted in."""
-        return self.file.split("/")[0]
+    def planted(self, root: Path) -> str:
+        """The source below here, with the fault."""
+        text = (root / self.file).read_text()
+        assert text.count(self.old) == 1, f"{self.file} has changed: plant the fault anew"
+        return text.replace(self.old, self.new)
 
 
+AREAS, ROLL, VISITS = (f"planner/simulator/{name}.py" for name in ("areas", "rollouts", "visits"))
+BOOK, COUNTING, ENGINE, EVENTS, DECISIONS = (
+    f"mrac_jax/closed_loop/{name}.py" for name in ("book", "counting", "engine", "events", "decisions")
+)
 INTERPRETED = {
-    "classical tie order": Fault(
-        "planner/simulator/areas.py",
-        "            if cost >= 0 and (level < best_level or cost < best_cost):\n",
-        "            if cost >= 0 and (level < best_level or cost <= best_cost):\n",
-    ),
+    "classical tie order": Fault(AREAS, "or cost < best_cost):", "or cost <= best_cost):"),
     "classical survivors find the state that the others left": Fault(
-        "planner/simulator/rollouts.py",
-        "    hit = hand(level_of(stack, top))\n",
-        "    hit = hand(level_of(stack, top))._replace(movers=s.movers)\n",
+        ROLL, "hit = hand(level_of(stack, top))", "hit = hand(level_of(stack, top))._replace(movers=s.movers)"
     ),
     "classical set parted, and the order of the hit ones lost": Fault(
-        "planner/simulator/failure_sampling.py",
-        "        ids[kept + index] = words[index]\n",
-        "        ids[kept + index] = words[0]\n",
+        "planner/simulator/failure_sampling.py", "ids[kept + index] = words[index]", "ids[kept + index] = words[0]"
     ),
-    "classical set counted once": Fault(
-        "planner/simulator/visits.py", "    c.new[step] += size\n", "    c.new[step] += 1\n"
-    ),
+    "classical set counted once": Fault(VISITS, "c.new[step] += size", "c.new[step] += 1"),
     "classical bits of another branch": Fault(
-        "planner/simulator/rollouts.py",
+        ROLL,
         "    copy_row(of.open, to.open, (areas + WORD - 1) // WORD)\n",
         "    stale = to.open[0] & np.uint64(0xFF)\n"
-        "    copy_row(of.open, to.open, (areas + WORD - 1) // WORD)\n"
-        "    to.open[0] |= stale\n",
+        "    copy_row(of.open, to.open, (areas + WORD - 1) // WORD)\n    to.open[0] |= stale\n",
     ),
-    "jax snapshot after the loss": Fault(
-        "mrac_jax/closed_loop/engine.py",
-        "            marks.append(np.searchsorted(keys, ",
-        "            marks.append(np.searchsorted(keys[:-1], 1 + ",
-    ),
-    "jax component lost": Fault(
-        "mrac_jax/closed_loop/book.py",
-        "        for part in self._halves(cells) if bisected else parts:\n",
-        "        for part in self._halves(cells) if bisected else parts[:2]:\n",
-    ),
+    "jax snapshot after the loss": Fault(ENGINE, "searchsorted(keys, ", "searchsorted(keys[:-1], 1 + "),
+    "jax component lost": Fault(BOOK, "if bisected else parts:", "if bisected else parts[:2]:"),
 }
 QUICK = (
     "classical set parted, and the order of the hit ones lost",
@@ -101,80 +87,43 @@ QUICK = (
     "jax snapshot after the loss",
 )
 STALE_FLAG = Fault(
-    "planner/simulator/rollouts.py",
+    ROLL,
     "    copy_row(of.robots, to.robots, len(of.robots))\n",
     "    for robot in range(len(of.robots)):\n        held = to.robots[robot].held\n"
     "        to.robots[robot] = of.robots[robot]\n        to.robots[robot].held = held\n",
 )
 COMPILED = {
     "classical hit before the cell is marked": Fault(
-        "planner/simulator/visits.py",
+        VISITS,
         "    s.marks.alive -= 1\n",
         "    s.marks.alive -= 1\n    s.marks.covered -= s.home[cell] & VISITED\n"
         "    s.home[cell] = np.int64(s.home[cell]) >> 1 << 1\n",
     ),
     "classical component lost": Fault(
-        "planner/simulator/areas.py",
-        "        reopen(s, new)\n",
-        "        if split or new == first_new:\n            reopen(s, new)\n",
+        AREAS, "        reopen(s, new)\n", "        if split or new == first_new:\n            reopen(s, new)\n"
     ),
     "classical path remembered goes on in an area that was shared": Fault(
         "planner/simulator/paths.py",
         "    robots[robot].ahead, robots[robot].path = ahead, 0\n",
         "    if searched:\n        robots[robot].ahead, robots[robot].path = ahead, 0\n",
     ),
-    "jax walks counted a step short": Fault(
-        "mrac_jax/closed_loop/counting.py",
-        "        for move in range(1, moves + 1):\n",
-        "        for move in range(1, max(moves, 2)):\n",
-        seen_in="tallies",
-    ),
-    "jax tie order": Fault(
-        "mrac_jax/closed_loop/book.py",
-        "            if target < 0 and cell < len(todo) and todo[cell]:\n",
-        "            if cell < len(todo) and todo[cell]:\n",
-    ),
-    "jax tie order of areas": Fault(
-        "mrac_jax/closed_loop/events.py",
-        "    best = jnp.argmin(costs, axis=1).astype(jnp.int32)\n    least",
-        "    best = G - 1 - jnp.argmin(costs[:, ::-1], axis=1).astype(jnp.int32)\n    least",
-    ),
-    "jax loss before the cell is marked": Fault(
-        "mrac_jax/closed_loop/events.py",
-        "lanes.visited | at(book.prefix, row_end), lanes.visited)",
-        "lanes.visited | at(book.prefix, row_end - dies), lanes.visited)",
-    ),
-    "jax robots that act later have moved": Fault(
-        "mrac_jax/closed_loop/events.py",
-        "    behind = (robots > who[:, None]) & ~(late | due)[:, None]\n",
-        "    behind = (robots > who[:, None]) & (late | due)[:, None]\n",
-    ),
-    "jax owner loses a turn": Fault(
-        "mrac_jax/closed_loop/decisions.py",
-        "    since = step - (owner > helper)\n",
-        "    since = step\n",
-    ),
-    "jax threshold of the whole run": Fault(
-        "mrac_jax/closed_loop/events.py",
-        "    left = less(left, at(book.before, which))\n",
-        "",
-    ),
+    "jax walks counted a step short": Fault(COUNTING, "(1, moves + 1):", "(1, max(moves, 2)):", seen_in="tallies"),
+    "jax tie order": Fault(BOOK, "if target < 0 and cell < len(todo)", "if cell < len(todo)"),
+    "jax tie order of areas": Fault(EVENTS, "jnp.argmin(costs, axis=1)", "G - 1 - jnp.argmin(costs[:, ::-1], axis=1)"),
+    "jax loss before the cell is marked": Fault(EVENTS, "(book.prefix, row_end)", "(book.prefix, row_end - dies)"),
+    "jax robots that act later have moved": Fault(EVENTS, "& ~(late | due)[:, None]", "& (late | due)[:, None]"),
+    "jax owner loses a turn": Fault(DECISIONS, "since = step - (owner > helper)", "since = step"),
+    "jax threshold of the whole run": Fault(EVENTS, "    left = less(left, at(book.before, which))\n", ""),
 }
+FAULTS = INTERPRETED | COMPILED
 
 
-def copy_of(package: str, folder: Path) -> Path:
-    """The package's sources in the folder."""
-    return Path(shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__")))
-
-
-def plant(fault: Fault, folder: Path) -> Path:
-    """A copy of the package, with the fault; where it is."""
-    package = copy_of(fault.package, folder)
-    source = folder / fault.file
-    text = source.read_text()
-    assert text.count(fault.old) == 1, f"{fault.file} has changed: plant the fault anew"
-    source.write_text(text.replace(fault.old, fault.new))
-    return package
+def copy_of(package: str, folder: Path, fault: Fault | None = None) -> Path:
+    """The package's sources in the folder, with the fault, if any."""
+    copy = shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    if fault is not None:
+        (folder / fault.file).write_text(fault.planted(ROOT))
+    return Path(copy)
 
 
 def worlds() -> Iterator[SurveyWorld]:
@@ -241,24 +190,12 @@ def compare_in_a_process(
     """
     folder, (other,) = package.parent, set(PACKAGES) - {package.name}
     (folder / "answers").write_bytes(answers(other, traced) if expected is None else expected)
-    environment = {
-        **os.environ,
-        "JAX_PLATFORMS": "cpu",
-        "PYTHONDONTWRITEBYTECODE": "1",
-        "PYTHONPATH": os.pathsep.join(str(path) for path in (folder, ROOT, Path(__file__).parent)),
-    }
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu", "PYTHONDONTWRITEBYTECODE": "1"}
+    environment["PYTHONPATH"] = os.pathsep.join(map(str, (folder, ROOT, Path(__file__).parent)))
     if package.name == "planner" and interpreted:
         environment["NUMBA_DISABLE_JIT"] = "1"
     command = [sys.executable, "-c", COMPARISON.format(by), str(package), str(traced), str(folder / "answers")]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600)
-
-
-def assert_found(fault: Fault, folder: Path, *, interpreted: bool) -> None:
-    """The comparison fails, and by what differs."""
-    traced = TRACED if fault.seen_in == "traces" else 0
-    done = compare_in_a_process(plant(fault, folder), interpreted=interpreted, traced=traced)
-    assert done.returncode == 1, done.stdout + done.stderr
-    assert re.search(rf"^({fault.seen_in}) differ: [a-z-]+-\d+:", done.stderr, re.MULTILINE), done.stderr
 
 
 @pytest.mark.slow
@@ -267,37 +204,33 @@ def test_a_held_flag_of_another_branch_is_found(tmp_path: Path) -> None:
     python = PythonLoop(plan, one.world)
     expected = pickle.dumps([python.run(one.seed, number).time for number in range(HELD_RUNS)])
     said = []
-    for package in (copy_of("planner", tmp_path / "honest"), plant(STALE_FLAG, tmp_path / "faulty")):
+    for fault in (None, STALE_FLAG):
+        package = copy_of("planner", tmp_path / str(bool(fault)), fault)
         done = compare_in_a_process(package, interpreted=True, traced=0, expected=expected, by="compare_held_robots")
         said.append((done.returncode, done.stdout, f"AssertionError: results differ: {HELD}\n" in done.stderr))
     assert said == [(0, "alike\n", False), (1, "", True)]
 
 
-def test_no_fault_no_difference(tmp_path: Path) -> None:
-    done = compare_in_a_process(copy_of("planner", tmp_path), interpreted=True, traced=0)
-    assert (done.returncode, done.stdout) == (0, "alike\n"), done.stderr
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("package", PACKAGES)
-def test_no_fault_no_difference_in_traces_nor_compiled(package: str, tmp_path: Path) -> None:
-    done = compare_in_a_process(copy_of(package, tmp_path), interpreted=False, traced=TRACED)
+@pytest.mark.parametrize(
+    ("package", "interpreted", "traced"),
+    [("planner", True, 0), *(pytest.param(name, False, TRACED, marks=pytest.mark.slow) for name in PACKAGES)],
+)
+def test_no_fault_no_difference(package: str, interpreted: bool, traced: int, tmp_path: Path) -> None:
+    done = compare_in_a_process(copy_of(package, tmp_path), interpreted=interpreted, traced=traced)
     assert (done.returncode, done.stdout) == (0, "alike\n"), done.stderr
 
 
 @pytest.mark.parametrize(
-    "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in INTERPRETED if name not in QUICK)]
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in FAULTS]
 )
 def test_a_fault_is_found(name: str, tmp_path: Path) -> None:
-    assert_found(INTERPRETED[name], tmp_path, interpreted=True)
+    """The comparison fails, and by what differs."""
+    fault = FAULTS[name]
+    package = copy_of(fault.file.split("/")[0], tmp_path, fault)
+    done = compare_in_a_process(package, interpreted=name in INTERPRETED, traced=0)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert re.search(rf"^({fault.seen_in}) differ: [a-z-]+-\d+:", done.stderr, re.MULTILINE), done.stderr
 
 
 def test_what_faults_are_planted_in_stands_there_once() -> None:
-    for name, fault in (INTERPRETED | COMPILED).items():
-        assert (ROOT / fault.file).read_text().count(fault.old) == 1, f"{name}: {fault.file} has changed: plant it anew"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", COMPILED)
-def test_every_fault_is_found(name: str, tmp_path: Path) -> None:
-    assert_found(COMPILED[name], tmp_path, interpreted=False)
+    assert all(fault.planted(ROOT) for fault in (*FAULTS.values(), STALE_FLAG))
