@@ -34,6 +34,15 @@ from planner.world.world import World
 
 # --- Worlds of tests: uncertain maps, moving threats, teams of several types, scenarios with threats.
 
+
+def tiny_world(seed: int, height: int, width: int, wall: float = np.nan) -> World:
+    """Cells with threats and walls drawn by the seed; cell [0, 0] is never a wall. `wall`: p of a wall."""
+    draw = np.random.default_rng(seed)
+    threat = draw.choice([0, 0, 0.1, 0.3, 0.6, wall], size=(height, width))
+    threat[0, 0] = draw.choice([0, 0.2])
+    return World.create(threat)
+
+
 # Worlds in doubt, and expected values of small ones, by playing everything that can happen: the oracle of tests.
 
 BASE = random_world(9, 9, ThreatPattern("scattered", 4, (0.04, 0.12, 0.2), 5), obstacles=0.2, threats=0.3)

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import ArrayLike, NDArray
 
+from analysis.cli import app
 from analysis.statistics.variance_reduction import LEAST
 from planner.failure_model import key_of
 from planner.plan.plan import Plan
@@ -195,6 +201,37 @@ def assert_same_trace(mine: Trace, other: Trace, what: str = "") -> None:
     for name in ("rollout", "events", "cells", "doing", "areas", "area_of", "outcome"):
         np.testing.assert_array_equal(getattr(mine, name), getattr(other, name), f"{said}: {name}")
     assert mine == other, said
+
+
+# --- Commands, and programs in processes of their own.
+
+ROOT = Path(__file__).parent.parent
+
+
+def answer_of(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> dict[str, Any]:
+    """The object that a command prints with `--json`."""
+    assert app.run([*words, "--json"]) == status
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def error_of(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """The last line of a command that exits with 2; lines may come before it, unlike in `page_reader.refused`."""
+    assert app.run(words) == 2, words
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("error: "), last
+    return last
+
+
+def run_python(code: str, *words: str, options: Sequence[str] = (), **environment: str) -> str:
+    """What a new process prints in which the project and its tests can be imported; `options`: of Python."""
+    paths = os.pathsep.join(map(str, (ROOT, ROOT / "tests")))
+    done = subprocess.run(
+        [sys.executable, *options, "-c", code, *words],
+        cwd=ROOT, env=os.environ | {"PYTHONPATH": paths} | environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 # --- Policies that other processes can import.

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import FOLDER, load_fixture
+from helpers import answer_of, error_of
 from page_reader import refused
 
 import analysis.comparison
@@ -40,8 +41,7 @@ def team(robots: int, name: str = "contiguous-14x23-1000-k2") -> tuple[World, Pl
 
 
 def answer(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
-    assert run(["compare", *words, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
+    return answer_of(capsys, "compare", *words)
 
 
 @cache
@@ -179,10 +179,8 @@ def test_two_sensors_on_the_same_luck(capsys: pytest.CaptureFixture[str], tmp_pa
         dark = with_prior(told[0], 0.04, sense=2)
         sides = (make_side(w, make_plan(w, told[1].starts), RolloutChoices(rollouts=64)) for w in (one, dark))
         assert compare(*sides).differing == ((words,), ("robots see 2 cells far",))
-    assert run(["compare", WORLD, "--b.sense", "1"]) == 2
-    assert "error: B:" in (said := capsys.readouterr().err) and "nothing to sense" in said
-    assert run(["compare", str(scenario), "--sense", "far"]) == 2
-    assert "--sense 'far'" in capsys.readouterr().err
+    assert "error: B:" in (said := error_of(capsys, "compare", WORLD, "--b.sense", "1")) and "nothing to sense" in said
+    assert "--sense 'far'" in error_of(capsys, "compare", str(scenario), "--sense", "far")
 
 
 def test_the_interval_holds_the_exact_difference() -> None:
@@ -243,8 +241,7 @@ def test_interrupted_leaves_what_was_done(monkeypatch: pytest.MonkeyPatch, capsy
         return real(*words)
 
     monkeypatch.setattr(analysis.comparison, "_add", stop_later)
-    assert run(["compare", WORLD, "--robots", "3", "--b.robots", "4", "--rollouts", "50000", "--json"]) == 130
-    found = json.loads(capsys.readouterr().out)
+    found = answer_of(capsys, "compare", WORLD, "--robots", "3", "--b.robots", "4", "--rollouts", "50000", status=130)
     assert found["partial"] is True and found["rollouts"] == FIRST_LOOK
 
 

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import yaml
+from helpers import error_of
 from matplotlib.path import Path as Outline
 from rasterio.features import rasterize
 
@@ -480,9 +481,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeyp
         ("export w.npz --out a.plan --to plan", "--to 'plan'; expected qgc or nav2"),
         ("plan w.npz --waypoints a.plan --altitude 1e9", "--altitude 1e+09"),
     ):
-        assert run(words.split()) == 2
-        lines = capsys.readouterr().err.splitlines()
-        assert lines[-1].startswith("error:") and said in lines[-1], lines
+        assert said in error_of(capsys, *words.split())
     Path("m.csv").write_text("0,0\n0,0\n")
     assert run(["export", "m.csv", "--out", "m.csv"]) == 2
     assert "m.csv is an input" in capsys.readouterr().err and Path("m.csv").read_text() == "0,0\n0,0\n"

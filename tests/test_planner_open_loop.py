@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import load_plan, play_both_ways
+from drawn_worlds import tiny_world
+from helpers import answer_of, error_of, load_plan, play_both_ways
 from numpy.typing import NDArray
 from oracle_enumeration import best_of_one_robot
 from oracle_spec import Following
@@ -38,13 +39,6 @@ from planner.world.world import World
 
 def planned(world: World, starts: object, effort: int = 2000, **settings: object) -> Plan:
     return plan_team(world, starts, Settings(plan_for="open", effort=effort, **settings))  # type: ignore[arg-type]
-
-
-def tiny_world(seed: int, height: int, width: int, wall: float = np.nan) -> World:
-    draw = np.random.default_rng(seed)
-    threat = draw.choice([0, 0, 0.1, 0.3, 0.6, wall], size=(height, width))
-    threat[0, 0] = draw.choice([0, 0.2])
-    return World.create(threat)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -185,10 +179,7 @@ def test_seconds_end_the_search_and_that_is_said() -> None:
     ],
 )
 def test_bad_input_is_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run([words[0], "example:paper", *words[1:]]) == 2
-    error = capsys.readouterr().err.splitlines()[-1]
-    assert error.startswith("error: ")
-    assert said in error
+    assert said in error_of(capsys, words[0], "example:paper", *words[1:])
 
 
 def test_every_command_that_plans_takes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -206,21 +197,16 @@ def test_scenarios_name_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     tiny_world(3, 3, 4).save(tmp_path / "map.npz")
     scenario = tmp_path / "map.yaml"
     scenario.write_text("map: {file: map.npz}\nplan_for: open\n")
-    told = []
-    for words in ([str(scenario)], [str(tmp_path / "map.npz"), "--plan-for", "open"]):
-        assert run(["evaluate", *words, "--rollouts", "64", "--effort", "10", "--json"]) == 0
-        told.append(json.loads(capsys.readouterr().out))
+    asked = ([str(scenario)], [str(tmp_path / "map.npz"), "--plan-for", "open"])
+    told = [answer_of(capsys, "evaluate", *words, "--rollouts", "64", "--effort", "10") for words in asked]
     assert told[0]["plan_for"] == told[0]["loop"] == "open" and told[0]["best"] == told[1]["best"]
-    assert run(["evaluate", str(scenario), "--plan-for", "closed", "--rollouts", "64", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["loop"] == "closed"
+    assert answer_of(capsys, "evaluate", str(scenario), "--plan-for", "closed", "--rollouts", "64")["loop"] == "closed"
     assert run(["size", str(scenario), "--target", "0.5", "--rollouts", "64", "--most", "2", "--json"]) == 0
     capsys.readouterr()
     for command in (["starts", "--rollouts", "64"], ["studio"]):
-        assert run([command[0], str(scenario), *command[1:]]) == 2
-        assert "plan_for is open in " in capsys.readouterr().err
+        assert "plan_for is open in " in error_of(capsys, command[0], str(scenario), *command[1:])
     scenario.write_text("map: {file: map.npz}\nplan_for: both\n")
-    assert run(["evaluate", str(scenario)]) == 2
-    assert "`plan_for` is 'both'; expected closed or open" in capsys.readouterr().err
+    assert "`plan_for` is 'both'; expected closed or open" in error_of(capsys, "evaluate", str(scenario))
 
 
 # The closed loop of another planner's paths: who follows them, and what becomes of the cells of a stopped robot.

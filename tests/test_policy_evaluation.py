@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import mostly_east
+from helpers import error_of, mostly_east
 
 import analysis.experiments.policies
 import mrac_jax as mrac
@@ -452,5 +452,4 @@ def test_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
         study_policies(maps=0, rollouts=1)
     with pytest.raises(UsageError, match="seed=-1"):
         study_policies(maps=1, rollouts=1, seed=-1)
-    assert run(["reproduce", "policy"]) == 2
-    assert "expected fig4 or fig5 or fig6 or fig7 or all or policies" in capsys.readouterr().err
+    assert "expected fig4 or fig5 or fig6 or fig7 or all or policies" in error_of(capsys, "reproduce", "policy")

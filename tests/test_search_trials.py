@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections import Counter
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
+from helpers import answer_of
 from oracle_tree import closed_loop_exact
 
 import mrac_jax as mrac
@@ -281,9 +281,8 @@ def test_robots_that_wear_and_differ(capsys: pytest.CaptureFixture[str], tmp_pat
     assert same
     assert all(close(truth[point.setting].coverage, point.coverage, 1e-4) for point in same)
     WORLD.save(tmp_path / "world.npz")
-    words = ["starts", str(tmp_path / "world.npz"), "--robots", "2", "--wear", "2", "--susceptibility", "1,3", "--json"]
-    assert run(words) == 0
-    assert json.loads(capsys.readouterr().out)["exact"] is True
+    words = ["starts", str(tmp_path / "world.npz"), "--robots", "2", "--wear", "2", "--susceptibility", "1,3"]
+    assert answer_of(capsys, *words)["exact"] is True
 
 
 def test_what_an_exact_tree_knows_of_cells_is_shown() -> None:

@@ -24,6 +24,7 @@ import numpy as np
 import pytest
 import quickjs
 from conftest import FOLDER
+from helpers import ROOT, error_of
 from page_reader import Browser, browser_path, check_page_is_sound
 
 from analysis.cli.app import run
@@ -39,7 +40,6 @@ from planner.world.grid import Georeference
 from planner.world.scenario import load_input
 from planner.world.world import World, load_world_file
 
-ROOT = Path(__file__).parent.parent
 PATIENCE = 600.0
 """Seconds: the first answer of a clean clone waits for the compiler."""
 HOSTILE = "<img src=x onerror=alert(1)>.npz"
@@ -410,9 +410,7 @@ def test_the_command_names_what_is_wrong(tmp_path: Path, capfd: pytest.CaptureFi
             (["example:paper", "--seed", "-1"], "--seed -1"),
             (["no.yaml"], "no such file"),
         ):
-            assert run(["studio", *words]) == 2, words
-            last = capfd.readouterr().err.splitlines()[-1]
-            assert last.startswith("error: ") and said in last
+            assert said in error_of(capfd, "studio", *words)
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -110,9 +111,8 @@ def test_a_raster_that_gives_no_probability(tmp_path: Path, wrong: float, rule: 
     ],
 )
 def test_wrong_rules(tmp_path: Path, rule: dict, names: str) -> None:
-    with pytest.raises(ScenarioError) as caught:
+    with pytest.raises(ScenarioError, match=re.escape(names)):
         load(tmp_path, [{"raster": raster(tmp_path, VALUES), "rule": rule}])
-    assert names in str(caught.value)
 
 
 def test_a_raster_of_another_size_names_both(tmp_path: Path) -> None:
@@ -202,9 +202,8 @@ def test_generated_threats_count_the_free_cells(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_generate(tmp_path: Path, keys: dict, names: str) -> None:
-    with pytest.raises(ScenarioError) as caught:
+    with pytest.raises(ScenarioError, match=re.escape(names)):
         load(tmp_path, [{"generate": keys}])
-    assert names in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -225,9 +224,8 @@ def test_wrong_generate(tmp_path: Path, keys: dict, names: str) -> None:
     ],
 )
 def test_wrong_sources(tmp_path: Path, source: object, names: str) -> None:
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=re.escape(names)):
         load(tmp_path, [source])
-    assert names in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -313,13 +311,22 @@ def test_points_files(tmp_path: Path, text: str) -> None:
         ("x,y,strength\n1,nan,0.1\n", "line 2: y is 'nan'"),
         ("x,y,strength\n1,2,strong\n", "line 2: strength is 'strong'"),
         ("x,y,z,w\n1,2,3,4\n", "columns x, y, z, w"),
+        ("x;y;strength\n1,5;2;0.5\n3;4;0,25\n", "strength: line 3 has '0,25' and line 2 '0.5'"),
+        ("x;y;strength\n1,234;2,345;0\n", "x: line 2: '1,234' may be 1.234 or 1234"),
+        ("x;y;strength\n1.234;2,3;0\n", "x: line 2: '1.234' may be 1.234 or 1234"),
+        ("x;y;strength\n1.234,5;2;0\n", "x: line 2: '1.234,5' has marks between thousands"),
+        ("x;1\ty\n1;2\t3\n", "its columns may be separated by semicolons or by tabs"),
+        ("x,y,strength\n1;2;0.5\n", "line 2 has 1 values, and semicolons; expected 3 as above, separated by commas"),
+        ("x,y,strength\n1,0,2,0,0,5\n", "if its numbers have decimal commas, separate the columns by semicolons"),
+        ("1,0,2,0,0,5\n", "if its numbers have decimal commas, separate the columns by semicolons"),
     ],
 )
 def test_broken_points_files(tmp_path: Path, text: str, names: str) -> None:
+    """Such as a table that can be read in two ways."""
     (tmp_path / "p.csv").write_text(text)
-    with pytest.raises(MapError) as caught:
+    with pytest.raises(MapError, match=re.escape(names)) as caught:
         read_points(tmp_path / "p.csv", Frame((9, 9), 1.0))
-    assert names in str(caught.value)
+    assert "p.csv" in str(caught.value)
 
 
 def test_points_in_a_scenario_and_their_note(tmp_path: Path) -> None:
@@ -413,9 +420,8 @@ def test_a_crs_of_degrees_is_refused_and_one_of_metres_is_not(tmp_path: Path, na
 )
 def test_points_that_cannot_be_meant_are_refused(tmp_path: Path, text: str, names: str) -> None:
     (tmp_path / "p.csv").write_text(text)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=re.escape(names)):
         load(tmp_path, [{"points": "p.csv", "falloff": {"kind": "disc", "radius": 2}}])
-    assert names in str(caught.value)
 
 
 def test_points_off_the_map_that_reach_it_are_taken(tmp_path: Path) -> None:
@@ -475,9 +481,8 @@ def test_a_polygon_between_the_centres_is_noted(tmp_path: Path) -> None:
     ],
 )
 def test_broken_polygons(tmp_path: Path, wrong: dict, names: str) -> None:
-    with pytest.raises(MapError) as caught:
+    with pytest.raises(MapError, match=re.escape(names)):
         load(tmp_path, [{"polygons": geojson(tmp_path, wrong)}])
-    assert names in str(caught.value)
 
 
 @pytest.mark.parametrize("radius", [1e300, 1e308, 1e-320, 1e10])
@@ -538,26 +543,6 @@ def test_points_between_other_separators(tmp_path: Path, text: str, separator: s
             f"map: m.npy\n{key}:\n- {{points: p.csv, falloff: {{kind: disc, radius: 1}}}}\n"
         )
         assert f"{key}[0]: {note}" in load_input(tmp_path / "s.yaml").notes
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("x;y;strength\n1,5;2;0.5\n3;4;0,25\n", "strength: line 3 has '0,25' and line 2 '0.5'"),
-        ("x;y;strength\n1,234;2,345;0\n", "x: line 2: '1,234' may be 1.234 or 1234"),
-        ("x;y;strength\n1.234;2,3;0\n", "x: line 2: '1.234' may be 1.234 or 1234"),
-        ("x;y;strength\n1.234,5;2;0\n", "x: line 2: '1.234,5' has marks between thousands"),
-        ("x;1\ty\n1;2\t3\n", "its columns may be separated by semicolons or by tabs"),
-        ("x,y,strength\n1;2;0.5\n", "line 2 has 1 values, and semicolons; expected 3 as above, separated by commas"),
-        ("x,y,strength\n1,0,2,0,0,5\n", "if its numbers have decimal commas, separate the columns by semicolons"),
-        ("1,0,2,0,0,5\n", "if its numbers have decimal commas, separate the columns by semicolons"),
-    ],
-)
-def test_tables_that_can_be_read_in_two_ways(tmp_path: Path, text: str, words: str) -> None:
-    (tmp_path / "p.csv").write_text(text)
-    with pytest.raises(MapError) as caught:
-        read_points(tmp_path / "p.csv", Frame((9, 9), 1.0))
-    assert words in str(caught.value) and "p.csv" in str(caught.value)
 
 
 def test_a_column_that_is_not_read_may_hold_anything(tmp_path: Path) -> None:
@@ -743,9 +728,8 @@ def test_viewshed_on_the_cells_in_bands(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_viewsheds(tmp_path: Path, keys: dict, names: str) -> None:
-    with pytest.raises(ScenarioError) as caught:
+    with pytest.raises(ScenarioError, match=re.escape(names)):
         viewshed(tmp_path, np.zeros((2, 6)), keys)
-    assert names in str(caught.value)
 
 
 def test_a_site_without_elevation(tmp_path: Path) -> None:
