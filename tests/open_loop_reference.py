@@ -87,10 +87,8 @@ def _walk_one(plan: Plan, rollout: int, stops: Stop, tally: Tally) -> None:
             tally.new_survived[step] += len(new_survived - survived)
         visited |= new_visited
         survived |= new_survived
-    for cell in visited:
-        tally.covered_visited[cell] += 1
-    for cell in survived:
-        tally.covered_survived[cell] += 1
+    tally.covered_visited[list(visited)] += 1
+    tally.covered_survived[list(survived)] += 1
     tally.visited[len(visited)] += 1
     tally.survived[len(survived)] += 1
     tally.time[time] += 1

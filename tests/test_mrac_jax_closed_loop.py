@@ -18,12 +18,13 @@ import pytest
 from closed_loop_worlds import SurveyWorld, first_worlds, idle_at_start, survey_world, survey_worlds
 from conftest import LANES
 from drawn_worlds import drawn_compiled_mission
-from helpers import assert_same_results, assert_same_tally, assert_same_trace, run_closed_chunks
+from helpers import VisitLoop, assert_same_results, assert_same_tally, assert_same_trace, run_closed_chunks
 from test_failure_sampling import NAMES as WORN
 from test_failure_sampling import worn_plan
-from test_mission import case
+from test_mission import case, obey
 from test_mrac_jax_open_loop import FLAGS
 from test_planner_open_loop import map_of, wanderings
+from test_return_home import KINDS, corridor, drawn
 from test_return_home import small as ranged
 from test_state import SETTINGS, STEPS, rest_of
 from test_uncertain_maps import DOUBTS
@@ -36,6 +37,7 @@ from mrac_jax.functional import book, closed_rollouts
 from planner.errors import InputError, UsageError, WorldError
 from planner.failure_model import tolerances
 from planner.make_plan import make_plan
+from planner.mission.mission import Mission
 from planner.plan.plan import Plan
 from planner.plan.state_file import parse_state
 from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_rollouts
@@ -43,7 +45,7 @@ from planner.rollouts.engine import Rolling, closed_loop_engine, make_engine
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.single_run import PythonLoop
 from planner.settings import Settings
-from planner.simulator.codes import Outcome
+from planner.simulator.codes import EventKind, Outcome
 from planner.simulator.state import MOST_PASSES
 from planner.tally import RolloutResults
 from planner.world.generate import ThreatPattern, random_world
@@ -144,17 +146,17 @@ def test_equals_the_compiled_simulator_on_the_whole_survey() -> None:
     assert all(counts[name] >= 100 for name in ("no progress", "lost in the completing step", "idle"))
 
 
-def given(world: World, seed: int) -> ClosedLoop:
+@pytest.mark.parametrize(
+    ("seeds", "rollouts", "traced"), [(8, 120, 2), pytest.param(24, 1000, 12, marks=pytest.mark.slow)]
+)
+def test_external_plans_are_taken_over(seeds: int, rollouts: int, traced: int) -> None:
     """Two robots and more on paths that wander."""
-    plan = wanderings(world, 2 + seed % 3, 6 * (seed % 5), np.random.default_rng(seed))
-    return compile_closed_loop(plan, world)
-
-
-def test_external_plans_are_taken_over() -> None:
     taken_over = 0
-    for seed in range(8):
-        results = same(given(map_of(seed), seed), 7, 120, seed, (0, 1))
-        taken_over += int(((results.alive < 2 + seed % 3) & (results.alive > 0)).sum())
+    for seed in range(seeds):
+        world, robots = map_of(seed), 2 + seed % 3
+        plan = wanderings(world, robots, 6 * (seed % 5), np.random.default_rng(seed))
+        results = same(compile_closed_loop(plan, world), 7, rollouts, seed, range(traced))
+        taken_over += int(((results.alive < robots) & (results.alive > 0)).sum())
     assert taken_over > 60
 
 
@@ -233,10 +235,79 @@ def test_missions_go_on_event_for_event(name: str) -> None:
     assert rests
 
 
+# Robots that return to base (SPEC section 19).
+
+RETURNS: list[dict[str, Any]] = [asked for asked in KINDS if not asked.keys() & {"transit", "policy"}]
+RETURNS += [
+    KINDS[7] | {"deadline": 90},
+    {"return_to": "nearest", "range": (12, 20, 40), "recharge": 2},
+    {"return_to": "home", "range": (12, 30, 21), "wear": 2.0},
+]
+
+
+def returning(asked: dict[str, Any], seed: int, robots: int = 3) -> ClosedLoop:
+    world, starts = drawn(seed, robots)
+    if isinstance(asked.get("range"), tuple):
+        asked = asked | {"range": (asked["range"] * 2)[:robots]}
+    return compile_closed_loop(make_plan(world, starts, Settings(**asked)), world)
+
+
+@pytest.mark.parametrize(
+    ("seeds", "rollouts", "traced"), [(3, 40, 1), pytest.param(12, 300, 16, marks=pytest.mark.slow)]
+)
+def test_robots_that_return(seeds: int, rollouts: int, traced: int) -> None:
+    """In the last world of all, some cannot return from their own area."""
+    home = alive = 0
+    ended = np.zeros(len(Outcome), dtype=np.int64)
+    for asked, seed in (*product(RETURNS, range(seeds)), ({"return_to": "home", "range": 9}, 11)):
+        loop = returning(asked, seed, 3 + seed % 3 if seeds > 3 or seed == 11 else 3)
+        results = same(loop, seed, rollouts, (asked, seed), range(traced if rollouts > 40 or seed == 0 else 0))
+        home, alive = home + int(results.home.sum()), alive + int(results.alive.sum())
+        ended += np.bincount(results.outcome, minlength=len(ended))
+    assert home == alive > 500
+    assert ended[[Outcome.COMPLETE, Outcome.ALL_ROBOTS_LOST, Outcome.NO_PROGRESS]].min() > 20
+
+
 @pytest.mark.slow
-def test_external_plans_event_for_event() -> None:
-    for seed in range(24):
-        same(given(map_of(seed), seed), 7, 1000, seed, traced=tuple(range(12)))
+def test_a_list_of_bases_and_more_robots_than_a_word_has_bits() -> None:
+    bases = tuple(map(tuple, drawn(2, 40)[1][:2].tolist()))
+    for asked in ({"return_to": bases}, {"return_to": "home", "range": 20}):
+        assert (same(returning(asked, 2, 40), 1, 200, asked, traced=(0, 1)).home > 33).any()
+
+
+@pytest.mark.slow
+def test_missions_under_way_go_on_and_robots_that_are_cut_off_stay() -> None:
+    going_home = 0
+    for number, seed in product((0, 2, 1), (4, 5)):
+        world, starts = drawn(seed)
+        whole = VisitLoop(make_plan(world, starts, Settings(**KINDS[number])), world)
+        last = whole.trace(0, 0).time
+        for state in (whole.state_at(step, 0, 0) for step in {4, last // 2, last - 5, last - 1}):
+            if state is not None:
+                rest = compile_closed_loop(rest_of(world, state, **KINDS[number]), world)
+                same(rest, seed, 60, (number, seed, state.step), traced=(0, 1))
+                going_home += any(robot.status == "returning" for robot in state.robots)
+    assert going_home > 1
+
+
+def test_robots_that_are_cut_off_from_their_base() -> None:
+    mission = Mission(corridor(8, 0.01), make_plan(corridor(8, 0.01), [[0, 0]], Settings(return_to="home")))
+    for _ in range(4):
+        obey(mission)
+    mission.close([[0, 1]])
+    world, plan = mission.world, mission.rest()
+    trace = PythonLoop(plan, world).trace(0, 0)
+    assert (trace.events[:, 2] == EventKind.TURNED_HOME).any() and not (trace.events[:, 2] == EventKind.HOME).any()
+    same(compile_closed_loop(plan, world), 0, 60, "cut off", traced=(0, 1))
+
+
+def test_a_rest_in_which_nothing_is_entered_counts_nothing() -> None:
+    world, starts = drawn(4)
+    state = VisitLoop(make_plan(world, starts, Settings(**KINDS[2])), world).state_at(34, 0, 0)
+    assert state is not None
+    loop = compile_closed_loop(rest_of(world, state, **KINDS[2]), world)
+    tally = JaxClosedLoop(loop, 0, lanes=LANES).tally(0, 60)
+    assert tally == run_range(loop, 0, 0, 60)[0] and not tally.visits.any()
 
 
 # What changes no count: chunks, lanes, devices, room, flags.
@@ -265,16 +336,14 @@ def test_chunks_add_up_under_one_contract(loop: ClosedLoop, engine: str) -> None
 
 
 DEVICES = """
-import jax, numpy as np
-from test_mrac_jax_closed_loop import JaxClosedLoop, survey_world
+import jax
+from test_mrac_jax_closed_loop import JaxClosedLoop, assert_same_results, survey_world
 loop = survey_world("crossings-2").loop()
 one, four = (JaxClosedLoop(loop, 5, lanes=16, devices=devices) for devices in (1, 4))
 assert len(jax.devices()) == 4 and len(four._lanes.mode.sharding.device_set) == 4
 (tally, results), (expected, singles) = four.run(3, 301), one.run(3, 301)
-assert tally == expected and all(np.array_equal(*pair) for pair in zip(*map(vars, (results, singles)))) is not None
-for name, values in vars(results).items():
-    assert np.array_equal(values, getattr(singles, name)), name
-assert tally.visits.sum() > 0
+assert tally == expected and tally.visits.sum() > 0
+assert_same_results(results, singles)
 print(tally.visits.tolist())
 """
 
@@ -369,10 +438,8 @@ def test_entries_are_those_of_the_planner(loop: ClosedLoop) -> None:
 
 
 def test_a_made_up_limit_is_a_timeout(loop: ClosedLoop) -> None:
-    cut = loop.until(7)
-    tally = JaxClosedLoop(cut, 5, lanes=LANES).tally(0, 200)
-    assert tally.outcomes[Outcome.STEP_LIMIT] > 150
-    assert tally == run_range(cut, 5, 0, 200)[0]
+    results = assert_same_runs(JaxClosedLoop(loop.until(7), 5, lanes=LANES), loop.until(7), 200)
+    assert (results.outcome == Outcome.STEP_LIMIT).sum() > 150
 
 
 @pytest.mark.parametrize("name", ["crossings-0", "deadly-7", "rooms-4"])
@@ -444,23 +511,15 @@ def test_rollouts_as_a_pure_function() -> None:
 # What the book does not hold.
 
 
-def left_out(**settings: Any) -> ClosedLoop:
-    one = survey_world("crossings-2")
-    return compile_closed_loop(make_plan(one.world, one.starts, Settings(**settings)), one.world)
-
-
 @pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"transit": "area"}, "transit='area'"),
-        ({"policy": "per_cell"}, "policy='per_cell'"),
-        ({"policy": "watchful"}, "policy='watchful'"),
-        ({"radio": 3.0}, "radio"),
-        ({"steps_per_move": (1, 2, 1, 2, 1, 2, 1, 2)[:8]}, "steps_per_move"),
-    ],
-)
-def test_options_that_are_left_out_are_numba_s(settings: dict[str, Any], said: str) -> None:
-    loop = left_out(**settings)
+    ("name", "value"),
+    [("transit", "area"), ("policy", "per_cell"), ("policy", "watchful"), ("radio", 3.0),
+     ("steps_per_move", (1, 2, 1, 2, 1, 2, 1, 2))],
+)  # fmt: skip
+def test_options_that_are_left_out_are_numba_s(name: str, value: Any) -> None:
+    one = survey_world("crossings-2")
+    loop = compile_closed_loop(make_plan(one.world, one.starts, Settings(**{name: value})), one.world)
+    said = f"{name}={value!r}" if isinstance(value, str) else name
     with pytest.raises(UsageError, match=rf"engine='jax' with .*{said}.*; use engine='numba'"):
         closed_loop_engine(loop, 5, "jax")
     assert closed_loop_engine(loop, 5).name == "numba"
