@@ -15,10 +15,7 @@ from drawn_worlds import WORLDS
 from numba import config
 
 from planner.make_plan import make_plan
-from planner.rollouts import closed_loop, runners
-from planner.rollouts import open_loop_numba as numba_draws
-from planner.rollouts import open_loop_numba as numba_engine
-from planner.rollouts import open_loop_numba as numba_scores
+from planner.rollouts import closed_loop, open_loop_numba, runners
 from planner.rollouts.open_loop import compile_plan
 from planner.settings import Settings
 from planner.world.levels import place_starts
@@ -27,10 +24,7 @@ from planner.world.world import World
 POLICIES: tuple[dict[str, Any], ...] = (
     {}, {"policy": "per_cell"}, {"policy": "per_cell", "reserve": 0.5, "worth": 9.0},
 )  # fmt: skip
-KERNELS: dict[Any, tuple[str, ...]] = {
-    runners: ("run_set",),
-    numba_engine: ("_count_drawn_once", "_count_joint"),
-}
+KERNELS = ((runners, "run_set"), (open_loop_numba, "_count_drawn_once"), (open_loop_numba, "_count_joint"))
 DISTANCES = ((True, None), (False, None), (False, (0, 1, 1)))
 """From tables, from rows, and from searches as if all were far; with `nearby`, `wide` and `patience` of `Tables`."""
 SEED, ROLLOUTS = 1, 2
@@ -85,13 +79,10 @@ IN_PYTHON: dict[str, Any] = {
 def main(count: int) -> None:
     """Every policy in turn on so many worlds of the survey, then worlds in doubt; prints how many places it saw."""
     assert config.DISABLE_JIT
-    for module, names in KERNELS.items():
-        for name in names:
-            kernel = getattr(module, name)
-            setattr(module, name, lambda *given, kernel=kernel: kernel(*map(forward, given)))
-    for module in (numba_draws, numba_scores):
-        vars(module).update(IN_PYTHON)
-    numba_scores.MOST_TILE = numba_scores.LEAST_TILE
+    for module, name in KERNELS:
+        kernel = getattr(module, name)
+        setattr(module, name, lambda *given, kernel=kernel: kernel(*map(forward, given)))
+    vars(open_loop_numba).update(IN_PYTHON, MOST_TILE=open_loop_numba.LEAST_TILE)
     worlds = survey_worlds()
     for number in range(count):
         one = worlds[number * len(worlds) // count]
@@ -106,7 +97,7 @@ def run(world: World, starts: Any, settings: Settings, first_only: bool) -> None
     plan = make_plan(world, starts, settings)
     compiled = compile_plan(plan, world)
     with np.errstate(over="ignore"):
-        numba_engine.NumbaOpenLoop(compiled, SEED, threads=1).results(0, ROLLOUTS)
+        open_loop_numba.NumbaOpenLoop(compiled, SEED, threads=1).results(0, ROLLOUTS)
         for tabled, limits in DISTANCES:
             loop = closed_loop.compile_closed_loop(plan, world, first_only=first_only, tabled=tabled)
             if limits is not None:

@@ -61,11 +61,7 @@ def plain_areas(plan: Plan) -> list[tuple[int, int | None, list[tuple[int, int]]
     """The plan's allocation as the oracle has it."""
     width = plan.shape[1]
     return [
-        (
-            area.level,
-            None if area.robot == NO_ROBOT else area.robot,
-            [divmod(cell, width) for cell in area.cells.tolist()],
-        )
+        (area.level, None if area.robot == NO_ROBOT else area.robot, [divmod(c, width) for c in area.cells.tolist()])
         for area in plan.areas
     ]
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from conftest import FOLDER, NAMES, Fixture, load_fixture
 from counterexamples import COUNTEREXAMPLES, SHUT_IN, Counterexample
+from helpers import answer_of, error_of
 from oracle_tree import closed_loop_exact
 from page_reader import refused
 
@@ -64,8 +65,7 @@ KNOWN, SAMPLED = Truth.known(5.0), Truth(5.0, 4.0, 6.0, "sampled")
 
 
 def answer(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> dict:
-    assert run(["check", *words, "--json"]) == status
-    return json.loads(capsys.readouterr().out)
+    return answer_of(capsys, "check", *words, status=status)
 
 
 # --- verdicts on numbers made by hand: cells, 0 to 10 ---
@@ -324,8 +324,7 @@ def small_survey(processes: int, worlds: int = 3) -> Survey:
 
 def test_robots_of_one_range_each_are_held_against_the_first_by_itself(capsys: pytest.CaptureFixture[str]) -> None:
     """It was refused: two ranges for the one robot of T_1."""
-    assert run(["check", "example:paper", "--robots", "2", "--range", "40,30", "--rollouts", "64", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["checks"]
+    assert answer(capsys, "example:paper", "--robots", "2", "--range", "40,30", "--rollouts", "64")["checks"]
 
 
 @pytest.mark.usefixtures("full_effort")
@@ -449,8 +448,7 @@ def test_the_words_of_the_table_are_the_verdicts() -> None:
 
 
 def test_evaluate_takes_its_verdicts_from_the_checks(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["evaluate", TINY_MAP, "--loop", "open", "--rollouts", "64", "--json"]) == 0
-    verdicts = json.loads(capsys.readouterr().out)["verdicts"]
+    verdicts = answer_of(capsys, "evaluate", TINY_MAP, "--loop", "open", "--rollouts", "64")["verdicts"]
     checked = {c["key"]: c["verdict"] for c in answer(capsys, TINY_MAP, "--rollouts", "64")["checks"]}
     assert {key: checked[key] for key in verdicts if not key.startswith(("eq1", "eq4", "eq5", "eq7_robot"))} == {
         key: verdict for key, verdict in verdicts.items() if not key.startswith(("eq1", "eq4", "eq5", "eq7_robot"))
@@ -471,8 +469,7 @@ def test_a_handful_of_cells_is_enough_to_fail(
 ) -> None:
     example.world.save(tmp_path / "w.npz")
     assert len(example.threat) <= 7
-    assert run(["check", str(tmp_path / "w.npz"), "--rollouts", "64", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = answer_of(capsys, "check", str(tmp_path / "w.npz"), "--rollouts", "64")
     checks = [check for check in found["checks"] if check["key"] == example.fails and check["verdict"] == "fails"]
     said = [(check["value"], check["truth"]["value"]) for check in checks]
     assert said == [(pytest.approx(example.value), example.truth)]
@@ -531,8 +528,7 @@ def test_evaluate_says_what_the_independent_simulator_found(
     plan = tmp_path / "plan.json"
     fixture.plan.save(plan)
     world = str(FOLDER / known["world"])
-    assert run(["evaluate", world, "--plan", str(plan), "--rollouts", "1", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = answer_of(capsys, "evaluate", world, "--plan", str(plan), "--rollouts", "1")
     bounds = found["bounds"]
     open_loop = found["exact"]["open_loop"]
     assert {key: open_loop[key] for key in known["open_loop_exact"]} == pytest.approx(known["open_loop_exact"], **CELLS)
@@ -621,8 +617,7 @@ def test_the_closed_loop_decides_by_the_map_and_loses_by_the_scale() -> None:
 
 def test_the_command_and_its_errors(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["evaluate", WORLD, "--robots", "4", "--rollouts", "512", "--exact", "never", "--threat-scale"]
-    assert run([*words, "0.5,1,2", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = answer_of(capsys, *words, "0.5,1,2")
     assert [entry["scale"] for entry in found["threat_scale"]] == [0.5, 1, 2]
     assert found["threat_scale"][1]["coverage"] == found["coverage"]
     assert run([*words, "2"]) == 0
@@ -630,8 +625,7 @@ def test_the_command_and_its_errors(capsys: pytest.CaptureFixture[str]) -> None:
     for wrong in ("", "x", "1,,2", "-1", "nan", "inf"):
         assert run([*words, wrong]) == 2
         assert capsys.readouterr().err.startswith("error: --threat-scale")
-    assert run([*words, "6"]) == 2
-    assert "a scale of at most 4.99" in capsys.readouterr().err
+    assert "a scale of at most 4.99" in error_of(capsys, *words, "6")
     with pytest.raises(UsageError, match="100 at most"):
         parse_scales(",".join(["1"] * 101))
     with pytest.raises(UsageError, match=r"a scale of at most 1\.99"):

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOLDER, load_fixture
-from helpers import load_plan
+from helpers import answer_of, error_of, load_plan, run_python
 from page_reader import refused
 from PIL import Image
 from rich.table import Table
@@ -45,8 +45,7 @@ KEYS = {
 
 
 def answer(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
-    assert run(["evaluate", *words, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
+    return answer_of(capsys, "evaluate", *words)
 
 
 def test_open_loop_answer_is_the_closed_form(capsys: pytest.CaptureFixture[str]) -> None:
@@ -393,12 +392,10 @@ def test_contradictions_of_a_plan_file(tmp_path: Path, capsys: pytest.CaptureFix
         ([WORLD, "--risk", "log"], "--risk log contradicts"),
         ([other], "another map"),
     ):
-        assert run(["evaluate", *words, "--plan", str(file)]) == 2
-        assert said in capsys.readouterr().err
+        assert said in error_of(capsys, "evaluate", *words, "--plan", str(file))
     jump = tmp_path / "jump.json"
     jump.write_text('{"paths": [[[0, 1], [0, 4]]]}')
-    assert run(["evaluate", WORLD, "--plan", str(jump)]) == 2
-    assert "robot 0" in capsys.readouterr().err
+    assert "robot 0" in error_of(capsys, "evaluate", WORLD, "--plan", str(jump))
 
 
 def test_a_plan_made_for_other_robots_than_the_scenario_s_is_noted(
@@ -459,8 +456,12 @@ def test_tampered_plan_files_are_refused(tmp_path: Path, capsys: pytest.CaptureF
     for robot in without_legs["robots"]:
         robot["legs"] = []
     file.write_text(json.dumps(without_legs))
-    assert run(["evaluate", world, "--plan", str(file), "--rollouts", "64", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["bounds"]["theorem3"]["visited"]["interior_set"] is not None
+    assert (
+        answer_of(capsys, "evaluate", world, "--plan", str(file), "--rollouts", "64")["bounds"]["theorem3"]["visited"][
+            "interior_set"
+        ]
+        is not None
+    )
 
 
 def test_outputs_never_replace_the_input_or_each_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -468,8 +469,7 @@ def test_outputs_never_replace_the_input_or_each_other(tmp_path: Path, capsys: p
     World.create([[0.0, 0.1]]).save(world)
     before = world.read_bytes()
     for words in (["--out", str(world)], ["--out", str(tmp_path / "p"), "--waypoints", str(tmp_path / "p")]):
-        assert run(["plan", str(world), *words]) == 2
-        assert "is an input, or is written twice" in capsys.readouterr().err
+        assert "is an input, or is written twice" in error_of(capsys, "plan", str(world), *words)
     assert run(["plan", str(world), "--out", str(tmp_path)]) == 2
     assert world.read_bytes() == before
 
@@ -500,9 +500,7 @@ def test_no_file_that_is_read_is_written(
     Path("s.json").write_text("{}")
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
     capsys.readouterr()
-    assert run(words.split()) == 2
-    said = capsys.readouterr().err.splitlines()[-1]
-    assert said.startswith(f"error: {kept} is an input")
+    assert error_of(capsys, *words.split()).startswith(f"error: {kept} is an input")
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
@@ -544,8 +542,7 @@ def test_an_option_that_would_do_nothing_is_refused(
     monkeypatch.chdir(tmp_path)
     assert run(["plan", "example:paper", "--out", "p.json"]) == 0
     capsys.readouterr()
-    assert run(words.split()) == 2
-    assert said in capsys.readouterr().err
+    assert said in error_of(capsys, *words.split())
 
 
 def test_a_plan_of_another_planner_takes_open_loop_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -577,8 +574,7 @@ def test_interrupted_in_the_deadline_still_prints(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Deadline, "measure", interrupted)
-    assert run(["evaluate", WORLD, "--rollouts", "4096", "--deadline", "9", "--json"]) == 130
-    found = json.loads(capsys.readouterr().out)
+    found = answer_of(capsys, "evaluate", WORLD, "--rollouts", "4096", "--deadline", "9", status=130)
     assert found["partial"] is True
     assert found["rollouts"] == 4096
 
@@ -596,8 +592,7 @@ def test_interrupted_prints_what_was_done(capsys: pytest.CaptureFixture[str], mo
         return whole(*given, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(planner.rollouts.closed_loop, "run_range", interrupted)
-    assert run(["evaluate", WORLD, "--robots", "3", "--rollouts", "10000000", "--json"]) == 130
-    found = json.loads(capsys.readouterr().out)
+    found = answer_of(capsys, "evaluate", WORLD, "--robots", "3", "--rollouts", "10000000", status=130)
     assert found["partial"] is True
     assert 1024 <= found["rollouts"] < 10_000_000
 
@@ -608,9 +603,7 @@ def test_help_is_quick_to_import() -> None:
         "import sys; from analysis.cli.app import run; run(['--help']); "
         "heavy = {'jax', 'numba', 'scipy', 'matplotlib', 'numpy'} & set(sys.modules); assert not heavy, heavy"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "evaluate" in done.stdout
+    assert "evaluate" in run_python(script)
 
 
 # Every table of every command on consoles of 80, 100 and 120 columns: no figure, interval or name is cut.
@@ -858,8 +851,7 @@ def test_what_a_command_needs(words: str, said: str, capfd: pytest.CaptureFixtur
 
 def test_a_scenario_is_no_sweep(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "field.yaml").write_text("map: field.npy\n")
-    assert run(["sweep", str(tmp_path / "field.yaml")]) == 2
-    assert "a sweep over it has `base: {input: field.yaml}`" in capfd.readouterr().err
+    assert "a sweep over it has `base: {input: field.yaml}`" in error_of(capfd, "sweep", str(tmp_path / "field.yaml"))
 
 
 # Tables on narrow consoles: figures and names stay whole, what is left out is said, the rest stands in blocks.

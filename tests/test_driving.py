@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import VisitLoop
+from helpers import ROOT, VisitLoop, error_of
 from killed_mission import small_case
 from test_mission import obey
 
@@ -33,9 +33,6 @@ from planner.simulator.codes import Outcome
 from planner.world.generate import Stream, ThreatPattern, random_world
 from planner.world.levels import place_starts
 from planner.world.world import World
-
-ROOT = Path(__file__).parent.parent
-
 
 ROW = World.create(np.array([[0.0, 0.0, 0.0, 0.5, 0.0]]))
 ENDINGS: dict[str, tuple[dict[str, Any], str]] = {
@@ -451,7 +448,7 @@ def test_a_mission_that_has_ended_says_so_again(tmp_path: Path, capfd: pytest.Ca
     command = ["drive", str(tmp_path / "map.npz"), "--state", str(file)]
     assert run(command) == 0 and json.loads(capfd.readouterr().out) == said and said["outcome"] == "complete"
     World.create(np.zeros((2, 4)), [[0, 0]]).save(tmp_path / "map.npz", force=True)
-    assert run(command) == 2 and "another map" in capfd.readouterr().err
+    assert "another map" in error_of(capfd, *command)
 
 
 def test_a_mission_of_another_team_is_not_gone_on_with(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -490,19 +487,17 @@ def test_a_plan_file_is_driven_by_itself_where_its_map_is(
     assert run(["evaluate", str(file), "--rollouts", "16", "--json", "--no-advice"]) == 0
     assert json.loads(capfd.readouterr().out)["coverage"]["visited"]["mean"] == 1
     (there / "map.npz").rename(moved := there / "other.npz")
-    assert (
-        run(["drive", str(file)]) == 2 and "its map is not at" in (said := capfd.readouterr().err) and "--plan" in said
-    )
+    assert "its map is not at" in (said := error_of(capfd, "drive", str(file))) and "--plan" in said
     assert run(["drive", str(moved), "--plan", str(file)]) == 0
     World.create(np.zeros((2, 4)), [[0, 0]]).save(there / "map.npz", force=True)
-    assert run(["drive", str(file)]) == 2 and "another map" in capfd.readouterr().err
+    assert "another map" in error_of(capfd, "drive", str(file))
     mrac.plan(world).save(file, force=True)  # of a world that is no file
-    assert run(["drive", str(file)]) == 2 and "does not say where" in capfd.readouterr().err
+    assert "does not say where" in error_of(capfd, "drive", str(file))
     mrac.plan(mrac.load("example:paper"), 2).save(file, force=True)
     capfd.readouterr()
     assert run(["drive", str(file)]) == 0 and json.loads(capfd.readouterr().out)["step"] == 0
     file.write_text("{}")
-    assert run(["drive", str(file)]) == 2 and "holds no map" in capfd.readouterr().err
+    assert "holds no map" in error_of(capfd, "drive", str(file))
 
 
 # --- what will come ---

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from drawn_worlds import closed_loop as closed_loop_in_doubt
 from drawn_worlds import expected, one_of, open_loop
+from helpers import answer_of
 from oracle_spec import MANY, Homing
 from oracle_tree import Tree as OracleTree
 from oracle_tree import closed_loop_exact, exactly, plain_areas
@@ -62,18 +62,12 @@ def maps(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return found
 
 
-def answer_of(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
-    assert run(words) == 0
-    answer: dict = json.loads(capsys.readouterr().out)
-    return answer
-
-
 @BOTH
 @pytest.mark.parametrize("name", ["safe", "walled"])
 def test_one_rollout_answers_with_a_point(
     maps: dict[str, str], capsys: pytest.CaptureFixture[str], name: str, loop: str
 ) -> None:
-    words = ["evaluate", maps[name], "--robots", "2", "--loop", loop, "--json", "--seed", "7"]
+    words = ["evaluate", maps[name], "--robots", "2", "--loop", loop, "--seed", "7"]
     for more in ([], ["--rollouts", "50000"], ["--precision", "0.0001"], ["--deadline", "3", "--threat-scale", "0,1"]):
         answer = answer_of(capsys, *words, *more)
         by = "numba" if loop == "open" else "nominal run"
@@ -102,7 +96,7 @@ def test_it_is_said_in_a_line_and_no_formula_fails(
 
 
 def test_danger_on_the_way_is_rolled_out_as_asked(maps: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["evaluate", maps["door"], "--robots", "1", "--loop", "open", "--rollouts", "500", "--json"]
+    words = ["evaluate", maps["door"], "--robots", "1", "--loop", "open", "--rollouts", "500"]
     answer = answer_of(capsys, *words, "--threat-scale", "0,1")
     assert (answer["rollouts"], answer["certain"]) == (500, False)
     assert [scaled["certain"] for scaled in answer["threat_scale"]] == [True, False]
@@ -112,7 +106,7 @@ def test_danger_on_the_way_is_rolled_out_as_asked(maps: dict[str, str], capsys: 
 def test_one_rollout_of_a_dangerous_map_is_no_certainty(
     maps: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    answer = answer_of(capsys, "evaluate", maps["door"], "--rollouts", "1", "--json", "--loop", "open")
+    answer = answer_of(capsys, "evaluate", maps["door"], "--rollouts", "1", "--loop", "open")
     assert (answer["rollouts"], answer["certain"]) == (1, False)
     assert answer["coverage"]["visited"]["se"] is None
 
@@ -188,7 +182,7 @@ def test_the_folder_is_written_and_its_page_shows_no_failure(maps: dict[str, str
 
 
 def test_luck_has_no_part_in_it(maps: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
-    words = ("--rollouts", "5000", "--json")
+    words = ("--rollouts", "5000")
     answer = answer_of(capsys, "evaluate", maps["safe"], "--robots", "2", *words)
     assert answer["coverage"]["visited"]["ci95"] == [1.0, 1.0] and answer["control"] is None
 
@@ -196,7 +190,7 @@ def test_luck_has_no_part_in_it(maps: dict[str, str], capsys: pytest.CaptureFixt
 def test_two_sides_on_which_nothing_can_happen_are_compared_once(
     maps: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    answer = answer_of(capsys, "compare", maps["safe"], "--robots", "1", "--b.robots", "3", "--json")
+    answer = answer_of(capsys, "compare", maps["safe"], "--robots", "1", "--b.robots", "3")
     assert (answer["rollouts"], answer["certain"]) == (1, True)
     time = answer["difference"]["time"]
     assert time["ci95"] == [time["mean"]] * 2
@@ -216,11 +210,11 @@ def test_one_side_in_danger_is_rolled_out(maps: dict[str, str]) -> None:
 def test_the_size_of_a_team_needs_a_rollout_a_team_or_an_exact_tree(
     maps: dict[str, str], capsys: pytest.CaptureFixture[str], loop: str
 ) -> None:
-    answer = answer_of(capsys, "size", maps["safe"], "--complete", "--most", "3", "--loop", loop, "--json")
+    answer = answer_of(capsys, "size", maps["safe"], "--complete", "--most", "3", "--loop", loop)
     assert answer["robots"] == 1
     assert [point["rollouts"] for point in answer["curve"]] == [1 if loop == "open" else 0]
     assert answer["curve"][0]["verdict_interval"] == [1.0, 1.0]
-    words = ("size", maps["safe"], "--target", "0.9", "--most", "2", "--precision", "0.001", "--loop", loop, "--json")
+    words = ("size", maps["safe"], "--target", "0.9", "--most", "2", "--precision", "0.001", "--loop", loop)
     assert answer_of(capsys, *words)["robots"] == 1
 
 

@@ -5,10 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-import os
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from decimal import Context, Decimal
@@ -19,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 from drawn_worlds import WORLDS
-from helpers import play_both_ways, uniform
+from helpers import play_both_ways, run_python, uniform
 from numpy.typing import NDArray
 from recordings import rewrite
 
@@ -510,13 +507,5 @@ def test_the_sets_are_those_of_a_plain_loop() -> None:
 )
 def test_where_lanes_cannot_be_permuted(environment: dict[str, str]) -> None:
     code = "import test_failure_sampling as tests; print(tests.check(tests.parted, range(1, 70)))"
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore:overflow", "-c", code],
-        cwd=Path(__file__).parent,
-        env={**os.environ, **environment, "MRAC_JAX_NO_CACHE": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert int(done.stdout) > 5000
+    environment = environment | {"MRAC_JAX_NO_CACHE": "1"}
+    assert int(run_python(code, options=("-W", "ignore:overflow"), **environment)) > 5000

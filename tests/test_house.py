@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 import yaml
 from evidence import Evidence, covered, of_the_day, parts, read, slow_files, stale, written
+from helpers import ROOT, run_python
 from open_loop_reference import fixture
 
 import mrac_jax as mrac
@@ -38,7 +39,6 @@ from planner.world.levels import place_starts
 
 # The house: imports point back along planner -> analysis -> mrac_jax, oracles see no engine, and names no host.
 
-ROOT = Path(__file__).parent.parent
 ROOMS = ("planner", "analysis", "mrac_jax")
 DOOR = re.compile(r"mrac_jax|mrac_jax\.__main__|analysis\.api(\.\w+)?")
 ANSWERS = ("evaluation", "comparison", "checking", "experiments", "sweeps", "recording", "search", "policy_evaluation")
@@ -191,8 +191,7 @@ def test_a_report_loads_no_pictures() -> None:
     assert len(reports) > 6
     for module in sorted(reports - {"analysis.report"}):
         code += f"import {module}\nassert 'matplotlib' not in sys.modules, '{module}'\n"
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    run_python(code)
 
 
 FACES = ("cli", "studio", "bench", "page")

@@ -17,6 +17,7 @@ from drawn_worlds import expected, persistent
 from helpers import play_both_ways
 from numpy.typing import NDArray
 from oracle_spec import Pupil, Twin
+from oracle_tree import plain_areas
 from test_return_home import ways
 from test_threats_over_time import POLICIES, changing
 
@@ -30,7 +31,7 @@ from planner.rollouts.engine import Rolling, closed_loop_engine, make_engine
 from planner.rollouts.exact_tree import WHOLE, grow_tree
 from planner.rollouts.single_run import PythonLoop, SingleRun, play
 from planner.settings import Settings
-from planner.simulator.codes import ALWAYS, NEVER, NO_AREA, NO_ROBOT, Doing, EventKind, Outcome
+from planner.simulator.codes import ALWAYS, NEVER, NO_AREA, Doing, EventKind, Outcome
 from planner.simulator.jit import interpreted
 from planner.simulator.state import ALARM, SILENCE
 from planner.simulator.thresholds import threefry2x32
@@ -86,11 +87,9 @@ def both(believed, truth, starts, sense, stops):
     plan = make_plan(world, starts)
     loop, hit, width = compile_closed_loop(plan, world, interpreted=True), script(truth, stops), world.shape[1]
     run = play(SingleRun(loop, hit=lambda i, t, cell: hit(i, t, divmod(cell, width))))
-    areas = [
-        (area.level, None if area.robot == NO_ROBOT else area.robot, cells_of(world, area.cells)) for area in plan.areas
-    ]
     believed, truth = world.threat.astype(np.float64), world.met.astype(np.float64)
     seen = sense if isinstance(sense, dict) else {"range": sense, "sight": False}
+    areas = plain_areas(plan)
     twin = Twin(believed, truth, [tuple(s) for s in starts], seen["range"], seen["sight"], areas, script(truth, stops))
     ended = twin.run()
     ours = [moves(cells_of(world, path)) for path in run.paths], set(cells_of(world, np.flatnonzero(run.visited)))
@@ -578,7 +577,7 @@ class Both:
     def __init__(self, q, h, kind, starts, detector=None):
         self.world = taught(q, h, kind, detector)
         self.plan = make_plan(self.world, starts, Settings(levels=64))  # the twin knows no bins
-        self.problem = prepare(self.world, starts, self.plan.settings)
+        self.problem, self.areas = prepare(self.world, starts, self.plan.settings), plain_areas(self.plan)
         self.kind, self.detector = kind, detector
 
     def ours(self, hit, alarm=wants):
@@ -588,12 +587,11 @@ class Both:
         return paths, set(cells_of(self.world, np.flatnonzero(done.visited))), done.outcome.word, chances
 
     def theirs(self, hit, alarm=wants):
-        width, areas = self.world.shape[1], self.plan.areas
-        given = [(a.level, None if a.robot == NO_ROBOT else a.robot, cells_of(self.world, a.cells)) for a in areas]
+        width = self.world.shape[1]
         q, h = (one.astype(np.float64) for one in (self.world.doubt.q, self.world.doubt.h))
         starts = [divmod(int(cell), width) for cell in self.problem.starts]
         twin = Pupil(
-            q, h, self.kind == "consumed", starts, given, lambda i, t, c: hit(i, t, c[0] * width + c[1]),
+            q, h, self.kind == "consumed", starts, self.areas, lambda i, t, c: hit(i, t, c[0] * width + c[1]),
             self.detector, lambda i, t, c: alarm(i, t, c[0] * width + c[1]),
         )  # fmt: skip
         ended = twin.run()

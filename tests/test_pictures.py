@@ -5,8 +5,6 @@ from __future__ import annotations
 import io
 import re
 import runpy
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -17,6 +15,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from conftest import FOLDER
+from helpers import ROOT, run_python
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
@@ -455,7 +454,7 @@ def test_the_user_s_pyplot_is_left_alone() -> None:
     """It is never imported."""
     code = "import sys; import analysis.pictures as p\nwith p.house_style(): p.png_bytes(p.new_figure((2, 2)))\n"
     code += "assert 'matplotlib.pyplot' not in sys.modules"
-    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, cwd=Path(__file__).parents[1])
+    run_python(code, options=("-W", "error"))
 
 
 def test_dollars_in_words_are_no_formula() -> None:
@@ -613,7 +612,6 @@ def test_it_is_drawn_the_same_twice() -> None:
 
 # `docs/examples/team_pictures.py` draws the pictures of robots half as fast, radio, and batteries that are charged.
 
-ROOT = Path(__file__).parent.parent
 DRAWS = runpy.run_path(str(ROOT / "docs" / "examples" / "team_pictures.py"))
 
 

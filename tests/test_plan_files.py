@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import FOLDER
-from helpers import load_plan
+from helpers import answer_of, load_plan
 from test_planner_open_loop import paths_plan
 from validate import validate
 
@@ -542,11 +542,11 @@ def test_plan_record_and_export_take_it_and_their_paths_end_there(
     made, log, out = tmp_path / "go.json", tmp_path / "run.mcap", tmp_path / "go.csv"
     assert run(["plan", WORLD_DEADLINE, "--robots", "3", "--deadline", str(ENDS), "--out", str(made)]) == 0
     assert f"The mission ends at step {ENDS}" in capsys.readouterr().out
-    assert run(["record", WORLD_DEADLINE, "--plan", str(made), "--ids", "3", "--out", str(log), "--json"]) == 0
-    (row,) = json.loads(capsys.readouterr().out)["rollouts"]
+    (row,) = answer_of(capsys, "record", WORLD_DEADLINE, "--plan", str(made), "--ids", "3", "--out", str(log))[
+        "rollouts"
+    ]
     assert (row["time"], row["outcome"]) == (ENDS, "deadline")
-    assert run(["inspect", str(log), "--json"]) == 0
-    (told,) = json.loads(capsys.readouterr().out)["rollouts"]
+    (told,) = answer_of(capsys, "inspect", str(log))["rollouts"]
     assert told["outcome"] == "deadline" and f"rollout 3 ends: deadline at step {ENDS}" in told["text"]
     assert json.loads(open_log(log).attachment("tally.json"))["outcomes"]["deadline"] == 1
     assert next(read_rollouts(log)).trace.outcome is Outcome.STEP_LIMIT
@@ -563,8 +563,7 @@ def test_a_sweep_keeps_to_the_deadline_of_its_plan(tmp_path: Path, capsys: pytes
     assert run(["plan", WORLD_DEADLINE, "--robots", "3", "--deadline", str(ENDS), "--out", str(made)]) == 0
     spec.write_text(json.dumps({"base": {"input": WORLD_DEADLINE, "plan": str(made)}, "rollouts": 200}))
     capsys.readouterr()
-    assert run(["sweep", str(spec), "--store", str(tmp_path / "s.db"), "--json"]) == 0
-    (row,) = json.loads(capsys.readouterr().out)["settings"]
+    (row,) = answer_of(capsys, "sweep", str(spec), "--store", str(tmp_path / "s.db"))["settings"]
     assert row["time"]["mean"] <= ENDS and row["outcomes"]["deadline"] > 0 == row["outcomes"]["step_limit"]
     with Store.open(tmp_path / "s.db", write=False) as store:
         (stored,) = select(store, {})
@@ -836,11 +835,10 @@ def test_a_pace_changes_nothing_but_what_is_said() -> None:
 def test_the_command_line_says_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Without a pace no word of minutes; with one the same answer, and the minutes of it."""
     source = str(scenario(tmp_path))
-    words = ("evaluate", source, "--rollouts", "256", "--no-advice", "--exact", "never", "--json")
+    words = ("evaluate", source, "--rollouts", "256", "--no-advice", "--exact", "never")
 
     def answer(*more: str) -> dict[str, Any]:
-        assert run([*words, *more]) == 0
-        return json.loads(capsys.readouterr().out)
+        return answer_of(capsys, *words, *more)
 
     def timeless(said: dict[str, Any]) -> dict[str, Any]:
         kept = without_minutes(said)
@@ -851,7 +849,7 @@ def test_the_command_line_says_both(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "_minutes" not in json.dumps(plain) and "step_seconds" not in plain
     assert timeless(paced) == timeless(plain)
     assert paced["step_seconds"] == 30 and paced["time_minutes"]["mean"] == pytest.approx(plain["time"]["mean"] / 2)
-    assert run([*words[:-1], "--deadline", "3min", "--step-seconds", "30"]) == 0
+    assert run([*words, "--deadline", "3min", "--step-seconds", "30"]) == 0
     assert "By step 6 (3 min): " in capsys.readouterr().out
 
 

@@ -3,16 +3,14 @@ what it promises in return: no negative index, rows of known lengths."""
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
-from pathlib import Path
 from typing import NamedTuple
 
 import numba
 import numpy as np
 import pytest
 from forward_indices import forward
+from helpers import run_python
 from numpy.typing import NDArray
 
 from planner.make_plan import make_plan
@@ -22,8 +20,6 @@ from planner.simulator.state import State, Tables, first_state
 from planner.simulator.struct_pointers import LENGTHS
 from planner.world.world import World
 
-TESTS = Path(__file__).parent
-ROOT = TESTS.parent
 IN_FLOATING_POINT = """
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
@@ -86,23 +82,13 @@ def test_parts_of_kernels_are_called_without_wrappers() -> None:
     assert outer(np.arange(3)) == 1
 
 
-def run_python(code: str, **environment: str) -> str:
+def run_anew(code: str, **environment: str) -> str:
     """What a new process prints that keeps no compiled code."""
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=ROOT,
-        env={**os.environ, "MRAC_JAX_NO_CACHE": "1", "PYTHONPATH": os.pathsep.join(map(str, (ROOT, TESTS)))}
-        | environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    return run_python(code, MRAC_JAX_NO_CACHE="1", **environment)
 
 
 def test_a_release_of_numba_that_is_not_known_compiles_as_it_does() -> None:
-    said = run_python(OF_ANOTHER_RELEASE)
+    said = run_anew(OF_ANOTHER_RELEASE)
     assert said.split() == ["7", "False"]
     assert numba.__version__.startswith(KNOWN) == ("planner.simulator.jit_parts" in sys.modules)
 
@@ -121,7 +107,7 @@ def test_no_index_is_asked_whether_it_is_negative() -> None:
 def test_kernels_count_places_from_the_front(worlds: int) -> None:
     """What is compiled takes every index for one that is not negative."""
     code = f"import forward_indices; forward_indices.main({worlds})"
-    assert int(run_python(code, NUMBA_DISABLE_JIT="1")) > 10**5 * worlds
+    assert int(run_anew(code, NUMBA_DISABLE_JIT="1")) > 10**5 * worlds
 
 
 def test_an_index_before_the_array_is_seen() -> None:
@@ -144,4 +130,4 @@ def test_rows_are_as_long_as_kernels_take_them_for() -> None:
 @pytest.mark.slow
 def test_kernels_compute_with_whole_numbers_alone() -> None:
     """Numba compares int64 and uint64 as float64: slow, and wrong above 2**53."""
-    assert int(run_python(IN_FLOATING_POINT)) > 1000
+    assert int(run_anew(IN_FLOATING_POINT)) > 1000

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from conftest import FOLDER
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from helpers import assert_same_trace, load_plan
+from helpers import answer_of, assert_same_trace, load_plan
 from page_reader import refused
 from recordings import nth, rewrite, small_task
 
@@ -60,8 +60,7 @@ def test_what_is_said_to_stop_a_robot_is_what_does(
     Path("s.yaml").write_text(f"map: {{file: {'free' if keys == TYPED else 'p'}.npy}}\n{keys}\n")
     out = recorded(tmp_path, "--ids", "0-31", source="s.yaml")
     capsys.readouterr()
-    assert run(["inspect", str(out), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["rollouts"]
+    found = answer_of(capsys, "inspect", str(out))["rollouts"]
     lost = [event["text"] for one in found for event in one["events"] if event["kind"] == "hit"]
     assert {text.split("], ")[1].split(";")[0] for text in lost} == said
     logged = [Log.FromString(bytes(one.data)) for one in open_log(out).messages() if one.topic == "/events"]
@@ -97,11 +96,9 @@ def test_json_is_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     made = json.loads(capsys.readouterr().out)
     assert [row["rollout"] for row in made["rollouts"]] == [0, 5, 7, 8, 9]
     assert (made["settings"]["seed"], made["settings"]["evaluated"], made["bytes"]) == (11, 0, out.stat().st_size)
-    assert run(["replay", str(out), "--json"]) == 0
-    replayed = json.loads(capsys.readouterr().out)
+    replayed = answer_of(capsys, "replay", str(out))
     assert (replayed["identical"], replayed["rollouts"], replayed["difference"]) == (True, 5, "")
-    assert run(["inspect", str(out), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = answer_of(capsys, "inspect", str(out))
     assert found["topics"]["/rollout/end"] == {"schema": "mrac.End", "messages": 5}
     assert [one["rollout"] for one in found["rollouts"]] == [0, 5, 7, 8, 9]
     assert found["rollouts"][1]["visited"] == pytest.approx(made["rollouts"][1]["visited"])
@@ -116,8 +113,7 @@ def test_replay_of_a_changed_file_exits_with_1(tmp_path: Path, capsys: pytest.Ca
     assert run(["replay", str(bad)]) == 1
     said = capsys.readouterr()
     assert "NOT identical" in said.out
-    assert run(["replay", str(bad), "--json"]) == 1
-    assert json.loads(capsys.readouterr().out)["identical"] is False
+    assert answer_of(capsys, "replay", str(bad), status=1)["identical"] is False
 
 
 def test_recover_tells_what_is_lost(
@@ -144,11 +140,9 @@ def test_recover_tells_what_is_lost(
     assert run(["replay", str(saved)]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert f"identical as far as it goes: {len(kept)} of 4 rollouts; the file is recovered" in said
-    assert run(["replay", str(saved), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = answer_of(capsys, "replay", str(saved))
     assert (found["identical"], found["partial"], found["rollouts"], found["asked"]) == (True, True, len(kept), 4)
-    assert run(["recover", str(cut), "--out", str(saved), "--json"]) == 1
-    assert json.loads(capsys.readouterr().out)["complete"] is False
+    assert answer_of(capsys, "recover", str(cut), "--out", str(saved), status=1)["complete"] is False
 
 
 def refused_after(capsys: pytest.CaptureFixture[str], *words: str) -> str:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import re
 import struct
-import subprocess
-import sys
 import time
 import zlib
 from collections.abc import Iterator
@@ -16,6 +14,7 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
+from helpers import run_python
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
@@ -339,10 +338,7 @@ def test_bombs_in_little_memory(tmp_path: Path, most: int, room: int) -> None:
     with (tmp_path / "sparse.mcap").open("wb") as sparse:
         sparse.write(MAGIC)
         sparse.truncate(most // 2)
-    words = [sys.executable, "-c", LIMITED, str(tmp_path), str(most), str(room * 2**20)]
-    run = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    told = run.stdout.splitlines()
+    told = run_python(LIMITED, str(tmp_path), str(most), str(room * 2**20)).splitlines()
     assert not [line for line in told if "read" in line] and len(told) == 20
     bombs = [line for line in told if line.startswith(("zstd", "lz4", "frame"))]
     assert [line.split()[1:] for line in bombs] == [["refused"], ["saved", "1"]] * 7

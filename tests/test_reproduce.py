@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import uniform
+from helpers import answer_of, uniform
 from page_reader import refused
 from PIL import Image
 
@@ -137,8 +137,7 @@ def test_the_command_prints_saves_and_is_json(tmp_path: Path, capsys: pytest.Cap
         "--store",
         str(tmp_path / "s.db"),
     ]
-    assert run([*words, "--out", str(tmp_path / "out"), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = answer_of(capsys, *words, "--out", str(tmp_path / "out"))
     assert [point["robots"] for point in found["figures"]["fig6"]] == [1, 2, 4, 8, 10, 12, 16, 20]
     assert {one["figure"] for one in found["statements"]} == {"Fig. 6"}
     assert json.loads((tmp_path / "out" / "reproduction.json").read_text())["statements"] == found["statements"]
@@ -170,8 +169,7 @@ def test_interrupted_leaves_whole_maps(monkeypatch: pytest.MonkeyPatch, capsys: 
             raise KeyboardInterrupt
 
     monkeypatch.setattr(module._Collected, "take", stop_in_the_third_map)
-    assert run(["reproduce", "fig4", "--maps", "9", "--rollouts", "4", "--processes", "1", "--json"]) == 130
-    found = json.loads(capsys.readouterr().out)
+    found = answer_of(capsys, "reproduce", "fig4", "--maps", "9", "--rollouts", "4", "--processes", "1", status=130)
     assert (found["maps"], found["partial"]) == (2, True)
 
 

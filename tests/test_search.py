@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import answer_of, error_of
 from page_reader import Reader
 
 import mrac_jax as mrac
-from analysis.cli.app import run
 from analysis.inputs import Asked, load_task
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.search import threats as search
@@ -202,12 +202,6 @@ def world_file(tmp_path: Path) -> str:
     return str(tmp_path / "world.npz")
 
 
-def asked(capsys: pytest.CaptureFixture[str], *words: str) -> dict:
-    assert run([*words, "--json"]) == 0
-    found: dict = json.loads(capsys.readouterr().out)
-    return found
-
-
 def test_scenario_and_command_reproduce_the_best(
     capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path
 ) -> None:
@@ -216,17 +210,17 @@ def test_scenario_and_command_reproduce_the_best(
     source, wanted = tmp_path / "in" / "mission.yaml", tmp_path / "out" / "best.yaml"
     source.write_text("map: {file: ../world.npz}  # a map\nrobots: {count: 2}\nlevels: 8\n")
     told = ["--depot", "--rollouts", "64", "--seed", "5", "--policy", "per_cell", "--risk", "log", "--exact", "never"]
-    found = asked(capsys, "starts", str(source), *told, "--scenario-out", str(wanted))
+    found = answer_of(capsys, "starts", str(source), *told, "--scenario-out", str(wanted))
     program, *words = shlex.split(found["command"])
     assert program == "mrac-jax" and words[-2:] == ["--seed", "6"]
-    once = asked(capsys, *words)["coverage"]["visited"]
+    once = answer_of(capsys, *words)["coverage"]["visited"]
     mine = found["coverage"]
     assert mine == found["confirmed"]["coverage"] and mine["mean"] != once["mean"]
     assert abs(mine["mean"] - once["mean"]) < 5 * np.hypot(mine["se"], once["se"])
     chose = next(one for one in found["candidates"] if one["starts"] == found["starts"][:1])
     same = ["--rollouts", str(chose["rollouts"]), "--seed", "5", "--risk", "log", "--exact", "never"]
     for command in ([*words[:-4], *same[:4], *same[-2:]], ["evaluate", str(wanted), *same]):
-        once = asked(capsys, *command)
+        once = answer_of(capsys, *command)
         assert once["coverage"]["visited"]["mean"] == chose["coverage"]["mean"] and once["starts"] == found["starts"]
     written = load_input(wanted)
     assert written.sha256 == WORLD.sha256 and written.team.settings == {"levels": 8, "policy": "per_cell"}
@@ -242,17 +236,17 @@ def test_the_scenario_asks_for_what_was_searched(
     source, wanted = tmp_path / "s.yaml", tmp_path / "best.yaml"
     team = "{count: 2, range: 20, return_to: home, susceptibility: 2}"
     source.write_text(f"map: world.npz\nrobots: {team}\npolicy: per_cell\nworth: 9\nturn: 2\nwear: {{shape: 1.5}}\n")
-    found = asked(capsys, "starts", str(source), *option, "--rollouts", "32", "--scenario-out", str(wanted))
-    again = asked(capsys, "evaluate", str(wanted), "--rollouts", "32", "--seed", "1")
+    found = answer_of(capsys, "starts", str(source), *option, "--rollouts", "32", "--scenario-out", str(wanted))
+    again = answer_of(capsys, "evaluate", str(wanted), "--rollouts", "32", "--seed", "1")
     place = ",".join(map(str, found["starts"][0])) + ";" + ",".join(map(str, found["starts"][1]))
     told = ["--starts", place, "--rollouts", "32", "--seed", "1"]
-    assert again["coverage"] == asked(capsys, "evaluate", str(source), *option, *told)["coverage"]
+    assert again["coverage"] == answer_of(capsys, "evaluate", str(source), *option, *told)["coverage"]
     assert load_input(wanted).pace.turn == 2
 
 
 def test_a_bare_map_becomes_a_scenario(capsys: pytest.CaptureFixture[str], world_file: str, tmp_path: Path) -> None:
     wanted = tmp_path / "best.yaml"
-    found = asked(capsys, "starts", world_file, "--robots", "2", "--rollouts", "32", "--scenario-out", str(wanted))
+    found = answer_of(capsys, "starts", world_file, "--robots", "2", "--rollouts", "32", "--scenario-out", str(wanted))
     scenario = load_input(wanted)
     assert scenario.starts is not None and scenario.starts.tolist() == found["starts"]
     assert scenario.sha256 == WORLD.sha256 and len(found["starts"]) == found["robots"] == 2
@@ -278,9 +272,8 @@ def test_wrong_candidates_are_told(
         np.save(path, np.asarray(rows))
     else:
         path.write_text("\n".join(",".join(map(str, row)) for row in rows))
-    assert run(["starts", world_file, "--candidates", str(path), "--scenario-out", str(out)]) == 2
-    err = capsys.readouterr().err.strip().splitlines()[-1]
-    assert err.startswith("error: ") and said in err and not out.exists()
+    err = error_of(capsys, "starts", world_file, "--candidates", str(path), "--scenario-out", str(out))
+    assert said in err and not out.exists()
 
 
 def test_a_list_of_candidates_may_have_a_header(tmp_path: Path) -> None:
@@ -320,9 +313,7 @@ def test_starts_that_reach_little_of_the_map_are_told(tmp_path: Path) -> None:
     ],
 )
 def test_bad_options_are_told(capsys: pytest.CaptureFixture[str], world_file: str, words: list[str], said: str) -> None:
-    assert run(["starts", world_file, *words]) == 2
-    err = capsys.readouterr().err.strip().splitlines()[-1]
-    assert err.startswith("error: ") and said in err
+    assert said in error_of(capsys, "starts", world_file, *words)
 
 
 def test_in_python_wrong_arguments_are_told() -> None:
@@ -516,11 +507,8 @@ def clear_file(tmp_path: Path) -> str:
 
 
 def test_the_command_says_gains_as_json(capsys: pytest.CaptureFixture[str], clear_file: str, small: Clearing) -> None:
-    assert (
-        run(["clear", clear_file, "--count", "2", "--rollouts", str(RUNS), "--seed", "3", "--exact", "never", "--json"])
-        == 0
-    )
-    found = json.loads(capsys.readouterr().out)
+    words = ["clear", clear_file, *f"--count 2 --rollouts {RUNS} --seed 3 --exact never".split()]
+    found = answer_of(capsys, *words)
     assert found == json.loads(json.dumps(small.to_json()))
     assert found["pick"] == [threat.name for threat in small.picks] and found["gain"]["first_rollout"] == RUNS
     keys = {"name", "cells", "p", "screen", "hits", "known", "unknown", "behind"}
@@ -544,9 +532,8 @@ def test_the_command_says_gains_as_json(capsys: pytest.CaptureFixture[str], clea
 def test_bad_options_are_told_clear(
     capsys: pytest.CaptureFixture[str], clear_file: str, tmp_path: Path, words: list[str], said: str
 ) -> None:
-    assert run(["clear", clear_file, *words, "--out", str(tmp_path / "out")]) == 2
-    err = capsys.readouterr().err.strip().splitlines()[-1]
-    assert err.startswith("error: ") and said in err and not (tmp_path / "out").exists()
+    err = error_of(capsys, "clear", clear_file, *words, "--out", str(tmp_path / "out"))
+    assert said in err and not (tmp_path / "out").exists()
 
 
 def test_without_threat_there_is_nothing_to_clear() -> None:
@@ -731,8 +718,7 @@ def test_the_command_says_it_as_json_and_writes_both_maps(
 ) -> None:
     attacked.world.save(tmp_path / "map.npz")
     words = ["attack", str(tmp_path / "map.npz"), *f"--count 2 --p {P} --rollouts {RUNS_ATTACK} --seed 3".split()]
-    assert run([*words, "--exact", "never", "--json", "--out", str(tmp_path / "out")]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = answer_of(capsys, *words, "--exact", "never", "--out", str(tmp_path / "out"))
     assert found == json.loads(json.dumps(attacked.to_json()))
     assert found["known"]["cells"] == [list(divmod(int(one.cells[0]), 6)) for one in attacked.known.threats]
     assert found["known"]["loss"]["known"]["mean"] == attacked.known.known.cells.mean  # type: ignore[union-attr]
@@ -761,9 +747,8 @@ def test_bad_options_are_told_attack(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str], said: str
 ) -> None:
     small_world(0, 6, 6).save(tmp_path / "map.npz")
-    assert run(["attack", str(tmp_path / "map.npz"), *words, "--out", str(tmp_path / "out")]) == 2
-    err = capsys.readouterr().err.strip().splitlines()[-1]
-    assert err.startswith("error: ") and said in err and not (tmp_path / "out").exists()
+    err = error_of(capsys, "attack", str(tmp_path / "map.npz"), *words, "--out", str(tmp_path / "out"))
+    assert said in err and not (tmp_path / "out").exists()
 
 
 def test_where_every_cell_is_a_start_there_is_nothing_to_threaten() -> None:

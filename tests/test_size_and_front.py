@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import FOLDER, load_fixture
+from helpers import answer_of, error_of
 from numpy.typing import NDArray
 from page_reader import Reader, refused
 from PIL import Image
@@ -117,8 +118,7 @@ def test_all_pairs_tables_are_made_once_for_all_teams(monkeypatch: pytest.Monkey
 
 
 def answer_size(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> dict:
-    assert run(["size", *words, "--json"]) == status
-    return json.loads(capsys.readouterr().out)
+    return answer_of(capsys, "size", *words, status=status)
 
 
 def fake(enough: Callable[[int], bool], asked: list[int]) -> Callable[[int], TeamVerdict]:
@@ -657,12 +657,6 @@ def test_around_a_goal_worths_are_tried_between() -> None:
 # The command.
 
 
-def asked(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> dict:
-    assert run([*words, "--json"]) == status
-    found: dict = json.loads(capsys.readouterr().out)
-    return found
-
-
 @pytest.fixture
 def world_file(tmp_path: Path) -> str:
     WORLD_FRONT.save(tmp_path / "world.npz")
@@ -695,10 +689,10 @@ def test_the_plan_of_the_pick_keeps_what_was_promised(
         "--exact",
         "never",
     ]
-    front = asked(capsys, "front", world_file, *told, *goal, "--plan-out", str(saved))
+    front = answer_of(capsys, "front", world_file, *told, *goal, "--plan-out", str(saved))
     point = front["points"][front["pick"]]
     words = ["evaluate", world_file, "--plan", str(saved), "--rollouts", "1000", "--seed", "5", "--exact", "never"]
-    same = asked(capsys, *words)
+    same = answer_of(capsys, *words)
     assert same["coverage"]["visited"]["mean"] == point["coverage"]["mean"]
     assert same["losses"]["mean"] == point["losses"]["mean"] and same["time"]["mean"] == point["time"]["mean"]
     assert same["plan"]["settings"]["levels"] == 8 and same["plan"]["settings"].get("deadline") == point["deadline"]
@@ -716,10 +710,10 @@ def test_the_command_of_the_pick_rolls_out_luck_that_had_no_part_in_the_choice(
     told = ["front", world_file, "--rollouts", "1000", "--seed", "5", "--worths", "12", "--reserves", "",
             "--exact", "never", "--losses", "0.9", "--deadline", "40"]  # fmt: skip
     for more, ended in (([], True), (["--plan-out", str(saved)], False)):
-        front = asked(capsys, *told, *more)
+        front = answer_of(capsys, *told, *more)
         program, *words = shlex.split(front["command"])
         assert program == "mrac-jax" and words[:2] == ["evaluate", world_file] and words[-2:] == ["--seed", "6"]
-        coverage, losses = figures_of(asked(capsys, *words), ended)
+        coverage, losses = figures_of(answer_of(capsys, *words), ended)
         fresh = front["confirmed"]
         for mine, theirs in ((fresh["coverage"], coverage), (fresh["losses"], losses)):
             assert abs(mine["mean"] - theirs["mean"]) < 5 * np.hypot(mine["se"], theirs["se"])
@@ -811,9 +805,7 @@ def test_a_goal_that_nothing_meets_is_an_answer(
     ],
 )
 def test_bad_options_are_told(capsys: pytest.CaptureFixture[str], world_file: str, words: list[str], said: str) -> None:
-    assert run(["front", world_file, *words]) == 2
-    err = capsys.readouterr().err.strip().splitlines()[-1]
-    assert err.startswith("error: ") and said in err
+    assert said in error_of(capsys, "front", world_file, *words)
 
 
 def test_without_danger_every_run_is_the_same() -> None:
@@ -905,7 +897,7 @@ def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
     capsys: pytest.CaptureFixture[str], world_file: str
 ) -> None:
     words = ["evaluate", world_file, "--rollouts", "8192"]
-    advice = asked(capsys, *words)["advice"]
+    advice = answer_of(capsys, *words)["advice"]
     keys = {"policy", "reserve", "worth", "coverage", "losses", "difference", "rollouts", "front"}
     assert set(advice) == keys and advice["policy"] == "per_cell" and advice["rollouts"] == 1024
     assert any(point["worth"] == advice["worth"] for point in advice["front"])
@@ -917,8 +909,8 @@ def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
     other = mrac.evaluate(*pair[1], rollouts=1024, advice=False, band=False)
     assert other.visited.mean == pytest.approx(advice["coverage"]["mean"], abs=1e-12) or other.certain
     for more in (["--no-advice"], ["--loop", "open"]):
-        assert asked(capsys, *words, *more)["advice"] is None
-    assert asked(capsys, *words[:3], "63")["advice"] is None
+        assert answer_of(capsys, *words, *more)["advice"] is None
+    assert answer_of(capsys, *words[:3], "63")["advice"] is None
     assert run(words) == 0
     shown = capsys.readouterr().out
     line = f"`--policy per_cell --worth {advice['worth']:g}`"

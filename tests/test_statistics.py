@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import reduce
@@ -13,13 +12,12 @@ from typing import Literal
 import numpy as np
 import pytest
 from conftest import FOLDER
-from helpers import samples, uniform
+from helpers import answer_of, samples, uniform
 from numpy.typing import NDArray
 from oracle_tree import closed_loop_exact
 from scipy import stats
 
 import mrac_jax as mrac
-from analysis.cli.app import run
 from analysis.comparison import compare, make_side
 from analysis.evaluation.evaluate import evaluate, half_width, until_enough
 from analysis.evaluation.figures import Coverage, Covered
@@ -503,8 +501,7 @@ def test_intervals_hold_and_are_sharper_on_one_world() -> None:
 
 
 def test_evaluate_goes_by_it(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["evaluate", str(CONTIGUOUS), "--robots", "8", "--precision", "0.002", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = answer_of(capsys, "evaluate", str(CONTIGUOUS), "--robots", "8", "--precision", "0.002")
     assert found["control"]["gain"]["visited"] > 10 and len(found["control"]["weights"]["visited"]) == 6
     tally = engine_of(load_world_file(CONTIGUOUS), 8).tally(0, found["rollouts"])
     plain = tally_mean(tally, "visited", 1.0 / tally.accessible)

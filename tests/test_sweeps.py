@@ -15,6 +15,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 import yaml
+from helpers import answer_of
 from page_reader import refused
 from scipy import stats
 
@@ -463,8 +464,7 @@ def test_no_store_is_made_for_a_run_that_cannot_begin(
 def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Sweep twice, then look, filter, draw, export and merge."""
     path, store, out = str(spec_file(tmp_path)), str(tmp_path / "a.store"), tmp_path / "out"
-    assert run(["sweep", path, "--store", store, "--processes", "1", "--json"]) == 0
-    first = json.loads(capsys.readouterr().out)
+    first = answer_of(capsys, "sweep", path, "--store", store, "--processes", "1")
     assert first["rollouts_run"] == 5 * 8 * 40 and first["partial"] is False and len(first["settings"]) == 8
     assert run(["sweep", path, "--store", store, "--processes", "1", "--out", str(out)]) == 0
     said = capsys.readouterr()
@@ -475,8 +475,7 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = (out / "index.html").read_text()
     assert "a mean over 5\N{NO-BREAK SPACE}maps: from" in page and "<svg" in page
     assert "https://" not in page and "http://" not in page.replace("http://www.w3.org", "")
-    assert run(["results", store, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = answer_of(capsys, "results", store)
     assert found["runs"] == 40 and found["common"]["kind"] == "contiguous"
     by_label = {json.dumps(row["setting"], sort_keys=True): row["visited"] for row in found["settings"]}
     assert by_label == {json.dumps(row["setting"], sort_keys=True): row["visited"] for row in first["settings"]}
@@ -494,8 +493,7 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with Store.open(tmp_path / "b.store") as other:
         run_cases([next(read_spec(spec_file(tmp_path, SPEC.replace("seed: 3", "seed: 9"))).jobs())], other, processes=1)
     union = str(tmp_path / "union.store")
-    assert run(["results", union, "--merge", store, "--merge", str(tmp_path / "b.store"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["runs"] == 42
+    assert answer_of(capsys, "results", union, "--merge", store, "--merge", str(tmp_path / "b.store"))["runs"] == 42
 
 
 def test_commands_name_every_figure() -> None:
@@ -546,8 +544,7 @@ def test_interrupted_sweep_says_what_was_done(
 
     monkeypatch.setattr(module, "run_cases", until_seven)
     path, store = str(spec_file(tmp_path)), str(tmp_path / "a.store")
-    assert run(["sweep", path, "--store", store, "--processes", "1", "--json"]) == 130
-    found = json.loads(capsys.readouterr().out)
+    found = answer_of(capsys, "sweep", path, "--store", store, "--processes", "1", status=130)
     assert found["partial"] is True and [row["maps"] for row in found["settings"]] == [2, 2, 2, 2, 2, 2, 1, 1]
     assert run(["sweep", path, "--store", store, "--processes", "1", "--json"]) == 130
 
@@ -623,8 +620,7 @@ def test_one_map_is_one_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     said = capsys.readouterr()
     assert "Each row: 1 map, 400 rollouts." in said.out and "luck of the rollouts on that map" in said.out
     assert "pooled over risk: log, paper" in said.out
-    assert run(["results", str(path), "--by", "robots", "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = answer_of(capsys, "results", str(path), "--by", "robots")
     assert answer["pooled"] == ["risk"] and answer["runs"] == 4
     assert [row["maps"] for row in answer["settings"]] == [1, 1]
     assert [row["visited"]["mean"] for row in answer["settings"]] == [each.mean for each in pooled]

@@ -6,8 +6,6 @@ import os
 import re
 import shutil
 import sqlite3
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -15,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import run_python
 from page_reader import refused
 
 from analysis.cli.app import run
@@ -329,9 +328,7 @@ def test_full_disk(tmp_path: Path) -> None:
                 print(room, done, error, flush=True)
             resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     """
-    ran = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True)
-    assert ran.returncode == 0, ran.stderr
-    lines = ran.stdout.splitlines()
+    lines = run_python(script, str(tmp_path)).splitlines()
     assert [line.split()[0] for line in lines] == ["20000", "60000", "200000"]
     for line in lines:
         room, done, words = line.split(" ", 2)

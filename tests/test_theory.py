@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import NAMES, Fixture, load_fixture, worlds_with_starts
-from drawn_worlds import expected
+from drawn_worlds import expected, tiny_world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle_enumeration import best_of_one_robot, best_that_comes_home
@@ -693,13 +693,6 @@ def test_the_oracles_see_no_engine() -> None:
 
 
 # The bound for every strategy: above the optimum, above what is sampled, and proven whatever the solver says.
-
-
-def tiny_world(seed: int, height: int, width: int) -> World:
-    draw = np.random.default_rng(seed)
-    threat = draw.choice([0, 0, 0.1, 0.3, 0.6, np.nan], size=(height, width))
-    threat[0, 0] = draw.choice([0, 0.2])
-    return World.create(threat)
 
 
 @pytest.mark.parametrize("seed", range(8))

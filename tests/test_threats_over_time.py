@@ -15,6 +15,7 @@ from drawn_worlds import in_rows, moving_world
 from helpers import play_both_ways
 from oracle_enumeration import outcomes
 from oracle_spec import closed_loop, mean_of, open_loop
+from oracle_tree import plain_areas
 
 from analysis.theory.exact import open_loop_exact
 from planner.errors import InputError
@@ -29,7 +30,7 @@ from planner.rollouts.closed_loop import compile_closed_loop, run_range, trace_r
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.exact_tree import grow_tree
 from planner.settings import Settings
-from planner.simulator.codes import NO_ROBOT, Doing
+from planner.simulator.codes import Doing
 from planner.simulator.state import MOST_PASSES
 from planner.simulator.thresholds import threefry2x32
 from planner.world.changing_maps import with_phases
@@ -470,14 +471,10 @@ def tiny(number: int, plan_on: Foresight) -> tuple[World, list[tuple[int, np.nda
 def test_teams_come_to_what_enumeration_has(number: int, plan_on: Foresight, wide: bool) -> None:
     world, maps = tiny(number, plan_on)
     free = [tuple(cell) for cell in np.argwhere(world.free).tolist()]
-    starts, width = [free[0], free[-1] if wide else free[0]], world.shape[1]
+    starts = [free[0], free[-1] if wide else free[0]]
     plan = make_plan(world, starts)
-    areas = [
-        (area.level, None if area.robot == NO_ROBOT else area.robot, [divmod(c, width) for c in area.cells.tolist()])
-        for area in plan.areas
-    ]
     planned = maps if plan_on == "now" else [(0, world.threat)]
-    expected = mean_of(lambda judge: closed_loop(planned, starts, areas, judge), maps)
+    expected = mean_of(lambda judge: closed_loop(planned, starts, plain_areas(plan), judge), maps)
     loop = compile_closed_loop(plan, world)
     tree, singles = grow_tree(loop, 0.0, 10**6), run_range(loop, 3, 0, 40_000, singles=True)[1]
     assert tree is not None and singles is not None
