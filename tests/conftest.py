@@ -63,7 +63,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 OPENINGS = (
     ("test_mrac_jax_open_loop", "test_environments"),
-    ("test_mrac_jax_closed_loop", "test_mrac_jax_policies", "test_mrac_jax_planted_faults"),
+    ("test_mrac_jax_closed_loop", "test_mrac_jax_planted_faults"),
 )
 """Files that compile most for JAX, with which the first worker and the second begin: neither compiles what the other
 does."""
@@ -148,14 +148,7 @@ def full_effort(little_effort: dict[str, float], monkeypatch: pytest.MonkeyPatch
 @pytest.fixture
 def few_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
     """JAX's closed loop takes the program that the comparisons of engines have compiled."""
-    monkeypatch.setattr("mrac_jax.closed_loop.engine.MOST_LANES", {"cpu": LANES, "gpu": LANES})
-
-
-@pytest.fixture
-def small_traces(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The program that traces has room for the quick worlds and no more, and is one for all of them."""
-    for name, room in (("CELLS", 150), ("ROBOTS", 8), ("STEPS", 256), ("EVENTS", 128)):
-        monkeypatch.setattr(f"mrac_jax.closed_loop.engine.TRACE_{name}", room)
+    monkeypatch.setattr("mrac_jax.closed_loop.engine.LANES", {"cpu": LANES, "gpu": LANES})
 
 
 @pytest.fixture

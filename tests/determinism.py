@@ -206,7 +206,7 @@ def unlike_python(world: World, plan: Plan, how: Rolling) -> Iterator[str]:
 
 def check(numbers: range, refused: Counter[str], *, jax: Callable[[int], bool] = lambda number: False) -> Iterator[str]:
     """What is not equal under these settings; few rollouts are shared out to threads too. `jax`: asked too?"""
-    lanes = mock.patch("mrac_jax.closed_loop.engine.MOST_LANES", {"cpu": LANES, "gpu": LANES})
+    lanes = mock.patch("mrac_jax.closed_loop.engine.LANES", {"cpu": LANES, "gpu": LANES})
     with mock.patch("planner.rollouts.runners.LEAST_SHARED", 1), lanes:
         for number in numbers:
             try:

@@ -329,3 +329,27 @@ def _options(rng: np.random.Generator, robots: int, kind: str, free: NDArray[np.
         if policy == "per_cell" and choices["worth"] is None:
             choices["priority"] = sometimes(0.2, tuple(int(of) for of in rng.integers(0, 4, cells)))
     return {name: value for name, value in choices.items() if value is not None}
+
+
+LEFT_OUT_OF_BOOK = {
+    "transit", "return_to", "recharge", "steps_per_move", "radio", "types", "reserve", "worth", "priority"
+}  # fmt: skip
+"""Options of `_options` that JAX's closed loop leaves to the compiled simulator."""
+
+
+def drawn_compiled_mission(number: int) -> tuple[Plan, World]:
+    """A plan and its world by the paper's rule, with any of the other options."""
+    rng = np.random.default_rng(number)
+    while True:
+        try:
+            world = World.create(_world(rng, number)[0].threat)
+            free = np.argwhere(world.accessible(place_starts(world, 1)[0]))
+            if number % 5 == 0:  # robots in parts that are not connected
+                free = np.argwhere(world.free)
+            robots = int(rng.integers(1, 6))
+            starts = free[rng.integers(0, len(free), robots)]
+            options = _options(rng, robots, "plain", free, world.threat.size)
+            kept = {name: value for name, value in options.items() if name not in LEFT_OUT_OF_BOOK}
+            return allocated_plan(world, starts, Settings(**kept | {"policy": "mrac"})), world
+        except MracError:
+            continue

@@ -58,13 +58,6 @@ class Fault:
         return self.file.split("/")[0]
 
 
-TELLS_COMPLETION = (
-    "        lanes = write_down("
-    "lanes, completes, lanes.robot, EventKind.COMPLETED, read(lanes.ids, row + holder), move.cell)\n"
-)
-TELLS_HIT = """        mine = jnp.where(move.area == tables.none, NO_AREA, read(lanes.ids, row + move.area))
-        lanes = write_down(lanes, move.hit, lanes.robot, EventKind.HIT, mine, move.cell)
-"""
 INTERPRETED = {
     "classical tie order": Fault(
         "planner/simulator/areas.py",
@@ -91,19 +84,21 @@ INTERPRETED = {
         "    copy_row(of.open, to.open, (areas + WORD - 1) // WORD)\n"
         "    to.open[0] |= stale\n",
     ),
-    "jax snapshot of another step": Fault(
-        "mrac_jax/closed_loop/beginning.py",
-        '(np.searchsorted(begins, step[danger], side="right") - 1)',
-        'np.searchsorted(begins[1:], step[danger], side="right").clip(1, len(begins) - 1)',
+    "jax snapshot after the loss": Fault(
+        "mrac_jax/closed_loop/engine.py",
+        "            marks.append(np.searchsorted(keys, ",
+        "            marks.append(np.searchsorted(keys[:-1], 1 + ",
     ),
     "jax component lost": Fault(
-        "mrac_jax/closed_loop/areas.py", "            rest & ~part,\n", "            jnp.zeros_like(rest),\n"
+        "mrac_jax/closed_loop/book.py",
+        "        for part in self._halves(cells) if bisected else parts:\n",
+        "        for part in self._halves(cells) if bisected else parts[:2]:\n",
     ),
 }
 QUICK = (
     "classical set parted, and the order of the hit ones lost",
     "classical bits of another branch",
-    "jax snapshot of another step",
+    "jax snapshot after the loss",
 )
 STALE_FLAG = Fault(
     "planner/simulator/rollouts.py",
@@ -128,34 +123,41 @@ COMPILED = {
         "    robots[robot].ahead, robots[robot].path = ahead, 0\n",
         "    if searched:\n        robots[robot].ahead, robots[robot].path = ahead, 0\n",
     ),
-    "jax prefix a step short": Fault(
-        "mrac_jax/closed_loop/beginning.py",
-        "            on_it[:step] += leaving\n",
-        "            on_it[: max(step - 1, 0)] += leaving\n",
+    "jax walks counted a step short": Fault(
+        "mrac_jax/closed_loop/counting.py",
+        "        for move in range(1, moves + 1):\n",
+        "        for move in range(1, max(moves, 2)):\n",
         seen_in="tallies",
     ),
-    "jax snapshot taken a step late": Fault(
-        "mrac_jax/closed_loop/steps.py",
-        "    halts = ends & (lanes.step + 1 == lanes.halt)\n",
-        "    halts = ends & (lanes.step == lanes.halt)\n",
-    ),
     "jax tie order": Fault(
-        "mrac_jax/closed_loop/steps.py",
-        "    for side in reversed(range(SIDES)):\n        near = read(tables.sweep, cell * SIDES + side)",
-        "    for side in range(SIDES):\n        near = read(tables.sweep, cell * SIDES + side)",
+        "mrac_jax/closed_loop/book.py",
+        "            if target < 0 and cell < len(todo) and todo[cell]:\n",
+        "            if cell < len(todo) and todo[cell]:\n",
     ),
     "jax tie order of areas": Fault(
-        "mrac_jax/closed_loop/rules.py",
-        "        number = jnp.where(fits, jnp.take_along_axis(rows, label, axis=1), FAR)\n",
-        "        number = jnp.where(fits, -jnp.take_along_axis(rows, label, axis=1), FAR)\n",
+        "mrac_jax/closed_loop/events.py",
+        "    best = jnp.argmin(costs, axis=1).astype(jnp.int32)\n    least",
+        "    best = G - 1 - jnp.argmin(costs[:, ::-1], axis=1).astype(jnp.int32)\n    least",
     ),
-    "jax hit before completion": Fault(
-        "mrac_jax/closed_loop/steps.py",
-        "    after = (move.word & ~jnp.uint32(PENDING)) | jnp.uint32(VISITED)\n",
-        "    after = jnp.where(move.hit, move.word, (move.word & ~jnp.uint32(PENDING)) | jnp.uint32(VISITED))\n",
+    "jax loss before the cell is marked": Fault(
+        "mrac_jax/closed_loop/events.py",
+        "lanes.visited | at(book.prefix, row_end), lanes.visited)",
+        "lanes.visited | at(book.prefix, row_end - dies), lanes.visited)",
     ),
-    "jax completion told after the hit": Fault(
-        "mrac_jax/closed_loop/steps.py", TELLS_COMPLETION + TELLS_HIT, TELLS_HIT + TELLS_COMPLETION, seen_in="traces"
+    "jax robots that act later have moved": Fault(
+        "mrac_jax/closed_loop/events.py",
+        "    behind = (robots > who[:, None]) & ~late[:, None]\n",
+        "    behind = (robots > who[:, None]) & late[:, None]\n",
+    ),
+    "jax owner loses a turn": Fault(
+        "mrac_jax/closed_loop/events.py",
+        "    since = step - (owner > helper)\n",
+        "    since = step\n",
+    ),
+    "jax threshold of the whole run": Fault(
+        "mrac_jax/closed_loop/events.py",
+        "    left = less(left, at(book.before, which))\n",
+        "",
     ),
 }
 
@@ -188,7 +190,7 @@ def rolled_out(package: str, one: SurveyWorld, traced: int) -> tuple[Any, Any, l
 
     from mrac_jax.closed_loop.engine import JaxClosedLoop
 
-    engine = JaxClosedLoop(loop, one.seed, streams=1, lanes=LANES)
+    engine = JaxClosedLoop(loop, one.seed, lanes=LANES)
     return *engine.run(0, ROLLOUTS), list(engine.traces(range(traced)))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from closed_loop_worlds import walled
 from conftest import FOLDER, load_fixture, worlds_with_starts
-from helpers import VisitLoop, assert_same_tally, assert_same_trace, load_plan, play_both_ways
+from helpers import VisitLoop, assert_same_trace, load_plan, play_both_ways
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from oracle_tree import closed_loop_chain, closed_loop_exact, solve_chain
@@ -606,14 +606,6 @@ def test_cells_count_in_decisions_as_if_they_were_worth_as_much(tmp_path: Path) 
             assert_same_trace(mine, python.trace(3, mine.rollout))
             assert_same_trace(mine, theirs)
     assert differs
-
-
-@pytest.mark.slow
-def test_jax_follows_it_too(few_lanes: None) -> None:
-    for seed in range(4):
-        world, plan, _ = ordered(seed, ("watchful", "per_cell")[seed // 2])
-        loop = compile_closed_loop(plan, world)
-        assert_same_tally(*(closed_loop_engine(loop, 3, name).tally(0, 64) for name in ("jax", "numba")))
 
 
 def test_what_does_not_go_with_it_is_refused(tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def test_rollouts_come_back_as_they_were(tmp_path: Path) -> None:
         assert one.trace.cells.dtype == one.trace.events.dtype == np.int32
 
 
-@pytest.mark.usefixtures("few_lanes", "small_traces")
+@pytest.mark.usefixtures("few_lanes")
 def test_same_input_same_bytes_whatever_the_engine(tmp_path: Path) -> None:
     choices = {"ids": (), "picks": parse_picks("worst,best,random"), "evaluated": 300, "outcomes": True}
     small_recording(tmp_path / "a.mcap", **choices)

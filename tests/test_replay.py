@@ -57,7 +57,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("engine", ["numba", "jax"])
-@pytest.mark.usefixtures("few_lanes", "small_traces")
+@pytest.mark.usefixtures("few_lanes")
 def test_a_recording_replays_on_either_engine(good: Path, engine: Any) -> None:
     found = replay(good, engine, everything=True)
     assert (found.difference, found.identical, found.rollouts, found.engine) == ("", True, 2, engine)

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from closed_loop_worlds import first_worlds
 from conftest import load_fixture, worlds_with_starts
 from drawn_worlds import expected, one_of
-from helpers import assert_same_results, assert_same_tally, play_both_ways
+from helpers import play_both_ways
 from hypothesis import given
 from hypothesis import strategies as st
 from page_reader import refused
@@ -39,7 +38,7 @@ from planner.make_plan import make_plan
 from planner.mrac.problem import prepare
 from planner.plan.plan import Plan
 from planner.rollout_sampling import Luck
-from planner.rollouts.closed_loop import compile_closed_loop, run_range
+from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.engine import Rolling, make_engine
 from planner.rollouts.single_run import SingleRun
 from planner.rollouts.single_run import play as played
@@ -584,25 +583,3 @@ def test_mrac_ignores_values() -> None:
 
 def plan_by_value(world: World) -> Plan:
     return make_plan(world, load_fixture("contiguous-14x23-1000-k2").starts, Settings(policy="per_cell"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("limits", LIMITED, ids=str)
-def test_the_lanes_count_the_same(limits: dict[str, Any]) -> None:
-    from mrac_jax.closed_loop.engine import JaxClosedLoop
-
-    seen = 0
-    for number, one in enumerate(first_worlds(12)):
-        world = one.world.with_values(values_of(one.world, number))
-        try:
-            plan = make_plan(world, one.starts, Settings(**limits))
-            engine = JaxClosedLoop(compile_closed_loop(plan, world), 7, streams=1, lanes=64)
-        except WorldError:
-            continue
-        tally, results = engine.run(0, 128)
-        expected, singles = run_range(engine.loop, 7, 0, 128, singles=True)
-        assert singles is not None
-        assert_same_results(results, singles, one.name)
-        assert_same_tally(tally, expected, one.name)
-        seen += 1
-    assert seen >= 9

@@ -1,1 +1,5 @@
-"""The closed loop as one JAX program over lanes, and the batches of either engine."""
+"""The closed loop in JAX: a book of decisions, and lanes that jump from one to the next.
+
+Read `book` first (what robots do between two decisions), then `events` (a lane), `start` (its first step), `engine`
+(batches, devices), `counting` (counts from the walks that lanes log), and `pure` (pure functions of pytrees).
+"""

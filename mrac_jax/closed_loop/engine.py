@@ -1,297 +1,413 @@
 """The closed loop in JAX: Algorithm 2 in every rollout, on CPU and GPU, on one device or several of a host.
 
 The same contract as the compiled classical simulator (`planner.rollouts.closed_loop`), (plan, seed, rollout ids) ->
-tally, results, traces; equal count for count and event for event. The program is `mrac_jax.closed_loop.engine`.
+tally, results, traces; equal count for count and event for event. `mrac_jax.closed_loop.events` has the program.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cache, partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
-from mrac_jax.arrays import Array, HostArrays, on_host, two_words
-from mrac_jax.closed_loop import rules
-from mrac_jax.closed_loop.areas import settle
-from mrac_jax.closed_loop.beginning import COPIED, NO_HIT, first_lanes, halted, lanes_of, lanes_off, nominal_of
-from mrac_jax.closed_loop.returning import charge
-from mrac_jax.closed_loop.rules import judge
-from mrac_jax.closed_loop.state import (
-    ACT,
-    ALIVE_COLUMN,
-    CELL_KINDS,
-    COLUMNS,
-    END,
-    NEW_SURVIVED,
-    NEW_VISITED,
+from mrac_jax.arrays import on_host, threefry2x32, tolerance_words, two_words
+from mrac_jax.closed_loop.book import BASE, COUNT, FIRST, WORD_BITS, HostBook
+from mrac_jax.closed_loop.counting import Counting, follow_nominal, nothing_begun
+from mrac_jax.closed_loop.events import (
+    DONE,
+    FINAL,
+    FULL,
+    LAST,
+    LIMITLESS,
+    MISSING,
+    NUMBERS,
     OFF,
-    OUTCOME_COLUMN,
-    STEP_KINDS,
+    RUN,
+    SINCE,
     STOPPED,
-    SURVIVED_COLUMN,
-    TIME_COLUMN,
-    VISITED_COLUMN,
+    TIME,
+    WALK,
+    Book,
+    Ended,
+    Homes,
     Lanes,
     Log,
-    Queue,
-    Sums,
-    choose_lanes,
-    put_rows,
-    robots_home,
-    spread,
+    at,
+    begin,
+    ended,
+    next_event,
+    write,
 )
-from mrac_jax.closed_loop.steps import micro_step
-from mrac_jax.closed_loop.tables import PIECE_BITS, PIECES, VISITED, LaneTables, areas_at, lane_tables, step_bucket
+from mrac_jax.closed_loop.start import ENDLESS, check_supported, first_lane, padded_team, stride_of
 from mrac_jax.process import fixed_flags
 from mrac_jax.runtime import keep_jax_programs
+from planner.failure_model import key_of_luck
 from planner.ids import BLOCK
-from planner.rollouts.closed_loop import results_from, tally_from, trace_from
-from planner.rollouts.loop import ClosedLoop, known_cells
-from planner.rollouts.open_loop import available_cores, share_out
-from planner.rollouts.tables import first_frames
-from planner.simulator.codes import NO_AREA, Outcome
-from planner.simulator.state import MOST_PASSES, Counts, make_counts
+from planner.rollouts.closed_loop import results_from, tally_from
+from planner.rollouts.loop import ClosedLoop
+from planner.rollouts.single_run import SingleRun, play
 from planner.tally import RolloutResults, Tally, Trace
 from planner.world.world import World
 
-# The closed loop as one program: lanes that begin, run, hand over their results and begin again, until none is left.
-#
-# Axis letters as in `mrac_jax.closed_loop.state`; `R` rollouts that a call has room for.
+LANES = {"cpu": 1024, "gpu": 2**16}
+"""Rollouts at a time on a device."""
+BATCH = 16
+"""Rollouts of a batch a lane: at its end lanes run empty."""
+EVENTS, BEGIN = 8, 3
+"""Events of each lane, before one lane in so many may begin the next rollout."""
+WAITING = 4
+"""One lane in so many may wait for the book before the host is asked."""
+LOG_ROUNDS = 4
+"""Rounds that the log has room for, at least."""
+ROOM, PARTS = 32, 8
+"""Areas that a rollout may make, and parts of a split, at first."""
+CHUNK = 512
+"""Rows of a table that are sent to a device at a time."""
+AXIS = "devices"
 
-MOST_MOVES = 2**30
-"""Moves after which a call ends, done or not: its counts are int32."""
 
-
-@dataclass(frozen=True)
-class Pace:
-    """How often what is done, and for how many lanes at a time. No count depends on it.
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Rollouts that wait for lanes, and what has come of those that ended. Axis `R`, rollouts.
 
     Attributes:
-        micro_steps: between two rounds of what is dear. look: lanes that look among the nearest cells at a time; find:
-            that search all cells; settle: whose areas are split and shared; begin: that begin a rollout.
+        left: uint32 `[R, K, 2]`, thresholds. count: int32 `[1]`, how many there are; next: how many have begun.
+        begun: int32 `[R]`, the snapshot at which each began. ended: results `[R]`. log: walks.
     """
 
-    micro_steps: int
-    look: int
-    find: int
-    settle: int
-    begin: int
+    left: jax.Array
+    count: jax.Array
+    next: jax.Array
+    begun: jax.Array
+    ended: Ended
+    log: Log
 
 
-def run(tables: LaneTables, snapshots: Lanes, lanes: Lanes, sums: Sums, queue: Queue, pace: Pace) -> tuple[Lanes, Sums]:
-    """The rollouts of the queue: one loop, until every lane is off (or MOST_MOVES are counted).
+def run(book: Book, lanes: Lanes, batch: Batch) -> tuple[Lanes, Batch]:
+    """Roll out the batch until it has ended, many lanes wait for the book, or the log is full."""
+    B, K = lanes.key.shape
+    width = max(B // BEGIN, 1)
+    needed = rows_of_round(book.homes is not None, B, K)
 
-    Args:
-        tables, lanes, sums: lanes that are off begin the next rollout; those that are not go on.
-        snapshots: lanes as rollouts begin, `[M]`.
-        pace: static.
-    """
+    def goes_on(state: tuple[Lanes, Batch]) -> jax.Array:
+        lanes, batch = state
+        waits = (lanes.mode == MISSING).sum(dtype=jnp.int32)
+        rests = ((lanes.mode == OFF) & (batch.next[0] >= batch.count[0])) | ((lanes.mode == RUN) & (lanes.fuel <= 0))
+        rests = rests.sum(dtype=jnp.int32)
+        fits = batch.log.used[0] + needed <= batch.log.rows.shape[0]
+        return (waits * WAITING <= B) & (waits + rests < B) & fits & ~(lanes.mode == FULL).any()
 
-    find = rules.search_find if tables.policy is None else rules.attentive_find
+    def round_(state: tuple[Lanes, Batch]) -> tuple[Lanes, Batch]:
+        lanes, batch = hand_over(book, *state, width)
+        log = replace(batch.log, used=batch.log.used[0])
+        lanes, log = jax.lax.fori_loop(0, EVENTS, lambda _, now: next_event(book, *now), (lanes, log))
+        return lanes, replace(batch, log=replace(log, used=log.used[None]))
 
-    def goes_on(state: tuple[Lanes, Sums]) -> jax.Array:
-        lanes, sums = state
-        return ((lanes.mode != OFF).any() | (sums.next < queue.count)) & (sums.moves < MOST_MOVES)
-
-    def round_(state: tuple[Lanes, Sums]) -> tuple[Lanes, Sums]:
-        # Dear things wait for the end of a round, so that several lanes that want them are served at once.
-        lanes, sums = hand_over(tables, snapshots, *state, queue, pace.begin)
-        lanes, sums = jax.lax.fori_loop(
-            0, pace.micro_steps, lambda _, now: micro_step(tables, now[0], now[1], pace.look), (lanes, sums)
-        )
-        lanes = settle(tables, find(tables, lanes, pace.find), pace.settle)
-        lanes = charge(tables, lanes, pace.settle)
-        return lanes if tables.policy is None else judge(tables, lanes, pace.settle), sums
-
-    return jax.lax.while_loop(goes_on, round_, (lanes, sums))
+    return jax.lax.while_loop(goes_on, round_, (lanes, batch))
 
 
-def hand_over(
-    tables: LaneTables, snapshots: Lanes, lanes: Lanes, sums: Sums, queue: Queue, width: int
-) -> tuple[Lanes, Sums]:
+def rows_of_round(comes_home: bool, lanes: int, robots: int) -> int:
+    """Rows of the log that a round may add: two an event, and one a robot where a rollout or all walks end."""
+    return EVENTS * lanes * (2 + comes_home * robots) + max(lanes // BEGIN, 1) * robots
+
+
+def hand_over(book: Book, lanes: Lanes, batch: Batch, width: int) -> tuple[Lanes, Batch]:
     """Up to `width` lanes at their end hand over their results and, like those that are off, begin the next rollout."""
-    free = (lanes.mode == END) | ((lanes.mode == OFF) & (sums.next < queue.count))
+    B, room = lanes.mode.shape[0], batch.left.shape[0]
+    free = (lanes.mode == DONE) | ((lanes.mode == OFF) & (batch.next[0] < batch.count[0]))
+    rank = jnp.cumsum(free, dtype=jnp.int32) - 1
+    slot = jnp.where(free & (rank < width), rank, width)
+    lane = jnp.full(width, B - 1, jnp.int32).at[slot].set(jnp.arange(B, dtype=jnp.int32), mode="drop")
+    few = jax.tree.map(lambda of: at(of, lane), lanes)
+    chosen = jnp.arange(width, dtype=jnp.int32) < free.sum(dtype=jnp.int32)
+    is_done = chosen & (few.mode == DONE)
+    results, rows, there = ended(book, few)
+    place = jnp.where(is_done, few.number, room)
+    kept = jax.tree.map(lambda old, new: old.at[place].set(new, mode="drop"), batch.ended, results)
+    log = write(replace(batch.log, used=batch.log.used[0]), (there & is_done[:, None]).reshape(-1), rows.reshape(-1, 4))
+    number = batch.next[0] + jnp.cumsum(chosen, dtype=jnp.int32) - 1
+    begins = chosen & (number < batch.count[0])
+    new, which = begin(book, at(batch.left, jnp.minimum(number, room - 1)), number)
 
-    def change(state: tuple[Lanes, Sums]) -> tuple[Lanes, Sums]:
-        lanes, sums = state
-        lane, slot = choose_lanes(free, width)
-        sums = replace(sums, results=_results(tables, lanes, sums.results, lane))
-        chosen = lane < free.shape[0]
-        # Ids are given out in the order of lanes; results go to the id's place, so the order shows nowhere.
-        number = sums.next + jnp.cumsum(chosen, dtype=jnp.int32) - 1
-        begins = chosen & (number < queue.count)
-        place = jnp.minimum(number, queue.rollout.shape[0] - 1)
-        lanes = _begin(snapshots, lanes, lane, slot, queue.begin_at[place])
-        lanes = replace(
-            lanes,
-            mode=spread(lanes.mode, slot, jnp.where(begins, ACT, OFF)),
-            number=spread(lanes.number, slot, number),
-            rollout=spread(lanes.rollout, slot, queue.rollout[place]),
-            left=put_rows(lanes, lanes.left, lane, queue.left[place]),
-        )
-        return lanes, replace(sums, next=sums.next + begins.sum(dtype=jnp.int32))
+    def put(old: jax.Array, new: jax.Array, of: jax.Array) -> jax.Array:
+        return jnp.where(of.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
-    return jax.lax.cond(free.any(), change, lambda state: state, (lanes, sums))
-
-
-def _results(tables: LaneTables, lanes: Lanes, results: jax.Array, lane: jax.Array) -> jax.Array:
-    """The results with those of the lanes at their end."""
-    at = jnp.minimum(lane, lanes.mode.shape[0] - 1)
-    alive = jax.lax.population_count(lanes.unharmed[:, at]).sum(axis=0, dtype=jnp.uint32).astype(jnp.int32)
-    columns: tuple[jax.Array, ...] = (
-        tables.accessible - lanes.unvisited[at],
-        lanes.survived[at],
-        lanes.step[at],
-        alive,
-        lanes.outcome[at],
-        lanes.bisected[at],
-        lanes.divided[at],
-    )
-    if tables.homes is not None:
-        columns += (robots_home(tables, lanes, at),)
-    if tables.weights is not None and lanes.passes is not None:
-        columns += (*_worth(tables.weights, lanes, at),)
-    # Lanes that were OFF are among the chosen too: they have no results yet.
-    ended = (lane < lanes.mode.shape[0]) & (lanes.mode[at] == END)
-    return results.at[jnp.where(ended, lanes.number[at], results.shape[0])].set(jnp.stack(columns, axis=1), mode="drop")
-
-
-def _worth(weights: tuple[Array, Array], lanes: Lanes, at: jax.Array) -> jax.Array:
-    """The weights of what was visited, then found, in the lanes `at`, by pieces: int32 `[2 * PIECES, S]`."""
-    batch, (covered, found) = lanes.mode.shape[0], weights
-    visited = (lanes.cells.reshape(batch, -1)[at] & VISITED) != 0
-    passes = lanes.passes.reshape(batch, -1)[at].astype(jnp.int32)  # type: ignore[union-attr]
-    each = jnp.arange(visited.shape[1], dtype=jnp.int32)
-    weighed = jnp.concatenate([jnp.where(visited, covered[:, None], 0), found[:, each, passes]])
-    return weighed.sum(axis=2, dtype=jnp.int32)
-
-
-def _begin(snapshots: Lanes, lanes: Lanes, lane: jax.Array, slot: jax.Array, which: jax.Array) -> Lanes:
-    """The lanes that were chosen as copies of these snapshots, int32 `[S]`."""
-    batch, kept = lanes.mode.shape[0], snapshots.mode.shape[0]
-    new: HostArrays = {}
-    for name in COPIED:
-        old, copied = getattr(lanes, name), getattr(snapshots, name)
-        if old is None:
-            continue
-        # One value a lane is spread; a row of cells or robots is copied.
-        if old.shape[-1] == batch:
-            new[name] = spread(old, slot, copied[..., which])
-        else:
-            new[name] = put_rows(lanes, old, lane, copied.reshape(kept, -1)[which])
-    return replace(lanes, **new)
-
-
-def columns_of(tables: LaneTables) -> int:
-    """Columns of the results that are not weights: where robots come home, those that are there are one."""
-    return COLUMNS + (tables.homes is not None)
-
-
-def no_sums(tables: LaneTables, steps: int, room: int) -> Sums:
-    """Counts (NumPy) of no rollouts, with room for so many steps and results."""
-    return on_host(
-        Sums,
-        by_cell=np.zeros(tables.size * CELL_KINDS, dtype=np.int32),
-        by_step=np.zeros(steps * STEP_KINDS, dtype=np.int32),
-        passes=None if tables.weights is None else np.zeros(tables.size * MOST_PASSES, dtype=np.int32),
-        results=np.zeros((room, columns_of(tables) + (0 if tables.weights is None else 2 * PIECES)), dtype=np.int32),
-        next=np.int32(0),
-        moves=np.int32(0),
+    few = jax.tree.map(lambda old, new: put(old, new, begins), few, new)
+    few = replace(few, mode=jnp.where(begins, few.mode, OFF))
+    back = jnp.minimum(slot, width - 1)
+    lanes = jax.tree.map(lambda old, new: put(old, at(new, back), slot < width), lanes, few)
+    return lanes, replace(
+        batch,
+        next=batch.next + begins.sum(dtype=jnp.int32),
+        begun=batch.begun.at[jnp.where(begins, number, room)].set(which, mode="drop"),
+        ended=kept,
+        log=replace(log, used=log.used[None]),
     )
 
 
-def empty_log(tables: LaneTables, loop: ClosedLoop, batch: int, steps: int, events: int) -> Log:
-    """A log (NumPy) with room for so many steps and events a lane."""
-    robots, cell_ids = len(tables.starts), np.full(tables.size, NO_AREA, dtype=np.int32)
-    cell_ids[: len(loop.cells)] = areas_at(loop)
-    return on_host(
-        Log,
-        events=np.zeros((batch * events, 5), dtype=np.int32),
-        count=np.zeros(batch, dtype=np.int32),
-        frames=np.zeros((batch * steps, 3, robots), dtype=np.int32),
-        cell_ids=np.tile(cell_ids, batch),
-    )
+def thresholds(seed: int, ids: NDArray[np.int64] | jax.Array, robots: int) -> jax.Array:
+    """Failure thresholds of robots 0 .. robots - 1 in rollouts `ids` `[B]`, uint32 `[B, robots, 2]`, drawn on the
+    device: in units of 2**-32 nat, the leading word first, those of every engine (`planner.failure_model.tolerances`).
+    """
+    key = np.array(key_of_luck(seed), np.uint32)
+    return _thresholds(key, jnp.asarray(ids).astype(jnp.uint32), robots)
 
 
-BOARD_BYTES = {"cpu": 2**24, "gpu": 2**33}
-"""What the lanes of a device may take up, about: on a CPU a core's share of the caches."""
-LEAST_LANES, MOST_LANES = 64, {"cpu": 1024, "gpu": 2**18}
-BYTES_A_CELL = 12
-GENERATIONS = 8
-"""Rollouts a lane that make a call worth while: at its end lanes run empty."""
-ROBOTS_A_CALL = 2**19
-"""Robots of all rollouts that a call of the program has room for on each device, or more where there are many lanes."""
-MOST_SNAPSHOTS = 1024
-"""Steps of the nominal run at which lanes begin; no more than there are lanes."""
-TRACED = 16
-"""Rollouts traced at a time."""
-TRACE_CELLS, TRACE_ROBOTS, TRACE_STEPS, TRACE_EVENTS = 1120, 32, 4096, 4096
-"""Room in the program that traces, so that it is compiled once for all smaller worlds; more is made where needed."""
+@partial(jax.jit, static_argnums=2)
+def _thresholds(key: jax.Array, ids: jax.Array, robots: int) -> jax.Array:
+    robot = jnp.arange(robots, dtype=jnp.uint32)
+    return tolerance_words(threefry2x32(key, ids[:, None], robot[None, :])[0])
 
 
 @cache
-def _program(pace: Pace) -> Callable[..., tuple[Lanes, Sums]]:
-    """`run` at a pace, jitted; its lanes and sums are given up for those that it returns."""
-    return jax.jit(partial(run, pace=pace), donate_argnames=("lanes", "sums"))
+def _program(mesh: Mesh) -> Any:
+    """`run` on every device of the mesh with its own lanes and batch, which are given up for those that it returns."""
+    each, all_ = PartitionSpec(AXIS), PartitionSpec()
+    mapped = jax.shard_map(run, mesh=mesh, in_specs=(all_, each, each), out_specs=(each, each), check_vma=False)
+    return jax.jit(mapped, donate_argnums=(1, 2))
 
 
-def pace_of(lanes: int, cells: int, *, attentive: bool = False) -> Pace:
-    """The pace at which so many lanes of so many cells were measured to be fastest.
+@partial(jax.jit, donate_argnums=0)
+def _append(tables: dict[str, jax.Array], rows: dict[str, jax.Array], begins: dict[str, jax.Array]) -> Any:
+    """Write rows into tables, each from its own place on."""
+    return {
+        name: jax.lax.dynamic_update_slice_in_dim(table, rows[name], begins[name], 0) for name, table in tables.items()
+    }
 
-    On large maps robots drive far between two deaths, and what is dear is dearer. Attentive robots search often.
-    """
-    find = 1 if attentive and lanes <= MOST_LANES["cpu"] else 4
-    micro_steps, settle, begin = (4, 4, 16) if cells <= 448 else (8, 16, 64)
-    few = (max(lanes // share, 1) for share in (4, find, settle, begin))
-    return Pace(micro_steps, *few)
+
+class DeviceBook:
+    """The tables of a `HostBook` on the devices, to which only new rows are sent."""
+
+    def __init__(self, host: HostBook, sharding: NamedSharding) -> None:
+        self.host, self._sharding, self._sent = host, sharding, dict[str, int]()
+        self._tables: dict[str, jax.Array] = {}
+        self._buckets: NDArray[np.uint32] | None = None
+
+    def tables(self) -> dict[str, jax.Array]:
+        """What the book holds by now."""
+        host, put = self.host.tables, partial(jax.device_put, device=self._sharding)
+        for name, table in host.items():
+            if name not in self._tables or len(self._tables[name]) != len(table.rows):
+                self._tables[name], self._sent[name] = put(_words_of(table.rows)), table.used
+        while any(self._sent[name] < table.used for name, table in host.items()):
+            rows, begins = {}, {}
+            for name, table in host.items():
+                size = min(CHUNK, len(table.rows))
+                first = min(self._sent[name], len(table.rows) - size)
+                rows[name], begins[name] = _words_of(table.rows[first : first + size]), np.int32(first)
+                self._sent[name] = min(first + size, table.used)
+            self._tables = _append(self._tables, rows, begins)
+        # A bucket changes where an entry is added: the table is small, and sent whole.
+        if self._buckets is None or not np.array_equal(self._buckets, self.host.buckets):
+            self._buckets = self.host.buckets.copy()
+            self._tables_of_buckets = put(self._buckets)
+        return self._tables | {"buckets": self._tables_of_buckets}
+
+
+def _words_of(rows: NDArray) -> NDArray:
+    """Rows as JAX has them: int64 in two words."""
+    return two_words(rows) if rows.dtype == np.int64 else rows
 
 
 class JaxClosedLoop:
     """The JAX engine for one closed loop and seed.
 
-    Ids are shared out among *streams*: one a device, or one a core of a CPU. Each runs the same program on its own ids,
-    in one dispatch a block. Nothing is exchanged: neither their number nor that of devices can change a count.
+    Rollouts are shared out among devices; each runs the same program on its own lanes. Nothing is exchanged, and no
+    count depends on the number of lanes or devices.
     """
 
     name = "jax"
 
     @fixed_flags()
-    def __init__(self, loop: ClosedLoop, seed: int, *, streams: int | None = None, lanes: int | None = None) -> None:
-        """Raises WorldError for a world that the lanes have no room for, UsageError for legs that stay in their
-        area, and where JAX cannot run.
+    def __init__(
+        self, loop: ClosedLoop, seed: int, *, lanes: int | None = None, devices: int | None = None, room: int = ROOM,
+        parts: int = PARTS,
+    ) -> None:  # fmt: skip
+        """Raises WorldError or UsageError for what the book does not hold, and where JAX cannot run.
 
         Args:
             loop: what to roll out. seed: 0 <= seed < 2**64.
-            streams: None: one a device, or on a CPU one a core.
-            lanes: rollouts at a time on each; None: what suits the device.
+            lanes: rollouts at a time on each device; None: what suits it. devices: None: all of this host.
+            room, parts: areas that a rollout may make and parts of a split, at first.
         """
+        check_supported(loop)
         keep_jax_programs()
-        self.loop, self.seed = loop, seed
-        devices = jax.local_devices()
-        platform = "cpu" if devices[0].platform == "cpu" else "gpu"
-        streams = streams or (max(len(devices), available_cores()) if platform == "cpu" else len(devices))
-        self._devices = [devices[stream % len(devices)] for stream in range(streams)]
-        self.accessible = len(loop.cells)
-        self._tables = lane_tables(loop, seed)
-        self._steps = step_bucket(loop.max_steps, self._tables.size)
-        fit = BOARD_BYTES[platform] // (BYTES_A_CELL * self._tables.size)
-        lanes = lanes or 1 << (min(max(fit, LEAST_LANES), MOST_LANES[platform]).bit_length() - 1)
-        self.pace = pace_of(lanes, self._tables.size, attentive=loop.policy is not None)
-        self.lanes, self._streams = lanes, streams
-        self.least = -(-GENERATIONS * lanes * streams // BLOCK) * BLOCK
-        self._room = max(ROBOTS_A_CALL // len(self._tables.starts), GENERATIONS * lanes)
-        self._on_device = {device: jax.device_put(self._tables, device) for device in set(self._devices)}
-        off = lanes_off(self._tables, loop, lanes)
-        self._states = [jax.device_put(off, device) for device in self._devices]
-        self._snapshots = min(lanes, MOST_SNAPSHOTS)
-        self._nominal = nominal_of(loop, self._snapshots - 1)
+        self.loop, self.seed, self.accessible = loop, seed, loop.accessible
+        local = jax.local_devices()[:devices]
+        platform = "cpu" if local[0].platform == "cpu" else "gpu"
+        self.lanes, self._devices = lanes or LANES[platform], len(local)
+        self.least = -(-BATCH * self.lanes * self._devices // BLOCK) * BLOCK
+        self._mesh = Mesh(np.array(local), (AXIS,))
+        self._whole, self._shared = (NamedSharding(self._mesh, PartitionSpec(*axis)) for axis in ((), (AXIS,)))
+        self.host = HostBook(loop)
+        self._room, self._parts = room, parts
+        self._start()
+
+    def _start(self) -> None:
+        """Find the snapshots at which lanes begin, with more room if it takes more."""
+        while True:
+            try:
+                return self._find_snapshots()
+            except _NoRoom:
+                self._room, self._parts = 2 * self._room, 2 * self._parts
+
+    def _find_snapshots(self) -> None:
+        """Roll out the run without losses: one lane halts after each event."""
+        loop, host, D, B = self.loop, self.host, self._devices, self.lanes
+        K, lane = padded_team(loop.robots), first_lane(host, self._room)
+        owned = np.full(len(host.bits.rows), -1, np.int32)
+        if len(loop.tables.given):
+            for robot in range(loop.robots):
+                mine = np.flatnonzero(loop.tables.owner == robot)
+                owned[mine[:-1]] = mine[1:]
+        self._homes: Homes | None = None
+        self._device_book = DeviceBook(host, self._whole)
+        self._fixed: dict[str, Any] = {
+            "mask": np.int32((1 << host.shift) - 1),
+            "every": host.row_of(np.arange(host.cells)),
+            "max_steps": np.int32(loop.max_steps),
+            "quiet": np.int32(loop.tables.quiet_steps),
+            "next_of": owned,
+            "first": jax.tree.map(lambda of: np.broadcast_to(of, (B, *of.shape)).copy(), lane),
+            "before": np.zeros((B, K, 2), np.uint32),
+            "milestones": np.zeros(K, np.int32),
+        }
+        if loop.comes_home:
+            t, pad = loop.tables, (0, K - loop.robots)
+            wide = host.words * WORD_BITS
+            self._homes = on_host(
+                Homes,
+                of=np.pad(t.home_of, pad).astype(np.int32),
+                steps=np.pad(t.home_steps, ((0, 0), (0, wide - host.cells)), constant_values=-1).astype(np.int32),
+                range=np.pad(np.minimum(t.range, LIMITLESS), pad).astype(np.int32),
+                last=np.int32(t.last_step),
+                recharge=np.int32(t.recharge),
+                turnings=0,
+            )
+            self._homes = jax.device_put(self._homes, self._whole)
+        self._fixed = jax.device_put(self._fixed, self._whole)
+        count = np.arange(D * B, dtype=np.int32) % B
+        given = jax.tree.map(lambda of: np.broadcast_to(of, (D * B, *of.shape)).copy(), lane)
+        self._lanes = jax.device_put(replace(given, fuel=count, number=count), self._shared)
+        self._begun = nothing_begun(loop, B)
+        _, (rows, *_) = self._roll_out(self._batch(np.zeros(0, np.int64))[0])
+        halted = jax.tree.map(lambda of: np.array(of[:B]), self._lanes)
+        ends = halted.mode == OFF
+        last = int(ends.argmax()) if ends.any() else B - 1
+        follow_nominal(host, self._begun, rows)
+        keys = halted.key.min(axis=1)[:last].astype(np.int64)
+        # That all return to base is an event of the end of a step which shows in the next key alone.
+        keys = np.minimum.accumulate(keys[::-1])[::-1]
+        marks = [self._milestones(halted, rows, robot, keys, last) for robot in range(K)]
+        left = (halted.left[..., 0].astype(np.int64) << 32) + halted.left[..., 1]
+        halted = replace(
+            halted, mode=np.where(ends, DONE, RUN), fuel=np.full(B, 2**30, np.int32),
+            left=np.zeros_like(halted.left),
+        )  # fmt: skip
+        some = {"first": halted, "before": two_words(ENDLESS - left), "milestones": np.array(marks, np.int32)}
+        self._fixed |= jax.device_put(some, self._whole)
+        self._lanes = replace(self._lanes, mode=jax.device_put(np.full(D * B, OFF, np.int32), self._shared))
+
+    def _milestones(
+        self, halted: Lanes, rows: NDArray[np.uint32], robot: int, keys: NDArray[np.int64], last: int
+    ) -> int:
+        """The entry that tells from a robot's threshold the last snapshot before its loss in the run without losses.
+
+        `keys`: of the event after each snapshot but the last.
+        """
+        host = self.host
+        walks = rows[rows[:, 0] == last << 10 | robot, 1:].astype(np.int64)
+        walks[:, 1] = walks[:, 1].astype(np.int32)
+        walks[:, 2] &= FINAL - 1
+        if halted.mode[last] == RUN:  # the walk that it is on has begun before the last snapshot
+            walks = np.append(walks, [halted.robots[last, robot, [WALK, SINCE, LAST]]], axis=0)
+        marks, exposure = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+        for entry, since, moves in walks.tolist():
+            first, count = host.entries.rows[entry, [FIRST, COUNT]].tolist()
+            at_ = host.at.rows[first : first + count]
+            some = at_ <= moves
+            exposure.append(np.diff(host.sums.rows[first - 1 : first + count])[some])
+            marks.append(np.searchsorted(keys, (since + at_[some].astype(np.int64)) * stride_of(self.loop) + robot))
+        return host.add_milestones(last, np.concatenate(marks), np.concatenate(exposure))
+
+    def book(self) -> Book:
+        """The book on the devices, as it is by now."""
+        tables = self._device_book.tables()
+        halvings = max(6, (self.host.most_visits.bit_length() + 2) // 2 * 2)
+        homes = self._homes
+        if homes is not None:
+            homes = replace(homes, turnings=max(8, (self.host.longest.bit_length() + 4) // 4 * 4))
+        fields: dict[str, Any] = tables | self._fixed | {"homes": homes}
+        return Book(**fields, halvings=halvings, parts=self._parts)
+
+    def _batch(self, ids: NDArray[np.int64]) -> tuple[Batch, NDArray[np.int64]]:
+        """A batch of these rollouts, shared out among the devices, and the place of each of them."""
+        D, K, B, W = self._devices, padded_team(self.loop.robots), self.lanes, self.host.words
+        room, each = BATCH * B, -(-len(ids) // D)
+        number = np.arange(len(ids))
+        places = number // max(each, 1) * room + number % max(each, 1)
+        queue = np.zeros(D * room, np.int64)
+        queue[places] = ids
+        put = partial(jax.device_put, device=self._shared)
+        if self.loop.bearing.is_even:
+            left = put(thresholds(self.seed, put(queue.astype(np.uint32)), K))
+        else:  # robots that wear, or differ in susceptibility
+            drawn = self.loop.bearing.tolerances(self.seed, queue, self.loop.robots)
+            left = put(two_words(np.pad(drawn, ((0, 0), (0, K - drawn.shape[1])))))
+        rows = (LOG_ROUNDS + 1) * rows_of_round(self.loop.comes_home, B, K)
+        made = on_host(
+            Batch,
+            left=left,
+            count=np.clip(len(ids) - each * np.arange(D), 0, each).astype(np.int32),
+            next=np.zeros(D, np.int32),
+            begun=np.zeros(D * room, np.int32),
+            ended=on_host(
+                Ended,
+                numbers=np.zeros((D * room, NUMBERS), np.int32),
+                visited=np.zeros((D * room, W), np.uint32),
+                survived=np.zeros((D * room, W), np.uint32),
+            ),
+            log=on_host(Log, rows=np.zeros((D * rows, 4), np.uint32), used=np.zeros(D, np.int32)),
+        )
+        return put(made), places
+
+    def _roll_out(self, batch: Batch) -> tuple[Batch, list[NDArray[np.uint32]]]:
+        """Roll out a batch: with its results, and the rows of each device's log. Raises _NoRoom."""
+        program = _program(self._mesh)
+        logs: list[list[NDArray[np.uint32]]] = [[] for _ in range(self._devices)]
+        while True:
+            self._lanes, batch = program(self.book(), self._lanes, batch)
+            # What is read is copied: the program is given the memory back.
+            used, mode, fuel = (np.array(of) for of in (batch.log.used, self._lanes.mode, self._lanes.fuel))
+            rows = np.asarray(batch.log.rows).reshape(self._devices, -1, 4)
+            for device, log in enumerate(logs):
+                log.append(rows[device, : used[device]].copy())
+            if (mode == FULL).any():
+                raise _NoRoom
+            missing = mode == MISSING
+            goes_on = (((mode == RUN) & (fuel > 0)) | missing | (mode == DONE)).any()
+            if not goes_on and (np.asarray(batch.next) >= np.asarray(batch.count)).all():
+                return batch, [np.concatenate(log) for log in logs]
+            if missing.any():
+                self._find(np.asarray(self._lanes.asked)[missing])
+                mode = jax.device_put(np.where(missing, RUN, mode), self._shared)
+                self._lanes = replace(self._lanes, mode=mode)
+            none = jax.device_put(np.zeros(self._devices, np.int32), self._shared)
+            batch = replace(batch, log=replace(batch.log, used=none))
+
+    def _find(self, asked: NDArray[np.uint32]) -> None:
+        """Add the entries that lanes miss to the book."""
+        for *row, salt in np.unique(asked, axis=0).tolist():
+            self.host.look_up(salt, np.array(row, np.uint32))
 
     def tally(self, start: int, count: int) -> Tally:
         """The tally of rollouts `start .. start + count - 1`."""
@@ -303,127 +419,63 @@ class JaxClosedLoop:
 
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
         """The tally and the single results of those rollouts: one pass gives both."""
-        parts = share_out(start, count, self._streams, 1)
-        _ = self._start  # before the streams, which share it
-        with ThreadPoolExecutor(max(len(parts), 1)) as pool:
-            done = list(pool.map(lambda stream: self._stream(stream, *parts[stream]), range(len(parts))))
-        rows = np.concatenate([rows for _, rows in done])
-        tally = tally_from(self.loop, self.seed, start, count, [counts for counts, _ in done])
-        own = columns_of(self._tables)
-        return tally, results_from(start, rows[:, :own], _whole(rows[:, own:]))
+        counting = Counting(self.loop, self._begun)
+        numbers, worth = np.zeros((count, NUMBERS), np.int32), np.zeros((count, 2 * counting.weighs), np.int64)
+        room = BATCH * self.lanes * self._devices
+        for first in range(0, count, room):
+            some = slice(first, min(first + room, count))
+            numbers[some], begun, logs, device = self._batch_of(np.arange(start + some.start, start + some.stop))
+            for one, rows in enumerate(logs):
+                mine = np.flatnonzero(device == one) + first
+                worth[mine] = counting.add(self.host, rows, begun[mine - first])
+        counting.add_numbers(numbers)
+        tally = tally_from(self.loop, self.seed, start, count, [counting.counts])
+        own = NUMBERS if self.loop.comes_home else NUMBERS - 1
+        return tally, results_from(start, numbers[:, :own], worth)
 
-    @cached_property
     @fixed_flags()
-    def _start(self) -> tuple[Lanes, NDArray[np.int32]]:
-        """Lanes (NumPy) at the steps at which rollouts begin, and what one comes to that is never hit.
-
-        One call, with threats that stop nobody; the last snapshot is that of the whole run, and nobody begins there.
-        """
-        tables, nominal = self._tables, self._nominal
-        halts = np.zeros(self.lanes, dtype=np.int32)
-        halts[: len(nominal.begins)], halts[self._snapshots - 1] = nominal.begins, -1
-        lanes = halted(tables, self.loop, halts)
-        no_threats: HostArrays = {"exposure": np.zeros_like(tables.exposure)}
-        nobody = np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros((0, self.loop.robots), np.int64)
-        given = replace(tables, **no_threats), first_lanes(lanes, self._snapshots), lanes
-        safe, snapshots, lanes = jax.device_put(given, self._devices[0])
-        lanes, results = self._call(safe, snapshots, lanes, nobody, self._nothing())
-        return first_lanes(jax.tree.map(np.asarray, lanes), self._snapshots), results[self._snapshots - 1]
-
-    def _nothing(self) -> tuple[NDArray[np.int64], ...]:
-        """Visits by cell and kind, and by step and kind: none; and survived visits, where they are counted."""
-        none = no_sums(self._tables, self._steps, 1)
-        return tuple(jax.tree.leaves(jax.tree.map(np.int64, (none.by_cell, none.by_step, none.passes))))
-
-    @fixed_flags()  # a thread has its own
-    def _stream(self, stream: int, start: int, count: int) -> tuple[Counts, NDArray[np.int32]]:
-        """One stream's ids: those that are hit run in lanes, call after call."""
-        (snapshots, never_hit), device = self._start, self._devices[stream]
-        given = self._on_device[device], jax.device_put(snapshots, device)
-        counts, rows, nominal = self._nothing(), np.tile(never_hit, (count, 1)), self._nominal
-        begun = np.zeros(len(nominal.begins), dtype=np.int64)
-        for at in range(0, count, self._room):
-            ids = np.arange(start + at, start + min(at + self._room, count))
-            left = self.loop.bearing.tolerances(self.seed, ids, self.loop.robots)
-            first = nominal.first_hits(left)
-            hit = first < NO_HIT
-            begin_at = nominal.begin_of[first[hit]]
-            begun += np.bincount(begin_at, minlength=len(begun))
-            # Who is never hit did what the nominal run does, and is counted with it.
-            if hit.any():
-                waiting = ids[hit], begin_at, left[hit] - nominal.before[begin_at]
-                self._states[stream], results = self._call(*given, self._states[stream], waiting, counts)
-                rows[ids[hit] - start] = results[: len(begin_at)]
-        nominal.count(begun, count - int(begun.sum()), *counts)
-        return self._counted(rows, *counts), rows
-
-    def _call(
-        self,
-        tables: LaneTables,
-        snapshots: Lanes,
-        lanes: Lanes,
-        waiting: tuple[NDArray[np.int64], NDArray, NDArray[np.int64]],
-        counts: tuple[NDArray[np.int64], ...],
-    ) -> tuple[Lanes, NDArray[np.int32]]:
-        """One dispatch (more only after MOST_MOVES) for the rollouts that wait: lanes, and results.
-
-        Visits are added to `counts`, by cell and by step. `waiting`: ids, snapshots, and what robots still bear.
-        """
-        queue = queue_of(self._room, len(self._tables.starts), *waiting)
-        none = sums = no_sums(self._tables, self._steps, self._room)
+    def _batch_of(self, ids: NDArray[np.int64]) -> tuple[NDArray, NDArray, list[NDArray[np.uint32]], NDArray]:
+        """Of a batch: results `[n, NUMBERS]`, snapshots `[n]`, the log of each device, and the device of each."""
         while True:
-            lanes, sums = _program(self.pace)(tables, snapshots, lanes, sums, queue)
-            for total, one in zip(counts, (sums.by_cell, sums.by_step, sums.passes), strict=False):
-                total += np.asarray(one)
-            if (np.asarray(lanes.mode) == OFF).all() and sums.next >= queue.count:
-                return lanes, np.asarray(sums.results)
-            # Counts are 32 bits wide: they are taken over, and the call goes on from empty ones.
-            sums = replace(none, results=sums.results, next=sums.next)
-
-    def _counted(
-        self,
-        rows: NDArray[np.int32],
-        by_cell: NDArray[np.int64],
-        by_step: NDArray[np.int64],
-        passes: NDArray[np.int64] | None = None,
-    ) -> Counts:
-        """What the compiled simulator counts of the same rollouts; rows int32 `[count, COLUMNS]`."""
-        loop, accessible = self.loop, len(self.loop.cells)
-        cells, steps = by_cell.reshape(-1, CELL_KINDS)[:accessible], by_step.reshape(-1, STEP_KINDS)
-
-        def of_kind(visits: NDArray[np.int64], bit: int) -> NDArray[np.int64]:
-            return visits[:, (np.arange(visits.shape[1]) & bit) != 0].sum(axis=1)
-
-        def histogram(column: int, bins: int) -> NDArray[np.int64]:
-            return np.bincount(rows[:, column], minlength=bins).astype(np.int64)
-
-        counts = make_counts(accessible, accessible, loop.robots, self._steps - 1)
-        covered, new = of_kind(cells, NEW_VISITED), of_kind(steps, NEW_VISITED)
-        if passes is not None:
-            kept = passes.reshape(-1, MOST_PASSES)[:accessible]
-            kept[:, 0] += len(rows) * np.isin(loop.cells, known_cells(loop)[1])
-            counts = counts._replace(passes=kept)
-        if loop.comes_home:
-            counts = counts._replace(home=histogram(COLUMNS, loop.robots + 1))
-        return counts._replace(
-            visits=cells.sum(axis=1),
-            stops=of_kind(cells, STOPPED),
-            covered=covered,
-            unsurvived=covered - of_kind(cells, NEW_SURVIVED),
-            time=histogram(TIME_COLUMN, self._steps),
-            new=new,
-            late=of_kind(steps, NEW_SURVIVED) - new,
-            visited=histogram(VISITED_COLUMN, accessible + 1),
-            survived=histogram(SURVIVED_COLUMN, accessible + 1),
-            alive=histogram(ALIVE_COLUMN, loop.robots + 1),
-            outcomes=histogram(OUTCOME_COLUMN, len(Outcome)),
+            try:
+                given, places = self._batch(ids)
+                batch, logs = self._roll_out(given)
+                break
+            except _NoRoom:
+                self._room, self._parts = 2 * self._room, 2 * self._parts
+                self._start()
+        return (
+            np.asarray(batch.ended.numbers)[places],
+            np.asarray(batch.begun)[places],
+            logs,
+            places // (BATCH * self.lanes),
         )
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
-        """Those rollouts in full, in the order given, a few at a time."""
-        waiting, tables = iter(rollouts), lane_tables(self.loop, self.seed, least=(TRACE_CELLS, TRACE_ROBOTS))
-        while few := list(itertools.islice(waiting, TRACED)):
-            yield from _traces(self.loop, tables, self.seed, few)
+        """Those rollouts in full, in the order given, a few at a time.
+
+        A trace is that of the simulator as Python, in which the robots are lost that the lane has lost: its moves are
+        the lane's, or an AssertionError is raised.
+        """
+        waiting = iter(rollouts)
+        while few := list(itertools.islice(waiting, BATCH * self.lanes * self._devices)):
+            numbers, _, logs, device = self._batch_of(np.array(few))
+            for place, rollout in enumerate(few):
+                rows = logs[device[place]]
+                number = place - int(np.argmax(device == device[place]))
+                yield self._trace(rollout, rows[rows[:, 0] >> 10 == number], numbers[place])
+
+    def _trace(self, rollout: int, rows: NDArray[np.uint32], numbers: NDArray[np.int32]) -> Trace:
+        robot, since = (rows[:, 0] & 1023).astype(np.int64), rows[:, 2].astype(np.int32).astype(np.int64)
+        moves, stopped = (rows[:, 3] & (FINAL - 1)).astype(np.int64), rows[:, 3] & STOPPED > 0
+        lost = set(zip(robot[stopped].tolist(), (since + moves)[stopped].tolist(), strict=True))
+        run = SingleRun(self.loop, self.seed, rollout, hit=lambda robot, step, _: (robot, step) in lost)
+        trace = play(run).trace
+        base = self.host.entries.rows[rows[:, 1], BASE]
+        ends = self.loop.cells[self.host.cell_at.rows[base + moves]]
+        if len(trace.cells) != numbers[TIME] + 1 or (trace.cells[since + moves, robot] != ends).any():
+            raise AssertionError(f"rollout {rollout}: the lane's walks are not those of the simulator")
+        return trace
 
     def until(self, step: int) -> JaxClosedLoop:
         """The same rollouts cut off at the end of `step`."""
@@ -438,55 +490,9 @@ class JaxClosedLoop:
         return self._rolling(self.loop.weighing(covered, found))
 
     def _rolling(self, loop: ClosedLoop) -> JaxClosedLoop:
-        """Another loop in as many lanes and streams."""
-        return JaxClosedLoop(loop, self.seed, streams=self._streams, lanes=self.lanes)
+        """Another loop in as many lanes and on as many devices."""
+        return JaxClosedLoop(loop, self.seed, lanes=self.lanes, devices=self._devices)
 
 
-def _whole(columns: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Sums of weights `[B, 2]`, covered and found, from the columns `[B, 2 * PIECES]` of their pieces; or none."""
-    pieces = columns.astype(np.int64).reshape(len(columns), columns.shape[1] // PIECES, PIECES)
-    return (pieces << (PIECE_BITS * np.arange(PIECES))).sum(axis=2)
-
-
-def queue_of(room: int, team: int, ids: NDArray[np.int64], begin_at: NDArray, left: NDArray[np.int64]) -> Queue:
-    """So many rollouts at most of so many robots at most (NumPy): what they still bear, int64 `[R', K']`, in words."""
-    more = (0, room - len(ids))
-    return on_host(
-        Queue,
-        rollout=np.pad(ids, more).astype(np.uint32),
-        begin_at=np.pad(begin_at, more).astype(np.int32),
-        left=two_words(np.pad(left, (more, (0, team - left.shape[1])))).reshape(room, -1),
-        count=np.int32(len(ids)),
-    )
-
-
-@fixed_flags()
-def _traces(loop: ClosedLoop, tables: LaneTables, seed: int, rollouts: Sequence[int]) -> list[Trace]:
-    """At most TRACED rollouts on one device, with a log that is made larger until everything fits."""
-    ids, team = np.resize(np.array(rollouts, dtype=np.int64), TRACED), len(tables.starts)
-    mine = queue_of(TRACED, team, ids, ids, loop.bearing.tolerances(seed, ids, loop.robots))
-    nobody = queue_of(TRACED, team, ids[:0], ids[:0], np.zeros((0, 0), np.int64))
-    pace = pace_of(TRACED, tables.size, attentive=loop.policy is not None)
-    steps, events = TRACE_STEPS, TRACE_EVENTS
-    while True:
-        lanes = lanes_of(tables, loop, ids.astype(np.uint32), empty_log(tables, loop, TRACED, steps, events))
-        sums = no_sums(tables, step_bucket(loop.max_steps, tables.size), TRACED)
-        begun = replace(lanes, left=mine.left.reshape(-1))
-        lanes, sums = jax.tree.map(np.asarray, _program(pace)(tables, lanes, begun, sums, nobody))
-        longest, most = int(sums.results[:, TIME_COLUMN].max()) + 1, int(lanes.log.count.max())
-        # What did not fit was counted, not kept.
-        if longest <= steps and most <= events:
-            return [_trace(loop, lanes.log, lane, one, sums.results[lane]) for lane, one in enumerate(rollouts)]
-        steps, events = 1 << max(longest, steps).bit_length(), 1 << max(most, events).bit_length()
-
-
-def _trace(loop: ClosedLoop, log: Log, lane: int, rollout: int, result: NDArray[np.int32]) -> Trace:
-    """One lane's log (NumPy) as a trace."""
-    frames, events, cell_ids = (
-        np.array(flat).reshape(TRACED, -1, *flat.shape[1:])[lane] for flat in (log.frames, log.events, log.cell_ids)
-    )
-    frames = frames[: int(result[TIME_COLUMN]) + 1, :, : loop.robots]
-    if loop.state is not None:
-        frames[: loop.state.step + 1] = first_frames(loop.state, loop.cells)
-    happened, area_of = events[: log.count[lane]], cell_ids[: len(loop.cells)]
-    return trace_from(loop, rollout, frames, happened, area_of, Outcome(int(result[OUTCOME_COLUMN])))
+class _NoRoom(Exception):
+    """A rollout made more areas than there is room for."""

@@ -1,0 +1,365 @@
+"""The book of a closed loop: what robots do between two decisions, found once on the host and kept as arrays.
+
+A decision is local: how a set of cells is covered from a cell, how a cell is reached, into which parts a set falls.
+Histories are many, decisions are few: a million rollouts hardly ever have more than some thousand. Each is an *entry*
+of the book. Entries that are *walks* have rows: row `base + o` of `prefix` holds the cells entered by their move o, as
+bits. Tables only grow. Axis letters: `A` accessible cells, `W` words of bits, `N` entries, `R` rows of all walks, `D`
+dangerous visits of all walks, `P` pieces, `H` buckets of the hash table. NumPy and Numba alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.arguments import argument
+from planner.errors import WorldError
+from planner.rollouts.interpreted import interpreted
+from planner.rollouts.loop import ClosedLoop
+from planner.simulator.codes import NONE
+from planner.simulator.jit import compiled
+from planner.simulator.state import AREA_BITS, SURVIVED, VISITED
+
+WORD_BITS = 32
+SPLIT, HALVE, HOMEWARD = 2**32 - 1, 2**32 - 2, 2**32 - 3
+"""In the place of the cell that a walk begins at: the parts of a set; the same, bisected if it is one part; the way
+from the set's one cell to a base of the first set of bases, of the next one a number less."""
+NOWHERE = 0
+"""The entry of no walk: of robots that stay where they are."""
+BASE, LENGTH, END, FIRST, COUNT, PIECE, PARTS, BISECTED, COLUMNS = range(9)
+"""Columns of `entries`: first row, moves, last cell; first and number of its dangerous visits; of a split: its first
+piece, how many there are, and whether one part was bisected."""
+CELLS = 2**31
+"""More than any cell: what a walk begins at is below."""
+NEVER = 2**30
+"""Later than every step, and more than every cost."""
+BUCKET = 4
+"""Entries that a bucket of the hash table has room for: as many tags, then their entries."""
+WORDS = (5, 10, 13, 16, 20, 26, 32, 40, 52, 64, 80, 96, 128, 160, 200, 256, 320)
+"""Words of bits are padded to one of these, so that programs are compiled for few sizes."""
+MOST_BYTES = 2**31
+"""Memory that a book may take up."""
+M1, M2, M3 = np.uint32(0x9E3779B1), np.uint32(0x85EBCA77), np.uint32(0xC2B2AE3D)
+
+
+def mixed(words, salt):  # type: ignore[no-untyped-def]
+    """(bucket, tag), uint32 `[..]`, of sets of cells `[.., W]` and salts `[..]`, uint32; NumPy and JAX alike.
+
+    The tag is never 0. Equal tags are told apart by the sets themselves.
+    """
+    place = np.arange(1, words.shape[-1] + 1, dtype=np.uint32)
+    with np.errstate(over="ignore"):
+        word = (words ^ (place * M2)) * (place * M1 | np.uint32(1))
+        word = (word ^ word >> 15) * M3
+        one = word.sum(axis=-1, dtype=np.uint32) + salt * M2
+        two = (word ^ word >> 13).sum(axis=-1, dtype=np.uint32) ^ salt * M1
+        one, two = (one ^ one >> 16) * M1, (two ^ two >> 15) * M3
+    return one ^ one >> 15, (two ^ two >> 16) | np.uint32(1)
+
+
+@compiled
+def _cover(here, todo, sweep, cost, hop, out, ends):  # type: ignore[no-untyped-def]
+    """Algorithm 3: write the cells entered from `here` to cover `todo` (bool, used up) into `out`; how many.
+
+    `ends`: bool, whether a leg ends there. Returns NONE where `out` has no room for them.
+    """
+    size, left = 0, 0
+    for cell in range(len(todo)):
+        left += todo[cell]
+    while left > 0:
+        target = -1
+        for side in range(4):
+            cell = sweep[here, side]
+            if target < 0 and cell < len(todo) and todo[cell]:
+                target = cell
+        if target < 0:
+            for cell in range(len(todo)):
+                if todo[cell] and (target < 0 or cost[here, cell] < cost[here, target]):
+                    target = cell
+        while here != target:
+            here = hop[target, here]
+            if size == len(out):
+                return -1
+            out[size], ends[size] = here, here == target
+            size += 1
+        todo[target] = False
+        left -= 1
+    return size
+
+
+@compiled
+def _enter(cells, rows):  # type: ignore[no-untyped-def]
+    """Fill the rows `[M + 1, W]` of a walk that enters the cells `[M]`; -1: it waits."""
+    for step in range(len(cells)):
+        rows[step + 1] = rows[step]
+        if cells[step] >= 0:
+            rows[step + 1, cells[step] >> 5] |= np.uint32(1) << np.uint32(cells[step] & 31)
+
+
+@compiled
+def _need(here, cells, ends, home, rows):  # type: ignore[no-untyped-def]
+    """Fill the rows `[M + 1]` of a walk: the moves after its begin that a robot needs to make each move.
+
+    It needs to be within range of a base (`home` `[A]`, moves from each cell) from every cell of the leg's rest. Each
+    row has the most up to then; row 0 is of a move that stays. ends: bool `[M]`, where legs end.
+    """
+    rows[0] = home[here] + 1
+    most = 0
+    for move in range(len(cells), 0, -1):
+        most = 0 if ends[move - 1] else most
+        if home[cells[move - 1]] >= 0:
+            most = max(most, home[cells[move - 1]] + move)
+        rows[move] = most
+    for move in range(2, len(cells) + 1):
+        rows[move] = max(rows[move], rows[move - 1])
+
+
+@compiled
+def _reach(cells, cost, hop, target, steps):  # type: ignore[no-untyped-def]
+    """Of a piece: the cell that is the cheapest to reach from each cell, and the moves of the way to it; NONE: none."""
+    size = len(cost)
+    least = np.full(size, 2**62, dtype=np.int64)
+    target[:size] = -1
+    for cell in cells:  # entering any of them costs the same, so the costs the other way round rank alike
+        for here in range(size):
+            if 0 <= cost[cell, here] < least[here]:
+                least[here], target[here] = cost[cell, here], cell
+    steps[:size] = -1
+    way = np.empty(size, dtype=np.int64)
+    for first in range(size):
+        here, count = first, 0
+        while target[here] >= 0 and steps[here] < 0:
+            if here == target[here]:
+                steps[here] = 0
+                break
+            way[count] = here
+            count += 1
+            # All cells of a way go to its end: another cell of the piece that is as near is of a higher index.
+            here = hop[target[here], here]
+        for place in range(count - 1, -1, -1):
+            steps[way[place]] = steps[hop[target[way[place]], way[place]]] + 1
+
+
+class Grown:
+    """A table whose first axis doubles, so that programs are compiled for few sizes."""
+
+    def __init__(self, room: int, width: tuple[int, ...], dtype: type) -> None:
+        self.rows: NDArray = np.zeros((room, *width), dtype=dtype)
+        self.used = 0
+
+    def add(self, values: NDArray) -> int:
+        """Append the rows; where they begin."""
+        begin = self.used
+        while begin + len(values) > len(self.rows):
+            self.rows = np.concatenate([self.rows, np.zeros_like(self.rows)])
+        self.rows[begin : begin + len(values)] = values
+        self.used += len(values)
+        return begin
+
+
+class HostBook:
+    """The tables of one closed loop, on the host.
+
+    Attributes:
+        cells, words: A, W. entries: int32 `[N, COLUMNS]`; sets, salts: uint32 `[N, W]`, `[N]`, the keys of entries.
+        prefix: uint32 `[R, W]`; cell_at: int32 `[R]`, where a robot is, NONE where it waits on its way.
+        shift: costs of pieces hold their level above so many bits.
+        sums: int64 `[D]`, hazard along the walk up to and with each dangerous visit, a zero before the first; at: int32
+            `[D]`, the move of each.
+        bits: uint32 `[P, W]`, pieces: sets of cells that are or were areas, those of the plan first. cost: int32
+            `[P, A']`, from each cell, its level on top, NEVER if it is out of reach; target: int32, to which of its
+            cells; steps: int32, moves there.
+        need: int32 `[R, S]`, by set of bases, moves from the walk's begin on without which a robot returns to base
+            before that move; no column where none does.
+        buckets: uint32 `[H, 2 * BUCKET]`.
+    """
+
+    def __init__(self, loop: ClosedLoop) -> None:
+        t, self.loop = loop.tables, loop
+        self.cells = len(loop.cells)
+        least = -(-self.cells // WORD_BITS)
+        self.words = next((words for words in WORDS if words >= least), least)
+        wide, room = self.words * WORD_BITS, 2**15 if self.words <= WORDS[0] else 2**16
+        self.entries = Grown(room // 32, (COLUMNS,), np.int32)
+        self.sets, self.salts = Grown(room // 32, (self.words,), np.uint32), Grown(room // 32, (), np.uint32)
+        self.prefix, self.cell_at = Grown(room, (self.words,), np.uint32), Grown(room, (), np.int32)
+        self.sums, self.at = Grown(room, (), np.int64), Grown(room, (), np.int32)
+        self.bits = Grown(2**10, (self.words,), np.uint32)
+        self.cost, self.target, self.steps = (Grown(2**10, (wide,), np.int32) for _ in range(3))
+        self.need = Grown(room, (len(t.home_steps),), np.int32)
+        self.longest = 1
+        self.buckets = np.zeros((room // 16, 2 * BUCKET), dtype=np.uint32)
+        self.most_visits = 1
+        self.shift = int(t.cost_to.max(initial=0)).bit_length()
+        if int(t.level.max()) + 1 << self.shift > NEVER:
+            raise WorldError(
+                f"costs of up to {int(t.cost_to.max()):,} on {int(t.level.max()) + 1} levels",
+                expected="a product below 2**30 for the closed loop in JAX",
+                fix=f"use {argument('engine', 'numba')}, or fewer {argument('levels')}",
+            )
+        self._path = np.empty(64 * self.cells + 64, dtype=np.int64)
+        self.level = np.empty(self.cells, dtype=np.int64)
+        self.add_walk(0, np.zeros(0, dtype=np.int64))
+        for area, level in enumerate(t.level):
+            mine = t.order[t.begin[area] : t.begin[area + 1]]
+            self.level[mine] = level
+            self._add_piece(np.sort(mine))
+
+    @property
+    def tables(self) -> dict[str, Grown]:
+        """All tables but the buckets, by name."""
+        return {name: value for name, value in vars(self).items() if isinstance(value, Grown)}
+
+    def row_of(self, cells: NDArray) -> NDArray[np.uint32]:
+        """The set of these cells, uint32 `[W]`."""
+        whole = np.zeros(self.words * WORD_BITS, dtype=np.bool_)
+        whole[cells] = True
+        return np.packbits(whole, bitorder="little").view("<u4").astype(np.uint32)
+
+    def cells_of(self, row: NDArray[np.uint32]) -> NDArray[np.int64]:
+        """The cells of a set, rising."""
+        return np.flatnonzero(np.unpackbits(row.astype("<u4").view(np.uint8), bitorder="little"))
+
+    def look_up(self, salt: int, row: NDArray[np.uint32]) -> int:
+        """The entry of a set and a salt (a cell, SPLIT or HALVE), which is found and added if it is new."""
+        bucket, tag = mixed(row, np.uint32(salt))
+        there = self.buckets[int(bucket) & (len(self.buckets) - 1)]
+        for entry in there[BUCKET:][there[:BUCKET] == tag].tolist():
+            if self.salts.rows[entry] == salt and (self.sets.rows[entry] == row).all():
+                return int(entry)
+        cells = self.cells_of(row)
+        if salt >= HALVE:
+            entry = self._add_split(cells, salt == HALVE)
+        elif salt >= CELLS:
+            entry = self.add_walk(int(cells[0]), self.way_home(int(cells[0]), HOMEWARD - salt))
+        else:
+            entry = self.add_walk(salt, *self.path(salt, cells))
+        self.sets.rows[entry], self.salts.rows[entry] = row, salt
+        self._put(entry, int(bucket), int(tag))
+        return entry
+
+    def _put(self, entry: int, bucket: int, tag: int) -> None:
+        there = self.buckets[bucket & (len(self.buckets) - 1)]
+        # Two sets with one tag in one bucket would hide each other: a larger table parts them.
+        if (there[:BUCKET] > 0).all() or (there[:BUCKET] == tag).any():
+            self.buckets = np.zeros((2 * len(self.buckets), 2 * BUCKET), dtype=np.uint32)
+            keyed = np.flatnonzero(self.sets.rows[: self.sets.used].any(axis=1))
+            for known, *key in zip(keyed.tolist(), *mixed(self.sets.rows[keyed], self.salts.rows[keyed]), strict=True):
+                self._put(known, *map(int, key))
+            return
+        place = int((there[:BUCKET] > 0).sum())
+        there[place], there[BUCKET + place] = tag, entry
+
+    def way_home(self, here: int, bases: int) -> NDArray[np.int64]:
+        """The cells entered from `here` to the base of this set of bases."""
+        t, way = self.loop.tables, []
+        while t.home_steps[bases, here] > 0:
+            here = int(t.onward[bases, here])
+            way.append(here)
+        return np.array(way, dtype=np.int64)
+
+    def path(self, here: int, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], None, NDArray[np.bool_]]:
+        """The cells entered from `here` to cover these, and where legs end; to reach one is to cover it."""
+        t = self.loop.tables
+        while True:
+            todo = np.zeros(self.cells, dtype=np.bool_)
+            todo[cells] = True
+            ends = np.zeros(len(self._path), dtype=np.bool_)
+            size = _cover(np.int64(here), todo, t.sweep, t.cost_to, t.hop_to, self._path, ends)
+            if size >= 0:
+                return self._path[:size].copy(), None, ends[:size]
+            self._path = np.empty(2 * len(self._path), dtype=np.int64)
+
+    def add_walk(
+        self,
+        here: int,
+        cells: NDArray[np.int64],
+        waits: NDArray[np.bool_] | None = None,
+        ends: NDArray[np.bool_] | None = None,
+    ) -> int:
+        """The entry of a walk from `here` through the cells, without a key.
+
+        waits: bool `[M]`, where it stays and enters no cell; None: nowhere. ends: where legs end; None: at the end.
+        """
+        entered = cells if waits is None else np.where(waits, NONE, cells)
+        rows = np.zeros((len(entered) + 1, self.words), dtype=np.uint32)
+        _enter(entered, rows)
+        base = self.prefix.add(rows)
+        self.cell_at.add(np.append(here, entered))
+        self.longest = max(self.longest, len(cells))
+        need = np.zeros((len(cells) + 1, len(self.loop.tables.home_steps)), dtype=np.int32)
+        for bases, home in enumerate(self.loop.tables.home_steps):
+            _need(here, cells, np.arange(len(cells)) == len(cells) - 1 if ends is None else ends, home, need[:, bases])
+        self.need.add(need)
+        end = int(cells[-1]) if len(cells) else here
+        moves = np.flatnonzero((entered >= 0) & (self.loop.tables.bound[cells] > 0))
+        self.most_visits = max(self.most_visits, len(moves))
+        first = self.add_visits(moves + 1, self.loop.tables.exposure[entered[moves]])
+        return self._add_entry(base, len(entered), end, first, len(moves))
+
+    def add_visits(self, moves: NDArray[np.int64], exposure: NDArray[np.int64]) -> int:
+        """Append the dangerous visits of a walk; where they begin."""
+        self.at.add(np.append(0, moves))
+        return self.sums.add(np.append(0, np.cumsum(exposure))) + 1
+
+    def _add_entry(self, *columns: int) -> int:
+        self._check_room()
+        self.sets.add(np.zeros((1, self.words), dtype=np.uint32))
+        self.salts.add(np.zeros(1, dtype=np.uint32))
+        return self.entries.add(np.array([[*columns, *[0] * (COLUMNS - len(columns))]]))
+
+    def add_milestones(self, length: int, marks: NDArray[np.int64], exposure: NDArray[np.int64]) -> int:
+        """An entry that tells from a threshold which of the rising marks is reached; `length` if none is."""
+        return self._add_entry(0, length, 0, self.add_visits(marks, exposure), len(marks))
+
+    def _check_room(self) -> None:
+        size = sum(table.rows.nbytes for table in self.tables.values())
+        if size > MOST_BYTES:
+            raise WorldError(
+                f"the decisions of this mission take up {size / 2**30:.1f} GiB",
+                expected=f"at most {MOST_BYTES / 2**30:.0f} GiB for the closed loop in JAX",
+                fix=f"use {argument('engine', 'numba')}, or coarsen the map",
+            )
+
+    def _add_piece(self, cells: NDArray[np.int64]) -> int:
+        t, wide = self.loop.tables, self.words * WORD_BITS
+        target, steps = np.full(wide, NONE, np.int32), np.full(wide, NONE, np.int32)
+        _reach(cells, t.cost_to, t.hop_to, target, steps)
+        cost = np.full(wide, NEVER, dtype=np.int64)
+        there = np.flatnonzero(target >= 0)
+        cost[there] = t.cost_to[there, target[there]].astype(np.int64) + (int(self.level[cells[0]]) << self.shift)
+        self.cost.add(cost[None])
+        self.target.add(np.maximum(target, 0)[None])
+        self.steps.add(np.where(steps < 0, NEVER, steps)[None])
+        return self.bits.add(self.row_of(cells)[None])
+
+    def _add_split(self, cells: NDArray[np.int64], halves: bool) -> int:
+        parts = list(self._components(cells))
+        bisected = halves and len(parts) == 1
+        first = self.bits.used
+        for part in self._halves(cells) if bisected else parts:
+            self._add_piece(part)
+        return self._add_entry(0, 0, 0, 1, 0, first, self.bits.used - first, bisected)
+
+    def _marked(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
+        """`State.home` in which these cells are those of area 0."""
+        home = np.full(self.cells + 1, VISITED | SURVIVED, dtype=np.int64)
+        home[cells] = 0
+        return home
+
+    def _components(self, cells: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+        home, stack, found = self._marked(cells), np.zeros(self.cells, dtype=np.int64), 0
+        for cell in cells.tolist():
+            if home[cell] == 0:
+                found += 1
+                interpreted("areas").flood(self.loop.tables.near, home, stack, cell, 0, found)
+                yield np.flatnonzero(home[:-1] == found << AREA_BITS)
+
+    def _halves(self, cells: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+        home, seen, stack = self._marked(cells), *(np.zeros(self.cells + 1, dtype=np.int64) for _ in range(2))
+        stamps = np.zeros(1, dtype=np.int64)
+        interpreted("areas").bisect(self.loop.tables.near, home, seen, stamps, stack, cells, 0, len(cells))
+        for half in range(2):
+            yield np.flatnonzero(home[:-1] == half << AREA_BITS)

@@ -1,0 +1,163 @@
+"""Counts of rollouts from the walks that their lanes have logged, on the host: by cell and by step, and by rollout."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrac_jax.closed_loop.book import BASE, HostBook
+from mrac_jax.closed_loop.events import FINAL, STOPPED
+from planner.rollouts.loop import ClosedLoop, known_cells
+from planner.simulator.jit import threaded
+from planner.simulator.state import MOST_PASSES, make_counts
+
+NO_STEP = 2**30
+"""The first visit of a cell that was not visited."""
+MOVES = FINAL - 1
+
+
+class Begun(NamedTuple):
+    """What rollouts that begin at each snapshot have done by then. Axis `M`, snapshots.
+
+    Attributes:
+        first, safe: int32 `[M, A]`, steps of the first visit and the first survived one, NO_STEP if none.
+        visits: int32 `[M, A]`; passes: uint8 `[M, A]`, survived ones, at most MOST_PASSES.
+    """
+
+    first: NDArray[np.int32]
+    safe: NDArray[np.int32]
+    visits: NDArray[np.int32]
+    passes: NDArray[np.uint8]
+
+
+def nothing_begun(loop: ClosedLoop, snapshots: int) -> Begun:
+    """Of rollouts that have entered no cell since they began."""
+    size, (visited, survived) = (snapshots, len(loop.cells)), known_cells(loop)
+    first, safe = np.full(size, NO_STEP, np.int32), np.full(size, NO_STEP, np.int32)
+    passes = np.zeros(size, np.uint8)
+    # What was covered before a mission's state is not counted here: `tally_from` adds it.
+    first[:, np.searchsorted(loop.cells, visited)] = -1
+    safe[:, np.searchsorted(loop.cells, survived)] = -1
+    passes[:, np.searchsorted(loop.cells, survived)] = 1
+    return Begun(first, safe, np.zeros(size, np.int32), passes)
+
+
+@threaded
+def _sort(rows, begins, order):  # type: ignore[no-untyped-def]
+    """Group the log's rows by rollout: `order[begins[n]:begins[n + 1]]` are those of rollout n."""
+    for row in range(len(rows)):
+        begins[(rows[row, 0] >> np.uint32(10)) + np.uint32(1)] += 1
+    for number in range(1, len(begins)):
+        begins[number] += begins[number - 1]
+    filled = begins.copy()
+    for row in range(len(rows)):
+        number = rows[row, 0] >> np.uint32(10)
+        order[filled[number]] = row
+        filled[number] += 1
+
+
+@threaded
+def _follow(rows, base, cell_at, flags, first, safe, visits, stops, passes):  # type: ignore[no-untyped-def]
+    """Enter the cells of a rollout's walks; rows with one of the `flags` are left out."""
+    for row in range(len(rows)):
+        last = rows[row, 3]
+        if last & flags:
+            continue
+        moves, stopped = np.int64(last & np.uint32(MOVES)), last & np.uint32(STOPPED) > 0
+        since, begin = np.int64(np.int32(rows[row, 2])), np.int64(base[rows[row, 1]])
+        for move in range(1, moves + 1):
+            cell = cell_at[begin + move]
+            if cell < 0:
+                continue
+            visits[cell] += 1
+            step = np.int32(since + move)
+            first[cell] = min(first[cell], step)
+            if stopped and move == moves:
+                stops[cell] += 1
+            else:
+                safe[cell] = min(safe[cell], step)
+                if passes[cell] < MOST_PASSES:
+                    passes[cell] += np.uint8(1)
+
+
+@threaded
+def _count(  # type: ignore[no-untyped-def]
+    rows, begins, order, which, base, cell_at, start, safe_start, passes_start, visits, stops, covered, unsurvived,
+    new, late, by_passes, weights, found, worth,
+):  # fmt: skip
+    """Count rollouts, of which `which[n]` began at that snapshot; `passes` and `worth` where they have rows."""
+    size = start.shape[1]
+    first, safe, passes = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.uint8)
+    for number in range(len(which)):
+        first[:], safe[:], passes[:] = start[which[number]], safe_start[which[number]], passes_start[which[number]]
+        mine = rows[order[begins[number] : begins[number + 1]]]
+        _follow(mine, base, cell_at, np.uint32(0), first, safe, visits, stops, passes)
+        for cell in range(size):
+            if 0 <= first[cell] < NO_STEP:
+                covered[cell] += 1
+                new[first[cell]] += 1
+                late[first[cell]] -= 1
+            if 0 <= safe[cell] < NO_STEP:
+                late[safe[cell]] += 1
+            unsurvived[cell] += (first[cell] < NO_STEP) - (safe[cell] < NO_STEP)
+        if len(by_passes):
+            for cell in range(size):  # with at least so many
+                for many in range(passes[cell]):
+                    by_passes[cell, many] += 1
+            for cell in range(size):
+                if first[cell] < NO_STEP:
+                    worth[number, 0] += weights[cell]
+                    worth[number, 1] += found[cell, passes[cell]]
+
+
+class Counting:
+    """Counts of one call, added up over its batches."""
+
+    def __init__(self, loop: ClosedLoop, begun: Begun) -> None:
+        size, self.loop, self.begun, self.weighs = len(loop.cells), loop, begun, loop.weights is not None
+        self.counts = make_counts(size, size, loop.robots, loop.max_steps, passes=self.weighs, home=loop.comes_home)
+
+    def add(self, book: HostBook, rows: NDArray[np.uint32], which: NDArray[np.int32]) -> NDArray[np.int64]:
+        """Count rollouts of a batch, which began at these snapshots `[n]`; the sums of their weights `[n, 2 or 0]`."""
+        c, loop = self.counts, self.loop
+        begins, order = np.zeros(len(which) + 1, np.int64), np.empty(len(rows), np.int64)
+        _sort(rows, begins, order)
+        none = np.zeros(0, np.int64)
+        weights = loop.weights
+        covered, found = (none, none[:, None]) if weights is None else (weights.covered, weights.found)
+        worth = np.zeros((len(which), 2 * self.weighs), np.int64)
+        unsurvived = np.zeros(len(loop.cells), np.int64)
+        _count(
+            rows, begins, order, which, book.entries.rows[:, BASE].copy(), book.cell_at.rows, self.begun.first,
+            self.begun.safe, self.begun.passes, c.visits, c.stops, c.covered, unsurvived, c.new, c.late, c.passes,
+            covered, found, worth,
+        )  # fmt: skip
+        visited, survived = known_cells(loop)
+        np.subtract.at(unsurvived, np.searchsorted(loop.cells, visited), len(which))
+        np.add.at(unsurvived, np.searchsorted(loop.cells, survived), len(which))
+        c.unsurvived[:] += unsurvived
+        c.visits[:] += np.bincount(which, minlength=len(self.begun.visits)) @ self.begun.visits
+        return worth
+
+    def add_numbers(self, numbers: NDArray[np.int32]) -> None:
+        """Count the results of rollouts, int32 `[n, NUMBERS]`."""
+        c = self.counts
+        for column, counted in enumerate((c.visited, c.survived, c.time, c.alive, c.outcomes)):
+            counted[:] += np.bincount(numbers[:, column], minlength=len(counted))
+        if len(c.home):
+            c.home[:] += np.bincount(numbers[:, -1], minlength=len(c.home))
+
+
+def follow_nominal(book: HostBook, begun: Begun, rows: NDArray[np.uint32]) -> None:
+    """Write into `begun` what the logs of lanes say, lane m being halted at snapshot m."""
+    begins, order = np.zeros(len(begun.first) + 1, np.int64), np.empty(len(rows), np.int64)
+    _sort(rows, begins, order)
+    stops, base = np.zeros(begun.first.shape[1], np.int64), book.entries.rows[:, BASE].copy()
+    for lane in range(len(begun.first)):
+        mine = rows[order[begins[lane] : begins[lane + 1]]]
+        _follow(
+            mine, base, book.cell_at.rows, np.uint32(FINAL), begun.first[lane], begun.safe[lane], begun.visits[lane],
+            stops, begun.passes[lane],
+        )  # fmt: skip
