@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from planner.arguments import argument
 from planner.errors import WorldError
-from planner.rollouts.interpreted import interpreted
 from planner.rollouts.loop import ClosedLoop
 from planner.simulator.codes import NONE
-from planner.simulator.jit import compiled
+from planner.simulator.jit import compiled, interpreted
 from planner.simulator.state import AREA_BITS, SURVIVED, VISITED
 
 WORD_BITS = 32
