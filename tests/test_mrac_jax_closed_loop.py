@@ -332,7 +332,7 @@ def test_sets_with_one_hash_are_told_apart(loop: ClosedLoop, monkeypatch: pytest
         bucket, tag = mixed(words, salt)
         return bucket, (tag & 15) | 1
 
-    for module in ("book", "events"):
+    for module in ("book", "lanes"):
         monkeypatch.setattr(f"mrac_jax.closed_loop.{module}.mixed", poor)
     engine_module._program.cache_clear()
     try:
@@ -485,6 +485,10 @@ def test_what_is_too_large_is_a_clear_error(loop: ClosedLoop, monkeypatch: pytes
     wide = compile_closed_loop(make_plan(world, np.array([[0, 0]])), world, tabled=False)
     with pytest.raises(WorldError, match=r"10002 of them accessible; expected at most 10000 .*engine='numba'"):
         JaxClosedLoop(wide, 1)
+    with pytest.raises(UsageError, match=r"lanes is 0; expected 1 to 131,072 on each device"):
+        JaxClosedLoop(loop, 5, lanes=0)
+    with pytest.raises(WorldError, match=r"8 robots that may run for 268,435,456 steps; .*engine='numba'"):
+        JaxClosedLoop(replace(loop, max_steps=2**28), 5)
     monkeypatch.setattr(book_module, "MOST_BYTES", 2**10)
     with pytest.raises(WorldError, match=r"the decisions of this mission take up .* GiB; expected .*engine='numba'"):
         closed_loop_engine(loop, 5, "jax")

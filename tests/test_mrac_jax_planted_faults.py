@@ -146,11 +146,11 @@ COMPILED = {
     ),
     "jax robots that act later have moved": Fault(
         "mrac_jax/closed_loop/events.py",
-        "    behind = (robots > who[:, None]) & ~late[:, None]\n",
-        "    behind = (robots > who[:, None]) & late[:, None]\n",
+        "    behind = (robots > who[:, None]) & ~(late | due)[:, None]\n",
+        "    behind = (robots > who[:, None]) & (late | due)[:, None]\n",
     ),
     "jax owner loses a turn": Fault(
-        "mrac_jax/closed_loop/events.py",
+        "mrac_jax/closed_loop/sharing.py",
         "    since = step - (owner > helper)\n",
         "    since = step\n",
     ),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrac_jax.closed_loop.book import BASE, HostBook
-from mrac_jax.closed_loop.events import FINAL, STOPPED
+from mrac_jax.closed_loop.lanes import FINAL, STOPPED
 from planner.rollouts.loop import ClosedLoop, known_cells
 from planner.simulator.jit import threaded
 from planner.simulator.state import MOST_PASSES, make_counts

@@ -19,36 +19,15 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
 from mrac_jax.arrays import on_host, threefry2x32, tolerance_words, two_words
+from mrac_jax.closed_loop import lanes as ln
 from mrac_jax.closed_loop.book import BASE, COUNT, FIRST, WORD_BITS, HostBook
 from mrac_jax.closed_loop.counting import Counting, follow_nominal, nothing_begun
-from mrac_jax.closed_loop.events import (
-    DONE,
-    FINAL,
-    FULL,
-    LAST,
-    LIMITLESS,
-    MISSING,
-    NUMBERS,
-    OFF,
-    RUN,
-    SINCE,
-    STOPPED,
-    TIME,
-    WALK,
-    Book,
-    Ended,
-    Homes,
-    Lanes,
-    Log,
-    at,
-    begin,
-    ended,
-    next_event,
-    write,
-)
+from mrac_jax.closed_loop.events import begin, ended, next_event
+from mrac_jax.closed_loop.lanes import Book, Ended, Homes, Lanes, Log, at, write
 from mrac_jax.closed_loop.start import ENDLESS, check_supported, first_lane, padded_team, stride_of
 from mrac_jax.process import fixed_flags
 from mrac_jax.runtime import keep_jax_programs
+from planner.errors import UsageError
 from planner.failure_model import key_of_luck
 from planner.ids import BLOCK
 from planner.rollouts.closed_loop import results_from, tally_from
@@ -59,6 +38,8 @@ from planner.world.world import World
 
 LANES = {"cpu": 1024, "gpu": 2**16}
 """Rollouts at a time on a device."""
+MOST_LANES = 2**17
+"""Numbers of a batch's rollouts and robots share a word of the log."""
 BATCH = 16
 """Rollouts of a batch a lane: at its end lanes run empty."""
 EVENTS, BEGIN = 8, 3
@@ -100,11 +81,13 @@ def run(book: Book, lanes: Lanes, batch: Batch) -> tuple[Lanes, Batch]:
 
     def goes_on(state: tuple[Lanes, Batch]) -> jax.Array:
         lanes, batch = state
-        waits = (lanes.mode == MISSING).sum(dtype=jnp.int32)
-        rests = ((lanes.mode == OFF) & (batch.next[0] >= batch.count[0])) | ((lanes.mode == RUN) & (lanes.fuel <= 0))
+        waits = (lanes.mode == ln.MISSING).sum(dtype=jnp.int32)
+        rests = ((lanes.mode == ln.OFF) & (batch.next[0] >= batch.count[0])) | (
+            (lanes.mode == ln.RUN) & (lanes.fuel <= 0)
+        )
         rests = rests.sum(dtype=jnp.int32)
         fits = batch.log.used[0] + needed <= batch.log.rows.shape[0]
-        return (waits * WAITING <= B) & (waits + rests < B) & fits & ~(lanes.mode == FULL).any()
+        return (waits * WAITING <= B) & (waits + rests < B) & fits & ~(lanes.mode == ln.FULL).any()
 
     def round_(state: tuple[Lanes, Batch]) -> tuple[Lanes, Batch]:
         lanes, batch = hand_over(book, *state, width)
@@ -123,13 +106,13 @@ def rows_of_round(comes_home: bool, lanes: int, robots: int) -> int:
 def hand_over(book: Book, lanes: Lanes, batch: Batch, width: int) -> tuple[Lanes, Batch]:
     """Up to `width` lanes at their end hand over their results and, like those that are off, begin the next rollout."""
     B, room = lanes.mode.shape[0], batch.left.shape[0]
-    free = (lanes.mode == DONE) | ((lanes.mode == OFF) & (batch.next[0] < batch.count[0]))
+    free = (lanes.mode == ln.DONE) | ((lanes.mode == ln.OFF) & (batch.next[0] < batch.count[0]))
     rank = jnp.cumsum(free, dtype=jnp.int32) - 1
     slot = jnp.where(free & (rank < width), rank, width)
     lane = jnp.full(width, B - 1, jnp.int32).at[slot].set(jnp.arange(B, dtype=jnp.int32), mode="drop")
     few = jax.tree.map(lambda of: at(of, lane), lanes)
     chosen = jnp.arange(width, dtype=jnp.int32) < free.sum(dtype=jnp.int32)
-    is_done = chosen & (few.mode == DONE)
+    is_done = chosen & (few.mode == ln.DONE)
     results, rows, there = ended(book, few)
     place = jnp.where(is_done, few.number, room)
     kept = jax.tree.map(lambda old, new: old.at[place].set(new, mode="drop"), batch.ended, results)
@@ -142,7 +125,7 @@ def hand_over(book: Book, lanes: Lanes, batch: Batch, width: int) -> tuple[Lanes
         return jnp.where(of.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
     few = jax.tree.map(lambda old, new: put(old, new, begins), few, new)
-    few = replace(few, mode=jnp.where(begins, few.mode, OFF))
+    few = replace(few, mode=jnp.where(begins, few.mode, ln.OFF))
     back = jnp.minimum(slot, width - 1)
     lanes = jax.tree.map(lambda old, new: put(old, at(new, back), slot < width), lanes, few)
     return lanes, replace(
@@ -240,6 +223,8 @@ class JaxClosedLoop:
             room, parts: areas that a rollout may make and parts of a split, at first.
         """
         check_supported(loop)
+        if lanes is not None and not 0 < lanes <= MOST_LANES:
+            raise UsageError(f"lanes is {lanes}", expected=f"1 to {MOST_LANES:,} on each device")
         keep_jax_programs()
         self.loop, self.seed, self.accessible = loop, seed, loop.accessible
         local = jax.local_devices()[:devices]
@@ -288,7 +273,7 @@ class JaxClosedLoop:
                 Homes,
                 of=np.pad(t.home_of, pad).astype(np.int32),
                 steps=np.pad(t.home_steps, ((0, 0), (0, wide - host.cells)), constant_values=-1).astype(np.int32),
-                range=np.pad(np.minimum(t.range, LIMITLESS), pad).astype(np.int32),
+                range=np.pad(np.minimum(t.range, ln.LIMITLESS), pad).astype(np.int32),
                 last=np.int32(t.last_step),
                 recharge=np.int32(t.recharge),
                 turnings=0,
@@ -301,7 +286,7 @@ class JaxClosedLoop:
         self._begun = nothing_begun(loop, B)
         _, (rows, *_) = self._roll_out(self._batch(np.zeros(0, np.int64))[0])
         halted = jax.tree.map(lambda of: np.array(of[:B]), self._lanes)
-        ends = halted.mode == OFF
+        ends = halted.mode == ln.OFF
         last = int(ends.argmax()) if ends.any() else B - 1
         follow_nominal(host, self._begun, rows)
         keys = halted.key.min(axis=1)[:last].astype(np.int64)
@@ -310,12 +295,12 @@ class JaxClosedLoop:
         marks = [self._milestones(halted, rows, robot, keys, last) for robot in range(K)]
         left = (halted.left[..., 0].astype(np.int64) << 32) + halted.left[..., 1]
         halted = replace(
-            halted, mode=np.where(ends, DONE, RUN), fuel=np.full(B, 2**30, np.int32),
+            halted, mode=np.where(ends, ln.DONE, ln.RUN), fuel=np.full(B, 2**30, np.int32),
             left=np.zeros_like(halted.left),
         )  # fmt: skip
         some = {"first": halted, "before": two_words(ENDLESS - left), "milestones": np.array(marks, np.int32)}
         self._fixed |= jax.device_put(some, self._whole)
-        self._lanes = replace(self._lanes, mode=jax.device_put(np.full(D * B, OFF, np.int32), self._shared))
+        self._lanes = replace(self._lanes, mode=jax.device_put(np.full(D * B, ln.OFF, np.int32), self._shared))
 
     def _milestones(
         self, halted: Lanes, rows: NDArray[np.uint32], robot: int, keys: NDArray[np.int64], last: int
@@ -327,9 +312,9 @@ class JaxClosedLoop:
         host = self.host
         walks = rows[rows[:, 0] == last << 10 | robot, 1:].astype(np.int64)
         walks[:, 1] = walks[:, 1].astype(np.int32)
-        walks[:, 2] &= FINAL - 1
-        if halted.mode[last] == RUN:  # the walk that it is on has begun before the last snapshot
-            walks = np.append(walks, [halted.robots[last, robot, [WALK, SINCE, LAST]]], axis=0)
+        walks[:, 2] &= ln.FINAL - 1
+        if halted.mode[last] == ln.RUN:  # the walk that it is on has begun before the last snapshot
+            walks = np.append(walks, [halted.robots[last, robot, [ln.WALK, ln.SINCE, ln.LAST]]], axis=0)
         marks, exposure = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         for entry, since, moves in walks.tolist():
             first, count = host.entries.rows[entry, [FIRST, COUNT]].tolist()
@@ -372,7 +357,7 @@ class JaxClosedLoop:
             begun=np.zeros(D * room, np.int32),
             ended=on_host(
                 Ended,
-                numbers=np.zeros((D * room, NUMBERS), np.int32),
+                numbers=np.zeros((D * room, ln.NUMBERS), np.int32),
                 visited=np.zeros((D * room, W), np.uint32),
                 survived=np.zeros((D * room, W), np.uint32),
             ),
@@ -391,15 +376,15 @@ class JaxClosedLoop:
             rows = np.asarray(batch.log.rows).reshape(self._devices, -1, 4)
             for device, log in enumerate(logs):
                 log.append(rows[device, : used[device]].copy())
-            if (mode == FULL).any():
+            if (mode == ln.FULL).any():
                 raise _NoRoom
-            missing = mode == MISSING
-            goes_on = (((mode == RUN) & (fuel > 0)) | missing | (mode == DONE)).any()
+            missing = mode == ln.MISSING
+            goes_on = (((mode == ln.RUN) & (fuel > 0)) | missing | (mode == ln.DONE)).any()
             if not goes_on and (np.asarray(batch.next) >= np.asarray(batch.count)).all():
                 return batch, [np.concatenate(log) for log in logs]
             if missing.any():
                 self._find(np.asarray(self._lanes.asked)[missing])
-                mode = jax.device_put(np.where(missing, RUN, mode), self._shared)
+                mode = jax.device_put(np.where(missing, ln.RUN, mode), self._shared)
                 self._lanes = replace(self._lanes, mode=mode)
             none = jax.device_put(np.zeros(self._devices, np.int32), self._shared)
             batch = replace(batch, log=replace(batch.log, used=none))
@@ -420,7 +405,7 @@ class JaxClosedLoop:
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
         """The tally and the single results of those rollouts: one pass gives both."""
         counting = Counting(self.loop, self._begun)
-        numbers, worth = np.zeros((count, NUMBERS), np.int32), np.zeros((count, 2 * counting.weighs), np.int64)
+        numbers, worth = np.zeros((count, ln.NUMBERS), np.int32), np.zeros((count, 2 * counting.weighs), np.int64)
         room = BATCH * self.lanes * self._devices
         for first in range(0, count, room):
             some = slice(first, min(first + room, count))
@@ -430,7 +415,7 @@ class JaxClosedLoop:
                 worth[mine] = counting.add(self.host, rows, begun[mine - first])
         counting.add_numbers(numbers)
         tally = tally_from(self.loop, self.seed, start, count, [counting.counts])
-        own = NUMBERS if self.loop.comes_home else NUMBERS - 1
+        own = ln.NUMBERS if self.loop.comes_home else ln.NUMBERS - 1
         return tally, results_from(start, numbers[:, :own], worth)
 
     @fixed_flags()
@@ -467,13 +452,13 @@ class JaxClosedLoop:
 
     def _trace(self, rollout: int, rows: NDArray[np.uint32], numbers: NDArray[np.int32]) -> Trace:
         robot, since = (rows[:, 0] & 1023).astype(np.int64), rows[:, 2].astype(np.int32).astype(np.int64)
-        moves, stopped = (rows[:, 3] & (FINAL - 1)).astype(np.int64), rows[:, 3] & STOPPED > 0
+        moves, stopped = (rows[:, 3] & (ln.FINAL - 1)).astype(np.int64), rows[:, 3] & ln.STOPPED > 0
         lost = set(zip(robot[stopped].tolist(), (since + moves)[stopped].tolist(), strict=True))
         run = SingleRun(self.loop, self.seed, rollout, hit=lambda robot, step, _: (robot, step) in lost)
         trace = play(run).trace
         base = self.host.entries.rows[rows[:, 1], BASE]
         ends = self.loop.cells[self.host.cell_at.rows[base + moves]]
-        if len(trace.cells) != numbers[TIME] + 1 or (trace.cells[since + moves, robot] != ends).any():
+        if len(trace.cells) != numbers[ln.TIME] + 1 or (trace.cells[since + moves, robot] != ends).any():
             raise AssertionError(f"rollout {rollout}: the lane's walks are not those of the simulator")
         return trace
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mrac_jax.closed_loop.engine import JaxClosedLoop
-from mrac_jax.closed_loop.events import DONE, RUN, TIME, Book, begin, ended, next_event
+from mrac_jax.closed_loop.events import begin, ended, next_event
+from mrac_jax.closed_loop.lanes import DONE, RUN, TIME, Book
 from planner.errors import UsageError
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop

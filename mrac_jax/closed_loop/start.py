@@ -6,35 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrac_jax.arrays import on_host, two_words
+from mrac_jax.closed_loop import lanes as ln
 from mrac_jax.closed_loop.book import BASE, END, LENGTH, NEVER, NOWHERE, HostBook
-from mrac_jax.closed_loop.events import (
-    AREA,
-    ARRIVES,
-    COVER,
-    DEAD,
-    DOING,
-    ENDS,
-    FATE,
-    FIELDS,
-    FOLLOW,
-    HERE,
-    IDENT,
-    IDLE,
-    LAND,
-    LAST,
-    LIMITLESS,
-    OUT,
-    RETURN,
-    ROW,
-    RUN,
-    SINCE,
-    START,
-    TRAVEL,
-    TURNS,
-    UNTIL,
-    WALK,
-    Lanes,
-)
+from mrac_jax.closed_loop.lanes import Lanes
 from planner.arguments import argument
 from planner.errors import UsageError, WorldError
 from planner.rollouts.closed_loop import MOST_TABLED
@@ -55,6 +29,9 @@ def check_supported(loop: ClosedLoop) -> None:
     size = f"a map of {loop.shape[0]} x {loop.shape[1]} cells, {len(loop.cells)} of them accessible"
     if not loop.tabled and not loop.learns:
         raise WorldError(size, expected=f"at most {MOST_TABLED} accessible ones for the closed loop in JAX", fix=fix)
+    if (loop.max_steps + 2) * stride_of(loop) >= NEVER:
+        problem = f"{loop.robots} robots that may run for {loop.max_steps:,} steps"
+        raise WorldError(problem, expected="a product below 2**30 for the closed loop in JAX", fix=fix)
     of_the_map = {
         "threats that change with time": len(t.phases) > 0,
         "robots that learn the map": loop.learns,
@@ -96,8 +73,8 @@ def first_lane(book: HostBook, room: int) -> Lanes:
     raw = type(state)(*(row[0] for row in state))
     given, step = len(t.level), int(raw.marks["step"])
     team, K = loop.robots, padded_team(loop.robots)
-    robots, key = np.zeros((K, FIELDS), np.int32), np.full(K, NEVER, np.int32)
-    robots[:, DOING], robots[:, AREA], robots[:, SINCE] = DEAD, -1, step - 1
+    robots, key = np.zeros((K, ln.FIELDS), np.int32), np.full(K, NEVER, np.int32)
+    robots[:, ln.DOING], robots[:, ln.AREA], robots[:, ln.SINCE] = ln.DEAD, -1, step - 1
     for number in range(team):
         robots[number], key[number] = _robot(book, raw, number, step)
     G = -(-(given + room) // AREAS) * AREAS
@@ -107,7 +84,7 @@ def first_lane(book: HostBook, room: int) -> Lanes:
     visited, survived = (book.row_of(np.searchsorted(loop.cells, known)) for known in known_cells(loop))
     return on_host(
         Lanes,
-        mode=np.int32(RUN), number=np.int32(0), fuel=np.int32(NEVER), visited=visited, survived=survived,
+        mode=np.int32(ln.RUN), number=np.int32(0), fuel=np.int32(NEVER), visited=visited, survived=survived,
         now=np.zeros_like(visited), slots=slots, made=np.int32(given), key=key, robots=robots,
         left=np.broadcast_to(two_words(np.array(ENDLESS)), (K, 2)).copy(), shared=np.zeros(2, np.int32),
         last=np.int32(step - 1 - int(raw.marks["quiet"])), outcome=np.int32(0), over=np.int32(raw.marks["over"]),
@@ -119,48 +96,48 @@ def _robot(book: HostBook, raw, number: int, step: int) -> tuple[NDArray[np.int3
     """One robot's fields and its key."""
     loop, t = book.loop, book.loop.tables
     me, begins = raw.robots[number], loop.state is None
-    cell, until = int(me["cell"]), int(min(me["until"], LIMITLESS))
-    doing, area, entry = LAND, -1, NOWHERE
+    cell, until = int(me["cell"]), int(min(me["until"], ln.LIMITLESS))
+    doing, area, entry = ln.LAND, -1, NOWHERE
     if begins:
         if len(t.given):
-            doing, path = FOLLOW, t.given[number][: int(t.length[number]) + 1].astype(np.int64)
+            doing, path = ln.FOLLOW, t.given[number][: int(t.length[number]) + 1].astype(np.int64)
             owned = np.flatnonzero(t.owner == number)
             area = int(owned[0]) if len(owned) else -1
             entry = book.add_walk(cell, path, np.append(False, path[1:] == path[:-1]))
         else:
             owned = np.flatnonzero(t.owner == number)
             if len(owned):
-                doing, area = START, int(owned[0])
+                doing, area = ln.START, int(owned[0])
             entry = book.add_walk(cell, np.array([cell]))
     else:
         robot = loop.state.robots[number]  # type: ignore[union-attr]
         if number in members(raw.movers):
-            doing, area = {"covering": COVER, "returning": RETURN}.get(robot.status, TRAVEL), int(robot.area)
+            doing, area = {"covering": ln.COVER, "returning": ln.RETURN}.get(robot.status, ln.TRAVEL), int(robot.area)
             entry = _rest_of(book, raw, number, cell)
         elif number in members(raw.waiting):
-            doing = IDLE
+            doing = ln.IDLE
         else:
-            doing = OUT if robot.alive else DEAD
+            doing = ln.OUT if robot.alive else ln.DEAD
     base, length, end = book.entries.rows[entry, [BASE, LENGTH, END]].tolist()
     since = step - 1
-    fate, last, stride = ARRIVES, length, stride_of(loop)
-    if until - since < length + (doing != RETURN):
-        fate, last = ENDS, until - since
-    if loop.comes_home and doing in (TRAVEL, COVER):
+    fate, last, stride = ln.ARRIVES, length, stride_of(loop)
+    if until - since < length + (doing != ln.RETURN):
+        fate, last = ln.ENDS, until - since
+    if loop.comes_home and doing in (ln.TRAVEL, ln.COVER):
         need = book.need.rows[base + 1 : base + 1 + length, t.home_of[number]]
         beyond = need > min(until, t.last_step) - since
         if beyond.any() and int(beyond.argmax()) < last:
-            fate, last = TURNS, int(beyond.argmax())
+            fate, last = ln.TURNS, int(beyond.argmax())
     fields = {
-        DOING: doing, FATE: fate, HERE: end if entry else cell, AREA: area, IDENT: max(area, 0),
-        WALK: entry, ROW: base, SINCE: since, LAST: last, UNTIL: until,
+        ln.DOING: doing, ln.FATE: fate, ln.HERE: end if entry else cell, ln.AREA: area, ln.IDENT: max(area, 0),
+        ln.WALK: entry, ln.ROW: base, ln.SINCE: since, ln.LAST: last, ln.UNTIL: until,
     }  # fmt: skip
-    key = (since + last + (fate == TURNS)) * stride + number
-    if doing == IDLE:
+    key = (since + last + (fate == ln.TURNS)) * stride + number
+    if doing == ln.IDLE:
         key = step * stride + number
-    elif doing in (OUT, DEAD):
+    elif doing in (ln.OUT, ln.DEAD):
         key = NEVER
-    return np.array([fields[name] for name in range(FIELDS)], np.int32), key
+    return np.array([fields[name] for name in range(ln.FIELDS)], np.int32), key
 
 
 def _rest_of(book: HostBook, raw, number: int, cell: int) -> int:  # type: ignore[no-untyped-def]

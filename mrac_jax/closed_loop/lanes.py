@@ -1,0 +1,271 @@
+"""A rollout as a lane: its state, the book on the device, and how a robot's walk ends.
+
+A threshold is one number, so where a robot is lost on a walk is known when the walk begins: a bisection in the walk's
+running sum of hazards. What is visited by a step is the cells of the walks that have ended, and a row of `prefix` for
+each robot. Axis letters: `B` lanes, `K` robots, `G` areas that a lane has room for, `S` of any of them; the others as
+in `mrac_jax.closed_loop.book`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+
+from mrac_jax.arrays import STATIC, is_reached
+from mrac_jax.closed_loop.book import BUCKET, COUNT, FIRST, NEVER, NOWHERE, mixed
+
+START, FOLLOW, TRAVEL, COVER, LAND, RETURN, RECALL, CHARGE, IDLE, OUT, DEAD = range(11)
+"""What a robot does: enters its start and has an area; follows an external path; travels; covers; enters its start and
+has none; returns to base for good, or to be recharged; is recharged; waits; neither moves nor waits; is lost."""
+ARRIVES, DIES, ENDS, TURNS = range(4)
+"""How its walk ends: at its end, at a visit, with the last move of the robot's range, or with its return to base."""
+OFF, RUN, MISSING, DONE, FULL = range(5)
+"""Of a lane: no rollout; its next event; an entry is missing in the book; at its end; it needs more room."""
+DOING, FATE, HERE, AREA, IDENT, WALK, ROW, SINCE, LAST, UNTIL, FIELDS = range(11)
+"""Of a robot: its fate, the cell at which its walk ends, its piece (NONE) and the id of that area, its walk's entry and
+first row, the step before its first move, how many it makes, and the step of the last move of its range (of one that
+waits, moves left)."""
+TIME, NUMBERS = 2, 8
+"""Numbers of a rollout: visited, survived, time, alive, outcome, bisected, divided, robots at a base."""
+LIMITLESS = 2**28
+"""The range of a robot without one."""
+STOPPED, FINAL = 2**31, 2**30
+"""Flags of a log's row above the moves: the last one destroyed the robot; the rollout ended before the walk."""
+HALVINGS = 23
+"""Steps of a run fit into so many bits."""
+
+hold = jax.lax.optimization_barrier
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Lanes:
+    """Rollouts in progress. All int32 but sets and thresholds, uint32.
+
+    Attributes:
+        mode, number: `[B]`, of the lane, and of its rollout in the queue. fuel: `[B]`, events after which it halts.
+        visited, survived: `[B, W]`, by walks that have ended; now: visited by the last event.
+        slots: `[B, G]`, the piece of each unassigned area by its id, NONE of others; made: `[B]`, areas so far.
+        key: `[B, K]`, step * K + robot of each robot's next event, NEVER: none. robots: `[B, K, FIELDS]`.
+        left: `[B, K, 2]`, the threshold that is left as the walk begins, leading word first.
+        shared: `[B, 2]`, areas bisected, and divided. last: `[B]`, the last step with progress, or that of the end.
+            outcome: `[B]`. over: `[B]`, 0, or the outcome plus 1 once all robots return to base.
+        asked: `[B, W + 1]`, the set and the salt of the entry that is missing.
+    """
+
+    mode: jax.Array
+    number: jax.Array
+    fuel: jax.Array
+    visited: jax.Array
+    survived: jax.Array
+    now: jax.Array
+    slots: jax.Array
+    made: jax.Array
+    key: jax.Array
+    robots: jax.Array
+    left: jax.Array
+    shared: jax.Array
+    last: jax.Array
+    outcome: jax.Array
+    over: jax.Array
+    asked: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Homes:
+    """Where robots return to. All int32, `S` sets of bases.
+
+    Attributes:
+        of: `[K]`, the bases of each robot. steps: `[S, A']`, moves of the way there, below 0 where there is none.
+        range: `[K]`, moves that a robot can make. last, recharge: the step by which they are to be there; steps until a
+            robot has its range again, 0: it does not.
+        turnings: static: bits of the moves of the longest walk.
+    """
+
+    of: jax.Array
+    steps: jax.Array
+    range: jax.Array
+    last: jax.Array
+    recharge: jax.Array
+    turnings: int = field(metadata=STATIC)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Book:
+    """The decisions of a closed loop on a device: a frozen pytree. What a lane misses in it is reported.
+
+    Attributes:
+        entries .. buckets: as of `HostBook`; sums: uint32 `[D, 2]`, leading word first.
+        mask: int32, costs without their level. every: uint32 `[W]`, all cells. max_steps, quiet: int32, T_max, and the
+            steps in a row without progress after which a run ends. next_of: int32 `[P']`, of an external plan's area
+            the next one of the same robot, NONE after the last.
+        first: Lanes `[M]`, snapshots of the run without losses, at which lanes begin; before: uint32 `[M, K, 2]`, the
+            hazard that robots have met by then, without the walk that they are on. milestones: int32 `[K]`, entries
+            that tell from a robot's threshold the snapshot before its loss.
+        homes: None where robots stay where they end.
+        halvings, parts: static: bits of the most visits of a walk; parts that a split may have.
+    """
+
+    entries: jax.Array
+    sets: jax.Array
+    salts: jax.Array
+    prefix: jax.Array
+    cell_at: jax.Array
+    sums: jax.Array
+    at: jax.Array
+    bits: jax.Array
+    cost: jax.Array
+    target: jax.Array
+    steps: jax.Array
+    need: jax.Array
+    buckets: jax.Array
+    homes: Homes | None
+    mask: jax.Array
+    every: jax.Array
+    max_steps: jax.Array
+    quiet: jax.Array
+    next_of: jax.Array
+    first: Lanes
+    before: jax.Array
+    milestones: jax.Array
+    halvings: int = field(metadata=STATIC)
+    parts: int = field(metadata=STATIC)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Walks that have ended, of all lanes: uint32 `[L, 4]` rows (number * 1024 + robot, entry, step before its first
+    move, moves and flags), and how many, int32."""
+
+    rows: jax.Array
+    used: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Ended:
+    """Results of lanes: int32 `[.., NUMBERS]`, and sets of the visited and the survived cells, uint32 `[.., W]`."""
+
+    numbers: jax.Array
+    visited: jax.Array
+    survived: jax.Array
+
+
+def at(table: jax.Array, place: jax.Array) -> jax.Array:
+    """Rows of a table; every place is in it."""
+    return table.at[place].get(mode="promise_in_bounds")
+
+
+def pick(rows: jax.Array, robot: jax.Array) -> jax.Array:
+    """The entry of one robot in each lane, `[B, ..]` of `[B, K, ..]`."""
+    return jnp.take_along_axis(rows, robot.reshape(-1, *[1] * (rows.ndim - 1)), axis=1)[:, 0]
+
+
+def robot_fields(  # type: ignore[no-untyped-def]
+    like, *, doing, here, area, ident, since, until, fate=ARRIVES, walk=NOWHERE, row=0, last=0
+) -> jax.Array:
+    """`Lanes.robots` of robots, int32 `[.., FIELDS]`, each field a number or an array like `like` `[..]`."""
+    fields = doing, fate, here, area, ident, walk, row, since, last, until
+    return jnp.stack([jnp.broadcast_to(one, like.shape).astype(jnp.int32) for one in fields], axis=-1)
+
+
+def entered(book: Book, row: jax.Array) -> jax.Array:
+    """The cells of walks up to these rows, int32 `[B, K]`, of all robots: uint32 `[B, W]`."""
+    if row.shape[1] > 16:
+        return jnp.bitwise_or.reduce(at(book.prefix, row), axis=1)
+    total = at(book.prefix, row[:, 0])
+    for robot in range(1, row.shape[1]):
+        total = total | at(book.prefix, row[:, robot])
+    return total
+
+
+def visits_before(
+    book: Book, first: jax.Array, count: jax.Array, move: jax.Array, left: jax.Array | None, halvings: int
+) -> jax.Array:
+    """How many of a walk's dangerous visits `[S]` come up to a move, or leave some of a threshold `[S, 2]`.
+
+    `halvings`: as many as the number of visits has bits. `left`: None, or the threshold.
+    """
+
+    def halve(_: int, span: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        low, high = span
+        middle = (low + high) >> 1
+        place = first + middle
+        passes = at(book.at, place) <= move if left is None else ~is_reached(left, at(book.sums, place))
+        passes = (low < high) & passes
+        # A barrier: XLA would compute a chain of gathers anew for each of its readers.
+        return hold((jnp.where(passes, middle + 1, low), jnp.where(passes, high, middle)))
+
+    return jax.lax.fori_loop(0, halvings, halve, (jnp.zeros_like(count), count))[0]
+
+
+def walk(
+    book: Book, entry: jax.Array, left: jax.Array, budget: jax.Array, halvings: int | None = None
+) -> tuple[jax.Array, ...]:
+    """Of walks that begin `[S]`, with such thresholds `[S, 2]` and moves left: (first row, moves, fate, last cell)."""
+    base, length, end, first, count = hold(at(book.entries, entry)).T[:5]
+    survived = visits_before(book, first, count, first, left, halvings or book.halvings)
+    lost = jnp.where(survived < count, at(book.at, first + survived), NEVER)
+    last = jnp.minimum(lost, length)
+    ends = (budget < lost) & (budget <= length)
+    fate = jnp.where(ends, ENDS, jnp.where(lost < NEVER, DIES, ARRIVES))
+    return hold((base, jnp.where(ends, budget, last), fate, end))
+
+
+def hazard_of(book: Book, entry: jax.Array, visits: jax.Array | None = None) -> jax.Array:
+    """The hazard of a walk's first visits, all of them if None, uint32 `[S, 2]`."""
+    row = at(book.entries, entry)
+    return at(book.sums, row[:, FIRST] - 1 + (row[:, COUNT] if visits is None else visits))
+
+
+def stride_of(book: Book, lanes: Lanes) -> int:
+    """Keys of a step: the robots' turns, and where they return to base, what they do at the end of the step."""
+    return lanes.key.shape[1] * (1 if book.homes is None else 2)
+
+
+def look_up(book: Book, row: jax.Array, salt: jax.Array) -> jax.Array:
+    """The entries of sets `[S, W]` and salts, uint32 `[S]`; -1: missing."""
+    bucket, tag = hold(mixed(row, salt))
+    there = at(book.buckets, (bucket & jnp.uint32(book.buckets.shape[0] - 1)).astype(jnp.int32))
+    entry = jnp.where(there[:, :BUCKET] == tag[:, None], there[:, BUCKET:], 0).max(axis=1).astype(jnp.int32)
+    # Equal hashes are not enough: the set itself has to be the same.
+    same = (at(book.sets, entry) == row).all(axis=1) & (at(book.salts, entry) == salt)
+    return jnp.where(same & (entry > 0), entry, -1)
+
+
+def one_cell(book: Book, cell: jax.Array) -> jax.Array:
+    """The sets of one cell, uint32 `[S, W]`."""
+    word = jnp.arange(book.every.shape[0], dtype=jnp.int32)
+    bit = jnp.uint32(1) << (cell & 31).astype(jnp.uint32)
+    return jnp.where(word == (cell >> 5)[:, None], bit[:, None], jnp.uint32(0))
+
+
+def log_row(number: jax.Array, robot: jax.Array, me: jax.Array, moves: jax.Array, flags: jax.Array) -> jax.Array:
+    """Rows of the log, uint32 `[.., 4]`."""
+    whole = (number * 1024 + robot, me[..., WALK], me[..., SINCE], moves)
+    first, entry, since, last = (part.astype(jnp.uint32) for part in whole)
+    return jnp.stack([first, entry, since, last | flags], axis=-1)
+
+
+def write(log: Log, chosen: jax.Array, rows: jax.Array) -> Log:
+    """Append the chosen rows, `[S]` of `[S, 4]`."""
+    place = log.used + jnp.cumsum(chosen, dtype=jnp.int32) - 1
+    place = jnp.where(chosen, place, log.rows.shape[0])
+    return Log(log.rows.at[place].set(rows, mode="drop"), log.used + chosen.sum(dtype=jnp.int32))
+
+
+def if_any(wanted, make):  # type: ignore[no-untyped-def]
+    """`make()` where some lane wants it, else zeros. On a GPU a branch would make the host wait."""
+    if jax.default_backend() != "cpu":
+        return make()
+    none = jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), jax.eval_shape(make))
+    return jax.lax.cond(wanted.any(), make, lambda: none)
+
+
+def if_any_else(wanted, make, other):  # type: ignore[no-untyped-def]
+    return make() if jax.default_backend() != "cpu" else jax.lax.cond(wanted.any(), make, lambda: other)
