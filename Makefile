@@ -73,7 +73,7 @@ bench: $(READY)
 	$(BIN)/python -m analysis.bench.engines
 
 bench-gpu: $(READY)
-	$(BIN)/python -m analysis.bench.engines numba jax
+	$(BIN)/python -m mrac_jax.bench
 
 docs: $(DOCS)
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env --write-all docs out/site

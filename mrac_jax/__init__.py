@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from importlib import import_module
-from importlib.metadata import version
+from importlib.metadata import distributions
 from importlib.util import find_spec
 from pathlib import Path
 from types import FunctionType
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from planner.world.levels import to_networkx
     from planner.world.world import World
 
-__version__ = version("mrac-jax")
+__version__ = next((found.version for found in distributions(name="mrac-jax")), "0+unknown")  # not installed
 __all__ = [
     "InputError", "Plan", "Settings", "World", "attack", "check", "clear", "closed_loop_gradient", "compare", "env",
     "evaluate", "export", "front", "functional", "judge", "load", "mission", "plan", "plots", "read_outcomes",

@@ -30,8 +30,10 @@ import mrac_jax as mrac
 from analysis.bench import engines
 from analysis.bench import engines as race
 from analysis.bench.engines import Contender, naive_rollouts
+from mrac_jax import bench
 from planner.errors import MracError
 from planner.make_plan import make_plan
+from planner.rollouts.engine import closed_loop_engine
 from planner.rollouts.open_loop import compile_plan
 from planner.tally import Tally
 from planner.world.generate import random_world
@@ -487,3 +489,102 @@ def test_naive_program_agrees_with_the_closed_form() -> None:
     for found, meaning in ((visited, "visited"), (survived, "survived")):
         error = np.std(found) / np.sqrt(len(found))
         assert abs(np.mean(found) - numbers["open_loop_exact"][meaning]) <= 5 * error
+
+
+# `python -m mrac_jax.bench`: checks before rates, a row for every part, an end in time.
+
+BARE = """
+import sys
+
+class Bare:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in sys.argv[1].split(","):
+            raise ModuleNotFoundError(name, name=name)
+
+sys.meta_path.insert(0, Bare())
+from mrac_jax import bench
+sys.exit(bench.main(["--small", "--minutes", "0.0001"]))
+"""
+NOT_NEEDED = "cyclopts,rich,matplotlib,PIL,jinja2,highspy,gymnasium,pandas,pyarrow,rasterio,dask"
+RATES = ("thresholds (host: NumPy)", "open loop, mrac.functional", "open loop, engine", "closed loop, ")
+
+
+def rates_in(printed: str) -> dict[str, list[float]]:
+    """By part: rollouts a call, rates of JAX and Numba, and their ratio."""
+    rows = [
+        re.fullmatch(r"20x20 \S+ \S+ +(\S.*?)  +([\d,.]+) +([\d,.]+) +([\d,.]+) +([\d.e-]+).*", row)
+        for row in printed.splitlines()
+    ]
+    return {row[1]: [float(cell.replace(",", "")) for cell in row.groups()[1:]] for row in rows if row}
+
+
+def bench_without_compiling(seed: int, monkeypatch: pytest.MonkeyPatch) -> int:
+    """The program's status; in the place of the closed loop in JAX, Numba's of this seed."""
+
+    def closed(loop: Any, _: int, *, lanes: int) -> Any:
+        engine: Any = closed_loop_engine(loop, seed, "numba", 1)
+        vars(engine).update(
+            starts=0, least=8 * lanes, host=SimpleNamespace(tables={}, entries=SimpleNamespace(used=lanes))
+        )
+        return engine
+
+    small = bench.Scale(1, (2**6, 2**5), (), 2**8, (2**10,), 2**8, 2**8)
+    for name, value in (("WatchedLoop", closed), ("SCALES", {"small": small}), ("CHECKED", 2**8)):
+        monkeypatch.setattr(bench, name, value)
+    return bench.main(["--small"])
+
+
+def test_jax_benchmark_has_a_row_for_every_part(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert bench_without_compiling(bench.SEED, monkeypatch) == 0
+    printed = capsys.readouterr().out
+    assert len(re.findall(r"check: .* 256 +equal", printed)) == 4
+    rates = rates_in(printed)
+    assert list(rates) == [*RATES[:3], "closed loop, 64 lanes", "closed loop, 32 lanes"]
+    assert all(cell > 0 for row in rates.values() for cell in row)
+    for loop in ("open loop", "closed loop"):
+        assert re.search(rf"{loop}: JAX is faster from +(none|[\d,]+)", printed)
+
+
+def test_jax_benchmark_times_nothing_that_differs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert bench_without_compiling(bench.SEED + 1, monkeypatch) == bench.DIFFERENT == 1
+    printed = capsys.readouterr().out
+    assert len(re.findall("DIFFERENT", printed)) == 1
+    assert re.search(r"check: closed loop, by rollout +256 +DIFFERENT", printed)
+    assert not rates_in(printed)
+
+
+def test_parts_of_the_jax_benchmark_end_in_time(capsys: pytest.CaptureFixture[str]) -> None:
+    """One that would not end by then, were it as long as the longest before it, is skipped."""
+    now = [5.0]
+    run = bench.Run(100.0, lambda: now[0])
+    run.begin(0.5)
+    for at, fits in ((5, True), (25, True), (30, True), (40, False)):
+        now[0] = at
+        assert run.allows("world", f"at {at}") == fits
+    run.begin(1.0)
+    for at, fits in ((60, True), (75, True), (86, False)):
+        now[0] = at
+        assert run.allows("world", f"at {at}") == fits
+    printed = re.findall(r"world +(.*?) +skipped: the time of this part is over", capsys.readouterr().out)
+    assert printed == ["at 40", "at 86"]
+
+
+def test_jax_benchmark_needs_few_packages_and_is_cut_off() -> None:
+    done = subprocess.run([sys.executable, "-c", BARE, NOT_NEEDED], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == bench.CUT_OFF, done.stderr
+    assert "stopped after 0.0001 minutes" in done.stdout
+
+
+@pytest.mark.slow
+def test_jax_benchmark_runs() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "mrac_jax.bench", "--small", "--minutes", "30"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    rates = rates_in(done.stdout)
+    assert list(rates) == [*RATES[:3], "closed loop, 256 lanes"] and "trips to the host" in done.stdout
+    assert all(cell > 0 for row in rates.values() for cell in row)

@@ -130,7 +130,7 @@ SEED, CHECKED, NAIVE_BATCH = 1, 4096 + 5, 2048
 ENGINES: tuple[tuple[str, EngineName, int | None], ...] = (
     ("numba, 1 thread", "numba", 1), ("numba", "numba", None), ("jax", "jax", None),
 )  # fmt: skip
-COLUMNS = ("engine", "rollouts/s", "least", "most", "agent-moves/s", "first call, s", "device memory, GB")
+COLUMNS = ("engine", "rollouts/s", "least", "most", "agent-moves/s", "first call, s")
 
 
 def cases() -> Iterator[tuple[str, World, Plan]]:
@@ -210,12 +210,6 @@ def naive_rollouts(paths: list[NDArray[np.int64]], threat: NDArray[np.float32], 
     return jax.jit(sums)
 
 
-def memory() -> str:
-    """The most memory of a device that the process has had so far, in GB; nothing where JAX does not say."""
-    most = [(device.memory_stats() or {}).get("peak_bytes_in_use", 0) for device in jax.local_devices()]
-    return f"{max(most) / 1e9:.2f}" if any(most) else "-"
-
-
 def main() -> None:
     """Print a line for every world, loop and engine."""
     console, asked = Console(highlight=False), sys.argv[1:]
@@ -228,7 +222,7 @@ def main() -> None:
             for one in found:
                 rates = (one.rate, min(one.rates), max(one.rates), one.rate * moves)
                 figures = (*(f"{rate:,.0f}" if rate else "-" for rate in rates), f"{one.compile_seconds:.1f}")
-                print_row(console, title, (f"{loop}, {one.name}", *figures, memory() if one.name == "jax" else ""))
+                print_row(console, title, (f"{loop}, {one.name}", *figures))
 
 
 if __name__ == "__main__":
