@@ -24,10 +24,10 @@ from analysis.theory.exact import open_loop_exact
 from analysis.theory.verdicts import longest_run
 from analysis.utils.notes import ProgressCallback
 from analysis.utils.tables import bearing_words, make_table, span_words
+from planner.arguments import MOST_ROLLOUTS
 from planner.errors import UsageError
 from planner.files import Json
 from planner.formatting import UNPACED, Pace, counted, in_percent, percent, share
-from planner.ids import MOST_ROLLOUTS
 from planner.plan.plan import Plan, is_certain
 from planner.rollouts.closed_loop import MOST_TABLED
 from planner.rollouts.engine import run_ranges, worth_a_call

@@ -12,11 +12,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import FRACTION, argument, did_you_mean, numbers_of
+from planner.arguments import FRACTION, MAX_PLAN_BYTES, argument, did_you_mean, numbers_of
 from planner.errors import InputError, PlanError, StateError, UsageError
 from planner.files import read_json, why_no_file
 from planner.formatting import counted
-from planner.ids import MAX_PLAN_BYTES
 from planner.plan.plan import FORMAT, Plan
 from planner.plan.state import MissionState
 from planner.policies.rules import PER_CELL

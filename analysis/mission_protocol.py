@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from analysis.sampling import RolloutChoices, make_singles
 from analysis.statistics.estimates import Estimate, mean_estimate, mean_of, proportion
 from analysis.statistics.variance_reduction import Paired, difference
-from planner.arguments import POSITIVE, whole
+from planner.arguments import MOST_ROLLOUTS, POSITIVE, whole
 from planner.errors import InputError, UsageError
 from planner.files import Json
-from planner.ids import MOST_ROLLOUTS
 from planner.mission.map_updates import hand_on
 from planner.mission.mission import Mission
 from planner.mission.team_control import Order

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from analysis.statistics.estimates import looks
 from analysis.statistics.variance_reduction import LEAST
 from analysis.utils.progress import compiles_for
-from planner.arguments import POSITIVE, SEED, Numbers, argument, as_whole, check_word, whole
+from planner.arguments import MAX_STEP, MOST_ROLLOUTS, POSITIVE, SEED, Numbers, argument, as_whole, check_word, whole
 from planner.errors import UsageError
 from planner.formatting import SPANS, Pace, seconds_of
-from planner.ids import MAX_STEP, MOST_ROLLOUTS
 from planner.plan.plan import Plan
 from planner.rollouts.names import ENGINES, EngineName, check_jax
 from planner.tally import RolloutResults, Tally

@@ -91,13 +91,13 @@ def tolerances(seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]
 
 
 def susceptible(tolerance: ArrayLike, susceptibility: float) -> NDArray[np.int64]:
-    """The tolerances of a robot on which exposure counts so many times (`planner.ids`)."""
+    """The tolerances of a robot on which exposure counts so many times (`planner.arguments`)."""
     borne, times = np.asarray(tolerance, dtype=np.int64), round(susceptibility * SCALE)
     return np.maximum(1, (borne // times << 16) + ((borne % times << 16) // times))
 
 
 def worn(tolerance: ArrayLike, shape: float) -> NDArray[np.int64]:
-    """Weibull tolerances of mean 1 and this shape (`planner.ids`) in place of Exp(1) ones: robots wear out."""
+    """Weibull tolerances of mean 1 and this shape (`planner.arguments`) in place of Exp(1) ones: robots wear out."""
     borne = np.asarray(tolerance, dtype=np.int64)
     if shape == 1:
         return borne

@@ -24,8 +24,8 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
+from planner.arguments import MAX_STEP
 from planner.errors import PlanError
-from planner.ids import MAX_STEP
 from planner.make_plan import make_plan
 from planner.mrac.problem import Problem, prepare
 from planner.plan.plan import Plan, RobotPlan, entries

@@ -8,10 +8,24 @@ from dataclasses import dataclass, field, fields, make_dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
-from planner.arguments import ANY, COMMAND_LINE, Numbers, argument, check_each, check_word, did_you_mean, is_real, whole
+from planner.arguments import (
+    ANY,
+    COMMAND_LINE,
+    LEAST_SHAPE,
+    LEAST_SUSCEPTIBILITY,
+    MAX_STEP,
+    MOST_SHAPE,
+    MOST_SUSCEPTIBILITY,
+    Numbers,
+    argument,
+    check_each,
+    check_word,
+    did_you_mean,
+    is_real,
+    whole,
+)
 from planner.errors import PlanError
 from planner.formatting import TIMES, UNPACED, Pace
-from planner.ids import LEAST_SHAPE, LEAST_SUSCEPTIBILITY, MAX_STEP, MOST_SHAPE, MOST_SUSCEPTIBILITY
 from planner.policies import DEFAULT, RULES, Rule, rule_of
 from planner.policies.rules import NEAREST, ORDERS, InAreaOrder
 from planner.simulator.offers import Offer

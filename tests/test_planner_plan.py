@@ -741,7 +741,7 @@ def test_only_plain_types_are_imported() -> None:
         for node in ast.walk(parsed(path)):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("planner"):
                 assert node.module in (
-                    "planner.ids",
+                    "planner.arguments",
                     "planner.plan.plan",
                     "planner.simulator.codes",
                     "planner.world.world",

@@ -24,8 +24,8 @@ from analysis.sweeps.cases import Case, Generated, Places, generated_case, run_k
 from analysis.sweeps.engine import Done, Job, run_cases, share_of
 from analysis.sweeps.store import Memory, Store
 from analysis.sweeps.store_files import cut
+from planner.arguments import BLOCK
 from planner.errors import InputError, UsageError
-from planner.ids import BLOCK
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.engine import closed_loop_engine, run_by_luck

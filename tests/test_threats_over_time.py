@@ -18,9 +18,9 @@ from oracle_spec import closed_loop, mean_of, open_loop
 from oracle_tree import plain_areas
 
 from analysis.theory.exact import open_loop_exact
+from planner.arguments import MAX_STEP
 from planner.errors import InputError
 from planner.failure_model import Bearing
-from planner.ids import MAX_STEP
 from planner.make_plan import make_plan
 from planner.plan.plan import Plan, RobotPlan
 from planner.plan.plan_file import read_plan_json
@@ -356,7 +356,7 @@ def test_loops_and_engines_that_have_no_movers_say_so() -> None:
     plan = make_plan(world, place_starts(world, 2)[0])
     with pytest.raises(InputError, match="seed1: the open loop asks who is stopped at dangerous entries alone"):
         make_engine(plan, world, Rolling("open"))
-    with pytest.raises(InputError, match="engine=.jax. with moving threats"):
+    with pytest.raises(InputError, match=r"engine=.jax. with moving threats"):
         make_engine(plan, world, Rolling(), "jax")
     assert make_engine(plan, world, Rolling()).name == "numba"
 
@@ -620,5 +620,5 @@ def test_maps_and_loops_that_do_not_fit_are_refused() -> None:
         make_plan(world, [[0, 0]], Settings(radio=4.0))
     with pytest.raises(InputError, match=r"`transit=\"area\"`, legs that stay.*give `plan_on: first` or `worst`"):
         make_plan(world, [[0, 0]], Settings(transit="area"))
-    with pytest.raises(InputError, match="engine=.jax. with threats that change"):
+    with pytest.raises(InputError, match=r"engine=.jax. with threats that change"):
         make_engine(make_plan(world, [[0, 0]]), world, Rolling(), "jax")

@@ -24,10 +24,9 @@ from analysis.sampling import SECONDS, RolloutChoices
 from analysis.statistics.estimates import bet_interval, share_of_doubt
 from analysis.utils.notes import ProgressCallback, of_things, quiet
 from analysis.utils.tables import policy_words
-from planner.arguments import POSITIVE, argument
+from planner.arguments import MOST_ROLLOUTS, POSITIVE, argument
 from planner.errors import PlanError, UsageError
 from planner.formatting import counted
-from planner.ids import MOST_ROLLOUTS
 from planner.make_plan import allocated, allocated_plan, make_plan
 from planner.mrac.problem import Problem, worth_of
 from planner.plan.plan import Plan

@@ -60,10 +60,9 @@ from analysis.theory.verdicts import (
 )
 from analysis.utils.notes import Doing, ProgressCallback, quiet
 from analysis.utils.tables import bearing_words, frame_of
-from planner.arguments import argument, whole
+from planner.arguments import MOST_ROLLOUTS, argument, whole
 from planner.errors import UsageError
 from planner.formatting import counted
-from planner.ids import MOST_ROLLOUTS
 from planner.plan.plan import Plan, is_certain
 from planner.rollouts.engine import choose_engine
 from planner.rollouts.tables import AllPairs

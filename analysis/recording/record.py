@@ -24,12 +24,11 @@ from analysis.statistics.estimates import quantile
 from analysis.theory.bounds import all_bounds
 from analysis.utils.notes import Doing, ProgressCallback, quiet
 from analysis.utils.progress import compiles_for
-from planner.arguments import SEED, Numbers, argument, check_word
+from planner.arguments import BLOCK, SEED, Numbers, argument, check_word
 from planner.errors import UsageError
 from planner.failure_model import key_of
 from planner.files import why_no_file
 from planner.formatting import UNPACED, Pace
-from planner.ids import BLOCK
 from planner.plan.plan import Plan, is_certain
 from planner.plan.state import MissionState
 from planner.rollouts.names import ENGINES, EngineName

@@ -23,10 +23,9 @@ from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import ALPHA, TARGETS, Estimate
 from analysis.theory.verdicts import longest_mission
 from analysis.utils.notes import Doing, ProgressCallback, quiet
-from planner.arguments import Numbers, argument, exactly, numbers_of
+from planner.arguments import MOST_ROLLOUTS, Numbers, argument, exactly, numbers_of
 from planner.errors import UsageError
 from planner.formatting import UNPACED, Pace
-from planner.ids import MOST_ROLLOUTS
 from planner.make_plan import allocated_plan, make_plan
 from planner.mrac.problem import prepare
 from planner.plan.plan import Plan

@@ -22,10 +22,9 @@ from analysis.statistics.estimates import TARGETS, Estimate, exactly, is_at_leas
 from analysis.theory.exact import Worth
 from analysis.theory.verdicts import longest_run
 from analysis.utils.notes import Doing, ProgressCallback, of_things, quiet
-from planner.arguments import Numbers, argument, check_word, whole
+from planner.arguments import BLOCK, MOST_ROLLOUTS, Numbers, argument, check_word, whole
 from planner.errors import UsageError
 from planner.formatting import counted
-from planner.ids import BLOCK, MOST_ROLLOUTS
 from planner.plan_team import plan_team
 from planner.rollouts.tables import AllPairs
 from planner.settings import Settings

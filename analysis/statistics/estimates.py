@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import bdtr, bdtrik, betaincinv, ndtri, stdtrit
 
-from planner.arguments import Numbers
+from planner.arguments import MOST_ROLLOUTS, Numbers
 from planner.files import Json
 from planner.formatting import NOTHING, inside, percent
-from planner.ids import MOST_ROLLOUTS
 from planner.tally import Tally
 
 # Intervals that hold together, for any number of rollouts looked at: means and chances.

@@ -41,11 +41,10 @@ from analysis.statistics.estimates import exactly as exact_estimate
 from analysis.statistics.variance_reduction import tally_mean
 from analysis.theory.exact import OpenLoopExact, open_loop_exact
 from analysis.utils.tables import without_level
-from planner.arguments import exactly, whole
+from planner.arguments import MAX_STEP, MOST_ROLLOUTS, exactly, whole
 from planner.errors import InputError, MracError, UsageError, WorldError
 from planner.files import Json, atomic_write
 from planner.formatting import Pace, counted, percent
-from planner.ids import MAX_STEP, MOST_ROLLOUTS
 from planner.plan.plan import Plan, is_certain
 from planner.plan_team import plan_team
 from planner.policies import RULES

@@ -28,10 +28,9 @@ from analysis.sampling import RolloutChoices
 from analysis.sweeps.store_files import Ranges, cut
 from analysis.utils.pool import AHEAD
 from analysis.utils.progress import run_loop
-from planner.arguments import argument, is_whole
+from planner.arguments import BLOCK, argument, is_whole
 from planner.errors import InputError, UsageError
 from planner.files import Json
-from planner.ids import BLOCK
 from planner.plan.plan import Plan
 from planner.plan_team import plan_team, read_plan_on
 from planner.policies import DEFAULT

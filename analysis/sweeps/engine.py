@@ -36,9 +36,9 @@ from analysis.sweeps.cases import (
 from analysis.sweeps.store import Run, Store
 from analysis.sweeps.store_files import cut
 from analysis.utils.pool import Pool, wanted_processes
+from planner.arguments import BLOCK, MOST_ROLLOUTS
 from planner.errors import UsageError
 from planner.formatting import counted
-from planner.ids import BLOCK, MOST_ROLLOUTS
 from planner.world.features import BEFORE, NOW, RELEASES
 
 if TYPE_CHECKING:

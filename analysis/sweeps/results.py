@@ -34,11 +34,10 @@ from analysis.sweeps.engine import EARLIER, MAP_LABELS, Done, Finished, Job, Old
 from analysis.sweeps.spec import WORLD, is_path
 from analysis.sweeps.store import Memory, Run, Store
 from analysis.utils.notes import ProgressCallback
-from planner.arguments import argument, check_word
+from planner.arguments import MAX_STEP, MOST_ROLLOUTS, argument, check_word
 from planner.errors import UsageError
 from planner.files import Json, atomic_write
 from planner.formatting import counted
-from planner.ids import MAX_STEP, MOST_ROLLOUTS
 from planner.simulator.codes import Outcome
 from planner.tally import Tally, counts_by_word
 

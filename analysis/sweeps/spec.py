@@ -29,10 +29,9 @@ from analysis.inputs import input_path, map_size
 from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import BESIDE, MOST_MAPS, Case, Generated, Label, Places, Written, canonical
 from analysis.sweeps.engine import Job
-from planner.arguments import ANY, FRACTION, SEED, Numbers, did_you_mean, whole
+from planner.arguments import ANY, FRACTION, MOST_ROLLOUTS, SEED, Numbers, did_you_mean, whole
 from planner.errors import PER_VISIT, InputError, ScenarioError, UsageError
 from planner.files import Json
-from planner.ids import MOST_ROLLOUTS
 from planner.policies import DEFAULT
 from planner.rollouts.engine import MOST_SEED
 from planner.settings import SETTINGS as PLANNER_SETTINGS

@@ -21,10 +21,9 @@ from analysis.sweeps.engine import Done, Finished, Swept, run_cases
 from analysis.sweeps.results import Row, figures_of, outcomes_of, single_map
 from analysis.sweeps.spec import Spec
 from analysis.sweeps.store import Store, StoreError
-from planner.arguments import argument
+from planner.arguments import BLOCK, MOST_ROLLOUTS, argument
 from planner.errors import UsageError
 from planner.files import Json
-from planner.ids import BLOCK, MOST_ROLLOUTS
 
 Watch = Callable[[int, int, float, str], None]
 """`watch(jobs, total, seconds, more)`: jobs done of so many, seconds since the start, and in words how wide the widest

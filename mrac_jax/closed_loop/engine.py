@@ -27,9 +27,9 @@ from mrac_jax.closed_loop.lanes import Book, Ended, Homes, Lanes, Log, at, write
 from mrac_jax.closed_loop.start import ENDLESS, check_supported, first_lane, padded_team, stride_of
 from mrac_jax.process import fixed_flags
 from mrac_jax.runtime import keep_jax_programs
+from planner.arguments import BLOCK
 from planner.errors import UsageError
 from planner.failure_model import key_of_luck
-from planner.ids import BLOCK
 from planner.rollouts.closed_loop import results_from, tally_from
 from planner.rollouts.loop import ClosedLoop
 from planner.rollouts.single_run import SingleRun, play

@@ -33,10 +33,9 @@ from mrac_jax.environment.coverage_env import (
     picture_of,
 )
 from mrac_jax.process import fixed_flags
-from planner.arguments import Numbers, argument, check_word, whole
+from planner.arguments import MAX_STEP, Numbers, argument, check_word, whole
 from planner.errors import UsageError
 from planner.failure_model import key_of
-from planner.ids import MAX_STEP
 from planner.make_plan import allocated
 from planner.mission.external_allocation import ChosenRun
 from planner.policies import DEFAULT, RULES

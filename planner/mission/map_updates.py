@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.arguments import is_whole, whole
+from planner.arguments import MAX_PLAN_BYTES, is_whole, whole
 from planner.errors import StateError, WorldError
 from planner.files import Json, read_json, write_json
-from planner.ids import MAX_PLAN_BYTES
 from planner.make_plan import areas_of, make_plan
 from planner.mission.team_control import Fleet, Reports, whole_numbers
 from planner.mrac.areas import connected_parts

@@ -13,11 +13,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.arguments import FRACTION, is_whole, whole
+from planner.arguments import FRACTION, MAX_STEP, is_whole, whole
 from planner.errors import StateError
 from planner.failure_model import exposure_of
 from planner.files import Json, check_new
-from planner.ids import MAX_STEP
 from planner.make_plan import allocated_plan, make_plan
 from planner.mission.map_updates import (
     Lessons,

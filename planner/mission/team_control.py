@@ -10,10 +10,9 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.arguments import as_whole, is_whole
+from planner.arguments import MAX_STEP, as_whole, is_whole
 from planner.errors import StateError
 from planner.files import Json
-from planner.ids import MAX_STEP
 from planner.mrac.problem import Problem
 from planner.plan.plan import Plan
 from planner.plan.reading import at

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import argument
+from planner.arguments import MAX_STEP, argument
 from planner.errors import PlanError
-from planner.ids import MAX_STEP
 from planner.settings import Settings
 from planner.simulator.codes import NO_CELL
 from planner.simulator.jit import compiled

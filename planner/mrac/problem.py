@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from planner.arguments import argument
+from planner.arguments import MAX_STEP, argument
 from planner.errors import PlanError, WorldError
-from planner.ids import MAX_STEP
 from planner.mrac.areas import connected_parts, sides_first
 from planner.mrac.home_paths import Homeward, OwnMaps, own_maps, ways_home, ways_to
 from planner.plan.plan import Area, Plan

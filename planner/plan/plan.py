@@ -15,11 +15,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import MAX_PLAN_BYTES
 from planner.errors import PlanError
 from planner.failure_model import PLAIN, Bearing
 from planner.files import Json, check_new, write_json
 from planner.formatting import counted, html_of, text_of
-from planner.ids import MAX_PLAN_BYTES
 from planner.plan.state import MissionState
 from planner.policies import DEFAULT
 from planner.settings import Settings

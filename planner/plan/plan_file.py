@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import whole
+from planner.arguments import MAX_PLAN_BYTES, MAX_STEP, whole
 from planner.errors import PlanError
 from planner.files import read_json
-from planner.ids import MAX_PLAN_BYTES, MAX_STEP
 from planner.plan.plan import FORMAT, VERSION, Area, Leg, Plan, RobotPlan
 from planner.plan.reading import at, check_map, check_partition, read_cells
 from planner.plan.state_file import parse_state

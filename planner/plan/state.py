@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import MAX_PLAN_BYTES
 from planner.errors import StateError
 from planner.files import Json, check_new, write_json
-from planner.ids import MAX_PLAN_BYTES
 from planner.simulator.codes import NO_AREA
 
 FORMAT, VERSION = "mrac-state", 1

@@ -12,11 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.arguments import Numbers, argument, whole
+from planner.arguments import MAX_PLAN_BYTES, MAX_STEP, Numbers, argument, whole
 from planner.errors import MapError, StateError, UsageError
 from planner.files import is_header, read_json, read_npy
 from planner.formatting import counted, share
-from planner.ids import MAX_PLAN_BYTES, MAX_STEP
 from planner.plan.reading import at, check_map, check_partition, read_cell, read_cells, read_path
 from planner.plan.state import (
     AREA_STATES,

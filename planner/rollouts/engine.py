@@ -12,8 +12,8 @@ from typing import Any, Literal, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arguments import BLOCK, MOST_ROLLOUTS
 from planner.errors import UsageError, WorldError
-from planner.ids import BLOCK, MOST_ROLLOUTS
 from planner.plan.plan import Plan, is_certain
 from planner.rollouts import closed_loop
 from planner.rollouts.closed_loop import compile_closed_loop

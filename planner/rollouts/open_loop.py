@@ -27,10 +27,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arguments import argument
+from planner.arguments import BLOCK, MAX_STEP, argument
 from planner.errors import PlanError, UsageError
 from planner.failure_model import Bearing, least_word
-from planner.ids import BLOCK, MAX_STEP
 from planner.plan.plan import Plan, entries, last_move
 from planner.rollouts.open_loop_events import (
     WORD_BITS,

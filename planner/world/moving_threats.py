@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from planner.arguments import is_whole
+from planner.arguments import MAX_STEP, is_whole
 from planner.errors import WorldError
 from planner.formatting import counted
-from planner.ids import MAX_STEP
 from planner.world.keys import CHANCE, first_of
 
 ANYWHERE = -1
