@@ -237,9 +237,8 @@ def test_missions_go_on_event_for_event(name: str) -> None:
 
 # Robots that return to base (SPEC section 19).
 
-RETURNS: list[dict[str, Any]] = [asked for asked in KINDS if not asked.keys() & {"transit", "policy"}]
+RETURNS: list[dict[str, Any]] = [asked for asked in KINDS if not asked.keys() & {"transit", "policy", "deadline"}]
 RETURNS += [
-    KINDS[7] | {"deadline": 90},
     {"return_to": "nearest", "range": (12, 20, 40), "recharge": 2},
     {"return_to": "home", "range": (12, 30, 21), "wear": 2.0},
 ]
@@ -260,7 +259,7 @@ def test_robots_that_return(seeds: int, rollouts: int, traced: int) -> None:
     home = alive = 0
     ended = np.zeros(len(Outcome), dtype=np.int64)
     for asked, seed in (*product(RETURNS, range(seeds)), ({"return_to": "home", "range": 9}, 11)):
-        loop = returning(asked, seed, 3 + seed % 3 if seeds > 3 or seed == 11 else 3)
+        loop = returning(asked, seed, 3 + seed % 3)
         results = same(loop, seed, rollouts, (asked, seed), range(traced if rollouts > 40 or seed == 0 else 0))
         home, alive = home + int(results.home.sum()), alive + int(results.alive.sum())
         ended += np.bincount(results.outcome, minlength=len(ended))
@@ -278,7 +277,7 @@ def test_a_list_of_bases_and_more_robots_than_a_word_has_bits() -> None:
 @pytest.mark.slow
 def test_missions_under_way_go_on_and_robots_that_are_cut_off_stay() -> None:
     going_home = 0
-    for number, seed in product((0, 2, 1), (4, 5)):
+    for number, seed in product((0, 1), (4, 5)):
         world, starts = drawn(seed)
         whole = VisitLoop(make_plan(world, starts, Settings(**KINDS[number])), world)
         last = whole.trace(0, 0).time
@@ -301,13 +300,13 @@ def test_robots_that_are_cut_off_from_their_base() -> None:
     same(compile_closed_loop(plan, world), 0, 60, "cut off", traced=(0, 1))
 
 
-def test_a_rest_in_which_nothing_is_entered_counts_nothing() -> None:
-    world, starts = drawn(4)
-    state = VisitLoop(make_plan(world, starts, Settings(**KINDS[2])), world).state_at(34, 0, 0)
-    assert state is not None
-    loop = compile_closed_loop(rest_of(world, state, **KINDS[2]), world)
-    tally = JaxClosedLoop(loop, 0, lanes=LANES).tally(0, 60)
-    assert tally == run_range(loop, 0, 0, 60)[0] and not tally.visits.any()
+@pytest.mark.parametrize("asked", [KINDS[2], KINDS[7] | {"deadline": 90}])
+def test_a_return_by_a_deadline_is_refused(asked: dict[str, Any]) -> None:
+    """Some robots that turn as soon as they get an area would do so a step late."""
+    with pytest.raises(
+        UsageError, match=r"return_to='\.\.\.' and deadline='\.\.\.'|return_to.* and .*deadline.*, in the closed"
+    ):
+        JaxClosedLoop(returning(asked, 1, 4), 1, lanes=LANES)
 
 
 # What changes no count: chunks, lanes, devices, room, flags.
