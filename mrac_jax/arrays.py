@@ -70,6 +70,13 @@ def threefry2x32(key: jax.Array, counter0: jax.Array, counter1: jax.Array) -> tu
     return x0, x1
 
 
+def robot_words(key: jax.Array, ids: jax.Array, robots: int) -> jax.Array:
+    """The random word of each robot in each rollout, uint32 `[.., K]`: the first of Threefry at (id, robot)."""
+    shape = (*ids.shape, robots)
+    robot = jnp.broadcast_to(jnp.arange(robots, dtype=jnp.uint32), shape)
+    return threefry2x32(key, jnp.broadcast_to(ids[..., None], shape), robot)[0]
+
+
 # Arrays of the JAX engines: made of NumPy on the host, read as JAX arrays by what is traced.
 
 Array: TypeAlias = jax.Array

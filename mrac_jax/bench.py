@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -27,8 +27,8 @@ import numba
 import numpy as np
 from jax import monitoring
 
-from mrac_jax.closed_loop.engine import JaxClosedLoop, thresholds
-from mrac_jax.functional import Counts, arrays, rollouts
+from mrac_jax.closed_loop.engine import JaxClosedLoop
+from mrac_jax.functional import Counts, arrays, rollouts, thresholds
 from planner.make_plan import make_plan
 from planner.rollouts.closed_loop import compile_closed_loop
 from planner.rollouts.engine import closed_loop_engine, open_loop_engine
@@ -75,6 +75,7 @@ class Scale:
     least: int
 
 
+draw = jax.jit(partial(thresholds, SEED, robots=ROBOTS))
 MANY = tuple(2**power for power in (16, 12, 14, 18, 13, 15, 17))
 SCALES = {
     "gpu": Scale(4, MANY, MANY[:4], 2**22, (2**20, 2**24), 2**16, 2**12),
@@ -214,7 +215,7 @@ class Case:
 
     def draw(self, start: int, count: int) -> jax.Array:
         """Failure thresholds, drawn on the device."""
-        return thresholds(SEED, np.arange(start, start + count), ROBOTS).block_until_ready()
+        return draw(np.arange(start, start + count, dtype=np.uint32)).block_until_ready()
 
     def draw_on_host(self, start: int, count: int) -> Any:
         """Failure thresholds, drawn by NumPy."""

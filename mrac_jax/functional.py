@@ -37,7 +37,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from mrac_jax.arrays import STATIC, Array, threefry2x32, tolerance_words
+from mrac_jax.arrays import STATIC, Array, robot_words, threefry2x32, tolerance_words
 from mrac_jax.closed_loop.engine import JaxClosedLoop
 from mrac_jax.closed_loop.events import begin, ended, next_event
 from mrac_jax.closed_loop.lanes import DONE, RUN, TIME, Book
@@ -257,12 +257,8 @@ def _ids(name: str, given: ArrayLike) -> Array:
 
 
 def _words_of(seed: Array, ids: Array, robots: int) -> Array:
-    """The random word of each robot in each rollout, uint32 `[.., K]`: the first of Threefry at (id, robot)."""
     purpose = threefry2x32(seed, jnp.uint32(OWN_KEYS), jnp.uint32(LUCK_DRAW))
-    rollout = ids[..., None]
-    shape = (*rollout.shape[:-1], robots)
-    robot = jnp.broadcast_to(jnp.arange(robots, dtype=jnp.uint32), shape)
-    return threefry2x32(jnp.stack(purpose), jnp.broadcast_to(rollout, shape), robot)[0]
+    return robot_words(jnp.stack(purpose), ids, robots)
 
 
 def _seed_words(key: Key) -> Array:

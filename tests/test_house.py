@@ -562,14 +562,10 @@ def test_parts_of_the_jax_benchmark_end_in_time(capsys: pytest.CaptureFixture[st
     """One that would not end by then, were it as long as the longest before it, is skipped."""
     now = [5.0]
     run = bench.Run(100.0, lambda: now[0])
-    run.begin(0.5)
-    for at, fits in ((5, True), (25, True), (30, True), (40, False)):
-        now[0] = at
-        assert run.allows("world", f"at {at}") == fits
-    run.begin(1.0)
-    for at, fits in ((60, True), (75, True), (86, False)):
-        now[0] = at
-        assert run.allows("world", f"at {at}") == fits
+    for share, times in ((0.5, (5, 25, 30, 40)), (1.0, (60, 75, 86))):
+        run.begin(share)
+        for now[0] in times:
+            assert run.allows("world", f"at {now[0]}") == (now[0] != times[-1])
     printed = re.findall(r"world +(.*?) +skipped: the time of this part is over", capsys.readouterr().out)
     assert printed == ["at 40", "at 86"]
 

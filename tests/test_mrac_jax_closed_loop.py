@@ -32,8 +32,8 @@ from test_uncertain_maps import DOUBTS
 from mrac_jax.closed_loop import book as book_module
 from mrac_jax.closed_loop import engine as engine_module
 from mrac_jax.closed_loop.book import HALVE, SPLIT, HostBook, mixed
-from mrac_jax.closed_loop.engine import JaxClosedLoop, thresholds
-from mrac_jax.functional import book, closed_rollouts
+from mrac_jax.closed_loop.engine import BATCH, MOST_LANES, JaxClosedLoop
+from mrac_jax.functional import book, closed_rollouts, thresholds
 from planner.errors import InputError, UsageError, WorldError
 from planner.failure_model import tolerances
 from planner.make_plan import make_plan
@@ -543,8 +543,10 @@ def test_what_is_too_large_is_a_clear_error(loop: ClosedLoop, monkeypatch: pytes
     wide = compile_closed_loop(make_plan(world, np.array([[0, 0]])), world, tabled=False)
     with pytest.raises(WorldError, match=r"10002 of them accessible; expected at most 10000 .*engine='numba'"):
         JaxClosedLoop(wide, 1)
-    with pytest.raises(UsageError, match=r"lanes is 0; expected 1 to 131,072 on each device"):
+    with pytest.raises(UsageError, match=r"lanes is 0; expected 1 to 262,144 on each device"):
         JaxClosedLoop(loop, 5, lanes=0)
+    last = np.int32(BATCH * MOST_LANES - 1)
+    assert int(engine_module.ln.log_row(last, np.int32(1023), np.zeros(11), last, np.uint32(0))[0]) == 2**32 - 1
     with pytest.raises(WorldError, match=r"8 robots that may run for 268,435,456 steps; .*engine='numba'"):
         JaxClosedLoop(replace(loop, max_steps=2**28), 5)
     monkeypatch.setattr(book_module, "MOST_BYTES", 2**10)

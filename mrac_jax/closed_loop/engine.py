@@ -18,7 +18,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import NDArray
 
-from mrac_jax.arrays import on_host, threefry2x32, tolerance_words, two_words
+from mrac_jax.arrays import on_host, robot_words, tolerance_words, two_words
 from mrac_jax.closed_loop import lanes as ln
 from mrac_jax.closed_loop.book import BASE, COUNT, FIRST, WORD_BITS, HostBook
 from mrac_jax.closed_loop.counting import Counting, follow_nominal, nothing_begun
@@ -38,8 +38,8 @@ from planner.world.world import World
 
 LANES = {"cpu": 1024, "gpu": 2**16}
 """Rollouts at a time on a device."""
-MOST_LANES = 2**17
-"""Numbers of a batch's rollouts and robots share a word of the log."""
+MOST_LANES = 2**18
+"""The log has 22 bits for the number of a rollout, of which a batch has BATCH a lane."""
 BATCH = 16
 """Rollouts of a batch a lane: at its end lanes run empty."""
 EVENTS, BEGIN = 8, 3
@@ -137,18 +137,10 @@ def hand_over(book: Book, lanes: Lanes, batch: Batch, width: int) -> tuple[Lanes
     )
 
 
-def thresholds(seed: int, ids: NDArray[np.int64] | jax.Array, robots: int) -> jax.Array:
-    """Failure thresholds of robots 0 .. robots - 1 in rollouts `ids` `[B]`, uint32 `[B, robots, 2]`, drawn on the
-    device: in units of 2**-32 nat, the leading word first, those of every engine (`planner.failure_model.tolerances`).
-    """
-    key = np.array(key_of_luck(seed), np.uint32)
-    return _thresholds(key, jnp.asarray(ids).astype(jnp.uint32), robots)
-
-
 @partial(jax.jit, static_argnums=2)
 def _thresholds(key: jax.Array, ids: jax.Array, robots: int) -> jax.Array:
-    robot = jnp.arange(robots, dtype=jnp.uint32)
-    return tolerance_words(threefry2x32(key, ids[:, None], robot[None, :])[0])
+    """Failure thresholds of rollouts `ids` `[B]`, uint32 `[B, robots, 2]`. `key`: of `failure_model.key_of_luck`."""
+    return tolerance_words(robot_words(key, ids, robots))
 
 
 @cache
@@ -344,24 +336,26 @@ class JaxClosedLoop:
         queue[places] = ids
         put = partial(jax.device_put, device=self._shared)
         if self.loop.bearing.is_even:
-            left = put(thresholds(self.seed, put(queue.astype(np.uint32)), K))
+            key = np.array(key_of_luck(self.seed), np.uint32)
+            left = put(_thresholds(key, put(queue.astype(np.uint32)), K))
         else:  # robots that wear, or differ in susceptibility
             drawn = self.loop.bearing.tolerances(self.seed, queue, self.loop.robots)
             left = put(two_words(np.pad(drawn, ((0, 0), (0, K - drawn.shape[1])))))
         rows = (LOG_ROUNDS + 1) * rows_of_round(self.loop.comes_home, B, K)
+        zeros = partial(jnp.zeros, device=self._shared)  # made where they are needed: they may be gigabytes
         made = on_host(
             Batch,
             left=left,
             count=np.clip(len(ids) - each * np.arange(D), 0, each).astype(np.int32),
             next=np.zeros(D, np.int32),
-            begun=np.zeros(D * room, np.int32),
+            begun=zeros(D * room, jnp.int32),
             ended=on_host(
                 Ended,
-                numbers=np.zeros((D * room, ln.NUMBERS), np.int32),
-                visited=np.zeros((D * room, W), np.uint32),
-                survived=np.zeros((D * room, W), np.uint32),
+                numbers=zeros((D * room, ln.NUMBERS), jnp.int32),
+                visited=zeros((D * room, W), jnp.uint32),
+                survived=zeros((D * room, W), jnp.uint32),
             ),
-            log=on_host(Log, rows=np.zeros((D * rows, 4), np.uint32), used=np.zeros(D, np.int32)),
+            log=on_host(Log, rows=zeros((D * rows, 4), jnp.uint32), used=np.zeros(D, np.int32)),
         )
         return put(made), places
 

@@ -247,9 +247,10 @@ def one_cell(book: Book, cell: jax.Array) -> jax.Array:
 
 def log_row(number: jax.Array, robot: jax.Array, me: jax.Array, moves: jax.Array, flags: jax.Array) -> jax.Array:
     """Rows of the log, uint32 `[.., 4]`."""
-    whole = (number * 1024 + robot, me[..., WALK], me[..., SINCE], moves)
-    first, entry, since, last = (part.astype(jnp.uint32) for part in whole)
-    return jnp.stack([first, entry, since, last | flags], axis=-1)
+    whole = (number, robot, me[..., WALK], me[..., SINCE], moves)
+    number, robot, entry, since, last = (part.astype(jnp.uint32) for part in whole)
+    # 22 bits hold the number of a rollout in its batch, 10 that of a robot.
+    return jnp.stack([number << 10 | robot, entry, since, last | flags], axis=-1)
 
 
 def write(log: Log, chosen: jax.Array, rows: jax.Array) -> Log:
