@@ -78,7 +78,8 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     # It may have been completed by a robot that passed: then it is closed, and the robot looks again.
     closed = wants & is_open & ((at(book.bits, area) & ~now) == 0).all(axis=1)
     takes = wants & is_open & ~closed & ~too_far
-    asks = wants & (~is_open | too_far) & ~closed & (doing != ln.IDLE)
+    finds_none = wants & (~is_open | too_far) & ~closed
+    asks = finds_none & (doing != ln.IDLE)
 
     area = jnp.where(starts, piece, area)
     goal = at(book.target.reshape(-1), area * flat + here)
@@ -118,8 +119,7 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     wanted_share = shares
     splits, takes, closed, shares, makes = (acts & of for of in (splits, takes, closed, shares, makes))
     goes = acts & (covers | starts | takes | shares | (homeward & ~again))
-    again, rests = acts & again, acts & ((asks & ~shares) | (wants & ~is_open) | (~leaves & (doing == ln.LAND)))
-    rests = (rests | (acts & wants & too_far & ~closed & ~shares)) & ~turned
+    again, rests = acts & again, acts & ((finds_none & ~shares) | (~leaves & (doing == ln.LAND))) & ~turned
     gone = acts & (leaves | turned | returns) & ~again & ~goes
     charges = gone & arrives & recalls & (lanes.over == 0)
 

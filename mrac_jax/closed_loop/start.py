@@ -45,8 +45,6 @@ def check_supported(loop: ClosedLoop) -> None:
         argument("types"): len(t.type_of) > 0,
         argument("steps_per_move"): len(t.pace) > 0,
         argument("radio"): len(t.reach) > 0,
-        # Some robots that turn as soon as they get an area do so a step late.
-        f"{argument('return_to')} and {argument('deadline')}": loop.comes_home and t.last_step <= loop.max_steps,
     }
     for kind, asked in ((WorldError, of_the_map), (UsageError, options)):
         for named in (name for name, is_asked in asked.items() if is_asked):
