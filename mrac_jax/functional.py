@@ -8,8 +8,9 @@
     thresholds(key, ids, robots)                             failure thresholds, as every engine draws them
     book(world, plan)                                        the closed loop's decisions, as a frozen pytree
     closed_rollouts(book, thresholds) -> Closed              rollouts in which robots take over from those lost
+    closed_gradient(key, book, p, n) -> Gradient             of the closed loop's expected coverage in p
 
-All but the last two are of the open loop: robots follow their nominal paths, and none takes over from another
+All but the last three are of the open loop: robots follow their nominal paths, and none takes over from another
 (docs/spec.md, section 6). The closed loop is described in `mrac_jax/closed_loop/README.md`.
 
 Axes: `K` robots, `E` entries of a path, `H`, `W` rows and columns of the map, `N = H * W` cells (index
@@ -38,6 +39,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from mrac_jax.arrays import STATIC, Array, robot_words, threefry2x32, tolerance_words
+from mrac_jax.closed_loop.counting import group_sums, with_hazards
 from mrac_jax.closed_loop.engine import JaxClosedLoop
 from mrac_jax.closed_loop.events import begin, ended, next_event
 from mrac_jax.closed_loop.lanes import DONE, RUN, TIME, Book
@@ -45,6 +47,7 @@ from planner.errors import InputError, PlanError, UsageError
 from planner.failure_model import LUCK_DRAW, OWN_KEYS, key_of, wear_nodes, wear_scale
 from planner.plan.plan import Plan
 from planner.rollouts.closed_loop import compile_closed_loop
+from planner.rollouts.coverage_gradient import LEAST_LOSSES
 from planner.rollouts.open_loop import compile_plan
 from planner.simulator.thresholds import LOGARITHMS, SCALE, UNIT, log_units
 from planner.world.world import World
@@ -421,12 +424,12 @@ def _count(
     return Counts(n, visited, survived, *by_cell, *histograms)
 
 
-def _probabilities(arrays: PlanArrays, p: ArrayLike) -> Array:
+def _probabilities(arrays: PlanArrays | Book, p: ArrayLike) -> Array:
     """p as floats `[H, W]`, 0 on obstacles. Raises InputError."""
     return _layer(arrays, "p", p, lambda cells: (cells >= 0) & (cells < 1), "0 <= p < 1 in every free cell")
 
 
-def _layer(arrays: PlanArrays, name: str, given: ArrayLike, fits: Any, expected: str) -> Array:
+def _layer(arrays: PlanArrays | Book, name: str, given: ArrayLike, fits: Any, expected: str) -> Array:
     """A layer `[H, W]` with 0 on obstacles. Raises InputError."""
     layer, shape = jnp.asarray(given), arrays.free.shape
     if layer.shape != shape:
@@ -471,20 +474,46 @@ class Closed:
     missing: jax.Array
 
 
-def book(world: World, plan: Plan, *, seed: int = 0, rollouts: int = 4096, lanes: int = 256) -> Book:
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Gradient:
+    """d E[cells visited] / dp of each cell, by the likelihood ratio.
+
+    Attributes:
+        mean: float32 `[H, W]`, in cells; 0 on obstacles and in cells that no robot enters, NaN where p = 0.
+        standard_error: float32 `[H, W]`, of `mean`; NaN too where fewer than LEAST_LOSSES losses were seen in a cell
+            that was visited.
+        missing: int32, rollouts that are left out since the book lacks a decision: some of them bias the mean.
+    """
+
+    mean: jax.Array
+    standard_error: jax.Array
+    missing: jax.Array
+
+
+def book(
+    world: World, plan: Plan, *, p: ArrayLike | None = None, seed: int = 0, rollouts: int = 4096, lanes: int = 256
+) -> Book:
     """The decisions of rollouts 0 .. `rollouts` - 1 of a seed in a plan's closed loop: a frozen pytree of fixed shapes.
 
     Other rollouts may need decisions that it lacks (`Closed.missing`), the fewer the more rollouts it is of.
 
     Args:
         world: the map of the plan. plan: as of `mrac.plan`.
+        p: `[H, W]`, the chance that a visit destroys a robot, in these rollouts and in those of the book; decisions
+            stay those of the plan's map. None: the map's.
         seed, rollouts: see above. lanes: rollouts at a time.
 
-    Raises InputError for a plan of another world, and for a mission that the book does not hold.
+    Raises InputError for a plan of another world, for such p, and for a mission that the book does not hold.
     """
-    engine = JaxClosedLoop(compile_closed_loop(plan, world), seed, lanes=lanes, devices=1)
+    loop = compile_closed_loop(plan, world)
+    if p is not None:
+        loop = loop.under(World.create(np.where(world.free, np.asarray(p, dtype=np.float32), np.nan)))
+    engine = JaxClosedLoop(loop, seed, lanes=lanes, devices=1)
     engine.run(0, rollouts)
-    return engine.book()
+    free = np.isin(np.arange(world.threat.size), loop.cells).reshape(world.shape)
+    cells, plain = loop.cells.astype(np.int32), np.bool_(loop.bearing.is_plain)
+    return replace(engine.book(), **jax.device_put({"free": free, "cells": cells, "plain": plain}))
 
 
 def closed_rollouts(book: Book, thresholds: ArrayLike) -> Closed:
@@ -511,3 +540,61 @@ def closed_rollouts(book: Book, thresholds: ArrayLike) -> Closed:
         result = ended(book, replace(lanes, last=jnp.maximum(lanes.last, 0)))[0]
     time, alive, outcome = (result.numbers[:, column] for column in (TIME, ALIVE, OUTCOME))
     return Closed(result.visited, result.survived, time, alive, outcome, missing)
+
+
+GROUPS, LARGEST = 64, 4096
+"""A gradient's rollouts are split into GROUPS or more, of LARGEST or fewer; their scatter gives the standard error."""
+
+
+def closed_gradient(key: Key, book: Book, p: ArrayLike, n: int) -> Gradient:
+    """The gradient of the closed loop's expected coverage in p, while every decision stays as it is in the book.
+
+    `E[(C - b) (losses_c / p_c - passes_c / (1 - p_c))]` (score function method, Glynn 1990); C: cells visited, b: its
+    mean, losses_c: robots lost in cell c, passes_c: visits of c that a robot survived.
+
+    Args:
+        key: a seed or a key of `jax.random`; rollouts 0 .. n - 1 of it.
+        book: of a plan whose robots are alike and do not wear out.
+        p: `[H, W]`, the chance that a visit destroys a robot; need not be that of the book.
+        n: rollouts, static, at least 2 * GROUPS.
+
+    Raises InputError, also for a book of other robots, unless it is traced.
+    """
+    if not 2 * GROUPS <= n <= MOST_ROLLOUTS:
+        raise InputError(f"n: {n}", expected=f"{2 * GROUPS} .. {MOST_ROLLOUTS}")
+    if not isinstance(book.plain, jax.core.Tracer) and not book.plain:
+        raise PlanError("the book's robots wear out or differ", fix="leave `wear` and `susceptibility` out")
+    with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
+        return _closed_gradient(_seed_words(key), book, _probabilities(book, p).astype(jnp.float32), n=int(n))
+
+
+@partial(jax.jit, static_argnames="n")
+def _closed_gradient(seed: Array, book: Book, p: Array, *, n: int) -> Gradient:
+    groups = max(GROUPS, -(-n // LARGEST))
+    size, own = -(-n // groups), p.reshape(-1)[book.cells]
+    decisions = with_hazards(book, own)
+
+    def sums_of(group: Array) -> tuple[Array, ...]:
+        ids = group + groups * jnp.arange(size)
+        left = tolerance_words(_words_of(seed, ids.astype(jnp.uint32), book.milestones.shape[0]))
+        return group_sums(decisions, left, ids < n)
+
+    count, centre, covered, sums = jax.lax.map(sums_of, jnp.arange(groups))
+    total, found = count.sum(), sums.sum(axis=0)
+    # Whole numbers near the groups' means keep float32 sums small: what is left to the mean of all is added.
+    centre = (centre - centre[0]).astype(own.dtype)
+    mean_off = centre - (centre * count + covered).sum() / total
+    losses, passes, covered_losses, covered_passes = jnp.moveaxis(sums, 1, 0).astype(own.dtype)
+    of_each = (covered_losses + mean_off[:, None] * losses) / own
+    of_each = of_each - (covered_passes + mean_off[:, None] * passes) / (1 - own)
+    mean = of_each.sum(axis=0) / total
+    scatter = of_each - count[:, None] * mean
+    error = jnp.sqrt((scatter**2).sum(axis=0) * groups / (groups - 1)) / total
+    error = jnp.where((found[0] < LEAST_LOSSES) & (found[:2].sum(axis=0) > 0), jnp.nan, error)
+
+    def grid(values: Array) -> Array:
+        whole = jnp.zeros(p.size, own.dtype).at[book.cells].set(values).reshape(p.shape)
+        return jnp.where(book.free & (p <= 0), jnp.nan, whole)
+
+    # The mean of C is of the same rollouts.
+    return Gradient(grid(mean * total / (total - 1)), grid(error), n - total)

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import LANES
 from open_loop_reference import fixture, plan_of
 from test_mrac_jax_open_loop import waiting_plan
 
@@ -428,6 +429,29 @@ def test_the_compiled_gradient_is_that_of_exact_trees(robots: int, policy: str) 
         few = closed_loop_gradient(world, plan, p, rollouts=2000, threads=2)
         with patch("planner.rollouts.runners.run_set", interpreted("rollouts").run_set), np.errstate(over="ignore"):
             same(vars(few), vars(closed_loop_gradient(world, plan, p, rollouts=2000, threads=1)))
+
+
+def test_the_closed_loop_gradient_on_the_device() -> None:
+    """Under another map than that of the plan. A book of the same rollouts has all their decisions."""
+    world, p = random_world(4, 5), truth_of(random_world(4, 5))
+    plan = make_plan(world, place_starts(world, 2)[0])
+    exact = closed_loop_gradient(world, plan, p, exact=True)
+    decisions = F.book(world, plan, p=p, seed=2, rollouts=4096, lanes=LANES)
+    found = F.closed_gradient(2, decisions, p, 4096)
+    assert int(found.missing) == 0
+    obstacles, mean, error = ~world.free, np.asarray(found.mean), np.asarray(found.standard_error)
+    assert obstacles.any() and (mean[obstacles] == 0).all() and (error[obstacles] == 0).all()
+    np.testing.assert_array_equal(np.isnan(mean), world.free & (p <= 0))
+    check_sampled(replace(exact, mean=mean, standard_error=np.where(obstacles, 0, error)), exact)
+    few = F.book(world, plan, rollouts=0, lanes=LANES)
+    assert int(F.closed_gradient(2, few, p, 4096).missing) > 100
+    with pytest.raises(InputError, match=r"n: 127; expected 128"):
+        F.closed_gradient(2, few, p, 127)
+    with pytest.raises(InputError, match=r"p: shape \[2\]; expected \[4, 5\]"):
+        F.closed_gradient(2, few, p[0, :2], 4096)
+    worn = replace(few, plain=np.bool_(False))
+    with pytest.raises(PlanError, match="the book's robots wear out or differ"):
+        F.closed_gradient(2, worn, p, 4096)
 
 
 def test_what_has_no_closed_loop_gradient_is_refused(monkeypatch: pytest.MonkeyPatch, as_python: None) -> None:

@@ -9,6 +9,7 @@ in `mrac_jax.closed_loop.book`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -108,6 +109,8 @@ class Book:
             that tell from a robot's threshold the snapshot before its loss.
         homes: None where robots stay where they end.
         halvings, parts: static: bits of the most visits of a walk; parts that a split may have.
+        free: bool `[H, W]`, cells that robots can reach; cells: int32 `[A]`, the index of each in the map. plain: bool,
+            robots are alike and do not wear out. None in the engine, which compiles one program for many maps.
     """
 
     entries: jax.Array
@@ -134,6 +137,9 @@ class Book:
     milestones: jax.Array
     halvings: int = field(metadata=STATIC)
     parts: int = field(metadata=STATIC)
+    free: Any = None
+    cells: Any = None
+    plain: Any = None
 
 
 @jax.tree_util.register_dataclass
