@@ -80,16 +80,9 @@ def robot_words(key: jax.Array, ids: jax.Array, robots: int) -> jax.Array:
 # Arrays of the JAX engines: made of NumPy on the host, read as JAX arrays by what is traced.
 
 Array: TypeAlias = jax.Array
-HostArrays: TypeAlias = dict[str, Any]
-"""NumPy arrays and scalars by the names of the fields that they are for."""
 STATIC = {"static": True}
 """Of fields of tables that programs are compiled for; all others are data."""
 AnyTables = TypeVar("AnyTables")
-
-
-def padded(values: NDArray, size: int, fill: int = 0, dtype: type = np.int32) -> NDArray:
-    """`[size]` that begins with the values."""
-    return np.pad(values.astype(dtype), (0, size - len(values)), constant_values=fill)
 
 
 def on_host(kind: Callable[..., AnyTables], **fields: Any) -> AnyTables:

@@ -39,10 +39,9 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from mrac_jax.arrays import STATIC, Array, robot_words, threefry2x32, tolerance_words
-from mrac_jax.closed_loop.counting import group_sums, with_hazards
+from mrac_jax.closed_loop.counting import roll_out, scores, with_hazards
 from mrac_jax.closed_loop.engine import JaxClosedLoop
-from mrac_jax.closed_loop.events import begin, ended, next_event
-from mrac_jax.closed_loop.lanes import DONE, RUN, TIME, Book
+from mrac_jax.closed_loop.lanes import DONE, TIME, Book
 from planner.errors import InputError, PlanError, UsageError
 from planner.failure_model import LUCK_DRAW, OWN_KEYS, key_of, wear_nodes, wear_scale
 from planner.plan.plan import Plan
@@ -532,12 +531,8 @@ def closed_rollouts(book: Book, thresholds: ArrayLike) -> Closed:
     left = jnp.pad(left, ((0, 0), (0, room - team[0]), (0, 0)), constant_values=np.uint32(2**30))
     # The program broadcasts, whatever the caller's own code may do.
     with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
-        lanes = begin(book, left, jnp.zeros(left.shape[0], jnp.int32))[0]
-        lanes = jax.lax.while_loop(
-            lambda lanes: (lanes.mode == RUN).any(), lambda lanes: next_event(book, lanes, None)[0], lanes
-        )
+        lanes, result, _ = roll_out(book, left, jnp.bool_(True), None)
         missing = lanes.mode != DONE
-        result = ended(book, replace(lanes, last=jnp.maximum(lanes.last, 0)))[0]
     time, alive, outcome = (result.numbers[:, column] for column in (TIME, ALIVE, OUTCOME))
     return Closed(result.visited, result.survived, time, alive, outcome, missing)
 
@@ -574,23 +569,18 @@ def _closed_gradient(seed: Array, book: Book, p: Array, *, n: int) -> Gradient:
     size, own = -(-n // groups), p.reshape(-1)[book.cells]
     decisions = with_hazards(book, own)
 
-    def sums_of(group: Array) -> tuple[Array, ...]:
+    def sums_of(group: Array) -> Any:
         ids = group + groups * jnp.arange(size)
         left = tolerance_words(_words_of(seed, ids.astype(jnp.uint32), book.milestones.shape[0]))
-        return group_sums(decisions, left, ids < n)
+        return scores(own, decisions, left, ids < n)
 
-    count, centre, covered, sums = jax.lax.map(sums_of, jnp.arange(groups))
-    total, found = count.sum(), sums.sum(axis=0)
-    # Whole numbers near the groups' means keep float32 sums small: what is left to the mean of all is added.
-    centre = (centre - centre[0]).astype(own.dtype)
-    mean_off = centre - (centre * count + covered).sum() / total
-    losses, passes, covered_losses, covered_passes = jnp.moveaxis(sums, 1, 0).astype(own.dtype)
-    of_each = (covered_losses + mean_off[:, None] * losses) / own
-    of_each = of_each - (covered_passes + mean_off[:, None] * passes) / (1 - own)
+    count, covered, losses, score, weighed = jax.lax.map(sums_of, jnp.arange(groups))
+    total = count.sum()
+    of_each = weighed - covered.sum() / total * score
     mean = of_each.sum(axis=0) / total
     scatter = of_each - count[:, None] * mean
     error = jnp.sqrt((scatter**2).sum(axis=0) * groups / (groups - 1)) / total
-    error = jnp.where((found[0] < LEAST_LOSSES) & (found[:2].sum(axis=0) > 0), jnp.nan, error)
+    error = jnp.where((losses.sum(axis=0) < LEAST_LOSSES) & (score != 0).any(axis=0), jnp.nan, error)
 
     def grid(values: Array) -> Array:
         whole = jnp.zeros(p.size, own.dtype).at[book.cells].set(values).reshape(p.shape)

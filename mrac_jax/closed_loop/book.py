@@ -9,17 +9,15 @@ dangerous visits of all walks, `P` pieces, `H` buckets of the hash table. NumPy 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.arguments import argument
 from planner.errors import WorldError
+from planner.mrac.areas import connected_parts, wavefront_parts
 from planner.rollouts.loop import ClosedLoop
 from planner.simulator.codes import NONE
-from planner.simulator.jit import compiled, interpreted
-from planner.simulator.state import AREA_BITS, SURVIVED, VISITED
+from planner.simulator.jit import compiled
 
 WORD_BITS = 32
 SPLIT, HALVE, HOMEWARD = 2**32 - 1, 2**32 - 2, 2**32 - 3
@@ -38,6 +36,9 @@ BUCKET = 4
 """Entries that a bucket of the hash table has room for: as many tags, then their entries."""
 WORDS = (5, 10, 13, 16, 20, 26, 32, 40, 52, 64, 80, 96, 128, 160, 200, 256, 320)
 """Words of bits are padded to one of these, so that programs are compiled for few sizes."""
+ENTRIES, ROOM = 2**12, ((WORDS[7], 2**17), (WORDS[1], 2**16), (0, 2**15))
+"""Entries that there is room for at first, and rows of walks, from so many words on: an ordinary mission needs no more,
+so that its program is compiled once."""
 MOST_BYTES = 2**31
 """Memory that a book may take up."""
 M1, M2, M3 = np.uint32(0x9E3779B1), np.uint32(0x85EBCA77), np.uint32(0xC2B2AE3D)
@@ -86,15 +87,6 @@ def _cover(here, todo, sweep, cost, hop, out, ends):  # type: ignore[no-untyped-
         todo[target] = False
         left -= 1
     return size
-
-
-@compiled
-def _enter(cells, rows):  # type: ignore[no-untyped-def]
-    """Fill the rows `[M + 1, W]` of a walk that enters the cells `[M]`; -1: it waits."""
-    for step in range(len(cells)):
-        rows[step + 1] = rows[step]
-        if cells[step] >= 0:
-            rows[step + 1, cells[step] >> 5] |= np.uint32(1) << np.uint32(cells[step] & 31)
 
 
 @compiled
@@ -180,16 +172,16 @@ class HostBook:
         self.cells = len(loop.cells)
         least = -(-self.cells // WORD_BITS)
         self.words = next((words for words in WORDS if words >= least), least)
-        wide, room = self.words * WORD_BITS, 2**15 if self.words <= WORDS[0] else 2**16
-        self.entries = Grown(room // 32, (COLUMNS,), np.int32)
-        self.sets, self.salts = Grown(room // 32, (self.words,), np.uint32), Grown(room // 32, (), np.uint32)
+        wide, room = self.words * WORD_BITS, next(room for least, room in ROOM if self.words >= least)
+        self.entries = Grown(ENTRIES, (COLUMNS,), np.int32)
+        self.sets, self.salts = Grown(ENTRIES, (self.words,), np.uint32), Grown(ENTRIES, (), np.uint32)
         self.prefix, self.cell_at = Grown(room, (self.words,), np.uint32), Grown(room, (), np.int32)
         self.sums, self.at = Grown(room, (), np.int64), Grown(room, (), np.int32)
         self.bits = Grown(2**10, (self.words,), np.uint32)
         self.cost, self.target, self.steps = (Grown(2**10, (wide,), np.int32) for _ in range(3))
         self.need = Grown(room, (len(t.home_steps),), np.int32)
         self.longest = 1
-        self.buckets = np.zeros((room // 16, 2 * BUCKET), dtype=np.uint32)
+        self.buckets = np.zeros((4 * ENTRIES, 2 * BUCKET), dtype=np.uint32)
         self.most_visits = 1
         self.shift = int(t.cost_to.max(initial=0)).bit_length()
         if int(t.level.max()) + 1 << self.shift > NEVER:
@@ -284,8 +276,9 @@ class HostBook:
         """
         entered = cells if waits is None else np.where(waits, NONE, cells)
         rows = np.zeros((len(entered) + 1, self.words), dtype=np.uint32)
-        _enter(entered, rows)
-        base = self.prefix.add(rows)
+        move = np.flatnonzero(entered >= 0)
+        rows[move + 1, entered[move] >> 5] = np.uint32(1) << (entered[move] & 31).astype(np.uint32)
+        base = self.prefix.add(np.bitwise_or.accumulate(rows))
         self.cell_at.add(np.append(here, entered))
         self.longest = max(self.longest, len(cells))
         need = np.zeros((len(cells) + 1, len(self.loop.tables.home_steps)), dtype=np.int32)
@@ -335,30 +328,9 @@ class HostBook:
         return self.bits.add(self.row_of(cells)[None])
 
     def _add_split(self, cells: NDArray[np.int64], halves: bool) -> int:
-        parts = list(self._components(cells))
+        shape, every, first = self.loop.shape, self.loop.cells, self.bits.used
+        parts = connected_parts(shape, every[cells])
         bisected = halves and len(parts) == 1
-        first = self.bits.used
-        for part in self._halves(cells) if bisected else parts:
-            self._add_piece(part)
+        for part in wavefront_parts(shape, parts[0], 2) if bisected else parts:
+            self._add_piece(np.searchsorted(every, part))
         return self._add_entry(0, 0, 0, 1, 0, first, self.bits.used - first, bisected)
-
-    def _marked(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
-        """`State.home` in which these cells are those of area 0."""
-        home = np.full(self.cells + 1, VISITED | SURVIVED, dtype=np.int64)
-        home[cells] = 0
-        return home
-
-    def _components(self, cells: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-        home, stack, found = self._marked(cells), np.zeros(self.cells, dtype=np.int64), 0
-        for cell in cells.tolist():
-            if home[cell] == 0:
-                found += 1
-                interpreted("areas").flood(self.loop.tables.near, home, stack, cell, 0, found)
-                yield np.flatnonzero(home[:-1] == found << AREA_BITS)
-
-    def _halves(self, cells: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-        home, seen, stack = self._marked(cells), *(np.zeros(self.cells + 1, dtype=np.int64) for _ in range(2))
-        stamps = np.zeros(1, dtype=np.int64)
-        interpreted("areas").bisect(self.loop.tables.near, home, seen, stamps, stack, cells, 0, len(cells))
-        for half in range(2):
-            yield np.flatnonzero(home[:-1] == half << AREA_BITS)

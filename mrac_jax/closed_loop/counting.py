@@ -6,7 +6,7 @@ On the host by cell, by step and by rollout; on the device the sums by cell of a
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mrac_jax.closed_loop.book import BASE, COUNT, FIRST, LENGTH, NOWHERE, HostBook
 from mrac_jax.closed_loop.events import begin, ended, next_event
-from mrac_jax.closed_loop.lanes import DONE, FINAL, OFF, RUN, STOPPED, Book, Lanes, Log, at, write
+from mrac_jax.closed_loop.lanes import DONE, FINAL, OFF, RUN, STOPPED, Book, Ended, Lanes, Log, at, write
 from planner.rollouts.loop import ClosedLoop, known_cells
 from planner.simulator.jit import threaded
 from planner.simulator.state import MOST_PASSES, make_counts
@@ -174,70 +174,62 @@ def follow_nominal(book: HostBook, begun: Begun, rows: NDArray[np.uint32]) -> No
 # On the device: the gradient of expected coverage (`mrac_jax.functional.closed_gradient`).
 
 
-def _begins(book: Book) -> jax.Array:
-    """Rows at which a walk begins, bool `[R]`."""
-    return jnp.zeros(book.cell_at.shape, bool).at[book.entries[:, BASE]].set(True)
-
-
-def _own_cell(book: Book) -> jax.Array:
-    """The cell that the move of each row enters, int32 `[R]`; A: none."""
-    return jnp.where(_begins(book) | (book.cell_at < 0), len(book.cells), book.cell_at)
-
-
-def with_hazards(book: Book, p: jax.Array) -> Book:
+def with_hazards(book: Book, p: jax.Array) -> tuple[Book, jax.Array]:
     """The same decisions where visits destroy a robot with these chances, `[A]`; lanes begin at the first step.
 
-    A cell that the book's map has as safe may be dangerous, so every move counts as a visit that may.
+    A cell that the book's map has as safe may be dangerous, so every move counts as a visit that may. Returns too
+    the cell that the move of each row enters, int32 `[R]`; A: none.
     """
-    row = jnp.arange(len(book.cell_at), dtype=jnp.int32)
-    base = jax.lax.cummax(jnp.where(_begins(book), row, 0))
+    row, moves = jnp.arange(len(book.cell_at), dtype=jnp.int32), book.entries[:, LENGTH]
+    begins = jnp.zeros(row.shape, bool).at[book.entries[:, BASE]].set(True)
+    base = jax.lax.cummax(jnp.where(begins, row, 0))
+    cell = jnp.where(begins | (book.cell_at < 0), len(p), book.cell_at)
     with jax.enable_x64(True):  # of what is traced here alone
         own = jnp.rint(-jnp.log1p(-p.astype(jnp.float64)) * UNIT).astype(jnp.int64)
-        total = jnp.cumsum(jnp.append(own, 0)[_own_cell(book)])
+        total = jnp.cumsum(jnp.append(own, 0)[cell])
         total = total - total[base]
         sums = jnp.stack([total >> 32, total & (2**32 - 1)], axis=-1).astype(jnp.uint32)
-    entries = book.entries.at[:, FIRST].set(book.entries[:, BASE] + 1).at[:, COUNT].set(book.entries[:, LENGTH])
+    entries = book.entries.at[:, FIRST].set(book.entries[:, BASE] + 1).at[:, COUNT].set(moves)
     first = jnp.full_like(book.milestones, NOWHERE)  # a walk of no moves: the first snapshot
-    return replace(book, entries=entries, sums=sums, at=row - base, milestones=first, halvings=len(row).bit_length())
+    halvings = len(row).bit_length()
+    return replace(book, entries=entries, sums=sums, at=row - base, milestones=first, halvings=halvings), cell
 
 
-def group_sums(book: Book, left: jax.Array, asked: jax.Array) -> tuple[jax.Array, ...]:
-    """Of rollouts with these thresholds `[B, K, 2]`, as far as they are asked for and the book holds their decisions.
-
-    Returns how many; a whole number m near the mean of C, their cells visited; the sum of C - m; int32 `[4, A]`:
-    losses and passes by cell, and both times C - m.
-    """
+def roll_out(book: Book, left: jax.Array, asked: jax.Array, log: Log | None) -> tuple[Lanes, Ended, Log | None]:
+    """Rollouts with these thresholds `[B, K, 2]`, as far as they are asked for and the book holds their decisions."""
     lanes = begin(book, left, jnp.arange(len(left), dtype=jnp.int32))[0]
-    lanes = replace(lanes, mode=jnp.where(asked, lanes.mode, OFF))
-    # An area is travelled to and covered at most once; robots that are recharged return some times more.
-    room = len(left) * 2 * (lanes.slots.shape[1] + lanes.key.shape[1])
-    log = Log(jnp.zeros((room, 4), jnp.uint32), jnp.int32(0))
-
-    def step(state: tuple[Lanes, Log]) -> tuple[Lanes, Log]:
-        return next_event(book, *state)  # type: ignore[return-value]
-
-    lanes, log = jax.lax.while_loop(lambda state: (state[0].mode == RUN).any(), step, (lanes, log))
-    results, rows, there = ended(book, replace(lanes, last=jnp.maximum(lanes.last, 0)))
-    log = write(log, there.reshape(-1), rows.reshape(-1, 4))
-    counts = (lanes.mode == DONE) & (log.used <= room)
-    covered, count = jnp.where(counts, results.numbers[:, 0], 0), counts.sum(dtype=jnp.int32)
-    centre = covered.sum(dtype=jnp.int32) // jnp.maximum(count, 1)
-    weight = counts[:, None] * jnp.stack([jnp.ones_like(covered), covered - centre], axis=1)
-
-    which = (log.rows[:, 0] >> 10).astype(jnp.int32)
-    weight = jnp.where((jnp.arange(room) < log.used)[:, None], at(weight, which), 0)
-    end = at(book.entries, log.rows[:, 1].astype(jnp.int32))[:, BASE] + (log.rows[:, 3] & jnp.uint32(MOVES)).astype(
-        jnp.int32
+    state = replace(lanes, mode=jnp.where(asked, lanes.mode, OFF)), log
+    lanes, log = jax.lax.while_loop(
+        lambda state: (state[0].mode == RUN).any(), lambda state: next_event(book, *state), state
     )
-    lost = log.rows[:, 3] >> 31 > 0
-    size, cell = len(book.cell_at), _own_cell(book)
-    none = jnp.zeros((size + 1, 2), jnp.int32)
-    losses = none.at[jnp.where(lost, end, size)].add(weight)[:-1]
-    # A walk that goes on to some move makes all moves before. Sums that overflow cancel in the difference.
-    after = jnp.cumsum(none.at[end - lost].add(weight)[::-1], axis=0)[::-1]
-    row = jnp.where(_begins(book), jnp.arange(size, dtype=jnp.int32), size)
-    next_walk = jax.lax.cummin(jnp.append(row[1:], size), reverse=True)
-    passes = after[:-1] - after[next_walk]
-    none = jnp.zeros((len(book.cells) + 1, 4), jnp.int32)
-    sums = none.at[cell].add(jnp.concatenate([losses, passes], axis=1))[:-1].T
-    return count, centre, (covered - centre * counts).sum(dtype=jnp.int32), sums[jnp.array([0, 2, 1, 3])]
+    results, rows, there = ended(book, replace(lanes, last=jnp.maximum(lanes.last, 0)))
+    return lanes, results, log and write(log, there.reshape(-1), rows.reshape(-1, 4))
+
+
+def scores(p: jax.Array, decisions: tuple[Book, jax.Array], left: jax.Array, asked: jax.Array) -> Any:
+    """Sums over rollouts of d log(chance of the rollout) / dp: `losses_c / p_c - passes_c / (1 - p_c)`.
+
+    decisions: of `with_hazards`. left, asked: as of `roll_out`.
+
+    Returns: how many rollouts; their cells visited; of the cells `[A]` the losses, the scores, and these times the
+    cells visited.
+    """
+    book, cell = decisions
+    # An area is travelled to and covered at most once; robots that are recharged return some times more.
+    room = len(left) * 2 * (book.first.slots.shape[1] + len(book.milestones))
+    lanes, results, log = roll_out(book, left, asked, Log(jnp.zeros((room, 4), jnp.uint32), jnp.int32(0)))
+    assert log is not None
+    counts = (lanes.mode == DONE) & (log.used <= room)
+    number, entry, moves = (log.rows[:, column] for column in (0, 1, 3))
+    walk, lost = at(book.entries, entry.astype(jnp.int32))[:, BASE], moves >> 31 > 0
+    end, which = walk + (moves & jnp.uint32(MOVES)).astype(jnp.int32), (number >> 10).astype(jnp.int32)
+    there = at(counts, which) & (jnp.arange(room) < log.used)
+
+    def log_chance(p: jax.Array) -> jax.Array:
+        survives = jnp.cumsum(jnp.append(jnp.log1p(-p), 0)[cell])
+        return survives[end - lost] - survives[walk] + jnp.where(lost, jnp.append(jnp.log(p), 0)[cell[end]], 0)
+
+    covered, score = jnp.where(counts, results.numbers[:, 0], 0).astype(p.dtype), jax.vjp(log_chance, p)[1]
+    each, weighed = (score(there * at(weight, which))[0] for weight in (jnp.ones_like(covered), covered))
+    losses = jnp.zeros(len(p) + 1, p.dtype).at[cell[end]].add(there & lost)[:-1]
+    return counts.sum(dtype=jnp.int32), covered.sum(), losses, each, weighed

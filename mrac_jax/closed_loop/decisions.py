@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from mrac_jax.arrays import less
 from mrac_jax.closed_loop import lanes as ln
-from mrac_jax.closed_loop.book import COUNT, FIRST, HALVE, NEVER, PARTS, PIECE
+from mrac_jax.closed_loop.book import HALVE, NEVER, PARTS, PIECE
 from mrac_jax.closed_loop.lanes import Book, Lanes, Log, at, entered, hold, look_up, one_cell, pick, walk
 from planner.simulator.codes import Outcome
 
@@ -38,17 +37,14 @@ def turning(
     row, length = at(book.entries, entry)[:, :2].T
     table, column = book.need.reshape(-1), at(homes.of, robot)
 
-    def halve(_: int, span: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        low, high = span
-        middle = (low + high) >> 1
-        goes = (low < high) & (at(table, (row + middle) * sets + column) <= within)
-        return hold((jnp.where(goes, middle + 1, low), jnp.where(goes, high, middle)))
+    def is_late(move: jax.Array) -> jax.Array:
+        return at(table, (row + move) * sets + column) > within
 
-    first = jax.lax.fori_loop(0, homes.turnings, halve, (jnp.ones_like(length), length + 1))[0]
+    first = ln.first_that(is_late, jnp.ones_like(length), length + 1, homes.turnings)
     turns = (first <= length) & (first <= moves)
     moves = jnp.where(turns, first - 1, moves)
     if waits:
-        turns = turns | ((length == 0) & (at(table, row * sets + column) > within))
+        turns = turns | ((length == 0) & is_late(jnp.zeros_like(length)))
     return hold((moves, jnp.where(turns, ln.TURNS, fate)))
 
 
@@ -79,22 +75,14 @@ def all_return(book, lanes, log, runs, key):  # type: ignore[no-untyped-def]
     complete = (step > lanes.last) & covered(step - 1)
     over = may & (complete | asleep)
 
-    def halve(_: int, span: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        low, high = span
-        middle = (low + high) >> 1
-        full = covered(middle)
-        return hold((jnp.where(full, low, middle + 1), jnp.where(full, middle, high)))
-
     def turn() -> tuple[Lanes, Log | None]:
-        first = jax.lax.fori_loop(0, ln.HALVINGS, halve, (jnp.minimum(lanes.last, step - 1), step - 1))[1]
+        first = ln.first_that(covered, jnp.minimum(lanes.last, step - 1), step - 1, ln.HALVINGS)
         time = jnp.where(complete, first, stuck)
         offset = jnp.clip(time[:, None] - robots[:, :, ln.SINCE], 0, robots[:, :, ln.LAST])
         doing = robots[:, :, ln.DOING]
         cut = over[:, None] & ((doing < ln.RETURN) | (doing == ln.IDLE))
-        flat = robots.reshape(-1, ln.FIELDS)
-        entry = at(book.entries, flat[:, ln.WALK])
-        visits = ln.visits_before(book, entry[:, FIRST], entry[:, COUNT], offset.reshape(-1), None, book.halvings)
-        left = less(lanes.left.reshape(-1, 2), ln.hazard_of(book, flat[:, ln.WALK], visits)).reshape(lanes.left.shape)
+        walks, left = robots[:, :, ln.WALK].reshape(-1), lanes.left.reshape(-1, 2)
+        left = ln.left_after(book, walks, left, offset.reshape(-1)).reshape(lanes.left.shape)
         rows = jnp.where(cut, robots[:, :, ln.ROW] + offset, 0)
         come = jnp.bitwise_or.reduce(at(book.prefix, rows), axis=1)
         cell = jnp.where(
@@ -123,7 +111,7 @@ def all_return(book, lanes, log, runs, key):  # type: ignore[no-untyped-def]
         written = ln.log_row(lanes.number[:, None], who, robots, offset, flags).reshape(-1, 4)
         return changed, ln.write(log, (cut & (offset > 0)).reshape(-1), written)
 
-    lanes, log = ln.if_any_else(over, turn, (lanes, log))
+    lanes, log = ln.if_any(over, turn, (lanes, log))
     return lanes, log, over
 
 
@@ -195,9 +183,7 @@ def owner_sets_out(book, lanes, log, share, made, first, step, helper, offset): 
     K, owner = lanes.key.shape[1], share.owner
     me, by = pick(lanes.robots, owner), pick(offset, owner)
     waits = me[:, ln.DOING] == ln.START
-    entry = at(book.entries, me[:, ln.WALK])
-    visits = ln.visits_before(book, entry[:, FIRST], entry[:, COUNT], by, None, book.halvings)
-    left = less(pick(lanes.left, owner), ln.hazard_of(book, me[:, ln.WALK], visits))
+    left = ln.left_after(book, me[:, ln.WALK], pick(lanes.left, owner), by)
     since = step - (owner > helper)
     way, budget = jnp.maximum(share.walks[:, 0], 0), me[:, ln.UNTIL] - since
     base, moves, fate, end = walk(book, way, left, budget)

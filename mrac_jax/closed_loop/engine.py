@@ -367,9 +367,8 @@ class JaxClosedLoop:
             self._lanes, batch = program(self.book(), self._lanes, batch)
             # What is read is copied: the program is given the memory back.
             used, mode, fuel = (np.array(of) for of in (batch.log.used, self._lanes.mode, self._lanes.fuel))
-            rows = np.asarray(batch.log.rows).reshape(self._devices, -1, 4)
             for device, log in enumerate(logs):
-                log.append(rows[device, : used[device]].copy())
+                log.append(_first_rows(batch.log.rows.addressable_data(device), int(used[device])))
             if (mode == ln.FULL).any():
                 raise _NoRoom
             missing = mode == ln.MISSING
@@ -471,6 +470,13 @@ class JaxClosedLoop:
     def _rolling(self, loop: ClosedLoop) -> JaxClosedLoop:
         """Another loop in as many lanes and on as many devices."""
         return JaxClosedLoop(loop, self.seed, lanes=self.lanes, devices=self._devices)
+
+
+def _first_rows(rows: jax.Array, count: int) -> NDArray[np.uint32]:
+    """So many rows of one device. Of a GPU no more than twice as many are fetched, by few programs."""
+    if jax.default_backend() != "cpu":  # whose memory is read in place
+        rows = rows[: 1 << max(count - 1, 0).bit_length()]
+    return np.asarray(rows)[:count].copy()
 
 
 class _NoRoom(Exception):

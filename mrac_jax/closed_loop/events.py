@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from mrac_jax.arrays import less
 from mrac_jax.closed_loop import lanes as ln
-from mrac_jax.closed_loop.book import BISECTED, COUNT, FIRST, HOMEWARD, LENGTH, NEVER, PARTS, PIECE, SPLIT
+from mrac_jax.closed_loop.book import BISECTED, HOMEWARD, LENGTH, NEVER, PARTS, PIECE, SPLIT
 from mrac_jax.closed_loop.decisions import affords, all_return, find_to_share, moves_home, owner_sets_out, turning
 from mrac_jax.closed_loop.lanes import Book, Ended, Lanes, Log, at, entered, hold, look_up, one_cell, pick, walk
 from planner.simulator.codes import Outcome
@@ -123,12 +123,10 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
     gone = acts & (leaves | turned | returns) & ~again & ~goes
     charges = gone & arrives & recalls & (lanes.over == 0)
 
-    done = None
-    if homes is not None:  # one that turns back goes on with what is left of its threshold
-        walked = at(book.entries, me[:, ln.WALK])
-        done = ln.visits_before(book, walked[:, FIRST], walked[:, COUNT], me[:, ln.LAST], None, book.halvings)
+    # One that turns back goes on with what is left of its threshold.
+    done = None if homes is None else me[:, ln.LAST]
     spent = acts & ~again & ~dies & ((fate == ln.ARRIVES) | (homes is not None))
-    left = jnp.where(spent[:, None], less(left, ln.hazard_of(book, me[:, ln.WALK], done)), left)
+    left = jnp.where(spent[:, None], ln.left_after(book, me[:, ln.WALK], left, done), left)
     leg = jnp.maximum(jnp.where(shares, share.walks[:, 1], entry), 0)
     # A robot that turns back before its move makes it on its way to the base.
     since = step - (fate == ln.TURNS)
@@ -207,7 +205,7 @@ def next_event(book: Book, lanes: Lanes, log: Log | None) -> tuple[Lanes, Log | 
         flags = jnp.where(dies, jnp.uint32(ln.STOPPED), jnp.uint32(0))
         log = ln.write(log, come & (me[:, ln.LAST] > 0), ln.log_row(lanes.number, who, me, me[:, ln.LAST], flags))
     share = replace(share, found=shares)
-    return ln.if_any_else(
+    return ln.if_any(
         shares, lambda: owner_sets_out(book, changed, log, share, lanes.made, first, step, who, offset), (changed, log)
     )
 
@@ -246,17 +244,17 @@ def ended(book: Book, lanes: Lanes) -> tuple[Ended, jax.Array, jax.Array]:
     def covered(time: jax.Array) -> jax.Array:
         return lanes.visited | entered(book, row + by(time))
 
-    def halve(_: int, span: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        low, high = span
-        middle = (low + high) >> 1
-        full = (covered(middle) == book.every).all(axis=1)
-        return hold((jnp.where(full, low, middle + 1), jnp.where(full, middle, high)))
-
     complete = (lanes.now == book.every).all(axis=1)
-    span = jnp.zeros_like(lanes.last), lanes.last
-    rewinds = complete.any() if book.homes is None else jnp.bool_(False)
-    first = jax.lax.cond(rewinds, lambda: jax.lax.fori_loop(0, ln.HALVINGS, halve, span)[1], lambda: lanes.last)
-    time = jnp.where(complete, first, lanes.last)
+    time = lanes.last
+    if book.homes is None:  # else a robot has had to return after that
+
+        def is_complete(time: jax.Array) -> jax.Array:
+            return (covered(time) == book.every).all(axis=1)
+
+        def rewind() -> jax.Array:
+            return ln.first_that(is_complete, jnp.zeros_like(time), time, ln.HALVINGS)
+
+        time = jnp.where(complete, jax.lax.cond(complete.any(), rewind, lambda: time), time)
     moves = by(time)
     stopped = (robots[:, :, ln.FATE] == ln.DIES) & (robots[:, :, ln.SINCE] + robots[:, :, ln.LAST] <= time[:, None])
     lost = (robots[:, :, ln.DOING] == ln.DEAD) | stopped

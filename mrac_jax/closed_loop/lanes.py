@@ -8,13 +8,14 @@ in `mrac_jax.closed_loop.book`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from mrac_jax.arrays import STATIC, is_reached
+from mrac_jax.arrays import STATIC, is_reached, less
 from mrac_jax.closed_loop.book import BUCKET, COUNT, FIRST, NEVER, NOWHERE, mixed
 
 START, FOLLOW, TRAVEL, COVER, LAND, RETURN, RECALL, CHARGE, IDLE, OUT, DEAD = range(11)
@@ -190,24 +191,20 @@ def entered(book: Book, row: jax.Array) -> jax.Array:
     return total
 
 
-def visits_before(
-    book: Book, first: jax.Array, count: jax.Array, move: jax.Array, left: jax.Array | None, halvings: int
-) -> jax.Array:
-    """How many of a walk's dangerous visits `[S]` come up to a move, or leave some of a threshold `[S, 2]`.
+def first_that(fits: Callable[[jax.Array], jax.Array], low: jax.Array, high: jax.Array, halvings: int) -> jax.Array:
+    """The least of the numbers `low` .. `high` - 1 that fits, and so do all above it; `high`: none. All `[S]`.
 
-    `halvings`: as many as the number of visits has bits. `left`: None, or the threshold.
+    `halvings`: as many as `high - low` has bits.
     """
 
     def halve(_: int, span: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = span
         middle = (low + high) >> 1
-        place = first + middle
-        passes = at(book.at, place) <= move if left is None else ~is_reached(left, at(book.sums, place))
-        passes = (low < high) & passes
+        beyond = (low < high) & ~fits(middle)
         # A barrier: XLA would compute a chain of gathers anew for each of its readers.
-        return hold((jnp.where(passes, middle + 1, low), jnp.where(passes, high, middle)))
+        return hold((jnp.where(beyond, middle + 1, low), jnp.where(beyond, high, middle)))
 
-    return jax.lax.fori_loop(0, halvings, halve, (jnp.zeros_like(count), count))[0]
+    return jax.lax.fori_loop(0, halvings, halve, (low, high))[0]
 
 
 def walk(
@@ -215,7 +212,10 @@ def walk(
 ) -> tuple[jax.Array, ...]:
     """Of walks that begin `[S]`, with such thresholds `[S, 2]` and moves left: (first row, moves, fate, last cell)."""
     base, length, end, first, count = hold(at(book.entries, entry)).T[:5]
-    survived = visits_before(book, first, count, first, left, halvings or book.halvings)
+    survived = first_that(
+        lambda visit: is_reached(left, at(book.sums, first + visit)), jnp.zeros_like(count), count,
+        halvings or book.halvings,
+    )  # fmt: skip
     lost = jnp.where(survived < count, at(book.at, first + survived), NEVER)
     last = jnp.minimum(lost, length)
     ends = (budget < lost) & (budget <= length)
@@ -223,10 +223,14 @@ def walk(
     return hold((base, jnp.where(ends, budget, last), fate, end))
 
 
-def hazard_of(book: Book, entry: jax.Array, visits: jax.Array | None = None) -> jax.Array:
-    """The hazard of a walk's first visits, all of them if None, uint32 `[S, 2]`."""
+def left_after(book: Book, entry: jax.Array, left: jax.Array, moves: jax.Array | None = None) -> jax.Array:
+    """Thresholds `[S, 2]` after so many moves of walks, all moves if None."""
     row = at(book.entries, entry)
-    return at(book.sums, row[:, FIRST] - 1 + (row[:, COUNT] if visits is None else visits))
+    first, visits = row[:, FIRST], row[:, COUNT]
+    if moves is not None:
+        none = jnp.zeros_like(visits)
+        visits = first_that(lambda visit: at(book.at, first + visit) > moves, none, visits, book.halvings)
+    return less(left, at(book.sums, first - 1 + visits))
 
 
 def stride_of(book: Book, lanes: Lanes) -> int:
@@ -266,13 +270,10 @@ def write(log: Log, chosen: jax.Array, rows: jax.Array) -> Log:
     return Log(log.rows.at[place].set(rows, mode="drop"), log.used + chosen.sum(dtype=jnp.int32))
 
 
-def if_any(wanted, make):  # type: ignore[no-untyped-def]
-    """`make()` where some lane wants it, else zeros. On a GPU a branch would make the host wait."""
+def if_any(wanted, make, other=None):  # type: ignore[no-untyped-def]
+    """`make()` where some lane wants it, else `other`, or zeros. On a GPU a branch would make the host wait."""
     if jax.default_backend() != "cpu":
         return make()
-    none = jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), jax.eval_shape(make))
-    return jax.lax.cond(wanted.any(), make, lambda: none)
-
-
-def if_any_else(wanted, make, other):  # type: ignore[no-untyped-def]
-    return make() if jax.default_backend() != "cpu" else jax.lax.cond(wanted.any(), make, lambda: other)
+    if other is None:
+        other = jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), jax.eval_shape(make))
+    return jax.lax.cond(wanted.any(), make, lambda: other)
