@@ -112,7 +112,7 @@ def evaluate(
     Args:
         plan: Evaluate this plan file instead of planning.
         threat_scale: Also if all threats are so many times the map's, the plan as it is: "0.5,1,2".
-        sensor_range: Also if robots that are not told the map see so many cells far, on common random numbers: "0,1,2,inf".
+        sensor_range: Also with sensors of these ranges in cells, common random numbers: "0,1,2,inf".
         metrics: What is found and left of what cells are worth, in the words of this field.
         bound: Also compute the upper bound where that is expensive, above 1,000 dangerous cells; as sharp as it gets
             above 500 accessible ones.
