@@ -194,7 +194,7 @@ def _flat(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 def policy_words(settings: Settings) -> str:
     """A policy and its limits: "watchful, reserve 0.25, order of areas found"."""
-    limits = {name: getattr(settings, name) for name in ("reserve", "worth", "density")}
+    limits = {name: getattr(settings, name) for name in ("risk_cap", "robot_value", "density")}
     own = [f"{name} {value:g}" for name, value in limits.items() if value != getattr(type(settings), name)]
     own += ["order of areas found"] * (settings.priority is not None)
     return ", ".join([settings.rule.name, *own])

@@ -72,7 +72,7 @@ class Advice(Output):
         coverage, losses = tally_mean(tally, "visited", 1.0 / tally.accessible), tally_mean(tally, "lost")
         if run.closed is not None and run.closed.alive is not None:  # as the headline says them
             coverage, losses = exactly(run.closed.visited.value / tally.accessible), exactly(robots - run.closed.alive)
-        now = Setting(settings.rule.name, settings.reserve, settings.worth, settings.deadline)
+        now = Setting(settings.rule.name, settings.risk_cap, settings.robot_value, settings.deadline)
         try:
             points = quick_points(
                 run.world, run.plan.starts, settings, choices, losses=losses.mean, kept=run.kept,
@@ -217,7 +217,7 @@ def _has_another(run: Run) -> bool:
         run.choices.loop == "closed"
         and settings is not None
         and run.plan.state is None
-        and settings.plan_for == "closed"
+        and settings.plan_for == "closed_loop"
         and settings.rule.name in RULES
         and isinstance(settings.in_area, str)
     )
