@@ -363,7 +363,7 @@ def test_what_would_be_certain_or_does_not_fit_is_refused(tmp_path: Path) -> Non
 def test_loops_and_engines_that_have_no_movers_say_so() -> None:
     world = moving_world(1)
     plan = make_plan(world, place_starts(world, 2)[0])
-    with pytest.raises(InputError, match="seed1: the open loop asks who is stopped at dangerous entries alone"):
+    with pytest.raises(InputError, match="seed1: the open loop cannot include moving threats"):
         make_engine(plan, world, Rolling("open"))
     with pytest.raises(InputError, match=r"engine=.jax. with moving threats"):
         make_engine(plan, world, Rolling(), "jax")

@@ -42,9 +42,9 @@ from planner.world.world import World
 
 holds = interpreted("state").holds
 Hit = Callable[[int, int, int], bool]
-"""`hit(robot, step, cell)`: is the robot lost as it enters the cell at this step?"""
+"""`hit(robot, step, cell)`: whether the robot is lost as it enters the cell at this step."""
 OWN = "left", "at", "met", "begin"
-"""The arrays of the scratch that belong to the rollout itself, not to the world."""
+"""Scratch arrays that belong to the rollout, not to the world."""
 NOT_BEGUN = -1
 """The step before t = 0, at which robots enter their starts."""
 
@@ -136,12 +136,20 @@ class SingleRun:
         known: Work | None = None,
         hit: Hit | None = None,
     ) -> None:
-        """`known`: the scratch of another run of the loop, which holds path costs. `hit` decides every loss."""
+        """Prepare the rollout.
+
+        Args:
+            loop: the closed loop.
+            seed: of the random numbers.
+            rollout: id.
+            known: scratch arrays of another run of the loop, with its path costs.
+            hit: decides every loss instead of the random numbers.
+        """
         runner = Runner(loop, seed, 1, None if known is None else [known])
         self.loop, self.rollout = loop, rollout
         self.p, self.c, self.w, self.notes = runner.policy, runner.counts, runner.work, Notes(loop)
-        # The scratch is shared by the runs of one loop, which may advance in turn: each has its own `begin`, and finds
-        # coverage paths one leg at a time.
+        # Scratch is shared by the runs of one loop, which may advance in turn. So each run has its own `begin`, and
+        # finds coverage paths leg by leg, since cached ones belong to the run that is made first.
         self.w = self.w._replace(paths=self.w.paths[:0], begin=np.array([rollout], dtype=np.int64))
         self.t = runner.tables._replace(notes=self.notes)
         self.how = runner.how._replace(pause=True, in_area=loop.in_area)
@@ -172,7 +180,7 @@ class SingleRun:
         )
         self.outcome: Outcome | None = None
         self.new_events = self.log.events[:0]
-        # Of robots that neither move nor wait, moves left; `until` of a robot that moves is a turn.
+        # Moves left of robots that neither move nor wait; for a moving robot `until` is a turn instead.
         self.left = dict[int, int]()
         self.turned, self._acting = set[int](), b""
         for robot, given in enumerate(() if loop.state is None else loop.state.robots):
@@ -185,7 +193,7 @@ class SingleRun:
         """Use level 0 of the stack as the state."""
         self._stack, self.raw = stack, State._make(row[0] for row in stack)
         self.s: Any = interpreted("struct_pointers").with_records(self.raw)
-        # As bytes rows are copied several times faster than as records.
+        # Copying rows as bytes is several times faster than as records.
         kept = stack._replace(areas=stack.areas[:, :0])
         rows = stack.areas, *kept, self.w.left, self.w.at, self.w.met
         self._bytes = [row.reshape(-1).view(np.uint8) for row in rows if row.size]
@@ -453,7 +461,7 @@ class RobotNow:
 
     @property
     def held(self) -> bool:
-        """True if the cap on robots at risk (`reserve`) keeps it from areas with threats, until it gets an area."""
+        """True if the cap on robots at risk (`risk_cap`) keeps it from areas with threats, until it gets an area."""
         return bool(self._me["held"])
 
     @property
@@ -590,10 +598,13 @@ def without_waiting(path: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] | None = None) -> MissionState:
-    """The mission state of a run between two steps. Completed areas without cells are dropped and ids closed up.
+    """The mission state of a run between two steps (SPEC section 12). Completed areas without cells are dropped.
 
-    cumulative_hazard: of each robot, in units of 2**-32 nat; kept where the Weibull shape is not 1. A real robot's may
-    exceed every threshold that can be drawn: then the largest possible one is kept.
+    Args:
+        run: between two steps.
+        problem: of its plan.
+        cumulative_hazard: of each robot, in units of 2**-32 nat; kept if the Weibull shape is not 1. That of a real
+            robot may exceed every threshold that can be drawn: then the largest possible value is kept.
     """
     world, settings, loop = problem.world, problem.settings, run.loop
     settings.check_not_charged("the state of a mission")
@@ -650,8 +661,10 @@ class PythonLoop:
     """The closed loop of a plan by the simulator as Python, one rollout at a time; for any policy and cell order.
 
     Args:
-        plan: this project's, made for `world`, or the paths of another planner (`planner.mrac.problem`).
-        first_only: `threat_checks="first_visit"`. problem: the plan's own, if it is available.
+        plan: for `world`, or an external plan (`planner.mrac.problem`).
+        world: the map.
+        first_only: `threat_checks="first_visit"`.
+        problem: the plan's problem, if available.
 
     Raises:
         PlanError: a plan for another map.
@@ -685,7 +698,7 @@ class PythonLoop:
             yield run
 
     def state_at(self, step: int, seed: int, rollout: int) -> MissionState | None:
-        """The mission state at the end of a step; None if the rollout has ended by then."""
+        """The mission state at the end of a step; None if the rollout has ended before."""
         for run in self.runs(seed, rollout):
             if run.step == step and run.outcome is None:
                 return state_of(run, self.problem, run.raw.robots["borne"].tolist())
