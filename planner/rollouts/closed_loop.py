@@ -79,6 +79,7 @@ def compile_closed_loop(
     learns, unknown = problem.learns, problem.unknown
     cells = np.flatnonzero(problem.levels.accessible if unknown is None or not learns else unknown.within)
     tabled = not (learns or interpreted) and (len(cells) <= MOST_TABLED if tabled is None else tabled)
+    # Robot types have tables of their own, which searches on demand do not support.
     if problem.own is not None:
         tabled = True
         if len(problem.own.costs) * len(cells) ** 2 > MOST_TABLED**2:
@@ -124,6 +125,7 @@ def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool, state
         "max_steps": problem.max_steps,
         "first_only": first_only,
     }
+    # Keys are added only where they differ from the default, so that identities of earlier releases stay valid.
     if (rules := rules_of(problem.world, problem.settings)) != BEFORE:
         said["rules"] = rules
     if problem.value is not None:
@@ -184,7 +186,9 @@ def new_cells(
         for rollout in range(first, stop):
             single = runner.run_one(rollout)
             curves[rollout] = runner.counts.new[: int(single[TIME]) + 1].copy()
+            # Cells covered before a resumed mission's state count in step 0, as in `tally_from`.
             curves[rollout][0] += len(known_cells(loop)[0])
+            # A runner's counts add up: what this rollout has added is taken out again.
             runner.counts.new[: int(single[TIME]) + 1] = 0
 
     on_threads(loop, seed, start, count, SINGLE_FILE, threads, work)
@@ -257,6 +261,7 @@ def trace_from(
         outcome: of the rollout.
     """
     happened = events.copy()
+    # Events of other kinds hold a count in their last column, not a cell.
     tells_cell = ~np.isin(happened[:, 2], (EventKind.REALLOCATED, EventKind.SHARED, EventKind.SURPRISED))
     happened[tells_cell, 4] = loop.cells[happened[tells_cell, 4]]
     return Trace(
@@ -284,6 +289,7 @@ def tally_from(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[
     unsurvived[visited] += count
     unsurvived[survived] -= count
     passes = loop.weights is not None
+    # Arrays by step end with the longest rollout, so that tallies do not depend on T_max.
     last = len(counts.time) - int((counts.time[::-1] > 0).argmax())
     return Tally(
         key=tally_key(loop.identity, "closed", seed),
@@ -315,6 +321,7 @@ def nominal_loop(loop: ClosedLoop) -> ClosedLoop:
     if loop.learns and not len(tables.phases):  # phases are announced: they change the nominal run's map too
         safe = safe._replace(truths=np.tile(tables.belief, (len(tables.truths), 1)), goal=len(tables.order))
     policy = None if loop.policy is None else loop.policy._replace(view_begin=loop.policy.view_begin[:0])
+    # Without online updates and moving threats the first state is unchanged, so it is shared.
     begin = replace if loop.learns or loop.movers is not None else ClosedLoop.again
     return begin(loop, tables=safe, movers=None, doubt=None, policy=policy)
 

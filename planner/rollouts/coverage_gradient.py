@@ -100,6 +100,7 @@ def closed_loop_gradient(
     if len(bad):
         row, col = bad[0].tolist()
         raise WorldError(f"p: {given[row, col]} at [{row}, {col}]", expected="0 <= p < 1 in every free cell")
+    # Decisions stay those of the plan's map: only the threats are exchanged.
     truth = World.create(np.where(world.free, given, np.nan))
     loop = compile_closed_loop(plan, world).under(truth).scoring()
     if exact:
@@ -168,11 +169,13 @@ def _gradient(loop: ClosedLoop, truth: World, sums: NDArray[np.float64], rollout
     count = rollouts or 1
     coverage = float(covered[:, 0].sum() / count)
     with np.errstate(divide="ignore", invalid="ignore"):
+        # The mean of C as baseline: it changes no expectation, and removes most of the variance.
         of_each = (covered_losses - coverage * losses) / p - (covered_passes - coverage * passes) / (1 - p)
     mean, error = of_each.sum(axis=0) / count, np.zeros(len(p))
     if rollouts:
         scatter = of_each - np.diff(_bounds(rollouts))[:, None] * mean
         error = np.sqrt((scatter**2).sum(axis=0) * BLOCKS / (BLOCKS - 1)) / rollouts
+        # A cell without losses would show a standard error of 0, as if its gradient were known.
         error[(losses.sum(axis=0) < LEAST_LOSSES) & ((losses + passes).sum(axis=0) > 0)] = np.nan
         mean *= rollouts / (rollouts - 1)  # the baseline, the mean of C, is from the same rollouts
 

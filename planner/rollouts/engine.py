@@ -111,6 +111,7 @@ class NominalRun:
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
         """Traces of these rollouts, in the order given."""
+        # A truncated loop ends before the plan does: its trace has to be simulated.
         if self.loop.max_steps < self.plan.time:
             return self._full.traces(rollouts)
         once = PythonLoop(self.plan, self.world).trace(self.seed, 0)
@@ -200,6 +201,7 @@ def run_ranges(
         took = time.perf_counter() - clock
         yield position, stop - position, result, took
         if chunk is None:
+            # A range never shrinks, so one slow range (another program, a compilation) does not slow down the rest.
             size = max(size, min(int((stop - position) * CHUNK_SECONDS / max(took, 1e-9)), MOST_CHUNK))
         position = stop
 

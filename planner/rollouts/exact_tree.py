@@ -81,10 +81,12 @@ class Tree:
             (lower, upper); equal if no branch was left.
         """
         ended, left = (getattr(self.counts, name).astype(np.float64) / WHOLE for name in (figure, f"left_{figure}"))
+        # Masses are whole numbers below 2**53, so float64 holds each of them exactly.
         sure = float(ended @ np.arange(len(ended)))
         if not self.left:
             return sure, sure
         low, high = sure + float(left @ least), sure + float(left @ most)
+        # Only bounds of a cut tree are widened: a complete tree is reported as a point.
         wide = self.rounding * (len(ended) - 1)
         return max(low - wide, 0.0), min(high + wide, len(ended) - 1.0)
 
@@ -100,6 +102,7 @@ class Tree:
         """
         ended, left = (getattr(self.counts, name).cumsum() / WHOLE for name in (figure, f"left_{figure}"))
         wide = self.rounding if self.left else 0.0
+        # A branch left may still cover all cells, so its mass counts as below the quantile only at the last value.
         surely = np.where(np.arange(len(left)) < len(left) - 1, ended, ended + left)
         low, high = (np.searchsorted(reached, share) for reached in (ended + left + wide, surely - wide))
         return int(low), min(int(high), len(ended) - 1)
@@ -114,6 +117,7 @@ class Tree:
         low = self.counts.visits / WHOLE
         if not self.left:
             return low, low
+        # A robot cannot enter the same cell in two steps in a row.
         moves = (len(self.counts.time) + 1) // 2
         further = float(self.counts.left_alive @ np.arange(len(self.counts.left_alive))) / WHOLE * moves
         return np.maximum(low - self.rounding * moves, 0.0), low + further + self.rounding * moves
@@ -153,6 +157,7 @@ class Tree:
     def chance_of(self, figure: str, needed: int) -> tuple[float, float]:
         """Bounds on the probability that at least `needed` cells are "visited" or "survived"."""
         ended, left = (getattr(self.counts, name) for name in (figure, f"left_{figure}"))
+        # Branches left with enough cells already count: coverage never falls.
         sure = float(ended[needed:].sum() + left[needed:].sum()) / WHOLE
         if not self.left or needed >= len(ended):
             return sure, sure
@@ -208,12 +213,14 @@ def grow_tree(loop: ClosedLoop, slack: float, most: int, cheap: int = CHEAP) -> 
     if loop.in_doubt or loop.movers is not None or loop.weights is not None or not runner.has_levels:
         return None
     began, good = time.perf_counter(), None
+    # A tree of two robots has no more histories than their paths have dangers, so it is grown without a cut.
     power = FIRST_CUT if loop.robots > 2 else FINEST_CUT
     while True:
         cut = max(WHOLE // 10**power, 1)
         tree = Tree(runner.grow(WHOLE, cut, most), cut, time.perf_counter() - began)
         if tree.histories >= most or (power == FIRST_CUT and tree.left > MOST_LEFT):
             return good
+        # The next cut is chosen by the slack missing: a tree is grown anew for each, at a multiple of the cost.
         if tree.slack > slack:
             power = min(power + ceil(log(tree.slack / slack, FALL)), FINEST_CUT)
         elif tree.left and ((power < FINE_CUT and tree.histories <= cheap) or tree.histories <= CHEAP):

@@ -59,6 +59,7 @@ def with_features(tables: Tables) -> Tables:
         tables: without features.
     """
     has: dict[str, Any] = {name: test(tables) for name, test in FEATURES.items()}
+    # A feature within the program's size that the mission does not use is False, not None: the types are the program's.
     known = min(size for size in PROGRAMS if not any(list(has.values())[size:]))
     features: dict[str, Any] = dict.fromkeys(has) | dict(list(has.items())[:known])
     return tables._replace(**features)
@@ -207,6 +208,7 @@ class ClosedLoop:
     def again(self, **changes: Any) -> ClosedLoop:
         """A copy with these changes, which must not affect the state at t = 0: it is shared."""
         other = replace(self, **changes)
+        # `replace` makes a new instance, whose cache would be empty: a state of a large map takes long to make.
         other.__dict__["_first"] = self._first
         return other
 
@@ -216,6 +218,7 @@ class ClosedLoop:
         places = first_places(self.movers, seed, ids)
         walks = np.array([not one.patrols for one in self.movers.members])
         number = self.on_grid(np.arange(len(self.cells)), len(self.cells))
+        # Walking threats are numbered by accessible cells; those on routes keep their index on the route.
         places[:, walks] = number[places[:, walks]]
         return places
 

@@ -147,6 +147,7 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
     for robot, path in enumerate(paths):
         _check_path(robot, path, threat)
     own = [of.by_phase.ravel() for of in world.of_robots(plan.bearing.types, len(paths))]
+    # For an uncertain map an entry is dangerous if it is so in any of the drawn maps.
     if world.draws is not None:
         own = [world.draws.bound.astype(np.float32) / np.float32(UNIT)] * len(paths)
     found = _find_entries(paths, world, own)
@@ -189,6 +190,7 @@ def _find_entries(paths: list[NDArray[np.int64]], world: World, threats: list[ND
         cell = path[step]
         danger = threat[world.visits(cell, step)] > 0
         first = np.zeros(len(cell), dtype=bool)
+        # `np.unique` gives the first index of each cell, which is the earliest entry.
         first[np.unique(cell, return_index=True)[1]] = True
         robots = np.full(len(step), robot, dtype=np.int64)
         parts.append((robots, step, cell, np.cumsum(danger) - danger, danger, first))
@@ -197,6 +199,7 @@ def _find_entries(paths: list[NDArray[np.int64]], world: World, threats: list[ND
 
 
 def _identity(world: World, paths: list[NDArray[np.int64]], bearing: Bearing) -> str:
+    # A plain failure model adds nothing, so that identities of earlier releases stay valid.
     digest = hashlib.sha256(world.luck_sha256.encode())
     if not bearing.is_plain:
         digest.update(json.dumps(names_of_0_3(bearing.to_json())).encode())
@@ -287,6 +290,7 @@ def tally_of(compiled: CompiledPlan, seed: int, start: int, counts: RangeCounts)
     tables = compiled.tables
     sources = source_counts(tables.groups, counts.rows, counts.events, counts.rollouts)
     complete = int(counts.visited[-1])
+    # A rollout that covers all cells is complete even if all robots are lost.
     stopped = int(counts.alive[0]) - counts.complete_dead
     outcomes = np.zeros(len(Outcome), dtype=np.int64)
     outcomes[Outcome.COMPLETE] = complete
@@ -332,6 +336,7 @@ def share_out(start: int, count: int, workers: int, unit: int) -> list[tuple[int
         (first id, number of ids) for each worker; fewer than `workers` if there are few ids.
     """
     stop = start + count
+    # Multiples of `unit` are counted from id 0, so that parts of different calls meet at the same ids.
     share = -(-(stop - start // unit * unit) // (workers * unit)) * unit
     cuts = [start // unit * unit + share * worker for worker in range(1, workers)]
     edges = [start, *(cut for cut in cuts if start < cut < stop), stop]

@@ -140,6 +140,7 @@ def _in_rounds(
     workers = _workers(loop, threads, count)
     rounds = max(1, -(-count // (workers * LARGEST_SET)))
     most = -(-count // (workers * rounds))
+    # State kept by rollout cannot be joined with that of other threads.
     if workers == 1 or most < LEAST_SHARED or loop.keeps_apart or loop.doubt is not None:
         return None
     runners = [Runner(loop, seed, most, known) for _ in range(workers)]
@@ -194,6 +195,7 @@ class _Team:
             some[:] = np.arange(start + first, start + first + len(some), dtype=np.uint32)
             stack = State._make(row[mine] for row in self.waiting)
             used = runner.put_aside(some, stack, self.singles)
+            # Segments count from the thread's first id; joined, they count from the first id of the round.
             stack.marks["first"][: used + 1] += first
             stack.marks["last"][: used + 1] += first
             return used != NONE
@@ -230,6 +232,7 @@ def sets_of_one(ids: NDArray[np.uint32]) -> Tasks:
 
 def sets_of_truths(ids: NDArray[np.uint32], doubt: Uncertain, seed: int) -> Tasks:
     """Sort the ids by their true map, in place; one group for each map, from the level of that index."""
+    # Rollouts with different true maps are different runs from the first step on.
     truth = rows_met(doubt, seed, ids)[:, 0]
     order = np.argsort(truth, kind="stable")
     ids[:], found = ids[order], np.unique(truth, return_index=True)
@@ -272,6 +275,7 @@ def remember_alike(works: list[Work]) -> None:
     most = max(works, key=lambda work: work.remembered[0])
     known = int(most.remembered[0])
     for work in works:
+        # Paths were cached in the same order on all threads, so the longer list extends the shorter ones.
         if work.remembered[0] < known:
             end = most.ends[:known].max()  # the last index has no path if the cache is full
             work.paths[:end], work.ends[:known], work.slots[:] = most.paths[:end], most.ends[:known], most.slots
@@ -300,12 +304,14 @@ class Runner:
         """Args: `most`: rollouts of a group, at most. `known`: scratch of earlier calls, one of which is used."""
         self._loop, self._seed, self._most = loop, seed, most
         self.tables, policy = typed(with_features(_own_tables(loop))), loop.policy
+        # `stamp` is scratch of the thread; all other arrays of a policy are shared.
         self.policy = None if policy is None else typed(policy._replace(stamp=policy.stamp.copy()))
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         moving = [own_key(seed, draw) for draw in (MOVE_DRAW, MEETING_DRAW, READING_DRAW)]
         keys = [np.uint32(half) for key in (key_of_luck(seed), own, *moving) for half in key]
         options = loop.max_steps, loop.first_only, loop.stay_inside, 0
         self.how = How._make((*keys[:4], *options, *keys[4:], 0, 0, None, None))
+        # A cached path is fixed when it begins: not with rules that re-evaluate, map updates, ranges, or several types.
         remembers = loop.policy is None and not (loop.stay_inside or loop.learns or loop.comes_home or loop.is_mixed)
         self.work = make_work(loop.tables, most, remembers, known.pop() if known else None)
         self._done: list[tuple[int, int]] = []

@@ -211,11 +211,13 @@ class SingleRun:
         other._take(State._make(row.copy() for row in self._stack))
         other.log = self.log._replace(events=np.zeros_like(self.log.events), frames=self.log.frames.copy())
         other.log.events[: self.log.events[0, 0] + 1] = self.log.events[: self.log.events[0, 0] + 1]
+        # Callbacks belong to the original run: a copy decides by the rule and records nothing.
         other.t, other.left, other.turned = self.t._replace(asks=None, notes=None), self.left.copy(), self.turned.copy()
         return other
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the views of the state and the scratch, which may be large."""
+        # Views and scratch are made again from the state, which keeps pickles small.
         kept = {name: value for name, value in vars(self).items() if name not in ("raw", "s", "_bytes")}
         return kept | {"w": {name: getattr(self.w, name) for name in OWN}}
 
@@ -262,6 +264,7 @@ class SingleRun:
     def learn(self) -> bool:
         """Repeat the map update at the end of the last step; True if a robot got an area."""
         self._make_room()
+        # The state is already in the next step; the update belongs to the end of the last one.
         self.s.marks.step -= 1
         step = interpreted("step")
         step.forget(self.t, self.p, self.s, self.w)
@@ -276,6 +279,7 @@ class SingleRun:
         self.new_events = self.log.events[1 : int(self.log.events[0, 0]) + 1].copy()
         if len(self.new_events):
             self.turned |= set(self.new_events[self.new_events[:, 2] == EventKind.TURNED_HOME, 1].tolist())
+        # Most steps change neither set, so the loop over robots is skipped.
         acting = self.raw.movers.tobytes() + self.raw.waiting.tobytes()
         if acting == self._acting:
             return
@@ -305,6 +309,7 @@ class SingleRun:
         """Renumber NO_AREA, which is the last row of `areas`."""
         home = self.raw.home
         none = home >> AREA_BITS == old
+        # The last element stands for blocked neighbours and keeps its value.
         none[-1] = False
         home[none] = home[none] & ((1 << AREA_BITS) - 1) | new << AREA_BITS
         self.raw.areas[new], self.raw.areas[old] = self.raw.areas[old].copy(), np.zeros((), self.raw.areas.dtype)
@@ -494,6 +499,7 @@ def play(run: SingleRun) -> Run:
     """Advance the run to its end."""
     loop, frames, events, legs = run.loop, list[NDArray](), list[NDArray](), list[NDArray]()
     if loop.state is not None:
+        # A trace begins at t = 0 even if the mission is resumed later.
         frames += list(first_frames(loop.state, loop.cells))
     while run.outcome is None:
         run.advance()
@@ -546,6 +552,7 @@ def areas_made(loop: ClosedLoop, trace: Trace, level: NDArray[np.int32]) -> tupl
     order = np.argsort(trace.area_of, kind="stable")
     begin = np.searchsorted(trace.area_of[order], np.arange(given + len(parents) + 1))
     inside = [order[begin[number] : begin[number + 1]] for number in range(given + len(parents))]
+    # From the last area to the first: a part may have been split again, so its own parts are added first.
     for number in range(len(parents) - 1, -1, -1):
         inside[parents[number]] = np.concatenate([inside[parents[number]], inside[given + number]])
     return tuple(
@@ -566,6 +573,7 @@ def legs_of(loop: ClosedLoop, noted: NDArray[np.int32], level: NDArray[np.int32]
             found.append(())
             continue
         pace = int(loop.tables.pace[robot]) if len(loop.tables.pace) else 1
+        # A leg begins where area or kind changes, or after a wait.
         begins = np.flatnonzero((np.diff(of[moves], prepend=NONE - 1) != 0) | (np.diff(moves, prepend=-pace) > pace))
         ends = np.append(begins[1:], len(moves)) - 1
         rows = zip(

@@ -116,6 +116,7 @@ def make_tables(
     small = _are_small(problem, near, entry, compact[problem.starts])
     cost = area_cost = np.zeros((0, 0), dtype=np.int32 if small else np.int64)  # each a program
     hop = ranked = area_entry = np.zeros((0, 0), dtype=narrow)
+    # With several robot types each has its own costs, so its tables; they are concatenated, type after type.
     if tabled:
         entries = [entry] if problem.own is None else problem.own.costs[:, cells]
         of_types = [
@@ -206,6 +207,7 @@ def _evidence(evidence: Evidence | None, cells: NDArray[np.int64]) -> dict[str, 
     if evidence is None:
         return dict.fromkeys(("odds", "survival", "step", "lessons"), np.zeros(0, dtype=np.int64))
     lessons = [evidence.stop, evidence.more, evidence.less, 0, 0, 0, 0]
+    # Probabilities as bounds on 24 random bits: the comparison is of whole numbers on every platform.
     if (detector := evidence.detector) is not None:
         bounds = bounds_of(np.array([detector.detect, detector.false_alarm], dtype=np.float32)).tolist()
         lessons[3:] = [detector.alarm, detector.silence, *bounds]
@@ -222,6 +224,7 @@ def most_cost(near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray
         starts: int32 `[K]`.
     """
     paths, most, left = SafestPaths(near, entry), 0, np.unique(starts)
+    # One search for each connected part that holds a start.
     while len(left):
         start = int(left[0])
         costs = paths.to_all(start)
@@ -302,6 +305,7 @@ def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str,
     (world,) = kinds
     draws, (exposure, doses) = world.draws, world.exposures
     exposure = exposure.reshape(-1, world.threat.size)[:, cells].ravel()
+    # `spent` has room only if losses make cells harmless: an empty array turns the feature off (`FEATURES`).
     spends = draws is not None and draws.spends
     spent = np.zeros(-(-len(cells) // WORD) if spends else 0, dtype=np.uint64)
     drawn: dict[str, Any] = {"spent": spent, "exposure": exposure, "doses": doses}
@@ -331,6 +335,7 @@ def bearing_tables(bearing: Bearing, robots: int) -> dict[str, Any]:
 def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: type) -> dict[str, Any]:
     """Fields of `Tables` for long-range searches; empty for an empty `entry`."""
     parts = find_safe_parts(near[: len(entry)], entry)
+    # Blocked neighbours have index A, so the table needs one more element.
     node = np.append(parts.node, np.int32(NO_CELL)) if len(entry) else parts.node
     kind_cost, kind, counts = np.unique(entry, return_inverse=True, return_counts=True)
     return {
@@ -397,6 +402,7 @@ def _ranked(
     cost: NDArray, size: NDArray[np.int64], counted: NDArray[np.int64], entry: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Areas of `size` `[M]` cells by price per `counted` `[M]`, those without value last; M if unreachable."""
+    # Whole part and remainder are compared apart: their quotient as one float could tie different fractions.
     whole, rest = np.divmod(np.maximum(cost, entry) + (size - 1) * entry, np.maximum(counted, 1))
     first = np.lexsort((rest / np.maximum(counted, 1), whole, np.broadcast_to(counted == 0, cost.shape), cost < 0))
     return np.where(np.take_along_axis(cost, first, axis=1) < 0, len(size), first)
@@ -449,6 +455,7 @@ def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDAr
     moving = np.array([robot.status in (*ON_ITS_WAY, "returning") for robot in mission.robots])
     rests = [robot.status in ("idle", "done") and not robot.turned for robot in mission.robots]
     waiting = np.array(rests) & (until > 0)
+    # For a moving robot `until` is a turn, not a number of moves.
     until[moving] += mission.step
     for bits, members in (
         (state.open, unassigned),
@@ -471,6 +478,7 @@ def _put_robot(state: State, number: int, robot: RobotState, cells: NDArray[np.i
         return
     to_do, ahead = np.searchsorted(cells, robot.to_do), np.searchsorted(cells, robot.ahead)
     state.home[to_do] |= TO_DO
+    # A leg ends at the next cell to do; the rest of the stored path is computed again from there.
     ends = np.flatnonzero(np.isin(ahead, to_do)) if robot.status == "covering" else ahead[:0]
     leg = ahead[: int(ends[0]) + 1] if len(ends) else ahead
     row["area"], row["left"], row["next"], row["target"] = robot.area, len(to_do), leg[0], leg[-1]
@@ -552,6 +560,7 @@ def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables, *, i
     """
     rule, settings, unknown = problem.rule, problem.settings, problem.unknown
     ahead = slice(None if rule.looks_ahead and (unknown is None or unknown.looks) else 0)
+    # The cap is tabulated by robots alive, so that kernels need no floats.
     alive = range(len(problem.starts) + 1 if settings.risk_cap is not None else 0)
     is_own = RULES.get(rule.name) is not rule
     return Policy(
