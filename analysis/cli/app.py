@@ -112,7 +112,7 @@ def evaluate(
     Args:
         plan: Evaluate this plan file instead of planning.
         threat_scale: Also if all threats are so many times the map's, the plan as it is: "0.5,1,2".
-        sensor_range: Also if robots that are not told the map see so many cells far, on common random numbers: "0,1,2,inf".
+        sensor_range: Also with sensors of these ranges in cells, common random numbers: "0,1,2,inf".
         metrics: What is found and left of what cells are worth, in the words of this field.
         bound: Also compute the upper bound where that is expensive, above 1,000 dangerous cells; as sharp as it gets
             above 500 accessible ones.
@@ -509,19 +509,23 @@ def _new_option(word: str) -> str:
     return "=".join([option, *value])
 
 
-def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-    """`warnings.showwarning` of the command line: a renamed option or key is one line on standard error."""
-    if issubclass(category, RenamedWarning):
-        say([f"note: {message}"])
-    else:
-        _SHOW(message, category, *where, **more)
-
-
-_SHOW = warnings.showwarning
-
-
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run one command line; returns the exit status."""
+    """Run one command line; returns the exit status. A name of release 0.3 is one line on standard error."""
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+
+        def show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, RenamedWarning):
+                say([f"note: {message}"])
+            else:
+                usual(message, category, *where, **more)
+
+        warnings.showwarning = show_warning
+        warnings.simplefilter("default", RenamedWarning)
+        return _run(arguments)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if NO_CACHE_OPTION in words:
         words = [word for word in words if word != NO_CACHE_OPTION]
@@ -532,7 +536,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
         say([f"error: {words[0]}: {LEFT[words[0]]}"])
         return BAD_INPUT
     told, named = COMMAND.set(tuple(words)), COMMAND_LINE.set(True)
-    warnings.showwarning = _show_warning
     try:
         words = [_new_option(word) for word in words]
         check_streams()
@@ -557,7 +560,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         line = f"{error.filename or 'output'}: {error.strerror}; expected a file or folder that can be used"
     finally:
-        warnings.showwarning = _SHOW
         COMMAND.reset(told)
         COMMAND_LINE.reset(named)
     say([f"error: {line}"])

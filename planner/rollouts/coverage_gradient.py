@@ -90,8 +90,8 @@ def closed_loop_gradient(
     world.check_settled("the closed loop's gradient")
     if not plan.bearing.is_plain:
         raise PlanError(
-            f"the closed loop's gradient needs one p for all visits of a cell; this plan has {plan.bearing.said}",
-            fix="leave out `weibull_shape`, `hazard_multiplier` and `types`",
+            f"the closed loop's gradient requires one p for all visits of a cell; here: {plan.bearing.said}",
+            fix="leave `weibull_shape`, `hazard_multiplier` and `types` out",
         )
     given = world.threat if p is None else np.asarray(p, dtype=np.float32)
     if given.shape != world.shape:
@@ -129,7 +129,7 @@ def _tree_sums(loop: ClosedLoop) -> Sums:
     counts = runner.grow(WHOLE, 1, most)
     if not runner.has_levels or counts.left_visited.any():
         raise UsageError(
-            f"the exact tree of {loop.robots} robots has more than {most:,} histories", fix="leave out `exact`"
+            f"the exact tree of {loop.robots} robots has more than {most:,} histories", fix="leave `exact` out"
         )
     return _sums_of(runner) / WHOLE
 

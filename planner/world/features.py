@@ -227,7 +227,7 @@ def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_
     """
     chosen = PATROLS if plan_on is None else plan_on
     check_word("plan_on", chosen, PLAN_ON, WorldError, world.source)
-    check_alone(world, "movers")
+    check_alone(world, "moving_threats")
     members: list[Mover] = []
     own = world.threat
     for number, one in enumerate(movers):

@@ -130,7 +130,7 @@ def check_same_team(robots: int | None, starts: NDArray[np.int64], where: str) -
     if robots is not None and robots != len(starts):
         raise UsageError(
             f"{argument('robots', robots)} contradicts the {counted(len(starts), 'start')} of {where}",
-            fix=f"leave out {argument('robots')}, or give as many {argument('starts')}",
+            fix=f"leave {argument('robots')} out, or give as many {argument('starts')}",
         )
 
 
@@ -242,10 +242,10 @@ def check_alone(world: World, what: str, over: type[Hazard | Uncertain] | None =
     doubt = None if over is not None and isinstance(world.doubt, over) else world.doubt
     for other in (doubt, world.knowledge):
         if other is not None:
-            problem, fix = f"`{what}` together with another uncertainty: {other.said}", "leave out one of the two"
+            problem, fix = f"`{what}` together with another uncertainty: {other.said}", "leave one of the two out"
             raise WorldError(problem, source=world.source, expected="one known map", fix=fix + or_else)
     if world.types is not None:
-        problem, fix = f"`{what}` together with {world.types.said}", "leave out one of the two"
+        problem, fix = f"`{what}` together with {world.types.said}", "leave one of the two out"
         raise WorldError(problem, source=world.source, expected="one known map for all robots", fix=fix)
 
 

@@ -293,7 +293,7 @@ def _samples(keys: dict[str, Key], ground: Ground) -> Threat:
     """Samples, interpolated at the cells' centres, through a rule from values to p (none: values are p)."""
     key, free = keys["points"], ground.free
     if "falloff" in keys:
-        raise keys["falloff"].wrong("none with interpolate: samples describe a field, not points", "leave out one of them")
+        raise keys["falloff"].wrong("none with interpolate: samples describe a field, not points", "leave one out")
     path = key.file("a CSV file with x, y, strength")
     frame, place = ground.grid.frame, ground.grid.georeference
     samples, _, notes = read_points(path, frame, place, SAMPLE, columns_said(keys))
@@ -480,7 +480,7 @@ def _value_layer(key: Key | None, of: Quantity, ground: Ground) -> tuple[Layer |
     if key is None:
         return own, notes
     if of is VALUE and ground.grid.swath is not None:
-        raise key.wrong("none for a map with a swath, where it counts the field's cells", "leave out one of the two")
+        raise key.wrong("none for a map with a swath, where it counts the field's cells", "leave one of the two out")
     if not isinstance(key.value, list):
         return np.full(
             ground.frame.shape, key.number(of.numbers, f"{of.numbers.expected}, or a list of sources")

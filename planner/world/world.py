@@ -242,7 +242,7 @@ class World:
             raise PlanError(problem, source=self.source, fix="give the scenario `robots: {matrix: ...}`")
         if self.doubt is not None or self.knowledge is not None:
             problem = "robot types require one known map"
-            raise WorldError(problem, source=self.source, fix=f"leave out {argument('types')}")
+            raise WorldError(problem, source=self.source, fix=f"leave {argument('types')} out")
         names = (types,) * robots if isinstance(types, str) else types
         check_each("types", names, robots, self.source, "type")
         return tuple(self._of_types[self.types.number(name, self.source)] for name in names)
@@ -274,26 +274,28 @@ class World:
             WorldError: it is not.
         """
         if self.doubt is not None:
-            problem = f"{what} requires one known map; this one has {self.doubt.said}"
+            problem = f"{what} requires one known map; here: {self.doubt.said}"
             named = {Movers: "`moving_threats`", Phases: "`phases`"}.get(type(self.doubt))
-            fix = f"leave out {named or '`latent_hazard` and `map_uncertainty`'}{or_else}"
+            fix = f"leave {named or '`latent_hazard` and `map_uncertainty`'} out{or_else}"
             raise WorldError(problem, source=self.source, fix=fix)
         self.check_told(what, or_else)
         if self.types is not None:
-            problem = f"{what} requires the same p for every robot; this map has {self.types.said}"
-            raise WorldError(problem, source=self.source, fix="leave out `matrix` and `types`" + or_else)
+            problem = f"{what} requires the same p for every robot; here: {self.types.said}"
+            raise WorldError(problem, source=self.source, fix="leave `matrix` and `types` out" + or_else)
 
     def check_told(self, what: str, or_else: str = "") -> None:
         """Check that the map is known: robots neither update nor estimate it. Args and errors as in `check_settled`."""
         if self.learned_hazard is not None:
-            problem = f"{what} does not support hazard estimates; this map has {self.learned_hazard.said}"
-            raise WorldError(problem, source=self.source, fix="leave out `learn`" + or_else)
+            problem = f"{what} does not support hazard estimates; here: {self.learned_hazard.said}"
+            raise WorldError(problem, source=self.source, fix="leave `learn` out" + or_else)
         if self.phases is not None and self.phases.told:
-            problem = f"{what} requires threats known in advance; this map has {self.phases.said}"
+            problem = f"{what} requires threats known in advance; here: {self.phases.said}"
             raise WorldError(problem, source=self.source, fix="use `plan_on: first` or `worst`" + or_else)
         if self.knowledge is not None:
-            problem = f"{what} requires a known map; {self.knowledge.said}"
-            raise WorldError(problem, source=self.source, fix="leave out `true_map`, `prior_map` and `sensor_range`" + or_else)
+            problem = f"{what} requires a known map; here: {self.knowledge.said}"
+            raise WorldError(
+                problem, source=self.source, fix="leave `true_map`, `prior_map` and `sensor_range` out" + or_else
+            )
 
     def check_alike(self, what: str) -> None:
         """Check that all cells count the same: no values and no detection probabilities.
@@ -307,8 +309,10 @@ class World:
         named = [of.name for of in (VALUE, DETECT) if getattr(self, of.name) is not None]
         if named:
             said = " and ".join(f"`{name}`" for name in named)
-            problem = f"{what} counts all cells alike; this map has {said}"
-            raise WorldError(problem, source=self.source, fix=f"leave out {said}; evaluate, size and front report value")
+            problem = f"{what} counts all cells alike; here: {said}"
+            raise WorldError(
+                problem, source=self.source, fix=f"leave {said} out; evaluate, size and front report value"
+            )
 
     @cached_property
     def components(self) -> NDArray[np.int32]:
