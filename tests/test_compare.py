@@ -179,7 +179,10 @@ def test_two_sensors_on_the_same_luck(capsys: pytest.CaptureFixture[str], tmp_pa
         dark = with_prior(told[0], 0.04, sense=2)
         sides = (make_side(w, make_plan(w, told[1].starts), RolloutChoices(rollouts=64)) for w in (one, dark))
         assert compare(*sides).differing == ((words,), ("robots see 2 cells far",))
-    assert "error: B:" in (said := error_of(capsys, "compare", WORLD, "--b.sense", "1")) and "nothing to sense" in said
+    assert (
+        "error: B:" in (said := error_of(capsys, "compare", WORLD, "--b.sense", "1"))
+        and "a sensor range has no effect" in said
+    )
     assert "--sensor-range 'far'" in error_of(capsys, "compare", str(scenario), "--sensor-range", "far")
 
 

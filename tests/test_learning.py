@@ -287,7 +287,7 @@ def test_worlds_say_what_is_wrong_with_them(tmp_path):
         with_prior(world, 0.1, "known", 0.5)
     with pytest.raises(WorldError, match="the cells that robots are told of"):
         with_truth(world, [[0.0]], 1)
-    with pytest.raises(WorldError, match="nothing to sense"):
+    with pytest.raises(WorldError, match="a sensor range has no effect"):
         with_sense(world, 2)
     with pytest.raises(WorldError, match=r"robot 0 starts at .* an obstacle"):
         make_plan(with_prior(world, 0.1, sense=1), [[1, 0]])
@@ -397,7 +397,7 @@ def test_knowledge_is_part_of_the_identity_and_jax_says_no():
 def test_what_robots_that_learn_do_not_do(settings):
     world, plan = paper_like()
     plan = make_plan(world, plan.starts, Settings(**settings))
-    with pytest.raises(WorldError, match="legs that stay in their area, presumes a map that robots are told"):
+    with pytest.raises(WorldError, match="legs that stay in their area, requires a known map"):
         compile_closed_loop(plan, world)
 
 

@@ -879,7 +879,7 @@ def test_a_maps_world_of_several_types(tmp_path: Path) -> None:
         ({"types_matrix": [[1.0], [1.0, 2.0]]}, "`types_matrix` is"),
         ({"types_matrix": [[1.0]]}, r"expected \[row, col, p, type\]"),
         ({"types_matrix": [[1.0]], "threat_location": [[0, 1, 0.5, 1]]}, r"`threat_location\[0\]\[3\]` is 1"),
-        ({"types_matrix": [[3.0]], "threat_location": [[0, 1, 0.5, 0]]}, "type 0 is stopped with p = 1.5"),
+        ({"types_matrix": [[3.0]], "threat_location": [[0, 1, 0.5, 0]]}, "p = 1.5 for a robot of type 0"),
     ],
 )
 def test_maps_that_are_refused(tmp_path: Path, changes: dict, words: str) -> None:

@@ -661,8 +661,8 @@ HEADER = "x_m,y_m,counts,rate_cps\n"
         (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "spline"}}, "expected idw or kriging"),
         (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "idw", "nugget": 3}}, "`threats[0].interpolate.nugget`"),
         (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "idw", "power": -1}}, "a number above 0"),
-        (HEADER + "1,1,2,3\n", {"falloff": {"kind": "disc", "radius": 2}}, "none beside interpolate"),
-        (HEADER + "1,1,2,.3\n", {"interpolate": None, "falloff": {"kind": "disc", "radius": 2}}, "none beside falloff"),
+        (HEADER + "1,1,2,3\n", {"falloff": {"kind": "disc", "radius": 2}}, "none with interpolate"),
+        (HEADER + "1,1,2,.3\n", {"interpolate": None, "falloff": {"kind": "disc", "radius": 2}}, "none with falloff"),
         (HEADER + "1,1,2,3\n", {"interpolate": None}, "interpolate: {kind: idw | kriging}"),
     ],
 )  # fmt: skip

@@ -411,7 +411,7 @@ def test_the_command_names_what_is_wrong(tmp_path: Path, capfd: pytest.CaptureFi
             (["example:paper", "--out", str(tmp_path / "a.txt")], "a.txt does not end in .yaml"),
             (["example:paper", "--out", str(tmp_path / "none" / "a.yaml")], "there is no folder"),
             ([str(tmp_path / "painted.yaml"), "--out", str(tmp_path / "painted.yaml")], "is an input"),
-            ([str(tmp_path / "doubt.yaml")], "painting presumes one known map"),
+            ([str(tmp_path / "doubt.yaml")], "painting requires one known map"),
             ([str(large)], "250,500 cells; expected at most 250,000"),
             (["example:paper", "--seed", "-1"], "--seed -1"),
             (["no.yaml"], "no such file"),

@@ -992,7 +992,7 @@ def test_null_leaves_a_key_out_and_names_are_shown(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("sweep: {sensor_range: [1]}", "sweep.sensor_range: .*random map: .*nothing to sense"),
+        ("sweep: {sensor_range: [1]}", "sweep.sensor_range: .*random map: .*a sensor range has no effect"),
         ("base: {prior_map: {p: 0.04}}\nsweep: {sensor_range: [1, 0.5]}", "sweep.sensor_range: .*from 1 on"),
         ("base: {sensor_range: 0}\nsweep: {prior_map: [{p: 0.04}]}", "wrong about an obstacle"),
         ("sweep: {plan_on: [own]}", "none without movers"),

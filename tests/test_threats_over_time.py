@@ -623,9 +623,9 @@ def test_maps_and_loops_that_do_not_fit_are_refused() -> None:
         with_phases(World.create(np.zeros((2, 2))), [{"from": 4, "threats": []}])  # type: ignore[list-item]
     with pytest.raises(InputError, match=r"phases\[0\] has shape \[2, 3\]"):
         with_phases(plain, [(3, np.zeros((2, 3)))])
-    with pytest.raises(InputError, match="beside another thing that is not known"):
+    with pytest.raises(InputError, match="together with another uncertainty"):
         with_phases(world, [(3, plain)])
-    with pytest.raises(InputError, match=r"threats that robots know beforehand.*give `plan_on: first` or `worst`"):
+    with pytest.raises(InputError, match=r"threats known in advance.*use `plan_on: first` or `worst`"):
         make_plan(world, [[0, 0]], Settings(radio=4.0))
     with pytest.raises(InputError, match=r"`transit=\"area\"`, legs that stay.*give `plan_on: first` or `worst`"):
         make_plan(world, [[0, 0]], Settings(transit="area"))

@@ -426,7 +426,7 @@ def _with_robots(world: World, key: Key, own: NDArray[np.int64] | None) -> World
     starts = _starts(keys[named[0]], world) if named else own
     assert starts is not None
     if count not in (None, len(starts)):
-        fix = "leave one out" if named else f"or give start: {RULES[0]} to place the robots anew"
+        fix = "leave out one of them" if named else f"or give start: {RULES[0]} to place the robots anew"
         raise keys["count"].wrong(f"{len(starts)}, as there are {len(starts)} starts", fix)
     return world.with_starts(starts)
 
