@@ -165,7 +165,7 @@ def test_a_field_needs_a_size_of_cells_and_a_crs_that_is_known(tmp_path: Path) -
     path = geojson(tmp_path / "f.geojson", [L_SHAPE])
     with pytest.raises(InputError, match="a field has no pixels; give cell_size, the side of a cell in metres"):
         load_input(path)
-    with pytest.raises(InputError, match=r"`map\.polygons` has no pixels; give `cell_size:`, metres, beside `map:`"):
+    with pytest.raises(InputError, match=r"`map\.polygons` has no pixels; give `cell_size:`, metres, next to `map:`"):
         scenario(tmp_path, map={"polygons": "f.geojson"})
     pytest.importorskip("rasterio")
     for crs in ("EPSG:999999", "Mars"):

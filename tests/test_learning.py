@@ -285,7 +285,7 @@ def test_worlds_say_what_is_wrong_with_them(tmp_path):
         with_prior(world, 0.1)
     with pytest.raises(WorldError, match="0, or a number of cells from 1 on"):
         with_prior(world, 0.1, "known", 0.5)
-    with pytest.raises(WorldError, match="the cells that robots are told of"):
+    with pytest.raises(WorldError, match="the cells of the prior map"):
         with_truth(world, [[0.0]], 1)
     with pytest.raises(WorldError, match="a sensor range has no effect"):
         with_sense(world, 2)

@@ -885,7 +885,7 @@ def test_a_scenario_says_it(tmp_path: Path) -> None:
     [
         (("step: {seconds: 0}",), "`step.seconds` is 0; expected seconds, 1e-06 to 1e\\+06"),
         (("step: 2",), "`step`"),
-        (("step: {seconds: 2}", "speed: 1"), "`speed` is 1; expected none beside step"),
+        (("step: {seconds: 2}", "speed: 1"), "`speed` is 1; expected none together with step"),
         (("speed: 1",), "nobody says how many metres a cell has.*resolution: 0.5"),
         (("deadline: 20q",), "`deadline` is '20q'.*or a time, as 45min"),
     ],

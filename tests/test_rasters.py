@@ -641,7 +641,7 @@ HEADER = "x_m,y_m,counts,rate_cps\n"
 @pytest.mark.parametrize(
     ("text", "source", "said"),
     [
-        (HEADER + "1,1,2,3\n", {"strength": None}, "expected x, y and strength; say which it is, beside the file: "
+        (HEADER + "1,1,2,3\n", {"strength": None}, "expected x, y and strength; name it in the scenario: "
          "`strength: counts | rate_cps`"),
         (HEADER + "1,1,2,3\n", {"strength": "rate"}, "expected 'rate' among them (strength)"),
         (HEADER + "1,1,2,3\n", {"strength": "rate_cp"}, "did you mean 'rate_cps'?"),

@@ -251,7 +251,7 @@ def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
     square = Mover(0.5, 0.0, 4, (0, 1, 4, 3))
     expected = (*[Mover(0.25, 0.5)] * 3, Mover(1.0, 0.0, 4), square, Mover(0.5, 0.0, -1, (4, 5)))
     assert world.movers.members == expected
-    assert "4 walk and 2 patrol, and stop a robot that they meet with chance 0.25 to 1" in repr(world)
+    assert "4 walk and 2 patrol, and destroy a robot that they meet with chance 0.25 to 1" in repr(world)
     world.save(tmp_path / "w.npz")
     again = load_world_file(tmp_path / "w.npz")
     assert again.movers is not None
@@ -332,7 +332,7 @@ def test_a_plan_of_an_earlier_release_keeps_its_reading(tmp_path: Path) -> None:
         ("moving_threats: [{patrol: [[0, 0], [0, 1]], start: [1, 1], h: 0.1}]\n", r"starts at \[1, 1\], off its route"),
         (
             "moving_threats: [{walk: 0.5, h: 0.5}]\nlatent_hazard: {kind: consumed, q: 0.1}\n",
-            r"`moving_threats` is .*none beside latent_hazard",
+            r"`moving_threats` is .*none together with latent_hazard",
         ),
         ("plan_on: own\n", r"`plan_on` is 'own'; expected none without movers"),
         (
@@ -603,7 +603,11 @@ def test_a_scenario_and_its_world_file_phases(tmp_path: Path) -> None:
         ("{raster: b.npy}", "{raster: c.npy}", r"`phases\[0\]\.threats\[0\]\.raster`"),
         ("phases:\n- {from: 4, threats: [{raster: b.npy}]}\n", "phases: []\n", r"`phases` is \[\]; expected a list of"),
         ("map: m.npy", "map: m.npy\nplan_on: last", r"`plan_on` is 'last'; expected now or first or worst"),
-        ("map: m.npy", "map: m.npy\nmoving_threats: [{walk: 1, h: 0.1}]", r"`phases` is .*none beside moving_threats"),
+        (
+            "map: m.npy",
+            "map: m.npy\nmoving_threats: [{walk: 1, h: 0.1}]",
+            r"`phases` is .*none together with moving_threats",
+        ),
         ("map: m.npy", "map: m.npy\nprior_map: {p: 0.1}", r"here: threats that change at step 4"),
     ],
 )

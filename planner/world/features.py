@@ -273,7 +273,7 @@ def read_movers(key: Key, plan_on: Key | None, world: World) -> World:
     Raises:
         ScenarioError: a key is invalid.
     """
-    items = key.items("a list of movers, each {walk or patrol, h}")
+    items = key.items("a list of moving threats, each {walk or patrol, h}")
     members = [one for item in items for one in ([item.value] if _is_of_the_map(item) else _read_each(item, world))]
     chosen: Any = None if plan_on is None else plan_on.choice(PLAN_ON)
     with key.naming():

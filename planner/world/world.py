@@ -406,7 +406,7 @@ class World:
             ("cells", f"{self.shape[0]} x {self.shape[1]} of {self.cell_size:g} m, {int(free.sum()):,} of them free"),
             ("threats", f"{int(dangerous.sum()):,} dangerous cells{worst}"),
             (
-                "worth",
+                "value",
                 "" if self.value is None else f"{self.value.sum():g} in all, at most {self.value.max():g} a cell",
             ),
             ("detect", "" if self.detect is None else f"{self.detect[free].mean():.3g} a visit, on average"),
@@ -417,7 +417,7 @@ class World:
                 "" if self.doubt is None else self.doubt.said,
             ),
             ("types", "" if self.types is None else ", ".join(self.types.names)),
-            ("told", "" if self.knowledge is None else self.knowledge.said),
+            ("knowledge", "" if self.knowledge is None else self.knowledge.said),
             ("robots", team if self.starts is None else f"{len(self.starts)}, starts {self.starts[:8].tolist()}"),
             *(("note", note) for note in self.notes[:4]),
         ]
