@@ -59,7 +59,7 @@ def allocated(
     problem = prepare(world, starts, settings, homes=homes, before=before)
     robots = tuple(RobotPlan(cell) for cell in problem.starts[:, None])
     if state is not None:
-        world.check_settled("the rest of a mission")
+        world.check_settled("a resumed mission")
         state = made_ready(problem, state)
         areas = areas_of(state)
     elif allocation is None:

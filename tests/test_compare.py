@@ -133,7 +133,7 @@ def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_
     paths.write_text(json.dumps({"paths": moves}))
     assert run(["compare", WORLD, str(paths), "--robots", "3", "--rollouts", "512"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "B (a plan of another planner, open loop) visits" in said
+    assert "B (a external plan, open loop) visits" in said
     assert "than A (an MRAC plan, closed loop)" in said
     assert "note: in A the survivors take over the areas of the lost, in B nobody does" in said
 

@@ -409,14 +409,16 @@ def test_one_line_says_how_many_formulas_hold_and_fail() -> None:
 
 def test_what_a_plan_is_has_words_and_no_codes() -> None:
     plan = make_plan(World.create([[0.0, 0.2, 0.0]]), [[0, 0]])
-    assert plan_words(plan) == "3 areas; if nobody is lost, the mission visits every accessible cell"
+    assert plan_words(plan) == "3 areas; if no robot is lost, the mission visits every accessible cell"
     shared = plan_words(replace(plan, shares=10, outcome="not_worth_the_risk"))
-    said = "if nobody is lost, the mission ends because the rest is not worth the risk"
+    said = "if no robot is lost, the mission ends because the rest is not worth the risk"
     assert shared == f"3 areas, shared 10 times; {said}"
     for outcome in Outcome:
         assert outcome.clause in replace(plan, outcome=outcome.word).ends
     first = repr(plan).splitlines()[0]
-    assert first == "Plan of MRAC: 1 robot on 1 x 3 cells; if nobody is lost, the mission visits every accessible cell"
+    assert (
+        first == "Plan of MRAC: 1 robot on 1 x 3 cells; if no robot is lost, the mission visits every accessible cell"
+    )
 
 
 def test_a_plan_says_its_policy_and_whether_robots_come_home() -> None:

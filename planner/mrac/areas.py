@@ -1,4 +1,4 @@
-"""Connected areas (Def. 2): the 4-connected components of sets of cells."""
+"""Areas (Def. 2): connected components, METIS and wavefront splits, Algorithm 1's allocation, orders of sides."""
 
 from __future__ import annotations
 
@@ -22,7 +22,15 @@ from planner.world.world import FOUR_NEIGHBOURS
 
 
 def connected_parts(shape: tuple[int, int], cells: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """The 4-connected components of `cells` (indices), each in rising order, ordered by lowest cell."""
+    """The 4-connected components of cells.
+
+    Args:
+        shape: (H, W).
+        cells: int64 `[cells]`, indices.
+
+    Returns:
+        The components ordered by lowest cell, each int64, increasing.
+    """
     if len(cells) == 0:
         return []
     rows, cols = np.divmod(cells, shape[1])
@@ -38,7 +46,12 @@ def connected_parts(shape: tuple[int, int], cells: NDArray[np.int64]) -> list[ND
 
 
 def split_by_label(ordered: NDArray[np.int64], label: NDArray) -> list[NDArray[np.int64]]:
-    """`ordered` (rising indices) cut by `label`, the parts ordered by lowest cell."""
+    """Split increasing cell indices by their labels; the parts ordered by lowest cell.
+
+    Args:
+        ordered: int64 `[cells]`, increasing.
+        label: int `[cells]`, from 0.
+    """
     grouped = ordered[np.argsort(label, kind="stable")]
     ends = np.cumsum(np.bincount(label)).tolist()
     parts = (grouped[begin:end] for begin, end in itertools.pairwise([0, *ends]) if end > begin)
@@ -49,7 +62,13 @@ def split_by_label(ordered: NDArray[np.int64], label: NDArray) -> list[NDArray[n
 def find_areas(shape: tuple[int, int], levels: ThreatLevels) -> list[tuple[int, NDArray[np.int64]]]:
     """Every area as (level, cells), level by level and by lowest cell within a level: the order of area ids.
 
-    The last ones are kept, for other teams with the same levels.
+    The last result is kept for other teams with the same levels.
+
+    Args:
+        shape: (H, W).
+        levels: of the cells.
+
+    Source: paper, Def. 2.
     """
     cells = np.flatnonzero(levels.of_cell != NO_LEVEL)
     parts = split_by_label(cells, connected_alike(shape, levels.of_cell)[0][cells])
@@ -57,9 +76,16 @@ def find_areas(shape: tuple[int, int], levels: ThreatLevels) -> list[tuple[int, 
 
 
 def connected_alike(shape: tuple[int, int], kind: NDArray[np.integer]) -> tuple[NDArray[np.int32], int]:
-    """The 4-connected components of cells of one `kind` `[N]`, all kinds at once: numbers `[N]` from 1, how many.
+    """The 4-connected components of cells of equal kind, all kinds at once.
 
-    A kind below 0 is none, and has number 0. Between two neighbours lies a place that is free if they are alike.
+    Labelled on a grid with an extra position between neighbours, which is free if both are of one kind.
+
+    Args:
+        shape: (H, W).
+        kind: int `[N]`; negative: no kind.
+
+    Returns:
+        (component of each cell int32 `[N]` from 1, 0 for no kind; number of components).
     """
     of = kind.reshape(shape)
     free = np.zeros((2 * shape[0] - 1, 2 * shape[1] - 1), dtype=np.bool_)
@@ -70,19 +96,25 @@ def connected_alike(shape: tuple[int, int], kind: NDArray[np.integer]) -> tuple[
     return labels[::2, ::2].ravel(), count
 
 
-# Splitting an area into connected, balanced parts: METIS before the start, wavefront bisection at run time.
+# Splits of an area into connected, balanced parts: METIS before the start, wavefront bisection at run time.
 #
-# The only file that imports METIS. Parts are always ordered by lowest cell.
+# Only this file imports METIS. Parts are always ordered by lowest cell.
 
 Partition = Callable[[tuple[int, int], NDArray[np.int64], int], list[NDArray[np.int64]]]
-"""`(shape, cells of a connected area, parts) -> parts`, as `metis_parts` and `wavefront_parts` are."""
+"""`(shape, cells of a connected area, number of parts) -> parts`, as `metis_parts` and `wavefront_parts`."""
 
 
 def metis_parts(shape: tuple[int, int], cells: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
-    """`count` connected parts of a connected area by multilevel k-way partitioning (paper, section 4.1).
+    """Split a connected area into `count` connected parts by multilevel k-way partitioning.
 
-    METIS leaves parts empty on tiny areas and may disconnect one; then the wavefront split takes its place.
-    `1 <= count <= len(cells)`.
+    METIS leaves parts empty on tiny areas and may disconnect one; then the wavefront split is used.
+
+    Args:
+        shape: (H, W).
+        cells: int64, indices.
+        count: `1 <= count <= len(cells)`.
+
+    Source: paper, section 4.1; SPEC section 4.
     """
     ordered = np.sort(cells)
     if count == 1:
@@ -99,7 +131,10 @@ def metis_parts(shape: tuple[int, int], cells: NDArray[np.int64], count: int) ->
 
 
 def wavefront_parts(shape: tuple[int, int], cells: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
-    """`count` connected parts of a connected area by repeated wavefront bisection, sizes as equal as possible."""
+    """Split a connected area into `count` connected parts by repeated wavefront bisection, sizes nearly equal.
+
+    Args and returns as in `metis_parts`.
+    """
     if count == 1:
         return [np.sort(cells)]
     first = (count + 1) // 2
@@ -113,10 +148,20 @@ def wavefront_parts(shape: tuple[int, int], cells: NDArray[np.int64], count: int
 def bisect(
     shape: tuple[int, int], cells: NDArray[np.int64], target: int | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(grown, rest): two connected parts of a connected area of at least 2 cells (SPEC section 5).
+    """Split a connected area of at least 2 cells in two connected parts.
 
-    A breadth-first wavefront grows from a far end until `target` cells (default half, rounded up) are in: whole
-    layers, the last one in index order. Of the rest the largest component stays, the others join the grown half.
+    A breadth-first wavefront grows from a far end until it has `target` cells: whole layers, the last one in index
+    order. Of the rest the largest component stays, the others join the grown part.
+
+    Args:
+        shape: (H, W).
+        cells: int64, indices.
+        target: None: half of the cells, rounded up.
+
+    Returns:
+        (grown, rest), int64, increasing.
+
+    Source: SPEC section 5.
     """
     goal = min(target if target is not None else (len(cells) + 1) // 2, len(cells) - 1)
     members = {int(cell) for cell in cells}
@@ -133,7 +178,7 @@ def bisect(
 
 
 def _layers(shape: tuple[int, int], members: set[int], source: int) -> list[list[int]]:
-    """Breadth-first layers of the cells of `members` from `source`."""
+    """Breadth-first layers of the cells `members` from `source`."""
     width = shape[1]
     left, layers = members - {source}, [[source]]
     while left:
@@ -150,7 +195,7 @@ def _layers(shape: tuple[int, int], members: set[int], source: int) -> list[list
 
 
 def _adjacency(shape: tuple[int, int], ordered: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Compressed rows (starts, targets) of the 4-neighbour graph of the cells, nodes in rising cell order."""
+    """Compressed rows (starts, targets) of the 4-neighbour graph of the cells, nodes in increasing cell order."""
     height, width = shape
     node = np.full((height + 2) * (width + 2), -1, dtype=np.int64)
     padded = (ordered // width + 1) * (width + 2) + ordered % width + 1
@@ -178,12 +223,17 @@ def allocate_areas_to_robots(
     density: float,
     partition: Partition,
 ) -> tuple[Area, ...]:
-    """Algorithm 1's initial allocation: the areas in id order with their owners (SPEC section 4).
+    """Algorithm 1's initial allocation: the areas in id order with their owners.
 
     Args:
-        areas: (level, cells) in id order. starts: cell index of each robot, int64 `[K]`.
-        paths: of each robot. density: d; a safe area takes another robot while `robots in it * d <= cells`.
-        partition: how an area of several robots is split.
+        areas: (level, cells) in id order.
+        starts: int64 `[K]`, cell index of each robot.
+        shape: (H, W).
+        paths: of each robot.
+        density: d; a safe area takes another robot while `robots in it * d <= cells`.
+        partition: splits an area of several robots.
+
+    Source: paper, Algorithm 1; SPEC section 4.
     """
     safe = [_SafeArea(number, cells, []) for number, (level, cells) in enumerate(areas) if level == 0]
     with_room = np.full(len(paths[0].neighbours), NOT_WANTED, dtype=np.int32)
@@ -227,10 +277,18 @@ def _split_between(
 
 
 def sides_first(order: object, safe: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """int64 `[H * W, 4]`: of each cell its sides, the one that goes first, first (SPEC section 20).
+    """Priority of the sides of each cell on coverage paths.
 
-    `safe` `[H, W]`: the cells of level 0; all others have theirs by index. Of a connected set of safe cells it knows
-    nothing but its shape, so that a mission that is gone on with has the order with which it began.
+    The order in a connected set of safe cells depends only on its shape, so a resumed mission keeps its order.
+
+    Args:
+        order: one of ORDERS, or a user's order.
+        safe: bool `[H, W]`, cells of level 0; all others have their sides by index.
+
+    Returns:
+        int64 `[H * W, 4]`.
+
+    Source: SPEC section 20.
     """
     sides = np.tile(BY_INDEX, (safe.size, 1))
     along_row = np.zeros(safe.shape, dtype=np.bool_)
@@ -245,7 +303,7 @@ def sides_first(order: object, safe: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def _fewer_in_rows(safe: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The cells of those connected sets that have no more straight runs in rows than in columns."""
+    """The cells of connected sets that have at most as many straight runs in rows as in columns."""
     part, count = ndimage.label(safe, FOUR_NEIGHBOURS)
     begins_row, begins_column = safe.copy(), safe.copy()
     begins_row[:, 1:] &= ~safe[:, :-1]
