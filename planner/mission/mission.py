@@ -1,7 +1,7 @@
-"""A mission that is driven: orders out, reports in.
+"""A driven mission: orders out, reports in.
 
-What simulates, drives and learns differs in who answers the orders. Luck that answers them robot by robot makes the
-closed loop, event for event (`planner.rollouts.single_run` is that, without what robots do against orders).
+The same step as in the closed loop, with reports in the place of random failures. Reports that agree with a rollout's
+failure sampling give the same run, event for event (`planner.rollouts.single_run`).
 """
 
 from __future__ import annotations
@@ -42,25 +42,29 @@ from planner.simulator.codes import Doing, Outcome
 from planner.world.world import World
 
 PATIENCE = 20
-"""Steps in a row in which a robot that was to move did not, after which others get its work."""
+"""Steps in a row without progress of a robot that was to move, after which its work is reassigned."""
 WHY: dict[Doing, Why] = {Doing.TRAVELING: "travel", Doing.COVERING: "cover", Doing.FOLLOWING: "follow"}
 WHY |= {Doing.RETURNING: "return"}
 
 
 class Mission:
-    """A team under way. Of each step: `orders`, `report` of each robot, `advance`.
+    """A team under way. In each step: `orders`, `report` for each robot, `advance`.
 
     Args:
-        world: the map. plan: for it; of the rest of a mission, from its state.
-        patience: steps without progress after which a robot's work is others'; None: however many.
-        gain: a robot leaves what it is under way to where another target saves more than this share of the cost of its
-            way; 1: it never does, as in the closed loop.
+        world: the map.
+        plan: for it; of a resumed mission, from its state.
+        patience: steps without progress before a robot's work is reassigned; None: never.
+        gain: a robot changes its target if another one saves more than this share of the cost of its path; 1: never, as
+            in the closed loop.
 
     Attributes:
-        world: the map, with what was seen, learned and closed. given: as it was. closed: those cells, indices.
-        seen: p by cell, None: an obstacle; what was learned, too.
+        world: the map, with everything seen, estimated and closed. given: the initial map. closed: closed cells,
+            indices.
+        seen: p by cell, None: an obstacle; estimates included.
 
-    Raises PlanError for a plan of another map, WorldError for one that robots are not told.
+    Raises:
+        PlanError: the plan is for another map.
+        WorldError: the map is unknown or uncertain.
     """
 
     def __init__(
@@ -101,12 +105,12 @@ class Mission:
 
     @property
     def step(self) -> int:
-        """The step that is under way: 0 while robots enter their starts."""
+        """The current step: 0 while robots enter their starts."""
         return self._fleet.step + 1
 
     @property
     def outcome(self) -> Outcome | None:
-        """How the mission has ended; None while it goes on."""
+        """The outcome of the mission; None while it goes on."""
         outcome = self._fleet.outcome
         return None if outcome is None else outcome.by_deadline(self.settings.ends_by_deadline)
 
@@ -117,22 +121,22 @@ class Mission:
 
     @property
     def accessible(self) -> int:
-        """Cells that can be visited."""
+        """Number of cells that can be visited."""
         return int(self._fleet.problem.levels.accessible.sum())
 
     @property
     def robots(self) -> int:
-        """How many there are, lost ones too."""
+        """Number of robots, lost ones included."""
         return self._fleet.loop.robots
 
     @property
     def last_step(self) -> int:
-        """At which it ends, whatever is left."""
+        """The step at which the mission ends in any case."""
         return self._fleet.problem.max_steps
 
     @property
     def lost(self) -> tuple[int, ...]:
-        """Numbers of the robots that are lost."""
+        """Indices of the lost robots."""
         return tuple(robot.number for robot in self._fleet.robots if not robot.alive)
 
     @property
@@ -141,7 +145,7 @@ class Mission:
 
     @property
     def settings(self) -> Settings:
-        """What it is planned by, with what robots said of their range."""
+        """Settings of its plan, with the reported ranges of robots."""
         return self._settings_of(self._fleet)
 
     def _settings_of(self, fleet: Fleet) -> Settings:
@@ -152,9 +156,10 @@ class Mission:
 
     @property
     def state(self) -> MissionState:
-        """Where it stands at the end of the last step, as state files hold it.
+        """The state at the end of the last step, as in state files.
 
-        Raises StateError before the first step has ended, and of robots on another planner's paths.
+        Raises:
+            StateError: the first step has not ended, or robots follow an external plan.
         """
         return self._state_of(self._fleet)
 
@@ -166,20 +171,22 @@ class Mission:
 
     def _check_kept(self, fleet: Fleet) -> None:
         if any(robot.status is Doing.FOLLOWING for robot in fleet.robots):
-            problem = "robots follow the paths of another planner, which no state of a mission holds"
+            problem = "robots follow an external plan, which no state of a mission holds"
             raise StateError(problem, expected="a plan with areas", fix="plan with `plan`, for the closed loop")
 
     def rest(
         self, without: tuple[int, ...] = (), *, nominal: bool = True, call_off: bool = False, **changes: Any
     ) -> Plan:
-        """The plan of what is left, from `state`; before the first step has ended, of the whole.
+        """The plan of the rest, from `state`; before the first step has ended, of the whole mission.
 
         Args:
-            without: robots that do no more. changes: settings in the place of its own.
-            call_off: nothing more is done: robots that come home turn.
-            nominal: with the run without losses, its paths, which rollouts do not need.
+            without: robots that no longer take part.
+            call_off: end the mission: robots start their return to base.
+            nominal: include the run without losses, whose paths rollouts do not need.
+            changes: settings that replace its own.
 
-        Raises StateError, PlanError.
+        Raises:
+            StateError, PlanError: there is no such plan.
         """
         planned = make_plan if nominal else allocated_plan
         if self._fleet.step == NOT_BEGUN:
@@ -193,24 +200,24 @@ class Mission:
         if call_off:
             fleet.call_off()
         state, settings = self._state_of(fleet), replace(self._settings_of(fleet), **changes)
-        if settings.policy != self.settings.policy:  # another rule goes on from other paths: areas are given anew
+        if settings.policy != self.settings.policy:  # paths of another rule do not apply: areas are allocated again
             state = replace(state, areas=(), robots=tuple(robot.at_rest for robot in state.robots))
         return planned(replace(self.world, doubt=None), state.starts, settings, state=state)
 
     # --- orders out, reports in ---
 
     def orders(self) -> dict[int, Order]:
-        """What each robot that is not lost is to do in this step, by its number; nothing once the mission is over.
+        """The order of each robot alive in this step, by its index; empty once the mission is over.
 
-        As far as robots have reported already, from what they said; of the others as if they get there. A report of
-        another thing changes what is right for the others: ask again.
+        It takes the reports of this step into account, and assumes that other robots reach their cells. A different
+        report can change the orders of others: ask again.
         """
         if self._orders is None:
             self._orders = {} if self.outcome is not None else self._play(self._fleet.fork(), True)
         return self._orders
 
     def first_orders(self) -> dict[int, Order]:
-        """The orders of this step as they were before anybody reported of it, what was closed since left out."""
+        """The orders of this step before its first report, without cells closed since."""
         kept, self._reports = self._reports, Reports(self._fleet)
         try:
             return {} if self.outcome is not None else self._play(self._fleet.fork(), True)
@@ -228,17 +235,20 @@ class Mission:
         step: int | None = None,
         seen: Any = None,
     ) -> None:
-        """Where a robot is, or that it is lost. Nothing happens before `advance`; saying it twice changes nothing.
+        """Report a robot's cell, or its loss. It takes effect in `advance`; repeating it changes nothing.
 
         Args:
-            cell: (row, col) where it is, ordered or not; None: where it was.
-            stopped: it is lost there. found: it was lost before, and is back.
-            moves_left: that it can still make, as after a look at its battery, or a swap of it.
-            step: of which that was said; None: this one. What is said late is where it was, if it says more.
-            seen: cells as it sees them, `[[row, col, p], ...]`, p None of an obstacle: believed from the end of the
-                step on, and what surprises changes areas and ways (SPEC section 15).
+            robot: index.
+            cell: (row, col) of the robot, ordered or not; None: unchanged.
+            stopped: whether it is lost there.
+            found: whether it was lost before, and is back.
+            moves_left: moves that it can still make, for example after a battery change.
+            step: of the report; None: this one. A late report says where the robot was.
+            seen: observed cells, `[[row, col, p], ...]`, p None for an obstacle: in the map from the end of the step
+                on; changes update areas and paths (SPEC section 15).
 
-        Raises StateError for what cannot be, and the mission is as before.
+        Raises:
+            StateError: the report cannot be true; the mission is unchanged.
         """
         number, late = self._number(robot), len(self._reports.passed)
         before, there = self._reports.seen, {one: report.cell for one, report in self._reports.now.items()}
@@ -264,7 +274,7 @@ class Mission:
         return cell[0] * self.world.shape[1] + cell[1]
 
     def advance(self) -> None:
-        """End the step: every robot is where it reported; who did not is where it was, or at t = 0 where it starts."""
+        """End the step. A robot without report is where it was, or at t = 0 at its start."""
         fleet = self._fleet
         self._play(fleet, False)
         held, reported = [robot.cell for robot in fleet.robots if robot.alive], self._reports.seen
@@ -288,11 +298,15 @@ class Mission:
 
     @property
     def awaited(self) -> tuple[int, ...]:
-        """Robots that are to move in this step and have not reported."""
+        """Robots with a move in this step that have not reported."""
         return self.awaited_of(self.orders())
 
     def awaited_of(self, orders: dict[int, Order]) -> tuple[int, ...]:
-        """Robots that are to move by these orders of this step and have not reported."""
+        """Robots with a move in these orders of this step that have not reported.
+
+        Args:
+            orders: by robot.
+        """
         cells = [robot.cell for robot in self._fleet.robots]
         begins = self.step == 0
         return tuple(
@@ -302,7 +316,7 @@ class Mission:
         )
 
     def _play(self, fleet: Fleet, ahead: bool) -> dict[int, Order]:
-        """The step in `fleet` up to its end, and its orders; `ahead`: who has not reported gets there."""
+        """Play the step in `fleet` up to its end; its orders. `ahead`: robots without report reach their cells."""
         orders: dict[int, Order] = {}
         fleet.begin_step()
         for number, cell in self._reports.passed:
@@ -327,7 +341,7 @@ class Mission:
         return orders
 
     def _order(self, fleet: Fleet, robot: RobotNow, due: int | None) -> Order:
-        """What was decided, as it is told; a robot that gets its area in this step stays and looks at its way."""
+        """The order from a robot's decision; a robot that gets its area in this step stays and sees its path."""
         ahead, width = robot.ahead, self.world.shape[1]
         if due is not None and ahead[:1] == [due]:
             ahead = ahead[1:]
@@ -337,7 +351,7 @@ class Mission:
         return Order(robot.number, cells[0], tuple(cells[1:]), robot.area, why)
 
     def _turn(self, fleet: Fleet, number: int, due: int | None, report: Report | None) -> bool:
-        """What became of a robot that was to enter `due`; True if it entered a cell."""
+        """Play the turn of a robot that was to enter `due`; True if it entered a cell."""
         here = fleet.cell(number)
         report = report or Report(here)
         came = report.cell == due or report.cell != here
@@ -358,7 +372,7 @@ class Mission:
         return came
 
     def _keep_count(self, robot: RobotNow, came: bool, due: int | None) -> None:
-        """What the robot bore on the cell it came to, what it says of it, and for how many steps it has not moved."""
+        """Update a robot's cumulative hazard, its report, and its number of steps without a move."""
         number = robot.number
         if came:
             p = self._lessons.met(self._fleet.step, self.world).flat[robot.cell]
@@ -370,18 +384,26 @@ class Mission:
             self._fleet.set_aside(number)
 
     def call_off(self) -> None:
-        """From now on all go home. Raises StateError before the first step has ended, and where nobody comes home."""
+        """End the mission: all robots return to base.
+
+        Raises:
+            StateError: the first step has not ended, or robots do not return to base.
+        """
         if self.settings.return_to is None or self._fleet.step == NOT_BEGUN:
-            problem = "a mission is called off whose robots do not come home, or have not set out"
+            problem = "a mission cannot be ended before it has begun, or if its robots do not return to base"
             raise StateError(problem, expected="robots on a mission with `return_to`", fix="give them no more orders")
         self._fleet.call_off()
         self._orders = None
 
     def close(self, cells: ArrayLike) -> None:
-        """These cells, `[[row, col], ...]`, are no-go from now on: robots keep their areas, and go round.
+        """Close cells: they become obstacles. Robots keep their areas, and drive around.
 
-        Raises StateError where a robot is on one of them, or has reported so; where they would lie between a robot and
-        what it reported in this step; and for what is no cell of the map.
+        Args:
+            cells: `[[row, col], ...]`.
+
+        Raises:
+            StateError: a robot is on one of them, or has reported so; they separate a robot from the cell that it
+                reported in this step; or they are not on the map.
         """
         closed, world = closed_by(cells, self._reports)
         if self._fleet.step == NOT_BEGUN:
@@ -394,7 +416,7 @@ class Mission:
         self.closed = sorted({*self.closed, *closed.tolist()})
 
     def _go_on(self, world: World, plan: Plan) -> None:
-        """By another plan, on a map that is known better."""
+        """Continue with another plan, on an updated map."""
         kept, reports, aside = (self._borne, self._waits), self._reports, self._aside
         self._begin(world, plan)
         self._borne, self._waits = kept
@@ -405,9 +427,16 @@ class Mission:
 
     @classmethod
     def resume(cls, path: str | Path, world: World, plan: Plan, **how: Any) -> Self:
-        """The mission that `save` wrote, on its `world` before anything was closed, by the settings of `plan`.
+        """The mission that `save` wrote.
 
-        `how`: patience and gain, as of the mission. Raises StateError.
+        Args:
+            path: the file.
+            world: the map before any cell was closed.
+            plan: whose settings apply.
+            how: `patience` and `gain` of the mission.
+
+        Raises:
+            StateError: the file is invalid.
         """
         known, rest, keys = read_rest(path, world, plan)
         mission = cls(known, rest, **how)
@@ -430,11 +459,17 @@ class Mission:
         return mission
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write where it stands, with what was reported of the step under way, to go on from (`missions.saved`).
+        """Write the mission, with the reports of the current step, so that it can be resumed.
 
-        What is written is on the disk before this returns. Its own file, which it was resumed from or has written, is
-        replaced; another file that is there already only by `force`. Raises UsageError for such a file, StateError for
-        another planner's paths.
+        The data is on the disk before this returns. The file that it was resumed from, or has written before, is
+        replaced.
+
+        Args:
+            path: the file.
+            force: replace another existing file; else that is a UsageError.
+
+        Raises:
+            StateError: robots follow an external plan.
         """
         file = Path(path).resolve()
         if file != self._file:
@@ -450,22 +485,22 @@ class Mission:
         self._file = file
 
     def known(self) -> Json:
-        """Where it stands, as files and `drive` say it: the step that is under way, or at which it ended."""
+        """Status for files and `drive`: the current step, or the one at which the mission ended."""
         ended = {} if self.outcome is None else {"outcome": self.outcome.word}
         step = self.step if self.outcome is None else self._fleet.step
         return ended | {"step": step, "covered": self.covered, "lost": list(self.lost)}
 
     @property
     def sees(self) -> Seen:
-        """What was seen in the step under way, as `seen` has it."""
+        """Cells observed in the current step, as in `seen`."""
         return dict(self._reports.seen)
 
     def said(self) -> list[Json]:
-        """The reports of the step under way, as files hold them."""
+        """The reports of the current step, as in files."""
         return self._reports.said()
 
     def _set_aside(self, robots: list[int]) -> None:
-        """As it was known before, in another fleet."""
+        """Mark robots without progress, as in another fleet."""
         for number in robots:
             if self._fleet.s.robots[number].doing != Doing.DEAD:
                 self._fleet.set_aside(number)
@@ -473,5 +508,5 @@ class Mission:
 
 
 def _pairs(seen: Seen) -> list[list[float | None]]:
-    """As files hold it."""
+    """Observed cells as in files."""
     return [[cell, p] for cell, p in sorted(seen.items())]

@@ -327,7 +327,7 @@ def prepare(
     if settings.paces or settings.radio is not None:
         world.check_told("a team of several speeds, or with radio,")
         if world.phases is not None:
-            said = f"a team of several speeds, or with radio, requires threats that do not change; here: {world.phases.said}"
+            said = f"several speeds, or radio, require threats that do not change; here: {world.phases.said}"
             raise PlanError(said, source=world.source, fix="leave `phases` out")
     checked = check_starts(starts, world.met, world.source)
     settings.check_team(len(checked), world.source)

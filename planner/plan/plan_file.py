@@ -101,7 +101,7 @@ def _foreign_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:
     told = {name: value for name, value in world.team.settings.items() if name in BORNE}
     kept = [name for name in KEPT if name in world.team.settings]
     if kept and ("plan_for" not in keys or keys["plan_for"].value is None):
-        notes += (f"robots follow external paths to their end; {' and '.join(kept)} of {world.source} is ignored",)
+        notes += (f"robots follow external paths to their end; ignored from {world.source}: {' and '.join(kept)}",)
     told |= {name: keys[name].setting(SETTINGS[name]) for name in BORNE if name in keys}
     bears = Settings(**told).bearing()
     bears.check(len(robots), source)
