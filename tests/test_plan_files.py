@@ -145,7 +145,7 @@ def test_a_plan_of_version_1_is_read_where_its_rules_are_todays(tmp_path: Path) 
         with pytest.raises(PlanError, match="the path of robot 0") as error:
             read_plan(written(tmp_path, data | path | {"version": version}), ends)
         assert ("release 0.4" in str(error.value)) is bool(more) and more in str(error.value)
-        assert "make the plan anew" in str(error.value) and "\n" not in str(error.value)
+        assert "make the plan again" in str(error.value) and "\n" not in str(error.value)
 
 
 def test_notes_in_a_file_are_kept(tmp_path: Path) -> None:
