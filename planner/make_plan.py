@@ -160,7 +160,7 @@ def confirm_plan(plan: Plan, world: World, source: str) -> Plan:
         elif given.legs and given.legs != follows.legs:
             what = "legs"
         if what:
-            expected = "those of the run with no hits from the file's areas"
+            expected = "those of the run without losses from the file's areas"
             raise PlanError(
                 f"the {what} of robot {number}", source=source, expected=expected, fix="make the plan again"
             )
@@ -238,7 +238,7 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
     state = replace(state, robots=tuple(robots))
     for number, robot in enumerate(state.robots):
         if robot.status in ON_ITS_WAY and not _leads_on(robot, state.areas[robot.area], problem.rule.attentive):
-            expected = "a path that ends in its area, and what it has still to cover on it"
+            expected = "a path that ends in its area, and the cells it still has to cover on it"
             problem_is = f"robot {number} is {robot.status}, but not by policy {problem.rule.name}"
             raise StateError(problem_is, expected=expected, fix=_settings_asked("policy"))
     return state
@@ -246,7 +246,7 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
 
 def _settings_asked(name: str) -> str:
     """Fix for a state made under the settings of another plan."""
-    return f"give the settings of the plan that was driven, {argument(name)} among them, or go on with that plan"
+    return f"give the settings of the plan that was driven, {argument(name)} among them, or resume with that plan"
 
 
 def _check_exposures(problem: Problem, state: MissionState) -> None:

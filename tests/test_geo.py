@@ -261,7 +261,7 @@ def test_coordinates_that_contradict(tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text("lon,lat,strength\n15,52,0.1\n500000,5761038,0.1\n")
     with pytest.raises(MapError, match=r"line 3: a point at longitude 500000, latitude 5.76104e\+06"):
         load_input(scenario(tmp_path, threats=[{"points": "p.csv", "falloff": {"kind": "disc", "radius": 10}}]))
-    with pytest.raises(ScenarioError, match=r"`datum` is .*; expected none: the map says where it lies"):
+    with pytest.raises(ScenarioError, match=r"`datum` is .*; expected none: the map has a georeference"):
         load_input(scenario(tmp_path, datum={"latitude": 1, "longitude": 2}))
 
 
@@ -920,7 +920,7 @@ def test_a_place_that_files_beside_it_give(tmp_path: Path) -> None:
     """A world file, with and without a `.prj`; no place at all; a picture's world file."""
     values = np.zeros((6, 8), np.float32)
     path = tif(tmp_path / "a.tif", values)
-    assert any("gives no place: a pixel is 1 m" in note for note in load_input(path).notes)
+    assert any("has no position: a pixel is 1 m" in note for note in load_input(path).notes)
     (tmp_path / "a.tfw").write_text("10\n0\n0\n-10\n500005\n5200055\n")
     world = load_input(path)
     assert world.cell_size == 10 and world.georeference is None and any("names no CRS" in note for note in world.notes)

@@ -762,7 +762,7 @@ def test_worlds_say_what_is_wrong_with_them_experience(tmp_path):
     world = taught([[0.2, 0.1], [0, 0]], 0.5, "persistent")
     with pytest.raises(WorldError, match="hazards are not seen"):
         with_sense(world, 2)
-    with pytest.raises(WorldError, match="tells nothing"):
+    with pytest.raises(WorldError, match="has no effect"):
         with_sense(world, {"range": 2, "detect": 0.1, "false_alarm": 0.1})
     with pytest.raises(WorldError, match="drawn anew"):
         with_hazard(world, "independent", 0.1, learn=True)

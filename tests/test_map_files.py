@@ -129,7 +129,9 @@ def test_scale_takes_what_is_not_opaque_for_unknown_and_raw_takes_no_notice(tmp_
 
 def test_where_transparency_leaves_no_free_cell_the_error_says_so(tmp_path: Path) -> None:
     nearly = np.dstack([np.full((3, 4), 254, np.uint8)] * 4)
-    with pytest.raises(WorldError, match=r"every cell is an obstacle; mode: scale takes what is not .* 12 pixels unk"):
+    with pytest.raises(
+        WorldError, match=r"every cell is an obstacle; mode: scale reads pixels that are not .* 12 pixels unk"
+    ):
         load_input(ros(tmp_path, nearly, mode="scale"))
 
 
@@ -906,7 +908,7 @@ def test_an_instance_of_ls_mcpp(tmp_path: Path) -> None:
         ("map: a\nroot: [[9, 1]]\n", r"robot 0 starts at \[1, 9\], outside the map"),
         ("map: a\nroot: [[0, 1, 2]]\n", r"`root\[0\]` is \[0, 1, 2\]; expected \[column, row\]"),
         ("map: a\nroot: [x]\n", r"`root\[0\]` is 'x'"),
-        ("map: b\nroot: [[0, 1]]\n", "`map` is 'b'; expected a map b.map beside it"),
+        ("map: b\nroot: [[0, 1]]\n", "`map` is 'b'; expected a map b.map in its folder"),
         ("map: a\n", "`root` is missing"),
         ("map: a\nroot: [[0, 1", "line 2: expected"),
     ):

@@ -72,7 +72,7 @@ def test_south_up_is_turned_and_feet_become_metres(tmp_path: Path) -> None:
 @pytest.mark.parametrize("key", ["threats: [{raster: a.tif}]", "value: [{raster: a.tif}]", "detect: [{raster: a.tif}]"])
 def test_a_raster_without_a_place_is_laid_cell_on_cell_with_a_note(tmp_path: Path, key: str) -> None:
     tif(tmp_path / "map.tif", VALUES * 0, (10, 0, 0, 0, -10, 50), "EPSG:32633")
-    note = "a.tif gives no place: it is laid on the map cell on cell, its row 0 on the map's"
+    note = "a.tif has no position: it is laid on the map cell on cell, its row 0 on the map's"
     for transform, crs in (((), None), ((10, 0, 0, 0, -10, 50), "EPSG:32633")):
         tif(tmp_path / "a.tif", VALUES, transform, crs)
         (tmp_path / "s.yaml").write_text(f"map: map.tif\n{key}\n")

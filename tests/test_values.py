@@ -447,7 +447,7 @@ def test_a_world_file_keeps_its_values(tmp_path: Path) -> None:
 WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     ({"value": -1}, {}, "`value` is -1; expected a number, 0 to 1e+09"),
     ({"value": float("nan")}, {}, "`value` is nan; expected"),
-    ({"value": 0}, {}, "value is 0 in every free cell; expected a cell that is worth something"),
+    ({"value": 0}, {}, "value is 0 in every free cell; expected a cell with a value above 0"),
     ({"value": [{"everywhere": 0}]}, {}, "value is 0 in every free cell"),
     ({"value": [{"raster": "no.npy"}]}, {}, "`value[0].raster`: no such file"),
     ({"value": [{"raster": "small.npy"}]}, {}, "expected the map's 3 x 4 pixels or its 3 x 4 cells; the raster has"),

@@ -759,7 +759,7 @@ def test_what_robots_are_not_told(folder: Path) -> None:
         ({"prior_map": {"p": 0.1}, "sensor_range": {"sight": True}}, r"key `sensor_range\.range` is missing"),
         ({"prior_map": {"p": 0.1}, "sensor_range": {"range": 1, "sight": 1}}, "sight: true or false"),
         ({"truth": "s.yaml", "sensor_range": 1}, "an input without truth, prior, sense"),
-        ({"truth": "a.map", "sensor_range": 1}, r"the truth has shape \[4, 7\]"),
+        ({"truth": "a.map", "sensor_range": 1}, r"the true map has shape \[4, 7\]"),
         (
             {"prior_map": {"p": 0.1}, "latent_hazard": {"kind": "persistent", "q": "threats"}},
             "leave `latent_hazard` out",

@@ -75,7 +75,7 @@ def seen_by(given: Any, fleet: Fleet, reported: Mapping[int, int]) -> Seen:
         cell = int(row) * width + int(col)
         if p is None and cell in where:
             raise StateError(
-                f"[{row}, {col}] is said to be an obstacle, and a robot is there", expected="one of the two"
+                f"[{row}, {col}] is reported as an obstacle, but a robot is there", expected="one of the two"
             )
         found[cell] = None if p is None else float(p)
     return found
@@ -232,7 +232,7 @@ def closed_by(given: ArrayLike, reports: Reports) -> tuple[NDArray[np.int64], Wo
     part = without.components.ravel()
     for number, cell in reported:
         if part[cell] != part[fleet.robots[number].cell]:
-            problem = f"what is to be closed cuts robot {number} off from {at(cell, world)}"
+            problem = f"closing these cells cuts robot {number} off from {at(cell, world)}"
             raise StateError(problem, expected="cells to close once the step in which it went there is over")
     return cells, without
 
@@ -473,7 +473,7 @@ def read_rest(path: str | Path, world: World, plan: Plan) -> tuple[World, Plan, 
     source, (data, keys) = str(path), _read(path)
     given, (world, changed) = world, _as_known(world, keys)
     settings = plan.settings or Settings()
-    if "range" in data:  # what robots said of it; a state by hand says nothing
+    if "range" in data:  # reported ranges, which hand-written states lack
         settings = replace(settings, range=keys["range"].setting(SETTINGS["range"]))
     if keys["begun"].value is False:
         check_map(keys["world"], world, "state of", ON_ITS_MAP)

@@ -75,7 +75,7 @@ def parse_plan(data: object, world: World, source: str) -> Plan:
     keys = top.mapping(("paths",), (*POLICY, *BORNE), strict=False)
     for name in POLICY:
         if name in keys and keys[name].value is not None:
-            raise keys[name].wrong("paths alone", "leave it out: paths have no areas to decide on")
+            raise keys[name].wrong("paths only", "leave it out: paths have no areas to decide on")
     return _foreign_plan(keys["paths"], keys, world)
 
 

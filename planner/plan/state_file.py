@@ -177,7 +177,7 @@ def _of_areas(state: MissionState, world: World, source: str) -> Iterator[Fault]
             cell = at(unvisited[0], world)
             yield f"area {number} is completed, and its cell {cell} is not visited", "visited ones", ANEW
         if area.state == "unassigned" and not len(unvisited):
-            yield f"area {number} is unassigned, and holds visited cells alone", "completed", ANEW
+            yield f"area {number} is unassigned, and has only visited cells", "completed", ANEW
         holders = [one for one, robot in enumerate(state.robots) if one == area.robot and robot.area == number]
         if area.state == "assigned" and not holders:
             problem = f"area {number} is assigned to robot {area.robot}, which has another or none"
@@ -189,7 +189,7 @@ def _of_areas(state: MissionState, world: World, source: str) -> Iterator[Fault]
         elif not len(robot.ahead):
             yield f"robot {number} is {robot.status}, and nothing is ahead", "the cells of its path", ANEW
         elif len(np.setdiff1d(robot.to_do, own.cells)) or (robot.status == "traveling" and len(robot.to_do)):
-            yield f"robot {number}: to_do is not of its area", "what it has still to cover", ANEW
+            yield f"robot {number}: to_do is not of its area", "the cells it still has to cover", ANEW
 
 
 # States from files that robots leave: masks and grids of visited cells, lists of cells, tracks.

@@ -220,7 +220,7 @@ def grow_tree(loop: ClosedLoop, slack: float, most: int, cheap: int = CHEAP) -> 
         tree = Tree(runner.grow(WHOLE, cut, most), cut, time.perf_counter() - began)
         if tree.histories >= most or (power == FIRST_CUT and tree.left > MOST_LEFT):
             return good
-        # The next cut is chosen by the slack missing: a tree is grown anew for each, at a multiple of the cost.
+        # The next cut is chosen by the slack missing: each cut grows the tree again, at a multiple of the cost.
         if tree.slack > slack:
             power = min(power + ceil(log(tree.slack / slack, FALL)), FINEST_CUT)
         elif tree.left and ((power < FINE_CUT and tree.histories <= cheap) or tree.histories <= CHEAP):

@@ -151,7 +151,7 @@ class ClosedLoop:
 
     @property
     def runs_alone(self) -> bool:
-        """True if each rollout is a group of its own: no two have the same detector readings."""
+        """True if each rollout is a separate group: no two have the same detector readings."""
         return bool(self.tables.lessons[DETECTS:].any())
 
     @property

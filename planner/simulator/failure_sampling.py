@@ -18,7 +18,7 @@ from .jit import UNCOUNTED, kernel, program, rare_kernel
 from .state import highest_bit
 from .thresholds import LOGARITHMS, MOST, log_units, threefry2x32, unworn
 
-# Several rollouts at a time are drawn for and sorted, in vector registers. LLVM vectorises `threefry` alone, but then
+# Several rollouts at a time are drawn for and sorted, in vector registers. LLVM vectorises a plain `threefry`, but then
 # each rollout is stored separately, and both together take twice as long.
 
 GROUP = 8

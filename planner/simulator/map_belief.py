@@ -132,8 +132,8 @@ def head_home(t, s, robot):
 
 @rare_kernel
 def recall(t, s, w):
-    """Drop cached costs, and recompute ways to base, if the thread's are of another belief."""
-    # A thread runs several groups in turn; rows of costs are valid for one belief only.
+    """Drop cached costs, and recompute ways to base, if the thread's are of another map."""
+    # A thread runs several groups in turn; rows of costs are valid for one map only.
     if w.minds[1] != s.mind[BELIEF]:
         w.minds[1] = s.mind[BELIEF]
         for row in range(len(w.source_of)):
@@ -146,8 +146,8 @@ def recall(t, s, w):
 
 @rare_kernel
 def take_over(t, s, w):
-    """Give the belief of a group from another thread a new index; 0 is the prior map, which all threads share."""
-    # Indices of beliefs are counted per thread, so another thread's index may be in use here for another map.
+    """Give the map of a group from another thread a new index; 0 is the prior map, which all threads share."""
+    # Indices of maps are counted per thread, so another thread's index may be in use here for another map.
     if s.mind[BELIEF] > 0:
         w.minds[0] += 1
         s.mind[BELIEF] = w.minds[0]

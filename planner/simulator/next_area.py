@@ -133,7 +133,7 @@ def look_at(t, p, s, w, costs, robot, here, area, closely, best, target, first, 
     """Compare an unassigned area with the best so far.
 
     Args:
-        closely: whether its cells may be searched; else the bound of the tables alone is used.
+        closely: whether its cells may be searched; else only the bound of the tables is used.
         best, target, first: the best area so far, its target and its offer.
         refusing: whether areas that are not worth the risk are excluded.
 
@@ -262,7 +262,7 @@ def first_area(t, p, s, w, robot, its_own, refusing):
     level = least_open(p, s)
     mixed = t.mixed and s.marks.open > 0  # robot types do not agree on the order of levels
     for further in range(2):
-        # First by the tables' bounds alone; cells are searched only for areas that may still come first.
+        # First only by the tables' bounds; cells are searched only for areas that may still come first.
         for closely in range(2):
             if is_below(t, p, s, here, first, best, np.int64(0) if mixed else level + further):
                 return best, target, first.cost

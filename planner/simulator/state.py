@@ -390,7 +390,7 @@ AT_STOP, MORE, LESS, ALARM, SILENCE, DETECTS, ERRS, LESSONS = range(8)
 alarm adds and silence subtracts, and the alarms of 2**24 readings at a hazard and elsewhere; else 0."""
 SEEN, LOOKED, OUT = 1, 2, 4
 TRUTH, BELIEF, MIND = range(3)
-"""`State.mind`: index of the true map; index of the belief, whose rows of costs a thread has kept."""
+"""`State.mind`: index of the true map; index of the team's map, to which cached rows of costs belong."""
 RESTS, GAINS, MOVES, NO_ROOM = 0, 1, 2, -1
 """Results of a turn: no move; an area and no move; a move; the area registry is full."""
 ACTS, HIT, PASSED = range(3)

@@ -138,7 +138,7 @@ def read_knowledge(keys: dict[str, Key], world: World, load: Callable[[Path], Wo
         with keys["true_map"].naming():
             belief = world.threat
             world = with_truth(world, truth, inf)
-            if "prior_map" in keys:  # the scenario's own map is neither believed nor true
+            if "prior_map" in keys:  # the scenario's own map is neither the prior nor the true map
                 world = replace(world, threat=belief)
     if "prior_map" in keys:
         prior = keys["prior_map"].mapping(("p",), optional=("obstacles",))

@@ -421,7 +421,7 @@ def _edge(ground: Ground) -> str:
     kept = np.where(ground.free, ground.blocks(ground.free_pixels).sum(axis=2), 0).sum() / ground.free_pixels.sum()
     return (
         f"swaths of {ground.frame.size:g} m hold {100 * kept:.2f} % of the field's cells of {ground.grid.frame.size:g} "
-        "m, the rest lies along the edge and is not counted; `value` is what is covered of those held"
+        "m, the rest lies along the edge and is not counted; `value` counts the covered ones of those held"
     )
 
 

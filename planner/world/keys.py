@@ -397,6 +397,6 @@ def checked_layer(
         at, where = first_of(wrong)
         raise WorldError(f"{of.name} is {layer[at]:g} {where}", source=source, expected=of.numbers.expected)
     if of is VALUE and not layer.any():
-        raise WorldError("value is 0 in every free cell", source=source, expected="a cell that is worth something")
+        raise WorldError("value is 0 in every free cell", source=source, expected="a cell with a value above 0")
     layer.setflags(write=False)
     return layer

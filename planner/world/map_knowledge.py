@@ -194,7 +194,7 @@ def make_knowledge(belief: NDArray[np.float32], truth: NDArray[np.float32], sens
         WorldError: another shape, or robots without sensor that could collide with an obstacle.
     """
     if belief.shape != truth.shape:
-        problem = f"the truth has shape {list(truth.shape)}"
+        problem = f"the true map has shape {list(truth.shape)}"
         raise WorldError(problem, source=source, expected=f"the cells of the prior map, {list(belief.shape)}")
     differ = np.isnan(belief) != np.isnan(truth)
     if sense.range == 0 and differ.any():
@@ -284,14 +284,14 @@ def make_detector(given: object, source: str) -> Detector:
         WorldError: it is invalid.
     """
     if not isinstance(given, Mapping) or not {"detect", "false_alarm"} <= given.keys():
-        expected = "{range, detect, false_alarm}: hazards are not seen, detectors tell of them"
+        expected = "{range, detect, false_alarm}: hazards are found by detectors, not seen"
         raise WorldError(f"sense is {given!r:.60}", source=source, expected=expected)
     detect, false_alarm = given["detect"], given["false_alarm"]
     sense = make_sense({name: given[name] for name in given if name not in ("detect", "false_alarm")}, source)
     CHANCE.check("detect", detect, WorldError, source)
     CHANCE.check("false_alarm", false_alarm, WorldError, source)
     if sense.range == 0 or detect <= false_alarm:
-        problem = f"a detector with range {sense.range:g}, detect {detect:g}, false_alarm {false_alarm:g} tells nothing"
+        problem = f"a detector with range {sense.range:g}, detect {detect:g}, false_alarm {false_alarm:g} has no effect"
         raise WorldError(problem, source=source, expected="a range of 1 or more, and more alarms where a hazard is")
     return Detector(sense, float(detect), float(false_alarm))
 

@@ -330,7 +330,7 @@ def check_phases(begins: Sequence[Any], threats: NDArray[np.float32], free: NDAr
         if differ.any():
             row, col = np.argwhere(differ)[0].tolist()
             problem = f"{name} has {'an obstacle' if free[row, col] else 'none'} at [{row}, {col}]"
-            raise WorldError(problem, source=source, expected="the obstacles of the map: threats alone change")
+            raise WorldError(problem, source=source, expected="the obstacles of the map: only threats change")
 
 
 def phases_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source: str) -> Phases | None:
@@ -351,6 +351,6 @@ def phases_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source
     found = Phases(begins.astype(np.int64), maps, next(word for word in PLAN_ON if word == plan_on))
     if not np.array_equal(found.planned, threat, equal_nan=True):
         raise WorldError(
-            "`threat` is not what its phases say", source=source, expected="arrays as World.save writes them"
+            "`threat` does not agree with its phases", source=source, expected="arrays as World.save writes them"
         )
     return found

@@ -429,7 +429,7 @@ def misplaced(
     problem = f"x {west:.10g} .. {east:.10g}, y {south:.10g} .. {north:.10g} "
     if not any(orders):
         problem += f"lie off the map, {width * frame.size:g} x {height * frame.size:g} m from ({x:.10g}, {y:.10g})"
-        return problem, "give metres in the map's frame (its origin says where it lies)"
+        return problem, "give metres in the map's frame (see its origin)"
     problem += f"look like {'longitude and latitude' if orders[0] else 'latitude and longitude, latitude first'}"
     if georeference is None:
         problem += f", {width * frame.size:g} x {height * frame.size:g} m from ({x:.10g}, {y:.10g})"

@@ -156,7 +156,7 @@ def physical(raw: NDArray, known: NDArray[np.bool_], said: Said, of: Meaning, so
         MapError: an unknown unit, or an invalid scale.
     """
     if not (math.isfinite(said.scale) and math.isfinite(said.offset) and said.scale != 0):
-        problem = f"says that its values are {said.scale:g} * number + {said.offset:g}"
+        problem = f"declares values {said.scale:g} * number + {said.offset:g}"
         raise MapError(problem, source=source, expected="a finite scale other than 0, and a finite offset")
     factor, unit_notes = _factor(said, of, source)
     is_scaled = (said.scale, said.offset) != (1, 0)
@@ -168,7 +168,7 @@ def physical(raw: NDArray, known: NDArray[np.bool_], said: Said, of: Meaning, so
     notes = unit_notes
     if is_scaled:
         added = f" + {said.offset:g}" if said.offset else ""
-        notes = (f"as the file says, its values are {said.scale:g} * number{added}", *notes)
+        notes = (f"by its metadata, its values are {said.scale:g} * number{added}", *notes)
     return Physical(np.where(known & ~void, values, np.nan), notes, _describe(numbers[void], of, source))
 
 

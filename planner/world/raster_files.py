@@ -53,8 +53,8 @@ SUFFIXES = (".npy", ".csv", *GEO_SUFFIXES)
 TRUE = 0.01
 """Relative difference between a CRS's metre and a metre on the ground from which on a note is made."""
 
-NO_PLACE = "gives no place: a pixel is 1 m, unless `resolution:` in `map:` says otherwise"
-CELL_ON_CELL = "{} gives no place: it is laid on the map cell on cell, its row 0 on the map's"
+NO_PLACE = "has no position: a pixel is 1 m, unless `resolution:` in `map:` gives another size"
+CELL_ON_CELL = "{} has no position: it is laid on the map cell on cell, its row 0 on the map's"
 
 
 @dataclass(frozen=True, eq=False)

@@ -227,7 +227,7 @@ def load_input(path: str | Path, cell_size: float | None = None) -> World:
         return world if cell_size is not None else _with_size_note(world, bare=True)
     if cell_size is not None:
         raise ScenarioError(
-            "the scenario says what its cell_size is", source=path, fix=f"leave {argument('cell_size')} out"
+            "the scenario determines its cell_size", source=path, fix=f"leave {argument('cell_size')} out"
         )
     world = read_scenario(top, path)
     return world if "cell_size" in top.value else _with_size_note(world, bare=False)
@@ -282,7 +282,7 @@ def read_scenario(top: Key, path: Path) -> World:
     grid = _map(keys["map"], cell_size)
     if "datum" in keys:
         if grid.georeference is not None:
-            raise keys["datum"].wrong("none: the map says where it lies", "leave it out")
+            raise keys["datum"].wrong("none: the map has a georeference", "leave it out")
         grid = replace(grid, georeference=read_datum(keys["datum"]))
     if "keepout" in keys:
         grid = keep_out(keys["keepout"], grid)
@@ -337,7 +337,7 @@ def _map(key: Key, cell_size: float | None) -> Grid:
         return grid
     resolution = keys["resolution"].number(CELL_SIZE)
     if grid.measured:
-        raise keys["resolution"].wrong(f"none: the file says that a pixel has {grid.frame.size:g} m", CELLS_OF_A_MAP)
+        raise keys["resolution"].wrong(f"none: in the file a pixel has {grid.frame.size:g} m", CELLS_OF_A_MAP)
     return replace(grid, frame=replace(grid.frame, size=resolution), measured=True)
 
 
@@ -374,7 +374,7 @@ def _elevation(keys: dict[str, Key], cell_size: float | None) -> Grid:
     if "resolution" in keys:
         resolution = keys["resolution"].number(CELL_SIZE)
         if raster.frame is not None:
-            raise keys["resolution"].wrong(f"none: the file says that a pixel has {raster.frame.size:g} m")
+            raise keys["resolution"].wrong(f"none: in the file a pixel has {raster.frame.size:g} m")
     grid = elevation_grid(raster, resolution, steepest)
     return replace(grid, measured=raster.frame is not None or "resolution" in keys)
 
@@ -480,7 +480,7 @@ def _with_robots(world: World, key: Key, own: NDArray[np.int64] | None) -> World
     starts = _starts(keys[named[0]], world) if named else own
     assert starts is not None
     if count not in (None, len(starts)):
-        fix = "leave out one of them" if named else f"or give start: {RULES[0]} to place the robots anew"
+        fix = "leave out one of them" if named else f"or give start: {RULES[0]} to place the robots again"
         raise keys["count"].wrong(f"{len(starts)}, as there are {len(starts)} starts", fix)
     return world.with_starts(starts)
 

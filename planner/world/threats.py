@@ -87,7 +87,7 @@ def by_rule(key: Key | None, values: NDArray[np.float64]) -> tuple[NDArray[np.fl
     keys = key.mapping(("kind", "edges", "p"))
     edges = keys["edges"].numbers(ANY, "a list of numbers")
     if any(low >= high for low, high in itertools.pairwise(edges)):
-        raise keys["edges"].wrong("rising numbers")
+        raise keys["edges"].wrong("increasing numbers")
     expected = f"{len(edges) + 1} probabilities 0 <= p < 1 for {len(edges)} edges: below the first, ..., above the last"
     p = keys["p"].numbers(PROBABILITY, expected, len(edges) + 1)
     return np.array(p)[np.searchsorted(edges, values, side="right")], "change p"
@@ -392,7 +392,7 @@ def _bands(key: Key, keys: dict[str, Key]) -> list[tuple[float, float]]:
     for band in keys["bands"].items("a list of [range, p]"):
         reach, p = band.items("[range in metres, p]", exactly=2)
         if bands and reach.number(DISTANCE) <= bands[-1][0]:
-            raise band.wrong("[range in metres, p], ranges rising")
+            raise band.wrong("[range in metres, p], ranges increasing")
         bands.append((reach.number(DISTANCE), p.number(PROBABILITY)))
     return bands
 

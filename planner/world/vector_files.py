@@ -132,7 +132,7 @@ def _layer(layers: Any, path: Path) -> str:
     if not names:
         raise MapError("has no layer with places", source=path, expected="one layer of polygons")
     said = ", ".join(printable(f"{name} ({kind})")[:40] for name, kind in names[:5])
-    fix = "copy the one that is meant into a file of its own (ogr2ogr one.gpkg all.gpkg LAYER)"
+    fix = "copy the intended one into a separate file (ogr2ogr one.gpkg all.gpkg LAYER)"
     raise MapError(f"its layers are {said}", source=path, expected="one layer of polygons", fix=fix)
 
 
@@ -188,7 +188,7 @@ def _check_tables(database: sqlite3.Connection, path: Path) -> None:
         computed = database.execute("SELECT count(*) FROM pragma_table_xinfo(?) WHERE hidden > 1", (name,))
         if kinds[name] == "view" or computed.fetchone()[0]:
             problem = f"{printable(name)[:60]!r} is a view, or has computed columns"
-            fix = "copy it into a file of its own (ogr2ogr)"
+            fix = "copy it into a separate file (ogr2ogr)"
             raise MapError(problem, source=path, expected="plain tables", fix=fix)
 
 
@@ -528,7 +528,7 @@ def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -
     degrees = [bool(in_range(ring).all()) for ring in rings]
     if not all(degrees):
         wrong = rings[degrees.index(False)][0].tolist()
-        problem = f"mixes longitude and latitude with coordinates that are none, as {wrong}"
+        problem = f"mixes longitude and latitude with other coordinates, as {wrong}"
         raise MapError(problem, source=path, expected="one kind of coordinates", fix="or a `crs` that names it")
     return WGS84
 
