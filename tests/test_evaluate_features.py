@@ -352,7 +352,7 @@ def test_no_range_is_no_list_of_ranges() -> None:
 @pytest.mark.parametrize(
     ("world", "sensor_range", "words"),
     [
-        (TOLD, (1,), "robots are told the map"),
+        (TOLD, (1,), "the map is known"),
         (DARK, (0.5,), "0, or a number of cells from 1 on"),
         (mrac.with_prior(TOLD, 0.04, sense=2), (0,), "wrong about an obstacle"),
     ],

@@ -51,7 +51,7 @@ def test_a_field_with_a_hole_and_a_second_part(tmp_path: Path) -> None:
     world = load_input(path, 10)
     assert drawn(world) == ["....######", "....####..", ".#......##"[:6] + "##..", "......##.."]
     assert world.cell_size == 10 and world.origin == (0, 0, 0) and world.georeference is None
-    assert any("taken for metres" in note for note in world.notes)
+    assert any("read as metres" in note for note in world.notes)
     assert any("2 cells lie on the field's boundary" in note for note in world.notes)
 
 

@@ -512,7 +512,7 @@ def test_files_that_are_not_whole(folder: Path) -> None:
             assert any(word in wrong(folder, "a.shp") for word in words.split("|"))
     (folder / "a.shx").unlink()
     shutil.copy(folder / "w.shp", folder / "a.shp")
-    assert "there is no a.shx beside it" in wrong(folder, "a.shp")
+    assert "there is no a.shx in its folder" in wrong(folder, "a.shp")
     data = whole["gpkg"].read_bytes()
     for cut in (len(data) // 2, len(data) - 4096, 50):
         (folder / "a.gpkg").write_bytes(data[:cut])
@@ -928,7 +928,7 @@ def test_a_place_that_files_beside_it_give(tmp_path: Path) -> None:
     world = load_input(path)
     assert world.georeference is not None and world.georeference.crs == "EPSG:32632" and not world.notes
     (tmp_path / "a.prj").write_text("nonsense")
-    with pytest.raises(MapError, match=r"a\.tif: the \.prj beside it cannot be read"):
+    with pytest.raises(MapError, match=r"a\.tif: its \.prj file cannot be read"):
         load_input(path)
     (tmp_path / "a.prj").unlink()
     (tmp_path / "a.tfw").write_text("0.0003\n0\n0\n-0.0003\n10.1\n47.2\n")
@@ -938,6 +938,6 @@ def test_a_place_that_files_beside_it_give(tmp_path: Path) -> None:
     world = load_input(tif(tmp_path / "b.tif", values, (10, 0, 0, 0, -10, 60), local))
     assert world.cell_size == pytest.approx(3.048) and "names no place on the Earth" in world.notes[0]
     Image.fromarray(np.full((4, 6), 255, np.uint8)).save(tmp_path / "c.png")
-    assert not any("beside it" in note for note in load_input(tmp_path / "c.png").notes)
+    assert not any("is not read" in note for note in load_input(tmp_path / "c.png").notes)
     (tmp_path / "c.pgw").write_text("0.5\n0\n0\n-0.5\n0\n0\n")
-    assert any("c.pgw beside it is not read" in note for note in load_input(tmp_path / "c.png").notes)
+    assert any("its world file c.pgw is not read" in note for note in load_input(tmp_path / "c.png").notes)

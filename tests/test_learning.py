@@ -764,7 +764,7 @@ def test_worlds_say_what_is_wrong_with_them_experience(tmp_path):
         with_sense(world, 2)
     with pytest.raises(WorldError, match="has no effect"):
         with_sense(world, {"range": 2, "detect": 0.1, "false_alarm": 0.1})
-    with pytest.raises(WorldError, match="drawn anew"):
+    with pytest.raises(WorldError, match="drawn independently"):
         with_hazard(world, "independent", 0.1, learn=True)
     with pytest.raises(WorldError, match="robots would have to learn"):
         with_prior(world, 0.1, sense=1)

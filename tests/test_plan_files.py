@@ -876,7 +876,7 @@ def test_a_scenario_says_it(tmp_path: Path) -> None:
     world = load_input(tmp_path / "m.yaml")
     assert world.pace == Pace(0.25) and world.cell_size == 0.5 and world.shape == (3, 4)
     (tmp_path / "m.yaml").write_text("map: {file: map.npz, resolution: 0.5}\n")
-    with pytest.raises(InputError, match="the file says that a pixel has 3 m"):
+    with pytest.raises(InputError, match="in the file a pixel has 3 m"):
         load_input(tmp_path / "m.yaml")
 
 
@@ -886,7 +886,7 @@ def test_a_scenario_says_it(tmp_path: Path) -> None:
         (("step: {seconds: 0}",), "`step.seconds` is 0; expected seconds, 1e-06 to 1e\\+06"),
         (("step: 2",), "`step`"),
         (("step: {seconds: 2}", "speed: 1"), "`speed` is 1; expected none together with step"),
-        (("speed: 1",), "nobody says how many metres a cell has.*resolution: 0.5"),
+        (("speed: 1",), "without a cell size in metres.*resolution: 0.5"),
         (("deadline: 20q",), "`deadline` is '20q'.*or a time, as 45min"),
     ],
 )
@@ -900,9 +900,11 @@ def test_what_nobody_says_is_asked_for(tmp_path: Path) -> None:
     soon = tmp_path / "soon.yaml"
     soon.write_text("map: cells.npy\nrobots: {count: 1}\ndeadline: 20s\n")
     np.save(tmp_path / "cells.npy", np.zeros((3, 3)))
-    with pytest.raises(UsageError, match=r"soon.yaml: `deadline` is 20s, but nobody .* give the scenario's `step:"):
+    with pytest.raises(
+        UsageError, match=r"soon.yaml: `deadline` is 20s, but the duration .* give the scenario's `step:"
+    ):
         mrac.plan(mrac.load(soon))
-    with pytest.raises(UsageError, match="nobody says how long a step takes"):
+    with pytest.raises(UsageError, match="the duration of a step is not given"):
         mrac.plan(world, 1, deadline="45min")
     with pytest.raises(UsageError, match="'soon'"):
         mrac.plan(world.with_pace(1), 1, deadline="soon")

@@ -282,12 +282,10 @@ def test_doses_and_values_are_what_their_files_say(tmp_path: Path) -> None:
 def test_a_unit_that_is_not_understood_is_named(tmp_path: Path, units: str) -> None:
     says(tmp_path / "p.tif", np.zeros((4, 6), dtype=np.float32), units=units)
     for path in (tmp_path / "p.tif", scenario(tmp_path, map=bare(tmp_path), threats=[{"raster": "p.tif"}])):
-        with pytest.raises(
-            MapError, match=rf"p\.tif: its values are in '{units}', taken for probabilities; expected no"
-        ):
+        with pytest.raises(MapError, match=rf"p\.tif: its values are in '{units}', read as probabilities; expected no"):
             load_input(path)
     if units != "m":
-        with pytest.raises(MapError, match=rf"'{units}', taken for heights; expected m, dm"):
+        with pytest.raises(MapError, match=rf"'{units}', read as heights; expected m, dm"):
             load_input(scenario(tmp_path, map={"elevation": "p.tif"}))
 
 
@@ -367,7 +365,7 @@ def test_units_of_probabilities_in_words(tmp_path: Path) -> None:
     says(tmp_path / "p.tif", np.full((4, 6), 0.25, np.float32), tags={"VERTICAL_UNITS": "feet"})
     assert load_input(tmp_path / "p.tif").threat == pytest.approx(0.25)
     says(tmp_path / "p.tif", np.full((4, 6), 0.25, np.float32), description="Elevation (feet)")
-    with pytest.raises(MapError, match="values are in 'feet', taken for probabilities"):
+    with pytest.raises(MapError, match="values are in 'feet', read as probabilities"):
         load_input(tmp_path / "p.tif")
     says(tmp_path / "dem.tif", ramp(20), units="m", description="Elevation (feet)")
     with pytest.raises(MapError, match="names two units, 'm' and 'feet'"):

@@ -357,7 +357,7 @@ def test_100_boards_at_once_are_answered_with_the_last_one(served: Served) -> No
             {"sensor_range": 0.5, "unknown": base64.b64encode(np.ones(14 * 23, "u1").tobytes()).decode()},
             "sensor_range is 0.5",
         ),
-        ({"deadline": "45min"}, "nobody says how long a step takes"),
+        ({"deadline": "45min"}, "the duration of a step is not given"),
         ({"deadline": "soon"}, "`deadline` is soon"),
         ({"starts": [[99, 0]]}, "outside the map"),
         ({"starts": [[2**70, 0]]}, "`starts[0][0]`"),

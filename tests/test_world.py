@@ -751,7 +751,7 @@ def test_what_robots_are_not_told(folder: Path) -> None:
         ({"true_map": "true.csv"}, r"`true_map`: robots that see nothing are wrong about an obstacle at \[0, 1\]"),
         ({"prior_map": {"p": 1}}, r"`prior_map\.p` is 1; expected a probability"),
         ({"prior_map": {"p": 0.1, "obstacles": "no"}}, r"`prior_map\.obstacles` is 'no'; expected unknown or known"),
-        ({"sensor_range": 1}, r"`sensor_range`: robots are told the map"),
+        ({"sensor_range": 1}, r"`sensor_range`: the map is known"),
         (
             {"prior_map": {"p": 0.1}, "sensor_range": 0.5},
             r"`sensor_range`: sensor_range is 0\.5; expected 0, or a number of cells from 1 on",
