@@ -150,6 +150,7 @@ def confirm_plan(plan: Plan, world: World, source: str) -> Plan:
     if plan.settings is None:
         return plan
     try:
+        # The nominal run is deterministic, so any difference means a changed file or another release.
         made = make_plan(world, plan.starts, plan.settings, plan.areas, plan.state)
     except (PlanError, StateError) as error:
         raise PlanError(error.problem, source=source, expected=error.expected, fix="make the plan again") from error

@@ -40,6 +40,7 @@ class Luck:
         if chance == 0 or not self._reaches_threshold(robot, chance):
             return False
         if isinstance(self._world.doubt, Hazard) and self._world.doubt.kind == "consumed":
+            # The first loss consumes the hazard for the rest of the rollout.
             self._spent.add(cell)
         return True
 

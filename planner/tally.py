@@ -281,6 +281,7 @@ def add_padded(left: NDArray[np.int64], right: NDArray[np.int64]) -> NDArray[np.
     """Sum of two arrays of counts; the shorter one is continued with zeros."""
     longer, shorter = (left, right) if len(left) >= len(right) else (right, left)
     total = longer.copy()
+    # Times that no rollout of the shorter array reached count 0.
     total[: len(shorter)] += shorter
     return total
 

@@ -420,6 +420,7 @@ class Mission:
         kept, reports, aside = (self._borne, self._waits), self._reports, self._aside
         self._begin(world, plan)
         self._borne, self._waits = kept
+        # Reports made before cells were closed still hold.
         self._reports.carry(reports)
         self._set_aside(aside)
 

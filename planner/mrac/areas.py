@@ -35,12 +35,14 @@ def connected_parts(shape: tuple[int, int], cells: NDArray[np.int64]) -> list[ND
         return []
     rows, cols = np.divmod(cells, shape[1])
     top, left = rows.min(), cols.min()
+    # Labelled in the bounding box: areas are small compared with the map.
     window = np.zeros((rows.max() - top + 1, cols.max() - left + 1), dtype=np.bool_)
     window[rows - top, cols - left] = True
     labels, count = ndimage.label(window, structure=FOUR_NEIGHBOURS)
     if count == 1:
         return [np.sort(cells)]
     ordered = np.sort(cells)
+    # In the order of the indices, so that each part's cells increase without sorting them again.
     label = labels[ordered // shape[1] - top, ordered % shape[1] - left]
     return split_by_label(ordered, label)
 
@@ -90,6 +92,7 @@ def connected_alike(shape: tuple[int, int], kind: NDArray[np.integer]) -> tuple[
     of = kind.reshape(shape)
     free = np.zeros((2 * shape[0] - 1, 2 * shape[1] - 1), dtype=np.bool_)
     free[::2, ::2] = of >= 0
+    # The positions between cells connect only neighbours of one kind, so that one call labels all kinds.
     free[1::2, ::2] = (of[1:] == of[:-1]) & (of[1:] >= 0)
     free[::2, 1::2] = (of[:, 1:] == of[:, :-1]) & (of[:, 1:] >= 0)
     labels, count = ndimage.label(free, structure=FOUR_NEIGHBOURS)
@@ -125,6 +128,7 @@ def metis_parts(shape: tuple[int, int], cells: NDArray[np.int64], count: int) ->
     _, label = pymetis.part_graph(count, adjacency=adjacency, recursive=False, options=options)
     parts, part_of = split_by_label(ordered, np.asarray(label)), np.full(shape[0] * shape[1], -1)
     part_of[ordered] = label
+    # As many components as parts: no part is empty or disconnected.
     if len(parts) == count == connected_alike(shape, part_of)[1]:
         return parts
     return wavefront_parts(shape, ordered, count)
@@ -138,8 +142,10 @@ def wavefront_parts(shape: tuple[int, int], cells: NDArray[np.int64], count: int
     if count == 1:
         return [np.sort(cells)]
     first = (count + 1) // 2
+    # Half of the parts are cut off at a time: their share of the cells, rounded up.
     grown, rest = bisect(shape, cells, -(-len(cells) * first // count))
     share = round(count * len(rest) / len(cells))
+    # The cut may miss its target, since the largest rest stays whole: parts are divided again by size.
     of_rest = min(max(share, 1, count - len(grown)), len(rest), count - 1)
     parts = wavefront_parts(shape, grown, count - of_rest) + wavefront_parts(shape, rest, of_rest)
     return sorted(parts, key=lambda part: int(part[0]))
@@ -173,6 +179,7 @@ def bisect(
             break
     rest = connected_parts(shape, np.array(sorted(members - grown), dtype=np.int64))
     stays = max(rest, key=lambda part: (len(part), -int(part[0])))
+    # Smaller components of the rest join the grown part: they are connected to it only.
     grown_cells = np.array(sorted(members - {int(cell) for cell in stays}), dtype=np.int64)
     return grown_cells, stays
 
@@ -244,6 +251,7 @@ def allocate_areas_to_robots(
         if target is not None:
             area = safe[with_room[target.cell]]
             area.robots.append(robot)
+            # Counted after this robot was added: the next one would make the area too dense.
             if len(area.robots) * density > len(area.cells):
                 with_room[area.cells] = NOT_WANTED
     split = {area.number for area in safe if len(area.robots) > 1}
@@ -271,6 +279,7 @@ def _split_between(
     from_each = (paths[robot].to_all(int(starts[robot])) for robot in area.robots)
     cells, begins = np.concatenate(parts), np.cumsum([0, *map(len, parts[:-1])])
     costs = np.array([np.minimum.reduceat(cost[cells], begins) for cost in from_each])
+    # Robots as rows, parts as columns in order of lowest cell: SciPy's ties then follow from the plan alone.
     of_row, of_column = linear_sum_assignment(costs)
     robot_of_part = {int(part): area.robots[int(row)] for row, part in zip(of_row, of_column, strict=True)}
     return [Area(0, robot_of_part[number], part) for number, part in enumerate(parts)]
@@ -290,6 +299,7 @@ def sides_first(order: object, safe: NDArray[np.bool_]) -> NDArray[np.int64]:
 
     Source: SPEC section 20.
     """
+    # Only safe areas get another order: in dangerous ones few cells are adjacent and to do.
     sides = np.tile(BY_INDEX, (safe.size, 1))
     along_row = np.zeros(safe.shape, dtype=np.bool_)
     if order == ROWS:

@@ -59,6 +59,7 @@ def own_maps(
     if settings.transit != Settings().transit:
         problem = f"{argument('transit')} for robots of several types"
         raise PlanError(problem, fix=f"leave {argument('transit')} out, or give all robots one type")
+    # By identity: robots of one type share one world.
     kinds = list(dict.fromkeys(worlds))
     of = np.array([kinds.index(world) for world in worlds])
     within = accessible.ravel()
@@ -68,6 +69,7 @@ def own_maps(
     # Level 0, safe for all types, exists even if it is empty.
     found, of_cell = np.unique(np.column_stack([np.zeros(len(kinds), of_map.dtype), of_map[:, within]]), axis=1,
                                return_inverse=True)  # fmt: skip
+    # Areas are ordered by the team's mean, since types disagree on which of two areas is safer.
     mean = np.bincount(of, minlength=len(kinds)) @ values[found] / len(of)
     order = np.argsort(mean, kind="stable")
     common = np.full(within.size, NO_LEVEL, dtype=np.int16)
@@ -152,6 +154,7 @@ def ways_home(
         sets, of = [shared], np.zeros(len(starts), dtype=np.int64)
     maps = ((paths, costs),) if own is None else tuple(zip(own.paths, own.costs, strict=True))
     kinds = np.zeros(len(starts), dtype=np.int64) if own is None else own.of
+    # One set of ways for each combination of type and bases that occurs.
     pairs, of = np.unique(np.stack([kinds, of]), axis=1, return_inverse=True)
     found = [ways_to(sets[bases], *maps[kind]) for kind, bases in pairs.T.tolist()]
     cells = np.arange(len(costs))

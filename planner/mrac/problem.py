@@ -240,6 +240,7 @@ class Problem:
             belief: int16 `[N]`, level of each cell, NO_LEVEL for obstacles.
             cells: int64 `[K]`, of the robots.
         """
+        # Only cells that the team can reach on this map: others would make costs and parts depend on the unknown.
         near = reached((belief != NO_LEVEL).reshape(self.world.shape), cells)
         levels = replace(self.levels, of_cell=np.where(near, belief, NO_LEVEL).astype(np.int16))
         costs = np.where(near, self.entry[belief], BLOCKED)
@@ -339,6 +340,7 @@ def prepare(
     rule, cells = rule_of(settings.policy), checked[:, 0] * world.shape[1] + checked[:, 1]
     given_range = NO_LIMIT if settings.range is None else settings.range
     moves = np.broadcast_to(np.asarray(given_range, dtype=np.int64), len(cells))
+    # A search over team sizes and starts prepares many problems of one map.
     if before is not None and not given and before.is_for(world, settings, world.accessible(checked)):
         return replace(before, world=world, starts=cells, range=moves)
     if mixed:
@@ -397,6 +399,7 @@ def worth_of(
         expected = f"one number, or one for each of {accessible.size} cells"
         raise PlanError(f"{argument('priority')} of {len(priority)} cells", source=world.source, expected=expected)
     value = np.where(accessible, 1.0 if world.value is None else world.value.ravel(), 0.0) * np.asarray(priority or 1)
+    # Whole numbers, so that prices per value are compared exactly.
     share = np.rint(MOST_WORTH * (value / (value.max() or 1.0))).astype(np.int64)
     return np.where(value > 0, np.maximum(share, 1), 0)
 
@@ -418,6 +421,7 @@ def _check_comparisons(
 
     `apart`: cells have these levels; else any cell may get any level.
     """
+    # The largest offer that each level can give: all its cells to do, at the longest path.
     found = np.bincount(levels.of_cell[levels.accessible], minlength=len(entry))
     counts = np.maximum(found if apart else np.full_like(found, found.sum()), 1).tolist()
     number, longest = len(entry), int(costs.sum())
@@ -501,6 +505,7 @@ def first_visitors(problem: Problem) -> NDArray[np.int64]:
     first = np.full(problem.costs.size, NO_ROBOT, dtype=np.int64)
     steps = np.concatenate([np.arange(len(path)) for path in problem.given])
     robots = np.repeat(np.arange(len(problem.given)), [len(path) for path in problem.given])
+    # Written from the last visit to the first: the first visitor stays.
     latest_first = np.lexsort((robots, steps))[::-1]
     first[np.concatenate(problem.given)[latest_first]] = robots[latest_first]
     return first

@@ -284,6 +284,7 @@ class Plan:
                 expected="a policy that has a name",
                 fix="make the plan again where it is needed",
             )
+        # Cells as [row, col]: files are read by people and by other programs.
         width = self.shape[1]
 
         def path_of(robot: RobotPlan) -> list[list[int]]:
@@ -358,6 +359,7 @@ def is_certain(world: World, plan: Plan, loop: str = "closed") -> bool:
         return False
     if world.draws is not None:
         return not any(world.draws.bound[robot.path].any() for robot in plan.robots)
+    # Each robot's own threats: a cell may be safe for one type and not for another.
     own = world.of_robots(plan.bearing.types, len(plan.robots))
     return not any((of.by_phase.max(axis=0)[robot.path] > 0).any() for of, robot in zip(own, plan.robots, strict=True))
 

@@ -169,6 +169,7 @@ def _path(given: object, robot: int, world: World, source: str) -> NDArray[np.in
         raise PlanError(problem, source=source, expected="at least the start: [[row, col], ...]")
     if len(given) - 1 > MAX_STEP:
         raise PlanError(f"robot {robot}: {len(given) - 1} steps", source=source, expected=f"at most {MAX_STEP}")
+    # Checked with array operations first: a path may have millions of entries.
     cells = _cells_of(given)
     if cells is None or not ((cells >= 0) & (cells < world.shape)).all():
         _refuse_entry(given, robot, world, source)
@@ -181,6 +182,7 @@ def _cells_of(given: list[Any]) -> NDArray[np.int64] | None:
     """Pairs of whole numbers as int64 `[entries, 2]`; None if something else is among them."""
     if set(map(type, given)) != {list} or set(map(len, given)) != {2}:
         return None
+    # Only `int`: booleans and floats are no cells, although NumPy would convert them.
     flat = list(chain.from_iterable(given))
     if set(map(type, flat)) != {int}:
         return None
@@ -276,6 +278,7 @@ def _nominal(keys: dict[str, Key], plan: Plan, world: World) -> tuple[str, int, 
 def count_shares(plan: Plan) -> int:
     """Number of areas shared in the nominal run: the areas that `areas_added` were split from, each split once."""
     holder: dict[int, int] = {int(cell): number for number, area in enumerate(plan.areas) for cell in area.cells}
+    # Areas from one split are adjacent in `areas_added` and have cells of one area.
     parents = []
     for number, area in enumerate(plan.areas_added, start=len(plan.areas)):
         parents.append(holder.get(int(area.cells[0]), number))

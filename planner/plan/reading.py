@@ -28,6 +28,7 @@ def check_map(key: Key, world: World, what: str, fix: str) -> None:
     Raises:
         InputError: of `key.error`, "... another map".
     """
+    # Files of external plans may lack the hash: what is missing is not compared.
     known = {"shape": list(world.shape), "sha256": world.sha256}
     given = {name: one.value for name, one in key.mapping(optional=known, strict=False).items()}
     if given != {name: known[name] for name in given}:
@@ -77,6 +78,7 @@ def check_partition(
     Raises:
         InputError: of type `error`.
     """
+    # Counted, not marked: a cell in two areas is an error too.
     held = np.zeros(world.threat.size, dtype=np.int64)
     for area in areas:
         held[area.cells] += 1

@@ -62,6 +62,7 @@ def with_phases(world: World, phases: Sequence[tuple[Any, World | ArrayLike]], p
             problem = f"phases[{number}] has shape {list(maps[-1].shape)}"
             raise WorldError(problem, source=world.source, expected=f"that of the map, {list(world.shape)}")
     check_phases(begins, np.stack(maps or [world.threat]), world.free, world.source)
+    # The world's own threats hold until the first phase.
     if begins[0] != 0:
         begins, maps = [0, *begins], [world.threat, *maps]
     if len(begins) == 1:
@@ -174,6 +175,7 @@ def with_spread(world: World, kind: str, amount: float, by: str = "common", plan
     uncertain, cut = spread_of(world.threat, levels, kind, amount, by, world.source)
     notes = (f"the spread on p is cut off below 1 in {cut} cells: their mean is lower than the map's",) if cut else ()
     found = _uncertain_world(world, uncertain, plan_on)
+    # The mean of the spread is p up to rounding: the map's own values keep its levels exact.
     return replace(found, threat=world.threat if plan_on is None else found.threat, notes=(*world.notes, *notes))
 
 

@@ -110,6 +110,7 @@ def _knowing(world: World, belief: NDArray[np.float32], truth: NDArray[np.float3
         fix = f"leave out `{named}`, or `true_map`, `prior_map` and `sensor_range`"
         raise WorldError(problem, source=world.source, fix=fix)
     looks = make_sense(sense, world.source)
+    # Sensors compare whole maps: with a quantile per level there would be one map for each combination.
     if isinstance(world.doubt, Uncertain) and not world.doubt.whole and looks.range > 0:
         problem = "sensors need whole maps to choose from; this uncertainty draws one quantile for each level"
         raise WorldError(problem, source=world.source, fix="draw one for the whole map: `by: common`")
@@ -137,6 +138,7 @@ def read_knowledge(keys: dict[str, Key], world: World, load: Callable[[Path], Wo
         truth = load(_plain_input(keys["true_map"]))
         with keys["true_map"].naming():
             belief = world.threat
+            # Unlimited range for now, which accepts any pair of maps; the scenario's range is set last.
             world = with_truth(world, truth, inf)
             if "prior_map" in keys:  # the scenario's own map is neither the prior nor the true map
                 world = replace(world, threat=belief)
@@ -189,6 +191,7 @@ def as_planned(world: World, starts: ArrayLike) -> World:
         cells = placed[:, 0] * world.shape[1] + placed[:, 1]
         seen = known.sense.views(known.free, np.unique(cells))[1]
         threat = threat.copy()
+        # Only cells in range of the starts: a plan must not know more than its robots.
         threat.flat[seen] = known.truth.flat[seen]
         threat.setflags(write=False)
     return replace(world, threat=threat, knowledge=None, doubt=None)
@@ -236,9 +239,11 @@ def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_
             members.append(one)
         elif _is_of_the_map(given):
             members += _threats_that_walk(given, world)
+            # The threats move away from their cells, which are safe from then on.
             own = np.where(world.free, np.float32(0), np.float32(np.nan))
         else:
             members += _read_each(given, world)
+    # Without free walkers both defaults give the same map.
     by_default = plan_on is None and not all(one.patrols for one in members)
     found = checked(Movers(own, tuple(members), by_default), world.source)
     return _planned_on(replace(world, doubt=found), found, chosen)

@@ -70,6 +70,7 @@ class Stream:
 
     def words(self, count: int) -> NDArray[np.uint64]:
         """The next `count` draws, uint64 `[count]`: x1 above x0."""
+        # Counters continue: the draws do not depend on how many are taken at a time.
         x0, x1 = threefry2x32(self._key, np.arange(self._next, self._next + count, dtype=np.uint32), 0)
         self._next += count
         return (x1.astype(np.uint64) << np.uint64(32)) | x0.astype(np.uint64)
@@ -78,10 +79,12 @@ class Stream:
         """A whole number in [0, bound), uniform to within bound / 2**64."""
         if not self._buffer:
             self._buffer = self.words(DRAWS)[::-1].tolist()
+        # A multiplication instead of a remainder: no rejection, and the same on every platform.
         return (self._buffer.pop() * bound) >> 64
 
     def sample(self, count: int, size: int) -> NDArray[np.int64]:
         """`count` different numbers of [0, size) in random order, int64 `[count]`."""
+        # Stable, so that equal words (improbable) have a defined order.
         return np.argsort(self.words(size), kind="stable")[:count]
 
 
@@ -121,6 +124,7 @@ def random_world(
         )
     check_pattern(pattern)
     free = np.ones(height * width, dtype=bool)
+    # A separate stream: the same obstacles for contiguous and scattered threats.
     free[Stream(pattern.seed, OBSTACLES).sample(blocked, height * width)] = False
     threat = random_threats(free.reshape(height, width), dangerous, pattern)
     name = f"{pattern.kind}-{height}x{width}-seed{pattern.seed}"
@@ -180,6 +184,7 @@ def _grow(size: int, level: int, taken: NDArray[np.int64], free: NDArray[np.bool
         one[1:] |= other[:-1]
         one[:-1] |= other[1:]
     grown: list[int] = []
+    # First apart from areas of the same level, which would merge with this one; then anywhere.
     for open_cells in (untaken & ~touching, untaken):
         if len(grown) < size:
             _spread(grown, size, open_cells, stream)

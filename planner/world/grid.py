@@ -73,6 +73,7 @@ class Georeference:
         """
         found = reproject(self.to_crs(points), self.crs, WGS84, file)
         if found.size:
+            # PROJ returns -180..180: without this a map across longitude 180 would be torn apart.
             found[..., 0] = near(found[..., 0], found.flat[0] if about is None else about, TURN)
         return found
 
@@ -124,6 +125,7 @@ def turn_of(crs: str) -> tuple[float, float]:
     if is_degrees(crs):
         return TURN, 0.0
     try:
+        # x is periodic if a degree of longitude is as long at 60 degrees north as at the equator.
         (start, _), (one, _), (north, _) = reproject([(0, 0), (1, 0), (1, 60)], WGS84, crs).tolist()
     except MapError:  # the CRS does not cover these points
         return 0.0, 0.0
@@ -188,6 +190,7 @@ def utm_zone(west: float, south: float, east: float, north: float) -> tuple[str,
     """The UTM zone (WGS 84) of the middle of a box in degrees: (name, CRS); None if the box reaches out of it."""
     longitude = ((west + east) / 2 + 180) % 360
     zone = int(longitude // 6)
+    # By the far edge: metres get wrong with the distance from the central meridian.
     off_centre = abs(longitude - 6 * zone - 3) + (east - west) / 2
     if south < UTM_LATITUDES[0] or north > UTM_LATITUDES[1] or off_centre > UTM_REACH:
         return None
@@ -278,6 +281,7 @@ class Frame:
 
     def pixels(self, points: ArrayLike) -> NDArray[np.int64]:
         """(row, col) int64 `[..., 2]` of the pixels that hold points (x, y) in metres; possibly off the grid."""
+        # Clipped: points far off would overflow the conversion to integers.
         local = np.clip(np.floor(self.local(points) / self.size), -(2.0**53), 2.0**53)
         return np.stack([self.shape[0] - 1 - local[..., 1], local[..., 0]], axis=-1).astype(np.int64)
 
@@ -358,6 +362,7 @@ class Ground:
 
     def largest(self, values: NDArray) -> NDArray[np.float64]:
         """The largest value of every cell's free pixels, float64 `[H, W]`; 0 if none is free."""
+        # Pixels that are not free must not decide: a cell's threat is that of where robots can be.
         filled = np.where(self.free_pixels, values, -np.inf)
         most = self.blocks(filled).max(axis=2).astype(np.float64)
         return np.where(np.isneginf(most), 0.0, most)
@@ -407,6 +412,7 @@ def coarsen(grid: Grid, cell_size: float | None = None, unknown_free: bool = Fal
             source=grid.source,
             fix="choose a smaller cell_size",
         )
+    # Rows are counted from the top, the origin is at the bottom: dropped rows move it up.
     left_over = (height - rows * ratio) * size
     x, y, yaw = grid.frame.origin
     origin = (x - math.sin(yaw) * left_over, y + math.cos(yaw) * left_over, yaw)

@@ -91,6 +91,7 @@ class Key:
         allowed = [*required, *optional, *defaults]
         if not isinstance(self.value, dict):
             raise self.wrong(f"keys ({', '.join(allowed)})")
+        # Names of release 0.3 are read first, so that errors name today's keys.
         given = with_new_names(self.value, allowed, self.source)
         unknown = [name for name in given if name not in allowed]
         dot = f"{self.path}." if self.path else ""
@@ -223,6 +224,7 @@ class _Loader(yaml.SafeLoader):
     def _expanded(self, node: yaml.Node, known: dict[yaml.Node, int]) -> int:
         """Number of nodes of `node` with aliases expanded; `known`: results, 0 while a node is being counted."""
         if node not in known:
+            # 0 marks a node in progress: meeting it again means a cycle.
             known[node] = 0
             parts = node.value if isinstance(node, yaml.CollectionNode) else ()
             parts = itertools.chain.from_iterable(parts) if isinstance(node, yaml.MappingNode) else parts
@@ -280,6 +282,7 @@ def read_yaml(path: Path, error: type[InputError] = ScenarioError) -> Key:
         raise error(problem, source=printable(path), expected="a YAML file")
     try:
         with path.open("rb") as stream:
+            # One byte more than allowed is enough to detect a larger file.
             data = stream.read(MAX_YAML_BYTES + 1)
         if len(data) > MAX_YAML_BYTES:
             raise error(f"more than {MAX_YAML_BYTES} bytes", source=path, expected="a small YAML file")
@@ -384,6 +387,7 @@ def checked_layer(
     if array.ndim and array.shape != free.shape:
         expected = f"the map's, {list(free.shape)}"
         raise WorldError(f"{of.name} has shape {list(array.shape)}", source=source, expected=expected)
+    # A masked value would otherwise count as the number under the mask.
     unsaid = free & np.ma.getmaskarray(given) if isinstance(given, np.ma.MaskedArray) else np.zeros_like(free)
     if unsaid.any():
         where = first_of(unsaid)[1]

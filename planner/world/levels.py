@@ -71,6 +71,7 @@ def levels_of_maps(
     """
     threat = threats.astype(np.float64)
     free = ~np.isnan(threat)
+    # Over all maps together, so that a level means the same p on each of them.
     positive, group, sizes = np.unique(threat[free & (threat > 0)], return_inverse=True, return_counts=True)
     quantised = len(positive) + 1 > most
     values = positive
@@ -82,6 +83,7 @@ def levels_of_maps(
     of_cell = np.full(threat.shape, NO_LEVEL, dtype=np.int64)
     of_cell[free] = 0
     of_cell[free & (threat > 0)] = group + 1
+    # Level 0 is always used; levels of no cell are closed up.
     used = np.unique(np.append(of_cell[:, within][free[:, within]], 0))
     place = np.full(len(values) + 1, NO_LEVEL)
     place[used] = np.arange(len(used))
@@ -200,6 +202,7 @@ def place_starts(world: World, robots: int, rule: str = "upper-left") -> tuple[N
 def _largest_component(world: World) -> NDArray[np.bool_]:
     labels = world.components
     names, lowest, sizes = np.unique(labels[labels > 0], return_index=True, return_counts=True)
+    # On a tie the component with the lowest cell: the same on every platform.
     best = np.lexsort((lowest, -sizes))[0]
     return labels == names[best]
 
@@ -270,6 +273,7 @@ def entry_costs(levels: ThreatLevels, risk: Literal["paper", "log"], source: str
     """
     of_level = level_costs(levels.values, levels.of_cell.size, risk)
     counts = np.bincount(levels.of_cell[levels.accessible], minlength=len(of_level))
+    # No path can cost more than the sum of all cells.
     if float(of_level @ counts) >= 2.0**62:
         raise WorldError(
             f"threat levels from {levels.values[1]:g} to {levels.values[-1]:g} make path costs too large for 64 bits",
@@ -312,6 +316,7 @@ def to_networkx(world: World) -> nx.DiGraph:
     """
     import networkx as nx
 
+    # Imported here: only this function needs the searches, and NetworkX is slow to load.
     from planner.simulator.searches import neighbour_table
 
     levels = find_levels(world, world.free, most=world.threat.size + 1)

@@ -200,6 +200,7 @@ def make_knowledge(belief: NDArray[np.float32], truth: NDArray[np.float32], sens
     if belief.shape != truth.shape:
         problem = f"the true map has shape {list(truth.shape)}"
         raise WorldError(problem, source=source, expected=f"the cells of the prior map, {list(belief.shape)}")
+    # Without sensor a robot finds an obstacle only by a collision.
     differ = np.isnan(belief) != np.isnan(truth)
     if sense.range == 0 and differ.any():
         row, col = np.argwhere(differ)[0].tolist()
@@ -360,6 +361,7 @@ class Evidence:
             int64 `[n]`.
         """
         now = odds[cells]
+        # Rounded towards the prior: a class is reached only by evidence of its full size.
         lost, step = self.prior[cells] - now, self.step[cells]
         steps = np.clip(np.sign(lost) * (np.abs(lost) // step), -self.more, self.less)
         return np.where(now == NEVER, 0, np.where(now == ALWAYS, 1, 2 + self.more + steps))
@@ -379,6 +381,7 @@ class Evidence:
 
 def added(odds: NDArray[np.int64], said: Any) -> NDArray[np.int64]:
     """Log odds plus evidence, int64; certain states stay."""
+    # Certain evidence would overflow a sum: it replaces the log odds instead.
     sure = np.abs(said) == ALWAYS
     return np.where(np.abs(odds) == ALWAYS, odds, np.where(sure, said, odds + np.where(sure, 0, said)))
 
@@ -402,14 +405,18 @@ def evidence_of(q: Chances, h: Chances, threat: Chances, consumed: bool, detecto
     with np.errstate(divide="ignore"):
         first, passed = np.log(there) - np.log1p(-there), -np.log1p(-hits)
     prior = _whole(first)
+    # After a loss a consumed hazard is gone, a persistent one is certain.
     made = Evidence(prior, _whole(passed), NEVER if consumed else ALWAYS, detector, threat.reshape(1, -1))
     steps = np.arange(-made.more, made.less + 1)
+    # Other cells never change their class: no evidence can change their estimate.
     doubtful = (there > 0) & (there < 1) & (hits > 0)
     odds = np.where(doubtful, prior, 0) - steps[:, None] * np.where(made.step == ALWAYS, 0, made.step)
     some = np.minimum(hits / (1 + np.exp(-odds / NAT)), np.nextafter(np.float32(1), np.float32(0)))
+    # The prior class keeps the map's p exactly, without rounding of the log odds.
     some[steps == 0] = threat.ravel()
     own = np.where(np.isnan(threat.ravel()), np.nan, threat.ravel().astype(np.float64))
     never = np.where((there > 0) & (doubtful | consumed), 0.0, own)
+    # A certain loss is treated as an obstacle: p = 1 has no finite cost.
     always = np.where(doubtful, np.where(hits == 1, np.nan, hits), own)
     reached = not consumed or (detector is not None and detector.alarm == ALWAYS)
     rows = [never, always if reached else own, *np.where(doubtful, some, own)]

@@ -105,6 +105,7 @@ class Movers:
         """int64 `[H, W]`: long-run frequency of a walker in each cell, unscaled: its free neighbours, at least 1."""
         free = ~np.isnan(self.own)
         around = ndimage.correlate(free.astype(np.int64), BESIDE, mode="constant")
+        # The stationary distribution of a random walk is proportional to the number of neighbours.
         return np.where(free, np.maximum(around, 1), 0)
 
     def chances(self, mover: Mover) -> NDArray[np.float64]:
@@ -128,6 +129,7 @@ class Movers:
         Raises:
             WorldError: p is 1 in some cell.
         """
+        # Independent threats: the probabilities to survive them multiply.
         passed = 1.0 - self.own.astype(np.float64)
         for mover in told:
             passed *= 1.0 - mover.hit * self.chances(mover)
@@ -135,6 +137,7 @@ class Movers:
         if (threat >= 1).any():
             problem = f"h of the moving threats makes p 1 {first_of(threat >= 1)[1]}"
             raise WorldError(problem, source=source, expected="below 1", fix="make it an obstacle, or h smaller")
+        # Cells that no threat reaches keep p to the last bit, and so their level.
         threat = np.where(threat == self.own.astype(np.float64), self.own, threat)
         threat.setflags(write=False)
         return threat
@@ -349,6 +352,7 @@ def phases_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source
         raise WorldError("phases_* do not fit the map", source=source, expected="arrays as World.save writes them")
     check_phases(begins.tolist(), maps, ~np.isnan(threat), source)
     found = Phases(begins.astype(np.int64), maps, next(word for word in PLAN_ON if word == plan_on))
+    # The stored map of the plan has to follow from the phases: else plans and rollouts would disagree.
     if not np.array_equal(found.planned, threat, equal_nan=True):
         raise WorldError(
             "`threat` does not agree with its phases", source=source, expected="arrays as World.save writes them"

@@ -93,6 +93,7 @@ def check_range(places: NDArray[np.float64], where: str, source: object) -> None
 def boxes_of(rings: Rings) -> Boxes:
     """Least and largest longitude and latitude of each ring; rings that may cross 180 count in both readings."""
     short = [_unwrapped(ring, TURN) for ring in rings if _is_wide(ring, TURN)]
+    # Both readings count: a ring across 180 and one around the Earth have the same coordinates.
     both = [*rings, *(np.subtract(ring, (TURN * np.round(ring[0, 0] / TURN), 0)) for ring in short)]
     return np.array([ring.min(axis=0) for ring in both]), np.array([ring.max(axis=0) for ring in both])
 
@@ -199,6 +200,7 @@ def extent(values: NDArray[np.float64], turn: float) -> tuple[float, float]:
     if not turn or (x[-1] - x[0] <= turn / 2 and np.abs(x).max() <= turn / 2):
         return float(x[0]), float(x[-1])
     x = np.unique(x % turn)
+    # The shortest interval is the complement of the largest gap.
     gaps = np.append(x[1:], x[0] + turn) - x
     last = int(np.argmax(gaps))
     high = float(x[last])
@@ -320,6 +322,7 @@ def _joined(polygons: list[Rings], turns: list[int], tolerance: float) -> list[R
         counts = np.zeros(len(levels), dtype=np.int64)
         np.add.at(counts, ends.reshape(-1, 2).min(axis=1), 1)
         np.add.at(counts, ends.reshape(-1, 2).max(axis=1), -1)
+        # An even number of edges along a stretch cancels: it is inside the joined shape.
         odd = np.flatnonzero(np.cumsum(counts) % 2)
         borders += [((x, levels[n]), (x, levels[n + 1])) for n in odd]
     involved[np.concatenate(seams)] = False
@@ -483,6 +486,7 @@ def inside(rings: list[NDArray[np.float64]], frame: Frame) -> NDArray[np.bool_]:
             first, last = (int(np.clip(math.ceil(y - 0.5), 0, height)) for y in sorted((y0, y1)))
             rows = np.arange(first, last)
             crossing = x0 + (rows + 0.5 - y0) * (x1 - x0) / (y1 - y0) if len(rows) else rows
+            # Parity of crossings to the left of a pixel's centre, computed by a cumulative XOR below.
             flips[rows, np.clip(np.ceil(crossing - 0.5), 0, width).astype(int)] ^= 1
     return (np.bitwise_xor.accumulate(flips, axis=1)[:, :width]).astype(bool)
 

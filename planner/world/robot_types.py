@@ -211,6 +211,7 @@ class Things(NamedTuple):
         """
         if sum(len(thing.at) for thing in things) > MOST_PLACES:
             return None
+        # Objects over obstacles threaten no robot: their places are dropped before they are counted.
         free = [thing._replace(at=thing.at[held], p=thing.p[held])
                 for thing in things for held in (cell_of(thing.at) >= 0,)]  # fmt: skip
         places = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(thing.at for thing in free)]))
@@ -219,6 +220,7 @@ class Things(NamedTuple):
     def threat(self, things: Iterable[Thing], combine: str, size: int) -> NDArray[np.float64]:
         """Threat of some of the objects: float64 `[size]`, the largest p of the places in each cell."""
         threat = np.zeros(size)
+        # Combined at the places first, then the largest per cell: the order of `all_threats`.
         np.maximum.at(threat, self.cells, combined(things, combine, len(self.cells)))
         return threat
 
@@ -263,6 +265,7 @@ class Sources:
     def names(self) -> tuple[str, ...]:
         """Unique names of all objects: as in their files, with the place in the file where a name is not unique."""
         names = [thing.name or thing.where for _, thing in self.things]
+        # First the place in the file, then the number of the source, as far as names are still ambiguous.
         for add in (lambda thing, layer: thing.where, lambda thing, layer: f"threats[{layer - 1}]"):
             often = Counter(names)
             names = [

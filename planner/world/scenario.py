@@ -88,11 +88,13 @@ def route_over(world: World, corners: ArrayLike) -> NDArray[np.int64]:
     places = np.asarray(corners, dtype=np.float64)
     parts = []
     for start, stop in itertools.pairwise(places):
+        # Sampled densely enough that no cell with a noticeable part of the line is missed.
         count = SAMPLES * int(np.ceil(np.abs(stop - start).max())) + 1
         if count > SAMPLES * (sum(world.shape) + 2):
             raise WorldError("leaves the map", expected=f"places on the {world.shape[0]} x {world.shape[1]} cells")
         parts.append(np.linspace(start, stop, count))
     cells = np.floor(np.concatenate(parts)).astype(np.int64)
+    # Consecutive samples in one cell count once.
     cells = cells[np.append(True, (np.diff(cells, axis=0) != 0).any(axis=1))]
     off = ~((cells >= 0) & (cells < world.shape)).all(axis=1)
     if off.any():
@@ -222,6 +224,7 @@ def load_input(path: str | Path, cell_size: float | None = None) -> World:
     if not is_bag(path):
         check_file(path, "a scenario, a map or a world file")
     top = read_yaml(path) if path.suffix.lower() in YAML else None
+    # A map without scenario is read as a scenario with defaults only: one path for both.
     if top is None or _is_map(top):
         keys = Key({}, "", path).mapping(defaults=DEFAULTS)
         world = _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
@@ -394,12 +397,14 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
         **of_cells,
     )  # fmt: skip
     world = replace(world, sources=apart, measured=ground.grid.measured)
+    # Order: uncertainty before the unknown map, since sensors may choose among its candidates.
     world = _in_doubt(replace(world, pace=pace_in(keys, world)), ground, keys)
     if "weibull_shape" in keys and isinstance(keys["weibull_shape"].value, dict):  # 0.3's `wear: {shape: 2}`
         keys["weibull_shape"] = keys["weibull_shape"].mapping(("shape",))["shape"]
     asked = _settings(SETTINGS, keys)
     world = replace(world, team=Team(settings=asked, **reported(keys, world)))
     world = _of_types(_in_the_dark(world, ground, keys), ground, matrix, by_type)
+    # Starts of a world file are pixels: the cell that contains them is the start.
     own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio
     return _with_robots(world, keys["robots"], own) if "robots" in keys else world.with_starts(own)
 
@@ -407,6 +412,7 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
 def _in_doubt(world: World, ground: Ground, keys: dict[str, Key]) -> World:
     """The world with the uncertainty or change of threats in the scenario, or in its map's world file."""
     named = [name for name in IN_DOUBT if name in keys]
+    # Draws of a world file belong to exactly its threats: any other threat would contradict them.
     if ground.grid.doubt is not None:
         if named or keys["threats"].value or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
             problem = "has latent hazards, uncertain maps, moving threats or phases: nothing can be added to them"

@@ -50,6 +50,7 @@ def check_p(p: NDArray[np.float64], values: NDArray[np.float64], key: Key, fix: 
     Raises:
         ScenarioError: names the first cell with an invalid p.
     """
+    # As float32, which engines use: 0.99999999 is 1 there.
     with np.errstate(over="ignore", under="ignore"):
         wrong = ~((p >= 0) & (p.astype(np.float32) < 1))
     if wrong.any():
@@ -124,6 +125,7 @@ def all_threats(
     """
     shape, types = ground.frame.shape, check_types(keys, matrix)
     threat = np.zeros(shape) if ground.grid.threat is None else ground.largest(ground.grid.threat)
+    # The map's own threat has no type: its factor is 1 for all robots.
     by_type = np.repeat(np.where(ground.free, threat, 0.0)[None], len(matrix), axis=0)
     notes: list[str] = []
     layers: list[Things | NDArray[np.float64]] = [threat]
@@ -178,6 +180,7 @@ def one_source(key: Key, sources: Collection[str]) -> str:
 def raster_threat(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     """Threat of a raster on the map's pixels or on the cells, through a rule from values to p (none: values are p)."""
     rule = keys.get("rule")
+    # The mean of two classes is no class.
     how: How = "nearest" if has_classes(rule) else "average"
     raster, free, pixels = raster_on(keys["raster"], ground, how, PROBABILITIES if rule is None else AMOUNTS)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -284,6 +287,7 @@ def _points(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     if points[:, 2].any() and not any(thing.p.any() for thing in things):
         check_place(keys["points"], points[:, :2], frame, place, "threatens nothing")
     notes += (f"{outside} of {len(points)} points lie off the map",) if outside else ()
+    # Degrees read as metres put all points into one pixel.
     if len(np.unique(points[:, :2], axis=0)) > 1 and len(np.unique(at, axis=0)) == 1:
         notes += (f"all {len(points)} points lie in one pixel: are x and y in metres?",)
     return _of_things(things, combine, ground, notes)
@@ -371,6 +375,7 @@ def _viewshed(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
         site = _site(key, ground)
         if np.isnan(elevation[site]):
             raise key.wrong("a cell whose elevation is known")
+        # One search with the longest range; bands are applied to its distances.
         seen = visible(elevation, site, height, bands[-1][0], ground.frame.size)
         p = band_threat(seen, bands).reshape(-1)
         at = np.flatnonzero(p)
@@ -488,6 +493,7 @@ def _value_layer(key: Key | None, of: Quantity, ground: Ground) -> tuple[Layer |
     layer = np.ones(ground.frame.shape) if own is None else own
     for source in key.items("a list of sources"):
         says = _value_source(source, of, ground)
+        # Later sources overwrite earlier ones where they cover a cell.
         layer = np.where(says.where, says.layer, layer)
         notes += tuple(f"{source.path}: {note}" for note in says.notes)
     return layer, notes
@@ -549,6 +555,7 @@ def _value_points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     if "falloff" in keys:
         kind, radius = read_falloff(keys["falloff"])
         says = point_threat(points, kind, radius, frame, merge)
+        # With strength 1, so that points of strength 0 count as covering their cells too.
         touched = np.column_stack([points[:, :2], np.ones(len(points))])
         where = point_threat(touched, "disc", radius if kind == "disc" else CUT_OFF * radius, frame, np.maximum) > 0
     else:

@@ -177,12 +177,14 @@ class Uncertain:
         if how is None:
             each = self.chances.astype(np.float64).mean(axis=0).astype(np.float32)
         else:
+            # A value that occurs: an interpolated quantile would be a level of no map.
             each = np.quantile(self.chances, how, axis=0, method="inverted_cdf")
         return np.where(self.column == NO_COLUMN, np.float32(np.nan), each[self.column])
 
     def draws(self) -> Draws:
         """The draws of every cell."""
         table, column = bounds_of(self.chances), np.maximum(self.column, 0).ravel()
+        # The largest bound of any map: 0 tells kernels that no visit can destroy a robot.
         bound = np.where(self.column.ravel() == NO_COLUMN, np.uint32(0), table.max(axis=0)[column])
         nothing = np.zeros(column.size, dtype=np.uint32)
         number = self.number.ravel().astype(np.uint32)
@@ -224,6 +226,7 @@ def make_hazard(kind: str, q: ArrayLike, h: ArrayLike, free: NDArray[np.bool_], 
         raise WorldError(f"hazard kind is {kind!r}", source=source, expected=" or ".join(("independent", *HAZARDS)))
     there, hit = (_chances(name, value, free, source) for name, value in (("q", q), ("h", h)))
     with np.errstate(invalid="ignore"):
+        # A product of 1 would destroy every robot at every visit.
         certain = (there * hit.astype(np.float64)).astype(np.float32) >= 1
     if certain.any():
         problem = f"hazard q * h is 1 {first_of(certain)[1]}"
@@ -312,6 +315,7 @@ def spread_of(
     check_word("by", by, SHARED, WorldError, source)
     AMOUNTS.check("amount", amount, WorldError, source)
     free = ~np.isnan(threat)
+    # One column for each distinct p instead of one for each cell.
     values, places = np.unique(threat[free], return_inverse=True)
     if len(values) * QUANTILES > MOST_CHANCES:
         most = MOST_CHANCES // QUANTILES
@@ -322,12 +326,14 @@ def spread_of(
     number = np.where(free, levels + 1, 0) if by == "level" else np.zeros(free.shape)
     cut = int(np.isin(column, np.flatnonzero((chances > LARGEST).any(axis=0))).sum())
     said = f"{QUANTILES} equally likely values of a {kind} spread of {amount:g}, {by}"
+    # p = 1 is not representable: the largest float32 below it takes its place.
     table = np.minimum(chances, LARGEST).astype(np.float32)
     return Uncertain(table, column, number.astype(np.int32), said), cut
 
 
 def _lognormal(p: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
     """float64 `[QUANTILES, C]`: means of p * exp(sigma * z - sigma**2 / 2) over equally likely parts of z."""
+    # Means over parts of equal probability, in closed form: their mean is exactly p.
     edges = ndtri(np.arange(QUANTILES + 1) / QUANTILES)
     factor = QUANTILES * np.diff(ndtr(edges - sigma))
     return factor[:, None] * p[None, :]

@@ -210,6 +210,7 @@ class World:
         """Hash of the true threats: map, uncertainty, movement, robot types, and the true map if it is not known."""
         of = self.draws or self.movers or self.phases
         drawn = "" if of is None else f"?{of.sha256}"
+        # Estimates change decisions, so they are part of the identity.
         drawn += self.doubt.taught if isinstance(self.doubt, Hazard) else ""
         drawn += "" if self.types is None else f"&{self.types.sha256}"
         return self.sha256 + drawn + ("" if self.knowledge is None else f"!{self.knowledge.sha256}")
@@ -323,6 +324,7 @@ class World:
     def accessible(self, starts: ArrayLike) -> NDArray[np.bool_]:
         """bool `[H, W]`: free cells of the true map that some robot can reach from its start `[K, 2]`."""
         rows, cols = check_starts(starts, self.met, self.source).T
+        # By component: one lookup per cell instead of a search per robot.
         reached = np.zeros(self.components.max() + 1, dtype=np.bool_)
         reached[self.components[rows, cols]] = True
         return reached[self.components]
@@ -535,6 +537,7 @@ def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32]
         raise WorldError(f"threat holds {array.dtype}", source=source, expected="numbers")
     with np.errstate(over="ignore", under="ignore"):
         values = array.astype(np.float32)
+    # Checked as float32, in which 0.99999999 is 1: engines compare float32 values.
     wrong = ~np.isnan(values) & ~((values >= 0) & (values < 1))
     if wrong.any():
         at, where = first_of(wrong)
@@ -542,6 +545,7 @@ def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32]
         raise WorldError(f"threat is {exactly(p)} {where}", source=source, expected=expected, fix=_fix_of(p))
     if np.isnan(values).all():
         raise WorldError("every cell is an obstacle", source=source, expected="at least one free cell")
+    # One bit pattern for NaN and no negative zero: equal maps have equal hashes.
     canonical = np.where(np.isnan(values), np.float32(np.nan), values + np.float32(0.0)).astype(np.float32)
     canonical.setflags(write=False)
     return canonical, int(((canonical == 0) & (array != 0)).sum())
@@ -579,6 +583,7 @@ def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
     size, origin = arrays.get("cell_size", 1.0), arrays.get("origin", np.zeros(3))
     place = _georeference(arrays, source) if "crs" in arrays else None
     world = World.create(arrays["threat"], None, size, origin, source, georeference=place)
+    # The true map first: starts, phases and uncertainty are checked against it.
     if "truth" in arrays:
         truth = _checked_threat(arrays["truth"], f"{source}: truth")[0]
         world = replace(world, knowledge=knowledge_in({**arrays, "truth": truth}, world.threat, source))
