@@ -24,7 +24,7 @@ from planner.rollouts.open_loop import (
     weight_planes,
     words_of,
 )
-from planner.simulator.failure_sampling import as_it_is, threefry, tolerance
+from planner.simulator.failure_sampling import hazard_in_state, threefry, tolerance
 from planner.simulator.jit import program, rare_kernel
 from planner.simulator.state import leading_zeros, popcount
 from planner.simulator.thresholds import unworn
@@ -167,7 +167,7 @@ def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type:
             if not alive[slot] or (len(spent) > 0 and spent[spots[number]]):
                 continue
             word = np.int64(threefry(own[0], own[1], rollout, own_counters[number])[0] >> np.uint32(8))
-            borne[slot] += as_it_is(exposure, doses, theres, columns, number, word)
+            borne[slot] += hazard_in_state(exposure, doses, theres, columns, number, word)
             reached = unworn(borne[slot], nodes, times[slot])
             if reached >= tolerance(threefry(key[0], key[1], rollout, robot[slot])[0]):
                 alive[slot] = False

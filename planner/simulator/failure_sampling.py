@@ -187,7 +187,7 @@ def tolerance(word):
 
 
 @kernel
-def bearing(how, rollout, robot, exposure):
+def threshold_or_bound(how, rollout, robot, exposure):
     """The failure threshold in a rollout if the hazard `exposure` reaches it; else a lower bound above the hazard."""
     word = threefry(how.key0, how.key1, rollout, np.uint32(robot))[0]
     # A lower bound without a logarithm, which nearly always suffices.
@@ -212,7 +212,7 @@ def least_word(exposure):
 
 @kernel
 def fresh(t, robot, exposure):
-    """The Exp(1) hazard of this hazard: smaller or larger under a Weibull shape or a hazard multiplier."""
+    """The Exp(1) hazard that equals a robot's cumulative hazard under its Weibull shape and multiplier."""
     return exposure if not t.wears else _fresh(t, robot, exposure)
 
 
@@ -292,7 +292,7 @@ def part_few(ids, words, how, first, last, robot, borne):
     gone, least = 0, np.int64(MOST)
     for place in range(first, last):
         one = ids[place]
-        mine = bearing(how, one, robot, borne)
+        mine = threshold_or_bound(how, one, robot, borne)
         # Stored to both places without a branch: losses cannot be predicted, and only one of the two advances.
         ids[place - gone], words[gone] = one, one
         gone += np.int64(mine <= borne)
@@ -331,7 +331,9 @@ def part_in_doubt(t, ids, w, how, first, last, robot, cell):
     mine, room = ids[first:last], w.words[: last - first]
     for index in range(len(mine)):
         left = w.left[mine[index] - w.begin[0]]
-        left[robot] -= as_it_is(t.exposure, t.doses, t.there, t.column, cell, own_word(t, how, mine[index], cell))
+        left[robot] -= hazard_in_state(
+            t.exposure, t.doses, t.there, t.column, cell, own_word(t, how, mine[index], cell)
+        )
         room[index] = left[robot] > 0
     return first + split_ids(mine, room, 1)
 
@@ -343,7 +345,7 @@ def own_word(t, how, rollout, cell):
 
 
 @kernel
-def as_it_is(of, table, there, columns, place, word):
+def hazard_in_state(of, table, there, columns, place, word):
     """Hazard of a visit, or its bound, for the state of the cell that the word determines.
 
     Args:
