@@ -415,10 +415,8 @@ def test_what_a_plan_is_has_words_and_no_codes() -> None:
     assert shared == f"3 areas, shared 10 times; {said}"
     for outcome in Outcome:
         assert outcome.clause in replace(plan, outcome=outcome.word).ends
-    first = repr(plan).splitlines()[0]
-    assert (
-        first == "Plan of MRAC: 1 robot on 1 x 3 cells; if no robot is lost, the mission visits every accessible cell"
-    )
+    said = "if no robot is lost, the mission visits every accessible cell"
+    assert repr(plan).splitlines()[0] == f"Plan of MRAC: 1 robot on 1 x 3 cells; {said}"
 
 
 def test_a_plan_says_its_policy_and_whether_robots_come_home() -> None:

@@ -603,11 +603,7 @@ def test_a_scenario_and_its_world_file_phases(tmp_path: Path) -> None:
         ("{raster: b.npy}", "{raster: c.npy}", r"`phases\[0\]\.threats\[0\]\.raster`"),
         ("phases:\n- {from: 4, threats: [{raster: b.npy}]}\n", "phases: []\n", r"`phases` is \[\]; expected a list of"),
         ("map: m.npy", "map: m.npy\nplan_on: last", r"`plan_on` is 'last'; expected now or first or worst"),
-        (
-            "map: m.npy",
-            "map: m.npy\nmoving_threats: [{walk: 1, h: 0.1}]",
-            r"`phases` is .*none together with moving_threats",
-        ),
+        ("map: m.npy", "map: m.npy\nmoving_threats: [{walk: 1, h: 0.1}]", r"`phases` is .*none together with moving"),
         ("map: m.npy", "map: m.npy\nprior_map: {p: 0.1}", r"here: threats that change at step 4"),
     ],
 )

@@ -82,6 +82,7 @@ class Mission:
         self.given, self._lessons = world, Lessons(world, plan)
         self._file: Path | None = None
         if self._lessons:
+            # The plan uses the map as known at the start; `_lessons` adds what robots learn.
             settings, world = plan.require(world), replace(world, doubt=None)
             plan = plan if plan.state is not None else make_plan(world, plan.starts, settings)
         self.world, self.patience, self.gain = world, patience, gain
@@ -90,6 +91,7 @@ class Mission:
         self._begin(world, plan)
 
     def _begin(self, world: World, plan: Plan) -> None:
+        # There are no rules yet for reports of robots that differ, or that recharge.
         problem, areas = ready_loop(plan, world)
         problem.settings.check_not_charged("a mission that is driven")
         problem.settings.check_alike("a mission that is driven")
@@ -97,8 +99,10 @@ class Mission:
         last_update = self._lessons.last_update(problem.levels.accessible)
         self._fleet = Fleet(problem, replace(plan, areas=areas), self.gain, last_update)
         robots = self._fleet.loop.robots
+        # A resumed mission goes on with the exposure of its state.
         self._borne = list(plan.state.exposures) if plan.state is not None else [0] * robots
         self._waits, self._reports = [0] * robots, Reports(self._fleet)
+        # Kept until a report deviates from them: orders cost a simulated step.
         self._orders: dict[int, Order] | None = None
 
     # --- where it stands ---
@@ -150,6 +154,7 @@ class Mission:
 
     def _settings_of(self, fleet: Fleet) -> Settings:
         problem = fleet.problem
+        # Without any limit the settings stay as in the plan.
         if (problem.range == NO_LIMIT).all():
             return problem.settings
         return replace(problem.settings, range=tuple(np.minimum(problem.range, MAX_STEP).tolist()))
@@ -171,6 +176,7 @@ class Mission:
 
     def _check_kept(self, fleet: Fleet) -> None:
         if any(robot.status is Doing.FOLLOWING for robot in fleet.robots):
+            # A state holds areas and paths to them, and an external plan has neither.
             problem = "robots follow an external plan, which no state of a mission holds"
             raise StateError(problem, expected="a plan with areas", fix="plan with `plan`, for the closed loop")
 
@@ -192,9 +198,11 @@ class Mission:
         if self._fleet.step == NOT_BEGUN:
             if without:
                 raise StateError("the mission has not begun", expected="a mission whose step 0 is over")
+            # Nothing has happened yet, so the plan itself is the plan of the rest.
             settings = replace(self.settings, **changes)
             return self._plan if not changes else planned(self.world, self._plan.starts, settings)
         fleet = self._fleet.fork()
+        # Robots without progress get no areas here, as in the mission itself.
         for number in {*map(self._number, without), *self._aside}:
             fleet.retire(number)
         if call_off:
@@ -213,11 +221,13 @@ class Mission:
         report can change the orders of others: ask again.
         """
         if self._orders is None:
+            # The step is simulated in a copy, in which robots without a report reach their cells.
             self._orders = {} if self.outcome is not None else self._play(self._fleet.fork(), True)
         return self._orders
 
     def first_orders(self) -> dict[int, Order]:
         """The orders of this step before its first report, without cells closed since."""
+        # Reports are set aside for one simulated step, and restored even if that step fails.
         kept, self._reports = self._reports, Reports(self._fleet)
         try:
             return {} if self.outcome is not None else self._play(self._fleet.fork(), True)
@@ -253,12 +263,14 @@ class Mission:
         number, late = self._number(robot), len(self._reports.passed)
         before, there = self._reports.seen, {one: report.cell for one, report in self._reports.now.items()}
         if seen is not None:
+            # Stored before the report is checked: a robot cannot be in a cell that it reports as an obstacle.
             self._reports.seen = before | seen_by(seen, self._fleet, there)
         try:
             new = self._reports.hear(number, cell, step, moves_left, stopped=bool(stopped), found=bool(found))
         except StateError:
             self._reports.seen = before
             raise
+        # A report that the robot is where it was ordered confirms the cached orders of the others.
         due = None if self._orders is None else self._orders.get(number)
         as_told = due is not None and new == Report(self._index(due.cell)) and len(self._reports.passed) == late
         if new is not None and not as_told:
@@ -277,13 +289,17 @@ class Mission:
         """End the step. A robot without report is where it was, or at t = 0 at its start."""
         fleet = self._fleet
         self._play(fleet, False)
+        # Announced phases and estimates first: a reported value replaces them.
         held, reported = [robot.cell for robot in fleet.robots if robot.alive], self._reports.seen
         told = self._lessons.at_end(fleet.step, self.world, held) | reported
+        # A cell that an operator has closed stays closed, whatever is observed there.
         seen = {cell: p for cell, p in told.items() if cell not in self.closed}
         self._reports.clear()
         self._orders = None
         changed = surprises(self.world, seen)
+        # Taken before the new allocation, which replaces the problem.
         known = fleet.problem.levels.accessible
+        # A new allocation needs robots that are alive and steps that are left.
         if len(changed) and held and fleet.step < self.last_step:
             world = seen_world(self.world, seen, self.given)
             state, got = learned_state(self.state, world, changed, self.settings)
@@ -327,12 +343,14 @@ class Mission:
             number, report = robot.number, self._reports.now.get(robot.number)
             if report is not None and report.found and not robot.alive:
                 fleet.find(number)
+            # A robot set aside for lack of progress gets work again once it moves or is recharged.
             if report is not None and (report.cell != robot.cell or report.moves_left):
                 fleet.bring_back(number)
             if not robot.alive:
                 continue
             due = fleet.decide(number)
             orders[number] = self._order(fleet, robot, due)
+            # At t = 0 robots are placed at their starts, so no report is needed for that.
             if report is None and due is not None and (ahead or fleet.step == 0):
                 report = Report(due)
             came = self._turn(fleet, number, due, report)
@@ -343,6 +361,7 @@ class Mission:
     def _order(self, fleet: Fleet, robot: RobotNow, due: int | None) -> Order:
         """The order from a robot's decision; a robot that gets its area in this step stays and sees its path."""
         ahead, width = robot.ahead, self.world.shape[1]
+        # The ordered cell comes first in `cells`, so it must not be listed twice.
         if due is not None and ahead[:1] == [due]:
             ahead = ahead[1:]
         waits = robot.held or robot.number in fleet.aside or robot.moves == 0

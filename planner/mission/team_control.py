@@ -48,6 +48,7 @@ class Fleet(SingleRun):
             last_update=last_update,
         )  # fmt: skip
         self.problem, self.gain, self.aside = problem, gain, set[int]()
+        # A resumed state may be complete already, before any step.
         if self.step != NOT_BEGUN:
             self._review()
 
@@ -66,6 +67,7 @@ class Fleet(SingleRun):
 
     def begin_step(self) -> None:
         """Begin the next step."""
+        # Reports can split areas more often than a run without deviations does.
         self._make_room()
         marks = self.s.marks
         if self.outcome is not None:
@@ -88,6 +90,7 @@ class Fleet(SingleRun):
 
     def reopen_step(self) -> None:
         """Reopen the last step, which was over."""
+        # A step that is over has already been counted, unless the run ended in it.
         if self.outcome is None:
             self.s.marks.step -= 1
         self.outcome, self.under_way = None, True
@@ -95,6 +98,7 @@ class Fleet(SingleRun):
     @contextmanager
     def _between(self) -> Iterator[None]:
         """Context for a change between two steps, after the last one."""
+        # Events between two steps are recorded as events of the step that is over.
         last = self.s.marks.step = self.step
         self.under_way, self.log.events[0, 0] = True, 0
         yield
@@ -119,8 +123,10 @@ class Fleet(SingleRun):
         """
         s, step, me = self.s, self.s.marks.step, self.s.robots[number]
         s.marks.robot, self._moves_now = number, False
+        # The kernels keep the active robots as bits of 64-bit words.
         if not int(interpreted("step").acting(self.t, self.p, s, number // 64, NONE)) >> number % 64 & 1:
             return None
+        # With gain 1 this is never done, so that reports without deviations reproduce the closed loop.
         if self.gain < 1 and step > 0 and me.doing == Doing.TRAVELING and s.areas[me.area].left > 0:
             self._look_round(number)
         if self.p is None:
@@ -146,6 +152,7 @@ class Fleet(SingleRun):
         s = self.s
         s.marks.progress = 1
         if self.p is not None:
+            # Before the cell is marked as visited: afterwards it is news no more.
             s.marks.changes += interpreted("replanning").is_news(s, number, cell)
             s.home[cell] = int(s.home[cell]) & ~TO_DO
         interpreted("visits").enter(self.t, s, self.c, self.w, self.log, self.how, self.ids, number, cell)
@@ -154,6 +161,7 @@ class Fleet(SingleRun):
         """The robot, which has just entered its cell, is lost there."""
         self.left[number] = self.moves_left(number)
         interpreted("visits").lose(self.t, self.s, self.c, self.w, self.log, number)
+        # A comparison that a robot made before may be outdated by the loss.
         interpreted("areas").unsettle(self.s)
 
     def survive(self, number: int) -> None:
@@ -185,6 +193,7 @@ class Fleet(SingleRun):
         ahead = self.path_ahead(number)
         before = ahead if me.doing == Doing.COVERING else ahead[-1:]
         here, there = divmod(int(self.loop.cells[me.cell]), width), divmod(cell, width)
+        # The robot used as many moves as the distance from where it was, instead of the one that was decided.
         left = max(
             0, self.moves_left(number) + self._moves_now - sum(abs(a - b) for a, b in zip(here, there, strict=True))
         )
@@ -192,6 +201,7 @@ class Fleet(SingleRun):
             me.until = left + (step if holds(self.raw.movers, number) else 0)
         else:
             self.left[number] = left
+        # Kernels number the accessible cells only, in the order of their indices.
         at = int(np.searchsorted(self.loop.cells, cell))
         self._enter(number, at)
         self._set_out(number, before)
@@ -236,6 +246,7 @@ class Fleet(SingleRun):
             self._aim_as_before(number, before)
         elif interpreted("areas").has_area(s.robots, number):
             if self.p is None:
+                # The area is complete: the robot ends it as if it had covered its last cell on its path.
                 me.doing, me.left = Doing.COVERING, 0
                 interpreted("fixed_paths").settle(t, s, w, self.log, self.how, number)
             else:
@@ -245,8 +256,10 @@ class Fleet(SingleRun):
         """Insert these cells into the path of a robot that follows an external plan."""
         t, step = self.t, self.s.marks.step
         path = t.given[number, : t.length[number] + 1].tolist()
+        # The entries up to the current step are history; the rest of the path is delayed by the inserted cells.
         path = [*path[:step], *cells, *path[step:]] if step > 0 else [*cells, *path[1:]]
         longest = max(len(path), t.given.shape[1])
+        # All robots' paths are rows of one array: the others wait at their ends, as before.
         given = np.pad(t.given, ((0, 0), (0, longest - t.given.shape[1])), mode="edge")
         given[number], length = path[-1], t.length.copy()
         given[number, : len(path)], length[number] = path, len(path) - 1
@@ -269,11 +282,13 @@ class Fleet(SingleRun):
         s, me = self.s, self.s.robots[number]
         cells = s.order[s.areas[me.area].begin : s.areas[me.area].end]
         left = [int(cell) for cell in cells if s.home[cell] & VISITED == 0]
+        # The interrupted coverage path goes on at its first cell that is not visited yet.
         target = next((cell for cell in before if cell in left), None)
         way = [] if target is None else self._way(number, target)
         nearest = self.problem.paths_of(number).cost_to(int(self.loop.cells[me.cell]), self.loop.cells[left])
         if me.doing == Doing.COVERING:
             mine = self.raw.home >> AREA_BITS == me.area
+            # The coverage path is computed anew when the robot arrives.
             self.raw.home[mine] &= ~np.array(TO_DO, dtype=self.raw.home.dtype)
         me.doing = Doing.TRAVELING
         if self._saves(nearest, self._cost(way)) or not way:
@@ -305,6 +320,7 @@ class Fleet(SingleRun):
             cost = self._cost(self._way(number, target)) if area != NONE else 0
         else:
             area, target, cost = interpreted("next_area").first_area(t, p, s, w, number, NONE, True)
+        # A threshold on the saving: without it, small differences of cost would make robots turn back and forth.
         takes = area != NONE and self._saves(int(cost), left)
         if takes and p is not None:
             takes = not interpreted("next_area").has_to_wait(t, p, s, w, number, area, cost)

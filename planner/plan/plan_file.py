@@ -63,10 +63,12 @@ def parse_plan(data: object, world: World, source: str) -> Plan:
     Source: SPEC section 9. Cost: linear in the file and the map.
     """
     top = Key(data, "", source, PlanError, REMAKE)
+    # An empty list falls through to the error for a value of the wrong kind.
     if isinstance(data, list) and data:
         return _bare_paths(top, world)
     if not isinstance(data, dict):
         raise top.wrong("a JSON object, or a list of paths")
+    # Without the name of our format, a file counts as the output of another planner.
     if data.get("format") == FORMAT:
         return _own_plan(top, world)
     if "paths" not in data:
@@ -98,12 +100,14 @@ def _foreign_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:
     notes: tuple[str, ...] = ()
     if len(missed):
         notes = (f"accessible cells on no path: {len(missed)} (the first: {at(missed[0], world)})",)
+    # The file's own failure model, if it has one, replaces that of the world key by key.
     told = {name: value for name, value in world.team.settings.items() if name in BORNE}
     kept = [name for name in KEPT if name in world.team.settings]
     if kept and ("plan_for" not in keys or keys["plan_for"].value is None):
         notes += (f"robots follow external paths to their end; ignored from {world.source}: {' and '.join(kept)}",)
     told |= {name: keys[name].setting(SETTINGS[name]) for name in BORNE if name in keys}
     bears = Settings(**told).bearing()
+    # The number of robots is only known from the paths: settings with a value for each robot are checked here.
     bears.check(len(robots), source)
     world.of_robots(bears.types, len(robots))
     return replace(plan, time=plan.makespan, notes=notes, bears=bears)
@@ -120,12 +124,14 @@ def _own_plan(top: Key, world: World) -> Plan:
     """A plan in the `mrac-plan` format: version, map, settings, paths with legs, areas, nominal outcome."""
     keys = top.mapping(("version", "world", "robots"), ("settings", *PARTS, *LATER, *BORNE), strict=False)
     version = keys["version"].number(whole(1))
+    # Older versions lack keys, which have defaults; a newer one may hold keys that change the meaning of others.
     if version > VERSION:
         raise keys["version"].wrong(f"version 1 to {VERSION}", "update mrac-jax")
     check_map(keys["world"], world, "plan for", f"give the map that it was made for, or {REMAKE}")
     entries = [robot.mapping(("path",), ("legs",), strict=False) for robot in _team(keys["robots"])]
     if "settings" not in keys or keys["settings"].value is None:
         return _saved_foreign_plan(keys, entries, world)
+    # A plan with settings must list its areas; one without settings cannot have any.
     top.mapping(PARTS, strict=False)
     given = keys["settings"].mapping(optional=SETTINGS)
     settings = Settings(**{name: key.setting(SETTINGS[name]) for name, key in given.items()})
@@ -135,6 +141,7 @@ def _own_plan(top: Key, world: World) -> Plan:
         tuple(_area(item, len(paths), settings.levels, world) for item in keys[name].items("a list of areas", least=0))
         for name in PARTS
     )
+    # Legs refer to areas by their position in the concatenated lists.
     levels = [area.level for area in areas + added]
     robots = tuple(RobotPlan(path, _legs(entry, len(path), levels)) for entry, path in zip(entries, paths, strict=True))
     state = None
@@ -143,6 +150,7 @@ def _own_plan(top: Key, world: World) -> Plan:
     plan = Plan(
         world.shape, world.sha256, settings, robots, areas, added, notes=_notes(keys), state=state, source=world.source
     )
+    # Engines rely on this without a check of their own: each accessible cell is in exactly one area.
     check_partition(areas, as_planned(world, plan.starts), plan.starts, PlanError, str(top.source), REMAKE)
     outcome, time, shares = _nominal(keys, plan, world)
     return replace(plan, outcome=outcome, time=time, shares=shares)
@@ -165,6 +173,7 @@ def _saved_foreign_plan(keys: dict[str, Key], entries: list[dict[str, Key]], wor
 def _path(given: object, robot: int, world: World, source: str) -> NDArray[np.int64]:
     """One robot's path as cell indices, int64 `[steps + 1]`, checked: every cell free, every move one cell."""
     if not isinstance(given, list) or not given:
+        # The start is the first entry of a path, so an empty path has no start.
         problem = f"robot {robot}: its path is {reprlib.repr(given)}"
         raise PlanError(problem, source=source, expected="at least the start: [[row, col], ...]")
     if len(given) - 1 > MAX_STEP:
@@ -213,6 +222,7 @@ def _check_drivable(cells: NDArray[np.int64], robot: int, world: World, source: 
 
     Obstacles of the prior map around the starts do not count if the true map is free there: robots have seen them.
     """
+    # The error names the first such step and counts all: a wrong order of coordinates affects many.
     blocked = np.flatnonzero(~world.enterable[cells[:, 0], cells[:, 1]])
     if len(blocked):
         step = int(blocked[0])
@@ -222,6 +232,7 @@ def _check_drivable(cells: NDArray[np.int64], robot: int, world: World, source: 
             expected="free cells",
             fix="cells are [row, col] from 0, row 0 at the top: check that the plan is for this map",
         )
+    # A distance of 0 is a step of waiting.
     jumps = np.flatnonzero(np.abs(np.diff(cells, axis=0)).sum(axis=1) > 1)
     if len(jumps):
         step = int(jumps[0]) + 1
@@ -246,6 +257,7 @@ def _leg(key: Key, entries: int, levels: list[int]) -> Leg:
     keys = key.mapping(("kind", "area", "level", "start", "stop"), strict=False)
     kind: Any = keys["kind"].choice(("travel", "cover"))
     area = keys["area"].number(whole(0, len(levels) - 1, "the id of an area"))
+    # A leg repeats its area's level; a different one means that the file was edited by hand.
     level = keys["level"].number(whole(levels[area], levels[area], said=f"{levels[area]}, that of area {area}"))
     start = keys["start"].number(whole(0, entries - 1, "a step of the path"))
     return Leg(kind, area, level, start, keys["stop"].number(whole(start + 1, entries, "a step after its start")))
@@ -258,6 +270,7 @@ def _area(key: Key, robots: int, levels: int, world: World) -> Area:
     level = keys["level"].number(whole(0, levels - 1, said=said))
     robot = keys["robot"].number(whole(NO_ROBOT, robots - 1, said=f"a robot 0..{robots - 1}, or {NO_ROBOT} for none"))
     cells = read_cells(keys["cells"], world)
+    # An empty area would never be completed by a visit.
     if not len(cells):
         raise keys["cells"].wrong("at least one cell")
     return Area(level, robot, cells)
@@ -266,6 +279,7 @@ def _area(key: Key, robots: int, levels: int, world: World) -> Area:
 def _nominal(keys: dict[str, Key], plan: Plan, world: World) -> tuple[str, int, int]:
     """(outcome, time, shares) of the nominal run, as saved, or computed if the file lacks them."""
     if "nominal" not in keys:
+        # Files of version 1 have no nominal outcome: the paths themselves give it.
         complete = not len(_unvisited(plan, world))
         ended = Outcome.COMPLETE if complete else plan.ending(Outcome.STEP_LIMIT)
         return ended.word, plan.makespan, count_shares(plan)

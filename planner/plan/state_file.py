@@ -268,6 +268,7 @@ def _state_traces_robot(cell: int, status: str = "idle", moves: int = 0, home: i
 def _state(found: Found, world: World, path: Path) -> tuple[MissionState, tuple[str, ...]]:
     """The state, without cells that none of its robots can have reached; a note counts those."""
     at = np.array([robot.cell for robot in found.robots], dtype=np.int64)
+    # Masks and tracks are inexact: marked cells out of the robots' reach are left out, and counted.
     reach = world.accessible(np.stack(np.divmod(at, world.shape[1]), axis=1)).ravel()
     visited, notes = np.union1d(found.visited[reach[found.visited]], at), found.notes
     lost = len(np.unique(found.visited)) - int(reach[np.unique(found.visited)].sum())
@@ -275,6 +276,7 @@ def _state(found: Found, world: World, path: Path) -> tuple[MissionState, tuple[
         notes += (f"{lost} of its cells are obstacles or out of the robots' reach: left out",)
     of_all, are = share(len(visited), max(int(reach.sum()), 1)), "is" if len(visited) == 1 else "are"
     notes += (f"{counted(len(visited), 'cell')} {are} visited ({of_all} of those in reach), step {found.step}",)
+    # The file has no areas, so a plan from this state allocates the unvisited cells by Algorithm 1.
     state = MissionState(world.shape, world.sha256, found.step, visited, visited, found.robots)
     check_state(state, world, str(path))
     return state, tuple(f"{path.name}: {note}" for note in notes)
@@ -303,6 +305,7 @@ def _mask(path: Path) -> NDArray[np.bool_]:
     if path.suffix.lower() != ".npy":
         picture = read_image(path)
         return (picture.bright >= HALF) & (True if picture.alpha is None else picture.alpha >= HALF)
+    # Pickled arrays are refused by `read_npy`: a file must not run code.
     array = read_npy(path, MAX_CELLS)
     expected = "a mask [H, W]: True or above 0 where visited, 0 elsewhere"
     if array.ndim != 2 or array.size == 0 or array.dtype.kind not in "biuf":
@@ -320,12 +323,14 @@ def _ratio(pixels: tuple[int, ...], cells: tuple[int, ...]) -> int:
     exact = [size // count for size, count in zip(pixels, cells, strict=True)]
     if exact[0] == exact[1] and exact[0] and pixels == tuple(exact[0] * count for count in cells):
         return exact[0]
+    # More than one fit is ambiguous: the caller then refuses the mask and does not guess.
     fits = [n for n in range(1, max(exact) + 1) if all(p // n == c for p, c in zip(pixels, cells, strict=True))]
     return fits[0] if len(fits) == 1 else 0
 
 
 def _under(grid: RosMap, frame: Frame) -> NDArray[np.bool_]:
     """bool `[H, W]`: cells of the frame whose part on the grid is occupied by at least half."""
+    # Pixels larger than cells: a cell may hold no pixel centre, so its own centre is looked up.
     if grid.frame.size > frame.size:
         at = grid.frame.pixels(frame.centres())
         held = grid.frame.holds(at)
@@ -356,11 +361,13 @@ def _cells(table: Table, world: World) -> tuple[NDArray[np.int64], NDArray[np.bo
     """The cell of every line, int64, and whether it is free; with rows and columns an occupied cell is an error."""
     (height, width), path = world.shape, table.path
     row, col = table.column("row"), table.column("col", "column")
+    # A table without a header and with two columns can only hold rows and columns.
     if row is None and not table.names and len(table.rows[0][1]) == 2:
         row, col = 0, 1
     if row is not None and col is not None:
         places = np.array([[table.number(one, at, name) for at, name in ((row, "row"), (col, "col"))]
                            for one in table.rows])  # fmt: skip
+        # Cells are exact, so a wrong one is an error; metres are measured, so a wrong one is left out and counted.
         wrong = (places != np.rint(places)).any(axis=1) | ~((places >= 0) & (places < world.shape)).all(axis=1)
         if wrong.any():
             line, given = table.rows[int(np.argmax(wrong))]
@@ -395,7 +402,9 @@ def _tracks(table: Table, world: World) -> Found:
     path, which = table.path, table.column("robot")
     assert which is not None
     names = list(dict.fromkeys(row[which].strip() for _, row in table.rows))
+    # Ten digits and more are serial numbers, not indices of robots.
     if all(name.isdecimal() and len(name) < 10 for name in names):
+        # As text, robot 10 would come before robot 2.
         names.sort(key=int)
     if len(names) > MAX_ROBOTS:
         raise MapError(f"{len(names)} robots", source=path, expected=f"at most {MAX_ROBOTS}")
@@ -406,11 +415,13 @@ def _tracks(table: Table, world: World) -> Found:
     robots = []
     for number, name in enumerate(names):
         lines = np.flatnonzero(owner == number)
+        # A stable sort keeps the order of the file where steps or times are equal.
         lines = lines[np.argsort(order[lines], kind="stable")]
         if not on[lines[-1]]:
             problem = f"line {table.rows[lines[-1]][0]}: robot {name[:40]} ends off the map or on an obstacle"
             raise MapError(problem, source=path, expected="its last place on a free cell")
         track = cells[lines[on[lines]]]
+        # The Manhattan distance of successive places: a lower bound of the moves, since a log may skip cells.
         away = np.abs(np.diff(np.stack(np.divmod(track, world.shape[1])))).sum()
         status = "idle" if status_at is None else table.rows[lines[-1]][1][status_at].strip().lower()
         if status not in ("", "idle", "done", "dead"):
@@ -421,6 +432,7 @@ def _tracks(table: Table, world: World) -> Found:
     notes = table.notes
     if off:
         notes += (f"{off} of {len(on)} places lie off the map or on obstacles: left out",)
+    # Without steps, the mission has lasted at least as long as the most moves of one robot.
     step = int(order.max()) if step_at is not None else max(robot.moves for robot in robots)
     return Found(np.unique(cells[on]), tuple(robots), step, notes)
 

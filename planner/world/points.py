@@ -84,6 +84,7 @@ def check_range(places: NDArray[np.float64], where: str, source: object) -> None
     if not wrong.any():
         return
     x, y = places[wrong][0].tolist()
+    # Swapped, all of them would be in range: then the order is the likely mistake.
     if in_range(places[:, ::-1]).all():
         raise latitude_first((x, y), where, source, f"{y:.6g} is no latitude")
     problem = f"{where}a point at longitude {x:g}, latitude {y:g}"
@@ -128,7 +129,9 @@ class Patch:
             MapError: its CRS is not known.
         """
         height, width = frame.shape
+        # Longitudes are taken near that of the middle, so that a map across 180 is one interval.
         middle = georeference.to_lonlat(frame.at(height / 2, width / 2))
+        # A lattice, not only the corners: sides of the map are curved in degrees.
         rows, cols = np.meshgrid(np.linspace(0, height, SAMPLES), np.linspace(0, width, SAMPLES))
         places = georeference.to_lonlat(frame.at(rows, cols), about=middle[0]).reshape(-1, 2)
         return cls(places.min(axis=0), places.max(axis=0))
@@ -205,6 +208,7 @@ def extent(values: NDArray[np.float64], turn: float) -> tuple[float, float]:
     last = int(np.argmax(gaps))
     high = float(x[last])
     low = high - (turn - float(gaps[last]))
+    # The same interval, moved by whole turns to where its begin is in -turn / 2 .. turn / 2.
     back = turn * np.floor(low / turn + 0.5)
     return float(low - back), float(high - back)
 
@@ -228,6 +232,7 @@ def closed(polygons: list[Rings], turn: float, cell: float) -> tuple[list[Rings]
         width = sum(short)
         if not turn or width > WIDE * cell:
             continue
+        # Both sides are moved, by at most a cell in all.
         for side, other in ((west, short[1]), (east, short[0])) if width <= cell else ():
             polygons = [[_moved_to(side, ring, cell - other) for ring in rings] for rings in polygons]
         return polygons, width
@@ -268,6 +273,7 @@ def unrolled(polygons: list[Rings], low: float, high: float, turn: float) -> Unr
         rings = _short_way(rings, low, high, turn)
         x = np.concatenate([ring[:, 0] for ring in rings])
         nearest = round(((low + high) - (x.min() + x.max())) / 2 / turn)
+        # The polygon may lie on the interval in more than one turn if it goes around the Earth.
         there = [n for n in range(nearest - 1, nearest + 2) if x.min() + n * turn < high and x.max() + n * turn > low]
         for number in there or [nearest]:
             moved.append([np.add(ring, (number * turn, 0.0)) for ring in rings] if number else rings)
@@ -306,17 +312,20 @@ def _joined(polygons: list[Rings], turns: list[int], tolerance: float) -> list[R
             edges.append(np.concatenate([ring, np.roll(ring, -1, axis=0)], axis=1))
             owners.append(np.full(len(ring), number))
     edge, owner = np.concatenate(edges), np.concatenate(owners)  # (x0, y0, x1, y1) of each
+    # Only edges along a meridian can be the sides of a cut.
     upright = np.flatnonzero((np.abs(edge[:, 0] - edge[:, 2]) <= tolerance) & (edge[:, 1] != edge[:, 3]))
     upright = upright[np.argsort(edge[upright, 0])]
     groups = np.split(upright, np.flatnonzero(np.diff(edge[upright, 0]) > tolerance) + 1)
     seams = [group for group in groups if len({turns[number] for number in owner[group]}) > 1]
     if not seams:
         return polygons
+    # Polygons without an edge on a seam keep their rings as they are.
     involved = np.isin(owner, owner[np.concatenate(seams)])
     borders: list[Edge] = []
     for seam in seams:
         x = edge[seam[0], 0]
         for column in (0, 2):
+            # Exactly equal x, so that corners of both sides match as keys in `_walked`.
             edge[np.abs(edge[:, column] - x) <= tolerance, column] = x
         levels, ends = np.unique(edge[seam][:, [1, 3]], return_inverse=True)
         counts = np.zeros(len(levels), dtype=np.int64)
@@ -395,6 +404,7 @@ def point_spreads(
         For each point (pixel indices int64 `[n]`, p at their centres float64 `[n]`).
     """
     height, width = frame.shape
+    # Only pixels of the square around a point are computed: a map may have thousands of points.
     reach = radius if kind == "disc" else CUT_OFF * radius
     for (across, up), strength in zip(frame.local(points[:, :2]) / frame.size, points[:, 2], strict=True):
         row, col, span = height - up - 0.5, across - 0.5, reach / frame.size
@@ -593,6 +603,7 @@ def read_table(path: Path, holds: str) -> Table:
     if not body:
         raise MapError("has a header and no points", source=path, expected=holds)
     for number, row in body:
+        # A decimal comma in a file separated by commas makes rows of different lengths: the fix says so.
         if len(row) != len(rows[0][1]):
             other = next((words for mark, words in SEPARATORS.items() if mark in STRONG and mark in "".join(row)), "")
             problem = f"line {number} has {len(row)} values" + f", and {other}" * bool(other)
@@ -698,10 +709,12 @@ def _columns(table: Table, georeferenced: bool, of: Quantity, said: Mapping[str,
     options = dict(zip(("x", "y"), (LONGITUDE, LATITUDE) if on_earth else (X, Y), strict=True))
     options |= {"strength": (STRENGTH, of.name)} | {what: (name.lower(),) for what, name in said.items()}
     found = {what: table.column(*known) for what, known in options.items()}
+    # Three columns with other names are read in order, as without a header.
     if not said and len(names) == 3 and set(found.values()) == {None}:
         return [0, 1, 2], False
     missing = [what for what, at in found.items() if at is None]
     if missing:
+        # Columns that are not used yet are suggested.
         spare = [name for at, name in enumerate(names) if at not in found.values() and name not in NAMES]
         fix = f"name it in the scenario: `{missing[0]}: {' | '.join(spare)[:80]}`" if spare else ""
         expected = "longitude, latitude and strength" if on_earth else "x, y and strength"

@@ -252,6 +252,7 @@ def _warped(
     edges, sides = unit * np.array(found[0]), (unit * found[1][0], unit * found[1][1])
     _check_sides(sides, source)
     side = side_of_pixels(min(sides), cell_size)
+    # Edges at whole multiples of the side: rasters of one zone and side then share their pixels.
     near = edges / side
     left, bottom, right, top = *np.floor(near[:2] + SQUARE), *np.ceil(near[2:] - SQUARE)
     height, width = int(top - bottom), int(right - left)
@@ -354,6 +355,7 @@ def ground_raster(
     if abs(sides[1] / sides[0] - 1) > SQUARE:
         old, top = values.shape, corner[1] + values.shape[0] * sides[0]
         values, side = square_metres(values, sides, cell_size, how == "bilinear", source)
+        # Amounts are per pixel: the sum is kept when pixels change their area.
         values = values * (side * side / (sides[0] * sides[1])) if how == "sum" else values
         corner = (corner[0], top - values.shape[0] * side)
         notes = (
@@ -446,6 +448,7 @@ def slope_degrees(elevation: NDArray[np.float64], size: float) -> NDArray[np.flo
     unknown = np.isnan(elevation)
     if unknown.any():
         nearest = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
+        # Else the gradient of every neighbour of a pixel without data would be NaN too.
         elevation = elevation[tuple(nearest)]
     rise = [np.gradient(elevation, size, axis=axis) for axis in (0, 1) if elevation.shape[axis] > 1]
     return np.degrees(np.arctan(np.hypot(*rise) if len(rise) == 2 else np.abs(sum(rise) + np.zeros(elevation.shape))))
@@ -470,16 +473,20 @@ def visible(
     Returns:
         float64 `[H, W]`, metres; inf: hidden or out of reach.
     """
+    # Ground without data lies below every line of sight.
     ground = np.where(np.isnan(elevation), -1e6, elevation)
     eye = float(ground[site]) + height
     rows, cols = np.indices(ground.shape).reshape(2, -1) - np.array(site)[:, None]
     distance = np.hypot(rows, cols) * size
     aims = np.flatnonzero(distance <= reach)
     rows, cols, away = rows[aims], cols[aims], distance[aims]
+    # One sample for each row or column that the line crosses, whichever are more.
     steps = np.maximum(np.abs(rows), np.abs(cols))
+    # The site's own cell has distance 0: half a cell avoids a division by zero.
     slope = (ground.reshape(-1)[aims] - eye) / np.maximum(away, size / 2)
     seen = np.ones(len(aims), dtype=bool)
     for step in range(1, int(steps.max())):
+        # Cells that are hidden already, or whose line has ended, are not computed again.
         on = np.flatnonzero(seen & (steps > step))
         part = step / steps[on]
         at = np.stack([site[0] + rows[on] * part, site[1] + cols[on] * part])

@@ -324,6 +324,7 @@ def _is_map(top: Key) -> bool:
 
 def _map(key: Key, cell_size: float | None) -> Grid:
     """The map of a scenario: `{file: ...}` (or just the name), or `{elevation: ..., max_slope_deg: ...}`."""
+    # A file name alone is short for `{file: ...}`.
     if isinstance(key.value, str):
         key = Key({"file": key.value}, key.path, key.source)
     keys = key.mapping(optional=OF_MAP)
@@ -335,11 +336,13 @@ def _map(key: Key, cell_size: float | None) -> Grid:
     path = key.mapping(("file",), optional=("resolution", "topic"))["file"].file("a map file", folder=is_bag)
     top = read_yaml(path, MapError) if path.suffix.lower() in YAML else None
     if top is not None and isinstance(top.value, dict) and "map" in top.value and not _is_map(top):
+        # A scenario within a scenario would have two sets of threats and robots.
         raise keys["file"].wrong("a map", "this is a scenario: run it directly")
     grid = _logged(path, keys["topic"]) if "topic" in keys else load_map(path, cell_size, top)
     if "resolution" not in keys:
         return grid
     resolution = keys["resolution"].number(CELL_SIZE)
+    # The file's own cell size is not overridden: a contradiction is an error, not a choice.
     if grid.measured:
         raise keys["resolution"].wrong(f"none: in the file a pixel has {grid.frame.size:g} m", CELLS_OF_A_MAP)
     return replace(grid, frame=replace(grid.frame, size=resolution), measured=True)
@@ -452,6 +455,7 @@ def _of_types(world: World, ground: Ground, matrix: Matrix, by_type: NDArray[np.
         if matrix or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
             problem = "has robot types: nothing can be added to them"
             raise MapError(problem, source=ground.grid.source, fix="use the world file without a scenario")
+        # Keys of the scenario have priority over the assignment in the world file.
         given = ground.grid.types.team
         team = replace(world.team, settings={"types": given, **world.team.settings}) if given else world.team
         return replace(world, types=ground.grid.types, team=team)
@@ -504,6 +508,7 @@ def _starts(key: Key, world: World) -> NDArray[np.int64]:
     of = ANY if metres else PLACE
     values = [item.numbers(of, expected, 2) for item in key.items(f"a list of {expected}")]
     with key.naming():
+        # Clipped, since the conversion of huge numbers to integers is undefined.
         return check_starts(world.to_cells(np.clip(values, -1e12, 1e12)) if metres else values, world.met, key.path)
 
 

@@ -91,12 +91,15 @@ def read_vectors(path: Path, number: str) -> tuple[list[Json], str | None]:
     """
     pyogrio = _pyogrio(path)
     check_size(path, MOST_BYTES, MapError, KINDS[path.suffix.lower()])
+    # GDAL would read an incomplete file as far as it goes, and polygons would be missing without an error.
     (_check_shapefile if path.suffix.lower() == ".shp" else _check_geopackage)(path)
     with foreign_errors("cannot be read", path, KINDS[path.suffix.lower()]):
         layer = _layer(pyogrio.list_layers(path), path)
+        # Before GDAL reads the numbers, since it turns text into 0.
         _check_numbers(_stored(path, layer, number), number, path)
         fields = pyogrio.read_info(path, layer=layer)["fields"].tolist()
         named = [field for field in fields if field.lower() in (number, "name")]
+        # Heights of the corners are not used, and a limit of features bounds the memory.
         meta, _, shapes, columns = pyogrio.raw.read(
             path, layer=layer, columns=named, force_2d=True, max_features=MAX_CORNERS
         )
@@ -106,6 +109,7 @@ def read_vectors(path: Path, number: str) -> tuple[list[Json], str | None]:
     said = {str(field).lower(): column.tolist() for field, column in zip(meta["fields"], columns, strict=True)}
     features = [
         {
+            # Only NaN differs from itself: that is how pyogrio returns an empty field.
             "properties": {key: None if values[n] != values[n] else values[n] for key, values in said.items()},
             "geometry": _geometry(shape),
         }
@@ -147,11 +151,13 @@ def _check_shapefile(path: Path) -> None:
         check_size(part, MOST_BYTES, MapError, "a part of a shapefile")
         with part.open("rb") as file:
             head = file.read(100)
+        # 9994, big-endian, begins both the file and its index.
         if suffix != ".dbf" and (len(head) < 100 or head[:4] != b"\x00\x00\x27\x0a"):
             raise MapError(f"{part.name} is no part of a shapefile", source=path, expected=KINDS[".shp"])
         if len(head) < 32:
             raise MapError(f"{part.name} is cut off", source=path, expected=WHOLE_FILE)
         records, skip, each = struct.unpack_from("<IHH", head, 4)
+        # A table counts bytes, the other two 16-bit words.
         claimed = records * each + skip if suffix == ".dbf" else 2 * struct.unpack_from(">i", head, 24)[0]
         if claimed > part.stat().st_size:
             problem = f"{part.name} claims {claimed} bytes and has {part.stat().st_size}"
@@ -169,8 +175,10 @@ def _check_geopackage(path: Path) -> None:
         with path.open("rb") as file:
             if file.read(16) != b"SQLite format 3\0":
                 raise MapError("is no database of SQLite", source=path, expected=KINDS[".gpkg"])
+        # Read-only and immutable: SQLite then creates no journal in the user's folder.
         uri = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
         with contextlib.closing(sqlite3.connect(uri, uri=True)) as database:
+            # Opening a database does not check its pages.
             (state,) = database.execute("PRAGMA quick_check(1)").fetchone()
             if state != "ok":
                 raise MapError(f"is damaged ({printable(state)[:80]})", source=path, expected=WHOLE_FILE)
@@ -183,6 +191,7 @@ def _check_tables(database: sqlite3.Connection, path: Path) -> None:
     kinds = dict(database.execute("SELECT name, type FROM sqlite_master"))
     if kinds.get("gpkg_contents") != "table":
         raise MapError("has no table gpkg_contents", source=path, expected=KINDS[".gpkg"])
+    # The limit bounds the work on a hostile file.
     shown = {str(name) for (name,) in database.execute("SELECT table_name FROM gpkg_contents LIMIT 1000")}
     for name in sorted((shown | {name for name in kinds if name.startswith("gpkg_")}) & kinds.keys()):
         computed = database.execute("SELECT count(*) FROM pragma_table_xinfo(?) WHERE hidden > 1", (name,))
@@ -206,7 +215,9 @@ def _stored(path: Path, layer: str, number: str) -> Iterable[object]:
     """Content of a field, feature by feature, before GDAL converts it to numbers."""
     if path.suffix.lower() == ".shp":
         table = _beside(path, ".dbf")
+        # Shapefiles keep their numbers in the table, as text of fixed width.
         return () if table is None else _dbf_numbers(table.read_bytes(), number)
+    # The layer's name comes from the file: quotes in it are doubled.
     uri, quoted = f"{path.resolve().as_uri()}?mode=ro&immutable=1", layer.replace('"', '""')
     with contextlib.closing(sqlite3.connect(uri, uri=True)) as database:
         names = [str(name) for (name,) in database.execute("SELECT name FROM pragma_table_info(?)", (layer,))]
@@ -220,10 +231,12 @@ def _dbf_numbers(table: bytes, number: str) -> Iterator[object]:
     """A numeric field in every record that is not deleted: None, a float, or bytes that are no number."""
     records, skip, each = struct.unpack_from("<IHH", table, 4)
     start = 1
+    # Descriptions of fields: 32 bytes each, after a header of 32 bytes.
     for at in range(32, skip - 31, 32):
         name, kind, width = table[at : at + 11].split(b"\0")[0], table[at + 11 : at + 12], table[at + 16]
         if name.decode("latin-1").lower() == number and kind in (b"N", b"F"):
             for record in range(skip, skip + records * each, each):
+                # An asterisk marks a deleted record; GDAL skips it too, so features and numbers stay aligned.
                 if table[record : record + 1] != b"*":
                     yield _dbf_number(table[record + start : record + start + width].strip(b" \0"))
             return
@@ -240,6 +253,7 @@ def _geometry(shape: bytes | None) -> Json:
     """A WKB geometry (little-endian, as GDAL's) as in GeoJSON; of other kinds than polygons the type only."""
     if not shape:
         return {"type": "none"}
+    # The first byte is the byte order, and then comes the type.
     (kind,) = struct.unpack_from("<I", shape, 1)
     if kind not in (POLYGON, MULTIPOLYGON):
         return {"type": OTHERS.get(kind, f"number {kind} of WKB")}
@@ -312,6 +326,7 @@ def read_gpx(path: Path, most_bytes: int) -> list[Placemark]:
     found: list[Placemark] = []
     for index, line in enumerate(_named(read_xml(path, most_bytes, "gpx"), "trk", "rte")):
         points = [(point.get("lon"), point.get("lat")) for point in _named(line, "trkpt", "rtept")]
+        # Fewer than three points enclose no area.
         if len(points) > 2:
             found.append((None, [[_markup_ring(points, f"line {index}", path)]], _own_name(line)))
     return found
@@ -333,6 +348,7 @@ def read_xml(path: Path, most_bytes: int, root: str) -> Element:
     """
     check_size(path, most_bytes, MapError, f"{root.upper()} (XML)")
 
+    # Entities are declared in a document type: without one, no entity can expand to gigabytes.
     def refuse(*given: object) -> None:
         raise MapError("has a document type (DOCTYPE)", source=path, expected="plain XML", fix="delete that line")
 
@@ -468,6 +484,7 @@ def _on_map(features: list[Feature], crs: str, frame: Frame, georeference: Geore
         check_range(np.concatenate(rings), "", path)
         Patch.of(frame, georeference).check_order(boxes_of(rings), path)
     corners = frame.at([0, 0, *frame.shape[:1] * 2], [0, frame.shape[1]] * 2)[:, 0]
+    # A turn in metres of the frame: the interval of x in which polygons are looked for.
     place = float(corners.min()), float(corners.max()), turn_of(georeference.crs)[0] / georeference.scale[0]
     return [
         feature._replace(
@@ -519,6 +536,7 @@ def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -
     if shapes.crs:
         return shapes.crs
     rings, patch = rings_of(shapes.features), Patch.of(frame, georeference)
+    # Without a CRS, coordinates are degrees only if they lie on the map as such.
     if not patch.meets(boxes_of(rings)).any():
         metres = frame.local(np.concatenate(rings)) / frame.size
         off = (metres.max(axis=0) < 0).any() or (metres.min(axis=0) > frame.shape[::-1]).any()
@@ -654,6 +672,7 @@ def read_field(
     held, crossed = np.zeros(frame.shape, dtype=bool), np.zeros(frame.shape, dtype=bool)
     for rings in polygons:
         held |= inside(rings, frame)
+    # Borders, not areas: the edge at which a shape was cut at longitude 180 is inside the field.
     for rings in borders if boundary == "whole" else ():
         crossed |= touched(rings, frame)
     free = held & ~crossed
@@ -686,6 +705,7 @@ def touched(rings: Rings, frame: Frame) -> NDArray[np.bool_]:
     for ring in rings:
         corners = frame.local(ring) / frame.size
         corners[:, 1] = height - corners[:, 1]
+        # Snapped to the sides of cells: an edge along a side touches no cell.
         corners = np.where(np.abs(corners - np.rint(corners)) < WHOLE, np.rint(corners), corners)
         for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             low, high = sorted((y0, y1))
@@ -694,6 +714,7 @@ def touched(rings: Rings, frame: Frame) -> NDArray[np.bool_]:
                 continue  # along a side, or off the grid
             slope = (x1 - x0) / (y1 - y0) if y1 != y0 else 0.0
             at = [x0 + (np.clip(edge, low, high) - y0) * slope for edge in (rows, rows + 1)]
+            # A horizontal edge covers all columns between its ends.
             at = at if slope or x0 == x1 else [np.array([x0]), np.array([x1])]
             first = np.clip(np.floor(np.minimum(*at) + WHOLE), 0, width).astype(int)
             after = np.clip(np.ceil(np.maximum(*at) - WHOLE), 0, width).astype(int)
@@ -724,6 +745,7 @@ def _frame(polygons: list[Rings], cell_size: float, path: Path, yaw: float, bloc
     Corners, rows and columns are those of a frame turned by `yaw`; blocks of `blocks` x `blocks` cells are complete.
     """
     cos, sin = math.cos(yaw), math.sin(yaw)
+    # Rotated by -yaw, so that rows and columns are parallel to the axes.
     turned = np.concatenate([ring for rings in polygons for ring in rings]) @ [[cos, -sin], [sin, cos]]
     low, high = turned.min(axis=0), turned.max(axis=0)
     side = blocks * cell_size
@@ -741,6 +763,7 @@ def _in_metres(shapes: Shapes, path: Path, cell_size: float) -> tuple[Unrolled, 
     if not polygons:
         raise MapError("holds no polygon", source=path, expected="the boundary of a field")
     corners = np.concatenate([ring for rings in polygons for ring in rings])
+    # A field is small: only then can coordinates without a CRS be degrees.
     small, swapped = _spans_a_field(corners), _spans_a_field(corners[:, ::-1])
     tiny = bool((np.ptp(corners, axis=0) < cell_size).all())
     if not shapes.crs and swapped and not small and (tiny or fine(corners)):

@@ -244,6 +244,7 @@ class World:
         if self.doubt is not None or self.knowledge is not None:
             problem = "robot types require one known map"
             raise WorldError(problem, source=self.source, fix=f"leave {argument('types')} out")
+        # One name stands for the whole team.
         names = (types,) * robots if isinstance(types, str) else types
         check_each("types", names, robots, self.source, "type")
         return tuple(self._of_types[self.types.number(name, self.source)] for name in names)
@@ -275,6 +276,7 @@ class World:
             WorldError: it is not.
         """
         if self.doubt is not None:
+            # The message names the scenario key to leave out, which depends on the kind of uncertainty.
             problem = f"{what} requires one known map; here: {self.doubt.said}"
             named = {Movers: "`moving_threats`", Phases: "`phases`"}.get(type(self.doubt))
             fix = f"leave {named or '`latent_hazard` and `map_uncertainty`'} out{or_else}"
@@ -311,9 +313,8 @@ class World:
         if named:
             said = " and ".join(f"`{name}`" for name in named)
             problem = f"{what} counts all cells alike; here: {said}"
-            raise WorldError(
-                problem, source=self.source, fix=f"leave {said} out; evaluate, size and front report value"
-            )
+            fix = f"leave {said} out; evaluate, size and front report value"
+            raise WorldError(problem, source=self.source, fix=fix)
 
     @cached_property
     def components(self) -> NDArray[np.int32]:
@@ -325,6 +326,7 @@ class World:
         """bool `[H, W]`: free cells of the true map that some robot can reach from its start `[K, 2]`."""
         rows, cols = check_starts(starts, self.met, self.source).T
         # By component: one lookup per cell instead of a search per robot.
+        # Component 0 are the obstacles, which no start can be in.
         reached = np.zeros(self.components.max() + 1, dtype=np.bool_)
         reached[self.components[rows, cols]] = True
         return reached[self.components]
