@@ -161,10 +161,8 @@ def confirm_plan(plan: Plan, world: World, source: str) -> Plan:
         elif given.legs and given.legs != follows.legs:
             what = "legs"
         if what:
-            expected = "those of the run without losses from the file's areas"
-            raise PlanError(
-                f"the {what} of robot {number}", source=source, expected=expected, fix="make the plan again"
-            )
+            problem, expected = f"the {what} of robot {number}", "those of the run without losses from the file's areas"
+            raise PlanError(problem, source=source, expected=expected, fix="make the plan again")
     return replace(made, notes=plan.notes)
 
 

@@ -211,7 +211,7 @@ def test_given_paths_and_a_scenario_that_says_more_of_its_robots(tmp_path: Path)
     plan = load_plan(written(tmp_path, {"paths": [path]}), world)
     assert plan.bearing.hazard_multiplier == 3 and len(plan.robots[0].path) == 7
     unkept = f"ignored from {world.source}: range and deadline"
-    assert plan.notes == (f"robots follow external paths to their end, {unkept}",)
+    assert plan.notes == (f"robots follow external paths to their end; {unkept}",)
     own = plan_team(world, [[0, 0]], Settings(plan_for="open_loop", range=2, effort=0))
     own.save(tmp_path / "own.json")
     assert not any("whatever" in note for note in load_plan(tmp_path / "own.json", world).notes)

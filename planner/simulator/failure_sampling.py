@@ -331,9 +331,8 @@ def part_in_doubt(t, ids, w, how, first, last, robot, cell):
     mine, room = ids[first:last], w.words[: last - first]
     for index in range(len(mine)):
         left = w.left[mine[index] - w.begin[0]]
-        left[robot] -= hazard_in_state(
-            t.exposure, t.doses, t.there, t.column, cell, own_word(t, how, mine[index], cell)
-        )
+        word = own_word(t, how, mine[index], cell)
+        left[robot] -= hazard_in_state(t.exposure, t.doses, t.there, t.column, cell, word)
         room[index] = left[robot] > 0
     return first + split_ids(mine, room, 1)
 
