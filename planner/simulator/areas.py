@@ -180,8 +180,8 @@ def make_lowest(s):
 
 @kernel
 def give(s, robot, area):
-    close(s, area)
     """Assign an area to a robot, which travels to it."""
+    close(s, area)
     s.robots[robot].area = area
     if s.robots[robot].doing != STARTING:
         s.robots[robot].doing = TRAVELING

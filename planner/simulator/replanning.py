@@ -84,6 +84,7 @@ def settle_on(t, p, s, robot, area):
 
 @kernel
 def take(t, p, s, w, log, robot, area, target):
+    """Assign an area to a robot, which travels to `target` in it."""
     give(s, robot, area)
     settle_on(t, p, s, robot, area)
     moves(t, s, robot)

@@ -206,6 +206,7 @@ class _Loader(yaml.SafeLoader):
     aliases = nodes = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """The next node, counted; an error beyond MAX_NODES nodes or MAX_ALIASES aliases."""
         self.nodes += 1
         self.aliases += self.check_event(yaml.AliasEvent)
         for count, most, what in (self.nodes, MAX_NODES, "keys and values"), (self.aliases, MAX_ALIASES, "aliases"):
@@ -235,6 +236,7 @@ class _Loader(yaml.SafeLoader):
         return known[node]
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """The mapping of a node; an error if it has a key twice, which YAML itself accepts."""
         if not isinstance(node, yaml.MappingNode):
             raise yaml.MarkedYAMLError(problem="expected keys and values", problem_mark=node.start_mark)
         seen: set[str] = set()
