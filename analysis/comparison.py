@@ -210,7 +210,7 @@ def _traits(side: Side, with_settings: bool) -> dict[str, str]:
         "doubt": "a map that is not in doubt" if doubt is None else doubt.said,
         "knowledge": "robots are told the map" if known is None else known.sense.said,
         "robots": counted(len(plan.robots), "robot"),
-        "plan": f"{'an' if plan.settings is not None else 'a'} {plan.origin}",
+        "plan": f"{'a' if plan.for_open_loop else 'an'} {plan.origin}",
         "loop": "open loop" if choices.loop == "open" else "closed loop",
         "checks": "first visits only" if choices.first_only else "every visit checked",
     }

@@ -1,6 +1,6 @@
-"""The typed errors that bad input raises: each names the source, the value, what was expected and the fix.
+"""Exceptions for bad input: each names source, value, expectation and fix.
 
-Text from files and names is made fit to be shown: nothing in it moves a cursor, sets a title or turns a line round.
+Text from files and names is escaped for display: it cannot move a cursor, set a title or reverse the text direction.
 """
 
 from __future__ import annotations
@@ -8,11 +8,11 @@ from __future__ import annotations
 import unicodedata
 
 HIDDEN = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
-"""Categories of characters that command a terminal, that nobody sees, or that turn the direction of the text."""
+"""Unicode categories of characters that control a terminal, are invisible, or change the direction of the text."""
 
 
 def visible(text: str, kept: str = "\n\t") -> str:
-    r"""`text` with control characters (but those in `kept`), C1 and direction marks too, as escapes such as `\x1b`."""
+    r"""`text` with control characters (except those in `kept`), C1 and direction marks as escapes such as `\x1b`."""
 
     def shown(letter: str) -> str:
         hidden = unicodedata.category(letter) in HIDDEN and letter not in kept
@@ -21,25 +21,25 @@ def visible(text: str, kept: str = "\n\t") -> str:
     return text if text.isprintable() else "".join(map(shown, text))
 
 
-PER_VISIT = "random numbers for each visit left with release 0.4; use release 0.3"
-"""What is said to files and options that ask for them."""
+PER_VISIT = "random numbers for each visit were removed in release 0.4; use release 0.3"
+"""Message about files and options that need them."""
 
 
 class MracError(Exception):
-    """Base of every error that this project raises on purpose."""
+    """Base class of all errors that this project raises on purpose."""
 
 
 class InputError(MracError, ValueError):
-    """Bad input from a person. `str(error)` is one line: source, problem, what was expected, the fix.
+    """Bad input from a user. `str(error)` is one line: source, problem, expectation, fix.
 
-    It is a `ValueError`, so code that wraps the `ValueError` of a library lets an `InputError` pass first.
+    It is a `ValueError`, so code that wraps the `ValueError` of a library has to let an `InputError` pass first.
 
     Args:
-        problem: what is wrong, with the offending value in it; or another error, as libraries do that raise the error
-            of another process again, `type(error)(error)`.
-        source: the file, option or key the value came from ("" when there is none).
-        expected: what would have been accepted ("" when the problem says it).
-        fix: what the person can do now ("" when the expectation says it).
+        problem: what is wrong, with the offending value; or another error, for libraries that re-raise an error of
+            another process as `type(error)(error)`.
+        source: file, option or key of the value ("" if there is none).
+        expected: accepted values ("" if the problem implies them).
+        fix: what the user can do ("" if the expectation implies it).
     """
 
     def __init__(self, problem: str | Exception, *, source: object = "", expected: str = "", fix: str = "") -> None:

@@ -1,7 +1,7 @@
-"""What robots bear before they stop (SPEC section 14): how they wear, and how much exposure counts on each of them.
+"""The failure model (SPEC section 14): thresholds, hazards of visits, Weibull shape and hazard multipliers.
 
-Simulators know neither. A robot is stopped once its exposure reaches its tolerance, and both say what tolerances are;
-asked the other way round, which Exp(1) tolerances an exposure reaches (`fresh`), sets of rollouts part as before.
+A robot is lost once its cumulative hazard reaches its failure threshold. The inverse question, which Exp(1) thresholds
+a hazard reaches (`fresh`), lets simulators split groups of rollouts without knowing shape or multipliers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from planner.errors import UsageError
 from planner.simulator.thresholds import CERTAIN, DIGITS, MOST, SCALE, UNIT, threefry2x32, tolerance_of, unworn
 
 OWN_KEYS = 0x48415A44
-"""First counter word of the keys for hazards and maps."""
+"""First counter word from which keys for hazards and maps are derived."""
 
 
 def key_of(seed: int) -> tuple[int, int]:
@@ -30,29 +30,40 @@ def key_of(seed: int) -> tuple[int, int]:
 
 @lru_cache
 def own_key(seed: int, purpose: int) -> tuple[int, int]:
-    """The key of the numbers that say what is true in a rollout (SPEC section 13): one for hazards, one for maps."""
+    """The key of random numbers for one purpose in a rollout (SPEC section 13).
+
+    Args:
+        seed: 0 <= seed < 2**64.
+        purpose: hazards, maps, thresholds, ...
+    """
     x0, x1 = threefry2x32(key_of(seed), OWN_KEYS, purpose)
     return int(x0), int(x1)
 
 
-# Failure thresholds (SPEC section 14): what a robot bears, and what a visit adds, in whole units of 2**-32 nat.
+# Failure thresholds (SPEC section 14) and hazards of visits, in whole units of 2**-32 nat.
 #
-# Independent checks are the same law as one number a robot: a visit of threat p adds e(p) = -ln(1 - p) to its exposure,
-# and the visit at which the exposure reaches the robot's tolerance, an Exp(1) amount drawn once a rollout, stops it.
-# Integers alone decide, so every engine on every platform stops the same robots.
+# A visit of threat p adds the hazard e(p) = -ln(1 - p) to the robot's cumulative hazard. The robot is lost at the visit
+# at which the sum reaches its threshold, an Exp(1) number drawn once per rollout: the same distribution as independent
+# checks. Integers decide, so every engine on every platform loses the same robots.
 
 LUCK_DRAW = 2
-"""Second word of the counter under which the tolerances have their key."""
+"""Second counter word from which thresholds get their key."""
 SURE = 1e-3
-"""How far from a half a float64 has to be to round as the exact value does: its error is below 1e-4 units."""
+"""Distance from a half above which a float64 rounds as the exact value does: its error is below 1e-4 units."""
 
 
 def exposure_of(chance: ArrayLike) -> NDArray[np.int64]:
-    """e(p), int64: -ln(1 - p) * 2**32, rounded half to even, of chances 0 <= p <= 1 (float32).
+    """Hazards of visits: e(p) = -ln(1 - p) in hazard units, rounded half to even.
 
-    NaN adds 0, p = 1 CERTAIN.
+    Where float64 cannot decide the rounding, 40 decimal digits do.
 
-    Where float64 cannot tell which way to round, 40 decimal digits do.
+    Args:
+        chance: float32, probabilities 0 <= p <= 1; NaN gives 0, p = 1 CERTAIN.
+
+    Returns:
+        int64, of the same shape.
+
+    Source: SPEC section 14.
     """
     p = np.nan_to_num(np.asarray(chance, dtype=np.float32)).astype(np.float64)
     certain = p >= 1
@@ -69,7 +80,11 @@ def _rounded(p: float) -> int:
 
 
 def least_word(exposure: ArrayLike) -> NDArray[np.int64]:
-    """The least word whose tolerance is at most the exposure (int64), so that its robot is stopped; 2**32: none is."""
+    """The least random word whose threshold is at most the hazard, so that the robot is lost; 2**32: none.
+
+    Args:
+        exposure: int64, cumulative hazards.
+    """
     borne = np.asarray(exposure, dtype=np.int64)
     low, high = np.zeros_like(borne), np.full_like(borne, UNIT)
     for _ in range(33):
@@ -80,24 +95,33 @@ def least_word(exposure: ArrayLike) -> NDArray[np.int64]:
 
 
 def key_of_luck(seed: int) -> tuple[int, int]:
-    """The key under which tolerances are drawn."""
+    """The key of failure thresholds."""
     return own_key(seed, LUCK_DRAW)
 
 
 def tolerances(seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]:
-    """T, int64 `[B, K]`, of robots 0 .. K - 1 in these rollouts `[B]`: the same in teams of every size."""
+    """Failure thresholds, the same for a robot in teams of every size.
+
+    Args:
+        seed: 0 <= seed < 2**64.
+        rollouts: ids `[B]`.
+        robots: K.
+
+    Returns:
+        int64 `[B, K]`, in hazard units.
+    """
     ids = np.asarray(rollouts, dtype=np.uint32)
     return tolerance_of(threefry2x32(key_of_luck(seed), ids[:, None], np.arange(robots, dtype=np.uint32))[0])
 
 
 def susceptible(tolerance: ArrayLike, hazard_multiplier: float) -> NDArray[np.int64]:
-    """The tolerances of a robot on which exposure counts so many times (`planner.arguments`)."""
+    """Thresholds of a robot with a hazard multiplier: int64, from Exp(1) or Weibull thresholds."""
     borne, times = np.asarray(tolerance, dtype=np.int64), round(hazard_multiplier * SCALE)
     return np.maximum(1, (borne // times << 16) + ((borne % times << 16) // times))
 
 
 def worn(tolerance: ArrayLike, shape: float) -> NDArray[np.int64]:
-    """Weibull tolerances of mean 1 and this shape (`planner.arguments`) in place of Exp(1) ones: robots wear out."""
+    """Weibull thresholds of mean 1 and this shape, int64, from Exp(1) thresholds by the quantile function."""
     borne = np.asarray(tolerance, dtype=np.int64)
     if shape == 1:
         return borne
@@ -110,13 +134,16 @@ def worn(tolerance: ArrayLike, shape: float) -> NDArray[np.int64]:
 
 
 def wear_scale(shape: float) -> float:
-    """s, a whole number of 2**-20, at which a Weibull tolerance of this shape has mean 1."""
+    """s, a whole number of 2**-20: the scale of a Weibull threshold of this shape with mean 1."""
     return round(2**20 / float(gamma(1 + 1 / shape))) / 2**20
 
 
 @cache
 def wear_nodes(shape: float) -> NDArray[np.int64]:
-    """The quantile function at 0 .. 63, then 64 nodes an octave, an octave beyond the tolerances; none for shape 1."""
+    """The quantile function at 0 .. 63, then 64 nodes per octave, up to an octave beyond the largest threshold.
+
+    int64; empty for shape 1.
+    """
     if shape == 1:
         return np.zeros(0, dtype=np.int64)
     octaves = MOST.bit_length() - 5
@@ -137,14 +164,13 @@ Susceptibility = float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class Bearing:
-    """What a team bears.
+    """Failure model of a team.
 
     Attributes:
-        shape: of its Weibull tolerances of mean 1 nat; 1: exponential, nothing wears out.
-        susceptibility: how many times exposure counts, one number for all robots or one each.
-        begun: the exposure that each robot is known to have borne before rollouts begin, in units of 2**-32 nat; none:
-            it does not matter.
-        types: of robots, whose maps differ (`World.of_robots`); None: there is one map.
+        shape: Weibull shape of its thresholds, of mean 1 nat; 1: exponential, robots do not wear out.
+        hazard_multiplier: multiplier of hazards, one number for all robots or one each.
+        begun: cumulative hazard of each robot before rollouts begin, in units of 2**-32 nat; (): irrelevant.
+        types: of robots with different maps (`World.of_robots`); None: one map.
     """
 
     shape: float = 1.0
@@ -154,17 +180,17 @@ class Bearing:
 
     @property
     def is_plain(self) -> bool:
-        """True where the chance of each visit is the map's p, whoever makes it and whatever came before."""
+        """True if each visit destroys a robot with the map's p, for all robots and whatever happened before."""
         return self.is_even and self.types is None
 
     @property
     def is_even(self) -> bool:
-        """True where it is p of the robot's own map."""
+        """True if each visit destroys a robot with p of its own map."""
         return self.shape == 1 and bool((np.asarray(self.hazard_multiplier) == 1).all())
 
     @property
     def said(self) -> str:
-        """What is not plain of it, in words; "" where all is."""
+        """Description of what differs from the plain model; "" if nothing does."""
         wear = f"Weibull shape {self.shape:g}" if self.shape != 1 else ""
         numbers = np.unique(np.asarray(self.hazard_multiplier, dtype=np.float64))
         least, most = f"{numbers[0]:g}", f"{numbers[-1]:g}"
@@ -175,20 +201,28 @@ class Bearing:
         return " and ".join(filter(None, (wear, count, kinds)))
 
     def to_json(self) -> dict[str, Any]:
-        """What is not the default of it, as plan files hold it."""
+        """Values that differ from the default, as in plan files."""
         of = self.hazard_multiplier
         shape = {} if self.shape == 1 else {"weibull_shape": self.shape}
         kinds = {} if self.types is None else {"types": self.types}
         return shape | kinds | ({} if of == 1 else {"hazard_multiplier": list(of) if isinstance(of, tuple) else of})
 
     def check(self, robots: int, source: str = "") -> None:
-        """Raise PlanError where it is of another team."""
+        """Check that it is for a team of this size.
+
+        Raises:
+            PlanError: it is for another one.
+        """
         check_each("hazard_multiplier", self.hazard_multiplier, robots, source)
 
     def check_known(self, what: str) -> None:
-        """Raise UsageError where `what` presumes that every visit of a cell stops any robot with the chance p."""
+        """Check that the model is plain; `what`: subject of the message.
+
+        Raises:
+            UsageError: it is not.
+        """
         if not self.is_plain:
-            problem = f"{what} presumes that each visit stops any robot with the map's p; here: {self.said}"
+            problem = f"{what} requires the same p for all visits and robots; here: {self.said}"
             named = (
                 ("weibull_shape", "hazard_multiplier")
                 if self.types is None
@@ -197,32 +231,46 @@ class Bearing:
             raise UsageError(problem, fix=f"leave {' and '.join(map(argument, named))} out")
 
     def times(self, robots: int) -> NDArray[np.int64]:
-        """Susceptibility of each robot `[K]`, in units of 1 / SCALE."""
+        """Hazard multiplier of each robot, int64 `[K]`, in units of 1 / SCALE."""
         given = self.hazard_multiplier[:robots] if isinstance(self.hazard_multiplier, tuple) else self.hazard_multiplier
         return np.broadcast_to(np.rint(np.asarray(given, dtype=np.float64) * SCALE).astype(np.int64), robots)
 
     @property
     def nodes(self) -> NDArray[np.int64]:
-        """`planner.failure_model.wear_nodes`."""
+        """`wear_nodes` of the shape."""
         return wear_nodes(float(self.shape))
 
     def fresh(self, exposure: NDArray[np.int64], robot: int) -> NDArray[np.int64]:
-        """The largest Exp(1) tolerances that such exposures `[..]` of the robot reach; 0: none."""
+        """The largest Exp(1) thresholds that these cumulative hazards reach; 0: none.
+
+        Args:
+            exposure: int64 `[..]`.
+            robot: index.
+        """
         return np.asarray(unworn(exposure, self.nodes, self.times(robot + 1)[robot]))
 
     def fresh_begun(self, robots: int) -> NDArray[np.int64]:
-        """The same of what each robot `[K]` is known to have borne."""
+        """The same for each robot's hazard before rollouts begin, int64 `[K]`."""
         if not self.begun:
             return np.zeros(robots, dtype=np.int64)
         return np.asarray(unworn(np.array(self.begun[:robots]), self.nodes, self.times(robots)))
 
     def most(self, robots: int) -> NDArray[np.int64]:
-        """The largest exposure after which any luck leaves each robot `[K]` alive."""
+        """The largest cumulative hazard that each robot `[K]` can survive with some threshold, int64."""
         largest = worn(MOST, self.shape)
         return np.array([susceptible(largest, times / SCALE) - 1 for times in self.times(robots).tolist()])
 
     def tolerances(self, seed: int, rollouts: ArrayLike, robots: int) -> NDArray[np.int64]:
-        """What each robot still bears in each rollout, int64 `[B, K]`, beyond what it is known to have borne."""
+        """Remaining thresholds of robots in rollouts, beyond their hazard so far.
+
+        Args:
+            seed: 0 <= seed < 2**64.
+            rollouts: ids `[B]`.
+            robots: K.
+
+        Returns:
+            int64 `[B, K]`.
+        """
         drawn, begun = tolerances(seed, rollouts, robots), self.fresh_begun(robots)
         if self.is_even:
             return drawn
@@ -233,7 +281,12 @@ class Bearing:
         return np.stack(ones, axis=1) - np.array(self.begun[:robots] or [0] * robots)
 
     def survival(self, exposure: NDArray[np.float64], robot: int) -> NDArray[np.float64]:
-        """The chance to bear these exposures (nat), `exp(-(a E / s) ** B)`; from what was borne before on."""
+        """Probability to survive further hazards, `exp(-(a E / s) ** B)`, given the hazard so far.
+
+        Args:
+            exposure: float64, nats.
+            robot: index.
+        """
         times, power = self.times(robot + 1)[robot] / SCALE, float(self.shape)
 
         def nats(borne: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -243,7 +296,7 @@ class Bearing:
         return np.asarray(np.exp(nats(begun) - nats(begun + exposure)))
 
     def first_chance(self, chance: float, robot: int = 0) -> float:
-        """F(e): that a visit of threat `chance` stops a fresh robot."""
+        """F(e): probability that a visit of threat `chance` destroys a new robot."""
         return 1.0 - float(self.survival(-np.log1p(-np.array(min(chance, 1 - 1e-12))), robot))
 
 

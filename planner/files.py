@@ -26,32 +26,32 @@ from numpy.typing import NDArray
 from planner.arguments import argument
 from planner.errors import InputError, MapError, UsageError, visible
 
-# Reading and writing files safely: whole-or-nothing writes, and readers that refuse what a header merely claims.
+# Atomic writes, and readers that check the claims of a header.
 
 Json: TypeAlias = dict[str, Any]
-"""A JSON object, or what a YAML file holds in its place: values are looked at before they are believed."""
+"""A JSON object, or the same from a YAML file: values are unchecked."""
 CHECKSUM = "checksum"
-"""Key of a plan's or state's file that `read_json` checks, where it is there."""
+"""Key of the checksum in a plan or state file, which `read_json` verifies if present."""
 LOG = logging.getLogger("mrac_jax")
 LONG_BYTES = 8 * 2**20
-"""Text of more than this takes seconds to read."""
+"""Text longer than this takes seconds to read."""
 LONGEST_NAME = 300
-"""Characters of a path that a message shows."""
+"""Characters of a path in a message."""
 
 
 def printable(path: str | Path) -> str:
-    """A path as a message shows it: one line, not endless."""
+    """A path for a message: one line of limited length."""
     text = visible(str(path), kept="")
     return text if len(text) <= LONGEST_NAME else f"{text[: LONGEST_NAME // 2]}...{text[-LONGEST_NAME // 2 :]}"
 
 
 def why_no_file(path: Path) -> str:
-    """Why no regular file can be read at `path`, "" if one is there. Never raises, whatever the name."""
+    """Why no regular file can be read at `path`, "" if there is one. Never raises, whatever the name."""
     try:
         mode = path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError):
         return "no such file"
-    except OSError as error:  # a name that is too long, a folder that may not be entered, links in a circle
+    except OSError as error:  # too long a name, a folder without access, links in a circle
         return f"{'cannot be read' if isinstance(error, PermissionError) else 'no such file'} ({error.strerror})"
     except ValueError:  # a NUL, half a surrogate pair
         return "no such file (its name has a character that no file name can have)"
@@ -59,14 +59,26 @@ def why_no_file(path: Path) -> str:
 
 
 def check_file(path: Path, expected: str) -> None:
-    """MapError unless there is a regular file at `path`."""
+    """Check that there is a regular file at `path`.
+
+    Raises:
+        MapError: there is none.
+    """
     problem = why_no_file(path)
     if problem:
         raise MapError(problem, source=printable(path), expected=expected)
 
 
 def check_new(*paths: str | Path, force: bool = False) -> None:
-    """Raise UsageError for the first of these files that is there already, unless it may be replaced by `force`."""
+    """Check that files may be written.
+
+    Args:
+        paths: the files.
+        force: whether existing files may be replaced.
+
+    Raises:
+        UsageError: one of them exists.
+    """
     for path in map(Path, () if force else paths):
         if path.exists():
             fix = f"give {argument('force', True)} to replace it, or another name"
@@ -75,11 +87,17 @@ def check_new(*paths: str | Path, force: bool = False) -> None:
 
 @contextmanager
 def atomic_write(path: Path, mode: str = "w", *, sync: bool = False) -> Iterator[IO[Any]]:
-    """Open a temporary file beside `path`; on success it replaces `path`, on any error it is removed.
+    """Context with a temporary file in the folder of `path`; on success it replaces `path`, else it is removed.
 
-    `sync`: what is written is on the disk before that, and its name before this returns.
-    A link is followed: its target is replaced. Raises MapError where nothing can be written, and for a target that is
-    there and no regular file.
+    A link is followed: its target is replaced.
+
+    Args:
+        path: the file.
+        mode: of `open`.
+        sync: whether content and name are on the disk before the context ends.
+
+    Raises:
+        MapError: the file cannot be written, or exists and is no regular file.
     """
     beside: Path | None = None
     try:
@@ -101,11 +119,11 @@ def atomic_write(path: Path, mode: str = "w", *, sync: bool = False) -> Iterator
         raise MapError(problem, source=printable(path), expected="a file that can be written") from error
     finally:
         if beside is not None:
-            beside.unlink(missing_ok=True)  # after success it is gone
+            beside.unlink(missing_ok=True)  # after success it no longer exists
 
 
 def _target(path: Path) -> Path:
-    """Where `path` leads, all links followed: a regular file, or a new name in a folder that is there."""
+    """The target of `path` with all links followed: a regular file, or a new name in an existing folder."""
     target = path
     try:
         target = path.resolve()
@@ -125,7 +143,11 @@ def _target(path: Path) -> Path:
 
 @contextmanager
 def foreign_errors(problem: str, source: object = "", expected: str = "") -> Iterator[None]:
-    """Whatever a library raises in here about what it reads, nearly anything, is a MapError; no warning is news."""
+    """Context in which nearly all exceptions of a library become MapErrors, and its warnings are suppressed.
+
+    Args:
+        problem, source, expected: of the MapError.
+    """
     try:
         with warnings.catch_warnings(action="ignore"):
             yield
@@ -137,7 +159,15 @@ def foreign_errors(problem: str, source: object = "", expected: str = "") -> Ite
 
 
 def read_npy(path: Path, most_cells: int) -> NDArray:
-    """A `.npy` array without pickles; the size that its header claims is checked against the file before loading."""
+    """Read a `.npy` array without pickles; the size in its header is checked against the file first.
+
+    Args:
+        path: the file.
+        most_cells: largest number of elements.
+
+    Raises:
+        MapError: it is invalid.
+    """
     check_file(path, "a NumPy array file")
     with foreign_errors("cannot be read as .npy", path, "a NumPy array file"), path.open("rb") as stream:
         _, claimed = _claimed(stream, most_cells, path)
@@ -148,20 +178,28 @@ def read_npy(path: Path, most_cells: int) -> NDArray:
 
 
 def read_npz(path: Path, most_bytes: int) -> dict[str, NDArray]:
-    """The arrays of a `.npz` file without pickles; what its headers claim is checked before memory is taken."""
+    """Read the arrays of a `.npz` file without pickles; sizes in its headers are checked first.
+
+    Args:
+        path: the file.
+        most_bytes: largest unpacked size.
+
+    Raises:
+        MapError: it is invalid.
+    """
     check_file(path, "a NumPy archive")
     return _unpack(path, most_bytes, path)
 
 
 def npz_bytes(**arrays: Any) -> bytes:
-    """A NumPy archive, the same for the same arrays."""
+    """Content of a NumPy archive, the same for the same arrays."""
     out = io.BytesIO()
     np.savez_compressed(out, **arrays)
     return out.getvalue()
 
 
 def unpack_npz(data: bytes, most_bytes: int, source: str) -> dict[str, NDArray]:
-    """`read_npz` of a file's bytes; `source` names them in errors."""
+    """`read_npz` of a file's content; `source` names it in errors."""
     return _unpack(io.BytesIO(data), most_bytes, source)
 
 
@@ -176,7 +214,7 @@ def _unpack(file: Path | io.BytesIO, most_bytes: int, source: Path | str) -> dic
 
 
 def _check_members(archive: zipfile.ZipFile, most_bytes: int, path: Path | str) -> None:
-    """MapError for an archive that holds too much, a name twice, or a member shorter than its header claims."""
+    """MapError for an archive that is too large, holds a name twice, or has a member shorter than its header claims."""
     unpacked = sum(item.file_size for item in archive.infolist())
     if unpacked > most_bytes:
         raise MapError(f"claims {unpacked} bytes unpacked", source=path, expected=f"at most {most_bytes}")
@@ -194,7 +232,7 @@ def _check_members(archive: zipfile.ZipFile, most_bytes: int, path: Path | str) 
 
 
 def _claimed(stream: IO[bytes], most: int, path: Path | str) -> tuple[tuple[int, ...], int]:
-    """The shape and the bytes that the header of an array claims; MapError for more than `most` values."""
+    """Shape and size in bytes in the header of an array; MapError for more than `most` elements."""
     version = np.lib.format.read_magic(stream)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _, dtype = read_header(stream)
@@ -205,13 +243,17 @@ def _claimed(stream: IO[bytes], most: int, path: Path | str) -> tuple[tuple[int,
 
 
 def read_json(path: Path, most_bytes: int, error: type[InputError], expected: str) -> Any:
-    """What a JSON file of at most `most_bytes` holds; an `error` names the line that is no JSON.
+    """Read a JSON file. A file of `write_json` has to match its checksum; a plan that does not is only warned about.
 
-    A file of `write_json` must hold what it did when it was written; a changed plan is read with a warning.
+    Args:
+        path: the file.
+        most_bytes: largest size.
+        error: exception for an invalid file, which names the line.
+        expected: for messages.
     """
     check_size(path, most_bytes, error, expected)
     collecting = gc.isenabled()
-    gc.disable()  # which would look through all values, none of them garbage, again and again: three times slower
+    gc.disable()  # collections during parsing find no garbage, and make it three times slower
     try:
         data = json.loads(path.read_text(encoding="utf-8-sig"))
         ours = isinstance(data, dict) and str(data.get("format")).startswith("mrac-") and CHECKSUM in data
@@ -219,7 +261,7 @@ def read_json(path: Path, most_bytes: int, error: type[InputError], expected: st
             problem, fix = "is damaged, or was changed: its checksum is of other content", f"leave {CHECKSUM} out"
             if data["format"] != "mrac-plan":
                 raise error(problem, source=path, expected=expected, fix=f"if you changed it, {fix}")
-            LOG.warning("%s %s", printable(path), problem)  # programs of others change plans
+            LOG.warning("%s %s", printable(path), problem)  # other programs edit plans
         return data
     except json.JSONDecodeError as wrong:
         problem = f"line {wrong.lineno}, column {wrong.colno}: no JSON ({wrong.msg})"
@@ -245,9 +287,14 @@ def _checksum(data: Json) -> int:
 
 
 def write_json(path: Path, data: Json, most_bytes: int, error: type[InputError], *, sync: bool = False) -> None:
-    """Write `data` as one line of JSON with its checksum, whole or not; an `error` where `read_json` would refuse it.
+    """Write one line of JSON with its checksum, atomically.
 
-    `sync`: it is on the disk before this returns.
+    Args:
+        path: the file.
+        data: the object.
+        most_bytes: largest size, as of `read_json`.
+        error: exception if it is larger.
+        sync: whether it is on the disk before this returns.
     """
     text = _compact({**data, CHECKSUM: _checksum(data)}) + "\n"
     if len(text) > most_bytes:  # ASCII
@@ -258,7 +305,14 @@ def write_json(path: Path, data: Json, most_bytes: int, error: type[InputError],
 
 
 def check_size(path: Path, most_bytes: int, error: type[InputError], expected: str, fix: str = "") -> None:
-    """An `error` unless there is a regular file of at most `most_bytes` at `path`; a large one is announced (log)."""
+    """Check that there is a regular file of limited size; a large one is logged.
+
+    Args:
+        path: the file.
+        most_bytes: largest size.
+        error: exception otherwise.
+        expected, fix: for messages.
+    """
     problem = why_no_file(path)
     if problem:
         raise error(problem, source=printable(path), expected=expected)
@@ -269,40 +323,40 @@ def check_size(path: Path, most_bytes: int, error: type[InputError], expected: s
         LOG.warning("reading %s (%.0f MB), which takes a while ...", printable(path), size / 1e6)
 
 
-# Text tables (CSV): what separates their columns, how their numbers are written; and grids of numbers.
+# Text tables (CSV): separators of columns, decimal signs; and grids of numbers.
 
 MAX_CSV_BYTES = 2**26
 """Largest grid of numbers that is read (64 MiB); larger ones are faster as arrays."""
 CSV_BATCH = 2**20
-"""Characters of such a file that are read at a time: a wrong value is named as soon as it is met."""
+"""Characters read at a time, so that an invalid value is reported early."""
 SAMPLE = 64
-"""Lines at the top of a grid that show its separator."""
+"""Lines at the top of a grid that determine its separator."""
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "spaces"}
-"""What may separate columns, in words."""
+"""Separators of columns, and their names."""
 SIGNS = {".": "points", ",": "commas"}
-"""Decimal signs in words."""
+"""Decimal signs, and their names."""
 STRONG = (";", "\t", "|")
-"""Separators that stand in no number and between no words."""
+"""Separators that occur in no number and between no words."""
 COMMA = re.compile(r"[-+]?(\d+,\d*|,\d+)([eE][-+]?\d+)?")
 """A number with a decimal comma."""
 GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}[,.]\d{3}")
-"""What may be a whole number with a mark between thousands: 1,234."""
+"""A possible whole number with a mark between thousands: 1,234."""
 MARKED = re.compile(r"[-+]?[\d.,]+")
 """Digits and marks."""
 DECIMAL_COMMAS = "if its numbers have decimal commas, separate the columns by semicolons"
 Fields = Sequence[tuple[int, str]]
-"""(number of the line, text)."""
+"""(line number, text)."""
 
 
 class Sign(NamedTuple):
-    """The decimal sign of some numbers, "." or ","; `problem`: why it cannot be told, else ""."""
+    """The decimal sign of some numbers, "." or ","; `problem`: why it is ambiguous, else ""."""
 
     decimal: str = "."
     problem: str = ""
 
 
 def is_number(field: str) -> bool:
-    """True for a number as Python writes it."""
+    """True for a number in Python's form."""
     try:
         float(field)
     except ValueError:
@@ -316,7 +370,7 @@ def is_header(row: Iterable[str]) -> bool:
 
 
 def layout_note(separator: str, decimal: str) -> tuple[str, ...]:
-    """What a user should know of how a table was read: nothing of the usual commas and decimal points."""
+    """A note on how a table was read; none for the usual commas and decimal points."""
     if (separator, decimal) == (",", "."):
         return ()
     return (
@@ -325,9 +379,14 @@ def layout_note(separator: str, decimal: str) -> tuple[str, ...]:
 
 
 def separator_of(lines: Iterable[str], path: Path) -> str:
-    """What separates the columns in lines of a table: what parts each into as many fields, most of them numbers.
+    """The separator of columns: it splits each line into as many fields, most of them numbers.
 
-    Raises MapError where two may: no guess decides between semicolons and tabs.
+    Args:
+        lines: of the table.
+        path: for messages.
+
+    Raises:
+        MapError: two separators are possible.
     """
     lines = [line for line in lines if line.strip()]
     first = lines[0].strip(" \r\n") if lines else ""
@@ -337,7 +396,7 @@ def separator_of(lines: Iterable[str], path: Path) -> str:
         if len({len(row) for row in rows}) == 1 and len(rows[0]) > 1:
             body = [field for row in rows[1:] or rows for field in row]
             shares[separator] = sum(not is_header([field]) for field in body) / len(body)
-    if not shares:  # lines of different lengths: the reader names the first
+    if not shares:  # lines of different lengths: the reader reports the first
         return next((separator for separator in (*STRONG, ",") if separator in first), ",")
     best = [separator for separator, share in shares.items() if share == max(shares.values())]
     if len(best) > 1 and best[1] in STRONG:
@@ -347,7 +406,7 @@ def separator_of(lines: Iterable[str], path: Path) -> str:
 
 
 def _split(lines: Sequence[str], separator: str) -> list[list[str]]:
-    """The fields of every line; none where they cannot be told."""
+    """The fields of every line; none if they cannot be determined."""
     if separator == " ":
         return [line.split() for line in lines]
     with suppress(csv.Error):
@@ -356,7 +415,7 @@ def _split(lines: Sequence[str], separator: str) -> list[list[str]]:
 
 
 def sign_of(fields: Fields, sure: bool = False) -> Sign:
-    """The decimal sign of numbers that belong together; `sure`: others in the file have decimal commas beyond doubt."""
+    """The decimal sign of numbers of one kind; `sure`: other numbers in the file clearly have decimal commas."""
     commas = [(line, field.strip()) for line, field in fields if "," in field and COMMA.fullmatch(field.strip())]
     points = [(line, field.strip()) for line, field in fields if "." in field and is_number(field)]
     for line, field in fields:
@@ -376,7 +435,7 @@ def sign_of(fields: Fields, sure: bool = False) -> Sign:
 
 
 def signs_of(rows: Sequence[tuple[int, Sequence[str]]]) -> list[Sign]:
-    """The decimal sign of every column, of rows of one length."""
+    """The decimal sign of every column, from rows of one length."""
     fields = [field.strip() for _, row in rows for field in row if "," in field]
     if not fields:
         return [Sign()] * len(rows[0][1])
@@ -385,7 +444,15 @@ def signs_of(rows: Sequence[tuple[int, Sequence[str]]]) -> list[Sign]:
 
 
 def read_rows(path: Path, holds: str) -> tuple[str, list[tuple[int, list[str]]]]:
-    """What separates the columns of a text table, and its rows that are not empty with their lines. Raises MapError."""
+    """(separator, non-empty rows with their line numbers) of a text table.
+
+    Args:
+        path: the file.
+        holds: expected content, for messages.
+
+    Raises:
+        MapError: it cannot be read.
+    """
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             lines = _without_sep(stream.readlines())
@@ -403,7 +470,7 @@ def _without_sep(lines: list[str]) -> list[str]:
 
 
 def starts_with_header(path: Path) -> bool:
-    """True for a text table whose first row holds no number."""
+    """True for a text table without number in its first row."""
     with path.open(encoding="utf-8-sig", errors="replace") as stream:
         top = _without_sep([line for _, line in zip(range(SAMPLE), stream, strict=False)])
     lines = [line for line in top if line.strip()]
@@ -412,7 +479,18 @@ def starts_with_header(path: Path) -> bool:
 
 
 def read_csv_grid(path: Path, most_cells: int) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """A grid of numbers, float64 `[H, W]`, and notes; `nan` allowed. MapError names a bad line and value."""
+    """Read a grid of numbers; `nan` is allowed.
+
+    Args:
+        path: the file.
+        most_cells: largest size.
+
+    Returns:
+        (float64 `[H, W]`, notes).
+
+    Raises:
+        MapError: names the first invalid line and value.
+    """
     holds = "rows of numbers without a header"
     check_size(path, MAX_CSV_BYTES, MapError, holds, "save it as .npz or .npy, or coarsen the map")
     blocks: list[NDArray[np.float64]] = []
@@ -444,7 +522,7 @@ def read_csv_grid(path: Path, most_cells: int) -> tuple[NDArray[np.float64], tup
 
 
 def _with_points(lines: list[str], separator: str, before: int, path: Path) -> tuple[list[str], str]:
-    """Lines of a grid with decimal points, and their sign, "" without any. Raises MapError where it cannot be told."""
+    """Lines of a grid with decimal points, and the sign they had, "" if none. Raises MapError if ambiguous."""
     if separator == "," or not any("," in line for line in lines):
         return lines, "." if separator != "," and any("." in line for line in lines) else ""
     fields = ((n, field.strip()) for n, line in enumerate(lines, before + 1) for field in line.split(separator))
@@ -458,13 +536,13 @@ def _with_points(lines: list[str], separator: str, before: int, path: Path) -> t
 
 
 def _csv_block(path: Path, before: int, lines: list[str], width: int | None, separator: str) -> NDArray[np.float64]:
-    """The numbers in `lines`, of which there are `before` above, float64 `[rows, width]`; empty lines are skipped."""
+    """The numbers in `lines`, with `before` lines above them, float64 `[rows, width]`; empty lines are skipped."""
     delimiter = None if separator == " " else separator
     with suppress(ValueError), warnings.catch_warnings(action="ignore"):
         block = np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
         if width in (None, block.shape[1]):
             return block
-    rows: list[list[float]] = []  # something is wrong, or loadtxt is too strict: line by line
+    rows: list[list[float]] = []  # an invalid line, or loadtxt is too strict: line by line
     for number, line in enumerate(lines, start=before + 1):
         if line.strip():
             rows.append(_csv_row(path, number, line, width, delimiter))

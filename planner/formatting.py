@@ -1,6 +1,4 @@
-"""How an object shows itself in a console and in a notebook: a title, rows of a name and what it is; and counts,
-times, shares.
-"""
+"""Text of objects in consoles and notebooks (a title and rows), counts, shares in percent, and times."""
 
 from __future__ import annotations
 
@@ -18,25 +16,25 @@ from planner.errors import UsageError
 
 Rows = Sequence[tuple[str, str]]
 NOTHING = 1e-12
-"""By so much of itself a figure may miss the most that it can be and count as that: what sums of float64 lose."""
+"""Relative error of sums of float64: a figure this close to its largest value counts as that."""
 FINEST = 6
-"""Decimals of a percentage beyond which a bound is said to be 100."""
+"""Decimals of a percentage from which on a bound is given as 100."""
 
 
 def text_of(title: str, rows: Rows) -> str:
-    """For `__repr__`: the title, then a line a row."""
+    """Text for `__repr__`: the title, then a line per row."""
     width = max((len(name) for name, _ in rows), default=0)
     return "\n".join([title, *(f"  {name:<{width}}  {what}" for name, what in rows)])
 
 
 def html_of(title: str, rows: Rows) -> str:
-    """For `_repr_html_`: the same as a table."""
+    """The same as an HTML table, for `_repr_html_`."""
     cells = (f'<tr><td>{escape(name)}</td><td style="text-align:left">{escape(what)}</td></tr>' for name, what in rows)
     return f"<b>{escape(title)}</b><table>{''.join(cells)}</table>"
 
 
 def counted(number: float, thing: str, things: str = "") -> str:
-    """ "1 chunk", "3,001 rollouts", "1.5 steps"; `things`: the plural, where an s does not make it."""
+    """ "1 chunk", "3,001 rollouts", "1.5 steps"; `things`: the plural, if it is not formed with s."""
     shown = f"{number:g}" if isinstance(number, float) else f"{number:,}"
     return f"{shown} {thing if number == 1 else things or thing + 's'}"
 
@@ -60,24 +58,30 @@ def duration(seconds: float) -> str:
 
 
 def share(count: int, of: int, digits: int = 1) -> str:
-    """`count` of `of` as "62.4 %", in whole numbers: what is not quite none or all is never rounded to it."""
+    """`count` of `of` as "62.4 %", exact: a share that is not quite 0 or 1 is never rounded to it."""
     return percent(Fraction(int(count), int(of)) if of else 0, digits)
 
 
 def percent(fraction: float | Fraction, digits: int = 1) -> str:
-    """A fraction as "62.4 %"; what is not quite 0 or 1 is never rounded to it: "< 0.1 %", "> 99.9 %"."""
+    """A fraction as "62.4 %"; one that is not quite 0 or 1 is never rounded to it: "< 0.1 %", "> 99.9 %"."""
     return f"{in_percent(fraction, digits)} %"
 
 
 def in_percent(fraction: float | Fraction, digits: int = 1) -> str:
-    """The same without its sign, for a column that says so; "" of what is not known (NaN)."""
+    """The same without the sign, for a column in percent; "" for NaN."""
     return "" if isnan(fraction) else inside(100 * _whole(fraction), 100, digits)
 
 
 def inside(value: float | Fraction, most: int, digits: int, finest: int = 0) -> str:
-    """A figure that lies in 0 .. `most`: "62.4"; what is not quite at an end is never rounded to it.
+    """A figure in 0 .. `most` as text: "62.4"; one that is not quite at an end is never rounded to it.
 
-    It gets further decimals, up to `finest`, until it is told apart from the end: "99.97"; then "> 99.9".
+    Decimals are added, up to `finest`, until it differs from the end: "99.97"; then "> 99.9".
+
+    Args:
+        value: the figure.
+        most: its largest value.
+        digits: decimals.
+        finest: most decimals.
     """
     if -NOTHING * most <= value <= 0 or abs(most - value) <= NOTHING * most:
         return "0" if value <= 0 else f"{most}"
@@ -91,27 +95,30 @@ def inside(value: float | Fraction, most: int, digits: int, finest: int = 0) -> 
 
 
 def _whole(number: float | Fraction) -> Fraction:
-    """Exactly that number, of numpy's too."""
+    """The exact value of a number."""
     return number if isinstance(number, Fraction) else Fraction(float(number))
 
 
 def _scaled(fraction: float | Fraction, digits: int) -> Fraction:
-    """In units of the last decimal of its percentage; what rounding may have added or lost is left out."""
+    """In units of the last decimal of its percentage, without possible rounding errors."""
     scaled = 100 * 10**digits * _whole(fraction)
     return Fraction(round(scaled)) if abs(scaled - round(scaled)) < Fraction(1, 10**6) else scaled
 
 
 def floored(fraction: float | Fraction, digits: int = 1) -> str:
-    """A bound that a share is not below, in percent, rounded downwards."""
+    """A lower bound on a share, in percent, rounded down."""
     if fraction >= 1:
         return "100 %"
     return f"{float(floor(_scaled(fraction, digits)) / Fraction(10**digits)):.{digits}f} %"
 
 
 def ceiled(fraction: float | Fraction, digits: int = 2, unit: str = " %") -> str:
-    """A bound that a share does not exceed, in percent, rounded upwards; with further decimals rather than as 100.
+    """An upper bound on a share, in percent, rounded up; with more decimals rather than as 100.
 
-    `unit`: "" for a column that says so.
+    Args:
+        fraction: the bound.
+        digits: decimals.
+        unit: "" for a column in percent.
     """
     bound = ceil(_scaled(fraction, digits)) / Fraction(10**digits)
     if fraction < 1 <= bound / 100 and digits < FINEST:
@@ -120,18 +127,21 @@ def ceiled(fraction: float | Fraction, digits: int = 2, unit: str = " %") -> str
 
 
 def chance(p: float, digits: int = 3, unit: str = " %") -> str:
-    """A chance that somebody gave, as "5 %", in so many digits that count, and more where these would say 100 %.
+    """A given probability as "5 %", with this many significant digits, and more if these would give 100 %.
 
-    `unit`: as of `ceiled`.
+    Args:
+        p: the probability.
+        digits: significant digits.
+        unit: as in `ceiled`.
     """
     shown = f"{100 * p:.{digits}g}"
     return chance(p, digits + 1, unit) if float(shown) >= 100 > 100 * p else shown + unit
 
 
-# How long a step takes, where somebody says it: a time in steps is then said in minutes too, and given in either; and
-# how many steps a quarter turn costs, which is said beside it.
+# Duration of a step, where given: times in steps are then also shown, and accepted, in minutes; and the steps that a
+# quarter turn costs.
 #
-# No plan, tally, hash or count knows it (docs/spec.md, section 18).
+# No plan, tally, hash or count depends on it (docs/spec.md, section 18).
 
 STEP_SECONDS = Numbers(1e-6, 1e6, "seconds")
 SPEEDS = Numbers(0, 1_000, "metres a second", above=True)
@@ -141,14 +151,14 @@ SPAN = re.compile(r"\s*".join(rf"(?:([0-9]{{1,9}}(?:\.[0-9]{{1,9}})?)\s*{unit})?
 TIMES = "45min, 1h30min or 90s"
 SPANS = f"steps, as 450, or a time, as {TIMES}"
 WHOLE = 1e-12
-"""By how much of itself a quotient may lie below a whole number and count as it: what floats lose."""
+"""Relative amount by which a quotient may lie below a whole number and count as it: rounding of floats."""
 SHORT = 9.5
-"""Seconds below which tenths are said."""
+"""Seconds below which tenths are shown."""
 HOW_TO_SAY = "the scenario's `step: {seconds: 2}` or `speed:` (m/s)"
 
 
 def seconds_of(text: str) -> float | None:
-    """Seconds of a time as `1h30min`, `45 min` or `90s`, larger units first; None for what is none."""
+    """Seconds of a time such as `1h30min`, `45 min` or `90s`, larger units first; None for other text."""
     found = SPAN.fullmatch(text.strip())
     if not found or not any(found.groups()):
         return None
@@ -157,7 +167,12 @@ def seconds_of(text: str) -> float | None:
 
 @dataclass(frozen=True)
 class Pace:
-    """The seconds that a step takes; None: nobody says, and times are in steps alone. `turn`: steps a quarter turn."""
+    """Duration of a step.
+
+    Attributes:
+        seconds: None: not given, times are shown in steps only.
+        turn: steps per quarter turn.
+    """
 
     seconds: float | None = None
     turn: float = 0.0
@@ -167,11 +182,11 @@ class Pace:
 
     @property
     def minutes(self) -> float:
-        """That a step takes; NaN where nobody says."""
+        """Minutes per step; NaN if not given."""
         return math.nan if self.seconds is None else self.seconds / 60.0
 
     def also(self, steps: float) -> str:
-        """What stands after a time in steps: " (22 min 30 s)"; "" where nobody says how long a step takes."""
+        """Suffix of a time in steps: " (22 min 30 s)"; "" if the duration of a step is not given."""
         if self.seconds is None:
             return ""
         seconds = steps * self.seconds
@@ -179,7 +194,7 @@ class Pace:
 
     @property
     def each(self) -> str:
-        """What stands after the name of an axis of steps: " (3 s each)"."""
+        """Suffix of the name of an axis in steps: " (3 s each)"."""
         return "" if self.seconds is None else f" ({self.seconds:.3g} s each)"
 
     def step(self, step: float) -> str:
@@ -187,14 +202,19 @@ class Pace:
         return f"step {round(step):,}{self.also(step)}"
 
     def steps(self, steps: float) -> str:
-        """ "450 steps (22 min 30 s)", of a mean the nearest whole number of them."""
+        """ "450 steps (22 min 30 s)"; for a mean the nearest whole number."""
         return f"{counted(round(steps), 'step')}{self.also(steps)}"
 
     def last_step(self, name: str, given: Any, source: str = "") -> Any:
-        """The last step that is over by a deadline, which is one or a time; anything else as it is, for a check.
+        """The last step before a deadline, given as a step or a time; other values unchanged, for a later check.
 
-        Raises UsageError, naming the argument `name`, or the key of that name in `source`, for a text that is no time,
-        and where nobody says how long a step takes.
+        Args:
+            name: of the argument, or of the key in `source`.
+            given: its value.
+            source: file, for messages.
+
+        Raises:
+            UsageError: the text is no time, or the duration of a step is not given.
         """
         if not isinstance(given, str):
             return given
@@ -204,7 +224,7 @@ class Pace:
         if self.seconds is None:
             options = "" if source else f"{argument('step_seconds')} or {argument('speed')}, or "
             fix = f"give {options}{HOW_TO_SAY}"
-            problem = f"{said}, but nobody says how long a step takes"
+            problem = f"{said}, but the duration of a step is not given"
             raise UsageError(problem, source=source, expected="steps", fix=fix)
         return math.floor(seconds / self.seconds * (1 + WHOLE))
 
@@ -213,9 +233,15 @@ UNPACED = Pace()
 
 
 def pace_of(step_seconds: Any, speed: Any, cell_size: float | None) -> Pace:
-    """The pace that is asked for by one of the two, or by none; `cell_size`: metres, None where nobody says.
+    """The pace from at most one of two arguments.
 
-    Raises UsageError.
+    Args:
+        step_seconds: seconds per step, or None.
+        speed: metres per second, or None.
+        cell_size: metres; None: not given.
+
+    Raises:
+        UsageError: both are given, a value is out of range, or the cell size is missing.
     """
     if step_seconds is not None and speed is not None:
         both = f"both {argument('step_seconds')} and {argument('speed')} are given"
@@ -227,7 +253,7 @@ def pace_of(step_seconds: Any, speed: Any, cell_size: float | None) -> Pace:
         return UNPACED
     SPEEDS.check("speed", speed)
     if cell_size is None:
-        problem = f"{argument('speed', speed)}, but nobody says how many metres a cell has"
+        problem = f"{argument('speed', speed)}, but the cell size is not given"
         raise UsageError(problem, fix=f"give {argument('cell_size')}, or {argument('step_seconds')} instead")
     if not STEP_SECONDS.accepts(cell_size / speed):
         problem = f"{argument('speed', speed)} makes a step of {cell_size:g} m take {cell_size / speed:g} s"

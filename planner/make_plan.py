@@ -26,12 +26,12 @@ from planner.world.levels import NO_LEVEL
 from planner.world.world import World
 
 MEDIUM, LARGE = 2**10, 2**18
-"""Cells from which on it is faster to read the compiled simulator from the cache, and to compile it, than to run it as
-Python. Where this process has it, it always is."""
+"""Cells from which on it is faster to load the compiled simulator from the cache, and to compile it, than to run it as
+Python. Code that is loaded already is always used."""
 
 
 def allocate(problem: Problem) -> tuple[Area, ...]:
-    """Algorithm 1: the areas in id order with the robots that they are given to before the start."""
+    """Algorithm 1: the areas in id order with their robots before the start."""
     shape = problem.world.shape
     areas = find_areas(shape, problem.levels)
     paths = [problem.paths_of(robot) for robot in range(len(problem.starts))]
@@ -39,9 +39,9 @@ def allocate(problem: Problem) -> tuple[Area, ...]:
 
 
 def allocated_plan(world: World, starts: ArrayLike, settings: Settings, state: MissionState | None = None) -> Plan:
-    """The plan before its nominal run: the areas at t = 0, or in the state, and robots that stand where they begin.
+    """The plan before its nominal run: the areas at t = 0, or in the state, and robots at their starts.
 
-    It is rolled out as the whole plan is. Raises as `make_plan`.
+    It has the same rollouts as the whole plan. Args and errors as in `make_plan`.
     """
     return allocated(world, starts, settings, state)[1]
 
@@ -54,12 +54,17 @@ def allocated(
     before: Problem | None = None,
     allocation: tuple[Area, ...] | None = None,
 ) -> tuple[Problem, Plan]:
-    """`allocated_plan`, and the problem that it is of. `before`: as of `prepare`; `allocation`: as of `make_plan`."""
+    """`allocated_plan` and its problem.
+
+    Args:
+        world, starts, settings, state, allocation: as in `make_plan`.
+        before: as in `prepare`.
+    """
     homes = None if state is None else state.homes(settings.return_to)
     problem = prepare(world, starts, settings, homes=homes, before=before)
     robots = tuple(RobotPlan(cell) for cell in problem.starts[:, None])
     if state is not None:
-        world.check_settled("the rest of a mission")
+        world.check_settled("a resumed mission")
         state = made_ready(problem, state)
         areas = areas_of(state)
     elif allocation is None:
@@ -71,9 +76,14 @@ def allocated(
 
 
 def nominal_run(problem: Problem, plan: Plan) -> Run:
-    """Algorithm 2 from the areas of the plan, or from its state, without losses; threats change as they do.
+    """Algorithm 2 without losses, from the areas of the plan or from its state; phases change the map.
 
-    Raises WorldError for legs that stay in areas which change on the way.
+    Args:
+        problem: of the plan.
+        plan: with areas.
+
+    Raises:
+        WorldError: legs stay in areas (`transit="area"`) which change during the run.
     """
     if problem.unknown is not None and problem.unknown.phases is not None and problem.stay_inside:
         problem.world.check_told('`transit="area"`, legs that stay in their area,')
@@ -93,21 +103,24 @@ def make_plan(
     allocation: tuple[Area, ...] | None = None,
     state: MissionState | None = None,
 ) -> Plan:
-    """Plan the coverage of `world` from `starts` `[K, 2]` (row, col): the MRAC algorithm with no hits.
+    """Plan the coverage of a world: the MRAC algorithm without losses.
 
-    By Theorem 1 the paths together visit every accessible cell, unless `max_steps` ends the run or the policy calls
-    robots off (`Plan.outcome`).
+    By Theorem 1 the paths together visit every accessible cell, unless `max_steps` or the policy ends the run
+    (`Plan.outcome`).
 
     Args:
-        world: the map. starts: robots may share a cell.
-        settings: the planner's choices; None = the defaults.
-        allocation: areas at t = 0 in id order, from elsewhere; None = Algorithm 1's own.
-        state: of the mission under way that the plan is the rest of; `starts` and areas are then its own.
+        world: the map.
+        starts: `[K, 2]`, (row, col); robots may share a cell.
+        settings: of the planner; None: the defaults.
+        allocation: areas at t = 0 in id order; None: by Algorithm 1.
+        state: of the mission that the plan resumes, which then gives starts and areas.
 
     Raises:
-        WorldError: starts off the map or on obstacles, or threats whose costs do not fit.
-        StateError: a state that the settings do not fit.
-        PlanError: settings out of range, or an allocation that does not hold every accessible cell exactly once.
+        WorldError: starts off the map or on obstacles, or path costs too large.
+        StateError: the state does not fit the settings.
+        PlanError: settings out of range, or an allocation without each accessible cell exactly once.
+
+    Source: paper, Algorithms 1 and 2.
     """
     if settings is not None and settings.plan_for != "closed_loop":
         raise PlanError(f"plan_for is {settings.plan_for} in a plan with areas", expected="closed_loop")
@@ -124,17 +137,23 @@ def make_plan(
 
 
 def confirm_plan(plan: Plan, world: World, source: str) -> Plan:
-    """A plan read from a file, made again from its allocation: its legs and outcome can be relied on.
+    """A plan from a file, made again from its allocation and compared, so that legs and outcome are reliable.
 
-    The allocation at t = 0 is data; everything else follows from it. Raises PlanError, naming `source`, if the
-    allocation is none or the file's paths, legs or added areas are not what follows (legs may be left out).
+    Args:
+        plan: from the file.
+        world: the map.
+        source: the file.
+
+    Raises:
+        PlanError: the allocation is invalid, or paths, legs or added areas differ (legs may be missing).
     """
     if plan.settings is None:
         return plan
     try:
+        # The nominal run is deterministic, so any difference means a changed file or another release.
         made = make_plan(world, plan.starts, plan.settings, plan.areas, plan.state)
     except (PlanError, StateError) as error:
-        raise PlanError(error.problem, source=source, expected=error.expected, fix="make the plan anew") from error
+        raise PlanError(error.problem, source=source, expected=error.expected, fix="make the plan again") from error
     for number, (given, follows) in enumerate(zip(plan.robots, made.robots, strict=True)):
         length, what = len(follows.path), ""
         if not np.array_equal(given.path[:length], follows.path) or last_move(given.path) >= length:
@@ -142,8 +161,8 @@ def confirm_plan(plan: Plan, world: World, source: str) -> Plan:
         elif given.legs and given.legs != follows.legs:
             what = "legs"
         if what:
-            expected = "those of the run with no hits from the file's areas"
-            raise PlanError(f"the {what} of robot {number}", source=source, expected=expected, fix="make the plan anew")
+            problem, expected = f"the {what} of robot {number}", "those of the run without losses from the file's areas"
+            raise PlanError(problem, source=source, expected=expected, fix="make the plan again")
     return replace(made, notes=plan.notes)
 
 
@@ -160,7 +179,7 @@ def _check_allocation(problem: Problem, allocation: tuple[Area, ...]) -> None:
 
 
 def _what_is_wrong(problem: Problem, area: Area, owners: set[int]) -> tuple[str, str] | None:
-    """(what is wrong with an area of an allocation, what was expected), or None; `owners`: robots of earlier areas."""
+    """(problem, expectation) of an area of an allocation, or None; `owners`: robots of earlier areas."""
     if (problem.levels.of_cell[area.cells] != area.level).any():
         return f"has level {area.level}", "the level of all its cells in this world"
     if len(connected_parts(problem.world.shape, area.cells)) != 1:
@@ -173,11 +192,19 @@ def _what_is_wrong(problem: Problem, area: Area, owners: set[int]) -> tuple[str,
     return None
 
 
-# A state made ready to go on from (SPEC section 12).
+# States prepared for resuming (SPEC section 12).
 
 
 def made_ready(problem: Problem, state: MissionState) -> MissionState:
-    """The state as runs begin with it: with areas, those of Algorithm 1 where it has none. Raises StateError."""
+    """The state from which runs begin: with areas, by Algorithm 1 if it has none.
+
+    Args:
+        problem: of the plan.
+        state: of the mission.
+
+    Raises:
+        StateError: it does not fit the settings.
+    """
     problem.settings.check_not_charged("the state of a mission")
     problem.settings.check_alike("the state of a mission")
     if state.step >= problem.max_steps:
@@ -210,19 +237,19 @@ def made_ready(problem: Problem, state: MissionState) -> MissionState:
     state = replace(state, robots=tuple(robots))
     for number, robot in enumerate(state.robots):
         if robot.status in ON_ITS_WAY and not _leads_on(robot, state.areas[robot.area], problem.rule.attentive):
-            expected = "a path that ends in its area, and what it has still to cover on it"
+            expected = "a path that ends in its area, and the cells it still has to cover on it"
             problem_is = f"robot {number} is {robot.status}, but not by policy {problem.rule.name}"
             raise StateError(problem_is, expected=expected, fix=_settings_asked("policy"))
     return state
 
 
 def _settings_asked(name: str) -> str:
-    """What to do about a state that another plan's settings have made."""
-    return f"give the settings of the plan that was driven, {argument(name)} among them, or go on with that plan"
+    """Fix for a state made under the settings of another plan."""
+    return f"give the settings of the plan that was driven, {argument(name)} among them, or resume with that plan"
 
 
 def _check_exposures(problem: Problem, state: MissionState) -> None:
-    """Raise StateError where robots wear, and what one of them has borne is not known, or more than any robot bears."""
+    """Raise StateError if hazards so far matter, and one is unknown or larger than any threshold."""
     bearing = problem.settings.bearing(state.exposures)
     if problem.settings.weibull_shape == 1:
         return
@@ -230,13 +257,13 @@ def _check_exposures(problem: Problem, state: MissionState) -> None:
     for number, robot in enumerate(state.robots):
         if robot.alive and robot.exposure is None:
             raise StateError(
-                f"robot {number} has no exposure, and robots wear (shape {problem.settings.weibull_shape:g})",
-                expected='"exposure": what each robot has borne so far, in nat: the sum of -ln(1 - p) over its visits',
+                f"robot {number} has no exposure (Weibull shape {problem.settings.weibull_shape:g})",
+                expected='"exposure": cumulative hazard of each robot, in nat: the sum of -ln(1 - p) over its visits',
             )
         if robot.alive and borne[number] > MOST:
             raise StateError(
                 f"robot {number} has an exposure of {state.exposures[number] / NAT:g} nat",
-                expected="no more than a robot bears",
+                expected="no more than any failure threshold",
             )
 
 
@@ -247,7 +274,7 @@ def _leads_on(robot: RobotState, area: AreaState, attentive: bool) -> bool:
 
 
 def _allocated(problem: Problem, state: MissionState, able: list[int]) -> MissionState:
-    """Algorithm 1 over what is not visited, for the robots that can move; they set out in the next step."""
+    """Algorithm 1 over the unvisited cells, for the robots that can move; they move from the next step on."""
     shape, levels = problem.world.shape, problem.levels
     seen = np.zeros(problem.costs.size, dtype=np.bool_)
     seen[state.visited] = True
@@ -275,17 +302,17 @@ def _allocated(problem: Problem, state: MissionState, able: list[int]) -> Missio
 
 
 def _sent(problem: Problem, robot: RobotState, number: int, area: AreaState, visited: NDArray[np.int64]) -> RobotState:
-    """The robot on its way to what is to be done of its area."""
+    """The robot on the path to its area's cells to do."""
     rank = np.full(problem.costs.size, NOT_WANTED, dtype=np.int32)
     rank[np.setdiff1d(area.cells, visited)] = 0
     target = problem.paths.nearest(robot.cell, rank)
-    assert target is not None  # Algorithm 1 gives away what can be reached
+    assert target is not None  # Algorithm 1 only assigns reachable areas
     ahead = problem.paths.path(robot.cell, target.cell)
     return replace(robot, status="traveling", area=number, ahead=ahead, held=False)
 
 
 def areas_of(state: MissionState) -> tuple[Area, ...]:
-    """The areas as a plan's allocation holds them."""
+    """The areas in the form of a plan's allocation."""
     return tuple(
         Area(area.level, area.robot if area.state == "assigned" else NO_ROBOT, area.cells) for area in state.areas
     )

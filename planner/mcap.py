@@ -1,6 +1,6 @@
-"""MCAP logs, ours and others', read without trust: a length is never believed beyond what is there.
+"""MCAP logs, our own and others', read defensively: lengths are checked against the bytes that are there.
 
-Everything here raises `Damaged` and nothing else on bytes that are not what they should be.
+On invalid bytes everything here raises `Damaged`, and nothing else.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ from planner.files import printable, why_no_file
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
-"""What every record begins with: opcode and length of the rest."""
+"""Header of every record: opcode and length of the rest."""
 AFTER_SUMMARY_CRC = 4 + len(MAGIC)
 FOOTER_SIZE = HEAD.size + 16 + AFTER_SUMMARY_CRC
 CHECK = "crc32"
-"""The item of our metadata records that holds their checksum (MCAP gives them none)."""
+"""Item with the checksum of our metadata records (MCAP has none for them)."""
 MAX_CHUNK = 2**28
 """Largest chunk, before compression, that is written or read."""
 MAX_DESCRIPTIONS = 2**24
-"""Most bytes of schemas and channels, and of metadata, that are kept of one log."""
+"""Most bytes of schemas and channels, and of metadata, kept of one log."""
 _MESSAGE = struct.Struct("<HIQQ")
 _WINDOW = 2**27
 _CHUNK_START, _CHUNK_CRC = struct.Struct("<Q"), slice(24, 28)
-"""The first field of a chunk, its first log time, and where its checksum stands."""
+"""The first field of a chunk, its first log time, and the place of its checksum."""
 UNCHECKED = "its messages are under no checksums: try `mcap recover` of the MCAP command line tools"
-"""What to do with a damaged log of which `mrac-jax recover` saves nothing."""
+"""Fix for a damaged log from which `mrac-jax recover` saves nothing."""
 
 
 class Damaged(ValueError):
-    """Bytes that are not the record that they should be. `work`: how many bytes were gone through to see it."""
+    """Bytes that are no valid record; `work`: number of bytes read to find out."""
 
     def __init__(self, problem: str, work: int = 0) -> None:
         super().__init__(problem)
@@ -56,7 +56,12 @@ class Damaged(ValueError):
 
 
 def mapped(path: Path, error: type[InputError] = InputError) -> memoryview:
-    """The file's bytes, read only as they are used. Raises `error` where it is not a plain file or is empty."""
+    """The file's bytes, read as they are used.
+
+    Args:
+        path: the file.
+        error: exception if it is no regular file, or empty.
+    """
     problem = why_no_file(path)
     if problem == "is a folder" and (inside := sorted(one.name for one in path.glob("*.mcap"))):
         problem, fix = f"is a folder with {', '.join(inside)[:200]}", "name the file in it"
@@ -75,13 +80,13 @@ def mapped(path: Path, error: type[InputError] = InputError) -> memoryview:
 
 
 def refusal(path: Path, problem: str, data: memoryview, error: type[InputError] = InputError) -> InputError:
-    """What every reader says of a log that is cut or damaged, with what helps."""
+    """The error of every reader for a truncated or damaged log, with a fix."""
     fix = UNCHECKED if unchecked(data) else f"try `mrac-jax recover {shlex.quote(printable(path))}`"
     return error(f"truncated or damaged: {problem}", source=path, fix=fix)
 
 
 def unchecked(data: memoryview) -> bool:
-    """Whether a log has messages up to where it is damaged, and none of them in a chunk with a checksum."""
+    """Whether a log has messages before its damage, and none of them in a chunk with a checksum."""
     found = False
     with suppress(Damaged):
         for _, opcode, body in records_in(data[len(MAGIC) :]):
@@ -92,7 +97,7 @@ def unchecked(data: memoryview) -> bool:
 
 
 class _Body:
-    """A record's bytes as a stream; `Damaged` where they end too early."""
+    """A record's bytes as a stream; `Damaged` if they end too early."""
 
     def __init__(self, data: memoryview) -> None:
         self._data, self.at = data, 0
@@ -106,7 +111,7 @@ class _Body:
 
 
 def parsed(kind: Any, body: memoryview) -> Any:
-    """The record of this kind (a class of `mcap.records`) whose fields are all of `body`."""
+    """The record of a kind (a class of `mcap.records`) whose fields are exactly `body`."""
     stream = _Body(body)
     try:
         record = kind.read(ReadDataStream(stream))
@@ -132,24 +137,24 @@ def records_in(data: memoryview) -> Iterator[tuple[int, int, memoryview]]:
 
 
 def bytes_of(record: records.McapRecord) -> bytes:
-    """A whole record."""
+    """Bytes of a complete record."""
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()
 
 
 def message_bytes(channel_id: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> bytes:
-    """A whole message record."""
+    """Bytes of a complete message record; times in nanoseconds."""
     head = HEAD.pack(Opcode.MESSAGE, _MESSAGE.size + len(data))
     return head + _MESSAGE.pack(channel_id, sequence, log_time, publish_time) + data
 
 
 def unpacked(chunk: records.Chunk) -> bytes:
-    """A chunk's records, whole and with the right checksum (0 stands for none), in bounded memory."""
+    """A chunk's records, complete and with a valid checksum (0: none), in bounded memory."""
     size, data = chunk.uncompressed_size, chunk.data
     if size > MAX_CHUNK:
         raise Damaged(f"a chunk of {size} bytes; at most {MAX_CHUNK} are read")
-    try:  # one byte more than it claims is enough to see that it claims too little
+    try:  # one byte more than claimed is enough to detect a wrong size
         if chunk.compression == "zstd":
             data = zstandard.ZstdDecompressor(max_window_size=_WINDOW).stream_reader(data).read(size + 1)
         elif chunk.compression == "lz4":
@@ -164,7 +169,7 @@ def unpacked(chunk: records.Chunk) -> bytes:
 
 
 def attachment(body: memoryview) -> records.Attachment:
-    """A whole attachment whose checksum is right (0 stands for none). Its name is never to be used as a path."""
+    """A complete attachment with a valid checksum (0: none). Its name must never be used as a path."""
     found = parsed(records.Attachment, body)
     if int.from_bytes(body[-4:], "little") not in (0, zlib.crc32(body[:-4])):
         raise Damaged("an attachment with a wrong checksum", len(body))
@@ -178,7 +183,7 @@ def check_of(name: str, items: Mapping[str, str]) -> str:
 
 
 def metadata(body: memoryview) -> records.Metadata:
-    """A metadata record as it stands in the file; its checksum, where it has one, must be right."""
+    """A metadata record as in the file; its checksum, if any, has to be valid."""
     record = parsed(records.Metadata, body)
     if record.metadata.get(CHECK, check := check_of(record.name, record.metadata)) != check:
         raise Damaged("a metadata record with a wrong checksum", len(body))
@@ -186,7 +191,7 @@ def metadata(body: memoryview) -> records.Metadata:
 
 
 def all_records(data: memoryview) -> Iterator[tuple[int, int, memoryview]]:
-    """`records_in` a section, those in chunks in the place of these."""
+    """`records_in` a section, with chunks replaced by their records."""
     for at, opcode, body in records_in(data):
         if opcode == Opcode.CHUNK:
             yield from records_in(memoryview(unpacked(parsed(records.Chunk, body))))
@@ -195,10 +200,10 @@ def all_records(data: memoryview) -> Iterator[tuple[int, int, memoryview]]:
 
 
 def by_log_time(data: memoryview) -> Iterator[tuple[int, int, memoryview]]:
-    """`all_records` of a section, messages in the order of their log times; of equal ones in the file's.
+    """`all_records` of a section, messages in order of log time; equal ones in the file's order.
 
     Chunks may overlap in time: a message waits until every chunk that may hold an earlier one has been unpacked.
-    Memory: the chunks that overlap, one where none do. What is no message comes before the messages beside it.
+    Memory: the overlapping chunks, one if none overlap. Other records come before the messages around them.
     """
     parts: list[tuple[int, int, int, memoryview]] = []  # first log time, offset, opcode, body
     for at, opcode, body in records_in(data):
@@ -241,11 +246,12 @@ class LogMessage:
 
     @property
     def topic(self) -> str:
+        """The topic of its channel."""
         return self.channel.topic
 
 
 class Descriptions:
-    """The schemas and channels seen so far, by id; the same id twice must say the same."""
+    """The schemas and channels seen so far, by id; a repeated id has to have the same content."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, records.Schema] = {}
@@ -253,13 +259,13 @@ class Descriptions:
         self._held = 0
 
     def copy(self) -> Descriptions:
-        """The same, to be added to."""
+        """A copy that can be extended independently."""
         other = copy(self)
         other.schemas, other.channels = dict(self.schemas), dict(self.channels)
         return other
 
     def add(self, opcode: int, body: memoryview) -> None:
-        """Take a record if it is a schema or a channel. Raises Damaged if it contradicts an earlier one."""
+        """Store a record if it is a schema or a channel. Raises Damaged if it contradicts an earlier one."""
         kinds = {Opcode.SCHEMA: (records.Schema, self.schemas), Opcode.CHANNEL: (records.Channel, self.channels)}
         if opcode not in kinds:
             return
@@ -275,9 +281,9 @@ class Descriptions:
             raise Damaged(f"{kind.__name__.lower()} {new.id} is described twice, differently")
 
     def messages(self, found: Iterable[tuple[int, int, memoryview]]) -> Iterator[LogMessage]:
-        """The messages of `records_in` some bytes. Raises Damaged where nothing there or before describes one.
+        """The messages in the result of `records_in`. Raises Damaged if a channel or schema is missing.
 
-        There are many, so that they are not left to `parsed`.
+        There are many, so they are not parsed by `parsed`.
         """
         for _, opcode, body in found:
             if opcode != Opcode.MESSAGE:
@@ -288,8 +294,8 @@ class Descriptions:
             number, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
             channel = self.channels.get(number)
             if channel is None:
-                raise Damaged(f"a message of channel {number}, which nothing describes")
+                raise Damaged(f"a message of channel {number}, which is not described")
             schema = self.schemas.get(channel.schema_id)
             if schema is None and channel.schema_id:
-                raise Damaged(f"channel {channel.id} has schema {channel.schema_id}, which nothing describes")
+                raise Damaged(f"channel {channel.id} has schema {channel.schema_id}, which is not described")
             yield LogMessage(channel, schema, log_time, publish_time, sequence, bytes(body[_MESSAGE.size :]))

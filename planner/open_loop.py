@@ -1,14 +1,14 @@
-"""Plans for a team that cannot talk: paths whose expected coverage without reallocation is searched for.
+"""Plans for a team without communication: paths searched for expected coverage without reallocation.
 
-Every robot plans the whole map for itself (`per_cell`, alone); then each in turn answers the others: given the chances
-`S_j(c)` that the others get to a cell, a path is worth `sum_c S_i(c) prod_{j != i} (1 - S_j(c))`, exactly what it adds
-to the team's expected coverage `sum_c 1 - prod_j (1 - S_j(c))` (the closed form of SPEC section 6). Simulated annealing
-over the order of its targets looks for a better one.
+Every robot first plans the whole map alone (`per_cell`); then each in turn responds to the others: given the
+probabilities `S_j(c)` that the others reach a cell, the gain of a path is `sum_c S_i(c) prod_{j != i} (1 - S_j(c))`,
+exactly what it adds to the team's expected coverage `sum_c 1 - prod_j (1 - S_j(c))` (the closed form of SPEC section
+6). Simulated annealing over the order of its targets searches for a better path.
 
-The expected coverage is a monotone submodular function of the set of paths, so answering in turn from nothing with an
-optimal path each time covers at least half of the best (a factor alpha from the optimal path: alpha / (1 + alpha);
-Jorgensen, Chen, Milam, Pavone: The Team Surviving Orienteers Problem, arXiv 1612.03232). The paths found here are not
-known to be optimal ones, so that says why answering in turn is sound, not how good the result is.
+The expected coverage is a monotone submodular function of the set of paths. So responding in turn, from nothing, with
+an optimal path each time covers at least half of the optimum (with a factor alpha from the optimal path: alpha / (1 +
+alpha); Jorgensen, Chen, Milam, Pavone: The Team Surviving Orienteers Problem, arXiv 1612.03232). The paths found here
+are not known to be optimal: this justifies responding in turn, and is no guarantee on the result.
 """
 
 from __future__ import annotations
@@ -35,24 +35,25 @@ from planner.simulator.jit import put_first, threaded
 from planner.simulator.searches import coverage_path, neighbour_table
 from planner.world.world import FOUR_NEIGHBOURS, World
 
-# The map as an order of targets sees it: dangerous cells, and safe areas in which every move is free.
+# The map for orders of targets: dangerous cells, and safe areas in which every move is free.
 
 MOST_NODES = 6_000
-"""Nodes of the largest map: the tables of safest ways take 16 bytes a pair of them while they are made, then 4."""
+"""Nodes of the largest map: tables of safest paths take 16 bytes per pair while they are made, then 4."""
 HOP = 1e-9
-"""Added to the hazard of every move, so that of equally safe ways the one with fewer nodes is taken."""
+"""Added to the hazard of every move, so that of equally safe paths the one with fewer nodes is taken."""
 
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Axes: `V` nodes, `N` cells. A safe area is a 4-connected set of accessible cells with p = 0.
+    """Graph of a map. Axes: `V` nodes, `N` cells. A safe area is a 4-connected set of accessible cells with p = 0.
 
     Attributes:
-        areas: safe areas; they are the first nodes. of_cell: int64 `[N]`, the cell's node; NO_CELL if not accessible.
+        areas: number of safe areas, which are the first nodes.
+        of_cell: int64 `[N]`, the cell's node; NO_CELL if not accessible.
         cells: of each node, increasing.
-        passed: float64 `[V]`, chance to survive one visit. weight: float64 `[V]`, cells; or what they are
-            worth, in values of a mean cell.
-        towards: int32 `[V, V]`, `[t, u]`: the node after u on the safest way from u to t; negative: none.
+        passed: float64 `[V]`, probability to survive one visit. weight: float64 `[V]`, number of cells, or their value
+            in values of a mean cell.
+        towards: int32 `[V, V]`, `[t, u]`: the node after u on the safest path from u to t; negative: none.
     """
 
     areas: int
@@ -63,15 +64,28 @@ class Nodes:
     towards: NDArray[np.int32]
 
     def order_of(self, path: NDArray[np.int64], first: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The nodes of `first`, then those that the cells of `path` are in: each once, in order."""
+        """The nodes of `first`, then those of the cells of `path`: each once, in order.
+
+        Args:
+            path: int64 `[steps + 1]`, cells.
+            first: int64, nodes.
+        """
         nodes = np.concatenate([first, self.of_cell[path]])
         return nodes[np.sort(np.unique(nodes, return_index=True)[1])]
 
     def drive(self, order: NDArray[np.int64], start: int, problem: Problem) -> NDArray[np.int64]:
-        """The cells, int64 `[steps + 1]`, of a robot at cell `start` that goes to the nodes in this order.
+        """Path of a robot that visits nodes in an order.
 
-        It takes the safest ways; nodes that it passed on them are no targets any more. A safe area is covered when it
-        is first entered.
+        It takes safest paths, and skips targets that it passed on the way. A safe area is covered when it is first
+        entered.
+
+        Args:
+            order: int64, nodes.
+            start: cell of the robot.
+            problem: with paths and coverage order.
+
+        Returns:
+            int64 `[steps + 1]`, cells.
         """
         paths = problem.paths
         legs, here, before, seen = [np.array([start], dtype=np.int64)], start, self.of_cell[start], set()
@@ -102,7 +116,15 @@ class Nodes:
 
 
 def make_nodes(world: World, accessible: NDArray[np.bool_]) -> Nodes:
-    """The nodes of the `accessible` `[H, W]` part of a world. Raises PlanError if there are more than MOST_NODES."""
+    """Make the nodes of a world.
+
+    Args:
+        world: the map.
+        accessible: bool `[H, W]`.
+
+    Raises:
+        PlanError: there are more than MOST_NODES.
+    """
     safe = accessible & (world.threat == 0)
     label, areas = ndimage.label(safe, structure=FOUR_NEIGHBOURS)
     of_cell = label.astype(np.int64).ravel() - 1
@@ -124,7 +146,7 @@ def make_nodes(world: World, accessible: NDArray[np.bool_]) -> Nodes:
     pairs = np.unique(np.stack([of_cell[flat[place]], of_cell[near[place, side]]], axis=1), axis=0)
     source, target = pairs[pairs[:, 0] != pairs[:, 1]].T
     hazard = HOP - np.log(passed)
-    # backwards: what comes before u on the way back from t is what comes after u on the way to t
+    # backwards: the predecessor of u on the way back from t is the successor of u on the way to t
     back = coo_array((hazard[target], (target, source)), shape=(count, count)).tocsr()
     order = np.argsort(of_cell[flat], kind="stable")
     cells = tuple(np.split(flat[order], np.cumsum(np.bincount(of_cell[flat], minlength=count))[:-1]))
@@ -136,25 +158,25 @@ def make_nodes(world: World, accessible: NDArray[np.bool_]) -> Nodes:
     return Nodes(areas, of_cell, cells, passed, weight, towards)
 
 
-# Simulated annealing over the orders in which robots go to nodes, one robot's turn after another's, compiled.
+# Simulated annealing over the robots' orders of nodes, one robot's turn after another's, compiled.
 
 TURN = 250
-"""Evaluations of one robot's orders before the others have their turns."""
+"""Evaluations of one robot's order per turn."""
 HOT, COLD = 0.5, 0.005
-"""Expected cells that a move may lose with chance 1/e, at the start and at the end."""
+"""Loss in expected cells that a move is accepted with, with probability 1/e: at the start and at the end."""
 LONGEST = 0.25
-"""Targets moved at once, as a share of all that matter; mostly few."""
+"""Most targets moved at once, as a share of all that matter; usually few."""
 NEGLIGIBLE = 1e-9
-"""Chance to get so far that ends an evaluation."""
+"""Survival probability below which an evaluation ends."""
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Axes: `K` robots, `V` nodes.
+    """Result of a search. Axes: `K` robots, `V` nodes.
 
     Attributes:
-        orders: int64 of each robot, its targets. cells: expected cells visited by the team.
-        evaluations: done, of those asked for.
+        orders: int64 for each robot, its targets. cells: expected cells visited by the team.
+        evaluations: number done.
     """
 
     orders: tuple[NDArray[np.int64], ...]
@@ -163,7 +185,13 @@ class Found:
 
 
 def chances(nodes: Nodes, order: NDArray[np.int64], here: int) -> NDArray[np.float64]:
-    """S, float64 `[V]`: chance that a robot at node `here` gets to each node, if it goes to them in this order."""
+    """S, float64 `[V]`: probability that a robot reaches each node.
+
+    Args:
+        nodes: of the map.
+        order: int64, the robot's targets.
+        here: its node.
+    """
     chance = np.zeros(len(nodes.weight))
     _gain(order, here, nodes.passed, nodes.weight, nodes.towards, np.zeros(len(chance), dtype=np.bool_), chance)
     return chance
@@ -177,9 +205,15 @@ def search(
     seed: int,
     seconds: float | None = None,
 ) -> Found:
-    """The best orders met within `effort` evaluations from `orders`; `starts` int64 `[K]`: the robots' nodes.
+    """Search for better orders. Equal arguments give equal results, unless `seconds` ends the search.
 
-    The same arguments give the same orders, unless `seconds` end it before.
+    Args:
+        nodes: of the map.
+        orders: to start from, one per robot.
+        starts: int64 `[K]`, the robots' nodes.
+        effort: evaluations.
+        seed: of the annealing.
+        seconds: time limit.
     """
     draw = np.random.default_rng(seed)
     began, done = time.monotonic(), 0
@@ -202,15 +236,15 @@ def search(
 
 
 def team_cells(nodes: Nodes, reached: NDArray[np.float64]) -> float:
-    """`sum_c 1 - prod_j (1 - S_j(c))` of S `[K, V]`."""
+    """Expected cells of a team, `sum_c 1 - prod_j (1 - S_j(c))`, from S float64 `[K, V]`."""
     return float(nodes.weight @ (1.0 - np.prod(1.0 - reached, axis=0)))
 
 
 @threaded
 def _gain(order, here, passed, weight, towards, seen, chance):  # type: ignore[no-untyped-def]
-    """(sum of `weight` `[V]` by the chance to get there, targets that matter); writes that into `chance` if it is long.
+    """(sum of `weight` `[V]` times the probability to get there, number of targets that matter).
 
-    `seen` bool `[V]`: scratch.
+    The probabilities are written to `chance` if it has elements. `seen` bool `[V]`: scratch.
     """
     seen[:] = False
     seen[here] = True
@@ -236,7 +270,7 @@ def _gain(order, here, passed, weight, towards, seen, chance):  # type: ignore[n
 
 @threaded
 def _turn(order, here, passed, weight, towards, draws, heat, tried, seen):  # type: ignore[no-untyped-def]
-    """Anneal one robot's `order` in place, a row of `draws` `[evaluations, 6]` for each evaluation."""
+    """Anneal one robot's `order` in place, with a row of `draws` `[evaluations, 6]` for each evaluation."""
     unasked = np.empty(0)
     value, used = _gain(order, here, passed, weight, towards, seen, unasked)
     count = len(order)
@@ -244,7 +278,7 @@ def _turn(order, here, passed, weight, towards, draws, heat, tried, seen):  # ty
     for draw in draws:
         after = min(int(draw[0] * used), count - 1)
         run = 1 + int(draw[1] ** 3 * LONGEST * used)
-        if draw[2] < 0.5:  # a node beside the one at `after`, on the way to any other
+        if draw[2] < 0.5:  # a node next to the one at `after`, on the way to any other
             beside = towards[order[min(int(draw[3] * count), count - 1)], order[after]]
             begin = 0
             while begin < count - 1 and order[begin] != beside:
@@ -275,21 +309,28 @@ def _move(order, tried, begin, run, after, backwards):  # type: ignore[no-untype
                 place += 1
 
 
-# From a world and starts to paths for the open loop.
+# Open-loop plans from a world and starts.
 
 EFFORT = 200_000
-"""Evaluations, unless others are asked for."""
+"""Default number of evaluations."""
 SEED = 0x4F50454E
 
 
 def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, seconds: float | None = None) -> Plan:
-    """Paths alone for robots at `starts` `[K, 2]` that are not reallocated: the plan of `planner.open_loop`.
+    """Make an open-loop plan: paths of robots that are not reallocated.
 
-    The search sets out from the better of two: `per_cell` by each robot alone, and the nominal run of the settings'
-    policy. It returns the latter's paths where it finds none that are worth more. `settings.effort` evaluations;
-    `seconds` may end it before, and a note says so. Equal arguments without `seconds` give equal plans.
+    The search starts from the better of two plans: `per_cell` by each robot alone, and the nominal run of the settings'
+    policy. It returns the latter's paths if it finds none with more value. Equal arguments without `seconds` give equal
+    plans.
 
-    Raises WorldError and PlanError as `make_plan`; PlanError for too large maps.
+    Args:
+        world: the map.
+        starts: `[K, 2]`, (row, col).
+        settings: of the planner; `effort` evaluations.
+        seconds: time limit; a note says if it ended the search.
+
+    Raises:
+        WorldError, PlanError: as in `make_plan`, or the map is too large.
     """
     closed = replace(settings, plan_for="closed_loop", effort=None)
     world.check_told("a plan for the open loop")
@@ -332,7 +373,7 @@ def make_open_loop_plan(world: World, starts: ArrayLike, settings: Settings, sec
 
 
 def _alone(world: World, starts: NDArray[np.int64], settings: Settings) -> list[NDArray[np.int64]]:
-    """The path over the whole map of each robot by itself, `per_cell`."""
+    """The path over the whole map of each robot alone, by `per_cell`."""
     limits: dict[str, Any] = dict.fromkeys(("risk_cap", "robot_value", "max_steps", "deadline", "range"))
     by_itself = replace(settings.alone, policy="per_cell", **limits)
     found = {
@@ -344,7 +385,13 @@ def _alone(world: World, starts: NDArray[np.int64], settings: Settings) -> list[
 def expected_worth(paths: tuple[NDArray[np.int64], ...] | list[NDArray[np.int64]], world: World) -> float:
     """Expected cells visited in the open loop, or their value: `sum_c w_c (1 - prod_i (1 - S_i(c)))`.
 
-    S before the entry's own check.
+    S is the probability before the entry's own check.
+
+    Args:
+        paths: int64 `[steps + 1]` each, cells.
+        world: the map.
+
+    Source: SPEC section 6.
     """
     missed = np.ones(world.threat.size)
     for path in paths:
@@ -359,5 +406,5 @@ def _notes(cells: float, before: float, done: int, effort: int, settings: Settin
     said = (
         f"planned for the open loop: {max(cells, before):.2f} {unit} expected, {before:.2f} with the nominal plan of "
     )
-    short = (f"the search ended before its {effort:,} evaluations: it ran out of seconds",) * (done < effort)
+    short = (f"the search ended before its {effort:,} evaluations: its time limit was reached",) * (done < effort)
     return (f"{said}{settings.rule.name}; {done:,} evaluations", *short)

@@ -1,4 +1,4 @@
-"""The plan that settings ask for, MRAC's nominal run for the closed loop or paths for the open one; or a file's."""
+"""The plan for settings, closed-loop (MRAC's nominal run) or open-loop (paths); or the plan in a file."""
 
 from __future__ import annotations
 
@@ -22,22 +22,33 @@ KEPT_READING = (
 
 
 def read_plan(path: str | Path, world: World) -> Plan:
-    """The plan in a file for `world`: one that `Plan.save` wrote, or the paths of another planner.
+    """Read a plan for a world: `mrac-plan`, or an external plan.
 
-    Raises PlanError, naming robot, step or area, for what is no plan, belongs to another map or cannot be driven.
+    Args:
+        path: the file.
+        world: the map.
+
+    Raises:
+        PlanError: names robot, step or area if it is no plan, is for another map or cannot be driven.
     """
     of, plan = read_plan_on(path, world)
     if of is not world:
         problem = "made by a release before 0.4, which planned on all moving threats where `plan_on` was not given"
-        raise PlanError(problem, source=path, fix='make the world with plan_on="joined", or make the plan anew')
+        raise PlanError(problem, source=path, fix='make the world with plan_on="joined", or make the plan again')
     return plan
 
 
 def read_plan_on(path: str | Path, world: World) -> tuple[World, Plan]:
-    """The plan in a file, and the world that it is for: `world`, or that as releases before 0.4 made it.
+    """The plan in a file and its world: `world`, or the same as releases before 0.4 made it.
 
-    So a plan of such a release keeps its reading of a scenario that does not say what robots plan on among moving
-    threats; its notes say so. Raises PlanError.
+    So an older plan keeps its reading of a scenario without `plan_on` for moving threats; its notes say so.
+
+    Args:
+        path: the file.
+        world: the map.
+
+    Raises:
+        PlanError: as in `read_plan`.
     """
     source, before, data = str(path), as_before(world), read_plan_json(path)
     if before is not world and _of_version_1(data, before.sha256):
@@ -55,7 +66,7 @@ def read_plan_on(path: str | Path, world: World) -> tuple[World, Plan]:
 
 
 def _of_version_1(data: object, sha256: str) -> bool:
-    """Whether a file's JSON is a plan by a release before 0.4, for the map with this hash."""
+    """Whether a file's JSON is a plan of a release before 0.4 for the map with this hash."""
     if not isinstance(data, dict) or data.get("format") != FORMAT or data.get("version") != 1:
         return False
     named = data.get("world")
@@ -63,9 +74,16 @@ def _of_version_1(data: object, sha256: str) -> bool:
 
 
 def plan_team(world: World, starts: ArrayLike, settings: Settings | None = None, seconds: float | None = None) -> Plan:
-    """The plan for robots at `starts` `[K, 2]`, for the loop of `settings.plan_for`; `seconds`: for its search at most.
+    """Make the plan for the loop of `settings.plan_for`.
 
-    Raises WorldError, PlanError, UsageError.
+    Args:
+        world: the map.
+        starts: `[K, 2]`, (row, col).
+        settings: of the planner; None: the defaults.
+        seconds: time limit of the search for an open-loop plan.
+
+    Raises:
+        WorldError, PlanError, UsageError: an invalid input.
     """
     POSITIVE.check("seconds", seconds, optional=True)
     if settings is None or settings.plan_for == "closed_loop":

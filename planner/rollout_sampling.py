@@ -1,4 +1,4 @@
-"""Who is stopped in one rollout, visit by visit, readable: what all engines answer to (SPEC sections 6, 13 and 14)."""
+"""Failure sampling of one rollout, visit by visit, in readable form: all engines agree with it (SPEC 6, 13, 14)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,14 @@ from planner.world.world import World
 
 
 class Luck:
-    """One rollout's. Ask in the order of the run: what was hit may be gone, and robots have borne what they met."""
+    """Random numbers of one rollout, in the order of the run: threats may be spent, and hazards accumulate.
+
+    Args:
+        world: the map.
+        seed: 0 <= seed < 2**64.
+        rollout: id.
+        bearing: the failure model.
+    """
 
     def __init__(self, world: World, seed: int, rollout: int, bearing: Bearing = PLAIN) -> None:
         types = bearing.types
@@ -28,11 +35,12 @@ class Luck:
         self._exposure: defaultdict[int, int] = defaultdict(int)
 
     def hits(self, robot: int, step: int, cell: int) -> bool:
-        """Whether the robot is stopped as it enters the cell at this step."""
+        """Whether the robot is lost as it enters the cell at this step."""
         chance = self._chance(robot, cell, step)
         if chance == 0 or not self._reaches_threshold(robot, chance):
             return False
         if isinstance(self._world.doubt, Hazard) and self._world.doubt.kind == "consumed":
+            # The first loss consumes the hazard for the rest of the rollout.
             self._spent.add(cell)
         return True
 
@@ -43,11 +51,11 @@ class Luck:
         return self._exposure[robot] >= self._tolerance[robot]
 
     def borne(self, robot: int) -> int:
-        """The robot's exposure so far, that before the rollout included."""
+        """The robot's cumulative hazard so far, that before the rollout included."""
         return self._exposure[robot] + (self._bearing.begun[robot] if self._bearing.begun else 0)
 
     def _chance(self, robot: int, cell: int, step: int) -> np.float32:
-        """That a visit of the cell in this step, as it is in this rollout, stops the robot."""
+        """Probability that a visit of the cell in this step, in its state in this rollout, destroys the robot."""
         doubt = self._world.doubt
         place = np.unravel_index(cell, self._world.shape)
         if isinstance(doubt, Phases):
@@ -59,17 +67,17 @@ class Luck:
         return doubt.chances[self._row(doubt, int(doubt.number[place])), doubt.column[place]]
 
     def _are_there(self, doubt: Hazard, cells: NDArray[np.integer]) -> NDArray[np.bool_]:
-        """Whether a hazard is in each of the cells `[n]`, and has not been consumed."""
+        """Whether a hazard exists in each of the cells `[n]`, and has not been consumed."""
         words, _ = threefry2x32(own_key(self._seed, HAZARD_DRAW), self._rollout, cells)
         drawn = (words >> np.uint32(8)) < doubt.q.ravel()[cells].astype(np.float64) * UNIT
         return np.asarray(drawn & ~np.isin(cells, list(self._spent)))
 
     def _row(self, doubt: Uncertain, number: int) -> int:
-        """Which of the maps is true, or for a level."""
+        """Index of the true map, or of the map for a level."""
         return self._number(MAP_DRAW, number) * doubt.count // UNIT
 
     def _number(self, purpose: int, counter: int) -> int:
-        """u * 2**24 of the numbers that say what is true in the rollout."""
+        """u * 2**24 of the numbers that determine the true map of the rollout."""
         word, _ = threefry2x32(own_key(self._seed, purpose), self._rollout, counter)
         return int(word) >> 8
 
@@ -80,33 +88,40 @@ def _exposure(chance: np.float32) -> int:
 
 
 def true_map(doubt: Uncertain, seed: int, rollout: int) -> NDArray[np.float32]:
-    """float32 `[H, W]`, the map that a rollout meets."""
+    """float32 `[H, W]`, the true map of a rollout."""
     return doubt.threat_at(rows_met(doubt, seed, rollout))
 
 
 def hazards_met(doubt: Hazard, seed: int, rollouts: ArrayLike) -> NDArray[np.bool_]:
-    """bool `[..., N]`: in which cells a hazard is at first in these rollouts `[...]`."""
+    """bool `[..., N]`: cells with a hazard at the start of rollouts `[...]`."""
     words, _ = threefry2x32(own_key(seed, HAZARD_DRAW), np.asarray(rollouts)[..., None], np.arange(doubt.q.size))
     return np.asarray((words >> np.uint32(8)) < doubt.q.ravel().astype(np.float64) * UNIT)
 
 
 def rows_met(doubt: Uncertain, seed: int, rollouts: ArrayLike) -> NDArray[np.int64]:
-    """int64 `[..., numbers]`, the rows of `doubt.chances` that rollouts `[...]` meet, one for each of their numbers."""
+    """int64 `[..., numbers]`, rows of `doubt.chances` in rollouts `[...]`, one for each of their numbers."""
     numbers = np.arange(int(doubt.number.max()) + 1)
     words, _ = threefry2x32(own_key(seed, MAP_DRAW), np.asarray(rollouts)[..., None], numbers)
     return (words >> np.uint32(8)).astype(np.int64) * doubt.count // UNIT
 
 
-# Where the movers of one rollout go and whom they stop, readable: what all engines answer to (SPEC section 16).
+# Moving threats of one rollout, in readable form: all engines agree with it (SPEC section 16).
 #
-# Their ways depend on the seed and the rollout alone, so they can be told without a run.
+# Their paths depend only on the seed and the rollout, so they can be computed without a run.
 
 MOVE_DRAW, MEETING_DRAW = 3, 4
-"""Second words of the counters under which moves, and hits of those who are met, have their keys."""
+"""Second counter words from which moves, and losses at encounters, get their keys."""
 
 
 class Roaming:
-    """The movers of a rollout and a team of so many robots."""
+    """The moving threats of a rollout.
+
+    Args:
+        movers: the moving threats.
+        seed: 0 <= seed < 2**64.
+        rollout: id.
+        robots: K.
+    """
 
     def __init__(self, movers: Movers, seed: int, rollout: int, robots: int) -> None:
         self._movers, self._rollout, self._robots = movers, rollout, robots
@@ -116,12 +131,12 @@ class Roaming:
 
     @property
     def cells(self) -> list[int]:
-        """The cell of each mover."""
+        """The cell of each moving threat."""
         each = zip(self._movers.members, self._places, strict=True)
         return [mover.route[place] if mover.patrols else place for mover, place in each]
 
     def move(self, step: int) -> None:
-        """Each of them moves, after the robots' moves of this step."""
+        """Move the threats, after the robots' moves of this step."""
         count = len(self._places)
         stays, where = threefry2x32(self._moves, self._rollout, (step + 1) * count + np.arange(count))
         for number, mover in enumerate(self._movers.members):
@@ -131,7 +146,7 @@ class Roaming:
                 self._places[number] = self._neighbour(self._places[number], int(where[number]) >> 8)
 
     def _neighbour(self, cell: int, number: int) -> int:
-        """The free neighbour that a number below UNIT means, of N, W, E, S; the cell itself if it has none."""
+        """The free neighbour, of N, W, E, S, that a number below UNIT selects; the cell itself if none is free."""
         height, width = self._free.shape
         row, col = divmod(cell, width)
         places = ((row - 1, col), (row, col - 1), (row, col + 1), (row + 1, col))
@@ -139,7 +154,7 @@ class Roaming:
         return ways[number * len(ways) // UNIT] if ways else cell
 
     def meets(self, robot: int, step: int, cell: int) -> bool:
-        """Whether a robot that is in the cell at the end of this step is stopped by a mover."""
+        """Whether a moving threat destroys a robot that is in the cell at the end of this step."""
         return any(self._hits(robot, step, number) for number, place in enumerate(self.cells) if place == cell)
 
     def _hits(self, robot: int, step: int, number: int) -> bool:
@@ -149,12 +164,18 @@ class Roaming:
 
 
 def chance_bound(chance: float) -> int:
-    """Of so many numbers below UNIT a chance is made: u < chance."""
+    """Bound on numbers below UNIT for a probability: u < bound."""
     return int(bounds_of(np.array([chance], dtype=np.float32))[0])
 
 
 def first_places(movers: Movers, seed: int, rollouts: ArrayLike) -> NDArray[np.int64]:
-    """int64 `[B, M]`: where movers are before they first move: cells, or places on their routes."""
+    """int64 `[B, M]`: positions of moving threats before their first move: cells, or indices on their routes.
+
+    Args:
+        movers: the moving threats.
+        seed: 0 <= seed < 2**64.
+        rollouts: ids `[B]`.
+    """
     ids, total = np.asarray(rollouts, dtype=np.uint32), np.cumsum(movers.weight.ravel())
     places = np.empty((len(ids), len(movers.members)), dtype=np.int64)
     for number, mover in enumerate(movers.members):
@@ -169,7 +190,14 @@ def first_places(movers: Movers, seed: int, rollouts: ArrayLike) -> NDArray[np.i
 
 
 def ways_of_movers(world: World, seed: int, rollout: int, steps: int) -> NDArray[np.int64]:
-    """int64 `[steps, M]`: the cell of each mover at the end of steps 0, 1, ...; no columns where nothing moves."""
+    """int64 `[steps, M]`: the cell of each moving threat at the end of steps 0, 1, ...; no columns without any.
+
+    Args:
+        world: the map.
+        seed: 0 <= seed < 2**64.
+        rollout: id.
+        steps: number of steps.
+    """
     if world.movers is None:
         return np.zeros((steps, 0), dtype=np.int64)
     roaming, ways = Roaming(world.movers, seed, rollout, 1), []
@@ -180,10 +208,14 @@ def ways_of_movers(world: World, seed: int, rollout: int, steps: int) -> NDArray
 
 
 def check_counters(world: World, robots: int, last_step: int) -> None:
-    """Raise WorldError where a run has more meetings than the random-number counter can address."""
+    """Check that the random-number counter can address all encounters of a run.
+
+    Raises:
+        WorldError: it cannot.
+    """
     if world.movers is not None and (last_step + 1) * len(world.movers.members) * robots >= 2**32:
         movers = len(world.movers.members)
         raise WorldError(
-            f"{movers} movers, {robots} robots and {last_step:,} steps", source=world.source,
-            expected="a product below 2**32", fix="fewer movers, or a deadline",
+            f"{movers} moving threats, {robots} robots and {last_step:,} steps", source=world.source,
+            expected="a product below 2**32", fix="fewer moving threats, or a deadline",
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What rollouts are counted into: the outcome codes, the per-rollout results, and the tally, which only ever adds.
+"""Counts over rollouts: outcome codes, results of single rollouts, and tallies, which add up.
 
 Axis letters: `K` robots, `T` the last step counted, `N = H * W` cells, `B` rollouts.
 """
@@ -19,7 +19,7 @@ from planner.simulator.codes import Outcome
 
 
 class TallyError(MracError):
-    """Tallies that cannot be added: of different things, or holding the same rollouts."""
+    """Tallies that cannot be added: of different plans, or with the same rollouts."""
 
 
 WORDS_OF_0_3 = {
@@ -30,13 +30,15 @@ WORDS_OF_0_3 = {
     "paths": "end_of_paths",
     "called_off": "not_worth_the_risk",
 }
-"""What releases up to 0.3 wrote for an outcome, to what it is called now. They are still read."""
+"""Names of outcomes in releases up to 0.3, and today's; the old ones are still read."""
 
 
 def counts_by_word(counts: Sequence[int] | NDArray[np.int64], deadline: bool) -> dict[str, int]:
-    """Rollouts by the word of each outcome. `counts`: by code, those of older files are shorter.
+    """Rollouts by the name of each outcome.
 
-    `deadline`: whether it is what cuts runs off.
+    Args:
+        counts: by code; those of older files are shorter.
+        deadline: whether a deadline cuts runs off.
     """
     found = dict.fromkeys((outcome.word for outcome in Outcome), 0)
     for code, count in enumerate(counts):
@@ -45,7 +47,11 @@ def counts_by_word(counts: Sequence[int] | NDArray[np.int64], deadline: bool) ->
 
 
 def counts_of_words(found: Mapping[str, int]) -> list[int]:
-    """The counts by code, of `counts_by_word` or of a file of release 0.3. Raises KeyError for another word."""
+    """Counts by code, from the result of `counts_by_word` or a file of release 0.3.
+
+    Raises:
+        KeyError: an unknown name.
+    """
     counts = [0] * len(Outcome)
     for word, count in found.items():
         outcome = Outcome[WORDS_OF_0_3.get(word, word).upper()]
@@ -54,7 +60,7 @@ def counts_of_words(found: Mapping[str, int]) -> list[int]:
 
 
 OF_CLOSED_LOOP = tuple(outcome for outcome in Outcome if outcome is not Outcome.END_OF_PATHS)
-"""How a closed-loop rollout can end."""
+"""Outcomes of closed-loop rollouts."""
 
 
 OPTIONAL = {
@@ -64,7 +70,7 @@ OPTIONAL = {
     "worth_covered": np.int64,
     "worth_found": np.int64,
 }
-"""Columns of `RolloutResults` that may be left out."""
+"""Columns of `RolloutResults` that may be missing."""
 
 
 def _no_column() -> NDArray:
@@ -73,19 +79,19 @@ def _no_column() -> NDArray:
 
 @dataclass(frozen=True, eq=False)
 class RolloutResults:
-    """What single rollouts came to, in order of their ids `start .. start + B - 1`.
+    """Results of single rollouts, in order of their ids `start .. start + B - 1`.
 
     Attributes:
         start: the first rollout id.
-        visited: int32 `[B]`, accessible cells entered by any robot, the one stopped there included.
-        survived: int32 `[B]`, accessible cells that some robot entered without being stopped there.
+        visited: int32 `[B]`, accessible cells entered by any robot, including one that was lost there.
+        survived: int32 `[B]`, accessible cells that some robot entered and survived.
         time: int32 `[B]`, steps: open loop, the last step at which a live robot moves; closed loop, the run's time.
-        alive: int32 `[B]`, robots not stopped.
+        alive: int32 `[B]`, robots not lost.
         outcome: int8 `[B]`, values of `Outcome`.
-        bisected, divided: int32 `[B]`, shares of an area whose unvisited cells were one component and had to be
-            bisected, and of an area that already lay in several (SPEC section 5). Left out: zeros, the open loop's.
-        home: int32 `[B]`, robots alive at a base at the end (SPEC section 19). Left out: zeros.
-        worth_covered, worth_found: int64 `[B]`, weights of cells visited, and found (`ClosedLoop.weighing`). Left out:
+        bisected, divided: int32 `[B]`, shared areas whose unvisited cells were one component and had to be bisected,
+            and those that had several components already (SPEC section 5). Missing: zeros, as in the open loop.
+        home: int32 `[B]`, robots alive at a base at the end (SPEC section 19). Missing: zeros.
+        worth_covered, worth_found: int64 `[B]`, values of cells visited, and found (`ClosedLoop.weighing`). Missing:
             zeros.
     """
 
@@ -108,7 +114,11 @@ class RolloutResults:
 
     @classmethod
     def join(cls, parts: Iterable[RolloutResults]) -> RolloutResults:
-        """The results of consecutive ranges of ids as one; raises TallyError if they are not consecutive."""
+        """The results of consecutive ranges of ids as one.
+
+        Raises:
+            TallyError: they are not consecutive.
+        """
         parts = list(parts)
         for left, right in itertools.pairwise(parts):
             if left.start + len(left.visited) != right.start:
@@ -125,16 +135,16 @@ ByCell = Annotated[NDArray[np.int64], "cell"]
 ByPasses = Annotated[NDArray[np.int64], "cell and survived visits"]
 ByLuck = Annotated[NDArray[np.int64], "class of luck and figure"]
 ByHome = Annotated[NDArray[np.int64], "robots at home"]
-"""Counts int64 `[accessible + 1]`, `[T + 1]`, `[K + 1]`, `[len(Outcome)]`, `[N]`, `[N * P]`, P a cell, and sums.
+"""Counts int64 `[accessible + 1]`, `[T + 1]`, `[K + 1]`, `[len(Outcome)]`, `[N]`, `[N * P]` (P per cell), and sums.
 
-A field of `Tally` with such a type is a count: adding, comparing, stores and recordings follow from that one line. With
-`= field(default_factory=no_counts)` it may be left out, by engines that do not count it and by older files: it is then
-empty.
+A field of `Tally` with such a type is a count: adding, comparing, stores and recordings follow from its declaration.
+With `= field(default_factory=no_counts)` it may be missing, from engines that do not count it and from older files: it
+is then empty.
 """
 
 
 def no_counts() -> NDArray[np.int64]:
-    """What stands for a count that was left out."""
+    """Value of a missing count."""
     return np.zeros(0, dtype=np.int64)
 
 
@@ -143,17 +153,17 @@ class Tally:
     """Integer counts over a set of rollouts. `a + b` adds them exactly, in any order; overlapping ids are an error.
 
     Attributes:
-        key: what was rolled out (`tally_key`); tallies of different things do not add.
+        key: identity of the rollouts (`tally_key`); tallies with different keys do not add.
         shape: (H, W) of the world.
-        ids: the rollout ids held: disjoint, sorted, not touching ranges `(start, stop)`, stop excluded.
+        ids: the rollout ids: disjoint, sorted, not adjacent ranges `(start, stop)`, stop excluded.
         visited, survived: rollouts by cells covered, in the two meanings of SPEC section 2.
         time, alive, outcomes: rollouts by time in steps, by robots alive at the end, by outcome.
         new_visited, new_survived: cells covered for the first time at each step, over all rollouts.
-        visits, stops: entries into each cell (re-visits included), and robots stopped there.
+        visits, stops: entries into each cell (re-visits included), and robots lost there.
         covered_visited, covered_survived: rollouts in which the cell was covered.
         passes: rollouts with 1, 2, ... P or more survived visits of the cell (`ClosedLoop.weighing`).
-        by_luck: sums of figures by the team's total tolerance (`planner.rollouts.threshold_classes`).
-        home: rollouts by robots alive at a base at the end; left out where robots do not come home.
+        by_luck: sums of figures by class of the team's total failure threshold (`planner.rollouts.threshold_classes`).
+        home: rollouts by robots alive at a base at the end; empty if robots do not return.
     """
 
     key: str
@@ -176,7 +186,14 @@ class Tally:
 
     @classmethod
     def empty(cls, key: str, shape: tuple[int, int], robots: int, accessible: int, last_step: int = 0) -> Self:
-        """The tally of no rollouts: every count 0, no ids."""
+        """The tally of no rollouts: every count 0, no ids.
+
+        Args:
+            key, shape: see `Tally`.
+            robots: K.
+            accessible: accessible cells.
+            last_step: T.
+        """
         sizes = {"cells covered": accessible + 1, "step": last_step + 1, "robots": robots + 1}
         sizes |= {"outcome": len(Outcome), "cell": shape[0] * shape[1]}
         zeros = {name: np.zeros(sizes.get(axis, 0), dtype=np.int64) for name, axis in cls.axes().items()}
@@ -184,12 +201,12 @@ class Tally:
 
     @classmethod
     def axes(cls) -> dict[str, str]:
-        """The axis of every count by the count's name."""
+        """The axis of every count by its name."""
         return _axes(cls)  # type: ignore[arg-type]  # a class can be hashed
 
     @property
     def rollouts(self) -> int:
-        """How many rollouts it holds."""
+        """Number of rollouts."""
         return sum(stop - start for start, stop in self.ids)
 
     @property
@@ -199,24 +216,28 @@ class Tally:
 
     @property
     def accessible(self) -> int:
-        """Accessible cells."""
+        """Number of accessible cells."""
         return len(self.visited) - 1
 
     def counts(self) -> dict[str, NDArray[np.int64]]:
-        """Every array of counts by its name; one that nobody counted is left out."""
+        """Every array of counts by its name, without missing ones."""
         return {name: array for name in self.axes() if len(array := getattr(self, name))}
 
     def __add__(self, other: Self) -> Self:
-        """Both sets of rollouts in one tally. Raises TallyError if they are of different things or overlap."""
+        """Both sets of rollouts in one tally.
+
+        Raises:
+            TallyError: the tallies are of different plans, or overlap.
+        """
         if self.key != other.key or self.shape != other.shape:
-            raise TallyError(f"tallies of different things cannot be added: {self.key} and {other.key}")
+            raise TallyError(f"tallies of different plans cannot be added: {self.key} and {other.key}")
         if self.robots != other.robots or self.accessible != other.accessible:
             raise TallyError("tallies of different teams or maps cannot be added")
         added: dict[str, Any] = {name: add_padded(getattr(self, name), getattr(other, name)) for name in self.axes()}
         return replace(self, ids=_merge_ids(self.ids, other.ids), **added)
 
     def __eq__(self, other: object) -> bool:
-        """The same rollouts of the same thing with the same counts (steps that hold nothing do not matter)."""
+        """The same rollouts of the same plan with the same counts (steps without counts do not matter)."""
         if not isinstance(other, Tally):
             return NotImplemented
         if (self.key, self.shape, self.ids) != (other.key, other.shape, other.ids):
@@ -233,12 +254,18 @@ def _axes(kind: type[Tally]) -> dict[str, str]:
 
 
 def tally_key(plan: str, loop: str, seed: int) -> str:
-    """The identity of what is rolled out: hash of world and plan, "open" or "closed", how failures are drawn, seed."""
+    """The identity of a kind of rollout: plan and world, loop, failure sampling, seed.
+
+    Args:
+        plan: hash of world and plan.
+        loop: "open" or "closed".
+        seed: of the random numbers.
+    """
     return f"{plan}/{loop}/tolerance/{seed}"
 
 
 def _merge_ids(left: Iterable[tuple[int, int]], right: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
-    """Sorted union of ranges of ids, touching ones joined; TallyError names the first id that both hold."""
+    """Sorted union of ranges of ids, adjacent ones joined; TallyError names the first id that both hold."""
     merged: list[tuple[int, int]] = []
     for start, stop in sorted([*left, *right]):
         if merged and start < merged[-1][1]:
@@ -251,9 +278,10 @@ def _merge_ids(left: Iterable[tuple[int, int]], right: Iterable[tuple[int, int]]
 
 
 def add_padded(left: NDArray[np.int64], right: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sum of two arrays of counts; the shorter is continued with zeros (times that nothing reached)."""
+    """Sum of two arrays of counts; the shorter one is continued with zeros."""
     longer, shorter = (left, right) if len(left) >= len(right) else (right, left)
     total = longer.copy()
+    # Times that no rollout of the shorter array reached count 0.
     total[: len(shorter)] += shorter
     return total
 
@@ -268,14 +296,14 @@ class Trace:
     """One rollout, step by step.
 
     Attributes:
-        rollout: its id.
+        rollout: id.
         cells: int32 `[T, K]`, cell index (row * W + col) of each robot at the end of each step from t = 0.
         doing: int8 `[T, K]`, values of `Doing`, at the end of the step.
-        areas: int32 `[T, K]`, id of each robot's area at the end of the step; NO_AREA for none (also once stopped).
-        events: int32 `[E, 5]`, rows (step, robot, kind, area, other), in the order in which they happened.
-        area_of: int32 `[N]`, id of the last area that each cell belonged to; NO_AREA where inaccessible. With the
-            parts that `events` announce it tells every area's cells at every step.
-        outcome: how it ended; its time is `T - 1`.
+        areas: int32 `[T, K]`, id of each robot's area at the end of the step; NO_AREA for none (also once lost).
+        events: int32 `[E, 5]`, rows (step, robot, kind, area, other), in order.
+        area_of: int32 `[N]`, id of the last area that each cell belonged to; NO_AREA for inaccessible cells. Together
+            with `events` it determines every area's cells at every step.
+        outcome: of the rollout; its time is `T - 1`.
     """
 
     rollout: int

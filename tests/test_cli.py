@@ -313,7 +313,7 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("evaluate example:nothing", "example:terrain"),
         ("plan WORLD --out nowhere/plan.json", "folder"),
         ("plan WORLD --waypoints route.txt", "no format has the suffix '.txt'; expected .plan .yaml .geojson"),
-        ("plan WORLD --waypoints route.geojson", "nobody says where the map lies on the Earth"),
+        ("plan WORLD --waypoints route.geojson", "the map has no georeference"),
         ("plan WORLD --waypoints route", ".csv"),
         ("generate world.txt", ".npz"),
         ("generate world.npz --size 20", "HxW"),
@@ -374,7 +374,7 @@ def test_threats_on_a_map_keep_its_value_and_refuse_what_they_contradict(
     ):
         Path("s.yaml").write_text(f"map: {{file: v.npz}}\n{keys}\n")
         line = refused(capsys, "generate", "out.npz", "--map", "s.yaml")
-        assert "s.yaml: putting random threats on a map presumes" in line and named in line
+        assert "s.yaml: putting random threats on a map requires" in line and named in line
     Path("s.yaml").write_text("map: {file: v.npz}\nrobots: {count: 2, range: 9}\ndeadline: 5\n")
     assert run(["generate", "out.npz", "--map", "s.yaml"]) == 0
     left = "left out, since a world file holds the map alone: robots.count, deadline, range"

@@ -133,7 +133,7 @@ def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_
     paths.write_text(json.dumps({"paths": moves}))
     assert run(["compare", WORLD, str(paths), "--robots", "3", "--rollouts", "512"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "B (a plan of another planner, open loop) visits" in said
+    assert "B (an external plan, open loop) visits" in said
     assert "than A (an MRAC plan, closed loop)" in said
     assert "note: in A the survivors take over the areas of the lost, in B nobody does" in said
 
@@ -179,7 +179,7 @@ def test_two_sensors_on_the_same_luck(capsys: pytest.CaptureFixture[str], tmp_pa
         dark = with_prior(told[0], 0.04, sense=2)
         sides = (make_side(w, make_plan(w, told[1].starts), RolloutChoices(rollouts=64)) for w in (one, dark))
         assert compare(*sides).differing == ((words,), ("robots see 2 cells far",))
-    assert "error: B:" in (said := error_of(capsys, "compare", WORLD, "--b.sense", "1")) and "nothing to sense" in said
+    assert "error: B:" in (said := error_of(capsys, "compare", WORLD, "--b.sense", "1")) and "has no effect" in said
     assert "--sensor-range 'far'" in error_of(capsys, "compare", str(scenario), "--sensor-range", "far")
 
 

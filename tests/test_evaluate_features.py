@@ -352,7 +352,7 @@ def test_no_range_is_no_list_of_ranges() -> None:
 @pytest.mark.parametrize(
     ("world", "sensor_range", "words"),
     [
-        (TOLD, (1,), "robots are told the map"),
+        (TOLD, (1,), "the map is known"),
         (DARK, (0.5,), "0, or a number of cells from 1 on"),
         (mrac.with_prior(TOLD, 0.04, sense=2), (0,), "wrong about an obstacle"),
     ],
@@ -524,7 +524,7 @@ def test_one_robot_on_a_map_that_is_too_large_is_sampled(world: World, monkeypat
 def test_a_team_is_sampled_and_said_to_be_among_movers(world: World) -> None:
     answer = mrac.evaluate(world, 2, rollouts=400)
     assert not answer.is_exact
-    assert "2 walk and 1 patrols, and stop a robot that they meet with chance 0.1 to 0.3" in " ".join(
+    assert "2 walk and 1 patrols, and destroy a robot that they meet with chance 0.1 to 0.3" in " ".join(
         report(answer).last
     )
     assert "movers" not in mrac.evaluate(GROUND, 2, rollouts=50).to_json()
@@ -561,7 +561,7 @@ def decoded_topics(world: World, path: Path) -> set[str]:
 
 @pytest.mark.parametrize("ask", PRESUME_THREATS_THAT_STAY)
 def test_what_presumes_threats_that_stand_says_so(ask: Callable[[World], Any], world: World) -> None:
-    with pytest.raises(InputError, match=r"here: threats that move: .*; leave `moving_threats` out"):
+    with pytest.raises(InputError, match=r"here: moving threats: .*; leave `moving_threats` out"):
         ask(world)
 
 

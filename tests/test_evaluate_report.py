@@ -409,14 +409,14 @@ def test_one_line_says_how_many_formulas_hold_and_fail() -> None:
 
 def test_what_a_plan_is_has_words_and_no_codes() -> None:
     plan = make_plan(World.create([[0.0, 0.2, 0.0]]), [[0, 0]])
-    assert plan_words(plan) == "3 areas; if nobody is lost, the mission visits every accessible cell"
+    assert plan_words(plan) == "3 areas; if no robot is lost, the mission visits every accessible cell"
     shared = plan_words(replace(plan, shares=10, outcome="not_worth_the_risk"))
-    said = "if nobody is lost, the mission ends because the rest is not worth the risk"
+    said = "if no robot is lost, the mission ends because the rest is not worth the risk"
     assert shared == f"3 areas, shared 10 times; {said}"
     for outcome in Outcome:
         assert outcome.clause in replace(plan, outcome=outcome.word).ends
-    first = repr(plan).splitlines()[0]
-    assert first == "Plan of MRAC: 1 robot on 1 x 3 cells; if nobody is lost, the mission visits every accessible cell"
+    said = "if no robot is lost, the mission visits every accessible cell"
+    assert repr(plan).splitlines()[0] == f"Plan of MRAC: 1 robot on 1 x 3 cells; {said}"
 
 
 def test_a_plan_says_its_policy_and_whether_robots_come_home() -> None:
@@ -424,7 +424,7 @@ def test_a_plan_says_its_policy_and_whether_robots_come_home() -> None:
     settings = Settings(policy="watchful", risk_cap=0.5, return_to="home", range=4)
     plan = make_plan(world, [[0, 0]], settings)
     ended = f"the mission {NO_MORE}"
-    assert plan_words(plan) == f"watchful, risk cap 0.5; 3 areas; if nobody is lost, {ended}"
+    assert plan_words(plan) == f"watchful, risk cap 0.5; 3 areas; if no robot is lost, {ended}"
     (table, *_) = answer_tables(mrac.evaluate(world, plan, rollouts=64, advice=False))
     assert f"chance that it {NO_MORE}" in list(table.columns[0].cells)
 

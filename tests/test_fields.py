@@ -51,7 +51,7 @@ def test_a_field_with_a_hole_and_a_second_part(tmp_path: Path) -> None:
     world = load_input(path, 10)
     assert drawn(world) == ["....######", "....####..", ".#......##"[:6] + "##..", "......##.."]
     assert world.cell_size == 10 and world.origin == (0, 0, 0) and world.georeference is None
-    assert any("taken for metres" in note for note in world.notes)
+    assert any("read as metres" in note for note in world.notes)
     assert any("2 cells lie on the field's boundary" in note for note in world.notes)
 
 
@@ -165,7 +165,7 @@ def test_a_field_needs_a_size_of_cells_and_a_crs_that_is_known(tmp_path: Path) -
     path = geojson(tmp_path / "f.geojson", [L_SHAPE])
     with pytest.raises(InputError, match="a field has no pixels; give cell_size, the side of a cell in metres"):
         load_input(path)
-    with pytest.raises(InputError, match=r"`map\.polygons` has no pixels; give `cell_size:`, metres, beside `map:`"):
+    with pytest.raises(InputError, match=r"`map\.polygons` has no pixels; give `cell_size:`, metres, next to `map:`"):
         scenario(tmp_path, map={"polygons": "f.geojson"})
     pytest.importorskip("rasterio")
     for crs in ("EPSG:999999", "Mars"):

@@ -343,7 +343,7 @@ def test_plans_that_are_not_of_this_map_or_model_are_refused() -> None:
     doubtful = with_hazard(world, "persistent", 0.5)
     with pytest.raises(PlanError, match="plan for another map"):
         F.arrays(other, plan)
-    with pytest.raises(WorldError, match="presumes one known map"):
+    with pytest.raises(WorldError, match="requires one known map"):
         F.arrays(doubtful, at(plan, doubtful))
     with pytest.raises(PlanError, match="robot 0"):
         F.arrays(world, plan_of(world, [[99]]))
@@ -458,9 +458,9 @@ def test_what_has_no_closed_loop_gradient_is_refused(monkeypatch: pytest.MonkeyP
     world = random_world(4, 5)
     plan = make_plan(world, place_starts(world, 2)[0])
     doubtful = with_hazard(world, "persistent", 0.5)
-    with pytest.raises(WorldError, match="presumes one known map"):
+    with pytest.raises(WorldError, match="requires one known map"):
         closed_loop_gradient(doubtful, at(plan, doubtful))
-    with pytest.raises(PlanError, match=r"robots that wear .* leave `wear`"):
+    with pytest.raises(PlanError, match=r"robots that wear .* leave out `weibull_shape`"):
         closed_loop_gradient(world, plan.of_robots(weibull_shape=2.0))
     with pytest.raises(WorldError, match=r"p: shape \[4, 4\]; expected \[4, 5\]"):
         closed_loop_gradient(world, plan, world.threat[:, :4])

@@ -261,7 +261,7 @@ def test_coordinates_that_contradict(tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text("lon,lat,strength\n15,52,0.1\n500000,5761038,0.1\n")
     with pytest.raises(MapError, match=r"line 3: a point at longitude 500000, latitude 5.76104e\+06"):
         load_input(scenario(tmp_path, threats=[{"points": "p.csv", "falloff": {"kind": "disc", "radius": 10}}]))
-    with pytest.raises(ScenarioError, match=r"`datum` is .*; expected none: the map says where it lies"):
+    with pytest.raises(ScenarioError, match=r"`datum` is .*; expected none: the map has a georeference"):
         load_input(scenario(tmp_path, datum={"latitude": 1, "longitude": 2}))
 
 
@@ -512,7 +512,7 @@ def test_files_that_are_not_whole(folder: Path) -> None:
             assert any(word in wrong(folder, "a.shp") for word in words.split("|"))
     (folder / "a.shx").unlink()
     shutil.copy(folder / "w.shp", folder / "a.shp")
-    assert "there is no a.shx beside it" in wrong(folder, "a.shp")
+    assert "there is no a.shx in its folder" in wrong(folder, "a.shp")
     data = whole["gpkg"].read_bytes()
     for cut in (len(data) // 2, len(data) - 4096, 50):
         (folder / "a.gpkg").write_bytes(data[:cut])
@@ -920,7 +920,7 @@ def test_a_place_that_files_beside_it_give(tmp_path: Path) -> None:
     """A world file, with and without a `.prj`; no place at all; a picture's world file."""
     values = np.zeros((6, 8), np.float32)
     path = tif(tmp_path / "a.tif", values)
-    assert any("gives no place: a pixel is 1 m" in note for note in load_input(path).notes)
+    assert any("has no position: a pixel is 1 m" in note for note in load_input(path).notes)
     (tmp_path / "a.tfw").write_text("10\n0\n0\n-10\n500005\n5200055\n")
     world = load_input(path)
     assert world.cell_size == 10 and world.georeference is None and any("names no CRS" in note for note in world.notes)
@@ -928,7 +928,7 @@ def test_a_place_that_files_beside_it_give(tmp_path: Path) -> None:
     world = load_input(path)
     assert world.georeference is not None and world.georeference.crs == "EPSG:32632" and not world.notes
     (tmp_path / "a.prj").write_text("nonsense")
-    with pytest.raises(MapError, match=r"a\.tif: the \.prj beside it cannot be read"):
+    with pytest.raises(MapError, match=r"a\.tif: its \.prj file cannot be read"):
         load_input(path)
     (tmp_path / "a.prj").unlink()
     (tmp_path / "a.tfw").write_text("0.0003\n0\n0\n-0.0003\n10.1\n47.2\n")
@@ -938,6 +938,6 @@ def test_a_place_that_files_beside_it_give(tmp_path: Path) -> None:
     world = load_input(tif(tmp_path / "b.tif", values, (10, 0, 0, 0, -10, 60), local))
     assert world.cell_size == pytest.approx(3.048) and "names no place on the Earth" in world.notes[0]
     Image.fromarray(np.full((4, 6), 255, np.uint8)).save(tmp_path / "c.png")
-    assert not any("beside it" in note for note in load_input(tmp_path / "c.png").notes)
+    assert not any("is not read" in note for note in load_input(tmp_path / "c.png").notes)
     (tmp_path / "c.pgw").write_text("0.5\n0\n0\n-0.5\n0\n0\n")
-    assert any("c.pgw beside it is not read" in note for note in load_input(tmp_path / "c.png").notes)
+    assert any("its world file c.pgw is not read" in note for note in load_input(tmp_path / "c.png").notes)

@@ -77,8 +77,8 @@ def test_coloured_pixels_are_named_with_what_they_became(tmp_path: Path) -> None
     picture[3, 1] = (250, 240, 235)
     Image.fromarray(picture).save(tmp_path / "m.png")
     found = load_input(tmp_path / "m.png")
-    said = "coloured pixels are read by their brightness alone: 3 as obstacle, 3 as unknown;"
-    assert found.notes[0] == f"{said} threats are given in a scenario"
+    said = "coloured pixels are read by their brightness only: 3 as obstacle, 3 as unknown;"
+    assert found.notes[0] == f"{said} threats belong in a scenario"
     assert any(note.startswith("coloured pixels") for note in load_input(ros(tmp_path, picture)).notes)
     picture[..., 1:] = picture[..., :1]
     Image.fromarray(picture).save(tmp_path / "m.png")
@@ -123,13 +123,13 @@ def test_trinary_averages_alpha_into_the_brightness(tmp_path: Path) -> None:
 def test_scale_takes_what_is_not_opaque_for_unknown_and_raw_takes_no_notice(tmp_path: Path) -> None:
     read = read_ros_map(ros(tmp_path, alpha_image(), mode="scale"))
     assert read.values.tolist() == [[100, -1, -1, -1], [0, -1, -1, -1]]
-    assert "mode: scale takes what is not wholly opaque for unknown" in read.notes[0]
+    assert "mode: scale reads pixels that are not fully opaque as unknown" in read.notes[0]
     assert read_ros_map(ros(tmp_path, alpha_image() // 3, mode="raw")).values.tolist() == [[0] * 4, [85] * 4]
 
 
 def test_where_transparency_leaves_no_free_cell_the_error_says_so(tmp_path: Path) -> None:
     nearly = np.dstack([np.full((3, 4), 254, np.uint8)] * 4)
-    with pytest.raises(WorldError, match=r"every cell is an obstacle; mode: scale takes what is not .* 12 pixels unk"):
+    with pytest.raises(WorldError, match=r"every cell is an obstacle; mode: scale reads pixels .* 12 pixels unk"):
         load_input(ros(tmp_path, nearly, mode="scale"))
 
 
@@ -137,7 +137,7 @@ def test_a_bare_picture_reads_alpha_as_trinary_and_hides_what_is_transparent(tmp
     Image.fromarray(alpha_image()).save(tmp_path / "a.png")
     grid = load_map(tmp_path / "a.png")
     assert grid.state.tolist() == [[OCCUPIED] * 3 + [UNKNOWN], [FREE] * 3 + [UNKNOWN]]
-    assert "2 pixels wholly transparent: unknown" in grid.notes
+    assert "2 pixels fully transparent: unknown" in grid.notes
 
 
 @pytest.mark.parametrize("negate", [0, 1])
@@ -256,7 +256,7 @@ def test_a_ros_map_without_free_thresh_has_the_usual_one(tmp_path: Path) -> None
     greys = np.array([[0, 204, 206, 255]], dtype=np.uint8)
     read = read_ros_map(ros(tmp_path, greys, drop="free_thresh"))
     assert read.values.tolist() == [[100, -1, 0, 0]]
-    assert "names no free_thresh: 0.196 is taken, as map_saver writes it" in read.notes
+    assert "names no free_thresh: 0.196 is used, as map_saver writes it" in read.notes
     assert not any("free_thresh" in note for note in read_ros_map(ros(tmp_path, greys)).notes)
 
 
@@ -701,7 +701,7 @@ def test_a_topic_of_several_is_chosen_in_a_scenario(tmp_path: Path) -> None:
     world = load_input(tmp_path / "a.mcap")
     assert obstacle(world) == [[2, 0]]
     assert world.notes[0] == (
-        "/map is taken of the maps /costmap (nav_msgs/msg/OccupancyGrid), /map (nav_msgs/msg/OccupancyGrid); choose "
+        "/map is used of the maps /costmap (nav_msgs/msg/OccupancyGrid), /map (nav_msgs/msg/OccupancyGrid); choose "
         "one in a scenario: `map: {file: ..., topic: ...}`"
     )
     scenario = tmp_path / "s.yaml"
@@ -879,7 +879,7 @@ def test_a_maps_world_of_several_types(tmp_path: Path) -> None:
         ({"types_matrix": [[1.0], [1.0, 2.0]]}, "`types_matrix` is"),
         ({"types_matrix": [[1.0]]}, r"expected \[row, col, p, type\]"),
         ({"types_matrix": [[1.0]], "threat_location": [[0, 1, 0.5, 1]]}, r"`threat_location\[0\]\[3\]` is 1"),
-        ({"types_matrix": [[3.0]], "threat_location": [[0, 1, 0.5, 0]]}, "type 0 is stopped with p = 1.5"),
+        ({"types_matrix": [[3.0]], "threat_location": [[0, 1, 0.5, 0]]}, "p = 1.5 for a robot of type 0"),
     ],
 )
 def test_maps_that_are_refused(tmp_path: Path, changes: dict, words: str) -> None:
@@ -906,7 +906,7 @@ def test_an_instance_of_ls_mcpp(tmp_path: Path) -> None:
         ("map: a\nroot: [[9, 1]]\n", r"robot 0 starts at \[1, 9\], outside the map"),
         ("map: a\nroot: [[0, 1, 2]]\n", r"`root\[0\]` is \[0, 1, 2\]; expected \[column, row\]"),
         ("map: a\nroot: [x]\n", r"`root\[0\]` is 'x'"),
-        ("map: b\nroot: [[0, 1]]\n", "`map` is 'b'; expected a map b.map beside it"),
+        ("map: b\nroot: [[0, 1]]\n", "`map` is 'b'; expected a map b.map in its folder"),
         ("map: a\n", "`root` is missing"),
         ("map: a\nroot: [[0, 1", "line 2: expected"),
     ):

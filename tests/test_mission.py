@@ -210,7 +210,7 @@ def test_what_no_file_can_hold_and_no_mission_drives_is_said_at_once(tmp_path: P
         Mission(ROW, paths).save(tmp_path / "now.json")
     assert not list(tmp_path.iterdir())
     unknown = with_sense(with_truth(ROW, np.where(ROW.threat > 0, 0, ROW.threat)), 1)
-    with pytest.raises(WorldError, match="presumes a map that robots are told"):
+    with pytest.raises(WorldError, match="requires a known map"):
         Mission(unknown, make_plan(unknown, ROW.starts))  # type: ignore[arg-type]
 
 

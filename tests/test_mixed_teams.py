@@ -214,7 +214,7 @@ def test_a_scenario_says_what_a_threat_is_to_a_type(tmp_path: Path) -> None:
         ("types: [drone, rover]", "types: [drone, 3]", "`robots.types` is"),
         ("matrix: {drone: {mine: 0}", "matrix: {drone: {mine: -1}", "`robots.matrix.drone.mine` is -1"),
         ("matrix: {drone: {mine: 0}", "matrix: {drone: 2", "`robots.matrix.drone`"),
-        ("radiation: 0.5", "radiation: 20", "a robot of type rover is stopped with p = 1.6"),
+        ("radiation: 0.5", "radiation: 20", "p = 1.6 for a robot of type rover"),
     ],
 )
 def test_wrong_types_are_refused_by_their_key(was: str, now: str, said: str, tmp_path: Path) -> None:
@@ -228,7 +228,7 @@ def test_teams_of_unknown_types_and_what_does_not_know_types(tmp_path: Path) -> 
     for types, said in (("dron", "did you mean 'drone'"), (("drone",) * 3, "types of 3 robots for a team of 2")):
         with pytest.raises(InputError, match=f"site.yaml: .*{said}"):
             make_plan(world, starts, Settings(types=types))
-    with pytest.raises(InputError, match="knows no types of robots"):
+    with pytest.raises(InputError, match="for a world without robot types"):
         make_plan(replace(world, types=None), starts, Settings(types="drone"))
     for more in ({"transit": "area"}, {"plan_for": "open_loop"}):
         with pytest.raises(InputError, match="types"):
@@ -261,7 +261,7 @@ def test_paths_alone_keep_their_types(tmp_path: Path) -> None:
     assert load_plan(file, other).bearing == plan.bearing
     paths = {"paths": [[[0, 0]], [[0, 1]]], "types": "drone"}
     assert parse_plan(paths, other, "paths").bearing.types == "drone"
-    with pytest.raises(InputError, match="knows no types of robots"):
+    with pytest.raises(InputError, match="for a world without robot types"):
         load_plan(file, replace(world, types=None))
 
 

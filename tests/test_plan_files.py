@@ -145,7 +145,7 @@ def test_a_plan_of_version_1_is_read_where_its_rules_are_todays(tmp_path: Path) 
         with pytest.raises(PlanError, match="the path of robot 0") as error:
             read_plan(written(tmp_path, data | path | {"version": version}), ends)
         assert ("release 0.4" in str(error.value)) is bool(more) and more in str(error.value)
-        assert "make the plan anew" in str(error.value) and "\n" not in str(error.value)
+        assert "make the plan again" in str(error.value) and "\n" not in str(error.value)
 
 
 def test_notes_in_a_file_are_kept(tmp_path: Path) -> None:
@@ -210,8 +210,8 @@ def test_given_paths_and_a_scenario_that_says_more_of_its_robots(tmp_path: Path)
     path = [[0, 0], [0, 1], [1, 1], [1, 2], [0, 2], [0, 3], [1, 3]]
     plan = load_plan(written(tmp_path, {"paths": [path]}), world)
     assert plan.bearing.hazard_multiplier == 3 and len(plan.robots[0].path) == 7
-    unkept = f"whatever {world.source} says of range and deadline"
-    assert plan.notes == (f"robots follow given paths to their end, {unkept}",)
+    unkept = f"ignored from {world.source}: range and deadline"
+    assert plan.notes == (f"robots follow external paths to their end; {unkept}",)
     own = plan_team(world, [[0, 0]], Settings(plan_for="open_loop", range=2, effort=0))
     own.save(tmp_path / "own.json")
     assert not any("whatever" in note for note in load_plan(tmp_path / "own.json", world).notes)
@@ -876,7 +876,7 @@ def test_a_scenario_says_it(tmp_path: Path) -> None:
     world = load_input(tmp_path / "m.yaml")
     assert world.pace == Pace(0.25) and world.cell_size == 0.5 and world.shape == (3, 4)
     (tmp_path / "m.yaml").write_text("map: {file: map.npz, resolution: 0.5}\n")
-    with pytest.raises(InputError, match="the file says that a pixel has 3 m"):
+    with pytest.raises(InputError, match="in the file a pixel has 3 m"):
         load_input(tmp_path / "m.yaml")
 
 
@@ -885,8 +885,8 @@ def test_a_scenario_says_it(tmp_path: Path) -> None:
     [
         (("step: {seconds: 0}",), "`step.seconds` is 0; expected seconds, 1e-06 to 1e\\+06"),
         (("step: 2",), "`step`"),
-        (("step: {seconds: 2}", "speed: 1"), "`speed` is 1; expected none beside step"),
-        (("speed: 1",), "nobody says how many metres a cell has.*resolution: 0.5"),
+        (("step: {seconds: 2}", "speed: 1"), "`speed` is 1; expected none together with step"),
+        (("speed: 1",), "without a cell size in metres.*resolution: 0.5"),
         (("deadline: 20q",), "`deadline` is '20q'.*or a time, as 45min"),
     ],
 )
@@ -900,9 +900,9 @@ def test_what_nobody_says_is_asked_for(tmp_path: Path) -> None:
     soon = tmp_path / "soon.yaml"
     soon.write_text("map: cells.npy\nrobots: {count: 1}\ndeadline: 20s\n")
     np.save(tmp_path / "cells.npy", np.zeros((3, 3)))
-    with pytest.raises(UsageError, match=r"soon.yaml: `deadline` is 20s, but nobody .* give the scenario's `step:"):
+    with pytest.raises(UsageError, match=r"soon.yaml: `deadline` is 20s, but .* give the scenario's `step:"):
         mrac.plan(mrac.load(soon))
-    with pytest.raises(UsageError, match="nobody says how long a step takes"):
+    with pytest.raises(UsageError, match="the duration of a step is not given"):
         mrac.plan(world, 1, deadline="45min")
     with pytest.raises(UsageError, match="'soon'"):
         mrac.plan(world.with_pace(1), 1, deadline="soon")

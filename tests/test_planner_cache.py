@@ -199,7 +199,7 @@ def test_a_file_of_others_is_not_used(
     run_anew(monkeypatch)
     [file] = home.iterdir()
     file.chmod(0o666)
-    assert run_anew(monkeypatch) == (18.0, 0) and "nobody else can write to" in caplog.text
+    assert run_anew(monkeypatch) == (18.0, 0) and "only you can write to" in caplog.text
     assert run_anew(monkeypatch) == (18.0, 1)  # replaced by one's own
     if os.geteuid() == 0:
         os.chown(file, 4321, -1)

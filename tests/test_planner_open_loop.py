@@ -172,7 +172,7 @@ def test_seconds_end_the_search_and_that_is_said() -> None:
     world = random_world(pattern=ThreatPattern(seed=1))
     settings = Settings(plan_for="open_loop", effort=10**9)
     plan = make_open_loop_plan(world, place_starts(world, 2)[0], settings, seconds=0.05)
-    assert plan.notes[1] == "the search ended before its 1,000,000,000 evaluations: it ran out of seconds"
+    assert plan.notes[1] == "the search ended before its 1,000,000,000 evaluations: its time limit was reached"
 
 
 @pytest.mark.parametrize(

@@ -464,7 +464,7 @@ def test_prices_that_do_not_fit_are_refused() -> None:
     threat[0, 0], threat[0, 1] = 0.0, 1e-11
     world = World.create(threat)
     make_plan(world, [[0, 0]], Settings(max_steps=1))
-    with pytest.raises(WorldError, match="too dear for policy per_cell"):
+    with pytest.raises(WorldError, match="too expensive for policy per_cell"):
         make_plan(world, [[0, 0]], Settings(policy="per_cell"))
 
 

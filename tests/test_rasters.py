@@ -72,7 +72,7 @@ def test_south_up_is_turned_and_feet_become_metres(tmp_path: Path) -> None:
 @pytest.mark.parametrize("key", ["threats: [{raster: a.tif}]", "value: [{raster: a.tif}]", "detect: [{raster: a.tif}]"])
 def test_a_raster_without_a_place_is_laid_cell_on_cell_with_a_note(tmp_path: Path, key: str) -> None:
     tif(tmp_path / "map.tif", VALUES * 0, (10, 0, 0, 0, -10, 50), "EPSG:32633")
-    note = "a.tif gives no place: it is laid on the map cell on cell, its row 0 on the map's"
+    note = "a.tif has no position: it is laid on the map cell on cell, its row 0 on the map's"
     for transform, crs in (((), None), ((10, 0, 0, 0, -10, 50), "EPSG:32633")):
         tif(tmp_path / "a.tif", VALUES, transform, crs)
         (tmp_path / "s.yaml").write_text(f"map: map.tif\n{key}\n")
@@ -282,12 +282,10 @@ def test_doses_and_values_are_what_their_files_say(tmp_path: Path) -> None:
 def test_a_unit_that_is_not_understood_is_named(tmp_path: Path, units: str) -> None:
     says(tmp_path / "p.tif", np.zeros((4, 6), dtype=np.float32), units=units)
     for path in (tmp_path / "p.tif", scenario(tmp_path, map=bare(tmp_path), threats=[{"raster": "p.tif"}])):
-        with pytest.raises(
-            MapError, match=rf"p\.tif: its values are in '{units}', taken for probabilities; expected no"
-        ):
+        with pytest.raises(MapError, match=rf"p\.tif: its values are in '{units}', read as probabilities; expected no"):
             load_input(path)
     if units != "m":
-        with pytest.raises(MapError, match=rf"'{units}', taken for heights; expected m, dm"):
+        with pytest.raises(MapError, match=rf"'{units}', read as heights; expected m, dm"):
             load_input(scenario(tmp_path, map={"elevation": "p.tif"}))
 
 
@@ -367,7 +365,7 @@ def test_units_of_probabilities_in_words(tmp_path: Path) -> None:
     says(tmp_path / "p.tif", np.full((4, 6), 0.25, np.float32), tags={"VERTICAL_UNITS": "feet"})
     assert load_input(tmp_path / "p.tif").threat == pytest.approx(0.25)
     says(tmp_path / "p.tif", np.full((4, 6), 0.25, np.float32), description="Elevation (feet)")
-    with pytest.raises(MapError, match="values are in 'feet', taken for probabilities"):
+    with pytest.raises(MapError, match="values are in 'feet', read as probabilities"):
         load_input(tmp_path / "p.tif")
     says(tmp_path / "dem.tif", ramp(20), units="m", description="Elevation (feet)")
     with pytest.raises(MapError, match="names two units, 'm' and 'feet'"):
@@ -641,7 +639,7 @@ HEADER = "x_m,y_m,counts,rate_cps\n"
 @pytest.mark.parametrize(
     ("text", "source", "said"),
     [
-        (HEADER + "1,1,2,3\n", {"strength": None}, "expected x, y and strength; say which it is, beside the file: "
+        (HEADER + "1,1,2,3\n", {"strength": None}, "expected x, y and strength; name it in the scenario: "
          "`strength: counts | rate_cps`"),
         (HEADER + "1,1,2,3\n", {"strength": "rate"}, "expected 'rate' among them (strength)"),
         (HEADER + "1,1,2,3\n", {"strength": "rate_cp"}, "did you mean 'rate_cps'?"),
@@ -661,8 +659,8 @@ HEADER = "x_m,y_m,counts,rate_cps\n"
         (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "spline"}}, "expected idw or kriging"),
         (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "idw", "nugget": 3}}, "`threats[0].interpolate.nugget`"),
         (HEADER + "1,1,2,3\n", {"interpolate": {"kind": "idw", "power": -1}}, "a number above 0"),
-        (HEADER + "1,1,2,3\n", {"falloff": {"kind": "disc", "radius": 2}}, "none beside interpolate"),
-        (HEADER + "1,1,2,.3\n", {"interpolate": None, "falloff": {"kind": "disc", "radius": 2}}, "none beside falloff"),
+        (HEADER + "1,1,2,3\n", {"falloff": {"kind": "disc", "radius": 2}}, "none with interpolate"),
+        (HEADER + "1,1,2,.3\n", {"interpolate": None, "falloff": {"kind": "disc", "radius": 2}}, "none with falloff"),
         (HEADER + "1,1,2,3\n", {"interpolate": None}, "interpolate: {kind: idw | kriging}"),
     ],
 )  # fmt: skip

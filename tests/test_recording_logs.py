@@ -214,8 +214,8 @@ def test_without_checksums_still_only_clear_errors(
 def test_wrong_descriptions(tmp_path: Path) -> None:
     other = Channel(1, "/y", "json", {}, 1)
     cases = [
-        (chunk_of(SAYS), "channel 1, which nothing describes"),
-        (chunk_of(CHANNEL, SAYS), "schema 1, which nothing describes"),
+        (chunk_of(SAYS), "channel 1, which is not described"),
+        (chunk_of(CHANNEL, SAYS), "schema 1, which is not described"),
         (chunk_of(SCHEMA, CHANNEL, other, SAYS), "channel 1 is described twice"),
         (chunk_of(SCHEMA, Schema(1, b"", "", ""), CHANNEL, SAYS), "schema 1 is described twice"),
         (chunk_of(Schema(0, b"", "", ""), SAYS), "a schema with id 0"),

@@ -453,7 +453,7 @@ def test_masks_and_where_the_robots_are_in_python(tmp_path: Path) -> None:
     np.save(tmp_path / "m.npy", mask(DONE))
     plan = mrac.plan(WORLD, state=tmp_path / "m.npy", starts=[[3, 0], [2, 1]])
     assert plan.state is not None and cells_of(plan.state.visited) == [*DONE, [3, 0]] and len(plan.robots) == 2
-    with pytest.raises(InputError, match="does not say where the robots are; give starts, one cell for each robot"):
+    with pytest.raises(InputError, match="does not give the robots' places; give starts, one cell for each robot"):
         mrac.plan(WORLD, state=tmp_path / "m.npy")
 
 
@@ -497,5 +497,5 @@ def test_masks_and_starts_that_do_not_fit(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="every cell in reach is visited"):
         read_state(tmp_path / "m.npy", WORLD, STARTS)
     (tmp_path / "t.csv").write_text("robot,row,col\n0,1,1\n")
-    with pytest.raises(InputError, match=r"starts and .*t\.csv, which says where the robots are; leave starts out"):
+    with pytest.raises(InputError, match=r"starts and .*t\.csv, which gives the robots' places; leave starts out"):
         read_state(tmp_path / "t.csv", WORLD, STARTS)

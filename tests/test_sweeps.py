@@ -811,7 +811,7 @@ def test_intervals_over_maps_hold_with_the_control(tmp_path: Path, kind: str, ro
     assert np.median(gains) > 2
 
 
-# Sweeps of what robots know and of threats that move: the answer of `evaluate` on the same map, and what is wrong.
+# Sweeps of what robots know and of moving threats: the answer of `evaluate` on the same map, and what is wrong.
 
 TRUE = random_world(7, 9, ThreatPattern(seed=4), obstacles=0.15)
 GUARD = "{patrol: [[1, 2], [1, 3], [2, 3], [2, 2]], h: 0.3}"
@@ -992,7 +992,7 @@ def test_null_leaves_a_key_out_and_names_are_shown(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("sweep: {sensor_range: [1]}", "sweep.sensor_range: .*random map: .*nothing to sense"),
+        ("sweep: {sensor_range: [1]}", "sweep.sensor_range: .*random map: .*a sensor range has no effect"),
         ("base: {prior_map: {p: 0.04}}\nsweep: {sensor_range: [1, 0.5]}", "sweep.sensor_range: .*from 1 on"),
         ("base: {sensor_range: 0}\nsweep: {prior_map: [{p: 0.04}]}", "wrong about an obstacle"),
         ("sweep: {plan_on: [own]}", "none without moving_threats"),
@@ -1002,7 +1002,7 @@ def test_null_leaves_a_key_out_and_names_are_shown(tmp_path: Path) -> None:
         ("sweep: {latent_hazard: [{kind: consumed, learn: often}]}", "learn` is 'often'"),
         (
             "base: {phases: [{from: 0, threats: []}]}\nsweep: {latent_hazard: [{kind: consumed}]}",
-            "none beside latent_hazard",
+            "none together with latent_hazard",
         ),
         ("base: {input: true.npz}\nsweep: {true_map: [none.npz]}", "none.npz"),
     ],

@@ -142,7 +142,7 @@ def test_a_layer_is_laid_over_the_map_by_both_origins(tmp_path: Path) -> None:
     expected[2:6, 2:8] = np.kron(values, np.ones((2, 2))) * 0.2 / 100
     assert threat == pytest.approx(expected, abs=1e-6)
     notes = load_input(tmp_path / "scenario.yaml").notes
-    assert notes == ("threats[0]: 30 free pixels lie where the layer is unknown or does not reach: no threat from it",)
+    assert notes == ("threats[0]: the layer is unknown or missing at 30 free pixels: no threat from it there",)
 
 
 def test_a_finer_layer_gives_its_largest_value(tmp_path: Path) -> None:

@@ -251,7 +251,7 @@ def test_a_scenario_and_its_world_file(tmp_path: Path) -> None:
     square = Mover(0.5, 0.0, 4, (0, 1, 4, 3))
     expected = (*[Mover(0.25, 0.5)] * 3, Mover(1.0, 0.0, 4), square, Mover(0.5, 0.0, -1, (4, 5)))
     assert world.movers.members == expected
-    assert "4 walk and 2 patrol, and stop a robot that they meet with chance 0.25 to 1" in repr(world)
+    assert "4 walk and 2 patrol, and destroy a robot that they meet with chance 0.25 to 1" in repr(world)
     world.save(tmp_path / "w.npz")
     again = load_world_file(tmp_path / "w.npz")
     assert again.movers is not None
@@ -332,7 +332,7 @@ def test_a_plan_of_an_earlier_release_keeps_its_reading(tmp_path: Path) -> None:
         ("moving_threats: [{patrol: [[0, 0], [0, 1]], start: [1, 1], h: 0.1}]\n", r"starts at \[1, 1\], off its route"),
         (
             "moving_threats: [{walk: 0.5, h: 0.5}]\nlatent_hazard: {kind: consumed, q: 0.1}\n",
-            r"`moving_threats` is .*none beside latent_hazard",
+            r"`moving_threats` is .*none together with latent_hazard",
         ),
         ("plan_on: own\n", r"`plan_on` is 'own'; expected none without moving_threats"),
         (
@@ -363,7 +363,7 @@ def test_what_would_be_certain_or_does_not_fit_is_refused(tmp_path: Path) -> Non
 def test_loops_and_engines_that_have_no_movers_say_so() -> None:
     world = moving_world(1)
     plan = make_plan(world, place_starts(world, 2)[0])
-    with pytest.raises(InputError, match="seed1: the open loop asks who is stopped at dangerous entries alone"):
+    with pytest.raises(InputError, match="seed1: the open loop cannot include moving threats"):
         make_engine(plan, world, Rolling("open"))
     with pytest.raises(InputError, match=r"engine=.jax. with moving threats"):
         make_engine(plan, world, Rolling(), "jax")
@@ -603,7 +603,7 @@ def test_a_scenario_and_its_world_file_phases(tmp_path: Path) -> None:
         ("{raster: b.npy}", "{raster: c.npy}", r"`phases\[0\]\.threats\[0\]\.raster`"),
         ("phases:\n- {from: 4, threats: [{raster: b.npy}]}\n", "phases: []\n", r"`phases` is \[\]; expected a list of"),
         ("map: m.npy", "map: m.npy\nplan_on: last", r"`plan_on` is 'last'; expected now or first or worst"),
-        ("map: m.npy", "map: m.npy\nmoving_threats: [{walk: 1, h: 0.1}]", r"`phases` is .*none beside moving_threats"),
+        ("map: m.npy", "map: m.npy\nmoving_threats: [{walk: 1, h: 0.1}]", r"`phases` is .*none together with moving"),
         ("map: m.npy", "map: m.npy\nprior_map: {p: 0.1}", r"here: threats that change at step 4"),
     ],
 )
@@ -623,9 +623,9 @@ def test_maps_and_loops_that_do_not_fit_are_refused() -> None:
         with_phases(World.create(np.zeros((2, 2))), [{"from": 4, "threats": []}])  # type: ignore[list-item]
     with pytest.raises(InputError, match=r"phases\[0\] has shape \[2, 3\]"):
         with_phases(plain, [(3, np.zeros((2, 3)))])
-    with pytest.raises(InputError, match="beside another thing that is not known"):
+    with pytest.raises(InputError, match="together with another uncertainty"):
         with_phases(world, [(3, plain)])
-    with pytest.raises(InputError, match=r"threats that robots know beforehand.*give `plan_on: first` or `worst`"):
+    with pytest.raises(InputError, match=r"threats known in advance.*use `plan_on: first` or `worst`"):
         make_plan(world, [[0, 0]], Settings(radio=4.0))
     with pytest.raises(InputError, match=r"`transit=\"area\"`, legs that stay.*give `plan_on: first` or `worst`"):
         make_plan(world, [[0, 0]], Settings(transit="area"))

@@ -447,7 +447,7 @@ def test_a_world_file_keeps_its_values(tmp_path: Path) -> None:
 WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     ({"value": -1}, {}, "`value` is -1; expected a number, 0 to 1e+09"),
     ({"value": float("nan")}, {}, "`value` is nan; expected"),
-    ({"value": 0}, {}, "value is 0 in every free cell; expected a cell that is worth something"),
+    ({"value": 0}, {}, "value is 0 in every free cell; expected a cell with a value above 0"),
     ({"value": [{"everywhere": 0}]}, {}, "value is 0 in every free cell"),
     ({"value": [{"raster": "no.npy"}]}, {}, "`value[0].raster`: no such file"),
     ({"value": [{"raster": "small.npy"}]}, {}, "expected the map's 3 x 4 pixels or its 3 x 4 cells; the raster has"),
@@ -456,7 +456,7 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     ({"value": [{"polygons": "areas.geojson"}]}, {"polygons": -2}, "property value is -2; expected a number, 0"),
     ({"value": [{"polygons": "areas.geojson"}]}, {"polygons": None}, "or give value in the scenario"),
     ({"value": [{"points": "points.csv"}]}, {"points": "0.5,0.5,-3\n"}, "line 1: strength is -3; expected a number, 0"),
-    ({"value": [{"points": "points.csv"}]}, {"points": "900,1,3\n"}, "is said of no cell: x 900 .. 900"),
+    ({"value": [{"points": "points.csv"}]}, {"points": "900,1,3\n"}, "covers no cell: x 900 .. 900"),
     ({"value": [{"polygon": "areas.geojson"}]}, {}, "did you mean 'polygons'?"),
     ({"value": [{"raster": "raster.npy", "rule": {}}]}, {}, "unknown key `value[0].rule`"),
     ({"detect": 1.5}, {}, "`detect` is 1.5; expected a chance, 0 to 1"),

@@ -751,7 +751,7 @@ def test_what_robots_are_not_told(folder: Path) -> None:
         ({"true_map": "true.csv"}, r"`true_map`: robots that see nothing are wrong about an obstacle at \[0, 1\]"),
         ({"prior_map": {"p": 1}}, r"`prior_map\.p` is 1; expected a probability"),
         ({"prior_map": {"p": 0.1, "obstacles": "no"}}, r"`prior_map\.obstacles` is 'no'; expected unknown or known"),
-        ({"sensor_range": 1}, r"`sensor_range`: robots are told the map"),
+        ({"sensor_range": 1}, r"`sensor_range`: the map is known"),
         (
             {"prior_map": {"p": 0.1}, "sensor_range": 0.5},
             r"`sensor_range`: sensor_range is 0\.5; expected 0, or a number of cells from 1 on",
@@ -759,15 +759,12 @@ def test_what_robots_are_not_told(folder: Path) -> None:
         ({"prior_map": {"p": 0.1}, "sensor_range": {"sight": True}}, r"key `sensor_range\.range` is missing"),
         ({"prior_map": {"p": 0.1}, "sensor_range": {"range": 1, "sight": 1}}, "sight: true or false"),
         ({"true_map": "s.yaml", "sensor_range": 1}, "an input without true_map, prior_map, sensor_range"),
-        ({"true_map": "a.map", "sensor_range": 1}, r"the truth has shape \[4, 7\]"),
+        ({"true_map": "a.map", "sensor_range": 1}, r"the true map has shape \[4, 7\]"),
         (
             {"prior_map": {"p": 0.1}, "latent_hazard": {"kind": "persistent", "q": "threats"}},
             "leave out `latent_hazard`",
         ),
-        (
-            {"true_map": "true.csv", "sensor_range": 1, "map_uncertainty": spread},
-            "a truth beside a map that is in doubt",
-        ),
+        ({"true_map": "true.csv", "sensor_range": 1, "map_uncertainty": spread}, "true map together with another"),
         ({"sensor_range": 1, "map_uncertainty": {"spread": spread["spread"] | {"by": "level"}}}, "`by: common`"),
     ):
         with pytest.raises(InputError, match=message):

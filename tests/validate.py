@@ -320,7 +320,7 @@ def validate(plan: Plan, world: World) -> list[Violation]:
     """Every rule that `plan` breaks on `world`; an empty list if it is sound.
 
     Rules on paths come first, then on areas, then on legs; a plan whose paths or areas leave the map, or whose legs
-    are out of range, is not looked at any further. The plan of another planner and the rest of a mission answer for
+    are out of range, is not looked at any further. The external plan and the rest of a mission answer for
     their paths alone.
 
     Cost: O(cells + path entries + area sizes). Raises nothing: what is wrong with the plan is the result.

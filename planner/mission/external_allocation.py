@@ -1,6 +1,6 @@
-"""A rollout whose areas are chosen from outside, at the moments at which Algorithm 2 chooses them.
+"""A rollout whose areas are chosen by a caller, at the moments at which Algorithm 2 chooses them.
 
-A step that comes to a choice without an answer is undone, and run again once the answer is known.
+A step that needs a choice without an answer is undone, and repeated once the answer is known.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from planner.simulator.state import AREA_BITS, FAR, VISITED
 from planner.tally import Trace
 
 NOTHING = NONE, NONE, FAR
-"""The answer for a robot that takes no area: area, target, cost."""
+"""Answer for a robot that takes no area: area, target, cost."""
 
 
 class Choice(NamedTuple):
-    """An area that a robot may take. `target`: the index of the cell that it would go to."""
+    """An area that a robot may take; `target`: index of the cell that it would travel to."""
 
     area: int
     target: int
@@ -35,7 +35,12 @@ class Choice(NamedTuple):
 
 
 class Decision(Exception):
-    """A robot is to choose. offers: the areas that it may take, at least one, in the order of the rule."""
+    """A robot has to choose.
+
+    Attributes:
+        robot: index.
+        offers: the areas that it may take, at least one, in the order of the rule.
+    """
 
     def __init__(self, robot: int, offers: list[Choice]) -> None:
         super().__init__(robot, offers)
@@ -43,7 +48,12 @@ class Decision(Exception):
 
 
 def keys_of(rule: Rule, offers: list[Offer]) -> list[Any]:
-    """What the offers are sorted by: as `Rule.key` of each, but fractions with the same denominator, faster."""
+    """Sort keys of offers: equal in order to `Rule.key` of each, but fractions with a common denominator, faster.
+
+    Args:
+        rule: of the plan.
+        offers: areas.
+    """
     found = [rule.order(offer) for offer in offers]
     if not rule.exact:
         return found
@@ -52,11 +62,11 @@ def keys_of(rule: Rule, offers: list[Offer]) -> list[Any]:
 
 
 class _Chooser:
-    """Chooses areas in the place of the rule (`Tables.asks`), and follows moves (`Tables.notes`).
+    """Callbacks that choose areas instead of the rule (`Tables.asks`), and follow moves (`Tables.notes`).
 
     Attributes:
-        answers: choices of the step, in the order in which the simulator asks for them.
-        policy: that a rule that re-evaluates has.
+        answers: choices of the step, in the order in which the simulator needs them.
+        policy: of a rule that re-evaluates.
         new: cells that each robot was the first to visit. shrunk: visits of cells of unassigned areas.
         asked_at: of each robot the state of the unassigned areas, and its cell, at its last choice.
     """
@@ -72,22 +82,25 @@ class _Chooser:
         self._before = self.new, self.shrunk, self.asked_at
 
     def begin(self) -> None:
-        """The step begins, perhaps once more."""
+        """Begin the step, possibly again."""
         self._place, (new, self.shrunk, asked_at) = 0, self._before
         self.new, self.asked_at = new.copy(), asked_at.copy()
 
     def end(self) -> None:
-        """The step is over."""
+        """End the step."""
         self._before = self.new, self.shrunk, self.asked_at
         self.answers.clear()
 
     def area(self, t: Any, s: Any, w: Any, robot: int, own: int = NONE) -> tuple[int, int, int]:
-        """(area, target, cost) that the robot takes, area NONE if it takes none; `own`: its own area is offered too.
+        """(area, target, cost) for the robot, area NONE if it takes none; `own`: its own area is offered too.
 
-        A robot that took none chooses again once the unassigned areas have changed. Raises Decision.
+        A robot that took none chooses again once the unassigned areas have changed.
+
+        Raises:
+            Decision: the choice has no answer yet.
         """
         marks = s.marks
-        # Equal numbers mean equal offers; a loss counts as an arrival, and `alive` takes that back.
+        # Equal numbers mean equal offers; a loss counts as an arrival, which `alive` compensates.
         now = marks.arrivals + marks.alive, marks.open, self.shrunk, s.robots[robot].cell
         if self.asked_at[robot] == now and holds(s.waiting, robot):
             return NOTHING
@@ -99,7 +112,7 @@ class _Chooser:
                 raise Decision(robot, offers)
             self.answers.append(NOTHING)
         answer = self.answers[place]
-        if answer[0] != NONE:  # its leg follows the costs that were found last
+        if answer[0] != NONE:  # its leg follows the costs computed last
             interpreted("areas").costs_from(t, s, w, robot)
         return answer
 
@@ -118,7 +131,7 @@ class _Chooser:
         costs = interpreted("areas").costs_from(t, s, w, robot)[numbers]
         reached = costs >= 0
         numbers, costs = numbers[reached], costs[reached]
-        order = np.lexsort((costs, area_of[numbers]))  # stable: of equal cells the lowest index
+        order = np.lexsort((costs, area_of[numbers]))  # stable: the lowest index of equal cells
         areas, first = np.unique(area_of[numbers][order], return_index=True)
         places = order[first]
         offers = self._seen(t, s, robot, areas, costs[places])
@@ -127,7 +140,7 @@ class _Chooser:
         return [found[place] for place in sorted(range(len(found)), key=keys.__getitem__)]
 
     def _seen(self, t: Any, s: Any, robot: int, areas: NDArray[Any], costs: NDArray[Any]) -> list[Offer]:
-        """Areas at these costs `[M]` as the rule sees them."""
+        """Areas at these costs `[M]` as offers."""
         p = self.policy
         if t.mixed or len(p.value) or len(p.view_begin):
             offer_of = interpreted("policy").offer_of
@@ -138,7 +151,7 @@ class _Chooser:
         return list(map(Offer, *(column.tolist() for column in columns)))
 
     def move(self, s: Any, robot: int) -> None:
-        """The robot is about to enter its next cell."""
+        """Called before the robot enters its next cell."""
         me = s.robots[robot]
         home = int(s.home[me.next if s.marks.step > 0 else me.cell])
         if home & VISITED == 0:
@@ -146,24 +159,24 @@ class _Chooser:
             self.shrunk += bool(holds(s.open, home >> AREA_BITS))
 
     def areas(self, s: Any) -> None:
-        """Areas have been made."""
+        """Called after areas have been made."""
 
 
 class ChosenRun:
-    """One rollout from choice to choice.
+    """One rollout, from choice to choice.
 
     Attributes:
-        now: as it stands at the end of the last step that is over.
-        decision: what is to be chosen before the next one can be; None before the first `go_on`, and at the end.
+        now: the run at the end of the last step that is over.
+        decision: the choice that the next step needs; None before the first `go_on`, and at the end.
     """
 
     def __init__(self, loop: PythonLoop, seed: int, rollout: int, *, traced: bool = False) -> None:
-        """A rollout of the loop, before its first step. `traced`: frames and events are kept for `trace`."""
+        """A rollout of the loop before its first step; `traced`: keep frames and events for `trace`."""
         self.now = loop.begin(seed, rollout)
         self.decision: Decision | None = None
         self._chooser = _Chooser(self.now, loop.problem)
         self.now.t = self.now.t._replace(asks=self._chooser, notes=self._chooser)
-        if self.now.p is not None:  # else a robot may leave out a comparison (`replanning.settle_on`)
+        if self.now.p is not None:  # else a robot may skip a comparison (`replanning.settle_on`)
             self.now.p = self.now.p._replace(by_price=False)
         self._saved: list[NDArray[Any]] | None = None
         state = loop.loop.state
@@ -172,11 +185,11 @@ class ChosenRun:
 
     @property
     def outcome(self) -> Outcome | None:
-        """How the rollout ended."""
+        """The outcome of the rollout, None while it goes on."""
         return self.now.outcome
 
     def _end(self) -> None:
-        """A rollout without progress ended by choice if a robot that can move can reach an unassigned area."""
+        """End by choice instead of no progress if a robot that can move can reach an unassigned area."""
         now = self.now
         if now.outcome is Outcome.NO_PROGRESS:
             could = interpreted("next_area").could_go_on(now.t, self._chooser.policy, now.s, now.w)
@@ -184,13 +197,16 @@ class ChosenRun:
 
     @property
     def new(self) -> NDArray[np.int64]:
-        """Cells that each robot was the first to visit, `[K]`."""
+        """int64 `[K]`, cells that each robot was the first to visit."""
         return np.array(self._chooser.new)
 
     def go_on(self, choice: int | None = None) -> None:
-        """To the next decision, or the end; `choice`: which of the offers is taken, by its place; None: none of them.
+        """Continue to the next decision, or the end.
 
-        A robot that takes none helps another one, if Algorithm 2 has it so, or rests.
+        A robot that takes no area shares another one, if Algorithm 2 has it so, or rests.
+
+        Args:
+            choice: position of the chosen offer; None: no offer.
         """
         if self.decision is not None:
             self._chooser.answers.append(self._answer(self.decision, choice))
@@ -205,7 +221,7 @@ class ChosenRun:
         return area, int(np.searchsorted(self.now.loop.cells, target)), offer.cost
 
     def _play_step(self) -> None:
-        """The next step, if all its choices have answers; else it is undone."""
+        """Play the next step if all its choices have answers; else undo it."""
         if self._saved is None:
             self._saved = self.now.save()
         self._chooser.begin()
@@ -226,7 +242,7 @@ class ChosenRun:
             self._events.append(self.now.new_events)
 
     def trace(self) -> Trace:
-        """What happened, once the rollout has ended; of one that was `traced`."""
+        """The trace of a finished rollout that was `traced`."""
         now = self.now
         assert now.outcome is not None
         events = np.concatenate(self._events)

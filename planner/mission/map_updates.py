@@ -1,6 +1,6 @@
-"""Cells that robots saw to be other than the map says, in a mission under way: its world, and its state, with them.
+"""Map updates of a driven mission: observed cells, closed cells, phases and hazard estimates; and mission files.
 
-What follows from it is what follows in a simulated run: `planner.simulator.map_belief`, SPEC section 15.
+The effects are those in a simulated run: `planner.simulator.map_belief`, SPEC section 15.
 """
 
 from __future__ import annotations
@@ -39,19 +39,23 @@ from planner.world.world import MAX_CELLS, World
 Seen = dict[int, float | None]
 """p of each cell, by index; None: an obstacle."""
 ANOTHER = NO_LEVEL - 1
-"""What is believed of a cell that is about to surprise: no level, and no obstacle either."""
+"""Level of a cell whose update is still to come: neither a level nor an obstacle."""
 EXPECTED = "[[row, col, p], ...], p = null for an obstacle"
 
 
 def seen_by(given: Any, fleet: Fleet, reported: Mapping[int, int]) -> Seen:
-    """What was seen, `[[row, col, p], ...]`. Raises StateError for what cannot be, or nobody could act on.
+    """Observed cells, checked.
 
-    `reported`: where robots said that they are in this step.
+    Args:
+        given: `[[row, col, p], ...]`.
+        fleet: the team.
+        reported: cells that robots reported in this step.
+
+    Raises:
+        StateError: they cannot be true, or robots cannot react to them.
     """
     if any(robot.status is Doing.FOLLOWING for robot in fleet.robots) or fleet.problem.stay_inside:
-        problem = (
-            "robots that follow another planner's paths, or whose legs stay in their area, cannot act on what is seen"
-        )
+        problem = "robots on external paths, or whose legs stay in their area, cannot react to observed cells"
         raise StateError(problem, expected='a plan with areas, and `transit="grid"`')
     world, found = fleet.problem.world, dict[int, float | None]()
     (height, width), where = world.shape, {robot.cell for robot in fleet.robots if robot.alive} | {*reported.values()}
@@ -71,14 +75,20 @@ def seen_by(given: Any, fleet: Fleet, reported: Mapping[int, int]) -> Seen:
         cell = int(row) * width + int(col)
         if p is None and cell in where:
             raise StateError(
-                f"[{row}, {col}] is said to be an obstacle, and a robot is there", expected="one of the two"
+                f"[{row}, {col}] is reported as an obstacle, but a robot is there", expected="one of the two"
             )
         found[cell] = None if p is None else float(p)
     return found
 
 
 def seen_world(world: World, seen: Seen, given: World | None = None) -> World:
-    """The world as it is known now. `given`: as it was before anything was seen, for what cells are worth."""
+    """The world with observed cells.
+
+    Args:
+        world: the map.
+        seen: p by cell.
+        given: the initial map, which has the values of all cells.
+    """
     threat = world.threat.copy()
     for cell, p in seen.items():
         threat.flat[cell] = np.nan if p is None else p
@@ -88,7 +98,12 @@ def seen_world(world: World, seen: Seen, given: World | None = None) -> World:
 
 
 def surprises(world: World, seen: Seen) -> NDArray[np.int64]:
-    """Those of the cells that are not as the world has them, rising."""
+    """The observed cells that differ from the map, int64, increasing.
+
+    Args:
+        world: the map.
+        seen: p by cell.
+    """
     was, now = world.threat.ravel(), seen_world(world, seen).threat.ravel()
     return np.flatnonzero((was != now) & ~(np.isnan(was) & np.isnan(now)))
 
@@ -96,16 +111,23 @@ def surprises(world: World, seen: Seen) -> NDArray[np.int64]:
 def learned_state(
     state: MissionState, world: World, changed: NDArray[np.int64], settings: Settings
 ) -> tuple[MissionState, bool]:
-    """The state as one of `world`, in which the `changed` cells, rising, are not as they were: rules (2) to (5).
+    """The state on an updated map: rules (2) to (5) of SPEC section 15.
 
-    And whether somebody got an area.
+    Levels are those of the new map. If they are quantised, a cell whose level differs from most of its area's counts as
+    changed too.
 
-    Levels are those of the new map. Where there are so many that they are quantised, a cell whose level is another
-    than most of its area has now surprises too.
+    Args:
+        state: on the old map.
+        world: the new map.
+        changed: int64, changed cells, increasing.
+        settings: of the plan.
+
+    Returns:
+        (state, whether some robot got an area).
     """
     free = world.free.ravel()
     here = next(robot.cell for robot in state.robots if robot.alive)
-    # a lost robot on an obstacle is told to lie beside a live one, as where a zone is closed
+    # a lost robot on an obstacle is moved to a living one's cell, as where cells are closed
     robots = tuple(robot if free[robot.cell] else replace(robot, cell=here) for robot in state.robots)
     state = _without_completed(replace(state, robots=robots))
     problem = prepare(world, state.starts, settings, homes=state.homes(settings.return_to))
@@ -131,9 +153,9 @@ def learned_state(
 
 
 def _believing(problem: Problem, state: MissionState, news: NDArray[np.bool_]) -> tuple[MissionState, bool]:
-    """The state once its robots have come to believe the cells `news` `[N]`; and whether one got an area.
+    """The state after robots have updated the cells `news` `[N]`; and whether one got an area.
 
-    To the simulator the map of now is that of an announced phase, which begins with the next step.
+    For the simulator the new map is that of an announced phase that begins with the next step.
     """
     levels, within = problem.levels.of_cell, problem.levels.accessible.copy()
     for cells in (state.visited, problem.starts, *(area.cells for area in state.areas)):
@@ -150,7 +172,7 @@ def _believing(problem: Problem, state: MissionState, news: NDArray[np.bool_]) -
     world = problem.world
     plan = Plan(world.shape, world.sha256, problem.settings, robots, areas_of(state), state=state)
     loop = compile_closed_loop(plan, world, problem=learning, interpreted=True)
-    if not loop.learns:  # what is news cannot be reached
+    if not loop.learns:  # no changed cell is reachable
         return state, False
     run = SingleRun(replace(loop, tables=loop.tables._replace(phases=begins)))
     got = run.learn()
@@ -158,7 +180,7 @@ def _believing(problem: Problem, state: MissionState, news: NDArray[np.bool_]) -
 
 
 def _without_completed(state: MissionState) -> MissionState:
-    """The state without areas in which nothing is to be done, but those of robots that still drive in them."""
+    """The state without areas that have nothing to do, except those in which robots still drive."""
     kept = [number for number, area in enumerate(state.areas) if area.state != "completed" or area.robot != NO_ROBOT]
     place = {number: index for index, number in enumerate(kept)}
     robots = (replace(r, area=place[r.area]) if r.status in ON_ITS_WAY else r for r in state.robots)
@@ -168,21 +190,29 @@ def _without_completed(state: MissionState) -> MissionState:
 def _unheld(
     world: World, left: NDArray[np.bool_], levels: NDArray[np.int16], visited: NDArray[np.bool_]
 ) -> Iterator[AreaState]:
-    """Areas of the cells that are left, bool `[N]`, of which there is nothing to do, or that nobody can reach."""
+    """Areas of the remaining cells, bool `[N]`: with nothing to do, or out of every robot's reach."""
     for of, what in ((left & visited, "completed"), (left & ~visited, "unassigned")):
         for level in np.unique(levels[of]):
             for part in connected_parts(world.shape, np.flatnonzero(of & (levels == level))):
                 yield AreaState(int(level), NO_ROBOT, what, part)
 
 
-# Cells that become obstacles while a mission is under way: its world, and its state, without them.
+# Cells that are closed during a mission: its world and its state without them.
 
 
 def closed_by(given: ArrayLike, reports: Reports) -> tuple[NDArray[np.int64], World]:
-    """Cells, `[[row, col], ...]`, as rising indices, and the world of the fleet without them.
+    """Cells to close, checked, and the world of the fleet without them.
 
-    Raises StateError where a robot is on one of them, or has reported so; where they would lie between a robot and what
-    it reported in this step; and for what is no cell of the map.
+    Args:
+        given: `[[row, col], ...]`.
+        reports: of the current step.
+
+    Returns:
+        (indices int64, increasing; world).
+
+    Raises:
+        StateError: a robot is on one of them, or has reported so; they separate a robot from the cell that it reported
+            in this step; or they are not on the map.
     """
     fleet, found = reports.fleet, whole_numbers(given)
     world, (height, width) = fleet.problem.world, fleet.problem.world.shape
@@ -197,12 +227,12 @@ def closed_by(given: ArrayLike, reports: Reports) -> tuple[NDArray[np.int64], Wo
     for number, cell in sorted({(robot.number, robot.cell) for robot in fleet.robots if robot.alive} | {*reported}):
         if cell in cells:
             problem = f"robot {number} is at {at(cell, world)}, which is to be closed"
-            raise StateError(problem, expected="cells where no robot is", fix="close it when the robot has left it")
+            raise StateError(problem, expected="cells without a robot", fix="close it when the robot has left it")
     without = closed_world(world, cells)
     part = without.components.ravel()
     for number, cell in reported:
         if part[cell] != part[fleet.robots[number].cell]:
-            problem = f"what is to be closed cuts robot {number} off from {at(cell, world)}"
+            problem = f"closing these cells cuts robot {number} off from {at(cell, world)}"
             raise StateError(problem, expected="cells to close once the step in which it went there is over")
     return cells, without
 
@@ -213,16 +243,20 @@ def closed_world(world: World, cells: NDArray[np.int64]) -> World:
 
 
 def closed_state(state: MissionState, world: World, levels: int) -> MissionState:
-    """The state as one of `world`, in which some cells that were free are closed; no robot alive stands on one.
+    """The state after cells were closed; no robot alive is on one.
 
-    Areas lose cells that are closed or out of reach, and fall apart where these are not connected, or of several
-    levels now (they are quantised by what is in reach). A robot keeps the part with most to do that it can reach; the
-    others nobody has. A robot whose way, or what it has to cover on it, is not as it was has nothing ahead: it is to
-    set out anew. `levels`: most threat levels.
+    Areas lose cells that are closed or out of reach, and are split if these leave them disconnected or with several
+    levels (levels are quantised over reachable cells). A robot keeps the reachable part with most to do; the others are
+    unassigned. A robot whose path or cells to cover have changed has nothing ahead: it starts again.
+
+    Args:
+        state: before.
+        world: with the closed cells.
+        levels: most threat levels.
     """
     here = next(robot.cell for robot in state.robots if robot.alive)
     free = world.free.ravel()
-    # a lost robot in a closed zone is told to lie beside a live one: it does nothing, and a start is a free cell
+    # a lost robot in a closed cell is moved to a living one's: it does nothing, and starts have to be free cells
     state = replace(state, robots=tuple(r if free[r.cell] else replace(r, cell=here) for r in state.robots))
     kept = world.accessible(state.starts).ravel()
     level_of, labels = find_levels(world, kept.reshape(world.shape), levels).of_cell, world.components.ravel()
@@ -261,7 +295,7 @@ def closed_state(state: MissionState, world: World, levels: int) -> MissionState
 
 
 def _still(robot: RobotState, area: int, areas: list[AreaState], kept: NDArray[np.bool_]) -> RobotState:
-    """The robot with what it is still about; with nothing ahead where its way, or what is to do on it, is another."""
+    """The robot with its remaining work; with nothing ahead if its path or its cells to cover have changed."""
     if robot.status not in ON_ITS_WAY:
         return robot
     if area == NO_AREA:
@@ -271,23 +305,21 @@ def _still(robot: RobotState, area: int, areas: list[AreaState], kept: NDArray[n
     return replace(robot, area=area, status="traveling", ahead=NO_CELLS, to_do=NO_CELLS)
 
 
-# What a mission knows without being told: the phase of its threats, and what visits and stops say of its hazards.
+# Phases and hazard estimates of a driven mission.
 #
-# It is said to the team at the end of a step, as what robots see is (`planner.mission.map_updates`): plans go by p of
-# the
-# moment.
+# They update the map at the end of a step as observed cells do: plans use the current p.
 
 
 class Lessons:
-    """Of one mission.
+    """Phases and hazard estimates of one mission.
 
     Attributes:
-        phases: of its threats, or None. evidence: what its robots learn about hazards by, or None.
-        odds: int64 `[N]`, log odds of a hazard in each cell; of none without evidence.
+        phases: of its threats, or None. evidence: of its hazards, or None.
+        odds: int64 `[N]`, log odds of a hazard in each cell; empty without evidence.
     """
 
     def __init__(self, world: World, plan: Plan) -> None:
-        """Raises WorldError for robots that learn in another way, or cannot act on it."""
+        """Raises WorldError for a combination that driven missions do not support."""
         hazard = world.doubt if isinstance(world.doubt, Hazard) and world.doubt.learn else None
         self.phases = world.phases
         self.evidence = None if hazard is None else hazard.evidence
@@ -296,11 +328,11 @@ class Lessons:
                 f"a mission that is driven reads no detector; here: {hazard.said}",
                 "leave out `sensor_range`",
             )
-            raise WorldError(problem, source=world.source, fix=f"{fix}, and say by `seen` what one tells")
+            raise WorldError(problem, source=world.source, fix=f"{fix}, and report its readings by `seen`")
         if self.evidence is None and world.phases is None:
             world.check_told("a mission that is driven")
         elif plan.is_foreign or (plan.settings is not None and plan.settings.transit == "area"):
-            world.check_told("a mission on another planner's paths, or whose legs stay in their area,")
+            world.check_told("a mission on external paths, or whose legs stay in their area,")
         self.odds = np.zeros(0, dtype=np.int64) if self.evidence is None else self.evidence.prior.copy()
         self._happened: set[int] = set()
 
@@ -308,21 +340,32 @@ class Lessons:
         return self.evidence is not None or self.phases is not None
 
     def learn(self, cell: int, *, stopped: bool) -> None:
-        """A robot visited the cell, or is lost in it."""
+        """Update the estimate after a visit.
+
+        Args:
+            cell: index.
+            stopped: whether the robot is lost in it.
+        """
         if self.evidence is not None:
             at = np.array([cell])
             self.odds[at] = self.evidence.stop if stopped else added(self.odds[at], -self.evidence.survival[at])
             self._happened.add(cell)
 
     def last_update(self, accessible: NDArray[np.bool_]) -> int:
-        """The step from which the last announced phase holds that changes p of an accessible cell `[N]`; 0: none."""
+        """Begin of the last announced phase that changes p of an accessible cell `[N]`; 0: none."""
         if self.phases is None or not self.phases.told:
             return 0
         maps = self.phases.threats.reshape(len(self.phases.begins), -1)[:, accessible]
         return int(self.phases.begins[1:][(maps[1:] != maps[:-1]).any(axis=1)].max(initial=0))
 
     def at_end(self, step: int, world: World, held: Iterable[int]) -> Seen:
-        """p of cells by what is known at the end of the step; no obstacle where robots are, `held`."""
+        """p of changed cells at the end of a step; no obstacles in robots' cells.
+
+        Args:
+            step: that ends.
+            world: the map.
+            held: cells of robots.
+        """
         told: Seen = {}
         if self.phases is not None and self.phases.told and (self.phases.begins == step + 1).any():
             before, now = (self.phases.threats[int(self.phases.number_at(at))].ravel() for at in (step, step + 1))
@@ -337,31 +380,34 @@ class Lessons:
         return told
 
     def met(self, step: int, world: World) -> NDArray[np.float32]:
-        """float32 `[H, W]`: p of visits in the step, as is known by now."""
+        """float32 `[H, W]`: p of visits in the step, as known now."""
         if self.phases is None or self.phases.told:
             return world.threat
         return self.phases.threats[int(self.phases.number_at(step))]
 
     def to_json(self) -> list[list[int]]:
-        """What a file holds: [cell, odds] of each cell whose odds are not those at first."""
+        """Content of a file: [cell, odds] of each cell whose odds differ from the prior."""
         if self.evidence is None:
             return []
         other = np.flatnonzero(self.odds != self.evidence.prior)
         return np.stack([other, self.odds[other]], axis=1).tolist()
 
     def read(self, key: Key) -> None:
-        """What `to_json` gave. Raises StateError."""
+        """Restore `to_json`.
+
+        Raises:
+            StateError: the content is invalid.
+        """
         for item in key.items("a list of [cell, odds]", least=0):
             cell, odds = item.items("[cell, odds]", exactly=2)
             self.odds[cell.number(whole(0, len(self.odds) - 1))] = odds.number(whole(-ALWAYS, ALWAYS))
 
 
-# A mission as a file, written whole and on the disk before orders are given: whatever ends the process, it goes on.
+# Mission files, written atomically and to the disk before orders are given, so that a mission survives its process.
 #
-# It is a state file (SPEC section 12) that also holds what was reported of the step under way, of which step each robot
-# reported last, for how many steps it has not moved, what was seen, what was closed, what robots said of their range,
-# which make no progress, and how the mission ended.
-# Before step 0 has ended there is no state, and the rest alone is kept.
+# A mission file is a state file (SPEC section 12) with the reports of the current step, the last step that each robot
+# reported of, its steps without a move, observed and closed cells, reported ranges, robots without progress, and the
+# outcome. Before step 0 has ended there is no state, and only the rest is kept.
 
 DEFAULTS: dict[str, Any] = {
     "world": {},
@@ -378,7 +424,7 @@ DEFAULTS: dict[str, Any] = {
     "ended": None,
     "over": None,
 }
-"""What a file holds beside a state, or in its place, and may leave out."""
+"""Optional keys of a file in addition to a state, or without one."""
 OF_REPORTS: dict[str, Any] = {
     "cell": None,
     "stopped": False,
@@ -387,28 +433,47 @@ OF_REPORTS: dict[str, Any] = {
     "step": None,
     "seen": None,
 }
-"""What a report may leave out."""
+"""Optional keys of a report."""
 ON_ITS_MAP = "give the map that the mission is on"
 OF_END = ("outcome", "step", "covered", "lost")
-"""What is known of a mission when it is over."""
+"""Keys of a mission that is over."""
 
 
 def write_mission(path: str | Path, world: World, state: Json | None, more: Json) -> None:
-    """Write the file; it is on the disk before this returns. `state`: None before there is one. Raises StateError."""
+    """Write a mission file; it is on the disk before this returns.
+
+    Args:
+        path: the file.
+        world: the map.
+        state: None before there is one.
+        more: further keys.
+
+    Raises:
+        StateError: it would be too large to be read again.
+    """
     where = state or {"world": {"shape": list(world.shape), "sha256": world.sha256}}
     known = {"format": FORMAT, "version": VERSION, "begun": state is not None}
     write_json(Path(path), known | where | more, MAX_PLAN_BYTES, StateError, sync=True)
 
 
 def read_rest(path: str | Path, world: World, plan: Plan) -> tuple[World, Plan, dict[str, Key]]:
-    """The world, with what was seen and closed, the plan of the rest by the settings of `plan`, and what else it holds.
+    """Read a mission file.
 
-    Raises StateError.
+    Args:
+        path: the file.
+        world: the initial map.
+        plan: whose settings apply.
+
+    Returns:
+        (the world with observed and closed cells, the plan of the rest, further keys).
+
+    Raises:
+        StateError: the file is invalid.
     """
     source, (data, keys) = str(path), _read(path)
     given, (world, changed) = world, _as_known(world, keys)
     settings = plan.settings or Settings()
-    if "range" in data:  # what robots said of it; a state by hand says nothing
+    if "range" in data:  # reported ranges, which hand-written states lack
         settings = replace(settings, range=keys["range"].setting(SETTINGS["range"]))
     if keys["begun"].value is False:
         check_map(keys["world"], world, "state of", ON_ITS_MAP)
@@ -421,9 +486,15 @@ def read_rest(path: str | Path, world: World, plan: Plan) -> tuple[World, Plan, 
 
 
 def ended(path: str | Path, world: World, plan: Plan) -> Json | None:
-    """How the mission in the file ended, as `drive` says it: outcome, step, covered, lost. None: it goes on.
+    """The end of the mission in a file, as `drive` reports it: outcome, step, covered, lost; None: it goes on.
 
-    `plan`: that the mission is driven by. Raises StateError.
+    Args:
+        path: the file.
+        world: the initial map.
+        plan: of the mission.
+
+    Raises:
+        StateError: the file is invalid.
     """
     keys = _read(path)[1]
     if keys["ended"].value is None:
@@ -434,11 +505,10 @@ def ended(path: str | Path, world: World, plan: Plan) -> Json | None:
 
 
 def _outcome(key: Key, settings: Settings) -> str:
-    """The outcome that a file names.
+    """The outcome in a file.
 
-    Up to release 0.3 files did not say whether an operator had ended a mission or the rule, or whether a deadline cut
-    it off: the settings tell, but for a mission with a `robot_value` that ended on the way home, which counts as the
-    rule's.
+    Up to release 0.3 files did not tell an operator's end from the rule's, or a deadline from the step limit: the
+    settings decide. A mission with a `robot_value` that ended during the return to base counts as ended by the rule.
     """
     if key.value == "called_off" and settings.robot_value is None:
         return Outcome.ENDED_BY_OPERATOR.word
@@ -447,7 +517,7 @@ def _outcome(key: Key, settings: Settings) -> str:
 
 
 def _as_known(world: World, keys: dict[str, Key]) -> tuple[World, bool]:
-    """The world as it was seen to be, without what was closed, and whether that is another one."""
+    """The world with observed and closed cells, and whether it differs."""
     cell = whole(0, world.threat.size - 1, what="the index of a cell")
     closed, seen = (
         [one.number(cell) for one in keys["closed"].items("a list of cells", least=0)],
@@ -460,7 +530,11 @@ def _as_known(world: World, keys: dict[str, Key]) -> tuple[World, bool]:
 
 
 def read_seen(key: Key) -> Seen:
-    """p by cell, None of an obstacle, of `[[cell, p], ...]`. Raises StateError."""
+    """p by cell, None for an obstacle, from `[[cell, p], ...]`.
+
+    Raises:
+        StateError: the content is invalid.
+    """
     found: Seen = {}
     for item in key.items("a list of [cell, p]", least=0):
         cell, p = item.items("[cell, p]", exactly=2)
@@ -469,7 +543,7 @@ def read_seen(key: Key) -> Seen:
 
 
 def _read(path: str | Path) -> tuple[Json, dict[str, Key]]:
-    """What is in the file, and its keys."""
+    """The content of a file, and its keys."""
     data = read_json(Path(path), MAX_PLAN_BYTES, StateError, "a state file (JSON)")
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise StateError("is no state of a mission", source=path, expected=f'an object with "format": "{FORMAT}"')
@@ -477,7 +551,11 @@ def _read(path: str | Path) -> tuple[Json, dict[str, Key]]:
 
 
 def hand_on(report: Callable[..., None], key: Key) -> None:
-    """Call `Mission.report` with what a file, or a line of `drive`, says. Raises StateError."""
+    """Call `Mission.report` with the content of a file, or of a line of `drive`.
+
+    Raises:
+        StateError: the content is invalid.
+    """
     keys = key.mapping(("robot",), defaults=OF_REPORTS)
     flags = {name: keys[name].value for name in ("stopped", "found")}
     for name, value in flags.items():

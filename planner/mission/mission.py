@@ -1,7 +1,7 @@
-"""A mission that is driven: orders out, reports in.
+"""A driven mission: orders out, reports in.
 
-What simulates, drives and learns differs in who answers the orders. Luck that answers them robot by robot makes the
-closed loop, event for event (`planner.rollouts.single_run` is that, without what robots do against orders).
+The same step as in the closed loop, with reports in the place of random failures. Reports that agree with a rollout's
+failure sampling give the same run, event for event (`planner.rollouts.single_run`).
 """
 
 from __future__ import annotations
@@ -42,25 +42,29 @@ from planner.simulator.codes import Doing, Outcome
 from planner.world.world import World
 
 PATIENCE = 20
-"""Steps in a row in which a robot that was to move did not, after which others get its work."""
+"""Steps in a row without progress of a robot that was to move, after which its work is reassigned."""
 WHY: dict[Doing, Why] = {Doing.TRAVELING: "travel", Doing.COVERING: "cover", Doing.FOLLOWING: "follow"}
 WHY |= {Doing.RETURNING: "return"}
 
 
 class Mission:
-    """A team under way. Of each step: `orders`, `report` of each robot, `advance`.
+    """A team under way. In each step: `orders`, `report` for each robot, `advance`.
 
     Args:
-        world: the map. plan: for it; of the rest of a mission, from its state.
-        patience: steps without progress after which a robot's work is others'; None: however many.
-        gain: a robot leaves what it is under way to where another target saves more than this share of the cost of its
-            way; 1: it never does, as in the closed loop.
+        world: the map.
+        plan: for it; of a resumed mission, from its state.
+        patience: steps without progress before a robot's work is reassigned; None: never.
+        gain: a robot changes its target if another one saves more than this share of the cost of its path; 1: never, as
+            in the closed loop.
 
     Attributes:
-        world: the map, with what was seen, learned and closed. given: as it was. closed: those cells, indices.
-        seen: p by cell, None: an obstacle; what was learned, too.
+        world: the map, with everything seen, estimated and closed. given: the initial map. closed: closed cells,
+            indices.
+        seen: p by cell, None: an obstacle; estimates included.
 
-    Raises PlanError for a plan of another map, WorldError for one that robots are not told.
+    Raises:
+        PlanError: the plan is for another map.
+        WorldError: the map is unknown or uncertain.
     """
 
     def __init__(
@@ -78,6 +82,7 @@ class Mission:
         self.given, self._lessons = world, Lessons(world, plan)
         self._file: Path | None = None
         if self._lessons:
+            # The plan uses the map as known at the start; `_lessons` adds what robots learn.
             settings, world = plan.require(world), replace(world, doubt=None)
             plan = plan if plan.state is not None else make_plan(world, plan.starts, settings)
         self.world, self.patience, self.gain = world, patience, gain
@@ -86,6 +91,7 @@ class Mission:
         self._begin(world, plan)
 
     def _begin(self, world: World, plan: Plan) -> None:
+        # There are no rules yet for reports of robots that differ, or that recharge.
         problem, areas = ready_loop(plan, world)
         problem.settings.check_not_charged("a mission that is driven")
         problem.settings.check_alike("a mission that is driven")
@@ -93,20 +99,22 @@ class Mission:
         last_update = self._lessons.last_update(problem.levels.accessible)
         self._fleet = Fleet(problem, replace(plan, areas=areas), self.gain, last_update)
         robots = self._fleet.loop.robots
+        # A resumed mission goes on with the exposure of its state.
         self._borne = list(plan.state.exposures) if plan.state is not None else [0] * robots
         self._waits, self._reports = [0] * robots, Reports(self._fleet)
+        # Kept until a report deviates from them: orders cost a simulated step.
         self._orders: dict[int, Order] | None = None
 
     # --- where it stands ---
 
     @property
     def step(self) -> int:
-        """The step that is under way: 0 while robots enter their starts."""
+        """The current step: 0 while robots enter their starts."""
         return self._fleet.step + 1
 
     @property
     def outcome(self) -> Outcome | None:
-        """How the mission has ended; None while it goes on."""
+        """The outcome of the mission; None while it goes on."""
         outcome = self._fleet.outcome
         return None if outcome is None else outcome.by_deadline(self.settings.ends_by_deadline)
 
@@ -117,22 +125,22 @@ class Mission:
 
     @property
     def accessible(self) -> int:
-        """Cells that can be visited."""
+        """Number of cells that can be visited."""
         return int(self._fleet.problem.levels.accessible.sum())
 
     @property
     def robots(self) -> int:
-        """How many there are, lost ones too."""
+        """Number of robots, lost ones included."""
         return self._fleet.loop.robots
 
     @property
     def last_step(self) -> int:
-        """At which it ends, whatever is left."""
+        """The step at which the mission ends in any case."""
         return self._fleet.problem.max_steps
 
     @property
     def lost(self) -> tuple[int, ...]:
-        """Numbers of the robots that are lost."""
+        """Indices of the lost robots."""
         return tuple(robot.number for robot in self._fleet.robots if not robot.alive)
 
     @property
@@ -141,20 +149,22 @@ class Mission:
 
     @property
     def settings(self) -> Settings:
-        """What it is planned by, with what robots said of their range."""
+        """Settings of its plan, with the reported ranges of robots."""
         return self._settings_of(self._fleet)
 
     def _settings_of(self, fleet: Fleet) -> Settings:
         problem = fleet.problem
+        # Without any limit the settings stay as in the plan.
         if (problem.range == NO_LIMIT).all():
             return problem.settings
         return replace(problem.settings, range=tuple(np.minimum(problem.range, MAX_STEP).tolist()))
 
     @property
     def state(self) -> MissionState:
-        """Where it stands at the end of the last step, as state files hold it.
+        """The state at the end of the last step, as in state files.
 
-        Raises StateError before the first step has ended, and of robots on another planner's paths.
+        Raises:
+            StateError: the first step has not ended, or robots follow an external plan.
         """
         return self._state_of(self._fleet)
 
@@ -166,51 +176,58 @@ class Mission:
 
     def _check_kept(self, fleet: Fleet) -> None:
         if any(robot.status is Doing.FOLLOWING for robot in fleet.robots):
-            problem = "robots follow the paths of another planner, which no state of a mission holds"
+            # A state holds areas and paths to them, and an external plan has neither.
+            problem = "robots follow an external plan, which no state of a mission holds"
             raise StateError(problem, expected="a plan with areas", fix="plan with `plan`, for the closed loop")
 
     def rest(
         self, without: tuple[int, ...] = (), *, nominal: bool = True, call_off: bool = False, **changes: Any
     ) -> Plan:
-        """The plan of what is left, from `state`; before the first step has ended, of the whole.
+        """The plan of the rest, from `state`; before the first step has ended, of the whole mission.
 
         Args:
-            without: robots that do no more. changes: settings in the place of its own.
-            call_off: nothing more is done: robots that come home turn.
-            nominal: with the run without losses, its paths, which rollouts do not need.
+            without: robots that no longer take part.
+            call_off: end the mission: robots start their return to base.
+            nominal: include the run without losses, whose paths rollouts do not need.
+            changes: settings that replace its own.
 
-        Raises StateError, PlanError.
+        Raises:
+            StateError, PlanError: there is no such plan.
         """
         planned = make_plan if nominal else allocated_plan
         if self._fleet.step == NOT_BEGUN:
             if without:
                 raise StateError("the mission has not begun", expected="a mission whose step 0 is over")
+            # Nothing has happened yet, so the plan itself is the plan of the rest.
             settings = replace(self.settings, **changes)
             return self._plan if not changes else planned(self.world, self._plan.starts, settings)
         fleet = self._fleet.fork()
+        # Robots without progress get no areas here, as in the mission itself.
         for number in {*map(self._number, without), *self._aside}:
             fleet.retire(number)
         if call_off:
             fleet.call_off()
         state, settings = self._state_of(fleet), replace(self._settings_of(fleet), **changes)
-        if settings.policy != self.settings.policy:  # another rule goes on from other paths: areas are given anew
+        if settings.policy != self.settings.policy:  # paths of another rule do not apply: areas are allocated again
             state = replace(state, areas=(), robots=tuple(robot.at_rest for robot in state.robots))
         return planned(replace(self.world, doubt=None), state.starts, settings, state=state)
 
     # --- orders out, reports in ---
 
     def orders(self) -> dict[int, Order]:
-        """What each robot that is not lost is to do in this step, by its number; nothing once the mission is over.
+        """The order of each robot alive in this step, by its index; empty once the mission is over.
 
-        As far as robots have reported already, from what they said; of the others as if they get there. A report of
-        another thing changes what is right for the others: ask again.
+        It takes the reports of this step into account, and assumes that other robots reach their cells. A different
+        report can change the orders of others: ask again.
         """
         if self._orders is None:
+            # The step is simulated in a copy, in which robots without a report reach their cells.
             self._orders = {} if self.outcome is not None else self._play(self._fleet.fork(), True)
         return self._orders
 
     def first_orders(self) -> dict[int, Order]:
-        """The orders of this step as they were before anybody reported of it, what was closed since left out."""
+        """The orders of this step before its first report, without cells closed since."""
+        # Reports are set aside for one simulated step, and restored even if that step fails.
         kept, self._reports = self._reports, Reports(self._fleet)
         try:
             return {} if self.outcome is not None else self._play(self._fleet.fork(), True)
@@ -228,27 +245,32 @@ class Mission:
         step: int | None = None,
         seen: Any = None,
     ) -> None:
-        """Where a robot is, or that it is lost. Nothing happens before `advance`; saying it twice changes nothing.
+        """Report a robot's cell, or its loss. It takes effect in `advance`; repeating it changes nothing.
 
         Args:
-            cell: (row, col) where it is, ordered or not; None: where it was.
-            stopped: it is lost there. found: it was lost before, and is back.
-            moves_left: that it can still make, as after a look at its battery, or a swap of it.
-            step: of which that was said; None: this one. What is said late is where it was, if it says more.
-            seen: cells as it sees them, `[[row, col, p], ...]`, p None of an obstacle: believed from the end of the
-                step on, and what surprises changes areas and ways (SPEC section 15).
+            robot: index.
+            cell: (row, col) of the robot, ordered or not; None: unchanged.
+            stopped: whether it is lost there.
+            found: whether it was lost before, and is back.
+            moves_left: moves that it can still make, for example after a battery change.
+            step: of the report; None: this one. A late report says where the robot was.
+            seen: observed cells, `[[row, col, p], ...]`, p None for an obstacle: in the map from the end of the step
+                on; changes update areas and paths (SPEC section 15).
 
-        Raises StateError for what cannot be, and the mission is as before.
+        Raises:
+            StateError: the report cannot be true; the mission is unchanged.
         """
         number, late = self._number(robot), len(self._reports.passed)
         before, there = self._reports.seen, {one: report.cell for one, report in self._reports.now.items()}
         if seen is not None:
+            # Stored before the report is checked: a robot cannot be in a cell that it reports as an obstacle.
             self._reports.seen = before | seen_by(seen, self._fleet, there)
         try:
             new = self._reports.hear(number, cell, step, moves_left, stopped=bool(stopped), found=bool(found))
         except StateError:
             self._reports.seen = before
             raise
+        # A report that the robot is where it was ordered confirms the cached orders of the others.
         due = None if self._orders is None else self._orders.get(number)
         as_told = due is not None and new == Report(self._index(due.cell)) and len(self._reports.passed) == late
         if new is not None and not as_told:
@@ -264,16 +286,20 @@ class Mission:
         return cell[0] * self.world.shape[1] + cell[1]
 
     def advance(self) -> None:
-        """End the step: every robot is where it reported; who did not is where it was, or at t = 0 where it starts."""
+        """End the step. A robot without report is where it was, or at t = 0 at its start."""
         fleet = self._fleet
         self._play(fleet, False)
+        # Announced phases and estimates first: a reported value replaces them.
         held, reported = [robot.cell for robot in fleet.robots if robot.alive], self._reports.seen
         told = self._lessons.at_end(fleet.step, self.world, held) | reported
+        # A cell that an operator has closed stays closed, whatever is observed there.
         seen = {cell: p for cell, p in told.items() if cell not in self.closed}
         self._reports.clear()
         self._orders = None
         changed = surprises(self.world, seen)
+        # Taken before the new allocation, which replaces the problem.
         known = fleet.problem.levels.accessible
+        # A new allocation needs robots that are alive and steps that are left.
         if len(changed) and held and fleet.step < self.last_step:
             world = seen_world(self.world, seen, self.given)
             state, got = learned_state(self.state, world, changed, self.settings)
@@ -288,11 +314,15 @@ class Mission:
 
     @property
     def awaited(self) -> tuple[int, ...]:
-        """Robots that are to move in this step and have not reported."""
+        """Robots with a move in this step that have not reported."""
         return self.awaited_of(self.orders())
 
     def awaited_of(self, orders: dict[int, Order]) -> tuple[int, ...]:
-        """Robots that are to move by these orders of this step and have not reported."""
+        """Robots with a move in these orders of this step that have not reported.
+
+        Args:
+            orders: by robot.
+        """
         cells = [robot.cell for robot in self._fleet.robots]
         begins = self.step == 0
         return tuple(
@@ -302,7 +332,7 @@ class Mission:
         )
 
     def _play(self, fleet: Fleet, ahead: bool) -> dict[int, Order]:
-        """The step in `fleet` up to its end, and its orders; `ahead`: who has not reported gets there."""
+        """Play the step in `fleet` up to its end; its orders. `ahead`: robots without report reach their cells."""
         orders: dict[int, Order] = {}
         fleet.begin_step()
         for number, cell in self._reports.passed:
@@ -313,12 +343,14 @@ class Mission:
             number, report = robot.number, self._reports.now.get(robot.number)
             if report is not None and report.found and not robot.alive:
                 fleet.find(number)
+            # A robot set aside for lack of progress gets work again once it moves or is recharged.
             if report is not None and (report.cell != robot.cell or report.moves_left):
                 fleet.bring_back(number)
             if not robot.alive:
                 continue
             due = fleet.decide(number)
             orders[number] = self._order(fleet, robot, due)
+            # At t = 0 robots are placed at their starts, so no report is needed for that.
             if report is None and due is not None and (ahead or fleet.step == 0):
                 report = Report(due)
             came = self._turn(fleet, number, due, report)
@@ -327,8 +359,9 @@ class Mission:
         return orders
 
     def _order(self, fleet: Fleet, robot: RobotNow, due: int | None) -> Order:
-        """What was decided, as it is told; a robot that gets its area in this step stays and looks at its way."""
+        """The order from a robot's decision; a robot that gets its area in this step stays and sees its path."""
         ahead, width = robot.ahead, self.world.shape[1]
+        # The ordered cell comes first in `cells`, so it must not be listed twice.
         if due is not None and ahead[:1] == [due]:
             ahead = ahead[1:]
         waits = robot.held or robot.number in fleet.aside or robot.moves == 0
@@ -337,7 +370,7 @@ class Mission:
         return Order(robot.number, cells[0], tuple(cells[1:]), robot.area, why)
 
     def _turn(self, fleet: Fleet, number: int, due: int | None, report: Report | None) -> bool:
-        """What became of a robot that was to enter `due`; True if it entered a cell."""
+        """Play the turn of a robot that was to enter `due`; True if it entered a cell."""
         here = fleet.cell(number)
         report = report or Report(here)
         came = report.cell == due or report.cell != here
@@ -358,7 +391,7 @@ class Mission:
         return came
 
     def _keep_count(self, robot: RobotNow, came: bool, due: int | None) -> None:
-        """What the robot bore on the cell it came to, what it says of it, and for how many steps it has not moved."""
+        """Update a robot's cumulative hazard, its report, and its number of steps without a move."""
         number = robot.number
         if came:
             p = self._lessons.met(self._fleet.step, self.world).flat[robot.cell]
@@ -370,18 +403,26 @@ class Mission:
             self._fleet.set_aside(number)
 
     def call_off(self) -> None:
-        """From now on all go home. Raises StateError before the first step has ended, and where nobody comes home."""
+        """End the mission: all robots return to base.
+
+        Raises:
+            StateError: the first step has not ended, or robots do not return to base.
+        """
         if self.settings.return_to is None or self._fleet.step == NOT_BEGUN:
-            problem = "a mission is called off whose robots do not come home, or have not set out"
+            problem = "a mission cannot be ended before it has begun, or if its robots do not return to base"
             raise StateError(problem, expected="robots on a mission with `return_to`", fix="give them no more orders")
         self._fleet.call_off()
         self._orders = None
 
     def close(self, cells: ArrayLike) -> None:
-        """These cells, `[[row, col], ...]`, are no-go from now on: robots keep their areas, and go round.
+        """Close cells: they become obstacles. Robots keep their areas, and drive around.
 
-        Raises StateError where a robot is on one of them, or has reported so; where they would lie between a robot and
-        what it reported in this step; and for what is no cell of the map.
+        Args:
+            cells: `[[row, col], ...]`.
+
+        Raises:
+            StateError: a robot is on one of them, or has reported so; they separate a robot from the cell that it
+                reported in this step; or they are not on the map.
         """
         closed, world = closed_by(cells, self._reports)
         if self._fleet.step == NOT_BEGUN:
@@ -394,10 +435,11 @@ class Mission:
         self.closed = sorted({*self.closed, *closed.tolist()})
 
     def _go_on(self, world: World, plan: Plan) -> None:
-        """By another plan, on a map that is known better."""
+        """Continue with another plan, on an updated map."""
         kept, reports, aside = (self._borne, self._waits), self._reports, self._aside
         self._begin(world, plan)
         self._borne, self._waits = kept
+        # Reports made before cells were closed still hold.
         self._reports.carry(reports)
         self._set_aside(aside)
 
@@ -405,9 +447,16 @@ class Mission:
 
     @classmethod
     def resume(cls, path: str | Path, world: World, plan: Plan, **how: Any) -> Self:
-        """The mission that `save` wrote, on its `world` before anything was closed, by the settings of `plan`.
+        """The mission that `save` wrote.
 
-        `how`: patience and gain, as of the mission. Raises StateError.
+        Args:
+            path: the file.
+            world: the map before any cell was closed.
+            plan: whose settings apply.
+            how: `patience` and `gain` of the mission.
+
+        Raises:
+            StateError: the file is invalid.
         """
         known, rest, keys = read_rest(path, world, plan)
         mission = cls(known, rest, **how)
@@ -430,11 +479,17 @@ class Mission:
         return mission
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write where it stands, with what was reported of the step under way, to go on from (`missions.saved`).
+        """Write the mission, with the reports of the current step, so that it can be resumed.
 
-        What is written is on the disk before this returns. Its own file, which it was resumed from or has written, is
-        replaced; another file that is there already only by `force`. Raises UsageError for such a file, StateError for
-        another planner's paths.
+        The data is on the disk before this returns. The file that it was resumed from, or has written before, is
+        replaced.
+
+        Args:
+            path: the file.
+            force: replace another existing file; else that is a UsageError.
+
+        Raises:
+            StateError: robots follow an external plan.
         """
         file = Path(path).resolve()
         if file != self._file:
@@ -450,22 +505,22 @@ class Mission:
         self._file = file
 
     def known(self) -> Json:
-        """Where it stands, as files and `drive` say it: the step that is under way, or at which it ended."""
+        """Status for files and `drive`: the current step, or the one at which the mission ended."""
         ended = {} if self.outcome is None else {"outcome": self.outcome.word}
         step = self.step if self.outcome is None else self._fleet.step
         return ended | {"step": step, "covered": self.covered, "lost": list(self.lost)}
 
     @property
     def sees(self) -> Seen:
-        """What was seen in the step under way, as `seen` has it."""
+        """Cells observed in the current step, as in `seen`."""
         return dict(self._reports.seen)
 
     def said(self) -> list[Json]:
-        """The reports of the step under way, as files hold them."""
+        """The reports of the current step, as in files."""
         return self._reports.said()
 
     def _set_aside(self, robots: list[int]) -> None:
-        """As it was known before, in another fleet."""
+        """Mark robots without progress, as in another fleet."""
         for number in robots:
             if self._fleet.s.robots[number].doing != Doing.DEAD:
                 self._fleet.set_aside(number)
@@ -473,5 +528,5 @@ class Mission:
 
 
 def _pairs(seen: Seen) -> list[list[float | None]]:
-    """As files hold it."""
+    """Observed cells as in files."""
     return [[cell, p] for cell, p in sorted(seen.items())]

@@ -1,4 +1,4 @@
-"""A run whose robots do not always do what was decided: they are pushed, late, held up, found again, or recharged."""
+"""A run whose robots deviate from decisions (displaced, late, blocked, found, recharged), by orders and reports."""
 
 from __future__ import annotations
 
@@ -25,34 +25,35 @@ from planner.simulator.state import AREA_BITS, MOVES, SURVIVED, TO_DO, VISITED
 
 
 class Fleet(SingleRun):
-    """A team that reports what happens to it. In each step: `begin_step`, every robot's turn, `end_step`.
+    """A team that reports events. In each step: `begin_step`, every robot's turn, `end_step`.
 
     A turn is `decide`, then `enter`, `displace` or `wait`, then `stop` or `survive`.
 
     Attributes:
-        problem: the world made ready, with the range of each robot as far as it is known.
-        gain: share of the cost of its way that another target must save for a robot to leave its own; 1: nothing does.
-        aside: numbers of robots that make no progress, and get nothing.
+        problem: of the plan, with the known range of each robot.
+        gain: share of the cost of its path that another target must save for a robot to change; 1: it never does.
+        aside: indices of robots without progress, which get no areas.
     """
 
     under_way = False
     _moves_now = False
-    """Whether the robot that decided last was to make a move, which counts as made."""
+    """Whether the robot that decided last has a move, which counts as made."""
 
     def __init__(self, problem: Problem, plan: Plan, gain: float = 1.0, last_update: int = 0) -> None:
-        """`last_update`: the step from which the last announced phase holds, 0: none."""
+        """Args: `last_update`: begin of the last announced phase that changes the map, 0: none."""
         super().__init__(compile_closed_loop(plan, problem.world, problem=problem, interpreted=True))
-        # A visit may destroy a robot in any cell: it is survived only once that is reported.
+        # A visit may destroy a robot in any cell: it counts as survived only once that is reported.
         self.t = self.t._replace(
             bound=np.zeros_like(self.t.bound), phases=np.zeros(1, dtype=np.int64), phased=True, notes=None,
             last_update=last_update,
         )  # fmt: skip
         self.problem, self.gain, self.aside = problem, gain, set[int]()
+        # A resumed state may be complete already, before any step.
         if self.step != NOT_BEGUN:
             self._review()
 
     def fork(self) -> Self:
-        """As of a run."""
+        """An independent copy, see `SingleRun.fork`."""
         other = super().fork()
         other.aside = self.aside.copy()
         return other
@@ -61,23 +62,24 @@ class Fleet(SingleRun):
 
     @property
     def step(self) -> int:
-        """The step that is under way, or the last one that is over."""
+        """The current step, or the last one that is over."""
         return int(self.raw.marks["step"]) - (self.outcome is None and not self.under_way)
 
     def begin_step(self) -> None:
-        """The next step."""
+        """Begin the next step."""
+        # Reports can split areas more often than a run without deviations does.
         self._make_room()
         marks = self.s.marks
         if self.outcome is not None:
             marks.step, self.outcome = marks.step + 1, None
         self.log.events[0, 0], marks.progress, self.under_way = 0, 0, True
-        self.raw.robots["sure"] = NONE  # where robots may be displaced, nothing is settled
+        self.raw.robots["sure"] = NONE  # a displaced robot compares all areas again
         if self.p is not None:
             interpreted("replanning").begin(self.t, self.s, self.w)
         interpreted("step").forget(self.t, self.p, self.s, self.w)
 
     def end_step(self) -> None:
-        """Every robot has had its turn."""
+        """End the step after every robot's turn."""
         with np.errstate(over="ignore"):
             found = interpreted("step").end_step(self.t, self.p, self.s, self.c, self.w, self.log, self.how, self.ids)
         self.under_way = False
@@ -87,21 +89,23 @@ class Fleet(SingleRun):
             self._call_home_from_aside()
 
     def reopen_step(self) -> None:
-        """The last step, which is over, is under way again."""
+        """Reopen the last step, which was over."""
+        # A step that is over has already been counted, unless the run ended in it.
         if self.outcome is None:
             self.s.marks.step -= 1
         self.outcome, self.under_way = None, True
 
     @contextmanager
     def _between(self) -> Iterator[None]:
-        """Something happens between two steps, after the last one."""
+        """Context for a change between two steps, after the last one."""
+        # Events between two steps are recorded as events of the step that is over.
         last = self.s.marks.step = self.step
         self.under_way, self.log.events[0, 0] = True, 0
         yield
         self.under_way, self.s.marks.step = False, last + (self.outcome is None)
 
     def _review(self) -> None:
-        """Whether the run is over, after something has happened between two steps."""
+        """End the run if a change between two steps has completed it."""
         with self._between():
             step = interpreted("step")
             found = step.over_by(self.t, self.p, self.s, self.w, int(step.end_of(self.t, self.s, self.how)))
@@ -110,14 +114,19 @@ class Fleet(SingleRun):
     # --- a robot's turn ---
 
     def decide(self, number: int) -> int | None:
-        """What the robot does in this step: the cell that it enters, or None, it stays where it is.
+        """The robot's decision in this step: the cell that it enters, or None if it stays.
 
         At t = 0 that is its start, entered like any other cell.
+
+        Args:
+            number: index of the robot.
         """
         s, step, me = self.s, self.s.marks.step, self.s.robots[number]
         s.marks.robot, self._moves_now = number, False
+        # The kernels keep the active robots as bits of 64-bit words.
         if not int(interpreted("step").acting(self.t, self.p, s, number // 64, NONE)) >> number % 64 & 1:
             return None
+        # With gain 1 this is never done, so that reports without deviations reproduce the closed loop.
         if self.gain < 1 and step > 0 and me.doing == Doing.TRAVELING and s.areas[me.area].left > 0:
             self._look_round(number)
         if self.p is None:
@@ -143,6 +152,7 @@ class Fleet(SingleRun):
         s = self.s
         s.marks.progress = 1
         if self.p is not None:
+            # Before the cell is marked as visited: afterwards it is news no more.
             s.marks.changes += interpreted("replanning").is_news(s, number, cell)
             s.home[cell] = int(s.home[cell]) & ~TO_DO
         interpreted("visits").enter(self.t, s, self.c, self.w, self.log, self.how, self.ids, number, cell)
@@ -151,10 +161,11 @@ class Fleet(SingleRun):
         """The robot, which has just entered its cell, is lost there."""
         self.left[number] = self.moves_left(number)
         interpreted("visits").lose(self.t, self.s, self.c, self.w, self.log, number)
+        # A comparison that a robot made before may be outdated by the loss.
         interpreted("areas").unsettle(self.s)
 
     def survive(self, number: int) -> None:
-        """The robot, which has just entered the cell that was decided, goes on."""
+        """The robot has survived the cell that it has just entered."""
         interpreted("visits").survive(self.s, self.c, self.s.robots[number].cell)
         self._arrive(number)
 
@@ -163,20 +174,26 @@ class Fleet(SingleRun):
         interpreted("step").arrive(self.t, self.p, self.s, self.w, self.log, self.how, number, me.cell)
 
     def wait(self, number: int) -> None:
-        """The robot is on its way, and has not got there yet: the step is none of rest."""
+        """The robot is on its way and has not arrived yet: the step counts as progress."""
         me = self.s.robots[number]
         self.s.marks.progress = 1
         if holds(self.raw.movers, number):
-            me.until += 1  # as many moves are left as before
+            me.until += 1  # as many moves left as before
         if me.doing == Doing.FOLLOWING:
             self._insert(number, [me.cell])
 
     def displace(self, number: int, cell: int) -> None:
-        """The robot is at a cell that it was not to enter now: it is visited, and the robot goes on from there."""
+        """The robot is in another cell than decided: the cell is visited, and the robot continues from there.
+
+        Args:
+            number: index of the robot.
+            cell: index `row * W + col`.
+        """
         step, me, width = self.s.marks.step, self.s.robots[number], self.problem.world.shape[1]
         ahead = self.path_ahead(number)
         before = ahead if me.doing == Doing.COVERING else ahead[-1:]
         here, there = divmod(int(self.loop.cells[me.cell]), width), divmod(cell, width)
+        # The robot used as many moves as the distance from where it was, instead of the one that was decided.
         left = max(
             0, self.moves_left(number) + self._moves_now - sum(abs(a - b) for a, b in zip(here, there, strict=True))
         )
@@ -184,12 +201,13 @@ class Fleet(SingleRun):
             me.until = left + (step if holds(self.raw.movers, number) else 0)
         else:
             self.left[number] = left
+        # Kernels number the accessible cells only, in the order of their indices.
         at = int(np.searchsorted(self.loop.cells, cell))
         self._enter(number, at)
         self._set_out(number, before)
 
     def go_on(self, number: int) -> None:
-        """The robot, which was displaced or has no more moves, survived: it goes on from where it is."""
+        """A displaced robot, or one at the end of its range, has survived: it continues from its cell."""
         t, p, s, w, log, how, me = self.t, self.p, self.s, self.w, self.log, self.how, self.s.robots[number]
         interpreted("visits").survive(s, self.c, me.cell)
         if t.returns and me.doing == Doing.RETURNING:
@@ -202,7 +220,7 @@ class Fleet(SingleRun):
             self._arrive(number)
         elif interpreted("areas").has_area(s.robots, number):
             if s.marks.step == 0 and int(s.home[me.cell]) >> AREA_BITS == me.area:
-                me.target = me.cell  # it begins in its area
+                me.target = me.cell  # it starts covering in its area
             ended = me.cell == me.target or s.areas[me.area].left == 0
             if p is None and (me.cell == me.target or (me.doing == Doing.COVERING and me.left == 0)):
                 interpreted("fixed_paths").settle(t, s, w, log, how, number)
@@ -210,7 +228,7 @@ class Fleet(SingleRun):
                 interpreted("replanning").end_leg(t, p, s, w, log, how, number)
 
     def _set_out(self, number: int, before: list[int]) -> None:
-        """A new way to what the robot is about; `before`: cells that it was about to do."""
+        """Compute a new path to the robot's work; `before`: the next cells that it was to cover."""
         t, s, w, me = self.t, self.s, self.w, self.s.robots[number]
         if number in self.turned and t.returns:
             ahead = interpreted("range_budget").moves_home(t, number, me.cell)
@@ -228,17 +246,20 @@ class Fleet(SingleRun):
             self._aim_as_before(number, before)
         elif interpreted("areas").has_area(s.robots, number):
             if self.p is None:
+                # The area is complete: the robot ends it as if it had covered its last cell on its path.
                 me.doing, me.left = Doing.COVERING, 0
                 interpreted("fixed_paths").settle(t, s, w, self.log, self.how, number)
             else:
                 interpreted("replanning").allocate_next(t, self.p, s, w, self.log, number, False)
 
     def _insert(self, number: int, cells: list[int]) -> None:
-        """The robot that follows a path is in these cells from this step on, before it goes on along the path."""
+        """Insert these cells into the path of a robot that follows an external plan."""
         t, step = self.t, self.s.marks.step
         path = t.given[number, : t.length[number] + 1].tolist()
+        # The entries up to the current step are history; the rest of the path is delayed by the inserted cells.
         path = [*path[:step], *cells, *path[step:]] if step > 0 else [*cells, *path[1:]]
         longest = max(len(path), t.given.shape[1])
+        # All robots' paths are rows of one array: the others wait at their ends, as before.
         given = np.pad(t.given, ((0, 0), (0, longest - t.given.shape[1])), mode="edge")
         given[number], length = path[-1], t.length.copy()
         given[number, : len(path)], length[number] = path, len(path) - 1
@@ -246,7 +267,7 @@ class Fleet(SingleRun):
         self.s.robots[number].next = given[number, min(step + 1, length[number])]
 
     def _way(self, number: int, target: int) -> list[int]:
-        """The cells entered on the safest path from where the robot is, as numbers of accessible cells."""
+        """The cells entered on the safest path from the robot's cell, as numbers of accessible cells."""
         way = self.problem.paths_of(number).path(*self.loop.cells[[self.s.robots[number].cell, target]].tolist())
         return np.searchsorted(self.loop.cells, way).tolist()
 
@@ -257,15 +278,17 @@ class Fleet(SingleRun):
         return of - cost > self.gain * of
 
     def _aim_as_before(self, number: int, before: list[int]) -> None:
-        """To what it was about to do next, or to what is nearest of its area now, if that is worth it."""
+        """Head for the next of the cells `before`, or for the nearest cell of its area if that saves enough."""
         s, me = self.s, self.s.robots[number]
         cells = s.order[s.areas[me.area].begin : s.areas[me.area].end]
         left = [int(cell) for cell in cells if s.home[cell] & VISITED == 0]
+        # The interrupted coverage path goes on at its first cell that is not visited yet.
         target = next((cell for cell in before if cell in left), None)
         way = [] if target is None else self._way(number, target)
         nearest = self.problem.paths_of(number).cost_to(int(self.loop.cells[me.cell]), self.loop.cells[left])
         if me.doing == Doing.COVERING:
             mine = self.raw.home >> AREA_BITS == me.area
+            # The coverage path is computed anew when the robot arrives.
             self.raw.home[mine] &= ~np.array(TO_DO, dtype=self.raw.home.dtype)
         me.doing = Doing.TRAVELING
         if self._saves(nearest, self._cost(way)) or not way:
@@ -274,7 +297,7 @@ class Fleet(SingleRun):
             self._head_for(number, way[-1])
 
     def _travel(self, number: int) -> None:
-        """The safest path to the target of the robot's area."""
+        """Set the safest path to the target of the robot's area."""
         s, me = self.s, self.s.robots[number]
         if self.p is None:
             self._head_for(number, interpreted("paths").entry_of(self.t, s, self.w, number, me.area))
@@ -285,10 +308,10 @@ class Fleet(SingleRun):
     def _head_for(self, number: int, target: int) -> None:
         interpreted("next_area").head_for(self.t, self.s, self.w, number, int(target))
 
-    # --- what else may happen ---
+    # --- other events ---
 
     def _look_round(self, number: int) -> None:
-        """The first of the unassigned areas, if the policy has it before the robot's own, and the way saves enough."""
+        """Take the first unassigned area if the policy prefers it to the robot's own and the path saves enough."""
         t, p, s, w, me = self.t, self.p, self.s, self.w, self.s.robots[number]
         left = self._cost(self.path_ahead(number))
         s.marks.now = 1
@@ -297,6 +320,7 @@ class Fleet(SingleRun):
             cost = self._cost(self._way(number, target)) if area != NONE else 0
         else:
             area, target, cost = interpreted("next_area").first_area(t, p, s, w, number, NONE, True)
+        # A threshold on the saving: without it, small differences of cost would make robots turn back and forth.
         takes = area != NONE and self._saves(int(cost), left)
         if takes and p is not None:
             takes = not interpreted("next_area").has_to_wait(t, p, s, w, number, area, cost)
@@ -316,7 +340,7 @@ class Fleet(SingleRun):
         s.marks.now = 0
 
     def _key(self, number: int, area: int, cost: int) -> Any:
-        """By what the rule orders an area whose target costs so much to reach."""
+        """Sort key of an area whose target costs `cost` to reach."""
         if self.p is not None:
             return self.loop.rule.key(
                 Offer(*interpreted("policy").offer_of(self.t, self.p, self.s, number, area, cost))
@@ -325,7 +349,7 @@ class Fleet(SingleRun):
         return int(level), cost
 
     def visit(self, number: int, cell: int) -> None:
-        """The robot has been at the cell, at some time before."""
+        """Mark a cell that the robot visited in an earlier step."""
         at, s = int(np.searchsorted(self.loop.cells, cell)), self.s
         if s.home[at] & VISITED == 0:
             interpreted("visits").visit(s, self.c, self.log, s.marks.step, number, at, 1, VISITED | SURVIVED)
@@ -350,7 +374,7 @@ class Fleet(SingleRun):
                 self._bring_back(number, Doing.DONE)
 
     def _bring_back(self, number: int, doing: Doing) -> None:
-        """The robot may get an area, if it has moves left."""
+        """Make the robot available for areas, if it has moves left."""
         me, left = self.s.robots[number], self.moves_left(number)
         me.doing, me.until = doing if left > 0 else Doing.DONE, left
         self.left.pop(number, None)
@@ -360,12 +384,12 @@ class Fleet(SingleRun):
             self.left[number] = 0
 
     def set_aside(self, number: int) -> None:
-        """The robot makes no progress: its work is for others, until it moves."""
+        """The robot makes no progress: its work is reassigned until it moves."""
         self._lay_down(number)
         self.aside.add(number)
 
     def _lay_down(self, number: int) -> None:
-        """It is done, and what it leaves is for others."""
+        """Release the robot's work."""
         t, s, w, log, me = self.t, self.s, self.w, self.log, self.s.robots[number]
         owns, followed, area = interpreted("areas").has_area(s.robots, number), me.doing == Doing.FOLLOWING, me.area
         self.left[number] = self.moves_left(number)
@@ -382,12 +406,12 @@ class Fleet(SingleRun):
     def call_off(self) -> None:
         """The operator ends the mission between two steps: robots that return to base start their return.
 
-        What had ended it before stays the reason.
+        An earlier reason for the end is kept.
         """
         self._call_home(Outcome.ENDED_BY_OPERATOR)
 
     def come_home(self) -> None:
-        """Nothing may be left to do between two steps: then the robots that return to base start their return."""
+        """Start the return to base if nothing is left to do between two steps."""
         if self.problem.home is not None and self.unvisited == 0:
             self._call_home(Outcome.COMPLETE)
 
@@ -401,7 +425,7 @@ class Fleet(SingleRun):
         self._review()
 
     def _call_home_from_aside(self) -> None:
-        """Robots that make no progress start their return too."""
+        """Start the return of robots without progress too."""
         for number in sorted(self.aside - self.turned):
             if self.s.robots[number].doing != Doing.DEAD and self.moves_left(number) > 0:
                 self.s.robots[number].until = self.left.pop(number) + self._turns(number)
@@ -410,19 +434,19 @@ class Fleet(SingleRun):
 
     @property
     def over(self) -> Outcome | None:
-        """How the mission ended for which all have started their return; None: it goes on."""
+        """The outcome for which all robots have started their return; None: the mission goes on."""
         over = int(self.raw.marks["over"])
         return Outcome(over - 1) if over else None
 
     def retire(self, number: int) -> None:
-        """The robot does no more."""
+        """The robot no longer takes part."""
         with self._between():
             self.limit(number, 0)
             if self.s.robots[number].doing != Doing.DEAD:
                 self._lay_down(number)
 
     def limit(self, number: int, moves: int) -> None:
-        """The robot can still make so many moves, whatever was known of its range."""
+        """Set the number of moves that the robot can still make, whatever its known range."""
         me, ranges = self.s.robots[number], self.problem.range.copy()
         made = max(int(ranges[number]) - self.moves_left(number), 1)
         ranges[number] = made + moves
@@ -435,27 +459,27 @@ class Fleet(SingleRun):
             self.left[number] = moves
         rests = me.doing in (Doing.IDLE, Doing.DONE) and not holds(self.raw.waiting, number)
         if moves > 0 and rests and self.over is None:
-            self.turned.discard(number)  # with a new battery it gets work again
+            self.turned.discard(number)  # with a new battery it is given work again
             if number not in self.aside:
                 self._bring_back(number, Doing(me.doing))
 
 
-# What robots are told, and what they tell.
+# Orders and reports.
 
 Why = Literal["travel", "cover", "follow", "return", "hold", "idle"]
-"""`travel` to its area, `cover` it, `follow` another planner's path, `return` home; `hold`: it waits its turn, has no
-moves left or makes no progress; `idle`: nothing is left for it."""
+"""`travel` to its area, `cover` it, `follow` an external path, `return` to base; `hold`: it waits for the cap on robots
+at risk, has no moves left or makes no progress; `idle`: there is no work for it."""
 Cell = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class Order:
-    """What a robot is to do in the step that is under way.
+    """Order of a robot for the current step.
 
     Attributes:
-        robot: its number. cell: (row, col), where it is to be at the end of the step.
-        path: cells that it is to enter after that one, as things stand.
-        area: the id of the area that it works on, or NO_AREA. why: what it does.
+        robot: index. cell: (row, col) at the end of the step.
+        path: cells that it would enter after that.
+        area: the id of its area, or NO_AREA. why: its activity.
     """
 
     robot: int
@@ -472,11 +496,11 @@ class Order:
 
 @dataclass(frozen=True)
 class Report:
-    """What a robot, or who watches it, said of the step that is under way.
+    """Report on a robot in the current step.
 
     Attributes:
-        cell: index of the cell where it is. stopped: it is lost there. found: it was lost before, and is back.
-        moves_left: that it can still make; None: as known.
+        cell: index of its cell. stopped: whether it is lost there. found: whether it was lost before, and is back.
+        moves_left: moves that it can still make; None: as known.
     """
 
     cell: int
@@ -485,16 +509,16 @@ class Report:
     moves_left: int | None = None
 
 
-# What robots said of the step under way: whether it can be true, and what of it was late.
+# Reports of the current step: their consistency, and late ones.
 
 
 class Reports:
     """Reports to a fleet.
 
     Attributes:
-        fleet: as it stands at the end of the last step.
-        now: by robot, what holds at the end of this one. passed: (robot, cell) where it was in a step before.
-        heard: of each robot the last step that it reported of. seen: p of cells that were seen, None of an obstacle.
+        fleet: at the end of the last step.
+        now: reports of the current step, by robot. passed: (robot, cell) of late reports.
+        heard: last step that each robot reported of. seen: p of observed cells, None for an obstacle.
     """
 
     def __init__(self, fleet: Fleet) -> None:
@@ -505,19 +529,32 @@ class Reports:
         self.seen: dict[int, float | None] = {}
 
     def carry(self, before: Reports) -> None:
-        """Take over what was reported before cells were closed; of late ones what can be reached still."""
+        """Take over the reports before cells were closed; late ones only if their cells are still reachable.
+
+        Args:
+            before: the reports.
+        """
         self.now, self.heard, self.seen = before.now, before.heard, before.seen
         self.passed = [one for one in before.passed if self.fleet.problem.part[one[1]]]
 
     def clear(self) -> None:
-        """The step is over."""
+        """End the step."""
         self.now, self.passed, self.seen = {}, [], {}
 
     def hear(self, number: int, cell: ArrayLike | None, step: Any, moves_left: Any, **flags: bool) -> Report | None:
-        """A report, arguments as of `Mission.report`; what holds of this step by it, None if nothing is new.
+        """Check and store a report.
 
-        What is late is taken to hold of a step before, and the report of where the robot was is given back.
-        Raises StateError, and nothing is taken.
+        A late report counts for an earlier step; the result is then the report of where the robot was.
+
+        Args:
+            number: index of the robot.
+            cell, step, moves_left, flags: as in `Mission.report`.
+
+        Returns:
+            The report that now holds for this step; None if nothing is new.
+
+        Raises:
+            StateError: it cannot be true; nothing is stored.
         """
         there, current = self._cell(number, cell), self.fleet.step + 1
         if moves_left is not None and not is_whole(moves_left, 0, MAX_STEP):
@@ -538,7 +575,7 @@ class Reports:
         return None if report == before else report
 
     def _cell(self, number: int, cell: ArrayLike | None) -> int:
-        """The index of the cell that a robot says it is at."""
+        """Index of the reported cell of a robot, checked."""
         if cell is None:
             return self.now[number].cell if number in self.now else self.fleet.cell(number)
         world, part, found = self.fleet.problem.world, self.fleet.problem.part, whole_numbers(cell)
@@ -557,7 +594,7 @@ class Reports:
         return index
 
     def _agreed(self, number: int, new: Report) -> Report:
-        """The report, if it can be true with what is known; what it leaves out as it was said before in this step."""
+        """The report, if consistent with what is known; missing parts as reported before in this step."""
         robot, before = self.fleet.robots[number], self.now.get(number)
         lost = (not robot.alive and (before is None or not before.found)) or (before is not None and before.stopped)
         where = robot.cell if before is None else before.cell
@@ -580,7 +617,7 @@ class Reports:
         return Report(new.cell, new.stopped, before.found, moves_left)
 
     def said(self) -> list[Json]:
-        """They as files hold them."""
+        """The reports as in files."""
         width, late = self.fleet.problem.world.shape[1], self.fleet.step
         passed = [{"robot": robot, "cell": list(divmod(cell, width)), "step": late} for robot, cell in self.passed]
         return passed + [
@@ -590,9 +627,9 @@ class Reports:
 
 
 def whole_numbers(given: ArrayLike) -> NDArray[np.int64]:
-    """They as an array; an empty one for anything else."""
+    """Whole numbers as an int64 array; an empty one for anything else."""
     try:
         found = np.asarray(given)
-    except ValueError:  # ragged
+    except ValueError:  # lists of unequal length
         found = np.zeros(0)
     return found if found.dtype.kind in "iu" else np.zeros(0, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Connected areas (Def. 2): the 4-connected components of sets of cells."""
+"""Areas (Def. 2): connected components, METIS and wavefront splits, Algorithm 1's allocation, orders of sides."""
 
 from __future__ import annotations
 
@@ -22,23 +22,38 @@ from planner.world.world import FOUR_NEIGHBOURS
 
 
 def connected_parts(shape: tuple[int, int], cells: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """The 4-connected components of `cells` (indices), each in rising order, ordered by lowest cell."""
+    """The 4-connected components of cells.
+
+    Args:
+        shape: (H, W).
+        cells: int64 `[cells]`, indices.
+
+    Returns:
+        The components ordered by lowest cell, each int64, increasing.
+    """
     if len(cells) == 0:
         return []
     rows, cols = np.divmod(cells, shape[1])
     top, left = rows.min(), cols.min()
+    # Labelled in the bounding box: areas are small compared with the map.
     window = np.zeros((rows.max() - top + 1, cols.max() - left + 1), dtype=np.bool_)
     window[rows - top, cols - left] = True
     labels, count = ndimage.label(window, structure=FOUR_NEIGHBOURS)
     if count == 1:
         return [np.sort(cells)]
     ordered = np.sort(cells)
+    # In the order of the indices, so that each part's cells increase without sorting them again.
     label = labels[ordered // shape[1] - top, ordered % shape[1] - left]
     return split_by_label(ordered, label)
 
 
 def split_by_label(ordered: NDArray[np.int64], label: NDArray) -> list[NDArray[np.int64]]:
-    """`ordered` (rising indices) cut by `label`, the parts ordered by lowest cell."""
+    """Split increasing cell indices by their labels; the parts ordered by lowest cell.
+
+    Args:
+        ordered: int64 `[cells]`, increasing.
+        label: int `[cells]`, from 0.
+    """
     grouped = ordered[np.argsort(label, kind="stable")]
     ends = np.cumsum(np.bincount(label)).tolist()
     parts = (grouped[begin:end] for begin, end in itertools.pairwise([0, *ends]) if end > begin)
@@ -49,7 +64,13 @@ def split_by_label(ordered: NDArray[np.int64], label: NDArray) -> list[NDArray[n
 def find_areas(shape: tuple[int, int], levels: ThreatLevels) -> list[tuple[int, NDArray[np.int64]]]:
     """Every area as (level, cells), level by level and by lowest cell within a level: the order of area ids.
 
-    The last ones are kept, for other teams with the same levels.
+    The last result is kept for other teams with the same levels.
+
+    Args:
+        shape: (H, W).
+        levels: of the cells.
+
+    Source: paper, Def. 2.
     """
     cells = np.flatnonzero(levels.of_cell != NO_LEVEL)
     parts = split_by_label(cells, connected_alike(shape, levels.of_cell)[0][cells])
@@ -57,32 +78,46 @@ def find_areas(shape: tuple[int, int], levels: ThreatLevels) -> list[tuple[int, 
 
 
 def connected_alike(shape: tuple[int, int], kind: NDArray[np.integer]) -> tuple[NDArray[np.int32], int]:
-    """The 4-connected components of cells of one `kind` `[N]`, all kinds at once: numbers `[N]` from 1, how many.
+    """The 4-connected components of cells of equal kind, all kinds at once.
 
-    A kind below 0 is none, and has number 0. Between two neighbours lies a place that is free if they are alike.
+    Labelled on a grid with an extra position between neighbours, which is free if both are of one kind.
+
+    Args:
+        shape: (H, W).
+        kind: int `[N]`; negative: no kind.
+
+    Returns:
+        (component of each cell int32 `[N]` from 1, 0 for no kind; number of components).
     """
     of = kind.reshape(shape)
     free = np.zeros((2 * shape[0] - 1, 2 * shape[1] - 1), dtype=np.bool_)
     free[::2, ::2] = of >= 0
+    # The positions between cells connect only neighbours of one kind, so that one call labels all kinds.
     free[1::2, ::2] = (of[1:] == of[:-1]) & (of[1:] >= 0)
     free[::2, 1::2] = (of[:, 1:] == of[:, :-1]) & (of[:, 1:] >= 0)
     labels, count = ndimage.label(free, structure=FOUR_NEIGHBOURS)
     return labels[::2, ::2].ravel(), count
 
 
-# Splitting an area into connected, balanced parts: METIS before the start, wavefront bisection at run time.
+# Splits of an area into connected, balanced parts: METIS before the start, wavefront bisection at run time.
 #
-# The only file that imports METIS. Parts are always ordered by lowest cell.
+# Only this file imports METIS. Parts are always ordered by lowest cell.
 
 Partition = Callable[[tuple[int, int], NDArray[np.int64], int], list[NDArray[np.int64]]]
-"""`(shape, cells of a connected area, parts) -> parts`, as `metis_parts` and `wavefront_parts` are."""
+"""`(shape, cells of a connected area, number of parts) -> parts`, as `metis_parts` and `wavefront_parts`."""
 
 
 def metis_parts(shape: tuple[int, int], cells: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
-    """`count` connected parts of a connected area by multilevel k-way partitioning (paper, section 4.1).
+    """Split a connected area into `count` connected parts by multilevel k-way partitioning.
 
-    METIS leaves parts empty on tiny areas and may disconnect one; then the wavefront split takes its place.
-    `1 <= count <= len(cells)`.
+    METIS leaves parts empty on tiny areas and may disconnect one; then the wavefront split is used.
+
+    Args:
+        shape: (H, W).
+        cells: int64, indices.
+        count: `1 <= count <= len(cells)`.
+
+    Source: paper, section 4.1; SPEC section 4.
     """
     ordered = np.sort(cells)
     if count == 1:
@@ -93,18 +128,24 @@ def metis_parts(shape: tuple[int, int], cells: NDArray[np.int64], count: int) ->
     _, label = pymetis.part_graph(count, adjacency=adjacency, recursive=False, options=options)
     parts, part_of = split_by_label(ordered, np.asarray(label)), np.full(shape[0] * shape[1], -1)
     part_of[ordered] = label
+    # As many components as parts: no part is empty or disconnected.
     if len(parts) == count == connected_alike(shape, part_of)[1]:
         return parts
     return wavefront_parts(shape, ordered, count)
 
 
 def wavefront_parts(shape: tuple[int, int], cells: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
-    """`count` connected parts of a connected area by repeated wavefront bisection, sizes as equal as possible."""
+    """Split a connected area into `count` connected parts by repeated wavefront bisection, sizes nearly equal.
+
+    Args and returns as in `metis_parts`.
+    """
     if count == 1:
         return [np.sort(cells)]
     first = (count + 1) // 2
+    # Half of the parts are cut off at a time: their share of the cells, rounded up.
     grown, rest = bisect(shape, cells, -(-len(cells) * first // count))
     share = round(count * len(rest) / len(cells))
+    # The cut may miss its target, since the largest rest stays whole: parts are divided again by size.
     of_rest = min(max(share, 1, count - len(grown)), len(rest), count - 1)
     parts = wavefront_parts(shape, grown, count - of_rest) + wavefront_parts(shape, rest, of_rest)
     return sorted(parts, key=lambda part: int(part[0]))
@@ -113,10 +154,20 @@ def wavefront_parts(shape: tuple[int, int], cells: NDArray[np.int64], count: int
 def bisect(
     shape: tuple[int, int], cells: NDArray[np.int64], target: int | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(grown, rest): two connected parts of a connected area of at least 2 cells (SPEC section 5).
+    """Split a connected area of at least 2 cells in two connected parts.
 
-    A breadth-first wavefront grows from a far end until `target` cells (default half, rounded up) are in: whole
-    layers, the last one in index order. Of the rest the largest component stays, the others join the grown half.
+    A breadth-first wavefront grows from a far end until it has `target` cells: whole layers, the last one in index
+    order. Of the rest the largest component stays, the others join the grown part.
+
+    Args:
+        shape: (H, W).
+        cells: int64, indices.
+        target: None: half of the cells, rounded up.
+
+    Returns:
+        (grown, rest), int64, increasing.
+
+    Source: SPEC section 5.
     """
     goal = min(target if target is not None else (len(cells) + 1) // 2, len(cells) - 1)
     members = {int(cell) for cell in cells}
@@ -128,12 +179,13 @@ def bisect(
             break
     rest = connected_parts(shape, np.array(sorted(members - grown), dtype=np.int64))
     stays = max(rest, key=lambda part: (len(part), -int(part[0])))
+    # Smaller components of the rest join the grown part: they are connected to it only.
     grown_cells = np.array(sorted(members - {int(cell) for cell in stays}), dtype=np.int64)
     return grown_cells, stays
 
 
 def _layers(shape: tuple[int, int], members: set[int], source: int) -> list[list[int]]:
-    """Breadth-first layers of the cells of `members` from `source`."""
+    """Breadth-first layers of the cells `members` from `source`."""
     width = shape[1]
     left, layers = members - {source}, [[source]]
     while left:
@@ -150,7 +202,7 @@ def _layers(shape: tuple[int, int], members: set[int], source: int) -> list[list
 
 
 def _adjacency(shape: tuple[int, int], ordered: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Compressed rows (starts, targets) of the 4-neighbour graph of the cells, nodes in rising cell order."""
+    """Compressed rows (starts, targets) of the 4-neighbour graph of the cells, nodes in increasing cell order."""
     height, width = shape
     node = np.full((height + 2) * (width + 2), -1, dtype=np.int64)
     padded = (ordered // width + 1) * (width + 2) + ordered % width + 1
@@ -178,12 +230,17 @@ def allocate_areas_to_robots(
     density: float,
     partition: Partition,
 ) -> tuple[Area, ...]:
-    """Algorithm 1's initial allocation: the areas in id order with their owners (SPEC section 4).
+    """Algorithm 1's initial allocation: the areas in id order with their owners.
 
     Args:
-        areas: (level, cells) in id order. starts: cell index of each robot, int64 `[K]`.
-        paths: of each robot. density: d; a safe area takes another robot while `robots in it * d <= cells`.
-        partition: how an area of several robots is split.
+        areas: (level, cells) in id order.
+        starts: int64 `[K]`, cell index of each robot.
+        shape: (H, W).
+        paths: of each robot.
+        density: d; a safe area takes another robot while `robots in it * d <= cells`.
+        partition: splits an area of several robots.
+
+    Source: paper, Algorithm 1; SPEC section 4.
     """
     safe = [_SafeArea(number, cells, []) for number, (level, cells) in enumerate(areas) if level == 0]
     with_room = np.full(len(paths[0].neighbours), NOT_WANTED, dtype=np.int32)
@@ -194,6 +251,7 @@ def allocate_areas_to_robots(
         if target is not None:
             area = safe[with_room[target.cell]]
             area.robots.append(robot)
+            # Counted after this robot was added: the next one would make the area too dense.
             if len(area.robots) * density > len(area.cells):
                 with_room[area.cells] = NOT_WANTED
     split = {area.number for area in safe if len(area.robots) > 1}
@@ -221,17 +279,27 @@ def _split_between(
     from_each = (paths[robot].to_all(int(starts[robot])) for robot in area.robots)
     cells, begins = np.concatenate(parts), np.cumsum([0, *map(len, parts[:-1])])
     costs = np.array([np.minimum.reduceat(cost[cells], begins) for cost in from_each])
+    # Robots as rows, parts as columns in order of lowest cell: SciPy's ties then follow from the plan alone.
     of_row, of_column = linear_sum_assignment(costs)
     robot_of_part = {int(part): area.robots[int(row)] for row, part in zip(of_row, of_column, strict=True)}
     return [Area(0, robot_of_part[number], part) for number, part in enumerate(parts)]
 
 
 def sides_first(order: object, safe: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """int64 `[H * W, 4]`: of each cell its sides, the one that goes first, first (SPEC section 20).
+    """Priority of the sides of each cell on coverage paths.
 
-    `safe` `[H, W]`: the cells of level 0; all others have theirs by index. Of a connected set of safe cells it knows
-    nothing but its shape, so that a mission that is gone on with has the order with which it began.
+    The order in a connected set of safe cells depends only on its shape, so a resumed mission keeps its order.
+
+    Args:
+        order: one of ORDERS, or a user's order.
+        safe: bool `[H, W]`, cells of level 0; all others have their sides by index.
+
+    Returns:
+        int64 `[H * W, 4]`.
+
+    Source: SPEC section 20.
     """
+    # Only safe areas get another order: in dangerous ones few cells are adjacent and to do.
     sides = np.tile(BY_INDEX, (safe.size, 1))
     along_row = np.zeros(safe.shape, dtype=np.bool_)
     if order == ROWS:
@@ -245,7 +313,7 @@ def sides_first(order: object, safe: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def _fewer_in_rows(safe: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The cells of those connected sets that have no more straight runs in rows than in columns."""
+    """The cells of connected sets that have at most as many straight runs in rows as in columns."""
     part, count = ndimage.label(safe, FOUR_NEIGHBOURS)
     begins_row, begins_column = safe.copy(), safe.copy()
     begins_row[:, 1:] &= ~safe[:, :-1]

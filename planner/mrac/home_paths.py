@@ -1,4 +1,4 @@
-"""Ways home: from every cell the safest path to a base, for robots that come home (SPEC section 19)."""
+"""Ways to base: from every cell the safest path to a base (SPEC section 19); and maps of robot types (SPEC 22)."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from planner.simulator.searches import UNREACHED, SafestPaths, safest_paths
 from planner.world.levels import NO_LEVEL, ThreatLevels, entry_costs, level_costs, levels_of_maps
 from planner.world.world import World
 
-# The maps of robots that differ in type: one book of areas, and for each type its own costs and ways (SPEC 22).
+# Maps of robots of several types: one area registry, and for each type its own costs and paths (SPEC section 22).
 #
-# An area is a connected set of cells that have one level for each type. So a robot enters all cells of an area at one
-# cost, as Algorithm 3 presumes, whichever type it is of.
+# An area is a connected set of cells that have one level for each type. So any robot pays the same for all cells of an
+# area, as Algorithm 3 requires.
 
 
 @dataclass(frozen=True, eq=False)
 class OwnMaps:
-    """Axes: `Y` types, `K` robots, `L` levels of areas, `N` cells.
+    """Maps of robot types. Axes: `Y` types, `K` robots, `L` levels of areas, `N` cells.
 
     Attributes:
-        of: int64 `[K]`, the type of each robot. values: float64, the scale of what types call levels.
-        level: int64 `[Y, L]`, which level of the scale an area of each level is to a type.
+        of: int64 `[K]`, the type of each robot. values: float64, the common scale of the types' levels.
+        level: int64 `[Y, L]`, level on that scale of an area of each level, by type.
         costs: int64 `[Y, N]`, entry costs. paths: safest paths of each type.
     """
 
@@ -42,23 +42,34 @@ class OwnMaps:
 def own_maps(
     worlds: tuple[World, ...], accessible: NDArray[np.bool_], settings: Settings
 ) -> tuple[ThreatLevels, NDArray[np.int64], OwnMaps]:
-    """The levels of areas, the cost of entering a cell of each level of the scale, and the maps by type.
+    """Maps of a team with several robot types. Levels of areas increase with their mean p over the team.
 
-    `worlds`: of each robot `[K]`, two of them or more different. Levels of areas rise by their mean p over the team.
-    Raises PlanError for what such teams do not do, WorldError.
+    Args:
+        worlds: of each robot `[K]`, at least two of them different.
+        accessible: bool `[H, W]`.
+        settings: of the plan.
+
+    Returns:
+        (levels of areas; int64, cost of entering a cell of each level of the scale; maps by type).
+
+    Raises:
+        PlanError: a setting that such teams do not support.
+        WorldError: path costs are too large.
     """
     if settings.transit != Settings().transit:
         problem = f"{argument('transit')} for robots of several types"
         raise PlanError(problem, fix=f"leave {argument('transit')} out, or give all robots one type")
+    # By identity: robots of one type share one world.
     kinds = list(dict.fromkeys(worlds))
     of = np.array([kinds.index(world) for world in worlds])
     within = accessible.ravel()
     threats = np.stack([world.threat.ravel() for world in kinds])
     values, of_map, quantised = levels_of_maps(threats, within, settings.levels)
     of_map = np.where(within, of_map, NO_LEVEL).astype(np.int16)
-    # Level 0, safe for all, exists even when it is empty.
+    # Level 0, safe for all types, exists even if it is empty.
     found, of_cell = np.unique(np.column_stack([np.zeros(len(kinds), of_map.dtype), of_map[:, within]]), axis=1,
                                return_inverse=True)  # fmt: skip
+    # Areas are ordered by the team's mean, since types disagree on which of two areas is safer.
     mean = np.bincount(of, minlength=len(kinds)) @ values[found] / len(of)
     order = np.argsort(mean, kind="stable")
     common = np.full(within.size, NO_LEVEL, dtype=np.int16)
@@ -71,20 +82,20 @@ def own_maps(
 
 
 CUT_OFF = -1
-"""Moves of a way home where no base can be reached: less than any robot has left, so that nothing turns it."""
+"""Moves of a way to base where no base can be reached: never more than a robot's moves left, so no return starts."""
 
 
 @dataclass(frozen=True, eq=False)
 class Homeward:
-    """The ways home. Axes: `B` sets of bases, and types, `N` cells, `K` robots.
+    """Ways to base. Axes: `B` sets of bases (and types), `N` cells, `K` robots.
 
     Attributes:
-        starts: int64 `[K]`, the cells where the robots started. of: int64 `[K]`, the set of bases of each.
-        bases: bool `[B, N]`, those of each set.
-        cost: int64 `[B, N]`, cost of the way home, UNREACHED where there is none.
+        starts: int64 `[K]`, the robots' starts. of: int64 `[K]`, the set of bases of each robot.
+        bases: bool `[B, N]`, cells of each set.
+        cost: int64 `[B, N]`, cost of the way to base, UNREACHED where there is none.
         steps: int32 `[B, N]`, its moves, 0 at a base, CUT_OFF where there is none.
-        onward: int32 `[B, N]`, the cell that is entered next, NO_CELL at a base and where there is none.
-        last: D, the step at which the robots know that the mission ends; MAX_STEP if at none.
+        onward: int32 `[B, N]`, its next cell, NO_CELL at a base and where there is none.
+        last: D, the step at which the mission is known to end; MAX_STEP if there is none.
     """
 
     starts: NDArray[np.int64]
@@ -96,11 +107,11 @@ class Homeward:
     last: int
 
     def moves(self, robot: int, cell: int) -> int:
-        """h: moves of the robot's way home from the cell."""
+        """h: moves of the robot's way to base from the cell."""
         return int(self.steps[self.of[robot], cell])
 
     def believing(self, paths: SafestPaths, costs: NDArray[np.int64]) -> Homeward:
-        """The same where robots believe another map, with these paths and costs `[N]`."""
+        """The same on another map, with these paths and entry costs int64 `[N]`."""
         found = [ways_to(np.flatnonzero(cells), paths, costs) for cells in self.bases]
         cost, steps, onward = (np.stack(rows) for rows in zip(*found, strict=True))
         return replace(self, cost=cost, steps=steps, onward=onward)
@@ -115,11 +126,22 @@ def ways_home(
     homes: NDArray[np.int64] | None = None,
     own: OwnMaps | None = None,
 ) -> Homeward | None:
-    """The ways home of robots from `starts` `[K]`, cells; None where they need not come home.
+    """The ways to base of a team. Cost: a search from every base.
 
-    `costs`: int64 `[N]`, of entering each cell. `homes`: cells `[K]` where robots of a mission under way started.
-    `own`: of robots of several types, whose ways home are their own. Cost: a search from every base. Raises PlanError
-    for a base that is off the map, and of a mission that begins for a robot that cannot reach one.
+    Args:
+        settings: of the plan.
+        starts: int64 `[K]`, cells of the robots.
+        shape: (H, W).
+        paths: safest paths.
+        costs: int64 `[N]`, entry costs.
+        homes: int64 `[K]`, first cells of the robots of a resumed mission.
+        own: maps of robot types, each with its own ways.
+
+    Returns:
+        None if robots do not return.
+
+    Raises:
+        PlanError: a base off the map, or, for a mission that begins, a robot that cannot reach a base.
     """
     if settings.return_to is None:
         return None
@@ -132,6 +154,7 @@ def ways_home(
         sets, of = [shared], np.zeros(len(starts), dtype=np.int64)
     maps = ((paths, costs),) if own is None else tuple(zip(own.paths, own.costs, strict=True))
     kinds = np.zeros(len(starts), dtype=np.int64) if own is None else own.of
+    # One set of ways for each combination of type and bases that occurs.
     pairs, of = np.unique(np.stack([kinds, of]), axis=1, return_inverse=True)
     found = [ways_to(sets[bases], *maps[kind]) for kind, bases in pairs.T.tolist()]
     cells = np.arange(len(costs))
@@ -145,7 +168,7 @@ def ways_home(
 
 
 def _cells(places: str | tuple[tuple[int, int], ...], shape: tuple[int, int]) -> NDArray[np.int64]:
-    """The bases as cells, rising."""
+    """The bases as cells, increasing."""
     rows, cols = np.array(places, dtype=np.int64).T
     off = np.flatnonzero((rows >= shape[0]) | (cols >= shape[1]))
     if len(off):
@@ -157,7 +180,7 @@ def _cells(places: str | tuple[tuple[int, int], ...], shape: tuple[int, int]) ->
 
 
 def _check(home: Homeward, settings: Settings, starts: NDArray[np.int64], shape: tuple[int, int]) -> None:
-    """Raise PlanError for a robot that cannot come home from where it starts."""
+    """Raise PlanError for a robot that cannot return to base from its start."""
     moves = np.broadcast_to(np.asarray(MAX_STEP if settings.range is None else settings.range), len(starts))
     for robot, start in enumerate(starts.tolist()):
         way, where = home.moves(robot, start), [int(n) for n in divmod(start, shape[1])]
@@ -175,11 +198,17 @@ def _check(home: Homeward, settings: Settings, starts: NDArray[np.int64], shape:
 def ways_to(
     bases: NDArray[np.int64], paths: SafestPaths, costs: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]:
-    """(cost, steps, onward) `[N]` of the ways to the nearest of the bases."""
+    """Ways to the nearest of some bases: (cost int64, steps int32, onward int32), each `[N]`, as in `Homeward`.
+
+    Args:
+        bases: int64, cells.
+        paths: safest paths.
+        costs: int64 `[N]`, entry costs.
+    """
     n = len(costs)
     cost = np.full(n, UNREACHED, dtype=np.int64)
     for base in bases[costs[bases] > 0].tolist():
-        # A path costs as much as the way back, but for its two ends: the cell that it leaves is not entered.
+        # A path costs what its reverse costs, except at the ends: the first cell of a path is not entered.
         away = paths.to_all(base)
         back = np.where(away == UNREACHED, UNREACHED, away - costs + costs[base])
         back[base] = 0
@@ -195,7 +224,7 @@ def ways_to(
 
 @compiled
 def _follow(nearest_first, cost, costs, neighbours, steps, onward):  # type: ignore[no-untyped-def]
-    """Fill in steps and onward of the cells, which rise in cost: what is entered next is always known before."""
+    """Fill steps and onward of the cells, in increasing cost: a cell's successor is always filled before it."""
     for cell in nearest_first:
         if cost[cell] == 0:
             steps[cell] = 0

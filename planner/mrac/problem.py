@@ -1,4 +1,4 @@
-"""A world made ready for planning: levels, costs, safest paths, and the policy's limits."""
+"""A world prepared for planning: levels, costs, safest paths, the limits of the policy; and closed loops of plans."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ from planner.world.moving_threats import Phases
 from planner.world.uncertain_maps import Hazard, Uncertain
 from planner.world.world import FOUR_NEIGHBOURS, World, check_starts
 
-# What robots that are not told the map believe at first, and what may be true: levels on one scale (SPEC section 15).
+# Unknown maps: the robots' first map and the candidates of the true map, with levels on one scale (SPEC section 15).
 #
-# Robots that learn about hazards believe one of several classes of each cell, whatever is true.
+# With hazard estimates the candidates are classes of estimates, whatever is true.
 
 
 @dataclass(frozen=True, eq=False)
 class Unknown:
-    """What is believed and true. Axes: `N` = H * W cells, `M` maps of which one is true, `L` levels.
+    """Prior and true maps. Axes: `N` = H * W cells, `M` candidates of the true map, `L` levels.
 
     Attributes:
-        knowledge: of the world. values: float64 `[L]`, of all maps together; quantised: as of `ThreatLevels`.
-        belief: int16 `[N]`, level of each cell that is believed free, NO_LEVEL of an obstacle: before the first step.
-        truths: int16 `[M, N]`, the same truly; of hazards, what each class of the evidence makes robots believe; of
-            phases, what is true in each.
-        within: bool `[N]`, cells that robots may come to reach, whatever they learn.
-        accessible: bool `[N]`, those that they truly can reach.
-        evidence: what robots that learn about hazards go by; None: they see what is true.
-        phases: of threats that change, of which robots are told as they do; None: nothing changes.
+        knowledge: of the world. values: float64 `[L]`, of all maps together. quantised: as in `ThreatLevels`.
+        belief: int16 `[N]`, level of each cell of the robots' first map, NO_LEVEL for obstacles.
+        truths: int16 `[M, N]`, the same of each true map; with hazard estimates of each class of estimates; with phases
+            of each phase.
+        within: bool `[N]`, cells that may become reachable on some map.
+        accessible: bool `[N]`, cells that are reachable on the true map.
+        evidence: of hazard estimates; None: robots see the true map.
+        phases: of threats that change and become known as they do; None: nothing changes.
     """
 
     knowledge: Knowledge
@@ -59,18 +59,18 @@ class Unknown:
 
     @property
     def looks(self) -> bool:
-        """Whether robots look about, for cells that nobody has seen yet."""
+        """Whether sensors reveal cells not seen before."""
         return self.evidence is None and self.phases is None
 
     @cached_property
     def learns(self) -> bool:
-        """Whether anything is left to learn, and somebody looks."""
+        """Whether the robots' map may change."""
         differ = (self.truths != self.belief)[:, self.within]
         return (not self.looks or self.knowledge.sense.range > 0) and bool(differ.any())
 
     @cached_property
     def last_update(self) -> int:
-        """The step from which the last announced phase holds that changes a level which robots know of; 0: none."""
+        """Begin of the last phase that changes a level of a reachable cell; 0: none."""
         if self.phases is None:
             return 0
         changes = (self.truths[1:] != self.truths[:-1])[:, self.within].any(axis=1)
@@ -78,20 +78,26 @@ class Unknown:
 
     @property
     def dearest(self) -> ThreatLevels:
-        """Every cell that may be reached at the highest level that it may have."""
+        """The highest level that each reachable cell may have."""
         most = np.maximum(self.truths.max(axis=0), self.belief)
         return ThreatLevels(self.values, np.where(self.within, most, NO_LEVEL).astype(np.int16), self.quantised)
 
     @cached_property
     def views(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-        """What is seen from each cell that may be reached, of such cells (`Sense.views`), in order of the cells."""
+        """Reachable cells in sensor range of each reachable cell, in order of the cells (`Sense.views`)."""
         begin, seen = self.knowledge.sense.views(self.knowledge.free, np.flatnonzero(self.within))
         kept = self.within[seen]
         return np.append(0, np.cumsum(kept))[begin], seen[kept]
 
 
 def unknown_of(world: World, starts: NDArray[np.int64], most: int) -> Unknown | None:
-    """Of robots at `starts` `[K, 2]` and at most so many levels; None where they are told the map."""
+    """The unknown map of a team, or None if the map is known.
+
+    Args:
+        world: the map.
+        starts: int64 `[K, 2]`, (row, col).
+        most: levels, at most.
+    """
     known = world.knowledge
     if world.learned_hazard is not None:
         return _of_hazards(world, world.learned_hazard.evidence, starts, most)
@@ -106,7 +112,7 @@ def unknown_of(world: World, starts: NDArray[np.int64], most: int) -> Unknown | 
         true = known.truth.reshape(1, -1)
     free = known.free | ~np.isnan(world.threat)
     within = reached(free, starts[:, 0] * world.shape[1] + starts[:, 1])
-    # On the scale of what was believed before anybody looked, and of all that may be true: it tells no place.
+    # Levels of the prior map, before any cell was seen, and of all true maps: the scale reveals no place.
     values, of_cell, quantised = levels_of_maps(np.concatenate([world.threat.reshape(1, -1), true]), within, most)
     looked = ((told != world.threat) & ~(np.isnan(told) & np.isnan(world.threat))).ravel()
     belief = np.where(looked, of_cell[1], of_cell[0]).astype(np.int16)
@@ -114,7 +120,7 @@ def unknown_of(world: World, starts: NDArray[np.int64], most: int) -> Unknown | 
 
 
 def _of_hazards(world: World, evidence: Evidence, starts: NDArray[np.int64], most: int) -> Unknown | None:
-    """Of robots that learn about hazards; None where nothing that happens changes what they plan on."""
+    """For hazard estimates; None if no evidence changes the robots' plans."""
     within = world.accessible(starts).ravel()
     classes, first = evidence.chances, world.threat.ravel()
     if np.array_equal(classes[:, within], np.broadcast_to(first[within], classes[:, within].shape), equal_nan=True):
@@ -136,7 +142,12 @@ def _of_phases(world: World, phases: Phases, starts: NDArray[np.int64], most: in
 
 
 def reached(free: NDArray[np.bool_], cells: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """bool `[N]`: the free cells, bool `[H, W]`, in a connected part with one of these."""
+    """bool `[N]`: free cells in a connected part with one of some cells.
+
+    Args:
+        free: bool `[H, W]`.
+        cells: int64.
+    """
     part = ndimage.label(free, FOUR_NEIGHBOURS)[0].ravel()
     return (part > 0) & np.isin(part, part[cells])
 
@@ -144,28 +155,28 @@ def reached(free: NDArray[np.bool_], cells: NDArray[np.int64]) -> NDArray[np.boo
 NO_LIMIT = 2**40
 """More moves than a run has steps."""
 MOST_WORTH = 1000
-"""What decisions count a cell of the largest value by."""
+"""Value of a cell of the largest value in decisions."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A world made ready for planning with given starts. Axis `N` = H * W cells.
+    """A world prepared for planning with given starts. Axis `N` = H * W cells.
 
     Attributes:
-        world, settings: what was asked. starts: int64 `[K]`, cell index of each robot.
+        world, settings: the input. starts: int64 `[K]`, cell index of each robot.
         levels: the threat levels of the accessible cells. costs: int64 `[N]`, entry costs of eq. (3).
         paths: safest paths over the accessible cells.
-        part: int32 `[N]`, connected part of the accessible cells that each of them is in, from 1; 0 elsewhere.
-        range: int64 `[K]`, moves that each robot can make; NO_LIMIT of them where nothing limits it.
-        rule: the policy's. entry: int64 `[L]`, cost of entering a cell of each level (1 where a level has none).
-        given: paths of another planner, int64 `[steps + 1]` each, that the robots follow first; empty: none.
-        sides: int64 `[N, 4]`, which neighbour goes first on coverage paths (`planner.mrac.areas`).
-        value: int64 `[N]`, what attentive robots count cells by; None: 1 each.
-        unknown: what robots are not told of the map, None: nothing. Levels, costs, paths and parts are of what they
-            believe, and all that is accessible is what they believe that one of them can reach.
-        home: the ways home of robots that come home (SPEC section 19); None: they do not.
-        own: the maps of robots that differ in type (SPEC section 22), None: they are alike. `entry` is then by level of
-            their common scale, `costs` and `paths` those of the type that pays most for each cell.
+        part: int32 `[N]`, connected part of each accessible cell, from 1; 0 for others.
+        range: int64 `[K]`, moves that each robot can make; NO_LIMIT without a limit.
+        rule: of the policy. entry: int64 `[L]`, cost of entering a cell of each level (1 for an empty level).
+        given: external paths, int64 `[steps + 1]` each, that the robots follow first; empty: none.
+        sides: int64 `[N, 4]`, priority of neighbours on coverage paths (`planner.mrac.areas`).
+        value: int64 `[N]`, values of cells in decisions of rules that re-evaluate; None: 1 each.
+        unknown: the unknown map, None: the map is known. Levels, costs, paths and parts are those of the robots' map,
+            and accessible cells are those that are reachable on it.
+        home: the ways to base (SPEC section 19); None: robots do not return.
+        own: the maps of robot types (SPEC section 22), None: one type. `entry` is then by level of their common scale,
+            `costs` and `paths` are those of the type that pays most for each cell.
     """
 
     world: World
@@ -187,7 +198,7 @@ class Problem:
 
     @cached_property
     def bases(self) -> NDArray[np.int64]:
-        """int64 `[B, 2]`, (row, col): starts, and where robots come home to: who takes over is in touch with one."""
+        """int64 `[B, 2]`, (row, col): starts and bases; radio contact with one of them is required to get an area."""
         home = self.settings.return_to
         listed = () if home is None or isinstance(home, str) else home
         cells = self.starts if self.home is None else np.concatenate([self.starts, self.home.starts])
@@ -196,8 +207,9 @@ class Problem:
 
     @cached_property
     def back(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-        """Ways to where a robot is in touch, home or to the nearest start: of each robot `[K]` which of them it takes,
-        and what is entered next from each cell `[S, N]`, NO_CELL at the end.
+        """(of int64 `[K]`, onward int32 `[S, N]`): ways back into radio contact, to base or to the nearest start.
+
+        `of` is the way of each robot, `onward` its next cell, NO_CELL at the end.
         """
         if self.home is not None:
             return self.home.of, self.home.onward
@@ -212,17 +224,23 @@ class Problem:
 
     @property
     def max_steps(self) -> int:
-        """T_max of the run (SPEC section 5) or its deadline, at most what the random-number counter can address."""
+        """T_max of the run (SPEC section 5) or its deadline, limited by the random-number counter."""
         levels = self.levels if self.unknown is None else self.unknown.dearest
         return most_steps(self.settings, levels, max(map(len, self.given), default=1) - 1)
 
     @property
     def learns(self) -> bool:
-        """Whether robots may come to believe another map than at first."""
+        """Whether the robots' map may change."""
         return self.unknown is not None and self.unknown.learns
 
     def believing(self, belief: NDArray[np.int16], cells: NDArray[np.int64]) -> Problem:
-        """The same as robots in these cells believe it, by the level `[N]` of each cell, NO_LEVEL of an obstacle."""
+        """The same problem on another map of the robots.
+
+        Args:
+            belief: int16 `[N]`, level of each cell, NO_LEVEL for obstacles.
+            cells: int64 `[K]`, of the robots.
+        """
+        # Only cells that the team can reach on this map: others would make costs and parts depend on the unknown.
         near = reached((belief != NO_LEVEL).reshape(self.world.shape), cells)
         levels = replace(self.levels, of_cell=np.where(near, belief, NO_LEVEL).astype(np.int16))
         costs = np.where(near, self.entry[belief], BLOCKED)
@@ -232,9 +250,13 @@ class Problem:
         return replace(self, levels=levels, costs=costs, paths=paths, part=part, home=home)
 
     def is_for(self, world: World, settings: Settings, accessible: NDArray[np.bool_]) -> bool:
-        """Whether all but starts and ranges is that of robots in `world` that reach the `accessible` cells `[H, W]`.
+        """Whether the problem differs from another team's only in starts and ranges.
 
-        Never where they learn, differ, come home, count values or follow given paths.
+        Never for unknown maps, robot types, return to base, values or external paths.
+
+        Args:
+            world, settings: of the other team.
+            accessible: bool `[H, W]`, cells that it can reach.
         """
         if self.given or any(own is not None for own in (self.unknown, self.own, self.home, self.value, world.value)):
             return False
@@ -243,17 +265,17 @@ class Problem:
 
     @property
     def stay_inside(self) -> bool:
-        """`transit="area"`: legs of a coverage path stay inside the area."""
+        """Whether legs of a coverage path stay inside the area (`transit="area"`)."""
         return self.settings.transit == "area"
 
     @property
     def scale(self) -> int:
-        """What one cell of the largest value counts."""
+        """Value of one cell of the largest value in decisions."""
         return 1 if self.value is None else MOST_WORTH
 
     @cached_property
     def beyond(self) -> int:
-        """More than the price of any area where cells have a value, else 0."""
+        """More than the price of any area if cells have values, else 0."""
         if self.value is None:
             return 0
         costs = self.costs if self.unknown is None else self.entry[self.unknown.dearest.of_cell[self.unknown.within]]
@@ -261,14 +283,20 @@ class Problem:
 
     @cached_property
     def theta(self) -> int:
-        """From which price per new cell on a dangerous area is refused (`robot_value`); NO_REFUSAL if none is."""
+        """Price per new cell from which on a dangerous area is refused (`robot_value`); NO_REFUSAL if none is."""
         values = self.levels.values if self.own is None else self.own.values
         least = float(values[1]) if len(values) > 1 else 0.0
         return refusal_threshold(self.settings.robot_value, self.costs.size, least, self.settings.risk)
 
 
 def most_steps(settings: Settings, levels: ThreatLevels, given: int = 0) -> int:
-    """T_max, or the step at which the settings end a run; `given`: steps of paths that are followed first."""
+    """T_max, or the step at which the settings end a run (SPEC section 5).
+
+    Args:
+        settings: of the plan.
+        levels: of the map.
+        given: steps of external paths that are followed first.
+    """
     if settings.last_step is not None:
         return settings.last_step
     slowest = max(settings.paces, default=1)
@@ -283,16 +311,24 @@ def prepare(
     homes: NDArray[np.int64] | None = None,
     before: Problem | None = None,
 ) -> Problem:
-    """Levels, costs and safest paths of a world for robots at `starts` `[K, 2]`. Raises WorldError.
+    """Prepare a world for planning.
 
-    `homes`: cells `[K]` where robots that come home started, of a mission under way. `before`: another team's problem,
-    of which all is taken over that does not depend on the team, if it is of the same world and settings.
+    Args:
+        world: the map.
+        starts: `[K, 2]`, (row, col).
+        settings: of the plan.
+        given: external paths, int64 `[steps + 1]` each.
+        homes: int64 `[K]`, first cells of the robots of a resumed mission.
+        before: another team's problem; its parts that do not depend on the team are reused if world and settings agree.
+
+    Raises:
+        WorldError, PlanError: an unsupported combination.
     """
     settings.check()
     if settings.paces or settings.radio is not None:
         world.check_told("a team of several speeds, or with radio,")
         if world.phases is not None:
-            said = f"a team of several speeds, or with radio, presumes threats that stay: {world.phases.said}"
+            said = f"several speeds, or radio, require threats that do not change; here: {world.phases.said}"
             raise PlanError(said, source=world.source, fix="leave `phases` out")
     checked = check_starts(starts, world.met, world.source)
     settings.check_team(len(checked), world.source)
@@ -304,6 +340,7 @@ def prepare(
     rule, cells = rule_of(settings.policy), checked[:, 0] * world.shape[1] + checked[:, 1]
     given_range = NO_LIMIT if settings.range is None else settings.range
     moves = np.broadcast_to(np.asarray(given_range, dtype=np.int64), len(cells))
+    # A search over team sizes and starts prepares many problems of one map.
     if before is not None and not given and before.is_for(world, settings, world.accessible(checked)):
         return replace(before, world=world, starts=cells, range=moves)
     if mixed:
@@ -316,7 +353,7 @@ def prepare(
     value = worth_of(world, levels.accessible, settings.priority) if rule.attentive else None
     if own is None:
         _check_comparisons(rule, levels, costs, entry, value, world.source, apart=told)
-    else:  # what another type would pay less is added to what an area costs
+    else:  # the surcharge over another type is part of an area's cost
         most = entry[own.level.max(axis=0)]
         _check_comparisons(rule, levels, 2 * costs, most, value, world.source, apart=True)
     part = _parts(levels, world.shape)
@@ -339,10 +376,22 @@ def _parts(levels: ThreatLevels, shape: tuple[int, int]) -> NDArray[np.int32]:
 def worth_of(
     world: World, accessible: NDArray[np.bool_], priority: int | tuple[int, ...] | None = None
 ) -> NDArray[np.int64] | None:
-    """What decisions count cells by, int64 `[N]`: round(1000 w / max w), at least 1 where w > 0 (SPEC section 13).
+    """Values of cells in decisions: round(1000 w / max w), at least 1 for w > 0, w = value * priority.
 
-    w is a cell's value times its priority. The largest is that of the accessible cells, bool `[N]`; the others count
-    nothing. None where no cell has either. Raises PlanError.
+    The maximum is over accessible cells; other cells have value 0.
+
+    Args:
+        world: the map.
+        accessible: bool `[N]`.
+        priority: of all cells, or of each.
+
+    Returns:
+        int64 `[N]`; None without values and priorities.
+
+    Raises:
+        PlanError: another number of priorities than cells.
+
+    Source: SPEC section 13.
     """
     if world.value is None and priority is None:
         return None
@@ -350,6 +399,7 @@ def worth_of(
         expected = f"one number, or one for each of {accessible.size} cells"
         raise PlanError(f"{argument('priority')} of {len(priority)} cells", source=world.source, expected=expected)
     value = np.where(accessible, 1.0 if world.value is None else world.value.ravel(), 0.0) * np.asarray(priority or 1)
+    # Whole numbers, so that prices per value are compared exactly.
     share = np.rint(MOST_WORTH * (value / (value.max() or 1.0))).astype(np.int64)
     return np.where(value > 0, np.maximum(share, 1), 0)
 
@@ -367,10 +417,11 @@ def _check_comparisons(
     source: str,
     apart: bool,
 ) -> None:
-    """Raise WorldError if two areas of this world might not be comparable in 64 bits (SPEC sections 11 and 13).
+    """Raise WorldError if comparing two areas of this world might exceed 64 bits (SPEC sections 11 and 13).
 
-    `apart`: cells have these levels; else any cell may come to be of any.
+    `apart`: cells have these levels; else any cell may get any level.
     """
+    # The largest offer that each level can give: all its cells to do, at the longest path.
     found = np.bincount(levels.of_cell[levels.accessible], minlength=len(entry))
     counts = np.maximum(found if apart else np.full_like(found, found.sum()), 1).tolist()
     number, longest = len(entry), int(costs.sum())
@@ -384,32 +435,37 @@ def _check_comparisons(
         dearest += [offer._replace(value=0) for offer in dearest]
     if rule.largest(dearest) >= 2**63:
         raise WorldError(
-            f"threat levels up to {levels.values[-1]:g} make areas too dear for policy {rule.name} to compare",
+            f"threat levels up to {levels.values[-1]:g} make areas too expensive for policy {rule.name} to compare",
             source=source,
             expected="path costs times cells below 2**63",
             fix="raise the smallest threats or set them to 0, or use policy mrac",
         )
 
 
-# A plan's closed loop made ready: its problem and the areas at t = 0, of MRAC's plans and of other planners' alike.
+# Closed loops of plans: problem and areas at t = 0, of MRAC's plans and of external plans.
 #
-# Robots with paths of another planner follow them (ours; the paper has no such plans). The cells that a robot is the
-# first to visit are its areas, one a level, which nobody shares; if it is stopped, what is unvisited of them is cut
-# into
-# connected areas for whoever is free, as the paper's `Reallocate Area` does. Cells that are on nobody's path are areas
-# that nobody has from the start. A robot at the end of its path goes on as Algorithm 2 says.
+# Robots follow external paths first (ours; the paper has no such plans). The cells that a robot is the first to visit
+# are its areas, one per level, which are never shared. If it is lost, their unvisited cells become connected areas for
+# other robots, as in the paper's `Reallocate Area`. Cells on no path are unassigned areas from the start. A robot at
+# the end of its path continues with Algorithm 2.
 
 
 def ready_loop(plan: Plan, world: World) -> tuple[Problem, tuple[Area, ...]]:
-    """The problem that the plan's closed loop runs, and its areas at t = 0.
+    """The problem of a plan's closed loop, and its areas at t = 0.
 
-    Raises PlanError for another map, WorldError for what robots that are not told the map do not do.
+    Args:
+        plan: for this world.
+        world: the map.
+
+    Raises:
+        PlanError: the plan is for another map.
+        WorldError: the combination is not supported for unknown maps.
     """
     settings = plan.require(world)
     if plan.is_foreign:
-        settings.check_alike("a closed loop on another planner's paths")
+        settings.check_alike("the closed loop of an external plan")
     if plan.is_foreign or plan.state is not None:
-        world.check_told("a closed loop on another planner's paths" if plan.is_foreign else "the rest of a mission")
+        world.check_told("the closed loop of an external plan" if plan.is_foreign else "a resumed mission")
     if settings.transit == "area":
         world.check_told('`transit="area"`, legs that stay in their area,')
     if not plan.is_foreign:
@@ -420,13 +476,17 @@ def ready_loop(plan: Plan, world: World) -> tuple[Problem, tuple[Area, ...]]:
 
 
 def check_every_visit(world: World, first_only: bool) -> None:
-    """Raise WorldError where robots would learn from visits that nobody checks."""
+    """Check that hazard estimates are not combined with checks of first visits only.
+
+    Raises:
+        WorldError: they are.
+    """
     if first_only and isinstance(world.doubt, Hazard):
         world.check_told(argument("threat_checks", "first_visit"))
 
 
 def areas_of_paths(problem: Problem) -> tuple[Area, ...]:
-    """The areas of robots that follow given paths: for each robot one a level, then the connected ones of nobody."""
+    """The areas of robots on external paths: for each robot one per level, then the connected unassigned ones."""
     first, level = first_visitors(problem), problem.levels.of_cell
     areas = [
         Area(int(of), robot, np.flatnonzero((first == robot) & (level == of)))
@@ -441,10 +501,11 @@ def areas_of_paths(problem: Problem) -> tuple[Area, ...]:
 
 
 def first_visitors(problem: Problem) -> NDArray[np.int64]:
-    """Of each cell the robot that is the first on it if nobody is stopped, the lowest of several; int64 `[N]`."""
+    """The first robot on each cell in a run without losses, the lowest of several; int64 `[N]`, NO_ROBOT for none."""
     first = np.full(problem.costs.size, NO_ROBOT, dtype=np.int64)
     steps = np.concatenate([np.arange(len(path)) for path in problem.given])
     robots = np.repeat(np.arange(len(problem.given)), [len(path) for path in problem.given])
+    # Written from the last visit to the first: the first visitor stays.
     latest_first = np.lexsort((robots, steps))[::-1]
     first[np.concatenate(problem.given)[latest_first]] = robots[latest_first]
     return first

@@ -1,4 +1,4 @@
-"""The plan as data: every robot's nominal path with its legs, the areas with their owners, and the plan file (JSON)."""
+"""The plan as data: each robot's nominal path with its legs, the areas with their owners, and the plan file (JSON)."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from planner.world.world import EXAMPLE, World
 
 FORMAT, VERSION = "mrac-plan", 2
 MOST_SHOWN = 12
-"""Robots of a plan that it shows of itself."""
+"""Robots of a plan that its text shows."""
 
-NO_MORE = "ends with cells left too far to come home from"
-"""What users read beside `no_progress` where robots come home, in the place of the outcome's own clause."""
+NO_MORE = "ends with cells left from which no robot could return to base"
+"""Clause for `no_progress` where robots return to base, instead of the outcome's own."""
 
 
 LegKind = Literal["travel", "cover"]
@@ -39,12 +39,12 @@ LegKind = Literal["travel", "cover"]
 
 @dataclass(frozen=True)
 class Leg:
-    """A stretch `[start, stop)` of a robot's path. The entry that enters an area belongs to its cover leg.
+    """A stretch `[start, stop)` of a robot's path. The entry into an area belongs to its cover leg.
 
     Attributes:
         kind: "travel" (on the way to `area`) or "cover" (covering it).
-        area: area id; level: index of its threat level.
-        start, stop: half-open range over the path's steps. Steps that only wait belong to no leg.
+        area: area id. level: index of its threat level.
+        start, stop: half-open range over the path's steps. Steps without a move belong to no leg.
     """
 
     kind: LegKind
@@ -60,7 +60,7 @@ class Area:
 
     Attributes:
         level: index of its threat level (0 = safe).
-        robot: the robot that it is given to at t = 0, or NO_ROBOT.
+        robot: its robot at t = 0, or NO_ROBOT.
         cells: int64 `[cells]`, indices `row * W + col` in increasing order.
     """
 
@@ -75,7 +75,7 @@ class RobotPlan:
 
     Attributes:
         path: int64 `[steps + 1]`, the cell index at each step from t = 0; equal neighbours = waiting.
-        legs: its stretches in order; empty for the plan of another planner.
+        legs: its legs in order; empty for an external plan.
     """
 
     path: NDArray[np.int64]
@@ -83,27 +83,27 @@ class RobotPlan:
 
     @cached_property
     def entered(self) -> NDArray[np.int64]:
-        """The steps at which it enters a cell: `entries` of its path."""
+        """int64, the steps at which it enters a cell: `entries` of its path."""
         return entries(self.path)
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The nominal run of Algorithm 2 (no hits), or the paths of another planner (then `areas` is empty).
+    """The nominal run of Algorithm 2 (no losses), or an external plan (then `areas` is empty).
 
     Attributes:
-        shape: (H, W) of the world that it was made for; sha256: that world's identity.
-        settings: what it was made with, or None for the plan of another planner.
-        robots: one RobotPlan a robot.
+        shape: (H, W) of its world. sha256: that world's identity.
+        settings: of the plan, or None for an external plan.
+        robots: one RobotPlan per robot.
         areas: the allocation at t = 0, position = area id.
-        areas_added: the areas that sharing appended during the nominal run; ids go on from `areas`.
-        outcome: how the nominal run ended, a word of `Outcome`; "end_of_paths" of another planner's plan.
-        time: the step at which it ended. shares: how often an area was shared.
-        notes: what a user should know about it (cells that nobody visits, ...).
-        for_open_loop: the paths are those of `planner.open_loop`.
-        state: of the mission under way that it goes on from: until its step the paths stand still; or None.
-        bears: of paths alone, what their robots bear; else the settings say it. See `bearing`.
-        source: where its map came from, as of `World`: a plan file says so.
+        areas_added: areas added by sharing during the nominal run; their ids continue those of `areas`.
+        outcome: of the nominal run, a word of `Outcome`; "end_of_paths" for an external plan.
+        time: the step at which it ended. shares: number of shared areas.
+        notes: for users (cells on no path, ...).
+        for_open_loop: whether the paths are those of `planner.open_loop`.
+        state: of the mission that the plan resumes: until its step the paths stand still; or None.
+        bears: failure model of an external plan; else the settings determine it. See `bearing`.
+        source: origin of its map, as in `World`: plan files hold it.
     """
 
     shape: tuple[int, int]
@@ -123,15 +123,21 @@ class Plan:
 
     @property
     def bearing(self) -> Bearing:
-        """What its robots bear, and have borne."""
+        """The failure model of its robots, with their cumulative hazards so far."""
         if self.settings is None:
             return self.bears
         begun = () if self.state is None or self.settings.weibull_shape == 1 else self.state.exposures
         return self.settings.bearing(begun)
 
     def of_robots(self, **what: Any) -> Plan:
-        """The same plan with another `weibull_shape` or `hazard_multiplier`, which no decision knows. Raises
-        PlanError."""
+        """A copy with another `weibull_shape` or `hazard_multiplier`, which affect no decision.
+
+        Args:
+            what: these settings.
+
+        Raises:
+            PlanError: a value is invalid.
+        """
         settings = replace(self.settings or self._own, **what)
         settings.check()
         settings.check_team(len(self.robots))
@@ -139,32 +145,32 @@ class Plan:
 
     @property
     def _own(self) -> Settings:
-        """The default settings, but for what the robots of paths alone bear."""
+        """The default settings with the failure model of an external plan."""
         return Settings(
             weibull_shape=self.bears.shape, hazard_multiplier=self.bears.hazard_multiplier, types=self.bears.types
         )
 
     @property
     def is_foreign(self) -> bool:
-        """True for paths alone, another planner's or `planner.open_loop`'s: no areas, no settings."""
+        """True for an external plan or one of `planner.open_loop`: paths without areas and settings."""
         return self.settings is None
 
     @property
     def plan_for(self) -> str | None:
-        """The loop that it was planned for; None: another planner knows."""
+        """The loop that it was planned for; None for an external plan."""
         return "closed_loop" if self.settings is not None else "open_loop" if self.for_open_loop else None
 
     @property
     def usual_loop(self) -> Literal["open", "closed"]:
-        """The loop that it is rolled out in if nobody says."""
+        """The loop that it is rolled out in by default."""
         return "open" if self.is_foreign else "closed"
 
     @property
     def origin(self) -> str:
-        """What it is, in words."""
+        """Its kind, as text."""
         if self.settings is not None:
             return "MRAC plan"
-        return "plan for the open loop" if self.for_open_loop else "plan of another planner"
+        return "plan for the open loop" if self.for_open_loop else "external plan"
 
     @property
     def starts(self) -> NDArray[np.int64]:
@@ -173,11 +179,11 @@ class Plan:
 
     @property
     def comes_home(self) -> bool:
-        """True if its robots are to come home (SPEC section 19)."""
+        """True if its robots return to base (SPEC section 19)."""
         return self.settings is not None and self.settings.return_to is not None
 
     def ends_home(self, step: int | None = None) -> bool:
-        """True if all do, if nobody is stopped; `step`: at which the run is cut off."""
+        """True if all robots end at base in a run without losses, truncated at `step` if given."""
         if self.settings is None or self.settings.return_to is None:
             return False
         to, starts = self.settings.return_to, [int(robot.path[0]) for robot in self.robots]
@@ -188,13 +194,22 @@ class Plan:
 
     @property
     def makespan(self) -> int:
-        """The step of the last move of any robot on its nominal path."""
+        """The last step at which any robot moves on its nominal path."""
         return max((int(robot.entered[-1]) for robot in self.robots), default=0)
 
     def require(self, world: World) -> Settings:
-        """What it was made with; of paths alone the default. Raises PlanError if it is for another map than `world`.
+        """Check that the plan is for a map.
 
-        Paths alone may leave the map's hash out.
+        An external plan may lack the map's hash.
+
+        Args:
+            world: the map.
+
+        Returns:
+            Its settings; for an external plan the default.
+
+        Raises:
+            PlanError: it is for another map.
         """
         known = ("", world.sha256) if self.is_foreign else (world.sha256,)
         if self.shape != world.shape or self.sha256 not in known:
@@ -205,30 +220,30 @@ class Plan:
         return self.settings or self._own
 
     def until(self, step: int) -> Plan:
-        """The paths as driven until the end of `step`: open-loop rollouts cover what the whole plan's have by then."""
+        """The plan truncated at the end of `step`: open-loop rollouts are the first steps of the whole plan's."""
         robots = tuple(RobotPlan(robot.path[: step + 1]) for robot in self.robots)
         return replace(self, settings=None, areas=(), areas_added=(), robots=robots, bears=self.bearing)
 
     def area(self, number: int) -> Area:
-        """The area with this id, those added by sharing included."""
+        """The area with this id, including those added by sharing."""
         return (self.areas + self.areas_added)[number]
 
     @property
     def ends(self) -> str:
-        """How the run without losses ends: "if nobody is lost, the mission visits every accessible cell"."""
-        return f"if nobody is lost, the mission {self.clause_of(Outcome[self.outcome.upper()])}"
+        """How the run without losses ends: "if no robot is lost, the mission visits every accessible cell"."""
+        return f"if no robot is lost, the mission {self.clause_of(Outcome[self.outcome.upper()])}"
 
     def ending(self, outcome: Outcome) -> Outcome:
-        """How a run of it ended, of the code that counts and recordings hold: DEADLINE where that cuts runs off."""
+        """The outcome for the code in counts and recordings: DEADLINE if a deadline cuts runs off."""
         return outcome.by_deadline(self.ends_by_deadline)
 
     @property
     def ends_by_deadline(self) -> bool:
-        """Whether it is a deadline that cuts its runs off, not the step limit."""
+        """Whether a deadline cuts its runs off, not the step limit."""
         return self.settings is not None and self.settings.ends_by_deadline
 
     def clause_of(self, outcome: Outcome) -> str:
-        """What users read of a run that ended so, after "the mission"; `outcome`: as counts hold it."""
+        """Text on a run with this outcome (as in counts), after "the mission"."""
         return NO_MORE if self.comes_home and outcome is Outcome.NO_PROGRESS else self.ending(outcome).clause
 
     def _rows(self) -> list[tuple[str, str]]:
@@ -258,16 +273,18 @@ class Plan:
         return html_of(self._title(), self._rows())
 
     def to_json(self) -> Json:
-        """The plan file's object (SPEC section 9), with `nominal` (outcome, time, shares) and `notes` added.
+        """Object of the plan file (SPEC section 9), with `nominal` (outcome, time, shares) and `notes`.
 
-        Raises PlanError for a plan with a rule or an order of the user's own, which no file can hold.
+        Raises:
+            PlanError: the plan has a user's rule or order, which files cannot hold.
         """
         if self.settings is not None and self.settings.own_words:
             raise PlanError(
                 f"a plan with {self.settings.own_words} cannot be saved",
                 expected="a policy that has a name",
-                fix="make the plan anew where it is needed",
+                fix="make the plan again where it is needed",
             )
+        # Cells as [row, col]: files are read by people and by other programs.
         width = self.shape[1]
 
         def path_of(robot: RobotPlan) -> list[list[int]]:
@@ -292,11 +309,17 @@ class Plan:
         }
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write the plan file, whole or not at all. Raises PlanError, also if it were too large to be read.
+        """Write the plan file atomically.
 
-        `force`: replace a file that is there already; without it that is a UsageError.
-        Its `world` names the file of the map from the folder of the plan, or the example; a map of neither kind is
-        known by its hash alone.
+        Its `world` names the map's file, relative to the plan's folder, or the example; any other map is identified by
+        its hash only.
+
+        Args:
+            path: the file.
+            force: replace an existing file; else that is a UsageError.
+
+        Raises:
+            PlanError: the plan cannot be saved, or would be too large to be read again.
         """
         check_new(path, force=force)
         data, source = self.to_json(), self.source
@@ -308,42 +331,48 @@ class Plan:
 
 
 def last_move(path: NDArray[np.int64]) -> int:
-    """The last step of `path` at which the robot enters a cell (0 if it never leaves its start)."""
+    """The last step of `path` (int64 `[steps + 1]`) at which the robot enters a cell, 0 if it never moves."""
     moved = np.flatnonzero(path[1:] != path[:-1])
     return int(moved[-1]) + 1 if len(moved) else 0
 
 
 def entries(path: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The steps at which a cell is entered: 0, and every step that changes cell. Waiting is not a visit."""
+    """The steps of `path` (int64 `[steps + 1]`) at which a cell is entered: 0, and each move. Waiting is no visit."""
     entered = np.ones(len(path), dtype=np.bool_)
     np.not_equal(path[1:], path[:-1], out=entered[1:])
     return np.flatnonzero(entered)
 
 
 def is_certain(world: World, plan: Plan, loop: str = "closed") -> bool:
-    """Whether nothing can happen: no robot's planned path enters a dangerous cell, so every run of both loops is it.
+    """Whether no robot's planned path enters a dangerous cell, so that every run equals the nominal one.
 
-    Not where threats move. Of another planner's paths only the open loop's runs are: in the closed loop robots go on
-    from their ends. Nor is it known of robots that learn the map, or about a hazard, where they go.
+    False for moving threats, for unknown maps and hazard estimates, and for the closed loop of an external plan, whose
+    robots continue from the ends of their paths.
+
+    Args:
+        world: the map.
+        plan: for it.
+        loop: "open" or "closed".
     """
     unknown = plan.is_foreign or world.knowledge is not None or world.learned_hazard is not None
     if world.movers is not None or (loop == "closed" and unknown):
         return False
     if world.draws is not None:
         return not any(world.draws.bound[robot.path].any() for robot in plan.robots)
+    # Each robot's own threats: a cell may be safe for one type and not for another.
     own = world.of_robots(plan.bearing.types, len(plan.robots))
     return not any((of.by_phase.max(axis=0)[robot.path] > 0).any() for of, robot in zip(own, plan.robots, strict=True))
 
 
-# How far robots drive and how often they turn on the way, and what the turns cost (docs/spec.md, section 20).
+# Moves and turns of robots, and the time that turns cost (docs/spec.md, section 20).
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """What the robots of a run drive. Axis `K` = robots.
+    """Moves and turns of a run. Axis `K` = robots.
 
     Attributes:
-        moves: int64 `[K]`. turns: int64 `[K]`, quarter turns, two for turning round, none before the first move.
+        moves: int64 `[K]`. turns: int64 `[K]`, quarter turns, two for a reversal, none before the first move.
         last: int64 `[K]`, the step of the last move.
     """
 
@@ -352,35 +381,43 @@ class Drive:
     last: NDArray[np.int64]
 
     def time(self, turn: float) -> float:
-        """Steps until the last robot has arrived, where each of its quarter turns takes it `turn` steps more."""
+        """Steps until the last robot has arrived, if each of its quarter turns takes `turn` additional steps."""
         return float((self.last + turn * self.turns).max(initial=0.0))
 
 
 def drive_of(paths: Iterable[NDArray]) -> Drive:
-    """Of each path, cell indices `[steps + 1]` at every step; a cell that comes twice in a row is a step of waiting."""
+    """Moves and turns of paths.
+
+    Args:
+        paths: `[steps + 1]` each, the cell index at every step; equal neighbours = waiting.
+    """
     rows = [(*_moves_and_turns(path), last_move(path)) for path in paths]
     return Drive(*np.array(rows, dtype=np.int64).reshape(-1, 3).T)
 
 
 def _moves_and_turns(path: NDArray) -> tuple[int, int]:
-    """The moves of a path, and its quarter turns."""
+    """Number of moves of a path, and of quarter turns."""
     ways = np.diff(path.astype(np.int64))
     ways = ways[ways != 0]
     before, after = ways[:-1], ways[1:]
     return len(ways), int(np.count_nonzero(before != after) + np.count_nonzero(before == -after))
 
 
-# Waypoints for a robot stack: each robot's nominal path as poses in metres in the map's frame (CSV).
+# Waypoints for a robot stack: nominal paths as poses in metres in the map's frame (CSV).
 
 HEADER = ("robot", "step", "x", "y", "yaw")
 DECIMALS = 6
-"""Of x and y: micrometres, and so exact for coordinates of a projected map (millions of metres) in float64."""
+"""Of x and y: micrometres, and still exact in float64 for coordinates of a projected map (millions of metres)."""
 
 
 def waypoints_csv(plan: Plan, world: World) -> str:
-    """One row a robot and step, `robot,step,x,y,yaw`, waiting included.
+    """The nominal paths as CSV: one row per robot and step, `robot,step,x,y,yaw`, waiting included.
 
     x, y: the cell's centre in metres (`World.to_xy`). yaw: radians in (-pi, pi], see `headings`.
+
+    Args:
+        plan: for this world.
+        world: the map.
 
     Source: SPEC section 9 (`origin`: the pose of the lower-left corner, yaw included).
     """
@@ -396,10 +433,17 @@ def waypoints_csv(plan: Plan, world: World) -> str:
 
 
 def headings(path: NDArray[np.int64], world: World) -> NDArray[np.float64]:
-    """Which way the robot faces at each step of a path `[steps + 1]`: float64 radians `[steps + 1]` in (-pi, pi].
+    """Heading of the robot at each step of a path.
 
-    The heading of the move that enters the cell, in the map's frame (the map's own yaw added; 0 = along +x). Waiting
-    keeps it. Steps before the first move have that move's heading; a robot that never moves faces along its row.
+    The heading of the move into the cell, in the map's frame (with the map's own yaw; 0 = along +x). Waiting keeps it.
+    Steps before the first move have that move's heading; a robot that never moves faces along its row.
+
+    Args:
+        path: int64 `[steps + 1]`.
+        world: the map.
+
+    Returns:
+        float64 `[steps + 1]`, radians in (-pi, pi].
     """
     rows, cols = np.divmod(path, world.shape[1])
     north, east = -np.diff(rows), np.diff(cols)
@@ -412,6 +456,6 @@ def headings(path: NDArray[np.int64], world: World) -> NDArray[np.float64]:
 
 
 def _normalised(angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same directions in (-pi, pi]; what rounding leaves within 1e-12 of -pi is pi."""
+    """The same directions in (-pi, pi]; values within 1e-12 of -pi become pi."""
     turned = angles - 2 * math.pi * np.round(angles / (2 * math.pi))
     return np.where(turned <= -math.pi + 1e-12, math.pi, turned)

@@ -1,7 +1,6 @@
-"""Reading plan files, the project's own (`mrac-plan`) and the bare paths of any other planner, against a world.
+"""Reading plan files, `mrac-plan` and external plans (bare paths), against a world.
 
-Nothing that a file claims is believed: every number is checked before an engine sees it, and every error says which
-robot, step or area is wrong, what was expected, and what to do.
+Every number is checked before an engine uses it; every error names robot, step or area, the expectation, and the fix.
 """
 
 from __future__ import annotations
@@ -30,36 +29,46 @@ from planner.world.keys import Key
 from planner.world.world import MAX_CELLS, MAX_ROBOTS, World
 
 OUTCOMES = tuple(outcome.word for outcome in OF_CLOSED_LOOP if outcome is not Outcome.ALL_ROBOTS_LOST)
-REMAKE = "make the plan anew with `mrac-jax plan`"
+REMAKE = "make the plan again with `mrac-jax plan`"
 PARTS = ("areas", "areas_added")
 LATER = ("nominal", "notes", "plan_for", "state")
-"""Keys of areas, and those that a plan file need not have."""
+"""Keys added since version 1 of the format, which a file may lack."""
 BORNE = (*BEARING, "types")
-"""Keys of paths alone: what their robots bear."""
+"""Keys of an external plan: its failure model."""
 
 
 def read_plan_json(path: str | Path) -> object:
-    """The JSON of a plan file. Raises PlanError."""
+    """The JSON of a plan file.
+
+    Raises:
+        PlanError: it cannot be read.
+    """
     return read_json(Path(path), MAX_PLAN_BYTES, PlanError, "a plan file (JSON)")
 
 
 def parse_plan(data: object, world: World, source: str) -> Plan:
-    """The plan in a file's JSON, checked against `world`: SPEC's, or `{"paths": [[[row, col], ...], ...]}`.
+    """The plan in a file's JSON, checked against a world: `mrac-plan`, or `{"paths": [[[row, col], ...], ...]}`.
 
-    The second form, which may be the bare list of paths, is the plan of another planner: `settings` None, no areas,
-    outcome "end_of_paths", time = makespan; cells that it leaves out are counted in `notes`. Unknown keys are ignored.
-    `source` names the file in errors.
+    The second form, which may be the bare list of paths, is an external plan: `settings` None, no areas, outcome
+    "end_of_paths", time = makespan; cells on no path are counted in `notes`. Unknown keys are ignored.
+
+    Args:
+        data: the JSON.
+        world: the map.
+        source: names the file in errors.
 
     Raises:
-        PlanError: it is no plan, belongs to another map, or its paths cannot be driven.
+        PlanError: it is no plan, is for another map, or its paths cannot be driven.
 
     Source: SPEC section 9. Cost: linear in the file and the map.
     """
     top = Key(data, "", source, PlanError, REMAKE)
+    # An empty list falls through to the error for a value of the wrong kind.
     if isinstance(data, list) and data:
         return _bare_paths(top, world)
     if not isinstance(data, dict):
         raise top.wrong("a JSON object, or a list of paths")
+    # Without the name of our format, a file counts as the output of another planner.
     if data.get("format") == FORMAT:
         return _own_plan(top, world)
     if "paths" not in data:
@@ -68,21 +77,21 @@ def parse_plan(data: object, world: World, source: str) -> Plan:
     keys = top.mapping(("paths",), (*POLICY, *BORNE), strict=False)
     for name in POLICY:
         if name in keys and keys[name].value is not None:
-            raise keys[name].wrong("paths alone", "leave it out: paths are followed")
+            raise keys[name].wrong("paths only", "leave it out: paths have no areas to decide on")
     return _foreign_plan(keys["paths"], keys, world)
 
 
 def _bare_paths(top: Key, world: World) -> Plan:
-    """The plan of another planner as a bare list, one path a robot; PlanError with the right hint for a lone path."""
+    """An external plan as a bare list, one path per robot; PlanError with a hint for a single path."""
     if all(isinstance(cell, list) and len(cell) == 2 and all(type(n) is int for n in cell) for cell in top.value):
         raise top.fault("holds one path", "a list of paths, one a robot", "put it in a list: [[[row, col], ...]]")
     return _foreign_plan(top, {}, world)
 
 
 def _foreign_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:
-    """The plan of another planner, with a note that counts the accessible cells on no path.
+    """An external plan, with a note that counts the accessible cells on no path.
 
-    What its robots bear is as the file says, else as the world does.
+    Its failure model is that of the file, else that of the world.
     """
     source = str(paths.source)
     robots = tuple(RobotPlan(_path(item.value, number, world, source)) for number, item in enumerate(_team(paths)))
@@ -91,12 +100,14 @@ def _foreign_plan(paths: Key, keys: dict[str, Key], world: World) -> Plan:
     notes: tuple[str, ...] = ()
     if len(missed):
         notes = (f"accessible cells on no path: {len(missed)} (the first: {at(missed[0], world)})",)
+    # The file's own failure model, if it has one, replaces that of the world key by key.
     told = {name: value for name, value in world.team.settings.items() if name in BORNE}
     kept = [name for name in KEPT if name in world.team.settings]
     if kept and ("plan_for" not in keys or keys["plan_for"].value is None):
-        notes += (f"robots follow given paths to their end, whatever {world.source} says of {' and '.join(kept)}",)
+        notes += (f"robots follow external paths to their end; ignored from {world.source}: {' and '.join(kept)}",)
     told |= {name: keys[name].setting(SETTINGS[name]) for name in BORNE if name in keys}
     bears = Settings(**told).bearing()
+    # The number of robots is only known from the paths: settings with a value for each robot are checked here.
     bears.check(len(robots), source)
     world.of_robots(bears.types, len(robots))
     return replace(plan, time=plan.makespan, notes=notes, bears=bears)
@@ -110,15 +121,17 @@ def _team(key: Key) -> list[Key]:
 
 
 def _own_plan(top: Key, world: World) -> Plan:
-    """A plan in the project's own format: version, map, settings, paths with legs, areas, nominal outcome."""
+    """A plan in the `mrac-plan` format: version, map, settings, paths with legs, areas, nominal outcome."""
     keys = top.mapping(("version", "world", "robots"), ("settings", *PARTS, *LATER, *BORNE), strict=False)
     version = keys["version"].number(whole(1))
+    # Older versions lack keys, which have defaults; a newer one may hold keys that change the meaning of others.
     if version > VERSION:
         raise keys["version"].wrong(f"version 1 to {VERSION}", "update mrac-jax")
     check_map(keys["world"], world, "plan for", f"give the map that it was made for, or {REMAKE}")
     entries = [robot.mapping(("path",), ("legs",), strict=False) for robot in _team(keys["robots"])]
     if "settings" not in keys or keys["settings"].value is None:
         return _saved_foreign_plan(keys, entries, world)
+    # A plan with settings must list its areas; one without settings cannot have any.
     top.mapping(PARTS, strict=False)
     given = keys["settings"].mapping(optional=SETTINGS)
     settings = Settings(**{name: key.setting(SETTINGS[name]) for name, key in given.items()})
@@ -128,6 +141,7 @@ def _own_plan(top: Key, world: World) -> Plan:
         tuple(_area(item, len(paths), settings.levels, world) for item in keys[name].items("a list of areas", least=0))
         for name in PARTS
     )
+    # Legs refer to areas by their position in the concatenated lists.
     levels = [area.level for area in areas + added]
     robots = tuple(RobotPlan(path, _legs(entry, len(path), levels)) for entry, path in zip(entries, paths, strict=True))
     state = None
@@ -136,13 +150,14 @@ def _own_plan(top: Key, world: World) -> Plan:
     plan = Plan(
         world.shape, world.sha256, settings, robots, areas, added, notes=_notes(keys), state=state, source=world.source
     )
+    # Engines rely on this without a check of their own: each accessible cell is in exactly one area.
     check_partition(areas, as_planned(world, plan.starts), plan.starts, PlanError, str(top.source), REMAKE)
     outcome, time, shares = _nominal(keys, plan, world)
     return replace(plan, outcome=outcome, time=time, shares=shares)
 
 
 def _saved_foreign_plan(keys: dict[str, Key], entries: list[dict[str, Key]], world: World) -> Plan:
-    """Another planner's plan that was saved in our format: paths alone, without settings, areas and legs."""
+    """An external plan saved in the `mrac-plan` format: paths without settings, areas and legs."""
     for part in (*(keys[name] for name in PARTS if name in keys), *(one["legs"] for one in entries if "legs" in one)):
         if part.value:
             raise part.wrong("none, as there are no settings")
@@ -156,12 +171,14 @@ def _saved_foreign_plan(keys: dict[str, Key], entries: list[dict[str, Key]], wor
 
 
 def _path(given: object, robot: int, world: World, source: str) -> NDArray[np.int64]:
-    """One robot's path as cell indices, int64 `[steps + 1]`: every cell on the map and free, every move one cell."""
+    """One robot's path as cell indices, int64 `[steps + 1]`, checked: every cell free, every move one cell."""
     if not isinstance(given, list) or not given:
+        # The start is the first entry of a path, so an empty path has no start.
         problem = f"robot {robot}: its path is {reprlib.repr(given)}"
         raise PlanError(problem, source=source, expected="at least the start: [[row, col], ...]")
     if len(given) - 1 > MAX_STEP:
         raise PlanError(f"robot {robot}: {len(given) - 1} steps", source=source, expected=f"at most {MAX_STEP}")
+    # Checked with array operations first: a path may have millions of entries.
     cells = _cells_of(given)
     if cells is None or not ((cells >= 0) & (cells < world.shape)).all():
         _refuse_entry(given, robot, world, source)
@@ -171,9 +188,10 @@ def _path(given: object, robot: int, world: World, source: str) -> NDArray[np.in
 
 
 def _cells_of(given: list[Any]) -> NDArray[np.int64] | None:
-    """Pairs of whole numbers as int64 `[entries, 2]`, or None if something else is among them."""
+    """Pairs of whole numbers as int64 `[entries, 2]`; None if something else is among them."""
     if set(map(type, given)) != {list} or set(map(len, given)) != {2}:
         return None
+    # Only `int`: booleans and floats are no cells, although NumPy would convert them.
     flat = list(chain.from_iterable(given))
     if set(map(type, flat)) != {int}:
         return None
@@ -202,8 +220,9 @@ def _refuse_entry(given: list[Any], robot: int, world: World, source: str) -> No
 def _check_drivable(cells: NDArray[np.int64], robot: int, world: World, source: str) -> None:
     """PlanError at the first obstacle on a path of (row, col), int64 `[steps + 1, 2]`, or at its first jump.
 
-    What is falsely believed to be one is none: robots have seen where they start.
+    Obstacles of the prior map around the starts do not count if the true map is free there: robots have seen them.
     """
+    # The error names the first such step and counts all: a wrong order of coordinates affects many.
     blocked = np.flatnonzero(~world.enterable[cells[:, 0], cells[:, 1]])
     if len(blocked):
         step = int(blocked[0])
@@ -213,6 +232,7 @@ def _check_drivable(cells: NDArray[np.int64], robot: int, world: World, source: 
             expected="free cells",
             fix="cells are [row, col] from 0, row 0 at the top: check that the plan is for this map",
         )
+    # A distance of 0 is a step of waiting.
     jumps = np.flatnonzero(np.abs(np.diff(cells, axis=0)).sum(axis=1) > 1)
     if len(jumps):
         step = int(jumps[0]) + 1
@@ -228,35 +248,38 @@ def _check_drivable(cells: NDArray[np.int64], robot: int, world: World, source: 
 def _legs(entry: dict[str, Key], entries: int, levels: list[int]) -> tuple[Leg, ...]:
     """A robot's legs on its path of `entries` entries; `levels`: the level of every area by id."""
     if "legs" not in entry:
-        raise entry["path"].fault("has no legs beside it", "a list, [] where they are not known")
+        raise entry["path"].fault("has no legs", "a list, [] where they are not known")
     return tuple(_leg(item, entries, levels) for item in entry["legs"].items("a list of legs", least=0))
 
 
 def _leg(key: Key, entries: int, levels: list[int]) -> Leg:
-    """One leg: its kind known, its area one of those in `levels` and of that level, its range inside the path."""
+    """One leg, checked: known kind, an area in `levels` with its level, a range inside the path."""
     keys = key.mapping(("kind", "area", "level", "start", "stop"), strict=False)
     kind: Any = keys["kind"].choice(("travel", "cover"))
     area = keys["area"].number(whole(0, len(levels) - 1, "the id of an area"))
+    # A leg repeats its area's level; a different one means that the file was edited by hand.
     level = keys["level"].number(whole(levels[area], levels[area], said=f"{levels[area]}, that of area {area}"))
     start = keys["start"].number(whole(0, entries - 1, "a step of the path"))
     return Leg(kind, area, level, start, keys["stop"].number(whole(start + 1, entries, "a step after its start")))
 
 
 def _area(key: Key, robots: int, levels: int, world: World) -> Area:
-    """One area, with level, owner and cells in range; `levels`: the settings' most levels."""
+    """One area, with level, owner and cells in range; `levels`: the settings' number of levels."""
     keys = key.mapping(("level", "robot", "cells"), strict=False)
     said = f"0..{levels - 1} (the plan's setting levels is {levels})"
     level = keys["level"].number(whole(0, levels - 1, said=said))
     robot = keys["robot"].number(whole(NO_ROBOT, robots - 1, said=f"a robot 0..{robots - 1}, or {NO_ROBOT} for none"))
     cells = read_cells(keys["cells"], world)
+    # An empty area would never be completed by a visit.
     if not len(cells):
         raise keys["cells"].wrong("at least one cell")
     return Area(level, robot, cells)
 
 
 def _nominal(keys: dict[str, Key], plan: Plan, world: World) -> tuple[str, int, int]:
-    """How the nominal run ended: (outcome, time, shares), as saved, or worked out when the file leaves it out."""
+    """(outcome, time, shares) of the nominal run, as saved, or computed if the file lacks them."""
     if "nominal" not in keys:
+        # Files of version 1 have no nominal outcome: the paths themselves give it.
         complete = not len(_unvisited(plan, world))
         ended = Outcome.COMPLETE if complete else plan.ending(Outcome.STEP_LIMIT)
         return ended.word, plan.makespan, count_shares(plan)
@@ -267,8 +290,9 @@ def _nominal(keys: dict[str, Key], plan: Plan, world: World) -> tuple[str, int, 
 
 
 def count_shares(plan: Plan) -> int:
-    """How often the nominal run shared an area: the areas that `areas_added` were cut from, each cut once at most."""
+    """Number of areas shared in the nominal run: the areas that `areas_added` were split from, each split once."""
     holder: dict[int, int] = {int(cell): number for number, area in enumerate(plan.areas) for cell in area.cells}
+    # Areas from one split are adjacent in `areas_added` and have cells of one area.
     parents = []
     for number, area in enumerate(plan.areas_added, start=len(plan.areas)):
         parents.append(holder.get(int(area.cells[0]), number))
@@ -277,7 +301,7 @@ def count_shares(plan: Plan) -> int:
 
 
 def _unvisited(plan: Plan, world: World) -> NDArray[np.int64]:
-    """Accessible cells that are on no path, int64 indices in increasing order."""
+    """Accessible cells on no path, int64 indices in increasing order."""
     visited = np.zeros(world.shape[0] * world.shape[1], dtype=bool)
     for robot in plan.robots:
         visited[robot.path] = True

@@ -1,4 +1,4 @@
-"""What plan files and state files have in common: the map that they are of, and lists of its cells."""
+"""Common parts of plan files and state files: the map that they belong to, and lists of its cells."""
 
 from __future__ import annotations
 
@@ -17,7 +17,18 @@ from planner.world.world import World
 
 
 def check_map(key: Key, world: World, what: str, fix: str) -> None:
-    """An error "... another map" unless the `shape` and `sha256` that are given are those of `world`."""
+    """Check that `shape` and `sha256` in a file, where given, are those of `world`.
+
+    Args:
+        key: with both.
+        world: the map.
+        what: subject of the message, for example "plan for".
+        fix: of the message.
+
+    Raises:
+        InputError: of `key.error`, "... another map".
+    """
+    # Files of external plans may lack the hash: what is missing is not compared.
     known = {"shape": list(world.shape), "sha256": world.sha256}
     given = {name: one.value for name, one in key.mapping(optional=known, strict=False).items()}
     if given != {name: known[name] for name in given}:
@@ -27,19 +38,19 @@ def check_map(key: Key, world: World, what: str, fix: str) -> None:
 
 
 def read_cell(key: Key, world: World) -> int:
-    """One free cell: its index, or [row, col]."""
+    """Read a free cell: its index, or [row, col]."""
     return int(_cells_in(key, [key.value], world)[0])
 
 
 def read_path(key: Key, world: World) -> NDArray[np.int64]:
-    """Free cells in the order of the file, int64 `[cells]`."""
+    """Read free cells in the order of the file, int64 `[cells]`."""
     if not isinstance(key.value, list):
         raise key.wrong("a list of cells")
     return _cells_in(key, key.value, world)
 
 
 def read_cells(key: Key, world: World) -> NDArray[np.int64]:
-    """Free cells, each once, int64 `[cells]`, rising."""
+    """Read free cells without repetition, int64 `[cells]`, increasing."""
     cells = np.sort(read_path(key, world))
     twice = cells[:-1][np.diff(cells) == 0]
     if len(twice):
@@ -55,7 +66,19 @@ def check_partition(
     source: str,
     fix: str = "",
 ) -> None:
-    """An `error` unless every cell that a robot can reach from its start is in exactly one area: engines rely on it."""
+    """Check that every cell that a robot can reach is in exactly one area: engines rely on it.
+
+    Args:
+        areas: of the file.
+        world: the map.
+        starts: int64 `[K, 2]`, (row, col).
+        error: exception to raise.
+        source, fix: of the message.
+
+    Raises:
+        InputError: of type `error`.
+    """
+    # Counted, not marked: a cell in two areas is an error too.
     held = np.zeros(world.threat.size, dtype=np.int64)
     for area in areas:
         held[area.cells] += 1
@@ -67,7 +90,7 @@ def check_partition(
 
 
 def at(cell: int | np.integer, world: World) -> str:
-    """A cell in words: `[row, col]`."""
+    """A cell as text: `[row, col]`."""
     return str(list(divmod(int(cell), world.shape[1])))
 
 
@@ -85,7 +108,7 @@ def _cells_in(key: Key, given: list[Any], world: World) -> NDArray[np.int64]:
 
 
 def _index(given: object, world: World) -> int | None:
-    """A cell's index, of that or of [row, col]; None for what is no cell of the map."""
+    """A cell's index, from an index or [row, col]; None for no cell of the map."""
     height, width = world.shape
     if isinstance(given, list) and len(given) == 2 and all(type(one) is int for one in given):
         row, col = given

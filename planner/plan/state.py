@@ -1,4 +1,4 @@
-"""A mission under way as data: what is visited, where the robots are, what they are about (SPEC section 12)."""
+"""The state of a mission as data: visited cells, robots, areas (SPEC section 12)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from planner.simulator.codes import NO_AREA
 
 FORMAT, VERSION = "mrac-state", 1
 NAT = 2**32
-"""Units of exposure in a nat."""
+"""Units of cumulative hazard per nat."""
 ON_ITS_WAY = ("traveling", "covering")
 RETURNING = "returning"
 STATUSES = ("idle", *ON_ITS_WAY, RETURNING, "done", "dead")
@@ -28,12 +28,12 @@ class RobotState:
     """A robot at the end of a step.
 
     Attributes:
-        cell: where it is. status: one of STATUSES. area: its area's id, or NO_AREA.
+        cell: its cell. status: one of STATUSES. area: its area's id, or NO_AREA.
         ahead: int64, the cells of its path still to enter, the next one first.
-        to_do: int64, the cells that its coverage path has still to reach, rising.
-        moves: that it has made. held: kept from areas at risk (`risk_cap`).
-        exposure: that it has borne, in units of 2**-32 nat; None: not known.
-        home: the cell where it started, None: not known. turned: it has turned for home (SPEC section 19).
+        to_do: int64, the cells that its coverage path still has to reach, increasing.
+        moves: made so far. held: kept from areas at risk (`risk_cap`).
+        exposure: its cumulative hazard, in units of 2**-32 nat; None: not known.
+        home: its first cell, None: not known. turned: whether it has started its return to base (SPEC section 19).
     """
 
     cell: int
@@ -49,19 +49,19 @@ class RobotState:
 
     @property
     def alive(self) -> bool:
-        """Not lost."""
+        """Whether the robot is not lost."""
         return self.status != "dead"
 
     @property
     def at_rest(self) -> RobotState:
-        """The robot about nothing."""
+        """The robot without area and path."""
         rests = "idle" if self.status in ON_ITS_WAY else self.status
         return replace(self, status=rests, area=NO_AREA, ahead=NO_CELLS, to_do=NO_CELLS)
 
 
 @dataclass(frozen=True, eq=False)
 class AreaState:
-    """An area at the end of a step: its level, robot (or NO_ROBOT), one of AREA_STATES, its cells (rising)."""
+    """An area at the end of a step: level, robot (or NO_ROBOT), one of AREA_STATES, cells (int64, increasing)."""
 
     level: int
     robot: int
@@ -71,14 +71,14 @@ class AreaState:
 
 @dataclass(frozen=True, eq=False)
 class MissionState:
-    """Where a mission stands at the end of a step.
+    """The state of a mission at the end of a step.
 
     Attributes:
         shape, sha256: of the world. step: t.
-        visited, survived: int64, cells, rising.
-        robots: one each. areas: in id order, every accessible cell in one of them; none: to be allocated anew.
+        visited, survived: int64, cells, increasing.
+        robots: one each. areas: in id order, every accessible cell in one of them; none: to be allocated again.
         quiet: steps in a row without a move or an allocation.
-        over: how the mission ended for which all have turned for home; None: it goes on.
+        over: outcome of the mission for which all robots return to base; None: it goes on.
     """
 
     shape: tuple[int, int]
@@ -92,15 +92,19 @@ class MissionState:
     over: str | None = None
 
     def homes(self, return_to: object) -> NDArray[np.int64] | None:
-        """The cells where the robots started, int64 `[K]`; None where none of them comes home.
+        """The robots' first cells, int64 `[K]`; None if robots do not return.
 
-        Raises StateError where they are asked for, and not known.
+        Args:
+            return_to: of the settings.
+
+        Raises:
+            StateError: they are needed, but not known.
         """
         if return_to is None:
             return None
         for number, robot in enumerate(self.robots):
             if robot.home is None and isinstance(return_to, str):
-                problem = f"robot {number} is to come home, and it is not said where it started"
+                problem = f"robot {number} returns to base, but its start is not given"
                 raise StateError(problem, expected='"home": [row, col] of each robot', fix="or name bases to return to")
         return np.array([NO_AREA if robot.home is None else robot.home for robot in self.robots], dtype=np.int64)
 
@@ -111,16 +115,16 @@ class MissionState:
 
     @property
     def exposures(self) -> tuple[int, ...]:
-        """What each robot has borne, where it is known, else 0."""
+        """Cumulative hazard of each robot, 0 if not known."""
         return tuple(robot.exposure or 0 for robot in self.robots)
 
     @property
     def lost(self) -> int:
-        """How many of its robots are."""
+        """Number of robots that are lost."""
         return sum(not robot.alive for robot in self.robots)
 
     def to_json(self) -> Json:
-        """The state file's object."""
+        """Object of the state file."""
         return {
             "format": FORMAT,
             "version": VERSION,
@@ -145,9 +149,14 @@ class MissionState:
         }
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write the state file, whole or not at all. Raises StateError, also if it were too large to be read.
+        """Write the state file atomically.
 
-        `force`: replace a file that is there already; without it that is a UsageError.
+        Args:
+            path: the file.
+            force: replace an existing file; else that is a UsageError.
+
+        Raises:
+            StateError: the file would be too large to be read again.
         """
         check_new(path, force=force)
         write_json(Path(path), self.to_json(), MAX_PLAN_BYTES, StateError)

@@ -1,4 +1,4 @@
-"""Reading state files against a world: every number is checked, every error says what is wrong and what to do."""
+"""Reading the state of a mission: state files, and files that robots leave (masks, tracks, logs), against a world."""
 
 from __future__ import annotations
 
@@ -41,27 +41,38 @@ from planner.world.points import LATITUDE, LONGITUDE, Table, X, Y, on_map, read_
 from planner.world.world import MAX_CELLS, MAX_ROBOTS, World, check_starts
 
 OVER = tuple(one.word for one in OF_CLOSED_LOOP if one not in (Outcome.STEP_LIMIT, Outcome.DEADLINE))
-"""How a mission may be over while robots are on their way home."""
+"""Outcomes for which robots may be on their return to base."""
 NATS = Numbers(0, 1e6, "nats")
 Fault = tuple[str, ...]
-"""What is wrong, what was expected, and the fix if that does not say it."""
-ANEW = "write it with `record --state-at`, or leave areas, ahead and to_do out: areas are then allocated anew"
+"""Problem, expectation, and the fix if those do not imply it."""
+ANEW = "write it with `record --state-at`, or leave areas, ahead and to_do out: areas are then allocated again"
 DEFAULTS = {"world": {}, "step": 0, "survived": None, "areas": [], "to_do": None, "held": [], "quiet": 0}
 DEFAULTS |= {"over": None}
 OF_ROBOTS = {"status": "idle", "area": NO_AREA, "ahead": [], "moves": 0, "exposure": None, "home": None}
 OF_ROBOTS |= {"turned": False}
-"""What a state, and each of its robots, may leave out."""
+"""Keys that a state, and each of its robots, may lack."""
 
 
 def load_state(path: str | Path, world: World) -> MissionState:
-    """The state in a JSON file, checked against `world` (SPEC section 12). Raises StateError."""
+    """Read a state file (JSON), checked against a world (SPEC section 12).
+
+    Raises:
+        StateError: the file is invalid.
+    """
     return parse_state(read_json(Path(path), MAX_PLAN_BYTES, StateError, "a state file (JSON)"), world, str(path))
 
 
 def parse_state(data: object, world: World, source: str, before: World | None = None) -> MissionState:
-    """`load_state` of a file's JSON; `source` names it in errors. Raises StateError.
+    """The state in a file's JSON, checked as by `load_state`.
 
-    `before`: the world as it was when the robots set out, if cells were closed since; one may be a robot's home.
+    Args:
+        data: the JSON.
+        world: the map.
+        source: names the file in errors.
+        before: the world at the start of the mission, if cells were closed since; one may be a robot's first cell.
+
+    Raises:
+        StateError: it is invalid.
     """
     top = Key(data, "", source, StateError)
     if not isinstance(data, dict) or data.get("format") != FORMAT:
@@ -129,13 +140,17 @@ def _area(key: Key, world: World) -> AreaState:
 
 
 def check_state(state: MissionState, world: World, source: str) -> None:
-    """Raise StateError for a state that cannot be one of a mission on `world` that goes on."""
+    """Check that a state can be that of a mission on `world` that goes on.
+
+    Raises:
+        StateError: it cannot.
+    """
     for problem, expected, *fix in chain(_of_cover(state, world), _of_areas(state, world, source)):
         raise StateError(problem, source=source, expected=expected, fix="".join(fix))
 
 
 def _of_cover(state: MissionState, world: World) -> Iterator[Fault]:
-    """Visited cells in reach, survived ones among them, something left to do and a robot to do it."""
+    """Faults of coverage: unreachable visited cells, survived cells not visited, nothing left to do, no robot."""
     accessible = world.accessible(state.starts).ravel()
     for name, cells in (("visited", state.visited), ("survived", state.survived)):
         for wrong in cells[~accessible[cells]]:
@@ -149,7 +164,7 @@ def _of_cover(state: MissionState, world: World) -> Iterator[Fault]:
 
 
 def _of_areas(state: MissionState, world: World, source: str) -> Iterator[Fault]:
-    """Every cell in one area, robots and areas as each says of the other."""
+    """Faults of areas: cells not in exactly one area, robots and areas that contradict each other."""
     moving = [(number, robot) for number, robot in enumerate(state.robots) if robot.status in ON_ITS_WAY]
     if not state.areas:
         for number, robot in moving:
@@ -162,7 +177,7 @@ def _of_areas(state: MissionState, world: World, source: str) -> Iterator[Fault]
             cell = at(unvisited[0], world)
             yield f"area {number} is completed, and its cell {cell} is not visited", "visited ones", ANEW
         if area.state == "unassigned" and not len(unvisited):
-            yield f"area {number} is unassigned, and holds visited cells alone", "completed", ANEW
+            yield f"area {number} is unassigned, and has only visited cells", "completed", ANEW
         holders = [one for one, robot in enumerate(state.robots) if one == area.robot and robot.area == number]
         if area.state == "assigned" and not holders:
             problem = f"area {number} is assigned to robot {area.robot}, which has another or none"
@@ -174,23 +189,23 @@ def _of_areas(state: MissionState, world: World, source: str) -> Iterator[Fault]
         elif not len(robot.ahead):
             yield f"robot {number} is {robot.status}, and nothing is ahead", "the cells of its path", ANEW
         elif len(np.setdiff1d(robot.to_do, own.cells)) or (robot.status == "traveling" and len(robot.to_do)):
-            yield f"robot {number}: to_do is not of its area", "what it has still to cover", ANEW
+            yield f"robot {number}: to_do is not of its area", "the cells it still has to cover", ANEW
 
 
-# A mission's state from what robots leave behind: masks and grids of what is visited, lists of cells, tracks.
+# States from files that robots leave: masks and grids of visited cells, lists of cells, tracks.
 
 HALF = 0.5
 """Share of a cell's pixels that must be marked for the cell to count as visited."""
 SUFFIXES = (".json", ".csv", ".npy", ".yaml", ".yml", ".mcap", *IMAGES)
-"""Files that a state is read from."""
+"""Suffixes of files that a state is read from."""
 TIMES = ("time", "t", "time_s", "t_s", "timestamp", "stamp", "datetime")
-"""Columns of tracks that say when a robot was where, in numbers or ISO 8601; a column `step` comes before them."""
+"""Columns of tracks with times, in numbers or ISO 8601; a column `step` has priority."""
 KEEP_ONE = "keep one of them: `mcap filter LOG -y TOPIC -o OUT.mcap`"
-"""How to choose a topic of a log."""
+"""How to select a topic of a log."""
 
 
 class Found(NamedTuple):
-    """What a file says: cells visited, int64; the robots, where it knows them; the step; notes."""
+    """Content of a file: visited cells, int64; the robots, if known; the step; notes."""
 
     visited: NDArray[np.int64]
     robots: tuple[RobotState, ...] = ()
@@ -199,16 +214,21 @@ class Found(NamedTuple):
 
 
 def read_state(path: str | Path, world: World, starts: ArrayLike | None = None) -> tuple[MissionState, tuple[str, ...]]:
-    """The state of a mission on `world` in any file, checked, and notes.
+    """Read the state of a mission from any file, checked.
 
     Args:
         path: a state file (JSON); driven tracks (.csv: robot and row, col, or x, y in metres, or lon, lat; also step or
             time, status); visited cells (.csv: row, col, with or without a header); a mask of the map's cells or pixels
             (.npy: above 0; a picture: bright), or an OccupancyGrid (.yaml of map_server, .mcap or a rosbag2 folder:
-            occupied), in which what is marked is visited.
-        starts: (row, col) `[K, 2]` of the robots now, for files that do not say where they are: all but the first two.
+            occupied), in which marked cells are visited.
+        world: the map.
+        starts: `[K, 2]`, (row, col) of the robots now; required unless the file is a state or tracks.
 
-    Raises StateError, MapError, UsageError.
+    Returns:
+        (state, notes).
+
+    Raises:
+        StateError, MapError, UsageError: the file or the starts are invalid.
     """
     path = Path(path)
     suffix = _suffix(path)
@@ -223,7 +243,7 @@ def read_state(path: str | Path, world: World, starts: ArrayLike | None = None) 
         _check_no_starts(starts, path)
     elif starts is None:
         fix = f"give {argument('starts')}, one cell for each robot that goes on"
-        raise StateError("does not say where the robots are", source=path, fix=fix)
+        raise StateError("does not give the robots' places", source=path, fix=fix)
     else:
         cells = check_starts(starts, world.threat, argument("starts"))
         found = found._replace(robots=tuple(_state_traces_robot(int(row * world.shape[1] + col)) for row, col in cells))
@@ -231,14 +251,14 @@ def read_state(path: str | Path, world: World, starts: ArrayLike | None = None) 
 
 
 def _suffix(path: Path) -> str:
-    """What the end of a file's name says it is; a rosbag2 folder is a log."""
+    """The suffix that determines the format; a rosbag2 folder is a log."""
     return ".mcap" if is_bag(path) else path.suffix.lower()
 
 
 def _check_no_starts(starts: ArrayLike | None, path: Path) -> None:
     if starts is not None:
         other = argument("starts")
-        raise UsageError(f"{other} and {path}, which says where the robots are", fix=f"leave {other} out")
+        raise UsageError(f"{other} and {path}, which gives the robots' places", fix=f"leave {other} out")
 
 
 def _state_traces_robot(cell: int, status: str = "idle", moves: int = 0, home: int | None = None) -> RobotState:
@@ -246,8 +266,9 @@ def _state_traces_robot(cell: int, status: str = "idle", moves: int = 0, home: i
 
 
 def _state(found: Found, world: World, path: Path) -> tuple[MissionState, tuple[str, ...]]:
-    """The state, without cells that none of its robots can have reached; those are counted in a note."""
+    """The state, without cells that none of its robots can have reached; a note counts those."""
     at = np.array([robot.cell for robot in found.robots], dtype=np.int64)
+    # Masks and tracks are inexact: marked cells out of the robots' reach are left out, and counted.
     reach = world.accessible(np.stack(np.divmod(at, world.shape[1]), axis=1)).ravel()
     visited, notes = np.union1d(found.visited[reach[found.visited]], at), found.notes
     lost = len(np.unique(found.visited)) - int(reach[np.unique(found.visited)].sum())
@@ -255,6 +276,7 @@ def _state(found: Found, world: World, path: Path) -> tuple[MissionState, tuple[
         notes += (f"{lost} of its cells are obstacles or out of the robots' reach: left out",)
     of_all, are = share(len(visited), max(int(reach.sum()), 1)), "is" if len(visited) == 1 else "are"
     notes += (f"{counted(len(visited), 'cell')} {are} visited ({of_all} of those in reach), step {found.step}",)
+    # The file has no areas, so a plan from this state allocates the unvisited cells by Algorithm 1.
     state = MissionState(world.shape, world.sha256, found.step, visited, visited, found.robots)
     check_state(state, world, str(path))
     return state, tuple(f"{path.name}: {note}" for note in notes)
@@ -264,7 +286,7 @@ def _state(found: Found, world: World, path: Path) -> tuple[MissionState, tuple[
 
 
 def _marked(path: Path, world: World) -> Found:
-    """Cells half of whose pixels are marked, or those whose centre is where pixels are larger than cells."""
+    """Cells half of whose pixels are marked, or (pixels larger than cells) whose centre is in a marked pixel."""
     suffix, frame = _suffix(path), world.frame
     if suffix in (".yaml", ".yml", ".mcap"):
         grid = read_logged_map(path, choose=KEEP_ONE) if suffix == ".mcap" else read_ros_map(path)
@@ -283,6 +305,7 @@ def _mask(path: Path) -> NDArray[np.bool_]:
     if path.suffix.lower() != ".npy":
         picture = read_image(path)
         return (picture.bright >= HALF) & (True if picture.alpha is None else picture.alpha >= HALF)
+    # Pickled arrays are refused by `read_npy`: a file must not run code.
     array = read_npy(path, MAX_CELLS)
     expected = "a mask [H, W]: True or above 0 where visited, 0 elsewhere"
     if array.ndim != 2 or array.size == 0 or array.dtype.kind not in "biuf":
@@ -296,16 +319,18 @@ def _mask(path: Path) -> NDArray[np.bool_]:
 
 
 def _ratio(pixels: tuple[int, ...], cells: tuple[int, ...]) -> int:
-    """Pixels a cell has a side, 0 where these are no pixels of the cells: blocks are whole, the rest is dropped."""
+    """Pixels per side of a cell, 0 if these are not the pixels of the cells; incomplete blocks are dropped."""
     exact = [size // count for size, count in zip(pixels, cells, strict=True)]
     if exact[0] == exact[1] and exact[0] and pixels == tuple(exact[0] * count for count in cells):
         return exact[0]
+    # More than one fit is ambiguous: the caller then refuses the mask and does not guess.
     fits = [n for n in range(1, max(exact) + 1) if all(p // n == c for p, c in zip(pixels, cells, strict=True))]
     return fits[0] if len(fits) == 1 else 0
 
 
 def _under(grid: RosMap, frame: Frame) -> NDArray[np.bool_]:
-    """bool `[H, W]`: cells of the frame at least half of which, of what of it lies on the grid, is occupied there."""
+    """bool `[H, W]`: cells of the frame whose part on the grid is occupied by at least half."""
+    # Pixels larger than cells: a cell may hold no pixel centre, so its own centre is looked up.
     if grid.frame.size > frame.size:
         at = grid.frame.pixels(frame.centres())
         held = grid.frame.holds(at)
@@ -325,7 +350,7 @@ def _under(grid: RosMap, frame: Frame) -> NDArray[np.bool_]:
 
 
 def _listed(path: Path, world: World) -> Found:
-    """Visited cells, or tracks where a column says whose they are."""
+    """Visited cells, or tracks if a column names the robots."""
     table = read_table(path, "lines row, col, or robot, row, col")
     if table.column("robot") is not None:
         return _tracks(table, world)
@@ -333,14 +358,16 @@ def _listed(path: Path, world: World) -> Found:
 
 
 def _cells(table: Table, world: World) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The cell of every line, int64, and which lines are on a free cell: rows and columns always are, or an error."""
+    """The cell of every line, int64, and whether it is free; with rows and columns an occupied cell is an error."""
     (height, width), path = world.shape, table.path
     row, col = table.column("row"), table.column("col", "column")
+    # A table without a header and with two columns can only hold rows and columns.
     if row is None and not table.names and len(table.rows[0][1]) == 2:
         row, col = 0, 1
     if row is not None and col is not None:
         places = np.array([[table.number(one, at, name) for at, name in ((row, "row"), (col, "col"))]
                            for one in table.rows])  # fmt: skip
+        # Cells are exact, so a wrong one is an error; metres are measured, so a wrong one is left out and counted.
         wrong = (places != np.rint(places)).any(axis=1) | ~((places >= 0) & (places < world.shape)).all(axis=1)
         if wrong.any():
             line, given = table.rows[int(np.argmax(wrong))]
@@ -371,11 +398,13 @@ def _metres(table: Table, world: World) -> NDArray[np.float64]:
 
 
 def _tracks(table: Table, world: World) -> Found:
-    """Robots in the order of their numbers or, where they are names, of the file; each is where its last line says."""
+    """Robots in order of their numbers or, if they have names, of the file; each at the place of its last line."""
     path, which = table.path, table.column("robot")
     assert which is not None
     names = list(dict.fromkeys(row[which].strip() for _, row in table.rows))
+    # Ten digits and more are serial numbers, not indices of robots.
     if all(name.isdecimal() and len(name) < 10 for name in names):
+        # As text, robot 10 would come before robot 2.
         names.sort(key=int)
     if len(names) > MAX_ROBOTS:
         raise MapError(f"{len(names)} robots", source=path, expected=f"at most {MAX_ROBOTS}")
@@ -386,11 +415,13 @@ def _tracks(table: Table, world: World) -> Found:
     robots = []
     for number, name in enumerate(names):
         lines = np.flatnonzero(owner == number)
+        # A stable sort keeps the order of the file where steps or times are equal.
         lines = lines[np.argsort(order[lines], kind="stable")]
         if not on[lines[-1]]:
             problem = f"line {table.rows[lines[-1]][0]}: robot {name[:40]} ends off the map or on an obstacle"
             raise MapError(problem, source=path, expected="its last place on a free cell")
         track = cells[lines[on[lines]]]
+        # The Manhattan distance of successive places: a lower bound of the moves, since a log may skip cells.
         away = np.abs(np.diff(np.stack(np.divmod(track, world.shape[1])))).sum()
         status = "idle" if status_at is None else table.rows[lines[-1]][1][status_at].strip().lower()
         if status not in ("", "idle", "done", "dead"):
@@ -401,12 +432,13 @@ def _tracks(table: Table, world: World) -> Found:
     notes = table.notes
     if off:
         notes += (f"{off} of {len(on)} places lie off the map or on obstacles: left out",)
+    # Without steps, the mission has lasted at least as long as the most moves of one robot.
     step = int(order.max()) if step_at is not None else max(robot.moves for robot in robots)
     return Found(np.unique(cells[on]), tuple(robots), step, notes)
 
 
 def _order(table: Table, step_at: int | None) -> NDArray[np.float64]:
-    """What the lines of a robot are put in order by: steps, else times, else nothing, as they stand in the file."""
+    """Sort keys of a robot's lines: steps, else times, else the order of the file."""
     if step_at is not None:
         return np.array([_step(table, row, step_at) for row in table.rows], dtype=np.float64)
     at = table.column(*TIMES)
@@ -418,7 +450,7 @@ def _order(table: Table, step_at: int | None) -> NDArray[np.float64]:
 
 
 def _moment(table: Table, row: tuple[int, list[str]], column: int) -> float:
-    """Seconds of a time in ISO 8601; one that names no zone is one of UTC, as all of a file that names none are."""
+    """Seconds of a time in ISO 8601; without a time zone UTC, if all times of the file lack one."""
     text = row[1][column].strip()
     try:
         moment = datetime.fromisoformat(text)

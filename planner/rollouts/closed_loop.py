@@ -1,4 +1,4 @@
-"""The classical simulator at scale: closed-loop rollouts of `planner.simulator.rollouts`, on all cores, as tallies."""
+"""Closed-loop rollouts of `planner.simulator.rollouts` on all cores, as tallies, results and traces."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from planner.world.uncertain_maps import Uncertain
 from planner.world.world import World
 
 MOST_TABLED = 10_000
-"""Most accessible cells for which all-pairs tables are made (0.6 GB); beyond, distances are searched for on demand."""
+"""Most accessible cells with all-pairs tables (0.6 GB); on larger maps distances are searched for on demand."""
 SINGLE_FILE = 64
-"""Rollouts that a thread takes at a time, one by one."""
+"""Rollouts that a thread takes at a time if it runs them one by one."""
 TIME, OUTCOME = 2, 4
-"""Columns of the single results."""
+"""Columns of `Singles.numbers`."""
 
 
 def compile_closed_loop(
@@ -48,29 +48,38 @@ def compile_closed_loop(
     problem: Problem | None = None,
     interpreted: bool = False,
 ) -> ClosedLoop:
-    """The closed loop from the plan's allocation. Raises PlanError for a plan of another map.
+    """Compile the closed loop of a plan from its allocation.
 
-    Robots with paths of another planner follow them first (`planner.mrac.problem`).
+    Robots with an external path follow it first (`planner.mrac.problem`).
 
-    `tabled`: distances from all-pairs tables, or searched for on demand; None: tables up to MOST_TABLED cells. No
-    rollout depends on it. `kept`: where all-pairs tables are kept for other teams on the same map. `problem`: the
-    plan's own, if it is available. `interpreted`: for the simulator as Python, without tables, and with
-    rules and orders of cells that compiled programs do not follow.
+    Args:
+        plan: for this world.
+        world: the map.
+        first_only: only the first visit of a cell by any robot is checked.
+        tabled: distances from all-pairs tables (True) or by searches; None: tables up to MOST_TABLED cells. No rollout
+            depends on it.
+        kept: where all-pairs tables are kept for other teams on the same map.
+        problem: the plan's problem, if available.
+        interpreted: for the simulator as Python: no tables, and any rule and order of cells.
+
+    Raises:
+        PlanError: a plan of another map, or a rule or order that compiled programs do not support.
     """
     problem, areas = ready_loop(plan, world) if problem is None else (problem, plan.areas)
     settings, rule = problem.settings, problem.rule
     follows = isinstance(settings.in_area, str) and (rule.nearest or (rule.attentive and rule.exact))
     if not follows and not (interpreted and (rule.nearest or rule.attentive)):
         raise PlanError(
-            f"the compiled engines do not follow {settings.own_words}",
-            expected="an exact Rule of attentive robots, cells in the planner's own order",
-            fix="roll it out open loop, or with the simulator as Python: planner.rollouts.single_run.PythonLoop",
+            f"the compiled engines do not support {settings.own_words}",
+            expected="an exact Rule that re-evaluates, and the planner's own order of cells",
+            fix="use the open loop, or the simulator as Python: planner.rollouts.single_run.PythonLoop",
         )
     check_counters(world, len(problem.starts), problem.max_steps)
     check_every_visit(world, first_only)
     learns, unknown = problem.learns, problem.unknown
     cells = np.flatnonzero(problem.levels.accessible if unknown is None or not learns else unknown.within)
     tabled = not (learns or interpreted) and (len(cells) <= MOST_TABLED if tabled is None else tabled)
+    # Robot types have tables of their own, which searches on demand do not support.
     if problem.own is not None:
         tabled = True
         if len(problem.own.costs) * len(cells) ** 2 > MOST_TABLED**2:
@@ -80,7 +89,7 @@ def compile_closed_loop(
                 fix="coarsen the map",
             )
     tables = make_tables(problem, cells, areas, tabled, kept, plan.bearing)
-    if interpreted and len(cells) >= LARGE:  # one run seldom asks for the costs from a cell again
+    if interpreted and len(cells) >= LARGE:  # a single run rarely asks for the costs from a cell again
         tables = tables._replace(patience=ASKED_BEFORE)
     return ClosedLoop(
         identity=_identity(problem, areas, first_only, plan.state),
@@ -116,6 +125,7 @@ def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool, state
         "max_steps": problem.max_steps,
         "first_only": first_only,
     }
+    # Keys are added only where they differ from the default, so that identities of earlier releases stay valid.
     if (rules := rules_of(problem.world, problem.settings)) != BEFORE:
         said["rules"] = rules
     if problem.value is not None:
@@ -130,7 +140,19 @@ def _identity(problem: Problem, areas: tuple[Area, ...], first_only: bool, state
 def run_range(
     loop: ClosedLoop, seed: int, start: int, count: int, *, threads: int | None = None, singles: bool = False
 ) -> tuple[Tally, RolloutResults | None]:
-    """Rollouts `start .. start + count - 1` on `threads` threads (None: all cores); the single results if asked."""
+    """Run rollouts `start .. start + count - 1`.
+
+    Args:
+        loop: the closed loop.
+        seed: of the random numbers.
+        start: first id.
+        count: rollouts.
+        threads: None: all cores.
+        singles: whether results of single rollouts are returned.
+
+    Returns:
+        (tally, results or None).
+    """
     kept = singles_of(loop, start, count if singles else 0)
     tally = tally_from(loop, seed, start, count, run_sets(loop, seed, start, count, threads, kept))
     if not singles:
@@ -139,7 +161,13 @@ def run_range(
 
 
 def results_from(start: int, numbers: NDArray[np.int32], worth: NDArray[np.int64]) -> RolloutResults:
-    """Single results of the rollouts from `start` on; rows as in `planner.simulator.state.Singles`, or without home."""
+    """Results of the rollouts from id `start` on.
+
+    Args:
+        start: first id.
+        numbers: int32 `[B, SINGLES]`, as in `planner.simulator.state.Singles`, or without the column of robots at base.
+        worth: int64 `[B, 2]` or without rows, sums of values.
+    """
     visited, survived, times, alive, outcome, bisected, divided, *home = numbers.T
     rest = bisected, divided, *(home or [NO_COUNTS.astype(np.int32)]), *worth.T
     return RolloutResults(start, visited, survived, times, alive, outcome.astype(np.int8), *rest)
@@ -148,9 +176,9 @@ def results_from(start: int, numbers: NDArray[np.int32], worth: NDArray[np.int64
 def new_cells(
     loop: ClosedLoop, seed: int, start: int, count: int, *, threads: int | None = None
 ) -> list[NDArray[np.int64]]:
-    """Of each rollout `start .. start + count - 1`, int64 `[time + 1]`: cells visited for the first time, by step.
+    """Curves of new cells: for each rollout int64 `[time + 1]`, cells visited for the first time, by step.
 
-    They are the rollouts that `run_range` counts, run one at a time by the same compiled program.
+    They are the rollouts of `run_range`, run one at a time by the same compiled program, with the same arguments.
     """
     curves: dict[int, NDArray[np.int64]] = {}
 
@@ -158,7 +186,9 @@ def new_cells(
         for rollout in range(first, stop):
             single = runner.run_one(rollout)
             curves[rollout] = runner.counts.new[: int(single[TIME]) + 1].copy()
+            # Cells covered before a resumed mission's state count in step 0, as in `tally_from`.
             curves[rollout][0] += len(known_cells(loop)[0])
+            # A runner's counts add up: what this rollout has added is taken out again.
             runner.counts.new[: int(single[TIME]) + 1] = 0
 
     on_threads(loop, seed, start, count, SINGLE_FILE, threads, work)
@@ -168,7 +198,7 @@ def new_cells(
 def final_odds(loop: ClosedLoop, seed: int, start: int, count: int, *, threads: int | None = None) -> NDArray[np.int64]:
     """Log odds of a hazard at the end of each rollout `start .. start + count - 1`, int64 `[count, A]`.
 
-    They are those of robots that learn, of the rollouts that `run_range` counts.
+    They are the rollouts of `run_range`, of an online mission with estimated hazards.
     """
     odds = np.empty((count, len(loop.tables.odds)), dtype=np.int64)
 
@@ -182,9 +212,9 @@ def final_odds(loop: ClosedLoop, seed: int, start: int, count: int, *, threads: 
 
 
 def trace_rollouts(loop: ClosedLoop, seed: int, ids: Iterable[int]) -> list[Trace]:
-    """Chosen rollouts in full, in the order of `ids` (each below 2**32), on one thread.
+    """Traces of chosen rollouts, in the order of `ids` (each below 2**32), on one thread.
 
-    They are the rollouts that `run_range` counts. Memory: 12 bytes a step and robot, and the state of one rollout.
+    They are the rollouts of `run_range`. Memory: 12 bytes per step and robot, and the state of one rollout.
     """
     return [trace for trace, _, _ in logged_rollouts(loop, seed, ids)]
 
@@ -192,7 +222,7 @@ def trace_rollouts(loop: ClosedLoop, seed: int, ids: Iterable[int]) -> list[Trac
 def logged_rollouts(
     loop: ClosedLoop, seed: int, ids: Iterable[int], legs: bool = False
 ) -> Iterator[tuple[Trace, NDArray[np.int32], Runner]]:
-    """The same one after the other, with `Log.legs` `[T, K]` if asked, and the thread's runner as it stands then."""
+    """The same one by one: (trace, `Log.legs` `[T, K]` if `legs`, the thread's runner after the rollout)."""
     events = 4 * len(loop.cells) + 64
     steps = events // loop.robots + 64
     runner = Runner(loop, seed, 1)
@@ -203,7 +233,7 @@ def logged_rollouts(
                 log.frames[: loop.state.step + 1] = first_frames(loop.state, loop.cells)[:steps]
             single = runner.run_one(rollout, log)
             last, happened = int(single[TIME]), int(log.events[0, 0])
-            # What did not fit was counted, not kept: run it again with enough room.
+            # Events beyond the room were counted, not kept: the rollout is run again with enough room.
             if last < steps and happened <= events:
                 break
             steps, events = max(steps, last + 1), max(events, happened)
@@ -220,8 +250,18 @@ def trace_from(
     area_of: NDArray[np.int32],
     outcome: Outcome,
 ) -> Trace:
-    """What a rollout wrote down, in cells of the grid: frames `[T, 3, K]`, events `[E, 5]`, area_of `[A]`."""
+    """The trace of a rollout, with cells of the grid.
+
+    Args:
+        loop: the closed loop.
+        rollout: id.
+        frames: int32 `[T, 3, K]`, of `Log`.
+        events: int32 `[E, 5]`, of `Log`.
+        area_of: int32 `[A]`, last area of each cell.
+        outcome: of the rollout.
+    """
     happened = events.copy()
+    # Events of other kinds hold a count in their last column, not a cell.
     tells_cell = ~np.isin(happened[:, 2], (EventKind.REALLOCATED, EventKind.SHARED, EventKind.SURPRISED))
     happened[tells_cell, 4] = loop.cells[happened[tells_cell, 4]]
     return Trace(
@@ -236,12 +276,12 @@ def trace_from(
 
 
 def tally_from(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[Counts]) -> Tally:
-    """The tally of rollouts `start .. start + count - 1`, which were counted in parts."""
+    """The tally of rollouts `start .. start + count - 1`, whose counts are in `parts`, one of each thread."""
     if count == 0:
         return loop.empty_tally(seed)
     counts = Counts(*(sum(values[1:], values[0]) for values in zip(*parts, strict=True)))
     visited, survived = known_cells(loop)
-    # What was covered before a mission's state counts from step 0 on.
+    # Cells covered before a resumed mission's state count from step 0 on.
     counts.new[0] += count * len(visited)
     counts.late[0] += count * (len(survived) - len(visited))
     covered, unsurvived = loop.on_grid(counts.covered), loop.on_grid(counts.unsurvived)
@@ -249,6 +289,7 @@ def tally_from(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[
     unsurvived[visited] += count
     unsurvived[survived] -= count
     passes = loop.weights is not None
+    # Arrays by step end with the longest rollout, so that tallies do not depend on T_max.
     last = len(counts.time) - int((counts.time[::-1] > 0).argmax())
     return Tally(
         key=tally_key(loop.identity, "closed", seed),
@@ -274,20 +315,25 @@ def tally_from(loop: ClosedLoop, seed: int, start: int, count: int, parts: list[
 
 
 def nominal_loop(loop: ClosedLoop) -> ClosedLoop:
-    """The closed loop without losses, in which all is as robots believe it once they have looked about."""
+    """The closed loop without losses, on a true map that equals the prior map."""
     tables = loop.tables
     safe = tables._replace(bound=np.zeros_like(tables.bound), movers=tables.movers[:0])
-    if loop.learns and not len(tables.phases):  # threats change whatever happens
+    if loop.learns and not len(tables.phases):  # phases are announced: they change the nominal run's map too
         safe = safe._replace(truths=np.tile(tables.belief, (len(tables.truths), 1)), goal=len(tables.order))
     policy = None if loop.policy is None else loop.policy._replace(view_begin=loop.policy.view_begin[:0])
+    # Without online updates and moving threats the first state is unchanged, so it is shared.
     begin = replace if loop.learns or loop.movers is not None else ClosedLoop.again
     return begin(loop, tables=safe, movers=None, doubt=None, policy=policy)
 
 
 def with_nominal_run(plan: Plan, loop: ClosedLoop) -> Plan:
-    """A plan of which areas and starts are known (`allocated_plan`), with its nominal run; `loop`: its closed loop.
+    """A plan with its nominal run, from the plan's areas and starts (`allocated_plan`).
 
-    Equal to the plan of `make_plan` but for legs and the areas that sharing adds, which it does without.
+    Equal to the plan of `make_plan` without legs and without the areas that sharing adds.
+
+    Args:
+        plan: without paths.
+        loop: its closed loop.
     """
     (trace,) = trace_rollouts(nominal_loop(loop), 0, (0,))
     paths = [path[: last_move(path) + 1] for path in trace.cells.T.astype(np.int64)]

@@ -1,12 +1,12 @@
-"""The gradient of the closed loop's expected coverage in p, with every decision of the robots held as it is.
+"""The gradient of the closed loop's expected coverage in p, with every decision of the robots held fixed.
 
-`p` destroys, and the plan's map decides: costs, levels and the order of areas stay. A rollout then depends on p through
-its losses alone, and the likelihood ratio gives, for every cell c with p_c > 0,
+`p` destroys, and the plan's map decides: costs, levels and the order of areas stay. A rollout then depends on p only
+through its losses. The likelihood ratio gives, for every cell c with p_c > 0,
 
     d E[C] / dp_c = E[(C - b) (losses_c / p_c - passes_c / (1 - p_c))]
 
 C: cells visited; losses_c: robots lost in c; passes_c: visits of c that a robot survived; b: any constant, here the
-mean of C. Four sums by cell are enough: losses, passes, and each of them times C.
+mean of C. Four sums by cell suffice: losses, passes, and each of them times C.
 
 Source: the score function (likelihood ratio) method, Glynn 1990, "Likelihood ratio gradient estimation for stochastic
 systems". Axis `B` = blocks of rollouts, `A` accessible cells.
@@ -30,11 +30,11 @@ from planner.rollouts.runners import Runner, singles_of
 from planner.world.world import World
 
 BLOCKS = 64
-"""Parts of the rollouts, from whose scatter the standard error follows; its own relative error is 1 / sqrt(2 * 63)."""
+"""Blocks of rollouts, whose scatter gives the standard error; its own relative error is 1 / sqrt(2 * 63)."""
 LEAST_LOSSES = 10
-"""Losses in a cell below which its standard error is NaN: so few losses say little of their scatter."""
+"""Losses in a cell below which its standard error is NaN: with fewer the scatter is poorly estimated."""
 MOST_HISTORIES = 3e8
-"""Histories times cells of an exact tree."""
+"""Most histories times cells of an exact tree."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,30 +67,30 @@ def closed_loop_gradient(
     exact: bool = False,
     threads: int | None = None,
 ) -> CoverageGradient:
-    """Which cell costs the mission most, with the plan as it is: d E[cells visited] / dp in the closed loop.
+    """Sensitivity of coverage to each cell's threat, for a fixed plan: d E[cells visited] / dp in the closed loop.
 
-    Robots that survive take over from those that are lost; all decisions stay those of the map that the plan was made
-    for, whatever `p` is. It is the effect of a small change of p in one cell, and no advice on what to clear: a plan
-    made for another map decides otherwise (`mrac.clear`).
+    Surviving robots take over from those that are lost; all decisions stay those on the plan's map, for any `p`. The
+    result is the effect of a small change of p in one cell. It does not say which threats to remove: a plan for another
+    map decides otherwise (`mrac.clear`).
 
     Args:
         world: the map of the plan.
-        plan: robots are plain: threats are checked at every visit, and one p holds for all robots.
-        p: `[H, W]`, the chance that a visit destroys a robot, ignored on obstacles; None: the map's.
+        plan: of robots that are all alike, with threats checked at every visit.
+        p: `[H, W]`, the probability that a visit destroys a robot, ignored on obstacles; None: the map's.
         rollouts: at least 1,024, ids 0, 1, ...
-        seed: of the rollouts.
-        exact: the gradient of the exact tree in the place of rollouts, for teams of a few robots.
-        threads: None: one a core. No figure depends on it.
+        seed: of the random numbers.
+        exact: use the exact tree instead of rollouts, for teams of a few robots.
+        threads: None: one per core. No result depends on it.
 
     Raises:
         PlanError: a plan of another map, or robots that differ or wear out.
-        WorldError: an uncertain map, threats that move or change, robots that learn; p outside of 0 <= p < 1.
+        WorldError: an uncertain map, moving or changing threats, an online mission; p outside of 0 <= p < 1.
         UsageError: too few rollouts; a tree that is too large.
     """
     world.check_settled("the closed loop's gradient")
     if not plan.bearing.is_plain:
         raise PlanError(
-            f"the closed loop's gradient presumes that the map's p holds for every visit; here: {plan.bearing.said}",
+            f"the closed loop's gradient requires one p for all visits of a cell; here: {plan.bearing.said}",
             fix="leave `weibull_shape`, `hazard_multiplier` and `types` out",
         )
     given = world.threat if p is None else np.asarray(p, dtype=np.float32)
@@ -100,18 +100,19 @@ def closed_loop_gradient(
     if len(bad):
         row, col = bad[0].tolist()
         raise WorldError(f"p: {given[row, col]} at [{row}, {col}]", expected="0 <= p < 1 in every free cell")
+    # Decisions stay those of the plan's map: only the threats are exchanged.
     truth = World.create(np.where(world.free, given, np.nan))
     loop = compile_closed_loop(plan, world).under(truth).scoring()
     if exact:
         return _gradient(loop, truth, _tree_sums(loop)[None], 0)
     if rollouts < 16 * BLOCKS:
-        raise UsageError(argument("rollouts", rollouts), expected=f"at least {16 * BLOCKS:,}", fix="or ask for `exact`")
+        raise UsageError(argument("rollouts", rollouts), expected=f"at least {16 * BLOCKS:,}", fix="or use `exact`")
     return _gradient(loop, truth, _block_sums(loop, seed, rollouts, threads), rollouts)
 
 
 Sums = NDArray[np.float64]
-"""`[5, A]`: robots lost in each cell, passes, each of them times the cells covered, and (in all places) the cells
-covered; of a block of rollouts or of a tree."""
+"""`[5, A]`: robots lost in each cell, passes, each of them times the cells covered, and (in all columns) the cells
+covered; sums over a block of rollouts or over a tree."""
 
 
 def _sums_of(runner: Runner) -> Sums:
@@ -122,7 +123,7 @@ def _sums_of(runner: Runner) -> Sums:
 
 
 def _tree_sums(loop: ClosedLoop) -> Sums:
-    """Of the exact tree, in probabilities."""
+    """Sums over the exact tree, as probabilities."""
     runner = Runner(loop, 0, loop.robots + 1)
     most = int(MOST_HISTORIES / len(loop.cells))
     counts = runner.grow(WHOLE, 1, most)
@@ -143,7 +144,7 @@ def _block_sums(loop: ClosedLoop, seed: int, rollouts: int, threads: int | None)
         before = _sums_of(runner)
         for block in blocks:
             runner.run(bounds[block], bounds[block + 1], none)
-            # Counts add up over a runner's blocks: whole numbers, so that their differences are exact.
+            # Counts add up over a runner's blocks: whole numbers, so their differences are exact.
             after = _sums_of(runner)
             found.append(after - before)
             before = after
@@ -157,24 +158,26 @@ def _block_sums(loop: ClosedLoop, seed: int, rollouts: int, threads: int | None)
 
 
 def _bounds(rollouts: int) -> NDArray[np.int64]:
-    """Where blocks begin and end, int64 `[B + 1]`."""
+    """Begin and end of the blocks, int64 `[B + 1]`."""
     return np.arange(BLOCKS + 1) * rollouts // BLOCKS
 
 
 def _gradient(loop: ClosedLoop, truth: World, sums: NDArray[np.float64], rollouts: int) -> CoverageGradient:
-    """From the sums of blocks, `[B, 5, A]`; of a tree `[1, 5, A]`, no rollouts and a chance of 1 in all."""
+    """The gradient from the sums of blocks, `[B, 5, A]`; of a tree `[1, 5, A]`, with `rollouts` 0."""
     p = truth.threat.ravel()[loop.cells].astype(np.float64)
     losses, passes, covered_losses, covered_passes, covered = (sums[:, number] for number in range(5))
     count = rollouts or 1
     coverage = float(covered[:, 0].sum() / count)
     with np.errstate(divide="ignore", invalid="ignore"):
+        # The mean of C as baseline: it changes no expectation, and removes most of the variance.
         of_each = (covered_losses - coverage * losses) / p - (covered_passes - coverage * passes) / (1 - p)
     mean, error = of_each.sum(axis=0) / count, np.zeros(len(p))
     if rollouts:
         scatter = of_each - np.diff(_bounds(rollouts))[:, None] * mean
         error = np.sqrt((scatter**2).sum(axis=0) * BLOCKS / (BLOCKS - 1)) / rollouts
+        # A cell without losses would show a standard error of 0, as if its gradient were known.
         error[(losses.sum(axis=0) < LEAST_LOSSES) & ((losses + passes).sum(axis=0) > 0)] = np.nan
-        mean *= rollouts / (rollouts - 1)  # the mean of C is of the same rollouts
+        mean *= rollouts / (rollouts - 1)  # the baseline, the mean of C, is from the same rollouts
 
     def grid(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.where(truth.threat > 0, loop.on_grid(values).reshape(loop.shape), np.nan)

@@ -1,4 +1,4 @@
-"""The one way to roll out: an `Engine`, bound to a plan, its world, a loop and a seed; and runs without losses."""
+"""Rolling out: an `Engine` for a plan, its world, a loop and a seed; and plans without losses."""
 
 from __future__ import annotations
 
@@ -28,31 +28,36 @@ from planner.simulator.codes import Outcome
 from planner.tally import RolloutResults, Tally, Trace
 from planner.world.world import World
 
-# The closed loop of a plan in which no robot can be lost: every rollout is the nominal run, which the plan holds.
+# A closed loop in which no robot can be lost: every rollout is the nominal run, which the plan holds.
 
 
 def is_nominal(plan: Plan, world: World) -> bool:
-    """Whether every closed-loop rollout is the nominal run, and the plan's paths alone say how that is counted.
+    """Whether every closed-loop rollout is the nominal run and the plan's paths determine its counts.
 
-    Paths do not say it of a mission under way, nor which robots have returned to a base.
+    They do not for a resumed mission, nor do they tell which robots have returned to a base.
     """
     return plan.state is None and not plan.comes_home and is_certain(world, plan)
 
 
 class NominalRun:
-    """Counts the nominal run as often as it is asked for (see `planner.rollouts.engine.Engine`).
+    """An `Engine` that counts the nominal run as often as needed.
 
-    The paths are counted with NumPy, so that nothing is compiled: on a large map without threats the compilation takes
-    a minute, and the answer a second. How areas were shared (`RolloutResults.bisected` and `divided`) is left out.
+    The paths are counted with NumPy, so nothing is compiled: on a large map without threats a compilation takes a
+    minute, and the result a second. The counts of shared areas (`RolloutResults.bisected`, `divided`) are left out.
     """
 
     name = "nominal run"
     least = BLOCK
 
     def __init__(self, world: World, plan: Plan, loop: ClosedLoop, seed: int, make_full: Callable[[], Any]) -> None:
-        """`plan`: one that `is_nominal` in this world; `loop`: the same, compiled to arrays.
+        """Bind the run.
 
-        `make_full`: makes the `Engine` that rolls it out under other threats, or with other counts.
+        Args:
+            world: the map.
+            plan: with `is_nominal` in this world.
+            loop: the plan, compiled to arrays.
+            seed: of the random numbers, which affect nothing.
+            make_full: makes the engine for other threats or other counts.
         """
         self.world, self.plan, self.loop, self.seed, self.accessible = world, plan, loop, seed, loop.accessible
         self._make_full = make_full
@@ -63,7 +68,7 @@ class NominalRun:
 
     @cached_property
     def _once(self) -> Tally:
-        """The nominal run, counted once, as rollout 0."""
+        """The tally of the nominal run as rollout 0."""
         end, size = min(self.plan.time, self.loop.max_steps), self.plan.shape[0] * self.plan.shape[1]
         first, visits = np.full(size, end + 1), np.zeros(size, dtype=np.int64)
         for robot in self.plan.robots:
@@ -73,7 +78,7 @@ class NominalRun:
         new = np.bincount(first[visits > 0], minlength=end + 1)
         covered = int(new.sum())
         ended = Outcome[self.plan.outcome.upper()]
-        # Counts hold one code for the deadline and the step limit.
+        # Counts have one code for the deadline and the step limit.
         over = Outcome.STEP_LIMIT if ended is Outcome.DEADLINE or self.plan.time != end else ended
         once = {"visited": covered, "survived": covered, "time": end, "alive": len(self.plan.robots), "outcomes": over}
         none = self.loop.empty_tally(self.seed)
@@ -94,25 +99,26 @@ class NominalRun:
         return replace(self._once, ids=((start, start + count),), **times)
 
     def results(self, start: int, count: int) -> RolloutResults:
-        """What each of those rollouts came to."""
+        """The results of each of these rollouts."""
         names = ("visited", "survived", "time", "alive", "outcomes")
         columns = (np.full(count, np.argmax(getattr(self._once, name)), dtype=np.int32) for name in names)
         visited, survived, time, alive, outcome = columns
         return RolloutResults(start, visited, survived, time, alive, outcome.astype(np.int8))
 
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
-        """Both of them."""
+        """The tally and the results."""
         return self.tally(start, count), self.results(start, count)
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
-        """Those rollouts in full, in the order given."""
+        """Traces of these rollouts, in the order given."""
+        # A truncated loop ends before the plan does: its trace has to be simulated.
         if self.loop.max_steps < self.plan.time:
             return self._full.traces(rollouts)
         once = PythonLoop(self.plan, self.world).trace(self.seed, 0)
         return (replace(once, rollout=rollout) for rollout in rollouts)
 
     def until(self, step: int) -> NominalRun:
-        """The same rollouts cut off at the end of `step`."""
+        """The same rollouts truncated at the end of `step`."""
         return NominalRun(self.world, self.plan, self.loop.until(step), self.seed, lambda: self._full.until(step))
 
     def under(self, truth: World) -> Any:
@@ -120,34 +126,40 @@ class NominalRun:
         return self._full.under(truth)
 
     def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> Any:
-        """The same rollouts, survived visits counted."""
+        """The same rollouts with survived visits counted."""
         return self._full.weighing(covered, found)
 
 
-# The one way to roll out: an `Engine`, bound to a plan, its world, a loop and a seed, whichever loop and back end.
-#
 # A rollout is a pure function of (plan, seed, id): chunk size, engine, threads and devices cannot change a count.
-# This is the only place that asks "open or closed?" and "Numba or JAX?"; a new back end is one class and one line in
-# `OPEN_LOOP` or `CLOSED_LOOP` (and its name in `planner.rollouts.names`). Those of `mrac_jax`, which stands above,
-# are looked up by name when they are asked for.
+# This is the only place that chooses between open and closed loop, and between Numba and JAX. A new back end is one
+# class and one line in `OPEN_LOOP` or `CLOSED_LOOP` (and its name in `planner.rollouts.names`). `mrac_jax` imports this
+# package, so its back ends are looked up by name.
 
-# Ranges of rollout ids to run one after the other, each as many as take about half a second.
+# Ranges of rollout ids to run one after the other, of about half a second each.
 
 MOST_SEED = 2**64
 CHUNK_SECONDS, MOST_CHUNK = 0.5, 2**21
-"""A range takes about so long, and has at most so many ids, for memory."""
+"""Approximate duration of a range, and its most ids, for memory."""
 CELLS_A_CALL = 2**21
-"""Cells that rollouts cover, about, in a call that is worth while: 4,096 rollouts of 500 cells."""
+"""Approximate cells that rollouts cover in a call large enough to pay: 4,096 rollouts of 500 cells."""
 Result = TypeVar("Result")
 
 
 def worth_a_call(cells: int) -> int:
-    """Rollouts of the closed loop that a call is worth while for: a block, on large maps an aligned part of one."""
+    """Closed-loop rollouts that a call should have: a block, on large maps an aligned part of one.
+
+    Args:
+        cells: accessible cells.
+    """
     return max(1, min(BLOCK, 1 << (CELLS_A_CALL // cells).bit_length() - 1))
 
 
 def check_range(start: int, count: int, chunk: int | None, seed: int) -> None:
-    """Raise UsageError for ids, a chunk or a seed that are none."""
+    """Check ids, chunk and seed.
+
+    Raises:
+        UsageError: one of them is out of range.
+    """
     if start < 0 or count < 0 or start + count > MOST_ROLLOUTS:
         raise UsageError(f"rollouts {start} .. {start + count}", expected="ids 0 <= id < 2**32")
     if chunk is not None and chunk < 1:
@@ -165,16 +177,19 @@ def run_ranges(
     checkpoints: Iterable[int] = (),
     unit: int = BLOCK,
 ) -> Iterator[tuple[int, int, Result, float]]:
-    """`work(start, count)` for range after range of ids: (start, count, what it returned, seconds it took).
+    """Run `work(start, count)` for one range of ids after the other.
 
-    Whoever stops iterating (or is interrupted) loses at most the range in flight.
+    A caller that stops iterating, or is interrupted, loses at most the range in progress.
 
     Args:
         work: runs a range. start, count: the ids.
-        chunk: ids a range, rounded up to whole units; None = one unit, then as many as take about
-            CHUNK_SECONDS, MOST_CHUNK at most.
-        checkpoints: numbers of ids (counted from `start`) at which a range must end, for stopping rules.
+        chunk: ids per range, rounded up to whole units; None: one unit, then about CHUNK_SECONDS worth, at most
+            MOST_CHUNK.
+        checkpoints: numbers of ids (counted from `start`) at which a range has to end, for stopping rules.
         unit: ranges end at its multiples.
+
+    Yields:
+        (start, count, result of `work`, seconds).
     """
     ends = sorted({start + mark for mark in checkpoints if 0 < mark < count} | {start + count})
     size, position = chunk or unit, start
@@ -186,23 +201,24 @@ def run_ranges(
         took = time.perf_counter() - clock
         yield position, stop - position, result, took
         if chunk is None:
+            # A range never shrinks, so one slow range (another program, a compilation) does not slow down the rest.
             size = max(size, min(int((stop - position) * CHUNK_SECONDS / max(took, 1e-9)), MOST_CHUNK))
         position = stop
 
 
-# The compiled classical simulator (`planner.rollouts.closed_loop`) as an engine.
+# The compiled simulator (`planner.rollouts.closed_loop`) as an engine.
 
 TRACED = 8
 """Rollouts traced at a time."""
 
 
 class NumbaClosedLoop:
-    """One closed loop and seed, rolled out by Numba (see `planner.rollouts.engine.Engine`)."""
+    """The `Engine` of a closed loop and a seed on Numba."""
 
     name = "numba"
 
     def __init__(self, loop: ClosedLoop, seed: int, *, threads: int | None = None) -> None:
-        """`threads`: None for all cores; no count depends on it."""
+        """Args: `threads`: None for all cores; no count depends on it."""
         self.loop, self.seed, self._threads = loop, seed, threads
         self.accessible = loop.accessible
         self.least = worth_a_call(self.accessible) if loop.tabled else 1
@@ -212,23 +228,23 @@ class NumbaClosedLoop:
         return closed_loop.run_range(self.loop, self.seed, start, count, threads=self._threads)[0]
 
     def results(self, start: int, count: int) -> RolloutResults:
-        """What each of those rollouts came to."""
+        """The results of each of these rollouts."""
         return self.run(start, count)[1]
 
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
-        """The tally and the single results of those rollouts: one pass gives both."""
+        """The tally and the results, from one pass."""
         tally, results = closed_loop.run_range(self.loop, self.seed, start, count, threads=self._threads, singles=True)
         assert results is not None
         return tally, results
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
-        """Those rollouts in full, in the order given, a few at a time."""
+        """Traces of these rollouts, in the order given, made a few at a time."""
         waiting = iter(rollouts)
         while few := list(itertools.islice(waiting, TRACED)):
             yield from closed_loop.trace_rollouts(self.loop, self.seed, few)
 
     def until(self, step: int) -> NumbaClosedLoop:
-        """The same rollouts cut off at the end of `step`."""
+        """The same rollouts truncated at the end of `step`."""
         return NumbaClosedLoop(self.loop.until(step), self.seed, threads=self._threads)
 
     def under(self, truth: World) -> NumbaClosedLoop:
@@ -236,12 +252,12 @@ class NumbaClosedLoop:
         return NumbaClosedLoop(self.loop.under(truth), self.seed, threads=self._threads)
 
     def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> NumbaClosedLoop:
-        """The same rollouts, survived visits counted: `ClosedLoop.weighing`."""
+        """The same rollouts with survived visits counted (`ClosedLoop.weighing`)."""
         return NumbaClosedLoop(self.loop.weighing(covered, found), self.seed, threads=self._threads)
 
 
 class Engine(Protocol):
-    """What rolls out. Ids are whole numbers below 2**32."""
+    """Rolls out one plan. Ids are whole numbers below 2**32."""
 
     @property
     def name(self) -> str:
@@ -250,12 +266,12 @@ class Engine(Protocol):
 
     @property
     def least(self) -> int:
-        """Rollouts that are worth a call: a block or several, on large maps a part of one."""
+        """Rollouts that a call should have: a block or several, on large maps a part of one."""
         ...
 
     @property
     def accessible(self) -> int:
-        """Cells that count."""
+        """Number of cells that count for coverage."""
         ...
 
     def tally(self, start: int, count: int) -> Tally:
@@ -263,40 +279,41 @@ class Engine(Protocol):
         ...
 
     def results(self, start: int, count: int) -> RolloutResults:
-        """What each of those rollouts came to."""
+        """The results of each of these rollouts."""
         ...
 
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
-        """Both of them."""
+        """The tally and the results."""
         ...
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
-        """Those rollouts in full, in the order given."""
+        """Traces of these rollouts, in the order given."""
         ...
 
     def until(self, step: int) -> Engine:
-        """The same rollouts cut off at the end of `step`."""
+        """The same rollouts truncated at the end of `step`."""
         ...
 
     def under(self, truth: World) -> Engine:
-        """The same decisions, but robots are stopped by the threats of `truth`, a map of the same cells."""
+        """The same decisions under the threats of `truth`, a map of the same cells."""
         ...
 
     def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> Engine:
-        """The same rollouts of the closed loop, survived visits counted and summed up by cell: `ClosedLoop.weighing`.
+        """The same closed-loop rollouts with survived visits counted and values summed up (`ClosedLoop.weighing`).
 
-        Raises UsageError in the open loop, whose figures are exact.
+        Raises:
+            UsageError: an open loop, whose values are exact.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Rolling:
-    """What a rollout is, besides its plan and id.
+    """Kind of rollouts.
 
     Attributes:
-        loop: "open": follow the plan until stopped; "closed": reallocate and share at run time.
-        first_only: closed loop: only the first visit of a cell by anybody can stop a robot.
+        loop: "open": robots follow the plan until they are lost; "closed": areas are reallocated and shared.
+        first_only: closed loop: only the first visit of a cell by any robot is checked.
         seed: 0 <= seed < 2**64.
     """
 
@@ -306,7 +323,7 @@ class Rolling:
 
 
 class Chosen(NamedTuple):
-    """A back end, and why it was taken."""
+    """A back end, and why it was chosen."""
 
     name: EngineName
     why: str
@@ -315,10 +332,18 @@ class Chosen(NamedTuple):
 def make_engine(
     plan: Plan, world: World, how: Rolling, engine: EngineName = "auto", kept: AllPairs | None = None
 ) -> Engine:
-    """The engine for this plan. JAX is imported only if it is asked for, or installed with an accelerator.
+    """The engine for a plan. JAX is imported only if requested, or if it is installed with an accelerator.
 
-    `kept`: where the closed loop's all-pairs tables are kept for other teams on the same map.
-    Raises InputError for a plan that cannot be rolled out so, UsageError for an engine or seed that is none.
+    Args:
+        plan: for this world.
+        world: the map.
+        how: kind of rollouts.
+        engine: "numba", "jax", or "auto".
+        kept: where all-pairs tables of the closed loop are kept for other teams on the same map.
+
+    Raises:
+        InputError: the plan cannot be rolled out this way.
+        UsageError: an unknown engine, or a seed out of range.
     """
     if how.loop == "open":
         return open_loop_engine(compile_plan(plan, world), how.seed, engine)
@@ -330,25 +355,39 @@ def make_engine(
 def open_loop_engine(
     compiled: CompiledPlan, seed: int, engine: EngineName = "auto", threads: int | None = None
 ) -> Engine:
-    """The engine of a compiled plan's open loop; `threads`: of Numba, None for all cores.
+    """The engine of a compiled plan's open loop.
 
-    More maps in doubt than JAX has numbers for are an error for `engine="jax"`, and Numba's for "auto".
+    Args:
+        compiled: the plan's path arrays.
+        seed: of the random numbers.
+        engine: "auto" is Numba where JAX does not support the uncertain map.
+        threads: of Numba, None for all cores.
+
+    Raises:
+        UsageError: as in `make_engine`.
     """
     check_range(0, 0, None, seed)
     return _first_that_can(OPEN_LOOP, engine, compiled, seed, threads)
 
 
 def closed_loop_engine(loop: ClosedLoop, seed: int, engine: EngineName = "auto", threads: int | None = None) -> Engine:
-    """The engine of a closed loop; `threads`: of Numba, None for all cores.
+    """The engine of a closed loop.
 
-    A world that JAX's lanes have no room for is an error for `engine="jax"`, and Numba's for "auto".
+    Args:
+        loop: the closed loop.
+        seed: of the random numbers.
+        engine: "auto" is Numba where JAX does not support the world.
+        threads: of Numba, None for all cores.
+
+    Raises:
+        UsageError, WorldError: as in `make_engine`.
     """
     check_range(0, 0, None, seed)
     return _first_that_can(CLOSED_LOOP, engine, loop, seed, threads)
 
 
 def _first_that_can(makers: Mapping[str, Callable[..., Engine]], engine: EngineName, *given: Any) -> Engine:
-    """The engine that a name means; for "auto" Numba's where that one has no room for the world."""
+    """The engine of this name; for "auto" Numba's if the other does not support the world."""
     try:
         return makers[choose_engine(engine).name](*given)
     except (UsageError, WorldError):
@@ -365,13 +404,16 @@ CLOSED_LOOP: dict[str, Callable[[ClosedLoop, int, int | None], Engine]] = {
     "jax": lambda loop, seed, threads: of_jax("closed loop")(loop, seed),
     "numba": lambda loop, seed, threads: NumbaClosedLoop(loop, seed, threads=threads),
 }
-"""The back ends of each loop: what makes the engine of a compiled plan, a seed and so many threads (None: all)."""
+"""The back ends of each loop: they make an engine from a compiled plan, a seed and a number of threads."""
 
 
 def choose_engine(engine: EngineName) -> Chosen:
-    """The back end that a name means: "auto" is JAX where it has an accelerator, else Numba.
+    """The back end of a name: "auto" is JAX if it has an accelerator, else Numba.
 
-    Numba is the faster one on CPUs (`docs/speed.md`). JAX is not imported to find out that there is nothing to find.
+    Numba is faster on CPUs (`docs/speed.md`). The search for an accelerator does not import JAX.
+
+    Raises:
+        UsageError: an unknown name, or JAX is not installed.
     """
     if engine not in ENGINES:
         raise UsageError(f"engine is {engine!r}", expected=" or ".join(ENGINES))
@@ -387,11 +429,12 @@ def choose_engine(engine: EngineName) -> Chosen:
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """Where a run stands after a chunk.
+    """State of a run after a chunk.
 
     Attributes:
-        tally: everything so far. results: this chunk's single rollouts if they were asked for, else None.
-        seconds: running so far; compile_seconds: of the first call, compilation included, apart from that.
+        tally: of all rollouts so far.
+        results: of this chunk's rollouts if requested, else None.
+        seconds: so far, without compile_seconds: those of the first call, compilation included.
     """
 
     tally: Tally
@@ -401,7 +444,14 @@ class Chunk:
 
 
 def run_by_luck(engine: Engine, seed: int, start: int, count: int) -> tuple[Tally, RolloutResults]:
-    """What `engine.run` says of rollouts, in the tally their sums by luck too."""
+    """`engine.run`, with the sums by class of total threshold in the tally (`sums_by_luck`).
+
+    Args:
+        engine: of these rollouts.
+        seed: of their random numbers.
+        start: first id.
+        count: rollouts.
+    """
     tally, results = engine.run(start, count)
     return replace(tally, by_luck=sums_by_luck(results, seed, tally.robots)), results
 
@@ -416,18 +466,22 @@ def run_chunks(
     results: bool = False,
     by_luck: int | None = None,
 ) -> Iterator[Chunk]:
-    """Roll out ids `start .. start + count - 1`, 2**32 at most; after every chunk, where the run stands.
+    """Roll out ids `start .. start + count - 1` by chunks. Memory is constant.
 
-    Whoever stops iterating (or is interrupted) loses at most the chunk in flight. Memory is constant.
+    A caller that stops iterating, or is interrupted, loses at most the chunk in progress.
 
     Args:
-        chunk: rollouts a chunk, rounded up to `engine.least`; None = about half a second's worth. No count depends on
+        engine: of the rollouts.
+        count: rollouts, ids at most 2**32 - 1.
+        start: first id.
+        chunk: rollouts per chunk, rounded up to `engine.least`; None: about half a second's worth. No count depends on
             it.
-        checkpoints: numbers of rollouts (counted from `start`) at which a chunk must end, for stopping rules.
-        results: also hand over every single rollout.
-        by_luck: the seed of the rollouts, whose sums by luck the tally is to have too (`run_by_luck`).
+        checkpoints: numbers of rollouts (counted from `start`) at which a chunk has to end, for stopping rules.
+        results: whether chunks hold the results of single rollouts.
+        by_luck: the seed, if the tally gets the sums by class of total threshold (`run_by_luck`).
 
-    Raises UsageError for ids or a chunk that are none.
+    Raises:
+        UsageError: ids or a chunk out of range.
     """
 
     def work(first: int, size: int) -> tuple[Tally, RolloutResults | None]:
@@ -437,8 +491,8 @@ def run_chunks(
 
     check_range(start, count, chunk, 0)
     clock = time.perf_counter()
-    # Compiles, apart from what is timed; asking for it again changes no count. Two rollouts where they are cheap: the
-    # columns of a single one are contiguous, those of more are not, and Numba would compile for either.
+    # The first call compiles, so it is not timed; its rollouts are counted once, below. Two rollouts if they are cheap:
+    # columns of a single rollout are contiguous, those of several are not, and Numba compiles for each case.
     work(start, min(count, engine.least, 2))
     compile_seconds = time.perf_counter() - clock
     tally, seconds = None, 0.0

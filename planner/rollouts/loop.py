@@ -1,4 +1,4 @@
-"""A closed loop, ready to roll out: what `planner.rollouts.closed_loop` compiles of a plan, and runs."""
+"""A plan's closed loop, ready to roll out: compiled by `planner.rollouts.closed_loop`."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from planner.world.world import World
 
 # The programs that missions run: one for common missions, one for other plain ones, one for the rest.
 #
-# A program is compiled for the types of its arguments. A feature that none of its missions has is None: its code is
-# left out.
+# A program is compiled for the types of its arguments. A feature that none of its missions uses is None: no code is
+# compiled for it.
 
 Arrays = TypeVar("Arrays", bound=tuple)
 
@@ -48,20 +48,25 @@ FEATURES: dict[str, Callable[[Tables], bool]] = {
     "phased": lambda t: len(t.phases) > 0,
 }
 PROGRAMS = 0, list(FEATURES).index("wears"), len(FEATURES)
-"""How many of the FEATURES each program has: none; those of large or uncertain maps and of external paths; all. Each
-further program would be compiled for its missions alone."""
+"""How many of the FEATURES each program has: none; those of large or uncertain maps and of external paths; all. A
+further program would have to be compiled for its missions only."""
 
 
 def with_features(tables: Tables) -> Tables:
-    """The tables of the smallest program that has all features of the mission."""
+    """The tables of the smallest program with all features of the mission.
+
+    Args:
+        tables: without features.
+    """
     has: dict[str, Any] = {name: test(tables) for name, test in FEATURES.items()}
+    # A feature within the program's size that the mission does not use is False, not None: the types are the program's.
     known = min(size for size in PROGRAMS if not any(list(has.values())[size:]))
     features: dict[str, Any] = dict.fromkeys(has) | dict(list(has.items())[:known])
     return tables._replace(**features)
 
 
 def typed(given: Arrays) -> Arrays:
-    """The same named tuple with contiguous, writable arrays: the types that programs are compiled for."""
+    """The named tuple with contiguous, writable arrays: the types that programs are compiled for."""
     return type(given)(
         *(
             np.require(field, requirements=("C", "W"))
@@ -77,11 +82,11 @@ NO_COUNTS = np.zeros(0, dtype=np.int64)
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """What cells add to two sums of each rollout: `RolloutResults.worth_covered` and `worth_found`.
+    """Values of cells, summed up in each rollout: `RolloutResults.worth_covered` and `worth_found`.
 
     Attributes:
-        covered: int64 `[A]`, of each cell that was visited.
-        found: int64 `[A, MOST_PASSES + 1]`, by its survived visits; the last column is for that many or more.
+        covered: int64 `[A]`, value of each visited cell.
+        found: int64 `[A, MOST_PASSES + 1]`, value by survived visits; the last column is for that many or more.
     """
 
     covered: NDArray[np.int64]
@@ -93,18 +98,18 @@ class ClosedLoop:
     """A plan's closed loop, ready to roll out. Axis `A` = accessible cells.
 
     Attributes:
-        identity: hash of everything that its rollouts depend on besides the seed.
+        identity: hash of everything that its rollouts depend on, the seed excluded.
         shape: (H, W). cells: int64 `[A]`, index of each accessible cell.
-        tables: what every rollout reads. max_steps: T_max. first_only: `threat_checks="first_visit"`.
-        stay_inside: `transit="area"`. policy: what attentive robots decide by; None: the paper's rule. rule: of both.
-        weights: what cells add to the sums that are kept of single rollouts; survived visits are then counted too.
-        bearing: what robots bear.
-        purpose: of the key under which is drawn what is in doubt about the map (`planner.world.uncertain_maps.Draws`).
-        state: of the mission that rollouts go on from; None: they begin at t = 0.
-        movers: threats that move, which are told for each rollout; None: there are none.
-        doubt: maps of which each rollout draws the one that its robots learn; None: there is one truth.
-        in_area: a user's own order of the cells of an area, `(here, cell, cost) -> anything that Python can compare`,
-            cells by their place in `cells`; None: the planner's. Compiled programs do not follow it.
+        tables: read by every rollout. max_steps: T_max. first_only: `threat_checks="first_visit"`.
+        stay_inside: `transit="area"`. policy: of a rule that re-evaluates; None: the paper's rule. rule: of both.
+        weights: values of cells, summed up in single rollouts; survived visits are then counted too.
+        bearing: the failure model.
+        purpose: of the key under which an uncertain map is drawn (`planner.world.uncertain_maps.Draws`).
+        state: of the mission that rollouts resume; None: they begin at t = 0.
+        movers: moving threats, whose positions are kept for each rollout; None: there are none.
+        doubt: candidates of the true map, of which each rollout draws one; None: there is one true map.
+        in_area: a user's order of the cells of an area, `(here, cell, cost) -> anything that Python can compare`,
+            with cells as indices in `cells`; None: the planner's. Not supported by compiled programs.
     """
 
     identity: str
@@ -126,27 +131,27 @@ class ClosedLoop:
 
     @property
     def accessible(self) -> int:
-        """Cells that can truly be visited."""
+        """Number of cells that can be visited on the true map."""
         return self.tables.goal
 
     @property
     def learns(self) -> bool:
-        """True if robots may come to believe another map."""
+        """True if the robots' map may change."""
         return len(self.tables.truths) > 0
 
     @property
     def comes_home(self) -> bool:
-        """True if robots come home."""
+        """True if robots return to base."""
         return len(self.tables.home_cost) > 0
 
     @property
     def is_mixed(self) -> bool:
-        """True if robots are of several types, or speeds, or do not hear each other everywhere."""
+        """True if robots are of several types or speeds, or radio has a limited range."""
         return len(self.tables.type_of) + len(self.tables.pace) + len(self.tables.reach) > 0
 
     @property
     def runs_alone(self) -> bool:
-        """True if every rollout is a set by itself: no two have the same readings."""
+        """True if each rollout is a separate group: no two have the same detector readings."""
         return bool(self.tables.lessons[DETECTS:].any())
 
     @property
@@ -161,16 +166,24 @@ class ClosedLoop:
 
     @property
     def in_doubt(self) -> bool:
-        """True if what is true of the map is drawn in each rollout."""
+        """True if the map is drawn in each rollout."""
         return len(self.tables.own_counter) > 0
 
     @property
     def keeps_apart(self) -> bool:
-        """True if something is kept for every rollout."""
+        """True if some state is kept for every rollout."""
         return self.in_doubt or self.movers is not None or self.runs_alone
 
     def on_grid(self, values: NDArray[Any], other: Any = 0) -> NDArray[Any]:
-        """Values `[A]` of the accessible cells as those of all cells `[N]`, `other` elsewhere."""
+        """Values of the accessible cells on the whole grid.
+
+        Args:
+            values: `[A]`.
+            other: value of the other cells.
+
+        Returns:
+            `[N]`, of the type of `values`.
+        """
         grid = np.full(self.shape[0] * self.shape[1], other, dtype=values.dtype)
         grid[self.cells] = values
         return grid
@@ -180,7 +193,7 @@ class ClosedLoop:
         return {}
 
     def first_state(self, room: int) -> State:
-        """What every set begins with, with room for so many areas; made once. A stack of one level a truth."""
+        """The state that every group begins with, made once for each `room` (areas); one level for each true map."""
         if room not in self._first:
             first = first_state(self.tables, room, self.weights is not None)
             if self.state is not None:
@@ -193,17 +206,19 @@ class ClosedLoop:
         return self._first[room]
 
     def again(self, **changes: Any) -> ClosedLoop:
-        """The same but for these changes, on which no state at t = 0 depends: they share theirs."""
+        """A copy with these changes, which must not affect the state at t = 0: it is shared."""
         other = replace(self, **changes)
+        # `replace` makes a new instance, whose cache would be empty: a state of a large map takes long to make.
         other.__dict__["_first"] = self._first
         return other
 
     def first_places(self, seed: int, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
-        """`planner.simulator.state.Work.at` of these rollouts before movers have moved."""
+        """`planner.simulator.state.Work.at` of these rollouts at t = 0, int64 `[B, M]`."""
         assert self.movers is not None
         places = first_places(self.movers, seed, ids)
         walks = np.array([not one.patrols for one in self.movers.members])
         number = self.on_grid(np.arange(len(self.cells)), len(self.cells))
+        # Walking threats are numbered by accessible cells; those on routes keep their index on the route.
         places[:, walks] = number[places[:, walks]]
         return places
 
@@ -213,9 +228,10 @@ class ClosedLoop:
         return Tally.empty(key, self.shape, self.robots, self.accessible)
 
     def until(self, step: int) -> ClosedLoop:
-        """The same closed loop cut off at the end of `step`: its rollouts cover what the whole one's have by then.
+        """The closed loop truncated at the end of `step`: its rollouts are the first steps of the whole ones.
 
-        Raises UsageError for a step that the mission's state has behind it.
+        Raises:
+            UsageError: the mission's state is at that step or later.
         """
         if self.state is not None and step <= self.state.step:
             raise UsageError(argument("deadline", step), expected=f"a step after the state's, {self.state.step}")
@@ -223,28 +239,33 @@ class ClosedLoop:
         return replace(self, identity=f"{self.identity}@{cut}", max_steps=cut)
 
     def under(self, world: World) -> ClosedLoop:
-        """The same decisions, but robots are stopped by the threats of `world`, a map of the same cells."""
+        """The same decisions under the threats of `world`, a map of the same cells."""
         tables = self.tables._replace(**luck_tables(self._kinds(world), self.cells))
         return replace(self, identity=f"{self.identity}~{world.luck_sha256}", tables=tables, purpose=purpose_of(world))
 
     def scoring(self) -> ClosedLoop:
-        """The same rollouts, counted for `planner.rollouts.coverage_gradient` as well."""
+        """The same rollouts, counted also for `planner.rollouts.coverage_gradient`."""
         return replace(self, identity=f"{self.identity}#scores", tables=self.tables._replace(scores=True))
 
     def _kinds(self, world: World) -> tuple[World, ...]:
         return kinds_of(world, self.bearing.types, self.robots)
 
     def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> ClosedLoop:
-        """The same rollouts, survived visits counted. Arguments as of `Weights`, but of all cells `[N, ..]`."""
+        """The same rollouts with survived visits counted and values summed up.
+
+        Args:
+            covered: int64 `[N]`, as in `Weights`.
+            found: int64 `[N, MOST_PASSES + 1]`, as in `Weights`.
+        """
         weights = Weights(covered[self.cells], found[self.cells])
         return replace(self, identity=f"{self.identity}#passes", weights=weights)
 
 
 def purpose_of(world: World) -> int:
-    """Of the key under which is drawn what is in doubt; any where nothing is."""
+    """Purpose of the key under which an uncertain map is drawn; 0 for a certain map."""
     return 0 if world.draws is None else world.draws.purpose
 
 
 def known_cells(loop: ClosedLoop) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Cells visited and survived before rollouts begin: they count from step 0 on."""
+    """(visited, survived): cells covered before rollouts begin, int64; they count from step 0 on."""
     return (NO_COUNTS, NO_COUNTS) if loop.state is None else (loop.state.visited, loop.state.survived)

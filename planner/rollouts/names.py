@@ -1,4 +1,4 @@
-"""The names of the back ends, apart from them: for options and checks, which import no engine."""
+"""Names of the back ends, in a module that imports no engine: for options and checks."""
 
 from __future__ import annotations
 
@@ -20,27 +20,38 @@ OF_JAX = {
     "policy": "mrac_jax.environment.area_env:PolicyRollouts",
     "accelerator": "mrac_jax.runtime:accelerator",
 }
-"""What the engines and the environment in JAX are asked for: their package stands above, and is known by name alone."""
+"""Engines and environment in JAX, as names: `mrac_jax` imports this package, so this package cannot import it."""
 
 
 def check_jax() -> None:
-    """Raise UsageError where JAX was taken out to save its 390 MB: nothing but its own engine needs it on a CPU."""
+    """Check that JAX is installed; it may be left out (390 MB), since only its engines need it.
+
+    Raises:
+        UsageError: JAX is not installed.
+    """
     if find_spec("jax") is None:
         raise UsageError("jax is not installed", fix="pip install jax")
 
 
 def of_jax(what: str) -> Any:
-    """What stands under one of the names in `OF_JAX`, imported now. Raises UsageError where JAX cannot be imported."""
-    if what != "accelerator":  # which imports JAX only where there may be one
+    """Import one of the objects in `OF_JAX`.
+
+    Args:
+        what: its key.
+
+    Raises:
+        UsageError: JAX cannot be imported.
+    """
+    if what != "accelerator":  # it imports JAX only if there may be an accelerator
         try:
             import_module("jax")
-        except Exception as error:  # a flag with a wrong value, a jaxlib of another release, no JAX at all
+        except Exception as error:  # a wrong flag, a jaxlib of another release, no JAX at all
             raise UsageError(why_not(error), fix=f"correct that, or use {argument('engine', 'numba')}") from error
     return resolve_name(OF_JAX[what])
 
 
 def why_not(error: Exception) -> str:
-    """Why JAX cannot run, in one line: what it raised, and the platforms that it was told to use."""
+    """One line on why JAX cannot run: the error and the platforms requested."""
     said = " ".join(str(error).split())[:200] or f"{type(error).__name__}: no such device"
     platforms = os.environ.get("JAX_PLATFORMS", "")
     return f"JAX cannot start{f' with JAX_PLATFORMS={platforms}' if platforms else ''} ({said})"

@@ -1,16 +1,16 @@
-"""Plan + World -> the arrays that the open-loop engines read. NumPy only; the compile step alone knows planner's types.
+"""Compile a plan and a world into the path arrays of the open-loop engines. NumPy only.
 
-In the open loop a robot follows its own path until it is stopped, and only a dangerous entry can stop it. So a rollout
-is one *outcome* a robot: o in 0 .. D, the index of the dangerous entry that stopped it, or D if none did. A cell is
-visited by robot i iff `o >= q`, q = dangerous entries before i's first entry of it (`o > q` for survived, if the cell
-is dangerous). "Covered by the first m visitors" is then an *event*, an OR of such conditions:
+In the open loop a robot follows its own path until it is lost, and only a dangerous entry can destroy it. So a rollout
+is one *outcome* per robot: o in 0 .. D, the index of the dangerous entry at which it is lost, or D if it survives. A
+cell is visited by robot i iff `o >= q`, q = dangerous entries before i's first entry of it (`o > q` for survived, if
+the cell is dangerous). "Covered by the first m visitors" is then an *event*, an OR of such conditions:
 
 - events of one group of robots (one or two robots, see `Groups`) need only the histogram of that group's outcomes;
 - the others (`joint` events) are bits: one row of words per group outcome, OR-ed over the groups, then counted.
 
 Axis letters: `K` robots, `D` dangerous entries, `G` groups, `A` robots in a group (1 or 2), `S` slots = G * A,
 `R` rows (outcomes of a group, all groups one after the other), `E` joint events, `W` words of 32 events, `T` last step,
-`N = H * W` cells. A *slot* is a robot's place in the engines' arrays.
+`N = H * W` cells. A *slot* is a robot's index in the engines' arrays.
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ from planner.world.world import World
 
 @dataclass(frozen=True, eq=False)
 class CompiledPlan:
-    """What the open loop needs of a plan; the tables that engines read are made on first use.
+    """A plan compiled for the open loop; the tables that engines read are made on first use.
 
     Attributes:
-        plan, world: what was compiled.
+        plan, world: the source.
         identity: hash of the world's threats and the paths: equal for plans with the same open-loop rollouts.
-        shape: (H, W); accessible: number of accessible cells; last_step: T, the last step at which any robot moves.
+        shape: (H, W). accessible: number of accessible cells. last_step: T, the last step at which any robot moves.
         entries: every entry of the nominal paths.
         danger_step: per robot int64 `[D]`, the steps of its dangerous entries.
         danger_cell: per robot int64 `[D]`, the cells entered there.
@@ -84,18 +84,18 @@ class CompiledPlan:
 
     @cached_property
     def tables(self) -> OpenLoopTables:
-        """What an engine reads, made once."""
+        """Tables of the engines, made once."""
         return _make_tables(self)
 
     def thresholds(self) -> list[NDArray[np.uint64]]:
-        """Per robot uint64 `[D]`: it gets past a dangerous entry iff its word is below; of a certain map."""
+        """Per robot uint64 `[D]`: it survives a dangerous entry iff its word is below. For a certain map."""
         bearing, own = self.plan.bearing, self.world.of_robots(self.plan.bearing.types, self.robots)
         visits = map(self.world.visits, self.danger_cell, self.danger_step)
         borne = [bearing.fresh(np.cumsum(own[k].exposures[0][each]), k) for k, each in enumerate(visits)]
         return [least_word(one).astype(np.uint64) for one in borne]
 
     def until(self, step: int) -> CompiledPlan:
-        """The plan as driven until the end of `step`."""
+        """The plan truncated at the end of `step`."""
         return compile_plan(self.plan.until(step), self.world)
 
     def under(self, truth: World) -> CompiledPlan:
@@ -105,15 +105,15 @@ class CompiledPlan:
 
 @dataclass(frozen=True, eq=False)
 class OpenLoopTables:
-    """Everything an engine reads to score rollouts. The draw's tables are by slot.
+    """All arrays that an engine reads to score rollouts. Tables of draws are by slot.
 
     Attributes:
         groups: the robots of each slot, and the rows.
-        events: which joint events there are and how event counts become the tally's arrays.
+        events: the joint events, and the map from event counts to the tally's arrays.
         time: uint32 `[R]`, last step at which a robot of the group moves.
-        alive: uint32 `[R]`, robots of the group that were not stopped.
-        guide: outcomes by inverse survival, where the map is certain; else None.
-        joint: what is drawn entry by entry, where the map is in doubt; else None.
+        alive: uint32 `[R]`, robots of the group that are not lost.
+        guide: outcomes by inverse survival, for a certain map; else None.
+        joint: draws entry by entry, for an uncertain map; else None.
     """
 
     groups: Groups
@@ -125,23 +125,29 @@ class OpenLoopTables:
 
 
 def compile_plan(plan: Plan, world: World) -> CompiledPlan:
-    """The plan's open loop as arrays. Raises PlanError if the plan is for another map or leaves the free cells.
+    """Compile a plan's open loop.
+
+    Args:
+        plan: for this world.
+        world: the map.
+
+    Raises:
+        PlanError: the plan is for another map, leaves the free cells, or has no open loop.
 
     Cost: O(entries of all paths); the events (on first use) O(first entries).
     """
     plan.require(world)
     if plan.state is not None:
-        raise PlanError(
-            "the rest of a mission is rolled out in the closed loop alone", fix=f"use {argument('loop', 'closed')}"
-        )
+        raise PlanError("a mission under way has no open loop", fix=f"use {argument('loop', 'closed')}")
     if world.movers is not None:
-        problem = "the open loop asks who is stopped at dangerous entries alone, and movers stop robots anywhere"
+        problem = "the open loop cannot include moving threats, which destroy robots anywhere"
         raise PlanError(problem, source=world.source, fix=f"use {argument('loop', 'closed')}")
     threat = world.met.reshape(-1)
     paths = [np.asarray(robot.path, dtype=np.int64) for robot in plan.robots]
     for robot, path in enumerate(paths):
         _check_path(robot, path, threat)
     own = [of.by_phase.ravel() for of in world.of_robots(plan.bearing.types, len(paths))]
+    # For an uncertain map an entry is dangerous if it is so in any of the drawn maps.
     if world.draws is not None:
         own = [world.draws.bound.astype(np.float32) / np.float32(UNIT)] * len(paths)
     found = _find_entries(paths, world, own)
@@ -162,7 +168,7 @@ def compile_plan(plan: Plan, world: World) -> CompiledPlan:
 
 
 def words_of(groups: Groups) -> NDArray[np.uint32]:
-    """Second counter word of each slot's one number, uint32 `[S]`."""
+    """Second counter word of each slot's random number, uint32 `[S]`."""
     return np.maximum(groups.slot_robot, 0).astype(np.uint32)
 
 
@@ -184,6 +190,7 @@ def _find_entries(paths: list[NDArray[np.int64]], world: World, threats: list[ND
         cell = path[step]
         danger = threat[world.visits(cell, step)] > 0
         first = np.zeros(len(cell), dtype=bool)
+        # `np.unique` gives the first index of each cell, which is the earliest entry.
         first[np.unique(cell, return_index=True)[1]] = True
         robots = np.full(len(step), robot, dtype=np.int64)
         parts.append((robots, step, cell, np.cumsum(danger) - danger, danger, first))
@@ -192,6 +199,7 @@ def _find_entries(paths: list[NDArray[np.int64]], world: World, threats: list[ND
 
 
 def _identity(world: World, paths: list[NDArray[np.int64]], bearing: Bearing) -> str:
+    # A plain failure model adds nothing, so that identities of earlier releases stay valid.
     digest = hashlib.sha256(world.luck_sha256.encode())
     if not bearing.is_plain:
         digest.update(json.dumps(names_of_0_3(bearing.to_json())).encode())
@@ -202,12 +210,12 @@ def _identity(world: World, paths: list[NDArray[np.int64]], bearing: Bearing) ->
 
 
 def _make_tables(compiled: CompiledPlan) -> OpenLoopTables:
-    """The tables of a plan. On a certain map, outcomes that no 32-bit word reaches are left out."""
+    """The tables of a plan. On a certain map, outcomes that no 32-bit word reaches get no rows."""
     draws = compiled.world.draws
     dangers = np.array([len(steps) for steps in compiled.danger_step], dtype=np.int64)
     drawn_once = draws is None
     thresholds = compiled.thresholds() if drawn_once else []
-    # A threshold of 0 is passed by no word: what lies beyond needs no rows.
+    # A threshold of 0 is above no word: the entries beyond need no rows.
     depth = np.array([np.count_nonzero(t) for t in thresholds], dtype=np.int64) if drawn_once else dangers
     groups = make_groups(depth)
     events = collect_events(compiled.entries, groups, compiled.shape[0] * compiled.shape[1], compiled.last_step)
@@ -216,7 +224,7 @@ def _make_tables(compiled: CompiledPlan) -> OpenLoopTables:
         for steps, move, deep in zip(compiled.danger_step, compiled.last_move, depth, strict=True)
     ]
     alive = [(np.arange(deep + 1) == many).astype(np.int64) for deep, many in zip(depth, dangers, strict=True)]
-    # Draws of cells, or of cells in each phase.
+    # Draws are by cell, or by cell and phase.
     visits = compiled.world.visits(compiled.entries.cell, compiled.entries.step)
     drawn = replace(compiled.entries, cell=visits)
     return OpenLoopTables(
@@ -233,19 +241,19 @@ def _make_tables(compiled: CompiledPlan) -> OpenLoopTables:
     )
 
 
-# What an engine hands over: counts of one range of rollout ids, and how they become a Tally. NumPy only.
+# Counts of one range of rollout ids, and the tally made of them. NumPy only.
 
 
 @dataclass(frozen=True, eq=False)
 class RangeCounts:
-    """Counts over some rollouts, int64. Axis letters as in `planner.rollouts.open_loop`.
+    """Counts over some rollouts, int64. Axis letters as above.
 
     Attributes:
-        rollouts: how many.
+        rollouts: number of rollouts.
         rows: `[R]`, rollouts by outcome of each group.
         events: `[E]`, rollouts in which each joint event happened.
         visited, survived: `[accessible + 1]`; time: `[T + 1]`; alive: `[K + 1]`: histograms.
-        complete_dead: rollouts that covered everything and lost every robot.
+        complete_dead: rollouts that covered all cells and lost all robots.
     """
 
     rollouts: int
@@ -259,22 +267,30 @@ class RangeCounts:
 
 
 class OpenLoopKernel(Protocol):
-    """What counts for one compiled plan and seed."""
+    """Counts rollouts of one compiled plan and seed."""
 
     def counts(self, start: int, count: int) -> RangeCounts:
         """The counts of rollouts `start .. start + count - 1`."""
         ...
 
     def results(self, start: int, count: int) -> RolloutResults:
-        """What each of those rollouts came to."""
+        """The results of each of these rollouts."""
         ...
 
 
 def tally_of(compiled: CompiledPlan, seed: int, start: int, counts: RangeCounts) -> Tally:
-    """The tally of the rollouts `start .. start + counts.rollouts - 1`."""
+    """The tally of consecutive rollouts.
+
+    Args:
+        compiled: the plan.
+        seed: of the random numbers.
+        start: first id.
+        counts: of the rollouts.
+    """
     tables = compiled.tables
     sources = source_counts(tables.groups, counts.rows, counts.events, counts.rollouts)
     complete = int(counts.visited[-1])
+    # A rollout that covers all cells is complete even if all robots are lost.
     stopped = int(counts.alive[0]) - counts.complete_dead
     outcomes = np.zeros(len(Outcome), dtype=np.int64)
     outcomes[Outcome.COMPLETE] = complete
@@ -294,30 +310,53 @@ def tally_of(compiled: CompiledPlan, seed: int, start: int, counts: RangeCounts)
 
 
 def outcomes_of(visited: NDArray[np.int32], alive: NDArray[np.int32], accessible: int) -> NDArray[np.int8]:
-    """Open-loop outcome of each rollout, int8 `[B]`, from cells visited and robots alive `[B]`."""
+    """Open-loop outcome of each rollout.
+
+    Args:
+        visited: int32 `[B]`, cells visited.
+        alive: int32 `[B]`, robots alive.
+        accessible: number of accessible cells.
+
+    Returns:
+        int8 `[B]`, codes of `Outcome`.
+    """
     unfinished = np.where(alive == 0, np.int8(Outcome.ALL_ROBOTS_LOST), np.int8(Outcome.END_OF_PATHS))
     return np.where(visited == accessible, np.int8(Outcome.COMPLETE), unfinished)
 
 
 def available_cores() -> int:
-    """Cores that this process may run on."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def share_out(start: int, count: int, workers: int, unit: int) -> list[tuple[int, int]]:
-    """(first id, number) of each worker's part of `start .. start + count - 1`, cut at multiples of `unit`."""
+    """Split the ids `start .. start + count - 1` among workers, at multiples of `unit`.
+
+    Returns:
+        (first id, number of ids) for each worker; fewer than `workers` if there are few ids.
+    """
     stop = start + count
+    # Multiples of `unit` are counted from id 0, so that parts of different calls meet at the same ids.
     share = -(-(stop - start // unit * unit) // (workers * unit)) * unit
     cuts = [start // unit * unit + share * worker for worker in range(1, workers)]
     edges = [start, *(cut for cut in cuts if start < cut < stop), stop]
     return [(first, last - first) for first, last in pairwise(edges)]
 
 
-# Weights of events as bit planes, which both engines of the open loop add up: as many as a word has bits at a time.
+# Weights of events as bit planes: both engines add up as many at a time as a word has bits.
 
 
 def weight_planes(weight: NDArray[np.int64], words: int, planes: int) -> NDArray[np.uint32]:
-    """uint32 `[planes, W]`: bit e % 32 of word e // 32 of plane p = bit p of the weight of event e."""
+    """Bit planes of weights.
+
+    Args:
+        weight: int64 `[E]`.
+        words: W.
+        planes: number of planes (`plane_count`).
+
+    Returns:
+        uint32 `[planes, W]`: bit e % 32 of word e // 32 of plane p is bit p of the weight of event e.
+    """
     padded = np.zeros(words * WORD_BITS, dtype=np.int64)
     padded[: len(weight)] = weight
     bits = (padded[None, :] >> np.arange(planes)[:, None]) & 1
@@ -325,22 +364,22 @@ def weight_planes(weight: NDArray[np.int64], words: int, planes: int) -> NDArray
 
 
 def plane_count(weight: NDArray[np.int64]) -> int:
-    """Planes that hold every weight, at least 1."""
+    """Number of bit planes that hold every weight, at least 1."""
     return max(1, int(weight.max(initial=0)).bit_length())
 
 
-# The open loop as an engine: the kernels of either back end count, this makes tallies, results and traces of it.
+# The open loop as an engine: kernels of either back end count; tallies, results and traces are made here.
 
 MakeKernel = Callable[[CompiledPlan, int], OpenLoopKernel]
 
 
 class OpenLoop:
-    """One compiled plan and seed (see `planner.rollouts.engine.Engine`)."""
+    """The `Engine` of one compiled plan's open loop and a seed."""
 
     least = BLOCK
 
     def __init__(self, compiled: CompiledPlan, seed: int, name: str, make_kernel: MakeKernel) -> None:
-        """`make_kernel`: what counts; `name`: of it, for messages. No count depends on either."""
+        """Args: `make_kernel`: makes the kernel; `name`: of the back end. No count depends on either."""
         self.compiled, self.seed, self.name = compiled, seed, name
         self.accessible, self._make_kernel = compiled.accessible, make_kernel
         self._kernel = make_kernel(compiled, seed)
@@ -350,20 +389,20 @@ class OpenLoop:
         return tally_of(self.compiled, self.seed, start, self._kernel.counts(start, count))
 
     def results(self, start: int, count: int) -> RolloutResults:
-        """What each of those rollouts came to."""
+        """The results of each of these rollouts."""
         return self._kernel.results(start, count)
 
     def run(self, start: int, count: int) -> tuple[Tally, RolloutResults]:
-        """Both of them."""
+        """The tally and the results."""
         return self.tally(start, count), self.results(start, count)
 
     def traces(self, rollouts: Iterable[int]) -> Iterator[Trace]:
-        """Those rollouts in full, in the order given."""
+        """Traces of these rollouts, in the order given."""
         plan, world = self.compiled.plan, self.compiled.world
         return (open_loop_trace(plan, world, self.seed, one) for one in rollouts)
 
     def until(self, step: int) -> OpenLoop:
-        """The same rollouts cut off at the end of `step`."""
+        """The same rollouts truncated at the end of `step`."""
         return OpenLoop(self.compiled.until(step), self.seed, self.name, self._make_kernel)
 
     def under(self, truth: World) -> OpenLoop:
@@ -371,5 +410,9 @@ class OpenLoop:
         return OpenLoop(self.compiled.under(truth), self.seed, self.name, self._make_kernel)
 
     def weighing(self, covered: NDArray[np.int64], found: NDArray[np.int64]) -> OpenLoop:
-        """There is nothing to sample: `analysis.theory.exact` knows it exactly. Raises UsageError."""
-        raise UsageError("survived visits are counted in the closed loop alone", expected="the open loop's exact ones")
+        """Not supported: `analysis.theory.exact` has the exact value.
+
+        Raises:
+            UsageError: always.
+        """
+        raise UsageError("survived visits are only counted in the closed loop", expected="exact values")

@@ -1,4 +1,4 @@
-"""The open loop's runs step by step, and who covers a cell first: event counts as the tally's arrays."""
+"""Traces of the open loop, and events of first coverage: event counts give the tally's arrays."""
 
 from __future__ import annotations
 
@@ -19,17 +19,23 @@ from planner.tally import Trace
 from planner.world.uncertain_maps import Draws
 from planner.world.world import World
 
-# The open loop as a trace: every robot on its nominal path until it is stopped.
+# The open loop as a trace: every robot follows its nominal path until it is lost.
 #
-# What it comes to is what the open loop's engines count for the same seed and rollout. Axis letters: `K` robots, `T`
-# = time + 1 steps.
+# Traces agree with the counts of the open-loop engines for the same seed and rollout. Axis letters: `K` robots, `T` =
+# time + 1 steps.
 
 
 def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int) -> Trace:
-    """One rollout of the plan's open loop in full.
+    """The trace of one open-loop rollout.
 
-    Nothing is reallocated: a stopped robot's area stays its own. ALLOCATED events tell when a robot turns to the next
-    area of its plan. The areas are those at the end of the nominal run. The plan of another planner has none.
+    Nothing is reallocated: a lost robot's area stays its own. ALLOCATED events mark the steps at which a robot goes on
+    to the next area of its plan. The areas are those at the end of the nominal run; an external plan has none.
+
+    Args:
+        plan: for this world.
+        world: the map.
+        seed: of the random numbers.
+        rollout: id.
     """
     stops = _stops(plan, Luck(world, seed, rollout, plan.bearing))
     ends = [last_move(robot.path) if stop is None else stop for robot, stop in zip(plan.robots, stops, strict=True)]
@@ -52,7 +58,7 @@ def open_loop_trace(plan: Plan, world: World, seed: int, rollout: int) -> Trace:
 
 
 def _stops(plan: Plan, luck: Luck) -> list[int | None]:
-    """The step at which each robot is stopped, or None; asked in the order in which they move."""
+    """The step at which each robot is lost, or None; evaluated in the order in which robots move."""
     stops: list[int | None] = [None] * len(plan.robots)
     moves = [(step, number) for number, robot in enumerate(plan.robots) for step in robot.entered.tolist()]
     for step, number in sorted(moves):
@@ -72,7 +78,7 @@ def _area_of(plan: Plan, world: World) -> NDArray[np.int32]:
 def _column(
     robot: RobotPlan, stop: int | None, time: int, area_of: NDArray[np.int32]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """(cell, doing, area) `[T]` of one robot: what its next move belongs to is what it is doing now."""
+    """(cell, doing, area) `[T]` of one robot; its activity is that of its next move."""
     path = robot.path[: time + 1]
     cells = np.pad(path, (0, time + 1 - len(path)), mode="edge")
     doing = np.full(time + 1, Doing.DONE, dtype=np.int64)
@@ -95,7 +101,7 @@ def _column(
 def _events(
     plan: Plan, stops: list[int | None], cells: NDArray[np.int64], area_of: NDArray[np.int32], accessible: int
 ) -> tuple[list[tuple[int, int, int, int, int]], int]:
-    """The rows of `Trace.events`, and how many accessible cells are not visited at the end."""
+    """The rows of `Trace.events`, and the number of accessible cells not visited at the end."""
     left = np.bincount(area_of[area_of >= 0], minlength=len(plan.areas) + len(plan.areas_added))
     visited = np.zeros(len(area_of), dtype=np.bool_)
     turns = [_turns(robot) for robot in plan.robots]
@@ -125,7 +131,7 @@ def _events(
 
 
 def _turns(robot: RobotPlan) -> dict[int, tuple[int, int]]:
-    """At which step the robot turns to which area, and the cell where it will begin there: its first excluded."""
+    """Steps at which the robot goes on to an area: step -> (area, cell where it begins there); its first excluded."""
     turns: dict[int, tuple[int, int]] = {}
     area = None
     for place, leg in enumerate(robot.legs):
@@ -144,7 +150,7 @@ def _first_area(plan: Plan, number: int) -> int:
     return given[0] if given else NO_AREA
 
 
-# Every entry of the nominal paths, as columns.
+# All entries of the nominal paths, as columns.
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +160,7 @@ class Entries:
     Attributes:
         robot, step, cell: int64 `[entries]`.
         passed: int64 `[entries]`, dangerous entries of that robot before this one: it is made iff outcome >= passed.
-        dangerous: bool `[entries]`, whether the cell can stop the robot.
+        dangerous: bool `[entries]`, whether the cell can destroy the robot.
         first: bool `[entries]`, whether it is the robot's first entry of the cell.
     """
 
@@ -166,10 +172,10 @@ class Entries:
     first: NDArray[np.bool_]
 
 
-# Robots in groups of one or two: the outcomes of a group are numbered, and one number looks everything up.
+# Groups of one or two robots: the outcomes of a group are numbered, and this number indexes all tables.
 
 MOST_PAIR_ROWS = 2**14
-"""Robots are paired while all pairs' rows are at most so many: their tables then stay in a core's cache."""
+"""Robots are paired if all pairs together have at most so many rows: their tables then fit into a core's cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,12 +218,20 @@ class Groups:
         return found
 
     def sizes(self, group: int) -> tuple[int, int]:
-        """Outcomes of the group's two robots (1 for one that is not there)."""
+        """Outcomes of the group's two robots (1 for a missing second one)."""
         mine = self.size[group * self.members : (group + 1) * self.members].tolist()
         return (mine[0], mine[1]) if self.members == 2 else (mine[0], 1)
 
     def rows(self, by_outcome: Sequence[NDArray], combine: Callable[[NDArray, NDArray], NDArray]) -> NDArray[np.uint32]:
-        """A table by row, uint32 `[R, ...]`, from one per robot `[outcomes, ...]`, by a ufunc with identity 0."""
+        """A table by row from tables by robot.
+
+        Args:
+            by_outcome: `[outcomes, ...]` for each robot.
+            combine: a ufunc with identity 0.
+
+        Returns:
+            uint32 `[R, ...]`.
+        """
         parts = []
         for group in range(self.count):
             pair = [
@@ -230,13 +244,13 @@ class Groups:
 
 
 def make_groups(depth: NDArray[np.int64], most_pair_rows: int = MOST_PAIR_ROWS) -> Groups:
-    """Pairs (the robot with most outcomes with that of fewest) if their rows are few enough, else single robots.
+    """Pair the robot of most outcomes with that of fewest if the rows are few enough; else single robots.
 
     Args:
-        depth: int64 `[K]`, the most dangerous entries that each robot can pass.
+        depth: int64 `[K]`, the most dangerous entries that each robot can survive.
         most_pair_rows: see MOST_PAIR_ROWS.
     """
-    # Most with fewest: the products, which are the rows, stay small.
+    # Most with fewest keeps the products small, which are the numbers of rows.
     order = np.argsort(-depth, kind="stable").astype(np.int64)
     if len(order) % 2:
         order = np.append(order, NO_ROBOT)
@@ -255,11 +269,11 @@ def _number(slots: NDArray[np.int64], size: NDArray[np.int64], members: int, row
     return Groups(slot_robot=slots, size=size, members=members, first_row=first, row_count=int(rows.sum()))
 
 
-# Who covers a cell first: the events of shared cells, and how event counts become the tally's arrays.
+# First coverage: the events of shared cells, and the tally's arrays from event counts.
 #
-# An event is a set of (robot, requirement) pairs: it happens in a rollout iff a robot's outcome reaches its
-# requirement. "Cell c is covered by its first m visitors" is one; its count over rollouts gives coverage (m = all
-# visitors) and new cells per step (count of m visitors minus count of m - 1), as integers. Left out: visitors after a
+# An event is a set of (robot, requirement) pairs: it happens in a rollout iff some robot's outcome reaches its
+# requirement. "Cell c is covered by its first m visitors" is an event; its count over rollouts gives coverage (m = all
+# visitors) and new cells per step (count for m visitors minus count for m - 1), as integers. Omitted: visitors after a
 # certain one (requirement 0), and requirements that no outcome reaches. Equal events of several cells are one event
 # with a weight.
 
@@ -270,18 +284,18 @@ Visitor = tuple[int, int, int]
 
 @dataclass(frozen=True, eq=False)
 class Events:
-    """The joint events and the linear map from counts to the tally's arrays.
+    """The joint events, and the linear map from counts to the tally's arrays.
 
     *Sources* are counts over a set of rollouts: first, group by group, how often `o_i < a and o_j < b` did not happen,
-    `[size_i + 1, size_j + 1]` a group (see `source_counts`), then how often each joint event happened.
+    `[size_i + 1, size_j + 1]` per group (see `source_counts`), then how often each joint event happened.
 
     Attributes:
-        bits: uint32 `[R, W]`; bit e % 32 of word e // 32: the group's outcome alone makes joint event e happen. Events
-            with a weight come first, and among them, and among the others, those that happen soonest: a robot that is
-            stopped early then reaches few words.
-        count: E; weighted_words: leading words that hold events with a weight.
+        bits: uint32 `[R, W]`; bit e % 32 of word e // 32: the group's outcome makes joint event e happen. Events with a
+            weight come first; both kinds are ordered by their least requirement, so that a robot lost early sets bits
+            in few words.
+        count: E. weighted_words: leading words that hold events with a weight.
         visited_weight, survived_weight: int64 `[E]`, cells that are covered exactly if the event happens.
-        own_visited, own_survived: int64 `[R]`, cells covered by the events of the row's group alone.
+        own_visited, own_survived: uint32 `[R]`, cells covered by events of the row's group.
         matrix: int64 sparse `[rows of the tally, sources]`; rows: new_visited and new_survived `[T + 1]` each, visits,
             stops, covered_visited and covered_survived `[N]` each.
         steps, cells: T + 1 and N.
@@ -299,7 +313,7 @@ class Events:
     cells: int
 
     def tally_arrays(self, sources: NDArray[np.int64]) -> dict[str, NDArray[np.int64]]:
-        """The arrays by step and by cell of the tally, from the sources' counts."""
+        """The arrays by step and by cell of the tally, from the counts `[sources]`."""
         values = self.matrix @ sources
         names = ("new_visited", "new_survived", "visits", "stops", "covered_visited", "covered_survived")
         ends = np.cumsum([self.steps] * 2 + [self.cells] * 4)
@@ -309,9 +323,18 @@ class Events:
 def source_counts(
     groups: Groups, row_counts: NDArray[np.int64], event_counts: NDArray[np.int64], rollouts: int
 ) -> NDArray[np.int64]:
-    """The sources' counts from the rollouts in each row `[R]` and in each joint event `[E]`.
+    """Counts of the sources.
 
-    Entry (a, b) of a group: rollouts - (rollouts with o_i < a and o_j < b): those in which `o_i >= a` or `o_j >= b`.
+    Entry (a, b) of a group counts the rollouts in which `o_i >= a` or `o_j >= b`.
+
+    Args:
+        groups: of the robots.
+        row_counts: int64 `[R]`, rollouts by outcome of each group.
+        event_counts: int64 `[E]`, rollouts by joint event.
+        rollouts: their number.
+
+    Returns:
+        int64 `[sources]`.
     """
     parts = []
     for group in range(groups.count):
@@ -324,7 +347,14 @@ def source_counts(
 
 
 def collect_events(entries: Entries, groups: Groups, cells: int, last_step: int) -> Events:
-    """All events of a plan under these groups. Cost: O(first entries), once per coverage meaning."""
+    """Collect all events of a plan. Cost: O(first entries), once for each meaning of coverage.
+
+    Args:
+        entries: of the plan's paths.
+        groups: of the robots.
+        cells: N.
+        last_step: T.
+    """
     book = _Book(groups)
     steps = last_step + 1
     visits_at, stops_at = 2 * steps, 2 * steps + cells
@@ -369,7 +399,7 @@ def _visitors(entries: Entries, groups: Groups, survive: bool) -> Iterator[tuple
 
 
 class _Book:
-    """Gives every distinct event its source number, and collects the entries of the tally's matrix."""
+    """Numbers the distinct events as sources, and collects the entries of the tally's matrix."""
 
     def __init__(self, groups: Groups) -> None:
         self.groups = groups
@@ -385,7 +415,11 @@ class _Book:
         self._bit_of = np.zeros(0, dtype=np.int64)
 
     def local(self, needs: dict[int, int]) -> int | None:
-        """The source of an event of robots `needs` (robot -> requirement) of one group; None if of several groups."""
+        """The source of an event of one group of robots; None if it needs several groups.
+
+        Args:
+            needs: requirement by robot.
+        """
         members = self.groups.members
         group = self._slot[next(iter(needs))] // members
         first, second = self.groups.sizes(group)
@@ -398,7 +432,11 @@ class _Book:
         return self._first_local[group] + never[0] * (second + 1) + never[1]
 
     def source(self, needs: dict[int, int]) -> int:
-        """The source number of an event."""
+        """The source of an event.
+
+        Args:
+            needs: requirement by robot.
+        """
         local = self.local(needs)
         if local is not None:
             return local
@@ -409,15 +447,24 @@ class _Book:
         return self.local_count + self._joint_number[name]
 
     def follow(self, visitors: list[Visitor], first_step_row: int, covered_row: int) -> int:
-        """Enter one cell: new at each visitor's step, covered at the end. Returns the source of its coverage."""
+        """Enter one cell: new at each visitor's step, covered at the end.
+
+        Args:
+            visitors: in order of time.
+            first_step_row: row of the matrix for step 0.
+            covered_row: row for the cell's coverage.
+
+        Returns:
+            The source of its coverage.
+        """
         needs: dict[int, int] = {}
         before = -1
         for place, (step, robot, need) in enumerate(visitors):
             if need == 0:
-                needs = {robot: 0}  # certain from here on, whoever else came before
+                needs = {robot: 0}  # certain from here on, whatever happened to earlier visitors
             else:
                 needs[robot] = need
-            # Who comes in the same step counts together: the cell is new in that step once.
+            # Visitors in the same step count together: the cell is new in that step once.
             if place + 1 < len(visitors) and visitors[place + 1][0] == step:
                 continue
             now = self.source(needs)
@@ -429,7 +476,7 @@ class _Book:
         return before
 
     def count_entries(self, entries: Entries, visits_row: int, stops_row: int) -> None:
-        """Enter the visits and stops of every cell."""
+        """Enter the visits and losses of every cell."""
         depth = (self.groups.size[self.groups.slot_of] - 1).tolist()
         columns = (entries.robot.tolist(), entries.cell.tolist(), entries.passed.tolist(), entries.dangerous.tolist())
         for robot, cell, passed, dangerous in zip(*columns, strict=True):
@@ -443,7 +490,7 @@ class _Book:
                     self._add(stops_row + cell, self.source({robot: passed + 1}), -1)
 
     def sort_joint(self, has_weight: Callable[[int], bool]) -> list[int]:
-        """The joint events' sources in the order of their bits: those with a weight first, by least requirement."""
+        """Sources of the joint events in the order of their bits: with a weight first, by least requirement."""
         first = self.local_count
 
         def order(source: int) -> tuple[bool, int]:
@@ -455,7 +502,7 @@ class _Book:
         return joint
 
     def matrix(self, rows: int) -> csr_array:
-        """What was collected, int64 `[rows, sources]`, joint events in the order of `sort_joint`."""
+        """The collected matrix, int64 `[rows, sources]`, joint events in the order of `sort_joint`."""
         values, sources = np.array(self._signs, dtype=np.int64), np.array(self._sources, dtype=np.int64)
         joint = sources >= self.local_count
         sources[joint] = self.local_count + self._bit_of[sources[joint] - self.local_count]
@@ -492,15 +539,15 @@ def _pack(joint: list[dict[int, int]], groups: Groups) -> NDArray[np.uint32]:
     return groups.rows(reached, np.bitwise_or)
 
 
-# From a random word to a robot's outcome: o = how many of its thresholds lie above the word, exactly, in one read.
+# From a random word to a robot's outcome: the number of its thresholds above the word, exactly, in one read.
 #
-# The thresholds fall roughly geometrically, so words are put into buckets like floating-point numbers: by the place of
-# the leading 1 and the bits after it. A table gives the least outcome of each bucket and, nearly always, the one
-# threshold inside it; where buckets hold more, a branchless bisection follows. Every comparison is of integers.
+# The thresholds fall roughly geometrically, so words are put into buckets like floating-point numbers: by the position
+# of the leading 1 and the bits after it. A table holds the least outcome of each bucket and, nearly always, the one
+# threshold inside it; if buckets hold more, a branchless bisection follows. All comparisons are between integers.
 
 WORD = 2**32
 MANTISSA_CHOICES = (6, 8)
-"""Bits after the leading 1 that a bucket may depend on; 33 * 2**bits buckets a slot."""
+"""Bits after the leading 1 that a bucket may depend on; 33 * 2**bits buckets per slot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -514,8 +561,8 @@ class Guide:
     Attributes:
         mantissa: m.
         bisections: 0 if no bucket holds two thresholds.
-        table: uint32 `[S, buckets]`: the outcome of the bucket's largest word; if there are no bisections above the low
-            31 - m bits of the threshold inside the bucket (0: none, no word is below).
+        table: uint32 `[S, buckets]`: the outcome of the bucket's largest word; without bisections above the low 31 - m
+            bits of the threshold inside the bucket (0: none, no word is below).
         threshold: uint32 `[S, D + 2**bisections]`: entry o is T[o - 1], to be passed for outcome o; entry 0 and those
             after the last are 0, which no word is below.
     """
@@ -527,7 +574,11 @@ class Guide:
 
 
 def make_guide(thresholds: Sequence[NDArray[np.uint64]]) -> Guide:
-    """The guide of slots with these thresholds (uint64 `[D]`, non-increasing, at most 2**32)."""
+    """Make the guide.
+
+    Args:
+        thresholds: for each slot uint64 `[D]`, non-increasing, at most 2**32.
+    """
     longest = max(len(above) for above in thresholds)
     for mantissa in MANTISSA_CHOICES:
         lowest, highest = bucket_ranges(mantissa)
@@ -544,7 +595,7 @@ def make_guide(thresholds: Sequence[NDArray[np.uint64]]) -> Guide:
 
 
 def bucket_ranges(mantissa: int) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
-    """Smallest and largest word of every bucket; a bucket that no word has (between two whole numbers) gets 0, 0."""
+    """Smallest and largest word of every bucket, uint64 `[buckets]`; 0, 0 for a bucket without words."""
     count = 2**mantissa
     lowest, highest = np.zeros(33 * count, dtype=np.uint64), np.zeros(33 * count, dtype=np.uint64)
     for octave in range(32):  # words 2**octave .. 2**(octave + 1) - 1
@@ -561,7 +612,7 @@ def bucket_ranges(mantissa: int) -> tuple[NDArray[np.uint64], NDArray[np.uint64]
 
 
 def _outcomes(thresholds: Sequence[NDArray[np.uint64]], words: NDArray[np.uint64]) -> NDArray[np.uint32]:
-    """uint32 `[S, words]`: how many thresholds of each slot lie above each word."""
+    """uint32 `[S, words]`: number of thresholds of each slot above each word."""
     falling = [-above.astype(np.int64) for above in thresholds]
     return np.stack([np.searchsorted(above, -words.astype(np.int64), "left") for above in falling]).astype(np.uint32)
 
@@ -573,11 +624,11 @@ def _inside_bits(
     highest: NDArray[np.uint64],
     mantissa: int,
 ) -> NDArray[np.uint32]:
-    """Low bits of the threshold inside each bucket, shifted as the words are; 0 where there is none."""
+    """Low bits of the threshold inside each bucket, shifted as words are; 0 if there is none."""
     octave = np.maximum(np.arange(len(lowest)) // 2**mantissa - 1, 0).astype(np.uint64)
     low = np.zeros_like(least)
     for slot, above in enumerate(thresholds):
-        # The next threshold below the bucket's largest word; none is 0, which no word is below.
+        # The next threshold below the bucket's largest word; if there is none 0, which no word is below.
         following = np.append(above, np.uint64(0))[least[slot]]
         inside = (lowest < following) & (following <= highest)
         normal = (following << (np.uint64(31) - octave)) % np.uint64(2 ** (31 - mantissa))
@@ -585,11 +636,10 @@ def _inside_bits(
     return low
 
 
-# What is drawn of robots that share what is true: their dangerous entries in the order in which they are made.
+# Draws of an uncertain map: the dangerous entries of all robots in the order in which they are made.
 #
-# Where hazards are there or not, or the map is one of several (`planner.world.uncertain_maps`), robots of one rollout
-# are not
-# independent, so there is no inverse survival; and what one of them hits may be gone for the next. NumPy only.
+# If hazards may exist or not, or the map is one of several (`planner.world.uncertain_maps`), the robots of a rollout
+# are not independent, so there is no inverse survival; and a hazard may be spent after the first loss. NumPy only.
 
 Exposures = tuple[NDArray[np.int64], NDArray[np.int64]]
 """`planner.world.world.World.exposures`."""
@@ -600,13 +650,13 @@ class JointDraws(NamedTuple):
     `planner.world.uncertain_maps.Draws`.
 
     Attributes:
-        slot: int32 `[E]`, the robot's slot. place: int32 `[E]`, how many dangerous entries it made before.
-        own_counter, there, column: `[E]`, of the cell. spot: int32 `[E]`, number of the cell among those entered.
-        exposure: int64 `[E]`, what the visit adds; doses: int64 `[M, C]`, if the map is one of several.
-        robot: uint32 `[S]`, of each slot, whose tolerance it is.
-        nodes, times: what robots bear (`planner.failure_model`): `wear_nodes`, and int64 `[S]`, susceptibilities.
-        last: int32 `[S]`, the outcome of a slot that nothing stops.
-        spots: cells that are kept for each rollout: 0 unless the first hit makes a cell harmless.
+        slot: int32 `[E]`, the robot's slot. place: int32 `[E]`, number of its dangerous entries before.
+        own_counter, there, column: `[E]`, of the cell. spot: int32 `[E]`, index of the cell among those entered.
+        exposure: int64 `[E]`, hazard of the visit. doses: int64 `[M, C]`, if the map is one of several.
+        robot: uint32 `[S]`, robot of each slot.
+        nodes, times: the failure model (`planner.failure_model`): `wear_nodes`, and int64 `[S]`, hazard multipliers.
+        last: int32 `[S]`, the outcome of a slot whose robot survives.
+        spots: number of cells that may become harmless in a rollout, 0 unless the first loss has that effect.
     """
 
     slot: NDArray[np.int32]
@@ -625,7 +675,15 @@ class JointDraws(NamedTuple):
 
 
 def joint_draws(draws: Draws, exposures: Exposures, entries: Entries, groups: Groups, bearing: Bearing) -> JointDraws:
-    """The draws of the dangerous ones among the entries; `exposures`: of the world."""
+    """The draws of the dangerous entries.
+
+    Args:
+        draws: of the uncertain map.
+        exposures: `World.exposures`.
+        entries: of the plan's paths, with cells of each phase.
+        groups: of the robots.
+        bearing: the failure model.
+    """
     exposure, doses = exposures
     robot, step, cell = (one[entries.dangerous] for one in (entries.robot, entries.step, entries.cell))
     slot_of = groups.slot_of

@@ -1,4 +1,4 @@
-"""Small pieces that Numba lacks: wide vectors, and the union of blocks of words."""
+"""The open loop in Numba: draws, scores and counts of tiles of rollouts, in wide vectors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from planner.rollouts.open_loop import (
     weight_planes,
     words_of,
 )
-from planner.simulator.failure_sampling import as_it_is, threefry, tolerance
+from planner.simulator.failure_sampling import hazard_in_state, threefry, tolerance
 from planner.simulator.jit import program, rare_kernel
 from planner.simulator.state import leading_zeros, popcount
 from planner.simulator.thresholds import unworn
@@ -35,10 +35,10 @@ WIDEST = '"prefer-vector-width"="512"'
 
 @intrinsic
 def wide_vectors(typing_context: Any) -> Any:
-    """Called first in a function: lets LLVM use 512-bit vectors in it where there are any (its default is 256 bits).
+    """Let LLVM use 512-bit vectors in the calling function (its default is 256 bits); to be called first.
 
-    The function stays one of its own, since its callers are without the attribute.
-    Worth 1.5 times the random words a second on AVX-512; without effect on other machines.
+    The function is not inlined, since its callers lack the attribute. Gives 1.5 times the random words per second with
+    AVX-512; no effect on other machines.
     """
 
     def add_attribute(_context: Any, builder: Any, _signature: Any, _args: Any) -> Any:
@@ -53,8 +53,8 @@ def wide_vectors(typing_context: Any) -> Any:
 def or_words(typing_context: Any, into: Any, into_at: Any, of: Any, of_at: Any, block: Any) -> Any:
     """`into[into_at + j] |= of[of_at + j]` for j below the length of the tuple `block`, as one vector operation.
 
-    `into` and `of`: flat contiguous uint32 arrays; the places are not checked. (Written as a loop it stays scalar: LLVM
-    cannot know that the arrays do not overlap.)
+    `into` and `of` are flat contiguous uint32 arrays; indices are not checked. A loop would stay scalar: LLVM cannot
+    know that the arrays do not overlap.
     """
     words = len(block)
 
@@ -73,14 +73,19 @@ def or_words(typing_context: Any, into: Any, into_at: Any, of: Any, of_at: Any, 
     return types.none(into, types.int64, of, types.int64, block), combine
 
 
-# Draws of the Numba open loop: the row of every group of robots in every rollout of a tile.
+# Draws: the row of every group of robots in every rollout of a tile.
 
 
 @rare_kernel
 def drawn_once_rows(key, first, draw, words, rows):  # type: ignore[no-untyped-def]
-    """Rows int32 `[G, L]` of the rollouts from id `first` on, by inverse survival of one word a slot.
+    """Rows of the rollouts from id `first` on, by inverse survival of one word per slot.
 
-    `draw`: see `draw_arguments`; `words`: uint32 `[L]`, room for the words of one slot.
+    Args:
+        key: two uint32 halves.
+        first: uint32, first id.
+        draw: of `draw_arguments`.
+        words: uint32 `[L]`, scratch.
+        rows: int32 `[G, L]`, the result.
     """
     members, first_row, stride, counter, mantissa, bisections, table, threshold = draw
     for group in range(rows.shape[0]):
@@ -99,7 +104,7 @@ def drawn_once_rows(key, first, draw, words, rows):  # type: ignore[no-untyped-d
 
 @rare_kernel
 def _words(key0, key1, first, counter, words):  # type: ignore[no-untyped-def]
-    """The first words of the counters."""
+    """The first Threefry words of the counters."""
     wide_vectors()
     for lane in range(words.shape[0]):
         words[lane] = threefry(key0, key1, np.uint32(first + np.uint32(lane)), counter)[0]
@@ -107,7 +112,7 @@ def _words(key0, key1, first, counter, words):  # type: ignore[no-untyped-def]
 
 @rare_kernel
 def _add_packed(words, table, low_bits, step, rows):  # type: ignore[no-untyped-def]
-    """Adds step * outcome to the rows, by one read of the guide (its formula: `guide.Guide`)."""
+    """Add step * outcome to the rows, with one read of the guide (formula: `Guide`)."""
     wide_vectors()
     low = np.uint32(np.uint32(1) << low_bits) - np.uint32(1)
     for lane in range(words.shape[0]):
@@ -122,7 +127,7 @@ def _add_packed(words, table, low_bits, step, rows):  # type: ignore[no-untyped-
 
 @rare_kernel
 def _add_bisected(words, table, threshold, low_bits, bisections, step, rows):  # type: ignore[no-untyped-def]
-    """The same where buckets hold several thresholds."""
+    """The same if buckets hold several thresholds."""
     for lane in range(words.shape[0]):
         zeros = leading_zeros(np.uint32(words[lane] | np.uint32(1)))
         octave = np.uint32(np.uint32(31) - zeros)
@@ -138,9 +143,14 @@ def _add_bisected(words, table, threshold, low_bits, bisections, step, rows):  #
 
 @rare_kernel
 def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type: ignore[no-untyped-def]
-    """Rows `[G, L]` of `size` rollouts from id `first` on, entry by entry of all robots (`joint_draws`).
+    """Rows of `size` rollouts from id `first` on, entry by entry of all robots (`joint_draws`).
 
-    `alive`, `borne`, `spent`: bool and int64 `[S]`, bool `[cells]`, room for one rollout; no cells: none is spent.
+    Args:
+        key, own: two uint32 halves each, of thresholds and of uncertain cells.
+        first: uint32, first id.
+        draw: of `draw_arguments`.
+        alive: bool `[S]`; borne: int64 `[S]`; spent: bool `[cells]`: scratch; no cells: none becomes harmless.
+        rows: int32 `[G, L]`, the result.
     """
     members, first_row, stride, entry, exposure, doses, (robot, nodes, times), last = draw
     slots, places, own_counters, theres, columns, spots = entry
@@ -153,11 +163,11 @@ def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type:
                 rows[group, lane] += np.int32(stride[group, member] * last[group * members + member])
         for number in range(len(slots)):
             slot = slots[number]
-            # In the order of the run: what an earlier robot hit may be gone.
+            # In the order of the run: a threat that destroyed an earlier robot may be spent.
             if not alive[slot] or (len(spent) > 0 and spent[spots[number]]):
                 continue
             word = np.int64(threefry(own[0], own[1], rollout, own_counters[number])[0] >> np.uint32(8))
-            borne[slot] += as_it_is(exposure, doses, theres, columns, number, word)
+            borne[slot] += hazard_in_state(exposure, doses, theres, columns, number, word)
             reached = unworn(borne[slot], nodes, times[slot])
             if reached >= tolerance(threefry(key[0], key[1], rollout, robot[slot])[0]):
                 alive[slot] = False
@@ -167,29 +177,28 @@ def joint_rows(key, own, first, size, draw, alive, borne, spent, rows):  # type:
                     spent[spots[number]] = True
 
 
-# Scores and counts of the Numba open loop: from the rows of a tile to histograms and event counts.
+# Scores and counts: from the rows of a tile to histograms and event counts.
 #
-# Axis letters as in `compiled`; `L` rollouts of a tile, `V` words in a block: the words of a row are
-# in blocks that fill vector registers.
+# `L` rollouts of a tile, `V` words in a block: the words of a row are in blocks that fill vector registers.
 
 VISITED, SURVIVED, TIME, ALIVE, SCORES = range(5)
 """Rows of the array of single rollouts' scores."""
 TWO, EIGHT, SIXTEEN = ((0,) * size for size in (2, 8, 16))
-"""Words in a block, as tuples: their lengths are known when compiling."""
+"""Words in a block, as tuples: their lengths are compile-time constants."""
 BLOCK_WORDS = tuple(map(len, (TWO, EIGHT, SIXTEEN)))
 MOST_TILE, LEAST_TILE = 1024, 128
 TILE_WORDS = 2**15
-"""Event words of a tile: they stay in a core's caches."""
+"""Event words of a tile: they fit into a core's caches."""
 PLANES_AT_ONCE = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Scoring:
-    """What `score_tile` reads.
+    """Arguments of `score_tile`.
 
     Attributes:
         tile: L, a multiple of 128.
-        words: of a row, padded to whole blocks; columns: int64 `[W]`, where the plan's words are among them.
+        words: of a row, padded to whole blocks. columns: int64 `[W]`, index of each of the plan's words in it.
         arguments: cells uint64 `[R]` (visited + 2**32 * survived), moves uint32 `[R]` (4 * time + alive), bits uint32
             `[R, words]`, extent int32 `[R, 4]` (two ranges of blocks in which the row has bits), planes: two uint32
             `[planes, leading words]`, and V, one of BLOCK_WORDS.
@@ -201,12 +210,12 @@ class Scoring:
     arguments: tuple[Any, ...]
 
     def event_counts(self, by_bit: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Counts by the plan's event bits from counts by the padded row's bits."""
+        """Counts by the plan's event bits from counts by the padded row's bits, both int64 `[bits]`."""
         return by_bit.reshape(self.words, 32)[self.columns].reshape(-1)
 
 
 def make_scoring(tables: OpenLoopTables) -> Scoring:
-    """The tables as the kernels want them: words in blocks, those with weights apart if they are many."""
+    """The tables in the form of the kernels: words in blocks, those with weights first if there are many."""
     events = tables.events
     rows, words = events.bits.shape
     block = next((size for size in BLOCK_WORDS if size >= words), BLOCK_WORDS[-1])
@@ -241,7 +250,12 @@ def _extents(bits: NDArray[np.uint32], lead: int, block: int) -> NDArray[np.int3
 
 
 def work_arrays(tile: int, words: int) -> tuple[NDArray, ...]:
-    """Room for a tile: cells, joint visited and survived, time, alive `[L]`, event words `[L * words]`, their sums."""
+    """Scratch of a tile: cells, joint visited and survived, time, alive `[L]`, event words `[L * words]`, their sums.
+
+    Args:
+        tile: L.
+        words: of a padded row.
+    """
     return (
         np.empty(tile, np.uint64),
         np.empty(tile, np.uint32),
@@ -256,9 +270,16 @@ def work_arrays(tile: int, words: int) -> tuple[NDArray, ...]:
 
 @rare_kernel
 def score_tile(rows, size, scoring, work, done, singles, sums):  # type: ignore[no-untyped-def]
-    """Scores the first `size` rollouts of a tile from their rows `[G, L]` and enters them in the sums.
+    """Score the first `size` rollouts of a tile, and add them to the sums.
 
-    `done`: where the tile's first rollout goes in `singles`, uint32 `[SCORES, rollouts]`, unless that is empty.
+    Args:
+        rows: int32 `[G, L]`, of the draws.
+        size: rollouts.
+        scoring: `Scoring.arguments`.
+        work: of `work_arrays`.
+        done: index of the tile's first rollout in `singles`.
+        singles: uint32 `[SCORES, rollouts]`, filled in unless empty.
+        sums: int64 counts, in the order of `RangeCounts`.
     """
     cells_table, moves_table, bits, extent, visited_planes, survived_planes, block = scoring
     cells, visited, survived, time, alive, union, nibbles, octets = work
@@ -323,7 +344,7 @@ def _add_fields(rows, size, cells_table, moves_table, cells, time, alive):  # ty
 
 @rare_kernel
 def _unite(rows, bits, words, extent, block, union):  # type: ignore[no-untyped-def]
-    """ORs the bits of one group's rows into the event words of the tile, both flat, but for blocks that are empty."""
+    """OR the bits of one group's rows into the event words of the tile, both flat; empty blocks are skipped."""
     if words == len(block):
         for lane in range(rows.shape[0]):
             or_words(union, lane * len(block), bits, np.int64(rows[lane]) * len(block), block)
@@ -339,7 +360,7 @@ def _unite(rows, bits, words, extent, block, union):  # type: ignore[no-untyped-
 
 @rare_kernel
 def _weigh_word(union, words, word, plane, visited_planes, survived_planes, visited, survived):  # type: ignore[no-untyped-def]
-    """Adds the weights of the events in one word, four planes of them, to every rollout's cells."""
+    """Add the weights of the events in one word, four bit planes at a time, to every rollout's cells."""
     wide_vectors()
     seen, passed = visited_planes[plane : plane + 4, word], survived_planes[plane : plane + 4, word]
     seen0, seen1, seen2, seen3 = seen[0], seen[1], seen[2], seen[3]
@@ -373,7 +394,7 @@ def _weigh_rows(union, words, plane, visited_planes, survived_planes, visited, s
 
 @rare_kernel
 def _count_events(union, words, nibbles, octets, event_sum):  # type: ignore[no-untyped-def]
-    """Adds, for every event bit, the tile's rollouts that have it; sums in fields of 4, then 8, then 64 bits."""
+    """Count the tile's rollouts with each event bit; sums in fields of 4, then 8, then 64 bits."""
     wide_vectors()
     eighth, part = nibbles.shape[1], octets.shape[1]
     mask = np.uint32(0x11111111)
@@ -401,15 +422,20 @@ def _count_events(union, words, nibbles, octets, event_sum):  # type: ignore[no-
                 event_sum[word % words * 32 + 8 * octet + field] += (bits >> np.uint32(8 * octet)) & np.uint32(255)
 
 
-# The open loop in Numba: tiles of rollouts, one thread a part of the ids.
+# Tiles of rollouts, with a part of the ids for each thread.
 #
-# A tile goes through passes, each a loop over its rollouts that the compiler turns into vector instructions: random
-# words
-# and the row of every group (`numba_draws`), then scores, event counts and histograms (`numba_scores`).
+# A tile goes through passes, each a loop over its rollouts that LLVM vectorises: random words and the row of every
+# group, then scores, event counts and histograms.
 
 
 class NumbaOpenLoop:
-    """The Numba engine for one plan and seed (see `planner.rollouts.open_loop.OpenLoopKernel`)."""
+    """The `OpenLoopKernel` of one plan and seed on Numba.
+
+    Args:
+        compiled: the plan.
+        seed: of the random numbers.
+        threads: None: all cores.
+    """
 
     def __init__(self, compiled: CompiledPlan, seed: int, threads: int | None = None) -> None:
         self.compiled = compiled
@@ -436,7 +462,7 @@ class NumbaOpenLoop:
         return RangeCounts(count, rows, events, visited, survived, time, alive, int(complete_dead[0]))
 
     def results(self, start: int, count: int) -> RolloutResults:
-        """What each of those rollouts came to."""
+        """The results of each of these rollouts."""
         singles = np.zeros((SCORES, count), dtype=np.uint32)
         if count:
             self._part(start, count, singles)
@@ -445,7 +471,7 @@ class NumbaOpenLoop:
         return RolloutResults(start, visited, survived, time, alive, outcome)
 
     def _part(self, start: int, count: int, singles: NDArray[np.uint32] | None = None) -> tuple[NDArray[np.int64], ...]:
-        """One thread's counts; `singles`, uint32 `[SCORES, count]`, is filled in if given."""
+        """One thread's counts; `singles`, uint32 `[SCORES, count]`, is filled in unless None."""
         compiled, scoring = self.compiled, self._scoring
         cells = compiled.accessible + 1
         sizes = (self.tables.groups.row_count, scoring.words * 32, cells, cells, compiled.last_step + 1)
@@ -465,7 +491,7 @@ class NumbaOpenLoop:
 
 
 def draw_arguments(tables: OpenLoopTables) -> tuple[Any, ...]:
-    """What `numba_draws.drawn_once_rows` or `joint_rows` reads."""
+    """The argument `draw` of `drawn_once_rows` or `joint_rows`."""
     groups = tables.groups
     place = (groups.members, groups.first_row.astype(np.int32), groups.stride.astype(np.int32))
     if tables.joint is not None:

@@ -1,9 +1,9 @@
-"""Closed-loop rollouts on several threads, of `planner.rollouts.closed_loop`: what each of them runs, and on what.
+"""Closed-loop rollouts on several threads, for `planner.rollouts.closed_loop`.
 
-Where rollouts are few, threads share out their ids. Else they share out histories, of as many rollouts at a time as
-they all have room for: each thread follows some of the ids until they are hit, who is hit alike is put together, and
-threads take what came of it. Shared out by ids, each thread would run histories that the others run too; that costs
-less than putting together where rollouts have next to nothing to do but to draw.
+Few rollouts: threads share out their ids. Many rollouts: threads share out histories, for as many rollouts at a time
+as they have room for. Each thread follows some of the ids until their first loss; groups with the same loss are joined;
+and threads take these as tasks. Shared out by ids, each thread would run histories that the others run too. That costs
+less than joining where rollouts do little but draw random words.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ from planner.world.map_knowledge import READING_DRAW
 from planner.world.uncertain_maps import Uncertain
 
 LARGEST_SET = 2**20
-"""Rollouts that a thread takes at a time, of 8 bytes each, 12 where histories are shared out: more gain nothing."""
+"""Rollouts that a thread takes at a time, of 8 bytes each, 12 where histories are shared out: more are no faster."""
 MOST_KEPT = 2**16
-"""The same where tolerances are kept, of 8 bytes more for each robot, or the places of movers, as many for each."""
+"""The same with thresholds kept, 8 bytes more for each robot, or positions of threats, 8 bytes for each."""
 LEAST_SHARED, MOST_ASIDE = 2**13, 2**8
-"""Rollouts a thread from which on histories are shared out, and sets that each thread then puts aside, at most."""
+"""Rollouts per thread from which on histories are shared out, and the most groups that each thread then defers."""
 LEAST_WORK = 2**17
-"""Rollouts times cells below which a second thread, which takes .4 ms to start and to end, does not pay."""
+"""Rollouts times cells below which a second thread, with 0.4 ms to start and end, does not pay."""
 TRIALS = 4
-"""Rounds in which threads share out histories and ids by turns, before they do what took less time."""
+"""Rounds in which histories and ids are shared out by turns, before the faster way is kept."""
 NO_LOG = make_log(0, 0, 0)
 KNOWN: WeakKeyDictionary[ClosedLoop, list[Work]] = WeakKeyDictionary()
-"""Scratch of the loop that ran last: what was found out about its map (rows of costs, paths) serves its next call."""
+"""Scratch arrays of the loop that ran last: rows of costs and coverage paths of its map serve its next call."""
 Tasks = tuple[NDArray[np.int64], NDArray[np.int64]]
 """`tasks` and `taken` of `planner.simulator.rollouts.run_set`."""
 
@@ -66,7 +66,7 @@ Tasks = tuple[NDArray[np.int64], NDArray[np.int64]]
 def run_sets(
     loop: ClosedLoop, seed: int, start: int, count: int, threads: int | None, singles: Singles
 ) -> list[Counts]:
-    """Rollouts `start .. start + count - 1` on so many threads (None: all cores); the counts, in parts."""
+    """Run rollouts `start .. start + count - 1` on `threads` threads (None: all cores); the counts of each thread."""
 
     def work(runner: Runner, first: int, stop: int) -> None:
         runner.run(first, stop, singles)
@@ -76,14 +76,14 @@ def run_sets(
     if runners is None:
         most = MOST_KEPT if loop.keeps_apart else LARGEST_SET
         runners = on_threads(loop, seed, start, count, most, threads, work, known)
-    KNOWN.clear()  # of one loop alone: it may be a fourth of a gigabyte a thread
-    # A state that grew may count longer paths than the next call's first one can.
+    KNOWN.clear()  # one loop only: its scratch may be a quarter of a gigabyte per thread
+    # A state that grew can count longer paths than the first state of the next call.
     KNOWN[loop] = [runner.work for runner in runners if not runner.has_grown]
     return [runner.counts for runner in runners]
 
 
 def singles_of(loop: ClosedLoop, start: int, count: int) -> Singles:
-    """Room for what is kept of so many rollouts."""
+    """Empty results of `count` single rollouts from id `start` on."""
     weighed = 0 if loop.weights is None else count
     numbers, worth = np.zeros((count, SINGLES), dtype=np.int32), np.zeros((weighed, 2), dtype=np.int64)
     if loop.weights is None:
@@ -95,9 +95,18 @@ def on_threads(
     loop: ClosedLoop, seed: int, start: int, count: int, most: int, threads: int | None,
     work: Callable[[Runner, int, int], None], known: list[Work] | None = None,
 ) -> list[Runner]:  # fmt: skip
-    """Call `work` with a thread's runner and some ids, `most` at a time, until all are done; the runners.
+    """Call `work(runner, first, stop)` for ranges of ids, on several threads.
 
-    `known`: scratch of earlier calls, which is taken.
+    Args:
+        loop, seed: of the rollouts.
+        start, count: the ids.
+        most: ids per range, at most.
+        threads: None: all cores.
+        work: runs a range.
+        known: scratch of earlier calls, which is used up.
+
+    Returns:
+        The runners, one per thread.
     """
     workers = _workers(loop, threads, count)
     most = max(1, min(most, -(-count // workers)))
@@ -105,7 +114,7 @@ def on_threads(
 
     def take(_: int) -> Runner:
         runner = Runner(loop, seed, most, known)
-        for first in waiting:  # each of them goes to one thread
+        for first in waiting:  # the iterator is shared: each range goes to one thread
             work(runner, first, min(first + most, start + count))
         return runner
 
@@ -116,7 +125,7 @@ def on_threads(
 
 
 def _workers(loop: ClosedLoop, threads: int | None, count: int) -> int:
-    """How many threads so many rollouts keep busy; `threads`: so many if they can be, None: all cores if it pays."""
+    """Threads that `count` rollouts keep busy, at most `threads`; None: all cores where that pays."""
     usual = (os.cpu_count() or 1) if count * len(loop.cells) >= LEAST_WORK else 1
     return min(threads or usual, max(count, 1))
 
@@ -124,13 +133,14 @@ def _workers(loop: ClosedLoop, threads: int | None, count: int) -> int:
 def _in_rounds(
     loop: ClosedLoop, seed: int, start: int, count: int, threads: int | None, singles: Singles, known: list[Work]
 ) -> list[Runner] | None:
-    """The runners of threads that have run as many rollouts at a time as they have room for, sharing out histories.
+    """Run rounds of rollouts, sharing out histories, or ids where that has proved faster.
 
-    Or ids, once that has proved faster. None where rollouts are few, or there was no room for histories or areas.
+    None if there are few rollouts, or no room for histories or areas.
     """
     workers = _workers(loop, threads, count)
     rounds = max(1, -(-count // (workers * LARGEST_SET)))
     most = -(-count // (workers * rounds))
+    # State kept by rollout cannot be joined with that of other threads.
     if workers == 1 or most < LEAST_SHARED or loop.keeps_apart or loop.doubt is not None:
         return None
     runners = [Runner(loop, seed, most, known) for _ in range(workers)]
@@ -141,7 +151,7 @@ def _in_rounds(
         team = _Team(pool, runners, waiting, np.empty((2, workers * most), dtype=np.uint32), singles)
         ways, took = (team.by_histories, team.by_ids), [0.0, 0.0]
         for number, first in enumerate(range(start, start + count, workers * most)):
-            # Which is faster depends on the map and the machine: try both, keep the better; counts are the same.
+            # Which is faster depends on the map and the machine: try both, keep the faster; counts are the same.
             way, began = number % 2 if number < TRIALS else took.index(min(took)), time.perf_counter()
             if not ways[way](first, min(workers * most, start + count - first)):
                 return None
@@ -154,7 +164,8 @@ class _Team:
     """Threads that share out rollouts.
 
     Attributes:
-        waiting: a stack with as many levels for each of them. ids: uint32 `[2, B]`, room for those of a round.
+        waiting: a stack with as many levels for each of them.
+        ids: uint32 `[2, B]`, room for the ids of a round.
     """
 
     pool: ThreadPoolExecutor
@@ -164,7 +175,7 @@ class _Team:
     singles: Singles
 
     def by_ids(self, start: int, count: int) -> bool:
-        """Run so many rollouts, as many on each thread; whether there was room for areas."""
+        """Run these rollouts, the same number on each thread; False if the area registry of a thread is full."""
 
         def run(runner: Runner, first: int) -> bool:
             return runner.fits(first, min(first + share, start + count), self.singles)
@@ -173,7 +184,7 @@ class _Team:
         return all(list(self.pool.map(run, self.runners, range(start, start + count, share))))
 
     def by_histories(self, start: int, count: int) -> bool:
-        """The same, but who is the first to be hit in the same place stays together."""
+        """The same, with the groups of all threads that have the same first loss joined."""
         ids, together = self.ids[:, :count]
         share, levels = -(-count // len(self.runners)), len(self.waiting.marks) // len(self.runners)
         self.waiting.marks["first"] = self.waiting.marks["last"] = 0
@@ -184,13 +195,14 @@ class _Team:
             some[:] = np.arange(start + first, start + first + len(some), dtype=np.uint32)
             stack = State._make(row[mine] for row in self.waiting)
             used = runner.put_aside(some, stack, self.singles)
+            # Segments count from the thread's first id; joined, they count from the first id of the round.
             stack.marks["first"][: used + 1] += first
             stack.marks["last"][: used + 1] += first
             return used != NONE
 
         if not all(list(self.pool.map(put_aside, self.runners, range(len(self.runners))))):
             return False
-        self.waiting.robots["bears"] = LEAST  # threads met different rollouts of a set
+        self.waiting.robots["bears"] = LEAST  # joined groups have rollouts of which threads know other bounds
         parts, tasks = sets_of_tasks(ids, self.waiting.marks, self.runners[0].largest_set)
         ends = np.cumsum([0, *map(len, parts)])
         cuts = np.searchsorted(ends, np.linspace(0, ends[-1], len(self.runners) + 1)).tolist()
@@ -208,18 +220,19 @@ class _Team:
 
 
 def whole_set(ids: NDArray[np.uint32]) -> Tasks:
-    """All ids in one set, from level 0 on."""
+    """All ids as one group, from level 0."""
     return np.array([[0, 0, len(ids)]]), np.zeros(1, dtype=np.int64)
 
 
 def sets_of_one(ids: NDArray[np.uint32]) -> Tasks:
-    """Each id a set, from level 0 on."""
+    """Each id as a group, from level 0."""
     begin = np.arange(len(ids))
     return np.column_stack([np.zeros_like(begin), begin, begin + 1]), np.zeros(1, dtype=np.int64)
 
 
 def sets_of_truths(ids: NDArray[np.uint32], doubt: Uncertain, seed: int) -> Tasks:
-    """The ids, put in order of the map that is true, in one set a map, from the level of that number on."""
+    """Sort the ids by their true map, in place; one group for each map, from the level of that index."""
+    # Rollouts with different true maps are different runs from the first step on.
     truth = rows_met(doubt, seed, ids)[:, 0]
     order = np.argsort(truth, kind="stable")
     ids[:], found = ids[order], np.unique(truth, return_index=True)
@@ -230,10 +243,17 @@ def sets_of_truths(ids: NDArray[np.uint32], doubt: Uncertain, seed: int) -> Task
 def sets_of_tasks(
     ids: NDArray[np.uint32], marks: NDArray[np.void], most: int
 ) -> tuple[list[NDArray[np.uint32]], Tasks]:
-    """The ids in parts, set by set, and a task for each set, largest first; of more than `most` rollouts, several.
+    """Join the deferred groups with the same history; one task for each, largest first, several beyond `most` rollouts.
 
-    `marks` `[L]` of the states that were put aside say which of the ids they are of, none if it has no more.
-    Nobody had been hit before: who acts in which step, and what became of it, says all of the state.
+    Before the first loss all rollouts are the same run: step, robot and verdict of the first loss determine the state.
+
+    Args:
+        ids: uint32 `[B]`.
+        marks: GROUP `[L]` of the deferred states, with their segment of `ids`.
+        most: rollouts of a task, at most.
+
+    Returns:
+        (segments of ids in the order of the tasks, tasks).
     """
     left = marks["last"] > marks["first"]
     words = ("first", "last", "step", "robot", "verdict")
@@ -251,18 +271,19 @@ def sets_of_tasks(
 
 
 def remember_alike(works: list[Work]) -> None:
-    """Let all know the coverage paths of who knows most, of which the others know the first."""
+    """Copy the cached coverage paths of the thread with most of them to the others, whose paths are its first ones."""
     most = max(works, key=lambda work: work.remembered[0])
     known = int(most.remembered[0])
     for work in works:
+        # Paths were cached in the same order on all threads, so the longer list extends the shorter ones.
         if work.remembered[0] < known:
-            end = most.ends[:known].max()  # the last number has no path once there is no more room
+            end = most.ends[:known].max()  # the last index has no path if the cache is full
             work.paths[:end], work.ends[:known], work.slots[:] = most.paths[:end], most.ends[:known], most.slots
             work.remembered[0] = known
 
 
 def _own_tables(loop: ClosedLoop) -> Tables:
-    """A thread's tables: where robots learn, their ways home are as one of its sets believes the map."""
+    """A thread's tables: in online missions its ways to base belong to the map of its current group."""
     if not (loop.learns and loop.comes_home):
         return loop.tables
     ways = {name: getattr(loop.tables, name).copy() for name in ("home_steps", "home_cost", "onward")}
@@ -270,25 +291,27 @@ def _own_tables(loop: ClosedLoop) -> Tables:
 
 
 class Runner:
-    """One thread's rollouts, with room for more areas each time that it proves too small.
+    """Rollouts of one thread, run again with more room for areas each time that the registry is full.
 
     Attributes:
-        counts: those of all rollouts so far. work: its scratch. tables, policy, how: what its programs are called with.
+        counts: of all rollouts so far. work: scratch arrays. tables, policy, how: arguments of its programs.
     """
 
     counts: Counts
     _state: State
 
     def __init__(self, loop: ClosedLoop, seed: int, most: int, known: list[Work] | None = None) -> None:
-        """`most`: rollouts of a set. `known`: scratch of earlier calls, one of which is taken."""
+        """Args: `most`: rollouts of a group, at most. `known`: scratch of earlier calls, one of which is used."""
         self._loop, self._seed, self._most = loop, seed, most
         self.tables, policy = typed(with_features(_own_tables(loop))), loop.policy
+        # `stamp` is scratch of the thread; all other arrays of a policy are shared.
         self.policy = None if policy is None else typed(policy._replace(stamp=policy.stamp.copy()))
         own = own_key(seed, loop.purpose) if loop.in_doubt else (0, 0)
         moving = [own_key(seed, draw) for draw in (MOVE_DRAW, MEETING_DRAW, READING_DRAW)]
         keys = [np.uint32(half) for key in (key_of_luck(seed), own, *moving) for half in key]
         options = loop.max_steps, loop.first_only, loop.stay_inside, 0
         self.how = How._make((*keys[:4], *options, *keys[4:], 0, 0, None, None))
+        # A cached path is fixed when it begins: not with rules that re-evaluate, map updates, ranges, or several types.
         remembers = loop.policy is None and not (loop.stay_inside or loop.learns or loop.comes_home or loop.is_mixed)
         self.work = make_work(loop.tables, most, remembers, known.pop() if known else None)
         self._done: list[tuple[int, int]] = []
@@ -296,18 +319,18 @@ class Runner:
 
     @property
     def area_of(self) -> NDArray[np.int32]:
-        """The last area of each cell, int32 `[A]`, at the end of the last run."""
+        """int32 `[A]`, the last area of each cell, at the end of the last run."""
         found = (self._state.home[0, :-1] >> AREA_BITS).astype(np.int32)
         return np.where(found == self._room - 1, NO_AREA, found) if self._loop.learns else found
 
     @property
     def state(self) -> State:
-        """At the end of the last run."""
+        """The state at the end of the last run."""
         return State._make(row[0] for row in self._state)
 
     @property
     def odds(self) -> NDArray[np.int64]:
-        """Log odds of a hazard in each cell, int64 `[A]`, at the end of the last run; of none where nobody learns."""
+        """int64 `[A]`, log odds of a hazard in each cell at the end of the last run; empty without estimates."""
         return self._state.odds[0]
 
     @property
@@ -322,7 +345,7 @@ class Runner:
 
     @property
     def largest_set(self) -> int:
-        """Rollouts that a set may have."""
+        """Most rollouts of a group."""
         return largest_set(self._state, self._most)
 
     def run(self, first: int, stop: int, singles: Singles, log: Log = NO_LOG) -> None:
@@ -331,11 +354,11 @@ class Runner:
         parts = self._done[-1:]
         while not all(self.fits(*part, singles, log) for part in parts):
             self._make_room(4 * self._room)
-            # Counts are void once room ran out, so all that was counted is run again: it is the same run.
+            # Counts are void once the room ran out, so all rollouts counted so far are run again, with equal results.
             parts = self._done
 
     def fits(self, first: int, stop: int, singles: Singles, log: Log = NO_LOG) -> bool:
-        """Count rollouts `first .. stop - 1` if there is room for their areas; else all counts are void."""
+        """Count rollouts `first .. stop - 1`; False if the area registry is full: then all counts are void."""
         begin, most = self._loop.first_state(self._room), self.largest_set
         for at in range(first, stop, most):
             ids = np.arange(at, min(at + most, stop), dtype=np.uint32)
@@ -350,34 +373,40 @@ class Runner:
         return True
 
     def _tasks(self, ids: NDArray[np.uint32]) -> Tasks:
-        """The sets that these rollouts begin as."""
+        """The groups that these rollouts begin as."""
         if self._loop.doubt is not None:
             return sets_of_truths(ids, self._loop.doubt, self._seed)
         return sets_of_one(ids) if self._loop.runs_alone else whole_set(ids)
 
     def run_one(self, rollout: int, log: Log = NO_LOG) -> NDArray[np.int32]:
-        """Run one rollout; its numbers `[SINGLES]`. What it is counted into is not kept from one to the next."""
+        """Run one rollout; its numbers, int32 `[SINGLES]`. Counts are not kept from one call to the next."""
         single = singles_of(self._loop, rollout, 1)
         self._done.clear()
         self.run(rollout, rollout + 1, single, log)
         return single.numbers[0]
 
     def put_aside(self, ids: NDArray[np.uint32], stack: State, singles: Singles) -> int:
-        """Put sets of those who are the first to be hit aside in `stack`, as `run_set` does: how many, or NONE.
+        """Defer groups at their first loss in `stack`, as `run_set` does; how many, or NONE.
 
-        All coverage paths are forgotten: those of the run until then are the same for every thread, in their order.
+        Cached coverage paths are dropped: those cached until the first loss are then the same for every thread, in the
+        same order.
         """
         self.work.remembered[:], self.work.slots[:] = 1, 0
         first, how = self._loop.first_state(self._room), self.how._replace(aside=len(stack.marks) - 1)
         return self._call(first, whole_set(ids), stack, NO_LOG, how, ids, singles)
 
     def take(self, waiting: State, tasks: Tasks, ids: NDArray[np.uint32], singles: Singles, log: Log = NO_LOG) -> bool:
-        """Run tasks until all are taken; whether there was room for areas."""
+        """Run tasks until all are taken; False if the area registry is full."""
         return self._call(waiting, tasks, self._state, log, self.how, ids, singles) != NONE
 
     def grow(self, mass: int, cut: int, most: int) -> Counts:
-        """The counts of the tree of everything that can happen, in so many parts of 1
-        (`planner.rollouts.exact_tree`)."""
+        """Counts of the exact tree (`planner.rollouts.exact_tree`).
+
+        Args:
+            mass: units of probability 1.
+            cut: mass below which branches are left.
+            most: histories, at most.
+        """
         how, nobody = self.how._replace(cut=cut, most=most), np.zeros(1, dtype=np.uint32)
         whole = np.array([[0, 0, mass]])
         self._make_room(self._room)
@@ -388,11 +417,11 @@ class Runner:
             self._make_room(4 * self._room)
 
     def make_levels(self, levels: int) -> State:
-        """A stack of so many levels, fewer where they would take up too much."""
+        """A stack of `levels` levels, fewer where the memory limit would be exceeded."""
         return make_state(self._loop.first_state(self._room), levels)
 
     def _make_room(self, room: int) -> None:
-        """A state with room for so many areas, and no counts yet."""
+        """Make a state with room for `room` areas, and empty counts."""
         self._room = room
         self._state = self.make_levels(min(self._loop.robots + 1, self._most))
         passes = self._loop.weights is not None
@@ -403,14 +432,14 @@ class Runner:
     def _call(
         self, waiting: State, tasks: Tasks, stack: State, log: Log, how: How, ids: NDArray[np.uint32], singles: Singles
     ) -> int:
-        """`run_set`, by the loop's policy."""
+        """`run_set` under the loop's policy."""
         return int(run_set(*self._arguments(waiting, tasks, stack, log, how, ids, singles)))
 
     def _arguments(self, waiting: State, tasks: Tasks, stack: State, *others: Any) -> tuple[Any, ...]:
         return self.tables, self.policy, self.counts, waiting, *tasks, stack, self.work, *others
 
     def is_compiled(self, cached: bool) -> bool:
-        """True if this process has the program of these rollouts, or, if `cached` is asked, the cache has it."""
+        """True if the program of these rollouts is compiled in this process or, with `cached`, in the cache."""
         ids, state = np.zeros(1, dtype=np.uint32), self._state
         given = self._arguments(state, whole_set(ids), state, NO_LOG, self.how, ids, singles_of(self._loop, 0, 0))
         return has_program(run_set, given, cached)

@@ -42,9 +42,9 @@ from planner.world.world import World
 
 holds = interpreted("state").holds
 Hit = Callable[[int, int, int], bool]
-"""`hit(robot, step, cell)`: is the robot lost as it enters the cell at this step?"""
+"""`hit(robot, step, cell)`: whether the robot is lost as it enters the cell at this step."""
 OWN = "left", "at", "met", "begin"
-"""The arrays of the scratch that belong to the rollout itself, not to the world."""
+"""Scratch arrays that belong to the rollout, not to the world."""
 NOT_BEGUN = -1
 """The step before t = 0, at which robots enter their starts."""
 
@@ -136,12 +136,20 @@ class SingleRun:
         known: Work | None = None,
         hit: Hit | None = None,
     ) -> None:
-        """`known`: the scratch of another run of the loop, which holds path costs. `hit` decides every loss."""
+        """Prepare the rollout.
+
+        Args:
+            loop: the closed loop.
+            seed: of the random numbers.
+            rollout: id.
+            known: scratch arrays of another run of the loop, with its path costs.
+            hit: decides every loss instead of the random numbers.
+        """
         runner = Runner(loop, seed, 1, None if known is None else [known])
         self.loop, self.rollout = loop, rollout
         self.p, self.c, self.w, self.notes = runner.policy, runner.counts, runner.work, Notes(loop)
-        # The scratch is shared by the runs of one loop, which may advance in turn: each has its own `begin`, and finds
-        # coverage paths one leg at a time.
+        # Scratch is shared by the runs of one loop, which may advance in turn. So each run has its own `begin`, and
+        # finds coverage paths leg by leg, since cached ones belong to the run that is made first.
         self.w = self.w._replace(paths=self.w.paths[:0], begin=np.array([rollout], dtype=np.int64))
         self.t = runner.tables._replace(notes=self.notes)
         self.how = runner.how._replace(pause=True, in_area=loop.in_area)
@@ -172,7 +180,7 @@ class SingleRun:
         )
         self.outcome: Outcome | None = None
         self.new_events = self.log.events[:0]
-        # Of robots that neither move nor wait, moves left; `until` of a robot that moves is a turn.
+        # Moves left of robots that neither move nor wait; for a moving robot `until` is a turn instead.
         self.left = dict[int, int]()
         self.turned, self._acting = set[int](), b""
         for robot, given in enumerate(() if loop.state is None else loop.state.robots):
@@ -185,7 +193,7 @@ class SingleRun:
         """Use level 0 of the stack as the state."""
         self._stack, self.raw = stack, State._make(row[0] for row in stack)
         self.s: Any = interpreted("struct_pointers").with_records(self.raw)
-        # As bytes rows are copied several times faster than as records.
+        # Copying rows as bytes is several times faster than as records.
         kept = stack._replace(areas=stack.areas[:, :0])
         rows = stack.areas, *kept, self.w.left, self.w.at, self.w.met
         self._bytes = [row.reshape(-1).view(np.uint8) for row in rows if row.size]
@@ -203,11 +211,13 @@ class SingleRun:
         other._take(State._make(row.copy() for row in self._stack))
         other.log = self.log._replace(events=np.zeros_like(self.log.events), frames=self.log.frames.copy())
         other.log.events[: self.log.events[0, 0] + 1] = self.log.events[: self.log.events[0, 0] + 1]
+        # Callbacks belong to the original run: a copy decides by the rule and records nothing.
         other.t, other.left, other.turned = self.t._replace(asks=None, notes=None), self.left.copy(), self.turned.copy()
         return other
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the views of the state and the scratch, which may be large."""
+        # Views and scratch are made again from the state, which keeps pickles small.
         kept = {name: value for name, value in vars(self).items() if name not in ("raw", "s", "_bytes")}
         return kept | {"w": {name: getattr(self.w, name) for name in OWN}}
 
@@ -254,6 +264,7 @@ class SingleRun:
     def learn(self) -> bool:
         """Repeat the map update at the end of the last step; True if a robot got an area."""
         self._make_room()
+        # The state is already in the next step; the update belongs to the end of the last one.
         self.s.marks.step -= 1
         step = interpreted("step")
         step.forget(self.t, self.p, self.s, self.w)
@@ -268,6 +279,7 @@ class SingleRun:
         self.new_events = self.log.events[1 : int(self.log.events[0, 0]) + 1].copy()
         if len(self.new_events):
             self.turned |= set(self.new_events[self.new_events[:, 2] == EventKind.TURNED_HOME, 1].tolist())
+        # Most steps change neither set, so the loop over robots is skipped.
         acting = self.raw.movers.tobytes() + self.raw.waiting.tobytes()
         if acting == self._acting:
             return
@@ -297,6 +309,7 @@ class SingleRun:
         """Renumber NO_AREA, which is the last row of `areas`."""
         home = self.raw.home
         none = home >> AREA_BITS == old
+        # The last element stands for blocked neighbours and keeps its value.
         none[-1] = False
         home[none] = home[none] & ((1 << AREA_BITS) - 1) | new << AREA_BITS
         self.raw.areas[new], self.raw.areas[old] = self.raw.areas[old].copy(), np.zeros((), self.raw.areas.dtype)
@@ -486,6 +499,7 @@ def play(run: SingleRun) -> Run:
     """Advance the run to its end."""
     loop, frames, events, legs = run.loop, list[NDArray](), list[NDArray](), list[NDArray]()
     if loop.state is not None:
+        # A trace begins at t = 0 even if the mission is resumed later.
         frames += list(first_frames(loop.state, loop.cells))
     while run.outcome is None:
         run.advance()
@@ -538,6 +552,7 @@ def areas_made(loop: ClosedLoop, trace: Trace, level: NDArray[np.int32]) -> tupl
     order = np.argsort(trace.area_of, kind="stable")
     begin = np.searchsorted(trace.area_of[order], np.arange(given + len(parents) + 1))
     inside = [order[begin[number] : begin[number + 1]] for number in range(given + len(parents))]
+    # From the last area to the first: a part may have been split again, so its own parts are added first.
     for number in range(len(parents) - 1, -1, -1):
         inside[parents[number]] = np.concatenate([inside[parents[number]], inside[given + number]])
     return tuple(
@@ -558,6 +573,7 @@ def legs_of(loop: ClosedLoop, noted: NDArray[np.int32], level: NDArray[np.int32]
             found.append(())
             continue
         pace = int(loop.tables.pace[robot]) if len(loop.tables.pace) else 1
+        # A leg begins where area or kind changes, or after a wait.
         begins = np.flatnonzero((np.diff(of[moves], prepend=NONE - 1) != 0) | (np.diff(moves, prepend=-pace) > pace))
         ends = np.append(begins[1:], len(moves)) - 1
         rows = zip(
@@ -590,10 +606,13 @@ def without_waiting(path: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def state_of(run: SingleRun, problem: Problem, cumulative_hazard: Sequence[int] | None = None) -> MissionState:
-    """The mission state of a run between two steps. Completed areas without cells are dropped and ids closed up.
+    """The mission state of a run between two steps (SPEC section 12). Completed areas without cells are dropped.
 
-    cumulative_hazard: of each robot, in units of 2**-32 nat; kept where the Weibull shape is not 1. A real robot's may
-    exceed every threshold that can be drawn: then the largest possible one is kept.
+    Args:
+        run: between two steps.
+        problem: of its plan.
+        cumulative_hazard: of each robot, in units of 2**-32 nat; kept if the Weibull shape is not 1. That of a real
+            robot may exceed every threshold that can be drawn: then the largest possible value is kept.
     """
     world, settings, loop = problem.world, problem.settings, run.loop
     settings.check_not_charged("the state of a mission")
@@ -650,8 +669,10 @@ class PythonLoop:
     """The closed loop of a plan by the simulator as Python, one rollout at a time; for any policy and cell order.
 
     Args:
-        plan: this project's, made for `world`, or the paths of another planner (`planner.mrac.problem`).
-        first_only: `threat_checks="first_visit"`. problem: the plan's own, if it is available.
+        plan: for `world`, or an external plan (`planner.mrac.problem`).
+        world: the map.
+        first_only: `threat_checks="first_visit"`.
+        problem: the plan's problem, if available.
 
     Raises:
         PlanError: a plan for another map.
@@ -685,7 +706,7 @@ class PythonLoop:
             yield run
 
     def state_at(self, step: int, seed: int, rollout: int) -> MissionState | None:
-        """The mission state at the end of a step; None if the rollout has ended by then."""
+        """The mission state at the end of a step; None if the rollout has ended before."""
         for run in self.runs(seed, rollout):
             if run.step == step and run.outcome is None:
                 return state_of(run, self.problem, run.raw.robots["borne"].tolist())

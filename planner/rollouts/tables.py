@@ -1,7 +1,4 @@
-"""What every closed-loop rollout reads: the compiled simulator's tables, made once for a plan.
-
-Axis letters: `A` accessible cells, `M` areas.
-"""
+"""Tables of the compiled simulator, made once for a plan. Axis letters: `A` accessible cells, `M` areas."""
 
 from __future__ import annotations
 
@@ -56,21 +53,21 @@ from planner.world.uncertain_maps import bounds_of
 from planner.world.world import World
 
 STUCK_AFTER = 2
-"""Steps in a row without a move or an allocation that end a run as one of no progress."""
+"""Steps in a row without a move or an allocation after which a run ends with no progress."""
 EPSILON = 1e-9
-"""Squares of distances are whole numbers: a radius of 5 reaches (3, 4)."""
+"""Squared distances are whole numbers: a radius of 5 includes (3, 4)."""
 NEAR_CELLS = 500
-"""Cells that a search passes before it is one for what is far."""
+"""Cells that a search passes before the long-range search takes over."""
 ASKED_BEFORE = 2
-"""Searches for the next area from a cell of a map of MOST_CELLS or more before its costs to all are kept: there a row
-costs as much as some searches, on smaller maps hardly more than one."""
+"""Searches for the next area from a cell before its costs to all cells are kept, on maps of MOST_CELLS or more: there a
+row costs as much as several searches, on smaller maps hardly more than one."""
 NO_VIEWS = np.zeros(2, dtype=np.int64), np.zeros(0, dtype=np.int32)
 STRIP = 2**20
-"""Pairs of a cell and an area that are sorted at a time: 40 bytes each."""
+"""Pairs of a cell and an area sorted at a time, of 40 bytes each."""
 
 
 class AllPairs:
-    """All-pairs tables, kept for other teams on the same accessible cells at the same costs."""
+    """All-pairs tables, kept for other teams on the same accessible cells with the same costs."""
 
     def __init__(self) -> None:
         self._of: tuple[NDArray[np.int32], NDArray[np.int64]] | None = None
@@ -79,7 +76,7 @@ class AllPairs:
     def tables(
         self, near: NDArray[np.int32], entry: NDArray[np.int64], wide: np.dtype, narrow: np.dtype
     ) -> tuple[NDArray, NDArray, NDArray]:
-        """`all_pairs` of these neighbours `[A, 4]` and entry costs `[A]`, the last ones if they were the same."""
+        """`all_pairs` with these arguments, made again only if cells or costs differ from the last ones."""
         same = self._of is not None and np.array_equal(self._of[0], near) and np.array_equal(self._of[1], entry)
         if self._tables is None or not same:
             self._of, self._tables = (near, entry), all_pairs(near, entry, wide, narrow)
@@ -94,16 +91,16 @@ def make_tables(
     kept: AllPairs | None = None,
     bearing: Bearing = PLAIN,
 ) -> Tables:
-    """The tables of a problem with this allocation.
+    """Make the tables of a problem with this allocation.
 
     Args:
-        problem: world, costs and starts. cells: int64 `[A]`, rising, the accessible cells; all that may come into
-            reach of robots that learn the map.
+        problem: world, costs and starts.
+        cells: int64 `[A]`, increasing, the accessible cells; in online missions all that may become reachable.
         areas: the areas at t = 0 in id order.
-        tabled: with all-pairs tables (6 to 12 bytes a pair of cells), else for searches (a few hundred bytes a cell);
-            not of robots that learn.
+        tabled: with all-pairs tables (6 to 12 bytes per pair of cells), else for searches (a few hundred bytes per
+            cell); not in online missions.
         kept: where all-pairs tables are kept from team to team.
-        bearing: what they bear.
+        bearing: the failure model.
     """
     compact = np.full(problem.costs.size, NO_CELL, dtype=np.int32)
     compact[cells] = np.arange(len(cells), dtype=np.int32)
@@ -114,11 +111,12 @@ def make_tables(
     begin = np.concatenate([[0], np.cumsum([len(area.cells) for area in areas])]).astype(np.int32)
     level = np.array([area.level for area in areas], dtype=np.int32)
     narrow = np.uint16 if len(cells) < MOST_CELLS else np.uint32
-    # Half the bytes of the largest tables where no path can cost more; each width is a program of its own.
+    # Half the bytes of the largest tables if no path can cost more; each width is a separate program.
     unknown = problem.unknown if problem.learns else None
     small = _are_small(problem, near, entry, compact[problem.starts])
     cost = area_cost = np.zeros((0, 0), dtype=np.int32 if small else np.int64)  # each a program
     hop = ranked = area_entry = np.zeros((0, 0), dtype=narrow)
+    # With several robot types each has its own costs, so its tables; they are concatenated, type after type.
     if tabled:
         entries = [entry] if problem.own is None else problem.own.costs[:, cells]
         of_types = [
@@ -170,7 +168,7 @@ def make_tables(
 
 
 def _are_small(problem: Problem, near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray[np.int32]) -> bool:
-    """Whether costs fit into 32 bits, whatever robots learn."""
+    """Whether costs fit into 32 bits on every map that the team may have."""
     if problem.learns and problem.unknown is not None:
         most = problem.unknown.dearest
         return bool(problem.entry[most.of_cell[most.accessible]].sum() < 2**31)
@@ -184,7 +182,7 @@ def _learning(
     compact: NDArray[np.int32],
     narrow: type,
 ) -> dict[str, Any]:
-    """The fields of `Tables` that only robots that learn read."""
+    """Fields of `Tables` for online missions."""
     if unknown is None:
         levels, numbers = np.zeros(0, dtype=np.int16), np.zeros(0, dtype=np.int64)
         nothing: dict[str, Any] = {
@@ -205,10 +203,11 @@ def _learning(
 
 
 def _evidence(evidence: Evidence | None, cells: NDArray[np.int64]) -> dict[str, Any]:
-    """The fields of `Tables` that only robots that learn about hazards read."""
+    """Fields of `Tables` for hazard estimates."""
     if evidence is None:
         return dict.fromkeys(("odds", "survival", "step", "lessons"), np.zeros(0, dtype=np.int64))
     lessons = [evidence.stop, evidence.more, evidence.less, 0, 0, 0, 0]
+    # Probabilities as bounds on 24 random bits: the comparison is of whole numbers on every platform.
     if (detector := evidence.detector) is not None:
         bounds = bounds_of(np.array([detector.detect, detector.false_alarm], dtype=np.float32)).tolist()
         lessons[3:] = [detector.alarm, detector.silence, *bounds]
@@ -217,11 +216,15 @@ def _evidence(evidence: Evidence | None, cells: NDArray[np.int64]) -> dict[str, 
 
 
 def most_cost(near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray[np.int32]) -> int:
-    """A cost that no safest path exceeds: of one by way of a robot's start, from the dearest cell and to the dearest.
+    """An upper bound on the cost of all safest paths: by way of a start, from and to the most expensive cells.
 
-    `near` `[A, 4]`: neighbours, NO_CELL if none. `entry` `[A]`: cost of each cell, all reachable from a start.
+    Args:
+        near: int32 `[A, 4]`, neighbours, NO_CELL if none.
+        entry: int64 `[A]`, entry costs; all cells are reachable from a start.
+        starts: int32 `[K]`.
     """
     paths, most, left = SafestPaths(near, entry), 0, np.unique(starts)
+    # One search for each connected part that holds a start.
     while len(left):
         start = int(left[0])
         costs = paths.to_all(start)
@@ -231,7 +234,13 @@ def most_cost(near: NDArray[np.int32], entry: NDArray[np.int64], starts: NDArray
 
 
 def mover_tables(world: World, compact: NDArray[np.int32], beyond: int) -> dict[str, Any]:
-    """The fields of `Tables` that say how threats move; `compact` int32 `[N]`: cells' numbers, `beyond`: of others."""
+    """Fields of `Tables` for moving threats.
+
+    Args:
+        world: the map.
+        compact: int32 `[N]`, index of each accessible cell.
+        beyond: index for the other cells of routes.
+    """
     members = () if world.movers is None else world.movers.members
     begins = np.cumsum([0, *(len(one.route) for one in members)]).tolist()
     rows = [
@@ -246,12 +255,18 @@ def mover_tables(world: World, compact: NDArray[np.int32], beyond: int) -> dict[
 
 
 def kinds_of(world: World, types: str | tuple[str, ...] | None, robots: int) -> tuple[World, ...]:
-    """The world as it is to each type of a team's robots, in the order in which these come."""
+    """The map of each robot type in a team, in order of first use.
+
+    Args:
+        world: the map.
+        types: of the robots, as in `Settings.types`.
+        robots: K.
+    """
     return tuple(dict.fromkeys(world.of_robots(types, robots)))
 
 
 def _clocks(paces: tuple[int, ...]) -> dict[str, Any]:
-    """The fields of `Tables` that say which robots have a turn in a step."""
+    """Fields of `Tables` for several speeds."""
     pace = np.array(paces, dtype=np.int64)
     ticks = np.unique(pace)
     clock = np.zeros((len(ticks), -(-len(pace) // WORD)), dtype=np.uint64)
@@ -261,7 +276,7 @@ def _clocks(paces: tuple[int, ...]) -> dict[str, Any]:
 
 
 def _radio(problem: Problem, cells: NDArray[np.int64]) -> dict[str, Any]:
-    """The fields of `Tables` that say who hears whom."""
+    """Fields of `Tables` for radio range."""
     if problem.settings.radio is None:
         pairs = np.zeros((0, 2), dtype=np.int64)
         return {"place": pairs, "bases": pairs, "reach": pairs[:, 0].copy()}
@@ -276,7 +291,12 @@ def _kinds(problem: Problem) -> tuple[World, ...]:
 
 
 def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str, Any]:
-    """The fields of `Tables` that say how a visit of each of `cells` `[A]` is drawn, type after type."""
+    """Fields of `Tables` for failure sampling at visits.
+
+    Args:
+        kinds: the map of each robot type.
+        cells: int64 `[A]`, the accessible cells.
+    """
     if len(kinds) > 1:
         tables = [luck_tables((kind,), cells) for kind in kinds]
         return tables[0] | {
@@ -285,6 +305,7 @@ def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str,
     (world,) = kinds
     draws, (exposure, doses) = world.draws, world.exposures
     exposure = exposure.reshape(-1, world.threat.size)[:, cells].ravel()
+    # `spent` has room only if losses make cells harmless: an empty array turns the feature off (`FEATURES`).
     spends = draws is not None and draws.spends
     spent = np.zeros(-(-len(cells) // WORD) if spends else 0, dtype=np.uint64)
     drawn: dict[str, Any] = {"spent": spent, "exposure": exposure, "doses": doses}
@@ -300,15 +321,21 @@ def luck_tables(kinds: tuple[World, ...], cells: NDArray[np.int64]) -> dict[str,
 
 
 def bearing_tables(bearing: Bearing, robots: int) -> dict[str, Any]:
-    """The fields of `Tables` that say what robots bear."""
+    """Fields of `Tables` for the failure model.
+
+    Args:
+        bearing: the failure model.
+        robots: K.
+    """
     if bearing.is_even:
         return dict.fromkeys(("nodes", "times", "begun"), np.zeros(0, dtype=np.int64))
     return {"nodes": bearing.nodes, "times": bearing.times(robots).copy(), "begun": bearing.fresh_begun(robots)}
 
 
 def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: type) -> dict[str, Any]:
-    """The fields of `Tables` that only searches for what is far read; no `entry`: there are none."""
+    """Fields of `Tables` for long-range searches; empty for an empty `entry`."""
     parts = find_safe_parts(near[: len(entry)], entry)
+    # Blocked neighbours have index A, so the table needs one more element.
     node = np.append(parts.node, np.int32(NO_CELL)) if len(entry) else parts.node
     kind_cost, kind, counts = np.unique(entry, return_inverse=True, return_counts=True)
     return {
@@ -326,7 +353,7 @@ def _for_searches(near: NDArray[np.int32], entry: NDArray[np.int64], narrow: typ
 
 
 def _ways_home(problem: Problem, cells: NDArray[np.int64], compact: NDArray[np.int32], narrow: type) -> dict[str, Any]:
-    """The fields of `Tables` that robots read that come home, or drive back to where they hear each other."""
+    """Fields of `Tables` for the return to base, and for drives back into radio range."""
     home, nothing = problem.home, np.zeros((0, 0), dtype=np.int32)
     of, onward = np.zeros(0, dtype=np.int64), nothing
     if home is not None or problem.settings.radio is not None:
@@ -351,10 +378,14 @@ def _given(problem: Problem, compact: NDArray[np.int32], narrow: type) -> NDArra
 def by_price(
     problem: Problem, area_cost: NDArray, cells: NDArray, order: NDArray, begin: NDArray, level: NDArray
 ) -> dict[str, Any]:
-    """The fields of `Tables` that rank areas, where its other fields are these and its cells `cells` `[A]`.
+    """Fields of `Tables` that rank areas by price, `foremost` and `counted`.
 
-    From a cell of its own an area costs the entry of another one at least, and no part of it is worth more than as many
-    of its best cell. Exact: different remainders of different counts below 2**26 are different fractions as floats too.
+    From a cell outside an area the path costs at least one entry, and no part of the area has more value than as many
+    of its best cells. Exact: different fractions with denominators below 2**26 differ as floats too.
+
+    Args:
+        problem: values, costs and rule.
+        area_cost: `[A, M]`, of `Tables`; cells: int64 `[A]`; order, begin, level: of `Tables`.
     """
     counted = size = np.diff(begin).astype(np.int64)
     dtype = np.uint16 if len(cells) < MOST_CELLS else np.uint32
@@ -370,29 +401,35 @@ def by_price(
 def _ranked(
     cost: NDArray, size: NDArray[np.int64], counted: NDArray[np.int64], entry: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Areas of `size` `[M]` cells by price for what is `counted` `[M]` at most, those that count nothing last."""
+    """Areas of `size` `[M]` cells by price per `counted` `[M]`, those without value last; M if unreachable."""
+    # Whole part and remainder are compared apart: their quotient as one float could tie different fractions.
     whole, rest = np.divmod(np.maximum(cost, entry) + (size - 1) * entry, np.maximum(counted, 1))
     first = np.lexsort((rest / np.maximum(counted, 1), whole, np.broadcast_to(counted == 0, cost.shape), cost < 0))
     return np.where(np.take_along_axis(cost, first, axis=1) < 0, len(size), first)
 
 
-# A mission under way as the compiled simulator's first state, instead of t = 0 (`planner.plan.state`).
-#
-# Plain Python, once a thread. Axis `A` = accessible cells; the rows are those of `planner.simulator.state`.
+# A resumed mission as the compiled simulator's first state (`planner.plan.state`). Plain Python, once per thread.
 
 DOINGS = {"idle": IDLE, "traveling": TRAVELING, "covering": COVERING, "done": DONE, "dead": DEAD}
 DOINGS |= {"returning": RETURNING}
 
 
 def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDArray[np.int64]) -> None:
-    """Write the mission into `state`, which holds t = 0 of its areas; `cells`: int64 `[A]`, the accessible ones."""
+    """Write the mission into a state.
+
+    Args:
+        mission: to resume.
+        state: at t = 0 of the mission's areas, changed in place.
+        tables: of the mission.
+        cells: int64 `[A]`, the accessible cells.
+    """
     state.home[np.searchsorted(cells, mission.visited)] |= VISITED
-    if len(state.mind):  # what was visited is no cell to take into an area
+    if len(state.mind):  # a visited cell never joins an area again
         state.known[np.searchsorted(cells, mission.visited)] &= ~np.uint8(OUT)
     survived = np.searchsorted(cells, mission.survived)
     state.home[survived] |= SURVIVED
     if len(state.passes):
-        state.passes[survived] = 1  # how often before is not known
+        state.passes[survived] = 1  # the number of earlier visits is not known
     left = np.bincount(state.home[:-1][state.home[:-1] & VISITED == 0] >> AREA_BITS, minlength=len(mission.areas))
     state.areas["left"][: len(left)] = left
     unassigned = [number for number, area in enumerate(mission.areas) if area.state == "unassigned"]
@@ -418,6 +455,7 @@ def set_back_to(mission: MissionState, state: State, tables: Tables, cells: NDAr
     moving = np.array([robot.status in (*ON_ITS_WAY, "returning") for robot in mission.robots])
     rests = [robot.status in ("idle", "done") and not robot.turned for robot in mission.robots]
     waiting = np.array(rests) & (until > 0)
+    # For a moving robot `until` is a turn, not a number of moves.
     until[moving] += mission.step
     for bits, members in (
         (state.open, unassigned),
@@ -440,6 +478,7 @@ def _put_robot(state: State, number: int, robot: RobotState, cells: NDArray[np.i
         return
     to_do, ahead = np.searchsorted(cells, robot.to_do), np.searchsorted(cells, robot.ahead)
     state.home[to_do] |= TO_DO
+    # A leg ends at the next cell to do; the rest of the stored path is computed again from there.
     ends = np.flatnonzero(np.isin(ahead, to_do)) if robot.status == "covering" else ahead[:0]
     leg = ahead[: int(ends[0]) + 1] if len(ends) else ahead
     row["area"], row["left"], row["next"], row["target"] = robot.area, len(to_do), leg[0], leg[-1]
@@ -449,7 +488,12 @@ def _put_robot(state: State, number: int, robot: RobotState, cells: NDArray[np.i
 
 
 def first_frames(mission: MissionState, cells: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Cell, doing and area of each robot, as it stands in every step up to the state's: int32 `[step + 1, 3, K]`."""
+    """Frames of a resumed mission for all steps up to the state's: its robots, repeated; int32 `[step + 1, 3, K]`.
+
+    Args:
+        mission: to resume.
+        cells: int64 `[A]`, the accessible cells.
+    """
     robots = mission.robots
     now = [
         np.searchsorted(cells, [robot.cell for robot in robots]).tolist(),
@@ -459,7 +503,7 @@ def first_frames(mission: MissionState, cells: NDArray[np.int64]) -> NDArray[np.
     return np.broadcast_to(np.array(now, dtype=np.int32), (mission.step + 1, 3, len(robots)))
 
 
-# The policy of a plan as the simulator follows it, and a user's own rule as a compiled function.
+# The policy of a plan for the simulator, and a user's rule as a compiled function.
 
 
 OF_OFFER = types.int64(*[types.int64] * (1 + len(Offer._fields)))
@@ -467,16 +511,18 @@ OF_OFFER = types.int64(*[types.int64] * (1 + len(Offer._fields)))
 
 
 def as_function(rule: Rule) -> Any:
-    """The order of a user's own rule as a function with a C signature: programs are not compiled anew for each rule.
+    """The order of a user's rule as a function with a C signature: programs are not compiled again for each rule.
 
-    Arguments: which of the four numbers of `Rule.order`, and those of an `Offer`. Raises PlanError for an order that is
-    not arithmetic.
+    Its arguments: which of the four numbers of `Rule.order`, and the fields of an `Offer`.
+
+    Raises:
+        PlanError: the order is not whole-number arithmetic.
     """
     order = register_jitable(**UNCOUNTED)(rule.order)
 
     def number(which, level, cost, unvisited, entry, value, beyond, frontier, surcharge):  # type: ignore[no-untyped-def]
         (one, two), (three, four) = order(Offer(level, cost, unvisited, entry, value, beyond, frontier, surcharge))
-        # A float has no `|`: an order that is not of whole numbers does not compile, instead of being cut to them.
+        # A float has no `|`: an order with floats does not compile, instead of being truncated.
         return (one if which == 0 else two if which == 1 else three if which == 2 else four) | 0
 
     try:
@@ -490,18 +536,31 @@ def as_function(rule: Rule) -> Any:
 
 
 def dangerous(problem: Problem, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """`Policy.danger` of these cells `[A]`; where robots differ in type, `[Y A]`."""
+    """`Policy.danger`: bool `[A]`, cells of a dangerous level; with several robot types `[Y A]`.
+
+    Args:
+        problem: levels and robot types.
+        cells: int64 `[A]`, the accessible cells.
+    """
     of_cell = problem.levels.of_cell[cells]
     return (of_cell if problem.own is None else problem.own.level[:, of_cell].ravel()) > 0
 
 
 def make_policy(problem: Problem, cells: NDArray[np.int64], tables: Tables, *, interpreted: bool = False) -> Policy:
-    """The policy of a rule that re-evaluates; `cells` int64 `[A]`, the accessible ones. Raises PlanError.
+    """The policy of a rule that re-evaluates.
 
-    `interpreted`: for the simulator as Python, which follows any rule; compiled programs follow exact ones.
+    Args:
+        problem: rule, settings and costs.
+        cells: int64 `[A]`, the accessible cells.
+        tables: of the problem.
+        interpreted: for the simulator as Python, which supports any rule; compiled programs support exact ones.
+
+    Raises:
+        PlanError: see `as_function`.
     """
     rule, settings, unknown = problem.rule, problem.settings, problem.unknown
     ahead = slice(None if rule.looks_ahead and (unknown is None or unknown.looks) else 0)
+    # The cap is tabulated by robots alive, so that kernels need no floats.
     alive = range(len(problem.starts) + 1 if settings.risk_cap is not None else 0)
     is_own = RULES.get(rule.name) is not rule
     return Policy(

@@ -1,9 +1,8 @@
-"""What rollouts came to by the luck of their team: sums of each figure by classes of the total tolerance.
+"""Sums of each figure by classes of the team's total failure threshold, for control variates.
 
-A total is a robot's tolerances added up over the team, before wear and susceptibility (SPEC section 14). It is known
-what to expect of it, so an estimate can be put right by how lucky its rollouts happened to be
-(`analysis.statistics.variance_reduction`). Whole numbers alone are added, so no sum depends on how rollouts are shared
-out.
+The total is the sum of a team's Exp(1) thresholds, without Weibull shape and hazard multipliers (SPEC section 14). Its
+distribution is known, so it serves as a control variate (`analysis.statistics.variance_reduction`). Only whole numbers
+are added, so no sum depends on how rollouts are shared out.
 """
 
 from __future__ import annotations
@@ -19,29 +18,29 @@ from planner.simulator.thresholds import UNIT
 from planner.tally import RolloutResults
 
 CLASSES_A_NAT = 8
-"""Of the total, which has a variance of one square nat a robot: classes take less than .14 % of that away."""
+"""Classes per nat of the total. Its variance is one square nat per robot; classes lose less than .14 % of that."""
 COLUMNS = ("rollouts", "visited", "survived", "time", "alive", "complete")
-"""Summed up in each class."""
+"""Sums kept in each class."""
 WIDTH = UNIT // CLASSES_A_NAT
 STRIP = 512
-"""Rollouts of which a robot's words are drawn at a time."""
+"""Rollouts whose random words are drawn at a time."""
 FACTORS = 16
-"""Uniform numbers, each at least 2**-33, whose product is a float64 in full precision."""
+"""Uniform numbers, each at least 2**-33, whose product a float64 represents with full precision."""
 NEAR = 2.0**-28
-"""Of a class and robot: a total so near to the border of two classes is added up in whole units."""
+"""Of a class, per robot: a total this close to the border of two classes is added up in whole units."""
 
 
 @program
 def _multiply(key0, key1, first, robot_from, robot_to, words, products):  # type: ignore[no-untyped-def]
-    """The product float64 `[B]` of the robots' uniform numbers, of every rollout from id `first` on.
+    """Products float64 `[B]` of the robots' uniform numbers, for every rollout from id `first` on.
 
-    `words`, uint32 `[STRIP]`: scratch.
+    `words`, uint32 `[STRIP]`, is scratch.
     """
     for begin in range(0, products.shape[0], STRIP):
         strip = products[begin : begin + STRIP]
         strip[:] = 1.0
         for robot in range(robot_from, robot_to):
-            for number in range(len(strip)):  # apart from what follows, so that LLVM draws several at a time
+            for number in range(len(strip)):  # a loop over draws only, which LLVM vectorises
                 rollout = np.uint32(first + np.uint32(begin + number))
                 words[number] = threefry(key0, key1, rollout, np.uint32(robot))[0]
             for number in range(len(strip)):
@@ -49,10 +48,19 @@ def _multiply(key0, key1, first, robot_from, robot_to, words, products):  # type
 
 
 def luck_classes(seed: int, start: int, count: int, robots: int) -> NDArray[np.int64]:
-    """int64 `[count]`, floor(total tolerance of robots 0 .. robots - 1 * CLASSES_A_NAT) of rollouts from `start` on.
+    """Classes of rollouts: floor(CLASSES_A_NAT * total threshold of robots 0 .. robots - 1).
 
-    A total is minus the logarithm of a product. Tolerances are rounded to whole units, by at most .52 of one. Floats
+    A total is minus the logarithm of a product. Thresholds are rounded to whole units, by at most .52 of one. Floats
     decide only where neither rounding matters, so every platform finds the same classes.
+
+    Args:
+        seed: of the random numbers.
+        start: first id.
+        count: rollouts.
+        robots: K.
+
+    Returns:
+        int64 `[count]`.
     """
     key0, key1 = (np.uint32(word) for word in key_of_luck(seed))
     totals, products, words = np.zeros(count), np.empty(count), np.empty(STRIP, dtype=np.uint32)
@@ -67,7 +75,16 @@ def luck_classes(seed: int, start: int, count: int, robots: int) -> NDArray[np.i
 
 
 def sums_by_luck(results: RolloutResults, seed: int, robots: int) -> NDArray[np.int64]:
-    """int64 `[classes * len(COLUMNS)]`, as `Tally.by_luck` has them, of rollouts of so many robots."""
+    """Sums over rollouts by class, as in `Tally.by_luck`.
+
+    Args:
+        results: of consecutive rollouts.
+        seed: of their random numbers.
+        robots: K.
+
+    Returns:
+        int64 `[classes * len(COLUMNS)]`.
+    """
     classes = luck_classes(seed, results.start, len(results.visited), robots)
     sums = np.zeros((int(classes.max(initial=-1)) + 1, len(COLUMNS)), dtype=np.int64)
     figures = (results.visited, results.survived, results.time, results.alive, results.outcome)
@@ -77,7 +94,7 @@ def sums_by_luck(results: RolloutResults, seed: int, robots: int) -> NDArray[np.
 
 @program
 def _add_figures(classes, visited, survived, time, alive, outcome, complete, sums):  # type: ignore[no-untyped-def]
-    """In one pass: what is kept of single rollouts lies together, and is met once."""
+    """In one pass over the rollouts: the results of a rollout are read once."""
     for number in range(classes.shape[0]):
         row = sums[classes[number]]
         row[0] += 1

@@ -1,7 +1,4 @@
-"""The book of areas of the compiled simulator: who gets what, components, bisection, sharing.
-
-Part of `planner.simulator.rollouts`, which see; the rows are those of `planner.simulator.state`.
-"""
+"""The area registry of the compiled simulator: allocation, components, bisection, sharing, and the trace."""
 
 from __future__ import annotations
 
@@ -41,9 +38,7 @@ from .state import (
     put,
 )
 
-# What the compiled simulator writes down for a trace: `planner.tally` in plain arrays, empty where nothing is traced.
-#
-# Part of `planner.simulator.rollouts`, which see.
+# The trace of the compiled simulator: `planner.tally` in plain arrays, empty where nothing is traced.
 
 COMPLETED_EVENT, HIT_EVENT, REALLOCATED_EVENT = map(int, (EventKind.COMPLETED, EventKind.HIT, EventKind.REALLOCATED))
 ALLOCATED_EVENT, SHARED_EVENT = int(EventKind.ALLOCATED), int(EventKind.SHARED)
@@ -54,16 +49,16 @@ FRAME_CELL, FRAME_DOING, FRAME_AREA, FRAME_ROWS = 0, 1, 2, 3
 
 
 class Log(NamedTuple):
-    """Room for what happens.
+    """Arrays of a trace.
 
     Attributes:
-        events: int32 `[E + 1, 5]`: row 0 holds how many happened (more than there is room for are counted, not kept),
-            the others are the rows of `Trace.events`.
+        events: int32 `[E + 1, 5]`. Row 0 holds the number of events (those beyond `E` are counted, not kept), the
+            others are the rows of `Trace.events`.
         frames: int32 `[T, FRAME_ROWS, K]`: cell, doing and area of each robot at the end of each step; later steps are
             not kept.
-        legs: int32 `[L, K]`, kept in row `step % L`: twice the area that each robot has as it enters its next cell, and
-            1 where it begins to cover or covers; NONE where it enters none, or has no area.
-        noted: whether legs are; None: a program without.
+        legs: int32 `[L, K]`, a ring by `step % L`: twice the area that each robot has as it enters its next cell, plus
+            1 if it covers the area; NONE where it enters no cell or has no area.
+        noted: whether legs are kept; None: no code for them.
     """
 
     events: NDArray[np.int32]
@@ -73,7 +68,14 @@ class Log(NamedTuple):
 
 
 def make_log(steps: int, events: int, robots: int, legs: bool = False) -> Log:
-    """Room for so many steps and events; none for no steps. `legs`: for these too."""
+    """An empty trace.
+
+    Args:
+        steps: T, 0 for none.
+        events: E.
+        robots: K.
+        legs: whether legs are kept.
+    """
     rows = events + 1 if steps else 0
     frames = np.zeros((steps, FRAME_ROWS, robots), dtype=np.int32)
     noted = np.full((steps if legs else 0, robots), NONE, dtype=np.int32)
@@ -82,7 +84,7 @@ def make_log(steps: int, events: int, robots: int, legs: bool = False) -> Log:
 
 @rare_kernel
 def note_leg(t, s, log, robot):
-    """Write down what the robot, which is about to enter its next cell, is about."""
+    """Record the area of the robot, which is about to enter its next cell, and whether it covers it."""
     me, step = s.robots[robot], s.marks.step
     if t.notes:
         t.notes.move(s, robot)
@@ -96,7 +98,7 @@ def note_leg(t, s, log, robot):
 
 @kernel
 def note(log, s, robot, kind, area, other):
-    """Write down that something happened."""
+    """Record an event."""
     if len(log.events) > 0:
         place = log.events[0, 0] + 1
         log.events[0, 0] = place
@@ -114,7 +116,7 @@ def has_area(robots, robot):
 
 @rare_kernel
 def write_frame(log, s, step):
-    """Write down where every robot is and what it does at the end of a step."""
+    """Record each robot's cell, activity and area at the end of a step."""
     for robot in range(len(s.robots)):
         log.frames[step, FRAME_CELL, robot] = s.robots[robot].cell
         log.frames[step, FRAME_DOING, robot] = s.robots[robot].doing
@@ -123,13 +125,13 @@ def write_frame(log, s, step):
 
 @kernel
 def room_of(s):
-    """Areas that there is room for; of robots that learn it is the number of what is in no area too."""
+    """Areas that there is room for; in online missions also the index that stands for "in no area"."""
     return len(s.areas) - (len(s.mind) > 0)
 
 
 @kernel
 def close(s, area):
-    """Take an area out of the pool."""
+    """Make an area not unassigned."""
     if holds(s.open, area):
         drop(s.open, area)
         drop(s.lowest, area)
@@ -139,19 +141,19 @@ def close(s, area):
 
 @kernel
 def unsettle(s):
-    """Every robot compares its area with others again: an area has come, or costs have changed."""
+    """Make every robot compare its area with others again: an area has come, or costs have changed."""
     s.marks.arrivals += 1
 
 
 @kernel
 def reopen(s, area):
-    """Put an area into the pool."""
+    """Make an area unassigned."""
     level = np.int64(s.areas[area].level)
     put(s.open, area)
     s.marks.open += 1
     s.marks.changes += 1
     unsettle(s)
-    # `lowest` is kept up to date only while that is cheap; else it is told anew when it is asked for.
+    # `lowest` is updated only where that is cheap; else it is rebuilt when it is needed.
     if level < s.marks.lowest:
         make_lowest(s)
     elif level == s.marks.lowest:
@@ -160,7 +162,7 @@ def reopen(s, area):
 
 @rare_kernel
 def make_lowest(s):
-    """Tell the unassigned areas of the lowest level apart."""
+    """Find the unassigned areas of the lowest level."""
     s.marks.lowest = FAR
     for word in range((s.marks.areas + WORD - 1) // WORD):
         s.lowest[word], bits = 0, s.open[word]
@@ -178,6 +180,7 @@ def make_lowest(s):
 
 @kernel
 def give(s, robot, area):
+    """Assign an area to a robot, which travels to it."""
     close(s, area)
     s.robots[robot].area = area
     if s.robots[robot].doing != STARTING:
@@ -186,7 +189,7 @@ def give(s, robot, area):
 
 @rare_kernel
 def find_affordable(t, s, w, robot):
-    """The same by `costs_from` the robot, of what one that comes home can afford, and by its own levels."""
+    """`find_next_area` with the robot's range or its type's own levels."""
     here = np.int64(s.robots[robot].cell)
     if not t.searches:
         row = own(t, robot, here)
@@ -197,13 +200,13 @@ def find_affordable(t, s, w, robot):
 
 @kernel
 def affordable(t, s, w, robot, costs, area_costs, area_entries):
-    """As `look_up_among`, of all unassigned areas."""
+    """`look_up_among` over all unassigned areas, with the robot's range and its type's own levels."""
     best, best_level, best_cost, best_cell = np.int64(NONE), FAR, FAR, np.int64(NONE)
     for area in range(s.marks.areas):
         if not holds(s.open, area):
             continue
         level, root = own_level(t, robot, s.areas[area].level), np.int64(s.areas[area].root)
-        if t.learns:  # areas gain cells: none is a part of one of t = 0
+        if t.learns:  # areas gain cells in map updates: the tables of the areas of t = 0 do not hold
             cell = cheapest_cell(costs, s, area)
             cost = np.int64(costs[cell]) if cell != NONE else np.int64(NONE)
         else:
@@ -214,6 +217,7 @@ def affordable(t, s, w, robot, costs, area_costs, area_entries):
             cell = cheapest_cell(costs, s, area)
             cost = np.int64(costs[cell])
         better = cost >= 0 and (level < best_level or cost < best_cost)
+        # The range is tested last: it follows the whole path.
         if better and (not t.returns or affords(t, s, w, robot, cell)):
             best, best_level, best_cost, best_cell = np.int64(area), level, cost, cell
     return best, best_cell
@@ -221,7 +225,7 @@ def affordable(t, s, w, robot, costs, area_costs, area_entries):
 
 @kernel
 def find_next_area(t, s, w, robot):
-    """(area, cell) of the next area by (level, cost, id), NONE if none is reachable."""
+    """(area, cell) of the next area by (level, cost, id), NONE if none is reachable (Algorithm 2)."""
     if not hears(t, s, robot):
         return np.int64(NONE), np.int64(NONE)
     if t.returns or t.mixed:
@@ -229,7 +233,7 @@ def find_next_area(t, s, w, robot):
     here = np.int64(s.robots[robot].cell)
     if not t.searches:
         return look_up_next_area(s, t.cost_to[here], t.area_cost[here], t.area_entry[here])
-    if t.learns:  # areas gain cells: none is a part of one of t = 0
+    if t.learns:  # areas gain cells in map updates: the tables of the areas of t = 0 do not hold
         return search_next_area(t, s, w, here)
     row = row_if_asked(t, s, w, here)
     if row != NONE:
@@ -239,9 +243,14 @@ def find_next_area(t, s, w, robot):
 
 @kernel
 def look_up_next_area(s, costs, area_costs, area_entries):
-    """The same from the costs to every cell, to every area of t = 0, and which cell of it that is.
+    """(area, cell) of the next area, from tables.
 
-    Of an area's parts the one that holds the cheapest cell costs as much as it did, the others no less.
+    An area's part that holds its cheapest cell costs what the area did, other parts no less: a lower bound.
+
+    Args:
+        costs: `[A]`, cost to every cell.
+        area_costs: `[M]`, cost to every area of t = 0.
+        area_entries: `[M]`, the cell of each with that cost.
     """
     area, cell = look_up_among(s, s.lowest, costs, area_costs, area_entries)
     return (area, cell) if area != NONE else look_up_further(s, costs, area_costs, area_entries)
@@ -249,20 +258,20 @@ def look_up_next_area(s, costs, area_costs, area_entries):
 
 @rare_kernel
 def look_up_further(s, costs, area_costs, area_entries):
-    """The same where no area of the lowest level is left, or none can be reached."""
+    """The same if no area of the lowest level is left, or none can be reached."""
     make_lowest(s)
     return look_up_among(s, s.open, costs, area_costs, area_entries)
 
 
 @kernel
 def look_up_among(s, areas, costs, area_costs, area_entries):
-    """The same of these areas."""
+    """The same among these areas."""
     return look_up(areas, np.int64(s.marks.areas), s.areas, s.home, s.order, costs, area_costs, area_entries)
 
 
 @search
 def look_up(members, count, areas, home, order, costs, area_costs, area_entries):
-    """`look_up_among`, of arrays: `members` are bits of `count` areas."""
+    """`look_up_among` of arrays; `members` are bits of `count` areas."""
     best, best_level, best_cost, best_cell = np.int64(NONE), np.int64(FAR), np.int64(FAR), np.int64(NONE)
     for word in range((count + WORD - 1) // WORD):
         bits = members[word]
@@ -274,7 +283,7 @@ def look_up(members, count, areas, home, order, costs, area_costs, area_entries)
             cost, cell = np.int64(area_costs[root]), np.int64(area_entries[root])
             if level > best_level or (level == best_level and cost > best_cost):
                 continue
-            # The nearest cell went to another part of the split area: look at this part's own cells.
+            # The nearest cell belongs to another part of the split area: search this part's cells.
             if cost >= 0 and np.int64(home[cell]) >> AREA_BITS != area:
                 cell = cheapest_of(costs, order, np.int64(areas[area].begin), np.int64(areas[area].end))
                 cost = np.int64(costs[cell])
@@ -285,7 +294,7 @@ def look_up(members, count, areas, home, order, costs, area_costs, area_entries)
 
 @rare_kernel
 def search_next_area(t, s, w, here):
-    """The same by a search for each level of the unassigned areas, until one finds."""
+    """(area, cell) of the next area by one search for each level of unassigned areas, in increasing order."""
     done = np.int64(NONE)
     while True:
         level = FAR
@@ -302,9 +311,18 @@ def search_next_area(t, s, w, here):
 
 @search
 def flood(near, home, stack, first, of, mark):
-    """Hand the component of the area's unvisited cells that holds `first` on to the area `mark`; returns its size."""
+    """Move the component of the area's unvisited cells that holds `first` to the area `mark`; returns its size.
+
+    Args:
+        near: `[A, 4]`, neighbours.
+        home: `[A + 1]`, areas and flags, changed in place.
+        stack: `[A]`, scratch.
+        first: a cell of the component.
+        of: the area.
+        mark: the new area.
+    """
     wanted, mark = np.int64(of) << AREA_BITS | TO_DO, np.int64(mark) << AREA_BITS
-    # Handed on when it is met, so a cell is put on the stack once.
+    # Moved when first met, so each cell is put on the stack once.
     home[first], stack[0] = mark, first
     top, size = 1, 1
     while top > 0:
@@ -322,13 +340,13 @@ def flood(near, home, stack, first, of, mark):
 
 @kernel
 def list_unvisited(s, w, area):
-    """The area's unvisited cells, rising, into `listed`; returns how many."""
+    """Write the area's unvisited cells, increasing, into `w.listed`; returns how many."""
     return list_of(s.home, s.order, np.int64(s.areas[area].begin), np.int64(s.areas[area].end), w.listed)
 
 
 @search
 def list_of(home, order, begin, end, listed):
-    """`list_unvisited`, of arrays."""
+    """`list_unvisited` of arrays."""
     count = 0
     for place in range(begin, end):
         cell = order[place]
@@ -340,9 +358,10 @@ def list_of(home, order, begin, end, listed):
 
 @kernel
 def in_layers(near, home, seen, stamps, stack, source, area, count):
-    """Breadth-first over the area's unvisited cells from `source`, `count` at least, into `stack`.
+    """Breadth-first search over the area's unvisited cells from `source`, at least `count` of them, into `stack`.
 
-    Returns where the last layer begins and ends; `seen` holds the new stamp where it came by.
+    Returns:
+        Begin and end of the last layer in `stack`. `seen` holds the new stamp of each cell met.
     """
     stamps[0] += 1
     stamp, wanted = stamps[0], np.int64(area) << AREA_BITS
@@ -364,13 +383,17 @@ def in_layers(near, home, seen, stamps, stack, source, area, count):
 
 @search
 def bisect(near, home, seen, stamps, stack, listed, area, count):
-    """Split the area, whose `count` cells are one component and `listed`, in two (SPEC section 5).
+    """Split an area in two connected halves by growing a wavefront (SPEC section 5).
 
     The half without the lowest cell becomes the area of the next id.
+
+    Args:
+        listed: the area's unvisited cells, one component, increasing.
+        count: how many.
     """
     lowest, goal = listed[0], (count + 1) // 2
     layer, tail = in_layers(near, home, seen, stamps, stack, lowest, area, count)
-    # Of the cells reached last the lowest index: the stack holds a layer in order of meeting, not of index.
+    # The lowest index of the last layer: the stack holds a layer in order of discovery.
     far_end = stack[layer]
     for place in range(layer, tail):
         far_end = min(far_end, stack[place])
@@ -380,7 +403,7 @@ def bisect(near, home, seen, stamps, stack, listed, area, count):
     for place in range(layer):
         seen[stack[place]] = grown
     left = goal - layer
-    for index in range(count):  # the last layer in index order, as far as it is needed
+    for index in range(count):  # the last layer in index order, as many cells as needed
         cell = listed[index]
         if seen[cell] == reached and left > 0:
             seen[cell] = grown
@@ -389,14 +412,14 @@ def bisect(near, home, seen, stamps, stack, listed, area, count):
     with_lowest = seen[lowest] == stays
     for index in range(count):
         cell = listed[index]
-        # Parts are in order of lowest cell, so the one that holds it keeps the first id.
+        # Parts are ordered by lowest cell: the part that holds it keeps the first id.
         if (seen[cell] == stays) != with_lowest:
             home[cell] = np.int64(area) + 1 << AREA_BITS
 
 
 @kernel
 def largest_rest(near, home, seen, stamps, stack, listed, area, count, grown):
-    """Stamp the components of what has not `grown`; the stamp of the largest, of equal ones the lowest."""
+    """Stamp the components of the cells that have not `grown`; the stamp of the largest, on a tie of the lowest."""
     stays, stays_size, wanted = NONE, 0, np.int64(area) << AREA_BITS
     for index in range(count):
         first = listed[index]
@@ -422,14 +445,21 @@ def largest_rest(near, home, seen, stamps, stack, listed, area, count, grown):
 
 @rare_kernel
 def replace(t, s, w, area, split):
-    """Complete an area; its unvisited cells become new areas. Returns (first new id, how many); NONE: no room."""
+    """Complete an area; its unvisited cells become new areas, one for each component.
+
+    Args:
+        split: whether a single component is bisected.
+
+    Returns:
+        (first new id, number of new areas); (NONE, 0) if the area registry is full.
+    """
     areas, marks = s.areas, s.marks
     first_new, parts, begin = marks.areas, 0, np.int64(areas[area].begin)
     count = list_unvisited(s, w, area)
     for index in range(count):
         cell = w.listed[index]
         if np.int64(s.home[cell]) >> AREA_BITS == area:
-            # Room for this part and for one more that a bisection may make.
+            # Room for this part and for the second half of a bisection.
             if first_new + parts + 2 > room_of(s):
                 return np.int64(NONE), 0
             areas[first_new + parts].left = flood(t.near, s.home, w.stack, cell, area, first_new + parts)
@@ -459,7 +489,7 @@ def replace(t, s, w, area, split):
         for index in range(count):
             cell = w.listed[index]
             new = np.int64(s.home[cell]) >> AREA_BITS
-            # `listed` rises, so each part's segment does: ties stay those of SPEC section 3.
+            # `listed` increases, so each part's segment does: ties stay as in SPEC section 3.
             s.order[areas[new].end] = cell
             areas[new].end += 1
     marks.areas += parts
@@ -475,14 +505,14 @@ def replace(t, s, w, area, split):
 
 @spliced
 def costs_from(t, s, w, robot):
-    """The cost from the robot's cell to every cell, NONE if unreachable; without tables a row for two robots' time."""
+    """Cost from the robot's cell to every cell, NONE if unreachable; without tables valid until the next but one."""
     here = np.int64(s.robots[robot].cell)
     return t.cost_to[own(t, robot, here)] if not t.searches else w.rows[row_from(t, s, w, here)]
 
 
 @kernel
 def is_within(t, s, w, helper, target, most):
-    """Whether `target` is at most `most` moves from the helper; without tables the last answer was `costs_from` it."""
+    """Whether `target` is at most `most` moves from the helper; without tables `costs_from` it must come before."""
     here = s.robots[helper].cell
     if t.searches:
         return walk_back(t, s, w, here, target, s.legs[helper]) <= most
@@ -495,6 +525,7 @@ def is_within(t, s, w, helper, target, most):
 
 @kernel
 def may_be_shared(t, s, owner, helper):
+    """Whether the helper may share the owner's area: it has two cells to do, and both robots are in radio range."""
     return (
         owner != helper and has_area(s.robots, owner) and s.areas[s.robots[owner].area].left >= 2 and hears(t, s, owner)
     )
@@ -502,7 +533,7 @@ def may_be_shared(t, s, owner, helper):
 
 @kernel
 def any_to_share(t, s, helper):
-    """Whether there is an area to share, however far away."""
+    """Whether there is an area to share, at any distance."""
     found = False
     for owner in range(len(s.robots)):
         found = found or may_be_shared(t, s, owner, helper)
@@ -511,7 +542,7 @@ def any_to_share(t, s, helper):
 
 @kernel
 def owner_to_share_with(t, s, w, helper, costs):
-    """The robot whose area is the best to share by (level, cost, id), NONE if there is none; `costs` of the helper."""
+    """The robot whose area is best to share by (level, cost, id), NONE if none; `costs` `[A]` of the helper."""
     best, best_level, best_cost, best_area = NONE, FAR, FAR, FAR
     for owner in range(len(s.robots)):
         if not may_be_shared(t, s, owner, helper):
@@ -525,7 +556,7 @@ def owner_to_share_with(t, s, w, helper, costs):
             continue
         cost, left = np.int64(costs[cell]), moves_until(t, helper, owner, np.int64(s.areas[area].left))
         better = (level, cost, area) < (best_level, best_cost, best_area)
-        # Steps are counted along the path only where the cost does not tell: a step costs 1 at least.
+        # Moves are counted along the path only if the cost does not decide.
         near = better and (cost <= left or is_within(t, s, w, helper, cell, left))  # a step costs 1 at least
         if near and (not t.returns or affords(t, s, w, helper, cell)):
             best, best_level, best_cost, best_area = owner, level, cost, area
@@ -534,8 +565,8 @@ def owner_to_share_with(t, s, w, helper, costs):
 
 @search
 def choose_parts(order, areas, owner_costs, helper_costs, first, parts):
-    """The owner's and the helper's part by least total cost; ties: the owner's lower part, then the helper's."""
-    # The helper takes the part nearest to it, or the second nearest where the owner takes that one.
+    """The owner's and the helper's part, by least total cost; ties: the owner's lower part, then the helper's."""
+    # The helper takes the part nearest to it, or the second nearest if the owner takes that one.
     nearest, second, nearest_cost, second_cost = np.int64(NONE), np.int64(NONE), np.int64(FAR), np.int64(FAR)
     for part in range(first, first + parts):
         cell = cheapest_of(helper_costs, order, np.int64(areas[part].begin), np.int64(areas[part].end))
@@ -555,10 +586,10 @@ def choose_parts(order, areas, owner_costs, helper_costs, first, parts):
 
 @rare_kernel
 def share(t, s, w, log, helper):
-    """`Find Area To Share`: 1 if the helper got a part, 0 if there is nothing to share, NONE if there is no room."""
+    """`Find Area To Share`: GAINS if the helper got a part, RESTS if there is nothing to share, NO_ROOM."""
     if not hears(t, s, helper) or (t.searches and not any_to_share(t, s, helper)):  # nothing to search for
         return 0
-    # Two rows at once: there is always room for two, and the last answer's is not thrown out (`rows.row_from`).
+    # Two rows at once: there is always room for two, and the row of the last answer is not replaced (`row_from`).
     helper_costs = costs_from(t, s, w, helper)
     owner = owner_to_share_with(t, s, w, helper, helper_costs)
     return 0 if owner == NONE else share_between(t, s, w, log, helper, owner, helper_costs)
@@ -566,7 +597,7 @@ def share(t, s, w, log, helper):
 
 @kernel
 def share_between(t, s, w, log, helper, owner, helper_costs):
-    """The owner's area is split between the two; `helper_costs`: `costs_from` the helper. 1; NONE: there is no room."""
+    """Split the owner's area between both; `helper_costs`: `costs_from` the helper. GAINS, or NO_ROOM."""
     owner_costs = costs_from(t, s, w, owner)
     area = np.int64(s.robots[owner].area)
     first, parts = replace(t, s, w, area, np.bool_(True))
@@ -585,17 +616,17 @@ def share_between(t, s, w, log, helper, owner, helper_costs):
 
 @kernel
 def waits(t, s, robot):
-    """The robot, which moved, has no area from here on."""
+    """Make a robot that moved wait for an area."""
     if holds(s.movers, robot):
         drop(s.movers, robot)
         put(s.waiting, robot)
-        # Moves that are left do not run out with the turns: a number of them, not the turn of the last one.
+        # A waiting robot uses no turns, so `until` becomes the number of moves left.
         s.robots[robot].until -= own_turn(t, robot, s.marks.step)
 
 
 @kernel
 def moves_on(t, s, robot):
-    """The robot, which waited, has an area and moves from the next step on."""
+    """Make a robot that waited move from the next step on: it has an area."""
     if holds(s.waiting, robot):
         drop(s.waiting, robot)
         put(s.movers, robot)

@@ -1,4 +1,4 @@
-"""Numbers that stand for outcomes, events, and what robots do; and for no id. Needs nothing but Python."""
+"""Codes of outcomes, events and activities, and the sentinel for "no id". Standard library only."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from enum import IntEnum
 from typing import Self
 
 NONE = -1
-"""None of whatever is meant; the kernels, where one number may be of several kinds, say only this."""
+"""Sentinel for "no id" (-1), of any kind; kernels use this name, since one number may be of several kinds."""
 NO_CELL = NO_AREA = NO_ROBOT = NO_STEP = NO_ROLLOUT = NONE
 ALWAYS, NEVER = 2**62, -(2**62)
-"""That a hazard is there, and that none is."""
+"""Log odds of a hazard that certainly exists, and of one that certainly does not."""
 BLOCKED = 0
 """Entry cost of a cell that cannot be entered."""
 
@@ -18,7 +18,7 @@ class Outcome(IntEnum):
     """How a rollout or a mission ended; the values are the positions in `Tally.outcomes`."""
 
     clause: str
-    """What users read beside the word, after "the mission"."""
+    """Text after "the mission" in messages."""
 
     def __new__(cls, code: int, clause: str = "") -> Self:
         """The member with this code."""
@@ -27,9 +27,9 @@ class Outcome(IntEnum):
         return member
 
     COMPLETE = 0, "visits every accessible cell"
-    """Also when the last robot is lost in that very step."""
+    """Also if the last robot is lost in that very step."""
     ALL_ROBOTS_LOST = 1, "loses all robots"
-    """With cells left."""
+    """With unvisited cells left."""
     NO_PROGRESS = 2, "ends because no robot can go on"
     """Closed loop: robots are alive, but none can move or get an area."""
     STEP_LIMIT = 3, "is cut off at the step limit"
@@ -37,30 +37,29 @@ class Outcome(IntEnum):
     END_OF_PATHS = 4, "ends with its paths"
     """Open loop: robots are alive at the end of their paths, with cells left."""
     NOT_WORTH_THE_RISK = 5, "ends because the rest is not worth the risk"
-    """Closed loop: none moves on, though a robot alive could reach an area that nobody has (`robot_value`)."""
+    """Closed loop: no robot goes on, though one could reach an unassigned area (`robot_value`)."""
     ENDED_BY_OPERATOR = 6, "is ended by its operator"
-    """A mission under way that a command ended."""
+    """A running mission that a command ended."""
     DEADLINE = 7, "is cut off at the deadline"
     """Closed loop: `t` is the deadline of the plan. No count holds it: see STEP_LIMIT."""
 
     @property
     def word(self) -> str:
-        """What files, JSON and pages call it."""
+        """Its name in files, JSON and pages."""
         return self.name.lower()
 
     def by_deadline(self, deadline: bool) -> Outcome:
-        """DEADLINE for a run that was cut off, if a `deadline` did it, not the step limit; others unchanged."""
+        """DEADLINE if the run was cut off by a deadline (`deadline`) instead of the step limit; others unchanged."""
         return Outcome.DEADLINE if deadline and self is Outcome.STEP_LIMIT else self
 
 
-# One closed-loop rollout in full: what every engine reports of a chosen rollout, equal event for event.
+# One closed-loop rollout in full: every engine reports a chosen rollout in these codes, event for event.
 #
-# Plain types, shared by the simulators and the JAX engine. Axis letters: `T` = time + 1 steps, `K` robots, `E` events,
-# `N = H * W` cells.
+# Plain types, shared by the simulator and the JAX engine.
 
 
 class Doing(IntEnum):
-    """What a robot is doing at the end of a step (paper, section 4.2)."""
+    """Activity of a robot at the end of a step (paper, section 4.2)."""
 
     IDLE = 0
     TRAVELING = 1
@@ -68,23 +67,23 @@ class Doing(IntEnum):
     DONE = 3
     DEAD = 4
     FOLLOWING = 5
-    """It follows the path that another planner gave it."""
+    """On the path of another planner."""
     RETURNING = 6
-    """It is on its way home."""
+    """On the way to base."""
     CHARGING = 7
-    """It stands at a base until it has its range again."""
+    """At a base until it is recharged."""
 
 
 class EventKind(IntEnum):
-    """What happened; the columns of `Trace.events` are (step, robot, kind, area, other)."""
+    """Kinds of events; the columns of `Trace.events` are (step, robot, kind, area, other)."""
 
     COMPLETED = 0
     """The robot entered the last unvisited cell of the area. other: that cell."""
     HIT = 1
-    """The robot was stopped. area: its own, or NO_AREA. other: the cell that it had entered."""
+    """The robot was lost. area: its own, or NO_AREA. other: the cell that it had entered."""
     REALLOCATED = 2
-    """The area of a robot stopped, or at the end of its range, had unvisited cells: they became new areas. other: how
-    many (the next ids).
+    """The area of a robot that was lost, or at the end of its range, had unvisited cells: they became new areas. other:
+    how many (the next ids).
     """
     ALLOCATED = 3
     """The robot got the area and travels to it. other: the cell that it travels to."""
@@ -94,20 +93,20 @@ class EventKind(IntEnum):
     Two ALLOCATED events follow: the owner's part, then the helper's.
     """
     LOOKED_AGAIN = 5
-    """The robot gave its area back before a danger on its way. other: that cell. What it got instead follows."""
+    """The robot re-evaluated before a danger and gave its area back. other: that cell. Its next area follows."""
     REFUSED = 6
-    """The robot is done: it is worth more than any area that it can reach. area: the first of them in the policy's
-    order; other: the cell that it would have gone to.
+    """The robot is done: no area that it can reach is worth the risk. area: the first of them in the policy's order;
+    other: the cell that it would have gone to.
     """
     RANGE_ENDED = 7
     """The robot has made its last move. area: its own. other: the cell where it stays."""
     SURPRISED = 8
-    """At the end of the step robots saw cells that are not as they believed (SPEC section 15): areas and ways are set
-    right. robot: NO_ROBOT. area: NO_AREA. other: how many cells.
+    """At the end of the step robots saw cells that differ from their map (SPEC section 15): areas and paths are
+    updated. robot: NO_ROBOT. area: NO_AREA. other: how many cells.
     """
     TURNED_HOME = 9
-    """The robot turns for home (SPEC section 19). area: its own, or NO_AREA. other: the base that it heads for."""
+    """The robot starts its return to base (SPEC section 19). area: its own, or NO_AREA. other: the base."""
     HOME = 10
-    """The robot has come home. other: the base."""
+    """The robot is at base. other: the base."""
     CHARGED = 11
-    """The robot has its range again. other: the cell where it is."""
+    """The robot is recharged. other: its cell."""

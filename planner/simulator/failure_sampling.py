@@ -1,6 +1,6 @@
-"""Who is hit: one word of Threefry for each rollout of a set, and the set parted; by tolerance and by step.
+"""Failure sampling: a Threefry word for each rollout of a group decides whether a robot is lost, and splits the group.
 
-Part of `planner.simulator.rollouts`, which see; the open loop draws with the same `threefry`.
+The open loop draws with the same `threefry`.
 """
 
 from __future__ import annotations
@@ -18,14 +18,11 @@ from .jit import UNCOUNTED, kernel, program, rare_kernel
 from .state import highest_bit
 from .thresholds import LOGARITHMS, MOST, log_units, threefry2x32, unworn
 
-# Several rollouts at a time drawn for and parted, in vector registers.
-#
-# Part of `planner.simulator.failure_sampling`, whose `threefry` LLVM makes vectors of by itself; but then each rollout
-# is put in its
-# place alone, and both together take twice as long.
+# Several rollouts at a time are drawn for and sorted, in vector registers. LLVM vectorises a plain `threefry`, but then
+# each rollout is stored separately, and both together take twice as long.
 
 GROUP = 8
-"""Lanes that are put in their places at once."""
+"""Lanes that are stored at once."""
 ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
 PARITY = np.uint32(0x1BD11BDA)
 BYTE, WORD, PLACE = ir.IntType(8), ir.IntType(32), ir.IntType(64)
@@ -33,18 +30,26 @@ WORDS = ir.VectorType(WORD, GROUP)
 
 
 def part_lanes(ids, words, at, gone, keys, counter, limit, lanes):
-    """Draw for the `ids` uint32 `[B]` from `at` on, as many as the tuple `lanes` is long, a multiple of GROUP.
+    """Draw for `len(lanes)` rollouts and sort them: those in which the robot survives, and those in which it is lost.
 
-    Of the first `at`, `gone` were hit and are in `words` `[B]`. Who is not hit goes behind the others, to
-    `ids[at - gone:]`, who is to `words[gone:]`, both in their order; returns how many were hit. What is behind those
-    put there, up to `at + len(lanes)`, is scratch. `keys`, `counter`: of Threefry; `limit`: the word from which on the
-    robot is lost.
+    Args:
+        ids: uint32 `[B]`. Survivors are appended at `ids[at - gone:]`, in order.
+        words: uint32 `[B]`. The other rollouts are appended at `words[gone:]`, in order.
+        at: position of the first rollout to draw for.
+        gone: rollouts before it in which the robot is lost.
+        keys: two uint32 halves of the Threefry key.
+        counter: second word of its counter.
+        limit: smallest word for which the robot is lost.
+        lanes: a tuple as long as the number of rollouts, a multiple of GROUP.
+
+    Returns:
+        How many are lost. Elements up to `at + len(lanes)` after those written are scratch.
     """
     mine = ids[at : at + len(lanes)].copy()
-    hit = threefry2x32(keys, mine, counter)[0] >= limit
-    count = np.count_nonzero(hit)
-    ids[at - gone : at - gone + len(mine) - count] = mine[~hit]
-    words[gone : gone + count] = mine[hit]
+    lost = threefry2x32(keys, mine, counter)[0] >= limit
+    count = np.count_nonzero(lost)
+    ids[at - gone : at - gone + len(mine) - count] = mine[~lost]
+    words[gone : gone + count] = mine[lost]
     return count
 
 
@@ -68,12 +73,12 @@ def _part_lanes(
         permutes = "+avx2" in context.codegen().magic_tuple()[2].split(",")
         put = _put_permuted if permutes else _put_each
         mine = builder.load(_vector_at(builder, ids, at, ir.VectorType(WORD, len(lanes))), align=4)
-        hit = _draw(builder, mine, cgutils.unpack_tuple(builder, keys, 2), counter, limit)
+        lost = _draw(builder, mine, cgutils.unpack_tuple(builder, keys, 2), counter, limit)
         for first in range(0, len(lanes), GROUP):
             group = ir.Constant(WORDS, list(range(first, first + GROUP)))
-            some, hit_some = (builder.shuffle_vector(vector, vector, group) for vector in (mine, hit))
-            # Eight answers are one byte: the number of a row in the table of orders.
-            members = builder.zext(builder.bitcast(hit_some, BYTE), PLACE)
+            some, lost_some = (builder.shuffle_vector(vector, vector, group) for vector in (mine, lost))
+            # The eight results form one byte: the row number in the table of permutations.
+            members = builder.zext(builder.bitcast(lost_some, BYTE), PLACE)
             put(builder, some, members, ids, kept, words, gone)
             count = builder.ctpop(members)
             kept, gone = builder.add(kept, builder.sub(PLACE(GROUP), count)), builder.add(gone, count)
@@ -88,7 +93,7 @@ def _vector_at(builder: Any, data: Any, place: Any, kind: Any) -> Any:
 
 
 def _draw(builder: Any, ids: Any, keys: Any, counter: Any, limit: Any) -> Any:
-    """Who is hit, a bit a lane, by the first of Threefry's words."""
+    """Bit of each lane: whether the first Threefry word reaches the limit."""
     kind, (key0, key1) = ids.type, keys
 
     def constant(value: int) -> Any:
@@ -111,8 +116,8 @@ def _draw(builder: Any, ids: Any, keys: Any, counter: Any, limit: Any) -> Any:
     return builder.icmp_unsigned(">=", x0, in_all(limit))
 
 
-def _put_permuted(builder: Any, some: Any, hit: Any, ids: Any, kept: Any, words: Any, gone: Any) -> None:
-    """By an instruction of AVX2, in an order that is read from a table for every set of lanes: its members first."""
+def _put_permuted(builder: Any, some: Any, lost: Any, ids: Any, kept: Any, words: Any, gone: Any) -> None:
+    """Store with an AVX2 permutation, read from a table for every set of lanes: the lanes of the set come first."""
     orders = [lane for members in range(256) for lane in sorted(range(GROUP), key=lambda one: ~members >> one & 1)]
     kind = ir.ArrayType(BYTE, len(orders))
     table = builder.module.globals.get("orders_of_lanes")
@@ -120,40 +125,50 @@ def _put_permuted(builder: Any, some: Any, hit: Any, ids: Any, kept: Any, words:
         table = cgutils.global_constant(builder, "orders_of_lanes", ir.Constant(kind, bytearray(orders)))
     permuted = ir.FunctionType(WORDS, [WORDS, WORDS])
     permute = cgutils.get_or_insert_function(builder.module, permuted, "llvm.x86.avx2.permd")
-    for data, place, members in ((ids, kept, builder.xor(hit, PLACE(255))), (words, gone, hit)):
+    for data, place, members in ((ids, kept, builder.xor(lost, PLACE(255))), (words, gone, lost)):
         row = builder.gep(table, [PLACE(0), builder.mul(members, PLACE(GROUP))])
-        # All eight lanes are written, members first; what is behind them is overwritten by the next.
+        # All eight lanes are stored; those after the set's lanes are overwritten by the next store.
         order = builder.load(builder.bitcast(row, ir.VectorType(BYTE, GROUP).as_pointer()), align=1)
         first = builder.call(permute, [some, builder.zext(order, WORDS)])
         builder.store(first, _vector_at(builder, data, place, WORDS), align=4)
 
 
-def _put_each(builder: Any, some: Any, hit: Any, ids: Any, kept: Any, words: Any, gone: Any) -> None:
-    """Lane after lane, without a jump: to both places, of which one moves on."""
+def _put_each(builder: Any, some: Any, lost: Any, ids: Any, kept: Any, words: Any, gone: Any) -> None:
+    """Store lane after lane without a branch: to both places, of which one advances."""
     for lane in range(GROUP):
         one = builder.extract_element(some, WORD(lane))
         builder.store(one, builder.gep(ids, [kept]))
         builder.store(one, builder.gep(words, [gone]))
-        is_hit = builder.and_(builder.lshr(hit, PLACE(lane)), PLACE(1))
-        kept, gone = builder.add(kept, builder.xor(is_hit, PLACE(1))), builder.add(gone, is_hit)
+        is_lost = builder.and_(builder.lshr(lost, PLACE(lane)), PLACE(1))
+        kept, gone = builder.add(kept, builder.xor(is_lost, PLACE(1))), builder.add(gone, is_lost)
 
 
-# Numba's integer rules turn uint32 sums into uint64: every step is cast back, and LLVM then drops the casts.
+# Numba's integer rules turn uint32 sums into uint64: every step is cast back, and LLVM drops the casts.
 
 
 register_jitable(**UNCOUNTED)(log_units)
 register_jitable(**UNCOUNTED)(unworn)
 
 MANY, SOME = (0,) * (4 * GROUP), (0,) * GROUP
-"""As many lanes as keep a core busy, and as few as are worth it."""
+"""Lanes that keep a core busy, and the fewest that are worth a vector."""
 
 
 @program
 def threefry(key0, key1, counter0, counter1):
-    """Words (x0, x1) of Threefry-2x32-20; every argument and both words uint32. Equal to `planner.failure_model`."""
+    """Words (x0, x1) of Threefry-2x32 with 20 rounds; equal to `planner.simulator.thresholds.threefry2x32`.
+
+    Args:
+        key0, key1: uint32 halves of the key.
+        counter0, counter1: uint32 words of the counter: rollout and purpose.
+
+    Returns:
+        Two uint32 words.
+
+    Source: Salmon et al. (2011); SPEC section 6.
+    """
     schedule = key0, key1, np.uint32(np.uint32(key0 ^ key1) ^ PARITY)
     x0, x1 = np.uint32(counter0 + key0), np.uint32(counter1 + key1)
-    # Loops of known lengths: LLVM unrolls them, and knows every index.
+    # Loops of constant length: LLVM unrolls them and knows every index.
     for part in range(5):
         for rotation in ROTATIONS[part % 2]:
             x0 = np.uint32(x0 + x1)
@@ -166,28 +181,28 @@ def threefry(key0, key1, counter0, counter1):
 
 @kernel
 def tolerance(word):
-    """`planner.simulator.thresholds.tolerance_of` one word."""
+    """The failure threshold of one random word (`planner.simulator.thresholds.tolerance_of`)."""
     odd = (np.int64(word) << 1) + 1
     return log_units(odd, highest_bit(np.uint64(odd)), LOGARITHMS)
 
 
 @kernel
-def bearing(how, rollout, robot, exposure):
-    """A robot's tolerance in a rollout if the exposure reaches it; else so much, beyond the exposure, that it has."""
+def threshold_or_bound(how, rollout, robot, exposure):
+    """The failure threshold in a rollout if the hazard `exposure` reaches it; else a lower bound above the hazard."""
     word = threefry(how.key0, how.key1, rollout, np.uint32(robot))[0]
-    # A bound without a logarithm, which nearly always settles it.
+    # A lower bound without a logarithm, which nearly always suffices.
     surely = 2**32 - 1 - np.int64(word)  # 1 - x <= -ln x
     return tolerance(word) if surely <= exposure else surely
 
 
 @kernel
 def least_word(exposure):
-    """`planner.failure_model.least_word` of an exposure of 1 or more.
+    """The smallest word whose threshold `exposure`, 1 or more, reaches (`planner.failure_model.least_word`).
 
-    A tolerance is within .52 units of the exact one, which falls by 2**32 / x from word to word: so it is the first
-    one from the exact place less as much that integers confirm.
+    A threshold is within 0.52 units of the exact one, which falls by 2**32 / x from word to word. So the search starts
+    that far below the exact position and steps up to the first word that integers confirm.
     """
-    # Floats only guess where to begin, integers decide: the same word on every platform.
+    # Floats only choose the start, integers decide: the same word on every platform.
     place = math.exp(-exposure * 2.0**-32)
     word = max(np.int64(math.ceil(place * (2.0**32 - 0.53) - 0.50001)), 0)
     while tolerance(word) > exposure:
@@ -197,7 +212,7 @@ def least_word(exposure):
 
 @kernel
 def fresh(t, robot, exposure):
-    """What the robot's exposure is to one that neither wears nor is susceptible: see `planner.failure_model`."""
+    """The Exp(1) hazard that equals a robot's cumulative hazard under its Weibull shape and multiplier."""
     return exposure if not t.wears else _fresh(t, robot, exposure)
 
 
@@ -208,7 +223,7 @@ def _fresh(t, robot, exposure):
 
 @rare_kernel
 def mass_stopped(t, s, robot, place, mass):
-    """Of a tree's branch of this mass, as much as a visit stops, which adds to what the robot has borne; rounded."""
+    """Mass of a tree's branch that a visit destroys, rounded; adds the visit to the robot's cumulative hazard."""
     if not t.wears:
         return np.int64(t.chance[place] * mass + 0.5)
     before = fresh(t, robot, s.robots[robot].borne)
@@ -219,11 +234,16 @@ def mass_stopped(t, s, robot, place, mass):
 
 @kernel
 def stopped_from(t, s, c, w, how, ids, robot, cell, place):
-    """Sort the ids of the group at a visit: rollouts in which the robot survives first, both parts in their order.
+    """Sort the ids of the group at a visit: rollouts in which the robot survives come first, both parts in order.
 
-    Returns where the rollouts that lose the robot begin. Its random word in a rollout decides, by a limit for the whole
-    group; no word is drawn while the hazard is below the lowest threshold that is known. A tree has no ids: of its mass
-    as much is lost as the chance says. `place`: of the visit (`visit_of`).
+    The robot's random word in a rollout decides, against one limit for the whole group. No word is drawn while the
+    cumulative hazard is below the lower bound on the thresholds. A tree has no ids: its mass splits by the probability.
+
+    Args:
+        place: index of the visit in the tables (`visit_of`).
+
+    Returns:
+        Position of the first rollout that loses the robot.
     """
     first, last = s.marks.first, s.marks.last
     if t.loses:
@@ -231,12 +251,12 @@ def stopped_from(t, s, c, w, how, ids, robot, cell, place):
     if how.cut > 0:
         c.histories[2] += 1
         return last - mass_stopped(t, s, robot, place, last - first)
-    # What is true of the cell differs from rollout to rollout, so no limit serves the whole set.
+    # The state of an uncertain cell differs from rollout to rollout: no limit serves the whole group.
     if t.doubtful:
         return part_in_doubt(t, ids, w, how, first, last, robot, cell)
     s.robots[robot].borne += t.exposure[place]
     borne = fresh(t, robot, s.robots[robot].borne)
-    # Most visits end here, whatever the size of the set.
+    # Most visits end here, whatever the size of the group.
     if borne < s.robots[robot].bears:
         return last
     return draw_group(s, w, how, ids, robot, borne)
@@ -244,23 +264,23 @@ def stopped_from(t, s, c, w, how, ids, robot, cell, place):
 
 @rare_kernel
 def draw_group(s, w, how, ids, robot, borne):
-    """`stopped_from` by the tolerances of the set."""
+    """`stopped_from` by the failure thresholds of the group."""
     first, last = s.marks.first, s.marks.last
     if last - first == 1:
-        # Of a single rollout the tolerance is known for good: its words are drawn once a robot.
+        # A single rollout has one threshold, so its word is drawn once for each robot.
         s.robots[robot].bears = tolerance(threefry(how.key0, how.key1, ids[first], np.uint32(robot))[0])
         return first if borne >= s.robots[robot].bears else last
     if last - first < GROUP:
-        hit_from, s.robots[robot].bears = part_few(ids, w.words, how, first, last, robot, borne)
-        return hit_from
-    # Who goes on bears more than this; how much more is not worth finding out for many.
+        lost_from, s.robots[robot].bears = part_few(ids, w.words, how, first, last, robot, borne)
+        return lost_from
+    # Survivors have a threshold above the hazard; their exact minimum is not worth computing for a large group.
     s.robots[robot].bears = borne + 1
     return part(ids, w.words, how, first, last, np.uint32(robot), np.uint32(least_word(borne)))
 
 
 @kernel
 def part(ids, words, how, first, last, counter, limit):
-    """Sort `ids[first:last]` in place by their words."""
+    """Sort `ids[first:last]` in place by whether their word reaches the limit; the position of the first that does."""
     if last - first == 1:
         return first if threefry(how.key0, how.key1, ids[first], counter)[0] >= limit else last
     return first + part_many(ids[first:last], words[: last - first], how.key0, how.key1, counter, limit)
@@ -268,12 +288,12 @@ def part(ids, words, how, first, last, counter, limit):
 
 @rare_kernel
 def part_few(ids, words, how, first, last, robot, borne):
-    """The same by the robot's tolerances, and what all have who are not hit."""
+    """The same by the robot's thresholds; and the lowest threshold of the rollouts in which it survives."""
     gone, least = 0, np.int64(MOST)
     for place in range(first, last):
         one = ids[place]
-        mine = bearing(how, one, robot, borne)
-        # To both places without a jump: who is hit is not predictable, and only one of the two moves on.
+        mine = threshold_or_bound(how, one, robot, borne)
+        # Stored to both places without a branch: losses cannot be predicted, and only one of the two advances.
         ids[place - gone], words[gone] = one, one
         gone += np.int64(mine <= borne)
         least = min(least, mine if mine > borne else np.int64(MOST))
@@ -282,8 +302,8 @@ def part_few(ids, words, how, first, last, robot, borne):
 
 @rare_kernel
 def part_many(ids, words, key0, key1, counter, limit):
-    """The same for all of `ids` `[B]`, with scratch like it."""
-    # Four vectors at a time hide the latency of Threefry's chain; one at a time takes most of the rest.
+    """The same for all of `ids` `[B]`; `words` `[B]` is scratch. Returns how many survive."""
+    # Four vectors at a time hide the latency of Threefry's chain; one at a time handles most of the rest.
     at, gone = _part_by(ids, words, 0, 0, (key0, key1), counter, limit, MANY)
     at, gone = _part_by(ids, words, at, gone, (key0, key1), counter, limit, SOME)
     for index in range(at, len(ids)):
@@ -295,7 +315,7 @@ def part_many(ids, words, key0, key1, counter, limit):
 
 @kernel
 def _part_by(ids, words, at, gone, keys, counter, limit, lanes):
-    """`part_lanes` from `at` on for as long as there are so many; where it ends, and how many are hit by then."""
+    """`part_lanes` while enough rollouts are left; returns where it ends, and how many are lost by then."""
     while at + len(lanes) <= len(ids):
         gone += part_lanes(ids, words, at, gone, keys, counter, limit, lanes)
         at += len(lanes)
@@ -311,20 +331,32 @@ def part_in_doubt(t, ids, w, how, first, last, robot, cell):
     mine, room = ids[first:last], w.words[: last - first]
     for index in range(len(mine)):
         left = w.left[mine[index] - w.begin[0]]
-        left[robot] -= as_it_is(t.exposure, t.doses, t.there, t.column, cell, own_word(t, how, mine[index], cell))
+        word = own_word(t, how, mine[index], cell)
+        left[robot] -= hazard_in_state(t.exposure, t.doses, t.there, t.column, cell, word)
         room[index] = left[robot] > 0
     return first + split_ids(mine, room, 1)
 
 
 @kernel
 def own_word(t, how, rollout, cell):
-    """The 24 bits that say what is true of the cell in this rollout."""
+    """The 24 random bits that determine the state of the cell in this rollout."""
     return np.int64(threefry(how.own0, how.own1, rollout, t.own_counter[cell])[0] >> np.uint32(8))
 
 
 @kernel
-def as_it_is(of, table, there, columns, place, word):
-    """What a visit adds, or its bound, as the word says that the cell is: see `planner.world.uncertain_maps.Draws`."""
+def hazard_in_state(of, table, there, columns, place, word):
+    """Hazard of a visit, or its bound, for the state of the cell that the word determines.
+
+    Args:
+        of: int64 `[A]`, hazards; used where `table` is empty.
+        table: int64 `[M, C]`, hazards by quantile of the word, or empty.
+        there: int64 `[A]`, of 2**24 words, those for which the hazard exists.
+        columns: `[A]`, column of each cell in `table`.
+        place: the cell.
+        word: 24 bits.
+
+    Source: `planner.world.uncertain_maps.Draws`.
+    """
     if len(table) > 0:
         return np.int64(table[word * len(table) >> 24, columns[place]])
     return np.int64(of[place]) if word < there[place] else np.int64(0)
@@ -332,19 +364,19 @@ def as_it_is(of, table, there, columns, place, word):
 
 @kernel
 def split_ids(ids, words, bound):
-    """Part `ids` by which of `words`, which become scratch, are below the bound; returns how many are not."""
+    """Sort `ids` by whether their word is at least the bound; returns how many are. `words` becomes scratch."""
     gone = 0
     for index in range(len(ids)):
-        one, hit = ids[index], np.int64(words[index] < bound)
+        one, lost = ids[index], np.int64(words[index] < bound)
         ids[index - gone] = one
         words[gone] = one
-        gone += hit
+        gone += lost
     return _join(ids, words, gone)
 
 
 @kernel
 def _join(ids, words, gone):
-    """Put those who are hit, the first `gone` of `words`, behind the others; returns how many the others are."""
+    """Append the `gone` first elements of `words` after the survivors in `ids`; returns the number of survivors."""
     kept = len(ids) - gone
     for index in range(gone):
         ids[kept + index] = words[index]

@@ -1,6 +1,7 @@
-"""A robot of the paper's rule: it computes a path when it gets an area, and follows it to the end (Algorithms 2 and 3).
+"""The turn of a robot under the paper's rule: one path per area, followed to its end (Algorithms 2 and 3).
 
-It heads for the cheapest cell of its area, visited or not, and covers the cells that were unvisited when it began to.
+A robot travels to the cheapest cell of its area, visited or not. It then covers the cells that were unvisited when it
+arrived.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from .state import (
 
 @kernel
 def take_next_area(t, s, w, log, robot):
-    """`Allocate Next Area`: whether the robot got one."""
+    """`Allocate Next Area` (Algorithm 2); returns whether the robot got one."""
     if s.marks.open == 0:
         return False
     area, cell = t.asks.area(t, s, w, robot)[:2] if t.asks else find_next_area(t, s, w, robot)
@@ -50,9 +51,10 @@ def take_next_area(t, s, w, log, robot):
 
 @rare_kernel
 def would_be_charged(t, s, w, robot):
-    """Whether there is an area for the robot, if it is charged."""
+    """Whether the robot should recharge: it may, and an area is open to it if its range is ignored."""
     if not may_be_charged(t, s, robot):
         return False
+    # The search runs without the range limit; the flag is reset at once.
     s.marks.unlimited = 1
     area, _ = find_next_area(t, s, w, robot)
     s.marks.unlimited = 0
@@ -61,9 +63,10 @@ def would_be_charged(t, s, w, robot):
 
 @rare_kernel
 def settle(t, s, w, log, how, robot):
-    """What a robot does at the end of its path or leg, or while it waits, all of it in the same step.
+    """Decide at the end of a path or leg, or while waiting; all decisions fall in the same step.
 
-    Returns GAINS if it got an area, RESTS if not, NO_ROOM if there is no room for more areas.
+    Returns:
+        GAINS if the robot got an area, RESTS if not, NO_ROOM if the area registry is full.
     """
     robots = s.robots
     got = 0
@@ -81,7 +84,7 @@ def settle(t, s, w, log, how, robot):
             if robots[robot].cell != robots[robot].target:
                 return got
             robots[robot].doing = COVERING
-            # Before cells are marked as to do: of a remembered path the last one alone is.
+            # Before the cells are marked: of a cached path only the last cell is marked as to do.
             if can_be_remembered(s, w, robot) and remember(t, s, w, robot):
                 return got
             list_to_do(s, robot)
@@ -112,7 +115,7 @@ def settle(t, s, w, log, how, robot):
 
 @rare_kernel
 def set_right(t, s, w, log, how, robot):
-    """After a map update a robot with nothing left to do decides, one whose path changed sets out anew; as `settle`."""
+    """After a map update: a robot with no cells left decides, one with a changed path replans. Returns as `settle`."""
     me = s.robots[robot]
     area = np.int64(me.area)
     if s.areas[area].left == 0:
@@ -122,6 +125,7 @@ def set_right(t, s, w, log, how, robot):
     elif me.doing == TRAVELING:
         set_out(t, s, w, robot, entry_of(t, s, w, robot, area), True)
     else:
+        # Cells may have left the area: all marks are cleared, and set again.
         for place in range(s.areas[area].begin, s.areas[area].end):
             s.home[s.order[place]] &= VISITED | SURVIVED | np.int64(-1) << AREA_BITS
         list_to_do(s, robot)
@@ -132,19 +136,19 @@ def set_right(t, s, w, log, how, robot):
 
 @kernel
 def act(t, s, w, log, how, robot):
-    """The robot's turn up to its move: MOVES, or RESTS, GAINS an area while it rests, NO_ROOM."""
+    """The robot's turn up to its move: MOVES, RESTS, GAINS (an area, no move), or NO_ROOM."""
     me = s.robots[robot]
     if t.returns:
         if me.doing == CHARGING:
             s.marks.progress = 1
             if not charge(t, s, log, robot, s.marks.step):
                 return RESTS
-            me.doing, me.left = COVERING, 0  # as one that has covered its area
+            me.doing, me.left = COVERING, 0  # decides like a robot that has covered its area
             return settle(t, s, w, log, how, robot)
         if s.marks.step > 0 and has_area(s.robots, robot):
-            how_turns = turns(t, s, robot, s.marks.step)
-            if how_turns > 0:
-                if not turn_home(t, s, w, log, robot, how_turns > 1):
+            turn_kind = turns(t, s, robot, s.marks.step)
+            if turn_kind > 0:
+                if not turn_home(t, s, w, log, robot, turn_kind > 1):
                     return NO_ROOM
                 if me.doing != RETURNING:
                     return RESTS
@@ -155,7 +159,7 @@ def act(t, s, w, log, how, robot):
 
 @kernel
 def arrive(t, s, w, log, how, robot, cell):
-    """After the robot has entered the cell: it MOVES on along its path, or decides; answers as `settle`."""
+    """Continue after the robot entered the cell: it MOVES on along its path, or decides as `settle` does."""
     me = s.robots[robot]
     if t.follows and me.doing == FOLLOWING:
         if s.marks.step < t.length[robot]:
@@ -163,7 +167,8 @@ def arrive(t, s, w, log, how, robot, cell):
             return MOVES
     elif cell != me.target:
         go_on(t, s, w, robot)
-        if how.in_area and np.int64(s.home[cell]) >> 2 == to_do_in(me.area):  # by any other order no leg crosses one
+        # Under a user's order a leg may cross other cells to do; under the paper's it never does.
+        if how.in_area and np.int64(s.home[cell]) >> 2 == to_do_in(me.area):
             s.home[cell] ^= TO_DO
             me.left -= 1
         return MOVES

@@ -1,9 +1,9 @@
 """Numba's compiler with a cache on disk, and the simulator as plain Python (`interpreted`).
 
-`compiled`, `threaded` and `program` mark functions that Python calls.
+`compiled`, `threaded` and `program` decorate functions that Python calls.
 
 The cache folder is `$NUMBA_CACHE_DIR/mrac-jax` if set, else `$XDG_CACHE_HOME/mrac-jax/compiled`, else
-`~/.cache/mrac-jax/compiled`. Numba's code has a folder in it, named by the hash of the sources and the versions.
+`~/.cache/mrac-jax/compiled`. Compiled code is in a folder there, named by the hash of the sources and the versions.
 `MRAC_JAX_NO_CACHE=1` in the environment (the command line's `--no-cache`) turns the cache off.
 """
 
@@ -38,19 +38,18 @@ LOG = logging.getLogger("mrac_jax")
 NO_CACHE = "MRAC_JAX_NO_CACHE"
 """Environment variable that turns the cache off."""
 COMPILES_JAX = "jax:compile"
-"""Event of Numba's (`numba.core.event`) that begins and ends when JAX compiles."""
+"""Event (`numba.core.event`) that begins and ends when JAX compiles."""
 SUFFIX = ".sealed"
 KEPT_SECONDS = 30 * 86400.0
 
 
 class CacheFolder:
-    """Files of compiled code in one folder, which is made when it is first needed.
+    """Files of compiled code in one folder, created when first needed.
 
-    `read` returns what `write` was given under that name, or None: a file begins with the hash of its name and content,
-    since damaged code ends the process. Folder and files are used only if they belong to this user (or to root) and
-    nobody else may write to them, since whoever writes code can run it. A file is written beside its place and then
-    moved there: a concurrent reader finds all of it, or what was there before. No failure of the file system is an
-    error: it costs a compilation, and one line in the log of the process.
+    A file begins with the hash of its name and content, since damaged code would end the process. Folder and files are
+    used only if they belong to this user or root and no other user may write to them, since write access would allow
+    to run code. A file is written under a temporary name and then moved: a concurrent reader finds the old or the new
+    file, complete. An error of the file system costs a compilation and one log line of the process; it is never raised.
 
     Attributes:
         path: the folder, in the folder of all compiled code.
@@ -61,7 +60,7 @@ class CacheFolder:
         self._reported = self._pruned = False
 
     def read(self, name: str) -> bytes | None:
-        """What was written under the name; None if there is nothing, or nothing that can be trusted."""
+        """The content written under the name; None if there is none that can be trusted."""
         path = self.path / (name + SUFFIX)
         try:
             if not path.is_file() or not self._is_private(self.path, path):
@@ -79,7 +78,7 @@ class CacheFolder:
         return content
 
     def write(self, name: str, content: bytes) -> None:
-        """Keep the content under the name, if that is possible."""
+        """Store the content under the name, if possible."""
         try:
             self._prune()
             self.path.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -96,7 +95,7 @@ class CacheFolder:
             self.report(f"is not kept ({error.strerror}): expected a folder to write to, or XDG_CACHE_HOME set to one")
 
     def report(self, what: str) -> None:
-        """The one line of a process on this folder; a worker leaves it to the process that started it."""
+        """Log the process's one line on this folder; a worker leaves it to its parent process."""
         if not self._reported and multiprocessing.parent_process() is None:
             LOG.warning("note: compiled code in %s %s", self.path, what)
         self._reported = True
@@ -105,14 +104,14 @@ class CacheFolder:
         """Whether only this user and root can write to them (where files have owners)."""
         for facts in map(os.stat, paths):
             if os.name == "posix" and (facts.st_uid not in (0, os.geteuid()) or facts.st_mode & 0o022):
-                self.report("is not used: expected files of yours that nobody else can write to (chown, chmod go-w)")
+                self.report("is not used: expected files that only you can write to (chown, chmod go-w)")
                 return False
         return True
 
     def _prune(self) -> None:
-        """Once a process, in the folders of other sources too: remove what was not used for a month.
+        """Remove files not used for a month, also those of other sources; once per process.
 
-        Another process may be using a file: it has read it whole, or compiles again.
+        Another process may be using a file: it has read it completely, or compiles again.
         """
         if not self._pruned:
             self._pruned = True
@@ -125,12 +124,12 @@ class CacheFolder:
 
 
 def _hash(*contents: bytes) -> bytes:
-    """SHA-256 of the contents and where they end."""
+    """SHA-256 of the contents and their lengths."""
     return hashlib.sha256(repr([*map(len, contents)]).encode() + b"".join(contents)).digest()
 
 
 def cache_folder() -> Path | None:
-    """The folder of all compiled code; None when nothing is to be kept."""
+    """The folder of all compiled code; None if the cache is off."""
     if os.environ.get(NO_CACHE, "") not in ("", "0"):
         return None
     if numba.config.CACHE_DIR:
@@ -144,20 +143,20 @@ def cache_folder() -> Path | None:
 
 @cache
 def open_folder(path: Path) -> CacheFolder:
-    """The folder's one object in this process: it reports once what is wrong there."""
+    """The folder's object, one per process, so that each problem is logged once."""
     return CacheFolder(path)
 
 
 @cache
 def sources_hash(folder: Path = Path(__file__).parent) -> str:
-    """Hash of this package and of the versions that compiled code depends on, as they are when first asked for."""
+    """Hash of this package's sources and of the versions that compiled code depends on, as first read."""
     versions = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag)
     return _hash(repr(versions).encode(), _sources(folder)).hex()[:16]
 
 
 @cache
 def _sources(folder: Path) -> bytes:
-    """Names and contents of the Python files in a folder."""
+    """Hash of names and contents of the Python files in a folder."""
     files = sorted(folder.glob("*.py"))
     return _hash(repr([path.name for path in files]).encode(), *(path.read_bytes() for path in files))
 
@@ -165,27 +164,30 @@ def _sources(folder: Path) -> bytes:
 class FunctionCache(NullCache):
     """Numba's cache of one function, as its dispatcher calls it: a file for each signature and machine.
 
-    Numba's own keeps an index of them. Two processes that compile at once can leave an index that leads to the other's
-    code, and it loads damaged files unchecked: of 200 files with one bit flipped, 28 killed the process and 41 raised.
+    Numba's own cache keeps an index. Two processes that compile at once can leave an index that points to the other's
+    code, and damaged files are loaded unchecked: of 200 files with one bit flipped, 28 killed the process and 41
+    raised.
     """
 
     def __init__(self, function: Callable[..., Any], folder: CacheFolder) -> None:
         code = function.__code__
         self.folder = folder
         self.name = f"{function.__module__}.{function.__qualname__}"
-        # A function of another package depends on the files beside its own.
+        # A function of another package depends on the files in its own folder.
         self._key = (_sources(Path(code.co_filename).parent), code.co_firstlineno, code.co_code)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The compiled code of the signature from the cache; None if there is none."""
         try:
             target_context.refresh()
             content = self.folder.read(self._file(sig, target_context.codegen()))
             return None if content is None else CompileResult._rebuild(target_context, *pickle.loads(content))
-        except Exception:  # whole, of this user, and yet of no use to this Numba
+        except Exception:  # complete and this user's, but not usable by this Numba
             self.folder.report("is compiled again: it was damaged")
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
+        """Store the compiled code of the signature."""
         try:
             if not data.library.has_dynamic_globals and not data.lifted:
                 self.folder.write(self._file(sig, data.codegen), dumps(data._reduce()))
@@ -193,7 +195,7 @@ class FunctionCache(NullCache):
             self.folder.report(f"is not kept ({error})")
 
     def has(self, sig: Any, target_context: Any) -> bool:
-        """Whether there is a file for the signature."""
+        """Whether the cache has a file for the signature."""
         return (self.folder.path / (self._file(sig, target_context.codegen()) + SUFFIX)).exists()
 
     def _file(self, sig: Any, codegen: Any) -> str:
@@ -202,7 +204,7 @@ class FunctionCache(NullCache):
 
 
 KNOWN = "0.68."
-"""Releases of Numba whose internals `jit_parts` works with; others compile everything in their own way."""
+"""Releases of Numba whose internals `jit_parts` supports; with others each function is compiled by Numba's default."""
 UNCOUNTED: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
 PART = PROGRAM = FeatureCompiler
 if numba.__version__.startswith(KNOWN):
@@ -213,31 +215,31 @@ WITHIN: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, 
 LARGE = 2**12
 """Cells of a map from which on its searches are compiled at once."""
 MOST_CELLS = 2**17
-"""Cells, summed over its calls, after which a search is compiled: as Python it has then taken about as long."""
+"""Cells, summed over its calls, after which a search is compiled: as Python they have taken about as long."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 INTERPRETED = bool(numba.config.DISABLE_JIT)
-"""Whether this package runs as Python: Numba's switch, or its second load (`interpreted`)."""
+"""Whether this package runs as Python: by Numba's switch, or as its second load (`interpreted`)."""
 
 
 def compiled(function: Function) -> Function:
-    """`numba.njit` of a serial function, cached on disk unless that is turned off."""
+    """Decorator: `numba.njit` of a serial function, cached on disk unless the cache is off."""
     return _cached(function)
 
 
 def threaded(function: Function) -> Function:
-    """The same for a function that several threads may run at once: it lets go of the interpreter.
+    """Decorator like `compiled`, for a function that several threads may run at once: it releases the GIL.
 
-    Threads of our own, never `parallel=True`: it would need a cache that knows the threading layer.
+    The threads are the caller's, never `parallel=True`, whose cache would have to know the threading layer.
     """
     return _cached(function, nogil=True)
 
 
 def host_search(function: Function) -> Function:
-    """The same for a loop over arrays that the planner calls: as Python while there is little to do.
+    """Decorator like `threaded`, for a loop over arrays that the planner calls: it runs as Python for small inputs.
 
-    Code that is in the cache is taken at once.
+    Code in the cache is used at once.
     """
     if INTERPRETED:
         return function
@@ -253,7 +255,10 @@ def host_search(function: Function) -> Function:
 
 
 def as_work_grows(as_python: Callable[..., Any], compiled: Callable[..., Any]) -> Any:
-    """Calls the first function, and the second once there is much to do: `LARGE`, `MOST_CELLS`."""
+    """A function that calls `as_python` while its inputs are small, and `compiled` from then on.
+
+    The limits are `LARGE` and `MOST_CELLS`.
+    """
     done = 0
 
     def call(*given: Any) -> Any:
@@ -267,42 +272,42 @@ def as_work_grows(as_python: Callable[..., Any], compiled: Callable[..., Any]) -
 
 
 def program(function: Function) -> Function:
-    """The same for a function that allocates nothing: no array that it is handed has its references counted.
+    """Decorator like `threaded`, for a function that allocates nothing: references of its arrays are not counted.
 
-    `_nrt=False` is an option that Numba keeps to itself, and worth twice the speed of the closed loop. A function that
-    makes an array, a list or a string does not compile so: it is handed its scratch instead. No index in it, or in a
-    part of it, may be negative: Numba asks at every access whether one is, and here it does not.
+    `_nrt=False` is an undocumented option of Numba and doubles the speed of the closed loop. A function that makes an
+    array, a list or a string does not compile with it: its caller passes scratch arrays. No index in a program or its
+    parts may be negative: Numba's test for that is left out.
     """
     return _cached(function, nogil=True, **UNCOUNTED, pipeline_class=PROGRAM)
 
 
 def kernel(function: Function) -> Function:
-    """A part of a program, which Python does not call: inlined where it is called, since it is handed many arrays."""
+    """Decorator: a part of a program, which Python does not call; inlined, since it takes many arrays."""
     return numba.njit(**UNCOUNTED, **WITHIN, forceinline=True)(function)
 
 
 def search(function: Function) -> Function:
-    """A loop over the arrays that it is called with, no tuples of them: a `kernel`.
+    """Decorator: a `kernel` that is a loop over array arguments, with no tuples of them.
 
-    Where the simulator runs as Python (`interpreted`) it is compiled for itself once it has much to do.
+    Where the simulator runs as Python (`interpreted`) it is compiled separately once its inputs are large.
     """
     return kernel(function)
 
 
 def spliced(function: Function) -> Function:
-    """The same for a part that is called in one place, or returns an array: it is its caller's before types are."""
+    """Decorator: a kernel called in one place, or returning an array; spliced into its caller before typing."""
     return numba.njit(**UNCOUNTED, **WITHIN, inline="always")(function)
 
 
 def rare_kernel(function: Function) -> Function:
-    """The same for a large part that is called now and then: not inlined, so that it is compiled once."""
+    """Decorator: a large kernel called rarely; not inlined, so that it is compiled once."""
     return numba.njit(**UNCOUNTED, **WITHIN)(function)
 
 
 def _cached(function: Function, **options: Any) -> Function:
     dispatcher, base = numba.njit(**options)(function), cache_folder()
     if base is not None and not numba.config.DISABLE_JIT:
-        with suppress(OSError):  # a function without a file
+        with suppress(OSError):  # a function without a source file
             dispatcher._cache = FunctionCache(function, open_folder(base / sources_hash()))
     return dispatcher
 
@@ -314,7 +319,13 @@ def is_cached(function: Callable[..., Any]) -> bool:
 
 
 def has_program(function: Any, given: tuple[Any, ...], cached: bool) -> bool:
-    """Whether a call with these arguments runs code of this process, or, if `cached` is asked, code in the cache."""
+    """Whether compiled code exists for a call with these arguments.
+
+    Args:
+        function: a `program`.
+        given: its arguments.
+        cached: whether code in the cache counts too, not only that of this process.
+    """
     kinds, cache = tuple(map(numba.typeof, given)), getattr(function, "_cache", None)
     if kinds in getattr(function, "overloads", ()):  # Numba may be switched off
         return True
@@ -323,30 +334,33 @@ def has_program(function: Any, given: tuple[Any, ...], cached: bool) -> bool:
 
 @threaded
 def put_first(values, into):  # type: ignore[no-untyped-def]
-    """`into[: len(values)] = values` without Numba's message about other lengths, which takes 3 s to compile."""
+    """`into[: len(values)] = values`; Numba's check of lengths, with its message, would take 3 s to compile."""
     for place in range(len(values)):
         into[place] = values[place]
 
 
 # The simulator as plain Python: a second load of its modules, in which nothing is compiled.
 #
-# One source serves both. Nominal runs, missions, environments and a user's own functions run a rollout or a step at a
-# time, and do not wait for a compilation.
+# The same source serves both. Nominal runs, missions, environments and users' functions run one rollout or one step at
+# a time, and should not wait for a compilation.
 
 FIRST = sys.modules[__package__]
-"""The package as it was loaded first, which is compiled."""
+"""The package's first load, which is compiled."""
 NAME = f"{__package__}_as_python"
 """The name of the second load, in `sys.modules`."""
 SAME = "kernel", "rare_kernel", "spliced", "program"
-"""Decorators in whose place stands the identity."""
+"""Decorators that the second load replaces by the identity."""
 
 
 @cache
 def interpreted(module: str) -> Any:
-    """A module of the simulator, as Python.
+    """A module of the simulator as plain Python.
 
-    Its own imports are relative, so they find the modules of the same load. In the place of the decorators of this
-    module stands the identity.
+    Its imports are relative, so they find modules of the same load. The decorators of this module are replaced by the
+    identity.
+
+    Args:
+        module: name within the package, for example `"step"`.
     """
     if NAME not in sys.modules:
         spec = spec_from_file_location(NAME, FIRST.__file__, submodule_search_locations=list(FIRST.__path__))
@@ -371,7 +385,7 @@ def _compiled(function: Any) -> Any:
 
 
 def _host_search(function: Any) -> Any:
-    """The function of the first load, which calls `py_func` while there is little to do."""
+    """The function of the first load, which runs `py_func` while its inputs are small."""
 
     def call(*given: Any) -> Any:
         return _compiled(function)(*given)
@@ -381,7 +395,7 @@ def _host_search(function: Any) -> Any:
 
 
 def _search(function: Any) -> Any:
-    """A loop over arrays: as Python while there is little to do, then compiled."""
+    """A loop over arrays: as Python while its inputs are small, then compiled."""
     alone = cache(lambda: program(_compiled(function).py_func))
 
     def compiled(*given: Any) -> Any:

@@ -1,9 +1,8 @@
-"""Numba's compiler for programs of many parts: each part is lowered once, and optimised where it ends up.
+"""Numba's compiler for programs of many parts: each part is lowered once, and optimised only within its program.
 
-Numba optimises every function and makes machine code of it, then does it again, and again, where the function has been
-linked into its callers. Parts, which Python does not call, are only cleaned of what lowering leaves behind. In programs
-and parts no index is negative. Numba's internals, which are used for it, are those of the releases that `jit.KNOWN`
-names; with others this is not imported.
+By default Numba optimises each function and generates machine code for it, and does so again wherever the function is
+linked into a caller. Parts, which Python does not call, are only cleaned up after lowering. In programs and parts no
+index is negative. This module uses internals of the Numba releases in `jit.KNOWN`; with others it is not imported.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from .jit_features import FeatureCompiler
 
 
 class QuickFlags(Flags):
-    """Options of a compilation, by which Numba looks up all that is called: its own take a fifth of the time."""
+    """Compilation options with a fast hash: Numba's own hash takes a fifth of the compile time."""
 
     __slots__ = ()
 
@@ -34,9 +33,10 @@ class QuickFlags(Flags):
 
 
 class ForwardContext(CPUContext):
-    """A target on which no index is negative. Numba asks whether one is at every access, unless it is unsigned."""
+    """A target on which no index is negative: Numba tests each index for that unless its type is unsigned."""
 
     def get_function(self, fn: Any, sig: Any, _firstcall: bool = True) -> Any:
+        """Numba's implementation of a call; item access gets unsigned index types."""
         if getattr(fn, "typing_key", None) in (operator.getitem, operator.setitem):
             of, index, *value = sig.args
             if isinstance(of, Buffer):
@@ -45,7 +45,7 @@ class ForwardContext(CPUContext):
 
 
 def _unsigned(index: Any) -> Any:
-    """What an index that is not negative, or a tuple of them, may be taken for."""
+    """The unsigned type of an index type, or of a tuple of them."""
     if isinstance(index, BaseTuple):
         return BaseTuple.from_types([_unsigned(part) for part in index.types])
     if not isinstance(index, Integer) or isinstance(index, Literal):
@@ -55,7 +55,7 @@ def _unsigned(index: Any) -> Any:
 
 
 class PartLibrary(JITCodeLibrary):
-    """A part's code, for linking alone: no machine code is made of it."""
+    """Code of a part for linking only: no machine code is generated."""
 
     def _optimize_final_module(self) -> None:
         pass
@@ -66,11 +66,11 @@ class PartLibrary(JITCodeLibrary):
 
     @property
     def codegen(self) -> PartLibrary:
-        """Where its environment would be put, were it ever called."""
+        """The object that would hold the part's environment if Python called it."""
         return self
 
     def set_env(self, _name: str, _environment: Any) -> None:
-        """There is no machine code that could need one."""
+        """Does nothing: there is no machine code that needs an environment."""
 
 
 class ProgramCompiler(FeatureCompiler):
@@ -78,8 +78,9 @@ class ProgramCompiler(FeatureCompiler):
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
+        # Flags and target are replaced per compilation, so other users of Numba in this process keep theirs.
         self.state.flags = QuickFlags(self.state.flags)
-        self.state.targetctx.__class__ = ForwardContext  # this compilation's own
+        self.state.targetctx.__class__ = ForwardContext  # only for this compilation
 
 
 class PartCompiler(ProgramCompiler):

@@ -1,9 +1,8 @@
-"""Robots that learn the map, compiled: what they see, what of it surprises, and what becomes of the areas.
+"""Online missions: sensor range, map updates, and the repair of areas after them; also phases, and hazard estimates.
 
-Part of `planner.simulator.rollouts`, which see. What is believed is
-part of a
-set's state, since it follows from the set's history: its rollouts share it until they part. A cell that is in no area
-(an obstacle, out of reach, or left over) has the area NOWHERE, and looks visited, so that nobody heads for it.
+The team's map is part of a group's state, since it follows from the group's history: its rollouts share it until they
+split. A cell in no area (an obstacle, out of reach, or left over) has the area NOWHERE. It looks visited, so that no
+robot heads for it.
 """
 
 from __future__ import annotations
@@ -42,17 +41,20 @@ from .state import (
 )
 
 GONE, WHOLE, BROKEN, TOUCHED, OWNED = range(5)
-"""`State.fate` of an area: completed, of nobody, to fall apart, to be joined; OWNED + robot: that robot's."""
+"""`State.fate` of an area: completed; unassigned; to be split; to be joined; OWNED + robot: that robot's."""
 
 
 @rare_kernel
 def look_about(t, s, w):
-    """Believe what live robots see from where nobody has looked yet; how many cells surprise, which `w.news` lists,
-    and whether any was seen for the first time.
+    """Update the map with the sensor range of live robots, from cells not looked from before.
+
+    Returns:
+        (number of changed cells, which `w.news` lists; whether a cell was seen for the first time).
     """
     truth, count, fresh = t.truths[s.mind[TRUTH]], 0, False
     for robot in range(len(s.robots)):
         here = s.robots[robot].cell
+        # The true map does not change, so a second look from a cell shows nothing new.
         if s.robots[robot].doing == DEAD or s.known[here] & LOOKED:
             continue
         s.known[here] |= LOOKED
@@ -67,7 +69,7 @@ def look_about(t, s, w):
 
 @kernel
 def believe(t, s, w, cell, level, count):
-    """Believe a cell to be of a level; how many cells surprise by now, which `w.news` lists."""
+    """Set a cell's level on the team's map; the number of changed cells by now, which `w.news` lists."""
     if s.level[cell] == level:
         return count
     change_level(t, s, cell, level)
@@ -77,19 +79,20 @@ def believe(t, s, w, cell, level, count):
 
 @kernel
 def change_level(t, s, cell, level):
-    """From now on the cell is believed to be of this level, NONE: an obstacle."""
+    """Change a cell's level on the team's map; NONE: an obstacle."""
     blocked = level < 0
     s.level[cell], s.entry[cell] = level, 0 if blocked else t.price[level]
     for side in range(4):
         other = t.near[cell, side]
         if other < len(t.near):
-            # Sides are N, W, E, S: the cell lies on the opposite one of its neighbour.
+            # Sides are N, W, E, S: the cell is on the opposite side of its neighbour.
             s.near[other, 3 - side] = len(t.near) if blocked else cell
 
 
 @rare_kernel
 def revise(t, s, w, log, count):
-    """Areas as they are after so many surprises, which `w.gone` then tells apart; False: no room for areas."""
+    """Repair the areas after `count` changed cells, marked in `w.gone`; False: the area registry is full."""
+    # Order: paths to base and connected parts first, since both decide which cells stay in areas.
     note(log, s, NONE, SURPRISED_EVENT, NONE, count)
     for place in range(count):
         w.gone[w.news[place]] = 1
@@ -111,14 +114,14 @@ def revise(t, s, w, log, count):
 
 @kernel
 def forget_news(w, count):
-    """Once all is set right."""
+    """Clear the marks of changed cells after the repair."""
     for place in range(count):
         w.gone[w.news[place]] = 0
 
 
 @kernel
 def head_home(t, s, robot):
-    """On its way home the robot goes on as it leads now; who is cut off stays."""
+    """Update the next cell of a returning robot; a robot cut off from all bases stays."""
     here = np.int64(s.robots[robot].cell)
     if moves_home(t, robot, here) > 0:
         s.robots[robot].next = t.onward[t.home_of[robot], here]
@@ -129,7 +132,8 @@ def head_home(t, s, robot):
 
 @rare_kernel
 def recall(t, s, w):
-    """Rows of costs, and ways home, are those of what this set believes, or there are none."""
+    """Drop cached costs, and recompute ways to base, if the thread's are of another map."""
+    # A thread runs several groups in turn; rows of costs are valid for one map only.
     if w.minds[1] != s.mind[BELIEF]:
         w.minds[1] = s.mind[BELIEF]
         for row in range(len(w.source_of)):
@@ -142,7 +146,8 @@ def recall(t, s, w):
 
 @rare_kernel
 def take_over(t, s, w):
-    """A thread begins with a set whose belief another one may have numbered; 0: the first one, which all have."""
+    """Give the map of a group from another thread a new index; 0 is the prior map, which all threads share."""
+    # Indices of maps are counted per thread, so another thread's index may be in use here for another map.
     if s.mind[BELIEF] > 0:
         w.minds[0] += 1
         s.mind[BELIEF] = w.minds[0]
@@ -151,11 +156,11 @@ def take_over(t, s, w):
 
 @kernel
 def label_parts(t, s, w):
-    """`w.part`: the connected part of the map, from 1, of each cell that a live robot can reach, else 0."""
+    """`w.part`: index, from 1, of the connected part of the map of each cell that a live robot can reach, else 0."""
     part, stack, parts = w.part, w.stack, 0
     for cell in range(len(part)):
         part[cell] = 0
-    part[len(t.near)] = NONE  # what is blocked is no cell to go on from
+    part[len(t.near)] = NONE  # blocked neighbours end the search
     for robot in range(len(s.robots)):
         first = s.robots[robot].cell
         if s.robots[robot].doing == DEAD or part[first] > 0:
@@ -174,7 +179,7 @@ def label_parts(t, s, w):
 
 @kernel
 def tell_fates(s):
-    """`State.fate` of every area; ROOT of those of nobody: no part of the map yet."""
+    """Set `State.fate` of every area; `root` of unassigned areas: no part of the map yet."""
     for area in range(s.marks.areas):
         s.fate[area], s.areas[area].root = WHOLE if holds(s.open, area) else GONE, 0
     s.fate[room_of(s)] = GONE
@@ -186,8 +191,9 @@ def tell_fates(s):
 
 @kernel
 def let_go(s, cell):
-    """The cell is in no area from here on."""
+    """Remove the cell from its area."""
     home, flags = s.home[cell], VISITED | SURVIVED
+    # A visited cell keeps its flags, so that it still counts; an unvisited one may join an area later (OUT).
     if home & VISITED:
         flags &= home
     else:
@@ -198,13 +204,14 @@ def let_go(s, cell):
 
 @kernel
 def take_out(t, s, w):
-    """What surprises, or is out of reach, leaves its area; False: no room for areas."""
+    """Remove changed and unreachable cells from their areas; False: the area registry is full."""
     for cell in range(len(t.near)):
         fate = s.fate[s.home[cell] >> AREA_BITS]
         if fate == GONE:
             continue
         if fate >= OWNED:
             robot = fate - OWNED
+            # An owned area stays one area, even if disconnected: only cells out of the robot's reach leave it.
             if w.gone[cell] or w.part[cell] != w.part[s.robots[robot].cell]:
                 if s.home[cell] & TO_DO and s.robots[robot].doing == COVERING:
                     s.robots[robot].left -= 1
@@ -224,18 +231,19 @@ def take_out(t, s, w):
 
 @kernel
 def fall_apart(t, s, w, area):
-    """An area of nobody becomes the components of its unvisited cells that stay; the first goes on as the area."""
+    """Split an unassigned area into the components of its remaining cells; the first keeps the id. False: full."""
     begin, end = s.areas[area].begin, s.areas[area].end
     for place in range(begin, end):
         cell = s.order[place]
         if s.home[cell] & VISITED or w.gone[cell] or w.part[cell] == 0:
             let_go(s, cell)
         else:
-            s.home[cell] = area << AREA_BITS  # not TO_DO any more, of who broke off
+            s.home[cell] = area << AREA_BITS  # clears TO_DO of a robot that gave the area back
     w.stamp[0] += 1
     stamp, wanted, number = w.stamp[0], area << AREA_BITS, area
     for place in range(begin, end):
         first = s.order[place]
+        # The component of the lowest cell is met first and keeps the area's id.
         if s.home[first] != wanted or w.seen[first] == stamp:
             continue
         w.seen[first], w.stack[0], head, tail = stamp, first, 0, 1
@@ -265,8 +273,9 @@ def fall_apart(t, s, w, area):
 
 @kernel
 def append(s, level):
-    """A new area of nobody, without cells yet; NONE: no room."""
+    """A new unassigned area, without cells yet; NONE: the area registry is full."""
     new = s.marks.areas
+    # The index `room_of` stands for "in no area".
     if new + 1 >= room_of(s):
         return NONE
     s.areas[new].begin = s.areas[new].end = s.areas[new].left = s.areas[new].root = 0
@@ -280,7 +289,7 @@ def append(s, level):
 
 @kernel
 def hold(s, w, area, count):
-    """The area has the first `count` cells of the stack, too."""
+    """Add the first `count` cells of the stack to the area."""
     for place in range(count):
         cell = w.stack[place]
         s.home[cell] = area << AREA_BITS
@@ -290,10 +299,11 @@ def hold(s, w, area, count):
 
 @kernel
 def take_in(t, s, w):
-    """Unvisited cells in reach that no area holds join those of nobody, or are new ones; False: no room for areas."""
+    """Add reachable unvisited cells in no area to adjacent unassigned areas, or to new ones; False: registry full."""
     w.stamp[0] += 1
     stamp = w.stamp[0]
     for first in range(len(t.near)):
+        # In increasing order of cells, so new ids do not depend on which robot saw a cell.
         if s.known[first] & OUT == 0 or w.part[first] == 0 or w.seen[first] == stamp:
             continue
         level = s.level[first]
@@ -324,7 +334,8 @@ def take_in(t, s, w):
 
 @kernel
 def join(s, w, count):
-    """The areas that are `listed` become the one of the lowest id."""
+    """Join the listed areas to the one of lowest id."""
+    # The oldest id is kept: ties by id stay as they were.
     lowest = np.int64(w.listed[0])
     for place in range(1, count):
         lowest = min(lowest, np.int64(w.listed[place]))
@@ -338,7 +349,7 @@ def join(s, w, count):
 
 @kernel
 def merge(s, area, into):
-    """All cells of an area of nobody go to another one."""
+    """Move all cells of an unassigned area to another one."""
     for cell in range(len(s.level)):
         if s.home[cell] >> AREA_BITS == area:
             s.home[cell] = into << AREA_BITS | s.home[cell] & (VISITED | SURVIVED)
@@ -349,7 +360,7 @@ def merge(s, area, into):
 
 @kernel
 def lay_out(s):
-    """`order` anew, the cells of every area rising."""
+    """Rebuild `order`, the cells of every area increasing."""
     for area in range(s.marks.areas):
         s.areas[area].end = 0
     out = room_of(s)
@@ -371,7 +382,7 @@ def lay_out(s):
 
 @kernel
 def is_lost(s, w, robot):
-    """Whether a cell of the leg that the robot is on surprises, or cannot be reached any more."""
+    """Whether a cell of the robot's leg has changed, or cannot be reached any more."""
     me, mine = s.robots[robot], w.part[s.robots[robot].cell]
     lost = w.gone[me.next] != 0 or w.part[me.next] != mine
     for place in range(me.ahead):
@@ -380,15 +391,12 @@ def is_lost(s, w, robot):
     return lost
 
 
-# Threats that change with time.
-#
-# Time is a function of the step, so a set's rollouts have it in common. Part of `planner.simulator.rollouts`, which
-# see.
+# Threats that change by phases: a function of the step, so all rollouts of a group have the same phase.
 
 
 @rare_kernel
 def phase_at(t, step):
-    """The phase that the step is in."""
+    """The phase of the step."""
     phase = len(t.phases) - 1
     while t.phases[phase] > step:
         phase -= 1
@@ -397,13 +405,13 @@ def phase_at(t, step):
 
 @kernel
 def visit_of(t, s, robot, cell):
-    """Where `Tables.bound`, `exposure` and `chance` have a visit of the cell by the robot in this step."""
+    """Index of the robot's visit to the cell in this step, in `Tables.bound`, `exposure` and `chance`."""
     return own(t, robot, cell) if not t.phased else cell + len(t.near) * phase_at(t, s.marks.step)
 
 
 @rare_kernel
 def foresee(t, s, w):
-    """At the end of a step: how many cells surprise, which `w.news` lists, of the phase that the next one begins."""
+    """Update the map at the last step before a phase; the number of changed cells, which `w.news` lists."""
     next_step, count = s.marks.step + 1, 0
     phase = phase_at(t, next_step)
     if s.marks.alive > 0 and t.phases[phase] == next_step:
@@ -412,16 +420,15 @@ def foresee(t, s, w):
     return count
 
 
-# Robots that learn about hazards.
+# Estimates of latent hazards.
 #
-# Part of `planner.simulator.rollouts`, which see. What a set's rollouts have in common is what happened to its robots,
-# so
-# they share log odds until they part; readings of detectors differ, and then each rollout is a set by itself.
+# Rollouts of a group have the same losses and survived visits, so they share log odds until they split. Detector
+# readings differ between rollouts: then each rollout is a group.
 
 
 @kernel
 def learns_of(t, s, w, how, ids):
-    """`look_about`, or the same of the evidence or of phases, by which nothing is ever seen."""
+    """Update the map by phases, sensor range or estimates: (changed cells, whether a cell was seen first)."""
     if t.phased:
         return foresee(t, s, w), False
     return look_about(t, s, w) if not t.estimates else (reckon(t, s, w, how, ids), False)
@@ -429,7 +436,8 @@ def learns_of(t, s, w, how, ids):
 
 @kernel
 def add(s, cell, said):
-    """Something speaks for a hazard in the cell; what is certain stays so."""
+    """Add evidence to the log odds of a hazard in the cell; certain states stay."""
+    # Certain evidence would overflow the sums, and nothing outweighs it.
     if s.odds[cell] != ALWAYS and s.odds[cell] != NEVER:
         sure = abs(said) == ALWAYS
         s.odds[cell] = said if sure else s.odds[cell] + said
@@ -437,13 +445,13 @@ def add(s, cell, said):
 
 @rare_kernel
 def take_note(t, s, cell):
-    """A robot has survived a visit of the cell."""
+    """Update the estimate after a robot survived a visit of the cell."""
     add(s, cell, -t.survival[cell])
 
 
 @rare_kernel
 def reckon(t, s, w, how, ids):
-    """How many cells surprise, which `w.news` lists: of robots' own, and of those in range of their detectors."""
+    """Update the map by the estimates at robots and in detector range; the number of changed cells, in `w.news`."""
     if s.marks.alive == 0:
         return 0
     reads, count = t.lessons[DETECTS] > 0, 0
@@ -461,7 +469,8 @@ def reckon(t, s, w, how, ids):
 
 @kernel
 def read(t, s, how, rollout, robot):
-    """A robot's readings of a step."""
+    """Draw the detector readings of a robot in this step, and add them to the estimates."""
+    # Addressed by (rollout, step, robot, cell): a reading does not depend on which other readings were drawn.
     key0, key1 = threefry(how.read0, how.read1, rollout, np.uint32(s.marks.step))
     here = s.robots[robot].cell
     for place in range(t.view_begin[here], t.view_begin[here + 1]):
@@ -474,18 +483,19 @@ def read(t, s, how, rollout, robot):
 
 @kernel
 def heed(t, s, w, cell, count):
-    """Believe what the evidence says of a cell; how many surprise by now."""
+    """Set the level of a cell by its estimate; the number of changed cells by now."""
     return believe(t, s, w, cell, t.truths[class_of(t, s, cell), cell], count)
 
 
 @kernel
 def class_of(t, s, cell):
-    """`planner.world.map_knowledge.Evidence.class_of` one cell."""
+    """The class of a cell's estimate (`planner.world.map_knowledge.Evidence.class_of`)."""
     odds = s.odds[cell]
     if odds == NEVER:
         return np.int64(0)
     if odds == ALWAYS:
         return np.int64(1)
     lost = t.odds[cell] - odds
+    # There are finitely many classes; beyond the last one estimates saturate.
     steps = min(lost // t.step[cell], t.lessons[LESS]) if lost >= 0 else -min(-lost // t.step[cell], t.lessons[MORE])
     return 2 + t.lessons[MORE] + steps

@@ -1,7 +1,7 @@
-"""Threats that move, for the compiled simulator: after the robots' turns movers move, and sets part where some are met.
+"""Moving threats (SPEC section 16): they move after the robots' turns, and a group splits where a robot is lost.
 
-Where movers are differs from rollout to rollout and does not depend on robots, so it is kept for each rollout, at the
-step of the set that it is in. Part of `planner.simulator.rollouts`, which see; SPEC section 16 says the rules.
+Positions of threats differ from rollout to rollout and do not depend on the robots. So they are kept for each rollout,
+at the step of its group.
 """
 
 from __future__ import annotations
@@ -25,37 +25,39 @@ from .state import (
 
 @kernel
 def is_meeting(s):
-    """Whether movers have moved in this step: robots have had their turns."""
+    """Whether threats have moved in this step: the robots have had their turns."""
     return s.marks.roamed > s.marks.step
 
 
 @kernel
 def moved(t, cell, number):
-    """Where a walker goes: the free neighbour that 24 bits mean, of N, W, E, S; nowhere if it has none."""
+    """The free neighbour, of N, W, E, S, that a 24-bit random number selects; the cell itself if none is free."""
     blocked, ways = len(t.near), np.int64(0)
     if cell == blocked:
         return cell
     for side in range(4):
         ways += np.int64(t.near[cell, side]) != blocked
+    # 24 random bits scaled by a multiplication: no division, and the same in every engine.
     way = number * ways >> 24
     for side in range(4):
-        beside = np.int64(t.near[cell, side])
-        if beside != blocked:
+        neighbour = np.int64(t.near[cell, side])
+        if neighbour != blocked:
             if way == 0:
-                return beside
+                return neighbour
             way -= 1
     return cell
 
 
 @kernel
 def roam(t, s, w, how, ids, step):
-    """The movers of the set's rollouts move."""
+    """Move the threats in all rollouts of the group."""
     movers = len(t.movers)
     stays, where = w.moves[0], w.moves[1]
     for place in range(s.marks.first, s.marks.last):
         at = w.at[ids[place] - w.begin[0]]
-        # By itself, so that several are drawn at a time.
+        # A separate loop over the draws, so that LLVM vectorises it.
         for number in range(movers):
+            # Addressed by (rollout, step, threat): positions do not depend on how the group has split.
             counter = np.uint32((step + 1) * movers + number)
             stays[number], where[number] = threefry(how.move0, how.move1, ids[place], counter)
         for number in range(movers):
@@ -68,13 +70,17 @@ def roam(t, s, w, how, ids, step):
 
 @kernel
 def first_met(t, s, w, how, rollout, step, after):
-    """The lowest robot above `after` that a mover stops in a rollout, K if none; `w.here` tells the robots' cells."""
+    """The lowest robot above `after` that a threat destroys in a rollout, K if none.
+
+    `w.here` holds for each cell the lowest robot in it, plus 1.
+    """
     robots, movers, at = s.robots, len(t.movers), w.at[rollout - w.begin[0]]
     least = np.int64(len(robots))
     for number in range(movers):
         cell = np.int64(at[number])
         if t.movers[number, ROUTE_LENGTH] > 0:
             cell = np.int64(t.routes[t.movers[number, ROUTE] + cell])
+        # Most threats meet no robot: one lookup per threat instead of a loop over the robots.
         if w.here[cell] == 0:
             continue
         for robot in range(max(w.here[cell] - 1, after + 1), least):
@@ -89,8 +95,9 @@ def first_met(t, s, w, how, rollout, step, after):
 
 @kernel
 def look_out(t, s, w, how, ids, first, last, after):
-    """Find out who is the next above `after` to be met, in each of the rollouts `ids[first:last]`."""
+    """Find the next robot above `after` that is lost in each of the rollouts `ids[first:last]`."""
     robots = s.robots
+    # Downwards, so that the lowest robot of a cell is written last.
     for back in range(len(robots)):
         robot = len(robots) - 1 - back
         if robots[robot].doing != DEAD:
@@ -103,7 +110,7 @@ def look_out(t, s, w, how, ids, first, last, after):
 
 @rare_kernel
 def meet(t, s, w, how, ids):
-    """Go on with the meetings of a step: HIT or PARTED, the robot being marked; ACTS when nobody is met any more."""
+    """Continue the encounters of a step: HIT or PARTED for the next robot that is lost; ACTS after the last one."""
     marks = s.marks
     first, last = marks.first, marks.last
     if not is_meeting(s):
@@ -117,13 +124,14 @@ def meet(t, s, w, how, ids):
         return ACTS
     mine, room = ids[first:last], w.words[: last - first]
     for index in range(len(mine)):
+        # Robots are lost in index order, as in a loop over robots: rollouts that lose this one split off now.
         room[index] = w.met[mine[index] - w.begin[0]] != next_one
-    hit_from = first + split_ids(mine, room, 1)
-    look_out(t, s, w, how, ids, hit_from, last, next_one)
+    lost_from = first + split_ids(mine, room, 1)
+    look_out(t, s, w, how, ids, lost_from, last, next_one)
     marks.robot = next_one
-    if hit_from == first:
+    if lost_from == first:
         return HIT
-    marks.last = hit_from
+    marks.last = lost_from
     return PARTED
 
 

@@ -1,7 +1,4 @@
-"""The area that an attentive robot would take next, in kernels: the unassigned ones as it sees them.
-
-Part of `planner.simulator.replanning`, which see. Targets are the cheapest *unvisited* cells.
-"""
+"""The next area of a robot that re-evaluates: unassigned areas as offers. Targets are the cheapest unvisited cells."""
 
 from __future__ import annotations
 
@@ -31,7 +28,7 @@ from .state import (
 
 @kernel
 def cheapest_unvisited(costs, s, area):
-    """(cell, cost): the area's unvisited cell of least cost in `costs` `[A]`, lowest index first; NONE if none is."""
+    """(cell, cost): the area's unvisited cell of least cost in `costs` `[A]`, lowest index first; NONE if none."""
     return cheapest_to_do(costs, s.home, s.order, np.int64(s.areas[area].begin), np.int64(s.areas[area].end))
 
 
@@ -50,9 +47,9 @@ def cheapest_to_do(costs, home, order, begin, end):
 
 @kernel
 def bound_of(t, s, robot, here, area):
-    """(cell, cost) from the tables: no unvisited cell of the area costs less from `here`, NONE if none can be reached.
+    """(cell, cost): a lower bound on the cost from `here` to any unvisited cell of the area, NONE if unreachable.
 
-    The cell is the area's target if it is an unvisited one of the area. Without tables nothing is known.
+    The cell is the area's target if it is an unvisited cell of the area (`is_target`). Without tables the bound is 0.
     """
     if t.searches:
         return np.int64(len(s.order)), np.int64(0)
@@ -62,13 +59,13 @@ def bound_of(t, s, robot, here, area):
 
 @kernel
 def is_target(s, cell, area):
-    """Whether the cell that `bound_of` the area told is its target."""
+    """Whether the cell of `bound_of` is the area's target, so that its bound is exact."""
     return np.int64(s.home[cell]) | TO_DO == area << AREA_BITS | TO_DO
 
 
 @kernel
 def see(t, s, costs, robot, here, area):
-    """(cell, cost) of the area's target from `here`, where `costs` `[A]` are from; cell NONE if there is none."""
+    """(cell, cost) of the area's target from `here`, whose costs are `costs` `[A]`; cell NONE if there is none."""
     cell, cost = bound_of(t, s, robot, here, area)
     if cost < 0:
         return np.int64(NONE), np.int64(FAR)
@@ -77,7 +74,7 @@ def see(t, s, costs, robot, here, area):
 
 @kernel
 def is_too_far_from_home(t, p, s, w, robot, here, target, offer, refusing):
-    """Whether a robot that comes home leaves an area alone: it cannot afford it, or refuses it for the way home."""
+    """Whether a robot that returns to base skips an area: out of range, or refused with the way to base included."""
     if not t.returns:
         return False
     if not affords(t, s, w, robot, target):
@@ -92,7 +89,7 @@ def is_too_far_from_home(t, p, s, w, robot, here, target, offer, refusing):
 
 @kernel
 def goes_first(p, offer, area, first, best, refusing):
-    """Whether an area goes before the `best` so far, whose offer is `first`, and is not refused."""
+    """Whether an area is accepted and comes before the `best` so far, whose offer is `first`."""
     if refusing and refuses(p, offer):
         return False
     return best == NONE or is_before(p, offer, first, area < best)
@@ -100,16 +97,16 @@ def goes_first(p, offer, area, first, best, refusing):
 
 @kernel
 def is_below(t, p, s, here, first, best, level):
-    """Whether the `best` so far goes before all unassigned areas of this level and above for a robot `here`.
+    """Whether the `best` so far comes before all unassigned areas of this level and above, for a robot `here`.
 
-    None of them costs less per cell than entering one, nor by value, which is at most `scale` a cell; as little cost
-    only those that are next to the robot. So nothing worthless goes before all others.
+    None of them costs less per cell than the entry cost of one cell, nor less per value, which is at most `scale` a
+    cell. Only areas next to the robot can reach that bound. So an offer without value never comes before all others.
     """
     if level >= len(p.entry):
         return True
     if not p.by_price or best == NONE:
         return False
-    # Fractions compared crosswise, in integers: no rounding decides who goes first.
+    # Fractions are compared crosswise, in integers: no rounding decides the order.
     mine, least = p.scale * price(first), p.entry[level] * first.value
     for side in range(4):
         home = np.int64(s.home[t.near[here, side]])
@@ -120,7 +117,7 @@ def is_below(t, p, s, here, first, best, level):
 
 @kernel
 def least_open(p, s):
-    """The least level of an unassigned area, L if there is none."""
+    """The lowest level of an unassigned area, L if there is none."""
     if s.marks.open == 0:
         return np.int64(len(p.entry))
     bits = np.uint64(0)
@@ -133,12 +130,19 @@ def least_open(p, s):
 
 @kernel
 def look_at(t, p, s, w, costs, robot, here, area, closely, best, target, first, refusing):
-    """(area, target, offer) of the first of the `best` so far and an unassigned area; and whether the area may go
-    before it, but for a look at its cells: `closely`, they have it.
+    """Compare an unassigned area with the best so far.
+
+    Args:
+        closely: whether its cells may be searched; else only the bound of the tables is used.
+        best, target, first: the best area so far, its target and its offer.
+        refusing: whether areas that are not worth the risk are excluded.
+
+    Returns:
+        (area, target, offer) of the better one, and whether only a search of its cells can decide.
     """
     cell, cost = bound_of(t, s, robot, here, area)
     offer = offer_of(t, p, s, robot, area, cost)
-    # The table's cost is a lower bound: if even that comes later, no cell has to be looked at.
+    # The table's cost is a lower bound: if even that comes later, no cell is searched.
     if cost < 0 or (p.by_price and not goes_first(p, offer, area, first, best, refusing)):
         return best, target, first, False
     if not is_target(s, cell, area):
@@ -154,8 +158,10 @@ def look_at(t, p, s, w, costs, robot, here, area, closely, best, target, first, 
 
 @kernel
 def first_among(t, p, s, w, costs, robot, here, further, closely, best, target, first, refusing):
-    """(area, target, offer) of the first among the `best` so far and the areas of the least level, or the `further`
-    ones; and whether there are some that may go before it, but for a look at their cells: `closely`, they have it.
+    """Compare the areas of the lowest level, or the `further` ones, with the best so far.
+
+    Returns:
+        (area, target, offer) of the best, and whether only a search of cells can decide for some area (`look_at`).
     """
     unseen = False
     for word in range((s.marks.areas + WORD - 1) // WORD):
@@ -172,18 +178,18 @@ def first_among(t, p, s, w, costs, robot, here, further, closely, best, target, 
 
 @kernel
 def is_last(t, p, here, area, best, first):
-    """Whether the `best` so far, whose offer is `first`, goes before this area of t = 0 and all that rank after it."""
+    """Whether the `best` so far comes before this area of t = 0 and all that rank after it in `Tables.foremost`."""
     size, entry = np.int64(t.begin[area + 1] - t.begin[area]), p.entry[t.level[area]]
-    # The price at its best: nothing visited, and every further cell one step away.
+    # The lowest possible price: nothing visited, and every further cell one step away.
     least = max(np.int64(t.area_cost[here, area]), entry) + (size - 1) * entry
     return best != NONE and least * first.value > price(first) * t.counted[area]
 
 
 @kernel
 def next_ranked(t, s, here, place):
-    """The first place of `Tables.foremost`, from this one on, of an unassigned area or of none; its length: no place.
+    """First position in `Tables.foremost`, from `place` on, of an unassigned area or of the end; its length if none.
 
-    A loop of its own, which most places do not leave: what `first_ranked` carries along is not in its way.
+    A separate loop, since most positions are skipped: the variables of `first_ranked` stay out of its registers.
     """
     while place < t.foremost.shape[1]:
         area = np.int64(t.foremost[here, place])
@@ -195,11 +201,11 @@ def next_ranked(t, s, here, place):
 
 @kernel
 def first_ranked(t, p, s, w, costs, robot, here, best, target, first, refusing):
-    """(area, target, offer) of the first among the `best` so far and the unassigned areas, and whether that is all.
+    """(area, target, offer) of the best of the unassigned areas, and whether all of them were compared.
 
-    An area costs no less per cell, or by value than all its cells would at its best one's, than it did when nothing of
-    it was visited, nor does a part of it: those of t = 0 are looked at in that order, from a table, until all others
-    come later. It may end before.
+    An area never costs less per cell (or per value, if each cell had its best cell's value) than it did before any
+    visit, nor does a part of it. So the areas of t = 0 are compared in the order of that bound until all others come
+    later. The table may end before.
     """
     given, ranked = len(t.level), t.foremost.shape[1]
     all_seen, place = ranked == given, next_ranked(t, s, here, 0)
@@ -225,14 +231,16 @@ def first_ranked(t, p, s, w, costs, robot, here, best, target, first, refusing):
 def first_area(t, p, s, w, robot, its_own, refusing):
     """(area, target, cost) of the first unassigned area that the robot can reach, area NONE if there is none.
 
-    `its_own`: an area that is among them, or NONE. `refusing`: areas that cost more than a robot is worth are not.
+    Args:
+        its_own: the robot's own area, compared with them, or NONE.
+        refusing: whether areas that are not worth the risk are excluded.
     """
     best, target, first = np.int64(NONE), np.int64(NONE), offer_of(t, p, s, robot, 0, FAR)
     if (s.marks.open == 0 and its_own == NONE) or not hears(t, s, robot):
         return best, target, first.cost
     here = np.int64(s.robots[robot].cell)
     costs = costs_from(t, s, w, robot)
-    if its_own != NONE:  # its target stays the same on the way there, until it is visited, or costs are others
+    if its_own != NONE:  # its target stays the same on the way, until it is visited or costs change
         cell = np.int64(s.robots[robot].target)
         cost = np.int64(costs[cell])
         if s.home[cell] & VISITED or t.learns or t.phased:  # a robot of a mission may be displaced on its way
@@ -242,7 +250,7 @@ def first_area(t, p, s, w, robot, its_own, refusing):
         if before and not is_too_far_from_home(t, p, s, w, robot, here, cell, offer, refusing):
             best, target, first = its_own, cell, offer
     home = np.int64(s.home[here])
-    # A start that nobody has visited yet: its area alone may cost less than entering one.
+    # A start cell not visited yet: only its own area can cost less than the entry cost of one cell.
     if home & VISITED == 0 and holds(s.open, home >> AREA_BITS):
         best, target, first, _ = look_at(
             t, p, s, w, costs, robot, here, home >> AREA_BITS, True, best, target, first, refusing
@@ -252,9 +260,9 @@ def first_area(t, p, s, w, robot, its_own, refusing):
         if all_seen:
             return best, target, first.cost
     level = least_open(p, s)
-    mixed = t.mixed and s.marks.open > 0  # levels of areas are in the order of nobody's own
+    mixed = t.mixed and s.marks.open > 0  # robot types do not agree on the order of levels
     for further in range(2):
-        # First by bounds from the tables alone; cells are looked at only of what may still go before.
+        # First only by the tables' bounds; cells are searched only for areas that may still come first.
         for closely in range(2):
             if is_below(t, p, s, here, first, best, np.int64(0) if mixed else level + further):
                 return best, target, first.cost
@@ -268,27 +276,26 @@ def first_area(t, p, s, w, robot, its_own, refusing):
 
 @rare_kernel
 def first_of_idle(t, p, s, w, robot):
-    """The same of a robot that waits, kept until an unassigned area comes, goes, or loses a cell to do."""
+    """`first_area` of a waiting robot, cached until an unassigned area comes, goes, or loses a cell to do."""
     kept, here = w.kept[robot], np.int64(s.robots[robot].cell)
     if not hears(t, s, robot):
         return np.int64(NONE), np.int64(NONE), np.int64(FAR)
-    # CHANGES counts whatever could alter the answer, so an equal count means the same answer.
-    if kept[0] != s.marks.changes or kept[1] != here or t.returns:  # what it can afford changes by itself
+    # `changes` counts every change that could alter the result, so an equal count means an equal result.
+    # A robot that returns to base is excluded: the areas within its range change without an event.
+    if kept[0] != s.marks.changes or kept[1] != here or t.returns:
         area, target, cost = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))
         kept[0], kept[1], kept[2], kept[3], kept[4] = s.marks.changes, here, area, target, cost
     return kept[2], kept[3], kept[4]
 
 
-# What an attentive robot may take next, in kernels: sharing, and the limits on the team.
-#
-# Part of `planner.simulator.replanning`, which see.
+# Sharing, and the limits on the team.
 
 
 @rare_kernel
 def first_to_share(t, p, s, w, helper):
     """(owner, cost) of the best area to share, owner NONE if there is none.
 
-    Who is held gets none but a safe area that it reaches without danger, where a step costs 1.
+    A held robot may only share a safe area that it reaches without danger, where each step costs 1.
     """
     best, best_level, best_cost, best_area = np.int64(NONE), FAR, np.int64(FAR), FAR
     if not any_to_share(t, s, helper) or not hears(t, s, helper):
@@ -301,6 +308,7 @@ def first_to_share(t, p, s, w, helper):
         area = np.int64(s.robots[owner].area)
         level, most = own_level(t, helper, s.areas[area].level), np.int64(s.areas[area].left)
         most = moves_until(t, helper, owner, most)
+        # A cost of at most `most` proves a path of safe cells: a dangerous cell costs more than all safe ones.
         if held and (level > 0 or bound_of(t, s, helper, here, area)[1] > most):
             continue
         cell, cost = cheapest_unvisited(costs, s, area)
@@ -316,7 +324,7 @@ def first_to_share(t, p, s, w, helper):
 
 @kernel
 def head_for(t, s, w, robot, target):
-    """Begin the way to a cell."""
+    """Begin the path to a cell."""
     searched = t.searches
     if searched:
         here = np.int64(s.robots[robot].cell)
@@ -329,7 +337,7 @@ def head_for(t, s, w, robot, target):
 
 @kernel
 def is_at_risk(t, p, s, robot):
-    """Whether the robot has a dangerous area, or a dangerous cell on the rest of its way."""
+    """Whether the robot has a dangerous area, or a dangerous cell on the rest of its path."""
     me = s.robots[robot]
     cell = np.int64(me.next)
     if me.doing == RETURNING:
@@ -345,7 +353,7 @@ def is_at_risk(t, p, s, robot):
         for place in range(me.ahead):
             found = found or is_danger(t, p, s, robot, s.legs[robot, place])
         return found
-    # With tables the rest of the way is not written down: it is walked.
+    # With tables the rest of the path is not stored: it is followed.
     while not found and cell != me.target:
         cell = np.int64(t.hop_to[own(t, robot, me.target), cell])
         found = p.danger[own(t, robot, cell)]
@@ -354,7 +362,7 @@ def is_at_risk(t, p, s, robot):
 
 @rare_kernel
 def is_full(t, p, s, robot):
-    """Whether as many other robots are at risk as may be."""
+    """Whether as many other robots are at risk as the cap allows."""
     at_risk, most = 0, p.most[s.marks.alive]
     for other in range(len(s.robots)):
         if other != robot and is_at_risk(t, p, s, other):
@@ -366,14 +374,14 @@ def is_full(t, p, s, robot):
 
 @rare_kernel
 def has_to_wait(t, p, s, w, robot, area, cost):
-    """Whether the robot is held from an area that it would be allocated (`risk_cap`)."""
+    """Whether the cap on robots at risk keeps the robot from an area that it would be allocated."""
     mine = offer_of(t, p, s, robot, area, cost)
     if len(p.most) == 0 or not is_dangerous(mine, p.cells):
         return False
     if is_full(t, p, s, robot):
         return True
     for other in range(len(s.robots)):
-        # One that waits, or will without danger, and would take a better offer goes first (`risk_cap`).
+        # A robot that waits, or will wait without danger, and would accept a better offer has priority.
         rests = s.robots[other].doing == IDLE or holds(s.waiting, other)
         if p.breaks_off and has_area(s.robots, other):
             rests = not is_at_risk(t, p, s, other)
@@ -386,7 +394,7 @@ def has_to_wait(t, p, s, w, robot, area, cost):
 
 @rare_kernel
 def could_go_on(t, p, s, w):
-    """Whether a robot that can move can reach an unassigned area, where some are refused."""
+    """Whether a robot that can move can reach an unassigned area, in a mission that refuses some."""
     for robot in range(len(s.robots) if p.limited else 0):
         able = (holds(s.movers, robot) and s.robots[robot].doing != RETURNING) or holds(s.waiting, robot)
         if able and first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(False))[0] != NONE:

@@ -1,4 +1,4 @@
-"""Safest paths between all pairs of cells, and from each cell to each area, as tables. Axes: `A` cells, `M` areas."""
+"""Safest paths as all-pairs tables and by searches, and the legs along them. Axes: `A` cells, `M` areas."""
 
 from __future__ import annotations
 
@@ -24,19 +24,28 @@ from .state import (
 )
 
 BLOCK = 32
-"""Sources whose first hops are written at a time: by target, so that a line of memory is met once."""
+"""Sources whose first hops are written at a time: by target, so that each cache line is fetched once."""
 NO_PATH_COST = 2**62
-"""Costs more than any path."""
+"""More than the cost of any path."""
 LEAST_SHARED = 2**20
-"""Entries of a table from which on threads share it out: fewer are written sooner than threads begin."""
+"""Table entries from which on threads share the work: smaller tables are done before threads have started."""
 
 
 def all_pairs(
     near: NDArray[np.int32], entry: NDArray[np.int64], wide: np.dtype, narrow: np.dtype
 ) -> tuple[NDArray, NDArray, NDArray]:
-    """`Tables.cost_to` and `hop_to` `[A, A]`, and `ranked` `[A, RANKED]`, costs `wide` and cells `narrow`.
+    """All-pairs tables of safest paths.
 
-    `near` int32 `[A, 4]`: neighbours, NO_CELL if none. `entry` `[A]`: of each cell. Cost: O(A**2 log A).
+    Args:
+        near: int32 `[A, 4]`, neighbours, NO_CELL if none.
+        entry: int64 `[A]`, entry cost of each cell.
+        wide: integer type of costs.
+        narrow: integer type of cells.
+
+    Returns:
+        `Tables.cost_to`, `hop_to`, both `[A, A]`, and `ranked` `[A, RANKED]`.
+
+    Cost: O(A**2 log A).
     """
     size = len(entry)
     cost = np.full((size, size), UNREACHED, dtype=wide)
@@ -49,7 +58,17 @@ def all_pairs(
 def to_areas(
     cost: NDArray, narrow: np.dtype, order: NDArray[np.int32], begin: NDArray[np.int32]
 ) -> tuple[NDArray, NDArray]:
-    """(cost, entry) `[A, M]` from each cell to each area of t = 0, whose cells `order[begin[m]:begin[m + 1]]` rise."""
+    """Tables of the cheapest cell of each area of t = 0.
+
+    Args:
+        cost: `[A, A]`, of `all_pairs`.
+        narrow: integer type of cells.
+        order: int32 `[A]`, the cells area by area, increasing in each.
+        begin: int32 `[M + 1]`, begin of each area in `order`.
+
+    Returns:
+        (cost, cell) `[A, M]`, from each cell to each area.
+    """
     area_cost = np.empty((len(cost), len(begin) - 1), dtype=cost.dtype)
     area_entry = np.empty(area_cost.shape, dtype=narrow)
     _share_out(cost.size, lambda part, parts: _nearest(part, parts, cost, order, begin, area_cost, area_entry))
@@ -57,7 +76,7 @@ def to_areas(
 
 
 def _share_out(entries: int, work: Callable[[int, int], None]) -> None:
-    """Call `work(part, parts)` for each part, on a core each where there are many entries."""
+    """Call `work(part, parts)` for each part; in threads if there are many entries."""
     threads = os.cpu_count() or 1
     if entries < LEAST_SHARED:
         work(0, 1)
@@ -68,10 +87,10 @@ def _share_out(entries: int, work: Callable[[int, int], None]) -> None:
 
 @threaded
 def _fill(part, parts, near, entry, cost, hop, ranked):
-    """Every so many-th BLOCK of sources.
+    """Fill the tables for every `parts`-th BLOCK of sources.
 
-    Dijkstra as in `searches.search_within`, but to all cells: they leave the queue in rising order of cost,
-    so that whatever precedes a cell has its first hop by then.
+    Dijkstra's algorithm as in `searches.search_within`, but to all cells. Cells leave the queue in increasing order of
+    cost, so the predecessor of a cell already has its first hop.
     """
     size, most = len(entry), ranked.shape[1]
     distance, hops = np.empty(size, dtype=np.int64), np.zeros((BLOCK, size), dtype=hop.dtype)
@@ -106,8 +125,7 @@ def _fill(part, parts, near, entry, cost, hop, ranked):
                                 tail += 1
                             else:
                                 heap_size = push(heap_cost, heap_cell, heap_size, now + entry[cell], cell)
-                        # Neighbours rise in index, so the first predecessor is the lowest; its own hop is known by
-                        # then.
+                        # Neighbours increase in index, so the first predecessor is the lowest; its hop is known.
                         elif distance[cell] == before and not known:
                             hop_of[here] = here if cell == source else hop_of[cell]
                             known = True
@@ -118,7 +136,7 @@ def _fill(part, parts, near, entry, cost, hop, ranked):
                 else:
                     break
             first = 0
-            while first < min(tail, most):  # cells of one cost, in order of index
+            while first < min(tail, most):  # cells of equal cost, by index
                 last = first + 1
                 while last < tail and distance[queue[last]] == distance[queue[first]]:
                     last += 1
@@ -133,13 +151,13 @@ def _fill(part, parts, near, entry, cost, hop, ranked):
                 first = last
         for cell in range(size):
             for row in range(block):
-                # Transposed a block at a time: by source, each write would be a line of memory of its own.
+                # Transposed by blocks: written by source, each write would touch another cache line.
                 hop[cell, begin + row] = hops[row, cell]
 
 
 @threaded
 def _nearest(part, parts, cost, order, begin, area_cost, area_entry):
-    """Every so many-th row of the tables of areas; among cells of equal cost the first."""
+    """Fill every `parts`-th row of the tables of areas; the first of the cells with equal cost."""
     for source in range(part, len(cost), parts):
         for area in range(len(begin) - 1):
             nearest = order[begin[area]]
@@ -149,43 +167,42 @@ def _nearest(part, parts, cost, order, begin, area_cost, area_entry):
             area_cost[source, area], area_entry[source, area] = cost[source, nearest], nearest
 
 
-# The nearest cell of a goal by a search, where there are no tables of distances, and the way to it.
+# The nearest cell of a goal by a search, where there are no tables of distances, and the path to it.
 #
-# Part of `planner.simulator.rollouts`, which see. A goal tells by a cell's area and flags whether it is looked for, so
-# that nothing has to be marked before a search. What is near is found by Dijkstra's algorithm in layers, what is far by
-# the planner's `SafestPaths`. Ties are those of SPEC section 3.
+# A goal is a test on a cell's area and flags, so that no cells have to be marked before a search. Near cells are found
+# by Dijkstra's algorithm with a layered queue, far ones by the algorithm of `SafestPaths`. Ties: SPEC section 3.
 
 ONE_CELL = -2
-"""In the first place of a goal of one cell; NONE is there in that of the unassigned areas of a level."""
+"""First element of a goal that is one cell; NONE is that of the unassigned areas of a level."""
 
 
 @kernel
 def any_of(area):
-    """All cells of the area."""
+    """The goal of all cells of the area."""
     return np.int64(area) << AREA_BITS | VISITED | SURVIVED | TO_DO, np.int64(VISITED | SURVIVED | TO_DO)
 
 
 @kernel
 def to_do_of(area):
-    """Those of its cells that are to do."""
+    """The goal of the cells to do of the area."""
     return np.int64(area) << AREA_BITS | VISITED | SURVIVED | TO_DO, np.int64(VISITED | SURVIVED)
 
 
 @kernel
 def open_at(level):
-    """All cells of the unassigned areas of this level."""
+    """The goal of all cells of the unassigned areas of this level."""
     return np.int64(NONE), np.int64(level)
 
 
 @kernel
 def one_cell(cell):
-    """That cell; NONE: none at all."""
+    """The goal of one cell; of none for NONE."""
     return np.int64(ONE_CELL), np.int64(cell)
 
 
 @kernel
 def is_goal(home, open_areas, areas, cell, goal):
-    """Whether the cell is one of the goal's."""
+    """Whether the cell belongs to the goal."""
     flags = np.int64(home[cell])
     if goal[0] >= 0:
         return flags | goal[1] == goal[0]
@@ -197,9 +214,12 @@ def is_goal(home, open_areas, areas, cell, goal):
 
 @kernel
 def seek(t, s, w, here, goal, inside):
-    """The nearest cell of the goal by (cost, area, index), NONE if none can be reached; `walk_back` then finds the way.
+    """The nearest cell of the goal by (cost, area, index), NONE if unreachable; `walk_back` then gives the path.
 
-    `inside`: the area that a way may not leave, or NONE.
+    Args:
+        here: the cell to start from.
+        goal: of `any_of`, `to_do_of`, `open_at` or `one_cell`.
+        inside: an area that the path may not leave, or NONE.
     """
     w.last[0] = NONE
     cell = seek_near(t, s, w, here, goal, inside, t.nearby if inside == NONE else len(t.near))
@@ -208,7 +228,7 @@ def seek(t, s, w, here, goal, inside):
 
 @rare_kernel
 def seek_near(t, s, w, here, goal, inside, most):
-    """The same; TOO_FAR if more than `most` cells have been passed before it was certain."""
+    """The same; TOO_FAR if more than `most` cells were passed before the result was certain."""
     near, entry = s.near if t.learns else t.near, s.entry if t.learns else t.entry
     return search_near(
         near, entry, s.home, s.open, s.areas, w.distance, w.seen, w.stamp, w.queue, w.heap_cost, w.heap_cell,
@@ -221,14 +241,14 @@ def search_near(
     near, entries, home, open_areas, areas, distance, seen, stamps, queue, heap_cost, heap_cell, here, goal, inside,
     most,
 ):  # fmt: skip
-    """`seek_near`, of arrays: Dijkstra with a queue in layers.
+    """`seek_near` of arrays: Dijkstra's algorithm with a layered queue.
 
-    Costs sit on the cells entered, so the first time a cell is met its distance is final: each is queued once. Cells
-    one unit away (safe ones) go through a queue in layers, the others through a heap.
+    Costs belong to the cell entered, so the distance of a cell is final when it is first met: each is queued once.
+    Cells of cost 1 (safe ones) go through a layered queue, the others through a heap.
     """
     stamps[0] += 1
     stamp = stamps[0]
-    distance[here], seen[here], seen[len(near)] = 0, stamp, stamp  # what is blocked is met already
+    distance[here], seen[here], seen[len(near)] = 0, stamp, stamp  # blocked neighbours count as met
     if is_goal(home, open_areas, areas, here, goal):
         return here
     best, best_cost, best_area, last_cost = np.int64(NONE), np.int64(0), np.int64(0), np.int64(0)
@@ -244,7 +264,7 @@ def search_near(
             head += 1
             for side in range(4):
                 cell = np.int64(near[at, side])
-                # A stamp instead of clearing: a search costs what it passes, not the size of the map.
+                # A stamp needs no clearing: a search costs the cells it passes, not the size of the map.
                 if seen[cell] == stamp or (inside != NONE and np.int64(home[cell]) >> AREA_BITS != inside):
                     continue
                 seen[cell], entry = stamp, entries[cell]
@@ -265,7 +285,7 @@ def search_near(
             now = heap_cost[0]
         else:
             return best
-        # Nothing that is still due can be as cheap, not even with a lower area or index.
+        # No cell still queued can be as cheap, not even with a lower area or index.
         if best != NONE and now + last_cost > best_cost:
             return best
     return np.int64(TOO_FAR)
@@ -273,7 +293,7 @@ def search_near(
 
 @rare_kernel
 def seek_far(t, s, w, here, goal):
-    """The same where it is far: safe components that lie between are passed as one."""
+    """The same for far goals: safe components on the way are passed as one node."""
     count = mark_goal(s, w, goal)
     w.stamp[0] += 1
     parts = SafeParts(t.node, t.beside, t.border, t.wide, w.to_go, w.touched)
@@ -293,7 +313,7 @@ def seek_far(t, s, w, here, goal):
 
 @kernel
 def mark_goal(s, w, goal):
-    """List the goal's cells in `stack`, and rank them by area; returns how many."""
+    """List the goal's cells in `w.stack` and rank them by area; returns how many."""
     if goal[0] == ONE_CELL:
         w.stack[0], w.rank[goal[1]] = goal[1], 0
         return 1
@@ -306,7 +326,7 @@ def mark_goal(s, w, goal):
 
 @search
 def list_goal(home, open_areas, areas, order, goal, first, last, stack, rank):
-    """`mark_goal`, of arrays: of the areas `first .. last - 1`."""
+    """`mark_goal` of arrays, over the areas `first .. last - 1`."""
     count = 0
     for area in range(first, last):
         if goal[0] == NONE and not (holds(open_areas, area) and areas[area].level == goal[1]):
@@ -319,22 +339,21 @@ def list_goal(home, open_areas, areas, order, goal, first, last, stack, rank):
     return count
 
 
-# Costs from one cell to all others, kept as a row where there are no tables: few cells ask, and they ask again.
+# Costs from one cell to all others, cached as a row where there are no tables: few cells are asked for, and repeatedly.
 #
-# Part of `planner.simulator.rollouts`, which see. A row answers as a search would, so no rollout depends on which are
-# kept.
-# There is room for ROWS_BYTES of them a thread; then each new one takes the place of the oldest.
+# A row gives the same answer as a search, so no rollout depends on which rows are cached. A thread keeps ROWS_BYTES of
+# them; then each new row replaces the oldest.
 
 
 @rare_kernel
 def row_from(t, s, w, here):
-    """The number of the row of costs from `here`, which is made if it is not kept; `walk_back` then goes along it.
+    """Index of the row of costs from `here`, made if it is not cached; `walk_back` then follows it.
 
-    The row of the last answer is still there afterwards.
+    The row of the last answer stays valid.
     """
     row = np.int64(w.row_of[here])
     if row == NONE:
-        # Sharing compares two rows: the one just given must survive the making of the next.
+        # Sharing compares two rows: the last one must survive the making of the next.
         row = w.oldest[0] if w.oldest[0] != w.last[0] else (w.oldest[0] + 1) % len(w.rows)
         w.oldest[0] = (row + 1) % len(w.rows)
         if w.source_of[row] != NONE:
@@ -350,7 +369,7 @@ def row_from(t, s, w, here):
 
 @kernel
 def fill_row(t, w, here, row):
-    """Costs to all cells, and of those to each area of t = 0 the least, lowest index first."""
+    """Fill a row: costs to all cells, and the cheapest cell of each area of t = 0, lowest index first."""
     spread(t.near, t.kind, t.kind_cost, t.kind_begin, w.queue, w.heads, w.tails, w.heap_cost, w.heap_cell,
         np.int64(here), w.rows[row])  # fmt: skip
     nearest_of_areas(w.rows[row], t.order, t.begin, w.row_costs[row], w.row_entries[row])
@@ -358,7 +377,7 @@ def fill_row(t, w, here, row):
 
 @search
 def nearest_of_areas(costs, order, begin, area_costs, area_entries):
-    """Of each area of t = 0 the cheapest cell, lowest index first, and its cost."""
+    """The cheapest cell of each area of t = 0, lowest index first, and its cost."""
     for area in range(len(area_costs)):
         best = np.int64(order[begin[area]])
         for place in range(begin[area] + 1, begin[area + 1]):
@@ -370,7 +389,7 @@ def nearest_of_areas(costs, order, begin, area_costs, area_entries):
 
 @kernel
 def fill_row_believed(t, s, w, here, row):
-    """Costs to all cells, as robots that learn believe them: a search that finds nothing passes all in reach."""
+    """Fill a row on the team's map in an online mission: a search for no cell passes all reachable ones."""
     seek_near(t, s, w, here, one_cell(np.int64(NONE)), np.int64(NONE), len(t.near))
     costs, stamp = w.rows[row], w.stamp[0]
     for cell in range(len(t.near)):
@@ -380,15 +399,21 @@ def fill_row_believed(t, s, w, here, row):
 
 @search
 def spread(near, kinds, kind_cost, kind_begin, queue, head, tail, heap_cost, heap_cell, here, costs):
-    """Dijkstra from `here` to all cells, whose costs `[A + 1]` are then known; NONE of those out of reach.
+    """Dijkstra's algorithm from `here` to all cells.
 
-    What is paid on entering is the same for all cells of a kind, so those of a kind are met in the order in which they
-    are due: each kind has a queue of its own, in the part of `queue` for its cells, and the heap holds only the first
-    of each.
+    All cells of a kind cost the same to enter, so cells of a kind leave the queue in the order in which they enter it.
+    Each kind has a first-in first-out queue, a segment of `queue`; the heap holds only the first cell of each.
+
+    Args:
+        near: `[A, 4]`, neighbours; A if blocked.
+        kinds, kind_cost, kind_begin: as in `Tables`.
+        queue: `[A]`; head, tail: `[C]`; heap_cost, heap_cell: `[A]`: scratch.
+        here: the source.
+        costs: `[A + 1]`, the result; NONE for unreachable cells, and at the end.
     """
     for cell in range(len(near)):
         costs[cell] = NONE
-    costs[len(near)] = 0  # what is blocked is met already
+    costs[len(near)] = 0  # blocked neighbours count as met
     heap_size, now = 0, np.int64(0)
     for kind in range(len(kind_cost)):
         head[kind] = tail[kind] = kind_begin[kind]
@@ -409,7 +434,7 @@ def spread(near, kinds, kind_cost, kind_begin, queue, head, tail, heap_cost, hea
                     kind = np.int64(kinds[cell])
                     cost = now + kind_cost[kind]
                     costs[cell], queue[tail[kind]] = cost, cell
-                    # Its queue was empty, so this cell is its first: the heap has to know.
+                    # Its queue was empty, so this cell is its first: it enters the heap.
                     if head[kind] == tail[kind] and kind != due:
                         heap_size = push(heap_cost, heap_cell, heap_size, cost, kind)
                     tail[kind] += 1
@@ -420,7 +445,7 @@ def spread(near, kinds, kind_cost, kind_begin, queue, head, tail, heap_cost, hea
 
 @kernel
 def row_if_asked(t, s, w, here):
-    """The number of the row from `here` if it is kept, or has been asked for often enough by now, else NONE."""
+    """Index of the row from `here` if it is cached or has been asked for often enough, else NONE."""
     if w.row_of[here] == NONE and w.asked[here] < t.patience:
         w.asked[here] += np.uint8(1)
         return np.int64(NONE)
@@ -429,7 +454,7 @@ def row_if_asked(t, s, w, here):
 
 @kernel
 def last_cost(w, cell):
-    """What the last answer, a row's or a search's, says of the cost of a cell, NONE if nothing."""
+    """Cost of a cell by the last answer, of a row or a search; NONE if it has none."""
     if w.last[0] != NONE:
         return np.int64(w.rows[w.last[0], cell])
     return w.distance[cell] if w.seen[cell] == w.stamp[0] else np.int64(NONE)
@@ -437,12 +462,12 @@ def last_cost(w, cell):
 
 @kernel
 def walk_back(t, s, w, here, target, leg):
-    """Write the last answer's path from `here` to `target` into `leg` `[A]`, last cell first; returns its steps."""
+    """Write the last answer's path from `here` to `target` into `leg` `[A]`, last cell first; returns its moves."""
     steps, cell, entry = 0, np.int64(target), s.entry if t.learns else t.entry
     while cell != here:
         leg[steps] = cell
         steps += 1
-        # Neighbours rise in index, so the first that fits is the lowest: the tie of SPEC section 3.
+        # Neighbours increase in index, so the first that fits is the lowest: the tie of SPEC section 3.
         before = last_cost(w, cell) - entry[cell]
         for side in range(4):
             other = np.int64(t.near[cell, side])
@@ -452,28 +477,27 @@ def walk_back(t, s, w, here, target, leg):
     return steps
 
 
-# Ways to get there, for the compiled simulator: costs, nearest cells and legs, from all-pairs tables or by searches.
+# Costs, nearest cells and legs, from all-pairs tables or by searches.
 #
-# Part of `planner.simulator.rollouts`, which see. `cost_to` and the other tables are empty where distances are
-# searched for
-# on demand; `entry` and `legs` are where nothing is. A search's answer is the tables', ties included (SPEC section 3).
+# `cost_to` and the other tables are empty where distances are searched for; `entry` and `legs` are empty where there
+# are tables. A search gives the same result as the tables, ties included (SPEC section 3).
 
 
 @kernel
 def cheapest_cell(costs, s, area):
     """The area's cell of least cost in `costs` `[A]`, lowest index first; NONE if it cannot be reached.
 
-    Its cells rise, and are reached from anywhere if one of them is.
+    The area's cells increase, and either all or none of them are reachable.
     """
     return cheapest_of(costs, s.order, np.int64(s.areas[area].begin), np.int64(s.areas[area].end))
 
 
 @search
 def cheapest_of(costs, order, begin, end):
-    """`cheapest_cell`, of arrays."""
+    """`cheapest_cell` of arrays."""
     best = np.int64(order[begin])
     least = costs[best]
-    # An area is connected: if one cell cannot be reached none can.
+    # An area is connected: if one cell cannot be reached, none can.
     if least < 0:
         return np.int64(NONE)
     for place in range(begin + 1, end):
@@ -498,7 +522,7 @@ def entry_of(t, s, w, robot, area):
 
 @kernel
 def set_out(t, s, w, robot, target, searched):
-    """Begin a leg, along the tables or the last answer's path, which began where the robot is."""
+    """Begin a leg: along the tables, or (`searched`) along the last answer's path from the robot's cell."""
     robots = s.robots
     here, ahead = robots[robot].cell, 0
     robots[robot].target = robots[robot].next = target
@@ -507,14 +531,14 @@ def set_out(t, s, w, robot, target, searched):
             ahead = walk_back(t, s, w, here, target, s.legs[robot]) - 1
             robots[robot].next = s.legs[robot, ahead]
         else:
-            # By target: a whole leg stays in one row of the table.
+            # By target: a whole leg reads one row of the table.
             robots[robot].next = t.hop_to[own(t, robot, target), here]
     robots[robot].ahead, robots[robot].path = ahead, 0
 
 
 @kernel
 def go_on(t, s, w, robot):
-    """The robot is on its leg: what it enters next."""
+    """Set the next cell of a robot on its leg."""
     robots = s.robots
     ahead = robots[robot].ahead
     if ahead == 0:
@@ -527,7 +551,7 @@ def go_on(t, s, w, robot):
 
 @kernel
 def list_to_do(s, robot):
-    """The cells to do are the area's unvisited cells at this moment."""
+    """Mark the area's unvisited cells as cells to do of the robot."""
     area, left = s.robots[robot].area, 0
     for place in range(s.areas[area].begin, s.areas[area].end):
         cell = s.order[place]
@@ -539,18 +563,18 @@ def list_to_do(s, robot):
 
 @kernel
 def to_do_in(area):
-    """`home >> 2` of a cell to do in the area, whether it is visited or not."""
+    """`home >> 2` of a cell to do in the area: the flags VISITED and SURVIVED are shifted out."""
     return np.int64(area) << 1 | 1
 
 
 @kernel
 def next_leg(t, s, w, how, robot):
-    """The leg to the cheapest cell to do, lowest index first; an adjacent one, by its side, is always the cheapest."""
+    """Begin the leg to the cheapest cell to do, lowest index first; an adjacent one, by its side, is cheapest."""
     robots = s.robots
     if how.in_area:
         set_out_by_order(t, s, w, how, robot)
         return
-    # Cells of an area cost the same to enter, so nothing beats a neighbour.
+    # All cells of an area cost the same to enter, so no cell is cheaper than a neighbour.
     cell = adjacent(t, s, robots[robot].cell, to_do_in(robots[robot].area))
     if cell != NONE:
         robots[robot].target = robots[robot].next = cell
@@ -560,7 +584,7 @@ def next_leg(t, s, w, how, robot):
 
 @rare_kernel
 def set_out_by_order(t, s, w, how, robot):
-    """The leg to the cell that goes first by a user's own order; as Python alone."""
+    """Begin the leg to the first cell by a user's order; as Python only."""
     here, area = s.robots[robot].cell, s.robots[robot].area
     w.last[0] = NONE
     seek_near(t, s, w, here, one_cell(NONE), area if how.stay_inside else NONE, len(t.near))
@@ -571,7 +595,7 @@ def set_out_by_order(t, s, w, how, robot):
 
 @kernel
 def adjacent(t, s, here, wanted):
-    """The neighbour of `here` that goes first of those that are as `to_do_in` says, NONE if none is."""
+    """The first neighbour of `here`, by the sides' order, that matches `wanted` (`to_do_in`); NONE if none does."""
     for side in range(4):
         cell = np.int64(t.sweep[here, side])
         if np.int64(s.home[cell]) >> 2 == wanted:
@@ -581,7 +605,7 @@ def adjacent(t, s, here, wanted):
 
 @rare_kernel
 def set_out_far(t, s, w, how, robot):
-    """The same where none is adjacent."""
+    """Begin the leg to the cheapest cell to do if none is adjacent."""
     here, area = s.robots[robot].cell, np.int64(s.robots[robot].area)
     if not t.walks:
         set_out(t, s, w, robot, look_up_nearest(t, s, own(t, robot, here), area), False)
@@ -593,7 +617,7 @@ def set_out_far(t, s, w, how, robot):
 def look_up_nearest(t, s, row, area):
     """The cheapest cell of the area to do, from a row of the tables.
 
-    In a safe area it is looked for among the cells ranked by cost; before a dangerous one come too many safe cells.
+    In a safe area the cells ranked by cost are tried first; dangerous cells come after too many safe ones.
     """
     if s.areas[area].level == 0:
         wanted = to_do_in(area)

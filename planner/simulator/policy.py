@@ -1,6 +1,6 @@
-"""A policy as the compiled simulator follows it: the order of the rule, and the limits on the team.
+"""A policy as the compiled simulator follows it: the order of offers, and the limits on the team.
 
-One program follows all built-in rules, a second one the rules of users, whose orders it calls through a pointer.
+One program serves all built-in rules; a second one serves users' rules, whose orders it calls through a pointer.
 """
 
 from __future__ import annotations
@@ -29,19 +29,20 @@ for _stated in (price, is_dangerous, is_refused, by_cost_per_cell, by_cost_and_f
 
 
 class Policy(NamedTuple):
-    """What an attentive robot decides by. Axes: `A` accessible cells, `K` robots, `L` threat levels.
+    """Decisions of robots of a rule that re-evaluates. Axes: `A` accessible cells, `K` robots, `L` threat levels.
 
     Attributes:
-        looks_again, breaks_off, looks_ahead, by_price: as in `Rule`. limited: whether areas are ever refused.
+        looks_again, breaks_off, looks_ahead, by_price: as in `Rule`. limited: whether areas can be refused.
         entry: int64 `[L]`, cost of entering a cell of each level. danger: bool `[A]`, cells of a dangerous level.
-        cells: n of the whole map. theta: the price per new cell from which an area is refused.
-        worth: whether robots say what they refuse.
-        most: int64 `[K + 1]`, robots that may be at risk of so many alive; empty: all of them.
-        value: int64 `[A]`, what cells count; empty: 1 each. scale, beyond: as in `planner.mrac.problem.Problem`.
-        view_begin, in_view: as of `Tables`, if the rule looks ahead and robots learn, else empty.
-        stamp: int64 `[A + 1]`, scratch of a thread: the last offer that a cell was counted for; last: offers.
-        is_own, own: whether the rule is a user's own, and what it orders offers by (`as_function`); else None.
-        key: None in compiled programs; by what a rule that runs as Python alone orders offers (`Rule.key`).
+        cells: n of the whole map. theta: the price per new cell from which on an area is refused.
+        robot_value: whether refusals are recorded.
+        most: int64 `[K + 1]`, robots that may be at risk, by the number alive; empty: all of them.
+        value: int64 `[A]`, value of the cells; empty: 1 each. scale, beyond: as in `planner.mrac.problem.Problem`.
+        view_begin, in_view: as in `Tables`, if the rule looks ahead in an online mission, else empty.
+        stamp: int64 `[A + 1]`, scratch of a thread: the last offer that counted each cell; at the end the number of
+            offers.
+        is_own, own: whether the rule is a user's, and its order of offers (`as_function`); else None.
+        key: None in compiled programs; the order of a rule that runs as Python only (`Rule.key`).
     """
 
     looks_again: bool
@@ -68,7 +69,7 @@ class Policy(NamedTuple):
 
 @rare_kernel
 def value_left(p, s, area):
-    """What the unvisited cells of an area are worth."""
+    """Value of the unvisited cells of an area."""
     total = np.int64(0)
     for place in range(s.areas[area].begin, s.areas[area].end):
         cell = np.int64(s.order[place])
@@ -79,7 +80,7 @@ def value_left(p, s, area):
 
 @kernel
 def offer_of(t, p, s, robot, area, cost):
-    """An area as the rule sees it, its target being at this cost from the robot."""
+    """An area as an offer to the robot, with its target at this cost."""
     level, left = own_level(t, robot, s.areas[area].level), np.int64(s.areas[area].left)
     value = value_left(p, s, area) if len(p.value) > 0 else left
     shown = frontier(p, s, area) if len(p.view_begin) > 0 else np.int64(0)
@@ -89,8 +90,9 @@ def offer_of(t, p, s, robot, area, cost):
 
 @rare_kernel
 def surcharge(t, p, s, robot, area):
-    """How much less a robot alive of another type would pay for the area's cells to do."""
+    """How much less a living robot of another type would pay for the area's cells to do."""
     level = np.int64(s.areas[area].level)
+    # Over living robots only: a loss of the last robot of a type changes every price (`visits.lose`).
     mine = least = p.entry[own_level(t, robot, level)]
     for other in range(len(s.robots)):
         if s.robots[other].doing != DEAD:
@@ -100,8 +102,9 @@ def surcharge(t, p, s, robot, area):
 
 @rare_kernel
 def frontier(p, s, area):
-    """How many cells that nobody has seen are seen from the area's cells to do."""
+    """Number of cells not seen yet that would be seen from the area's cells to do."""
     last, shown = len(p.stamp) - 1, np.int64(0)
+    # A stamp for each offer counts a cell seen from several cells to do once, without clearing.
     p.stamp[last] += 1
     for place in range(s.areas[area].begin, s.areas[area].end):
         cell = np.int64(s.order[place])
@@ -117,13 +120,13 @@ def frontier(p, s, area):
 
 @kernel
 def is_danger(t, p, s, robot, cell):
-    """Whether the cell is of a dangerous level, as the robot knows it."""
+    """Whether the cell is of a dangerous level on the robot's map."""
     return s.level[cell] > 0 if t.learns else p.danger[own(t, robot, cell)]
 
 
 @kernel
 def order_of(p, offer):
-    """The fractions that the rule orders an offer by."""
+    """The two fractions by which the rule orders offers: (numerator, denominator) each."""
     if p.is_own:
         return own_order(p, offer)
     return by_cost_and_frontier(offer) if p.looks_ahead else by_cost_per_cell(offer)
@@ -131,18 +134,19 @@ def order_of(p, offer):
 
 @rare_kernel
 def own_order(p, o):
-    """The same of a user's own rule."""
+    """`order_of` a user's rule."""
     given = o.level, o.cost, o.unvisited, o.entry, o.value, o.beyond, o.frontier, o.surcharge
     return (p.own(0, *given), p.own(1, *given)), (p.own(2, *given), p.own(3, *given))
 
 
 @kernel
 def is_before(p, one, other, by_id):
-    """Whether the rule puts one offer before the other; `by_id`: where it does not tell them apart."""
+    """Whether the rule puts one offer before the other; `by_id` decides ties."""
     if p.key:
         mine, theirs = p.key(one), p.key(other)
         return mine < theirs or (mine == theirs and by_id)
     mine, theirs = order_of(p, one), order_of(p, other)
+    # Crosswise products of whole numbers: no rounding decides an order.
     left, right = mine[0][0] * theirs[0][1], theirs[0][0] * mine[0][1]
     if left != right:
         return left < right
@@ -152,5 +156,6 @@ def is_before(p, one, other, by_id):
 
 @kernel
 def refuses(p, offer):
-    """Whether an area costs more than a robot is worth."""
+    """Whether an area is not worth the risk to a robot."""
+    # The cheap tests come first: `is_refused` divides.
     return p.limited and p.theta < NO_REFUSAL and is_refused(offer, p.cells, p.theta, p.scale)

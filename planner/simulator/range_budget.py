@@ -1,7 +1,7 @@
-"""What a robot that comes home can afford (SPEC section 19): how far it can still go, and how far home is.
+"""Range budget of a robot that returns to base (SPEC section 19): moves left, and moves to base.
 
-Part of `planner.simulator.rollouts`, which see. Ways home are tables:
-`Tables.home_of`, `home_steps`, `home_cost`, `onward`; the costs are empty where robots stay where they end.
+Ways to base are tables: `Tables.home_of`, `home_steps`, `home_cost`, `onward`. Costs are empty where robots do not
+return.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from .state import holds
 
 @kernel
 def moves_home(t, robot, cell):
-    """h: moves of the robot's way home from the cell, NONE where it is cut off."""
+    """h: moves of the robot's way to base from the cell, NONE where there is none."""
     return np.int64(t.home_steps[t.home_of[robot], cell])
 
 
 @rare_kernel
 def find_ways_home(t, s, w):
-    """Ways home as the set believes the map: from the bases outwards, by what is paid up to a cell and for entering it.
+    """Compute ways to base on the team's map, by Dijkstra's algorithm from the bases outwards.
 
-    A thread of robots that learn has these tables for itself.
+    Cells are queued by cost to base plus own entry cost. In online missions each thread has its own tables.
     """
     size = len(t.near)
     for number in range(len(t.home_steps)):
@@ -46,7 +46,8 @@ def find_ways_home(t, s, w):
                 if cost[cell] == NONE:
                     cost[cell] = cost[here] + s.entry[here]
                     due = push(w.heap_cost, w.heap_cell, due, cost[cell] + s.entry[cell], cell)
-                # Sides rise in index: of equal ways the neighbour of lowest index is entered.
+                # Sides increase in index: of equal ways the neighbour of lowest index is entered.
+                # A cell leaves the queue after all cells on cheapest ways from it, so their moves are final.
                 nearer = steps[cell] >= 0 and cost[cell] + s.entry[cell] == cost[here]
                 if nearer and (steps[here] == NONE or steps[cell] + 1 < steps[here]):
                     steps[here], onward[here] = steps[cell] + 1, cell
@@ -54,21 +55,22 @@ def find_ways_home(t, s, w):
 
 @kernel
 def own_moves(t, s, robot):
-    """The moves that are left of its range to a robot that decides, or that another one asks about."""
+    """Moves left of the range of a robot that decides, or that another robot evaluates."""
     until, step, acts = s.robots[robot].until, s.marks.step, s.marks.robot
     if holds(s.waiting, robot):
         return until
     now = own_turn(t, robot, step)
+    # Robots act in index order: those after the acting one still have this step's move.
     to_move = robot > acts or (robot == acts and s.marks.now > 0)
+    # A robot that has yet to move in this step has one move more than after it.
     return until - now + (to_move and step > 0 and now > own_turn(t, robot, step - 1))
 
 
 @rare_kernel
 def affords(t, s, w, robot, target):
-    """Whether the robot could come home from this cell, once it has gone there; without tables the last answer was
-    `costs_from` it.
-    """
+    """Whether the robot can reach the cell and then return to base; without tables `costs_from` must come before."""
     way = moves_home(t, robot, target)
+    # A cell that has no way to base does not bind the robot: it stays where its range ends.
     if s.marks.unlimited > 0 or way < 0:
         return True
     here = np.int64(s.robots[robot].cell)
@@ -85,7 +87,7 @@ def affords(t, s, w, robot, target):
 
 @rare_kernel
 def can_go_on(t, s, robot, left):
-    """Whether the robot, with so many moves left after the next, could come home from every cell of its leg's rest."""
+    """Whether the robot, with `left` moves after the next one, could return to base from all cells of its leg."""
     me = s.robots[robot]
     ahead, cell, target = np.int64(me.ahead), np.int64(me.next), np.int64(me.target)
     while moves_home(t, robot, cell) <= left:

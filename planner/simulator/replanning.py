@@ -1,7 +1,7 @@
-"""A robot of a rule that re-evaluates: it notices visits of other robots, and compares areas before each danger.
+"""The turn of a robot of a rule that re-evaluates: it reacts to other robots' visits, and compares areas before danger.
 
-From t = 0 on a robot with an area is TRAVELING, its way known, and one without is IDLE. Its cells to do are the
-unvisited ones of its area: a visit takes TO_DO from a cell (SPEC section 11).
+From t = 0 on a robot with an area is TRAVELING, and one without is IDLE. Its cells to do are the unvisited cells of its
+area: a visit removes TO_DO from a cell (SPEC section 11).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from .state import (
 
 @kernel
 def begin(t, s, w):
-    """Before t = 0: a robot with an area knows the way to it. A mission from a state began before."""
+    """Before t = 0: compute the path of each robot with an area. A mission resumed from a state has them already."""
     if s.marks.step > 0:
         return
     for robot in range(len(s.robots)):
@@ -63,19 +63,20 @@ def begin(t, s, w):
 
 @kernel
 def moves(t, s, robot):
-    """The robot has got an area, from which nothing holds it any more."""
+    """The robot has got an area and is no longer held."""
     s.robots[robot].held = 0
     moves_on(t, s, robot)
 
 
 @kernel
 def settle_on(t, p, s, robot, area):
-    """The area is the robot's first choice. An area of one cell stays so until another area becomes unassigned.
+    """Make the area the robot's first choice. An area of one cell stays so until another area becomes unassigned.
 
-    A step on the way of cost e makes the area cheaper by e, others by e at most, and by less per cell where they have
-    more cells; what others visit makes none better. Where areas are refused one may be accepted from nearby.
+    A step of cost e towards the area lowers its cost by e, and that of others by at most e, and by less per cell where
+    they have more cells. Visits of other robots improve no offer. Where areas can be refused, an area may become
+    acceptable on the way.
     """
-    # Of a robot that returns to base the areas within its range change by themselves.
+    # For a robot that returns to base the areas within range change with every step.
     sure = p.by_price and not (p.limited or p.breaks_off or t.returns)
     stays_first = sure and len(p.value) == 0 and s.areas[area].left == 1
     s.robots[robot].sure = s.marks.arrivals if stays_first else NONE
@@ -83,6 +84,7 @@ def settle_on(t, p, s, robot, area):
 
 @kernel
 def take(t, p, s, w, log, robot, area, target):
+    """Assign an area to a robot, which travels to `target` in it."""
     give(s, robot, area)
     settle_on(t, p, s, robot, area)
     moves(t, s, robot)
@@ -92,7 +94,7 @@ def take(t, p, s, w, log, robot, area, target):
 
 @rare_kernel
 def would_be_charged(t, p, s, w, robot):
-    """Whether there is an area for the robot, if it is charged."""
+    """Whether the robot should recharge: it may, and an area is open to it if its range is ignored."""
     if not may_be_charged(t, s, robot):
         return False
     s.marks.unlimited = 1
@@ -103,7 +105,7 @@ def would_be_charged(t, p, s, w, robot):
 
 @rare_kernel
 def share_or_rest(t, p, s, w, log, robot):
-    """`Find Area To Share`, else done: 1 if the robot got a part, 0 if not, NONE if there is no room."""
+    """`Find Area To Share`, else done: GAINS if the robot got a part, RESTS if not, NO_ROOM."""
     owner, cost = first_to_share(t, p, s, w, robot)
     limited = owner != NONE and len(p.most) > 0
     if limited and is_dangerous(offer_of(t, p, s, robot, s.robots[owner].area, cost), p.cells):
@@ -115,6 +117,7 @@ def share_or_rest(t, p, s, w, log, robot):
             return NONE
         moves(t, s, robot)
         return 1
+    # A refusal is recorded once, when the robot stops asking; a held robot waits for the cap, it refuses nothing.
     if p.robot_value and not s.robots[robot].held and s.robots[robot].doing != DONE:
         area, target, _ = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(False))
         if area != NONE:
@@ -129,9 +132,10 @@ def share_or_rest(t, p, s, w, log, robot):
 
 @rare_kernel
 def allocate_next(t, p, s, w, log, robot, idle):
-    """`Allocate Next Area`, else `Find Area To Share`, else done; answers as `share_or_rest`.
+    """`Allocate Next Area`, else `Find Area To Share`, else done; returns as `share_or_rest`.
 
-    `idle`: it has been without an area; unless it is held, it does not try to share again.
+    Args:
+        idle: whether the robot had no area before; then, unless it is held, it does not try to share again.
     """
     if t.asks:
         area, target, cost = t.asks.area(t, s, w, robot)
@@ -139,6 +143,7 @@ def allocate_next(t, p, s, w, log, robot, idle):
         area, target, cost = first_of_idle(t, p, s, w, robot)
     else:
         area, target, cost = first_area(t, p, s, w, robot, np.int64(NONE), np.bool_(True))
+    # A robot without an area shares once, when it becomes idle; only a held one tries again.
     if area == NONE and idle and not s.robots[robot].held:
         if t.returns and would_be_charged(t, p, s, w, robot):
             turn_home(t, s, w, log, robot, True)
@@ -154,7 +159,7 @@ def allocate_next(t, p, s, w, log, robot, idle):
 
 @rare_kernel
 def look_again(t, p, s, w, log, robot):
-    """Before a danger: another area may be better by now, or none worth it; answers as `share_or_rest`."""
+    """Re-evaluate before danger: another area may be better, or none worth the risk. Returns as `share_or_rest`."""
     own = np.int64(s.robots[robot].area)
     if t.asks:
         area, target, cost = t.asks.area(t, s, w, robot, own)
@@ -165,7 +170,7 @@ def look_again(t, p, s, w, log, robot):
         settle_on(t, p, s, robot, own)
         return 0
     note(log, s, robot, LOOKED_AGAIN_EVENT, own, s.robots[robot].next)
-    # Its own area goes back into the pool before it takes another: somebody else may want it.
+    # Its own area becomes unassigned before it takes another: other robots compare it too.
     reopen(s, own)
     if waits:
         s.robots[robot].held = 1
@@ -177,7 +182,7 @@ def look_again(t, p, s, w, log, robot):
 
 @kernel
 def aim(t, s, w, how, robot):
-    """On to the next target of its area, in which cells are left."""
+    """Head for the next target in the robot's area, which has cells to do."""
     if s.robots[robot].doing == TRAVELING:
         costs = costs_from(t, s, w, robot)
         target, _ = see(t, s, costs, robot, np.int64(s.robots[robot].cell), np.int64(s.robots[robot].area))
@@ -189,16 +194,18 @@ def aim(t, s, w, how, robot):
 
 @rare_kernel
 def look_up(t, p, s, w, log, how, robot):
-    """What the robot notices before it moves; answers as `share_or_rest`."""
+    """Re-evaluate before the move where needed; returns as `share_or_rest`."""
     robots, got = s.robots, 0
     if s.areas[robots[robot].area].left == 0:
         return allocate_next(t, p, s, w, log, robot, np.bool_(False))
     me = robots[robot]
+    # Without new unassigned areas (`arrivals`) an area once compared stays first, so nothing is compared again.
     wary = p.looks_again and (p.breaks_off or me.doing == TRAVELING) and me.sure != s.marks.arrivals
     if wary and is_danger(t, p, s, robot, robots[robot].next) and hears(t, s, robot):
         got = look_again(t, p, s, w, log, robot)
         if got != 0 or not has_area(robots, robot):
             return got
+    # Another robot has visited the target: the path would end in a cell that is done.
     if s.home[robots[robot].target] & VISITED:
         aim(t, s, w, how, robot)
     return got
@@ -206,7 +213,7 @@ def look_up(t, p, s, w, log, how, robot):
 
 @rare_kernel
 def end_leg(t, p, s, w, log, how, robot):
-    """At the end of a way or leg: the next leg, or the next area; answers as `share_or_rest`."""
+    """At the end of a path or leg: the next leg, or the next area; returns as `share_or_rest`."""
     robots = s.robots
     traveled = robots[robot].doing == TRAVELING
     robots[robot].doing = COVERING
@@ -220,7 +227,7 @@ def end_leg(t, p, s, w, log, how, robot):
 
 @rare_kernel
 def arrive(t, p, s, w, log, how, robot, cell):
-    """After the robot has entered the cell: its next leg, or its next area; answers as `share_or_rest`."""
+    """After the robot entered the cell: the next leg, or the next area; returns as `share_or_rest`."""
     me = s.robots[robot]
     if s.marks.step > 0:
         if cell == me.target:
@@ -240,20 +247,20 @@ def arrive(t, p, s, w, log, how, robot, cell):
 
 @kernel
 def notices(t, p, s, robot):
-    """Whether something is to be looked at before the robot moves: an area without cells to do has no target either."""
+    """Whether the robot has to re-evaluate: its target is visited (also if its area is done), or danger comes next."""
     return s.home[s.robots[robot].target] & VISITED != 0 or is_danger(t, p, s, robot, s.robots[robot].next)
 
 
 @kernel
 def is_news(s, robot, cell):
-    """Whether the robot, which enters the cell, visits one that is to do in another area than its own."""
+    """Whether the robot, entering the cell, visits a cell to do in another area than its own."""
     home = np.int64(s.home[cell])
     return home & VISITED == 0 and home >> AREA_BITS != s.robots[robot].area
 
 
 @rare_kernel
 def act(t, p, s, w, log, how, robot):
-    """The robot's turn up to its move: MOVES, or RESTS, GAINS an area while it rests, NO_ROOM."""
+    """The robot's turn up to its move: MOVES, RESTS, GAINS (an area, no move), or NO_ROOM."""
     me, step, got = s.robots[robot], s.marks.step, RESTS
     if not holds(s.movers, robot):
         return MOVES if drives_back(t, s, robot) else allocate_next(t, p, s, w, log, robot, np.bool_(True))
@@ -264,15 +271,16 @@ def act(t, p, s, w, log, how, robot):
             got = allocate_next(t, p, s, w, log, robot, np.bool_(False))
         return got
     if step > 0 and me.doing != RETURNING and notices(t, p, s, robot):
+        # The robot still moves in this step, so it has one move more than a robot whose turn is over.
         s.marks.now = 1
         got = look_up(t, p, s, w, log, how, robot)
         s.marks.now = 0
     if not holds(s.movers, robot):
-        me.until += 1  # it has not moved in this step
+        me.until += 1  # it did not move in this step
         return got
     if t.returns and step > 0:
-        how_turns = turns(t, s, robot, step) if has_area(s.robots, robot) else 0
-        if how_turns > 0 and (got == NO_ROOM or not turn_home(t, s, w, log, robot, how_turns > 1)):
+        turn_kind = turns(t, s, robot, step) if has_area(s.robots, robot) else 0
+        if turn_kind > 0 and (got == NO_ROOM or not turn_home(t, s, w, log, robot, turn_kind > 1)):
             return NO_ROOM
         if not holds(s.movers, robot) or me.doing == CHARGING:
             return got
@@ -281,7 +289,7 @@ def act(t, p, s, w, log, how, robot):
 
 @rare_kernel
 def set_right(t, p, s, w, log, how, robot):
-    """After a map update: a robot with nothing left to do decides, one whose way is not as it was sets out anew."""
+    """After a map update: a robot with no cells left decides, one with a changed path replans."""
     if s.areas[s.robots[robot].area].left == 0:
         return allocate_next(t, p, s, w, log, robot, np.bool_(False))
     if is_lost(s, w, robot):

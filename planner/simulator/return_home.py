@@ -1,7 +1,4 @@
-"""Robots that do no more: at the end of their range, or since they turn for home (SPEC section 19).
-
-Part of `planner.simulator.rollouts`, which see.
-"""
+"""Robots at the end of their range or on the return to base (SPEC section 19), and cached coverage paths."""
 
 from __future__ import annotations
 
@@ -38,7 +35,7 @@ from .state import (
 
 @rare_kernel
 def leave(t, s, w, log, robot, area):
-    """What the robot leaves unvisited of its area becomes areas. False: no room."""
+    """Make new areas of the unvisited cells of the robot's area. False: the area registry is full."""
     first, parts = replace(t, s, w, area, np.bool_(False))
     if parts > 0:
         note(log, s, robot, REALLOCATED_EVENT, area, parts)
@@ -47,7 +44,7 @@ def leave(t, s, w, log, robot, area):
 
 @rare_kernel
 def stay(t, s, w, log, robot):
-    """The robot is at the end of its range: it neither moves nor waits for an area. False: no room for areas."""
+    """The robot is at the end of its range: it neither moves nor waits for an area. False: the registry is full."""
     if t.returns and moves_home(t, robot, np.int64(s.robots[robot].cell)) == 0:
         return turn_home(t, s, w, log, robot, t.recharge > 0)
     area = np.int64(s.robots[robot].area) if has_area(s.robots, robot) else np.int64(NONE)
@@ -60,14 +57,14 @@ def stay(t, s, w, log, robot):
 
 @rare_kernel
 def end_range(t, s, w, log, robot):
-    """The same of a robot that waits and has made a move, if that was its last. False: no room for areas."""
+    """Count a move of a waiting robot; at the last one it stays. False: the area registry is full."""
     s.robots[robot].until -= 1
     return s.robots[robot].until > 0 or stay(t, s, w, log, robot)
 
 
 @rare_kernel
 def turns(t, s, robot, step):
-    """Whether the robot, which has yet to move in this step, turns for home: 1; to be charged there: 2; else 0."""
+    """Whether the robot, before its move in this step, starts its return: 1; for a recharge: 2; else 0."""
     now = own_turn(t, robot, step)
     own = s.robots[robot].until - now
     if can_go_on(t, s, robot, min(own, own_turn(t, robot, t.last_step) - now)):
@@ -77,7 +74,7 @@ def turns(t, s, robot, step):
 
 @kernel
 def arrive(t, s, log, robot):
-    """The robot is home, for good or until it has its range again."""
+    """The robot is at base, for good or until it is recharged."""
     note(log, s, robot, HOME_EVENT, np.int64(NONE), np.int64(s.robots[robot].cell))
     drop(s.movers, robot)
     s.robots[robot].doing = DONE
@@ -88,7 +85,7 @@ def arrive(t, s, log, robot):
 
 @kernel
 def charge(t, s, log, robot, step):
-    """A step at the base; whether the robot has its range again, as one that may move from the next step on."""
+    """One step at the base; whether the robot is recharged and may move from the next step on."""
     if step < s.robots[robot].ready:
         return False
     s.robots[robot].ready, s.robots[robot].until = 0, t.range[robot] + own_turn(t, robot, step)
@@ -98,21 +95,22 @@ def charge(t, s, log, robot, step):
 
 @kernel
 def may_be_charged(t, s, robot):
-    """Whether a robot for which nothing is left has made moves, and is charged at its base."""
+    """Whether a robot without an area can be recharged: there are unassigned areas, and it has used some range."""
     return t.recharge > 0 and s.marks.open > 0 and own_moves(t, s, robot) < t.range[robot]
 
 
 @rare_kernel
 def turn_home(t, s, w, log, robot, charges):
-    """The robot turns for home, for good unless it is charged there. False: no room for what is left of its area."""
+    """The robot starts its return to base, for good unless it `charges` there. False: the area registry is full."""
     me = s.robots[robot]
     cell, owns, area = np.int64(me.cell), has_area(s.robots, robot), np.int64(me.area)
+    # The base is not stored: it is where the way ends.
     onward, base = t.onward[t.home_of[robot]], cell
     while moves_home(t, robot, base) > 0:
         base = np.int64(onward[base])
     note(log, s, robot, TURNED_HOME_EVENT, area if owns else np.int64(NONE), base)
     if holds(s.waiting, robot):
-        s.robots[robot].until += own_turn(t, robot, s.marks.step)  # as of one that moves from the next step on
+        s.robots[robot].until += own_turn(t, robot, s.marks.step)  # a turn again: it moves from the next step on
     drop(s.movers, robot)
     drop(s.waiting, robot)
     me.doing, me.held = DONE, 0
@@ -129,7 +127,7 @@ def turn_home(t, s, w, log, robot, charges):
 
 @rare_kernel
 def go_home(t, s, log, robot):
-    """The robot, which is on its way home, has entered its next cell: there it is, or what it enters next."""
+    """The robot has moved on its way to base: it has arrived, or the next cell is set, or its range has ended."""
     me = s.robots[robot]
     cell = np.int64(me.cell)
     arrives = moves_home(t, robot, cell) == 0
@@ -146,9 +144,13 @@ def go_home(t, s, log, robot):
 
 @rare_kernel
 def call_home(t, s, w, log, over):
-    """At the end of a step: all turn once the mission is `over`, an Outcome or NONE; before that who would be late.
+    """Start returns at the end of a step: all robots if the mission is over, before that those that would be late.
 
-    False: no room for areas.
+    Args:
+        over: the Outcome, or NONE.
+
+    Returns:
+        False if the area registry is full.
     """
     marks = s.marks
     if marks.over > 0:
@@ -157,6 +159,7 @@ def call_home(t, s, w, log, over):
     for robot in range(len(s.robots)):
         waits, way = holds(s.waiting, robot), moves_home(t, robot, np.int64(s.robots[robot].cell))
         left = own_turn(t, robot, t.last_step) - own_turn(t, robot, marks.step)
+        # A moving robot decides in its own turn; only a waiting one can be late without noticing.
         late = waits and way > 0 and left <= way
         doing = s.robots[robot].doing
         if doing == CHARGING and over != NONE:
@@ -170,7 +173,7 @@ def call_home(t, s, w, log, over):
 
 @kernel
 def is_away(s):
-    """Whether some robot moves, or is about to."""
+    """Whether some robot moves or is about to."""
     found = False
     for word in range(len(s.movers)):
         found = found or s.movers[word] != 0
@@ -179,7 +182,7 @@ def is_away(s):
 
 @rare_kernel
 def count_home(t, s):
-    """At the end of a run: robots alive that are at one of their bases."""
+    """Count the robots alive at one of their bases, at the end of a run."""
     count = 0
     for robot in range(len(s.robots)):
         at_base = moves_home(t, robot, np.int64(s.robots[robot].cell)) == 0
@@ -187,29 +190,28 @@ def count_home(t, s):
     s.marks.at_home = count
 
 
-# Coverage paths remembered: robots mostly begin to cover what one before them has covered from the same cell.
+# Cached coverage paths: robots mostly cover the same cells from the same start as a robot before them.
 #
-# Part of `planner.simulator.rollouts`, which see. A path is found as a whole when it is first wanted, and followed as
-# one
-# leg to its last cell, the only one marked as to do: no path comes by there sooner. Otherwise (few cells to do, no more
-# room, legs that stay in their area) all of them are marked, and legs found one at a time (`planner.simulator.paths`).
+# A cached path is computed as a whole when it is first needed. It is followed as one leg to its last cell, the only one
+# marked as to do: no path enters that cell earlier. Otherwise (few cells to do, no room, legs that stay in their area)
+# all cells are marked, and legs are found one at a time (`planner.simulator.paths`).
 
 FEWEST = 8
-"""Cells to do from which on a path is remembered: fewer are sooner covered than looked up."""
+"""Cells to do from which on a path is cached: fewer are covered faster than looked up."""
 KEY = 2
-"""Words before a path's cells to do: where it begins, and how many these are."""
+"""Words before the cells of a path's key: its first cell, and the number of cells to do."""
 MIX = np.uint64(0x9E3779B97F4A7C15)
 
 
 @kernel
 def can_be_remembered(s, w, robot):
-    """Whether the path that covers what is unvisited of the robot's area is worth it."""
+    """Whether the path over the unvisited cells of the robot's area is worth caching."""
     return len(w.paths) > 0 and s.areas[s.robots[robot].area].left >= FEWEST
 
 
 @rare_kernel
 def remember(t, s, w, robot):
-    """Begin to cover the area's unvisited cells along a path that was remembered or is now; False: no room for it."""
+    """Begin to cover the area's unvisited cells along a cached path, made if needed; False: the cache is full."""
     me = s.robots[robot]
     here, area = np.int64(me.cell), np.int64(me.area)
     count = list_unvisited(s, w, area)
@@ -228,28 +230,28 @@ def remember(t, s, w, robot):
 
 @kernel
 def mixed(cell):
-    """A hash of the cell; those of a set are added."""
+    """Hash of a cell; the hashes of a set are added."""
     word = (np.uint64(cell) + np.uint64(1)) * MIX
     return (word ^ word >> np.uint64(29)) * MIX
 
 
 @kernel
 def slot_of(w, here, count):
-    """The slot of the path from `here` through the `count` cells that are `listed`; a free one if there is none."""
+    """The slot of the path from `here` through the first `count` cells of `w.listed`, or the free slot for it."""
     last, code = len(w.slots) - 1, mixed(here) ^ MIX
     for place in range(count):
-        # A sum does not depend on the order; equal hashes are told apart by the cells themselves (`is_of`).
+        # A sum does not depend on the order; equal hashes are told apart by comparing the cells (`is_of`).
         code += mixed(w.listed[place])
     slot = np.int64((code ^ code >> np.uint64(32)) & np.uint64(last))
     while w.slots[slot] > 0 and not is_of(w, w.ends[w.slots[slot] - 1], here, count):
-        # Linear probing; half of the slots stay empty, so it ends soon.
+        # Linear probing; at most half of the slots are used, so it ends soon.
         slot = slot + 1 & last
     return slot
 
 
 @kernel
 def is_of(w, key, here, count):
-    """Whether the key at `key` is of that path."""
+    """Whether the key at position `key` is that of this path."""
     same = 0
     if w.paths[key] == here and w.paths[key + 1] == count:
         while same < count and w.paths[key + KEY + same] == w.listed[same]:
@@ -259,7 +261,7 @@ def is_of(w, key, here, count):
 
 @kernel
 def new_path(t, s, w, here, area, count):
-    """Algorithm 3's path from `here` through the cells that are `listed`; its number, 0 if there is no room for it."""
+    """Compute Algorithm 3's path from `here` through the listed cells; its index, 0 if the cache is full."""
     path = w.remembered[0]
     key = w.ends[path - 1]
     begin = key + KEY + count
@@ -278,11 +280,11 @@ def new_path(t, s, w, here, area, count):
             if end < room:
                 w.paths[end] = target
             end += 1
-        # Taken off again as they are met: afterwards the flags are as they were.
+        # Cleared when the path meets them: afterwards all flags are restored.
         s.home[target] ^= TO_DO
         cell = target
         if end > room:
-            w.remembered[0] = len(w.ends)  # and no path after it
+            w.remembered[0] = len(w.ends)  # the cache is closed
             return 0
     w.ends[path] = end
     w.remembered[0] = path + 1
@@ -291,7 +293,7 @@ def new_path(t, s, w, here, area, count):
 
 @rare_kernel
 def append_far_leg(t, s, w, here, area, end, room):
-    """The cheapest cell to do, where none is adjacent, and where the leg there ends behind `end`; not beyond `room`."""
+    """Append the leg to the cheapest cell to do, if none is adjacent; (that cell, end of the leg), within `room`."""
     if not t.searches:
         target, cell = look_up_nearest(t, s, here, area), np.int64(here)
         while cell != target and end <= room:

@@ -1,9 +1,9 @@
-"""Algorithm 2 compiled with Numba: sets of rollouts that part where a robot is hit, counted into tallies.
+"""Algorithm 2 compiled with Numba: groups of rollouts that split where a robot is lost, counted into tallies.
 
-A run is the same for all rollouts as long as they are hit alike. So one simulation carries a set of rollouts; where a
-robot enters a dangerous cell each of them draws, and the set parts: who is not hit waits with a copy of the state,
-the others go on. At the end of a run the set is counted, and those who came to wait last go on, depth first. No count
-depends on the order. How a set runs: `planner.simulator.step`. Axis letters as in `planner.simulator.state`.
+Rollouts with the same losses are the same run, so they are simulated as one group. Where a visit destroys a robot in
+some rollouts and not in others, the group splits: those in which the robot survives wait with the old state, the others
+go on with a copy. At the end of a run the group is counted, and the group that waited last goes on, depth first. No
+count depends on the order. `planner.simulator.step` runs a group. Axis letters as in `planner.simulator.state`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from .visits import count_scores
 
 
 def take(taken):
-    """The number of the next task, which is then taken: another thread gets another one."""
+    """Index of the next task, taken atomically: no two threads get the same one."""
     taken[0] += 1
     return int(taken[0]) - 1
 
@@ -70,20 +70,21 @@ def level_of(stack, level):
 
 @kernel
 def copy_row(of, to, count):
+    """Copy the first `count` elements of a row."""
     for place in range(count):
         to[place] = of[place]
 
 
 @kernel
 def copy_state(t, of, to):
-    """Copy what is in use of a level, but for its `marks`: Numba copies records as elements of arrays alone."""
+    """Copy the used part of a level, without its `marks`: Numba copies records only as array elements."""
     areas = of.marks.areas
     copy_row(of.home, to.home, len(of.home))
     copy_row(of.order, to.order, len(of.order))
     copy_row(of.areas, to.areas, areas)
     copy_row(of.robots, to.robots, len(of.robots))
     for robot in range(of.legs.shape[0]):
-        # A remembered path lies in `Work`, which levels share.
+        # A cached path is in `Work`, which all levels of a thread share.
         if of.robots[robot].path == 0:
             copy_row(of.legs[robot], to.legs[robot], of.robots[robot].ahead)
     copy_row(of.movers, to.movers, len(of.movers))
@@ -99,7 +100,7 @@ def copy_state(t, of, to):
 
 @rare_kernel
 def copy_mind(of, to):
-    """What robots that learn believe."""
+    """Copy the team's map in an online mission."""
     copy_row(flat(of.near), flat(to.near), 4 * len(of.near))
     copy_row(of.entry, to.entry, len(of.entry))
     copy_row(of.level, to.level, len(of.level))
@@ -111,7 +112,7 @@ def copy_mind(of, to):
 
 @rare_kernel
 def count_passes(s, c, ids, singles):
-    """Add a set's survived visits by cell, and what its cells add up to in each of its rollouts."""
+    """Count a group's survived visits by cell, and the value of its cells in each of its rollouts."""
     first, last, covered, found = s.marks.first, s.marks.last, np.int64(0), np.int64(0)
     for cell in range(len(s.passes)):
         passes = min(np.int64(s.passes[cell]), MOST_PASSES)
@@ -128,7 +129,13 @@ def count_passes(s, c, ids, singles):
 
 @kernel
 def count_set(t, s, c, ids, singles, outcome):
-    """Add a set at the end of its run."""
+    """Count a group at the end of its run.
+
+    Args:
+        ids: uint32 `[B]`, rollouts.
+        singles: results of single rollouts, changed in place.
+        outcome: of the run.
+    """
     marks, first, last = s.marks, s.marks.first, s.marks.last
     size, covered, safely = last - first, marks.covered, marks.covered - marks.unsurvived
     c.visited[covered] += size
@@ -152,7 +159,7 @@ def count_set(t, s, c, ids, singles, outcome):
 
 @kernel
 def begin_next(t, stack, waiting, tasks, taken, w):
-    """Level 0 of the stack becomes the next of the tasks, and its rollouts; False if all of them are taken."""
+    """Load the next task into level 0 of the stack; False if all tasks are taken."""
     task = take(taken)
     if task >= len(tasks):
         return False
@@ -167,10 +174,18 @@ def begin_next(t, stack, waiting, tasks, taken, w):
 
 @kernel
 def go_on_with(t, s, c, stack, level, ids, singles, how, top, last, found):
-    """The level that goes on, NONE if none does, and the topmost level in use, after `found`.
+    """Choose the level that goes on after `advance` returned `found`.
 
-    Those who were hit have a copy of the state in a new level and go on with it, or are put aside there; the others
-    stay in `s`. At the end of a run it is who came to wait last. `last`: where the set ended before it parted.
+    After a split the rollouts that lost the robot get a copy of the state in a new level. They go on, or are deferred;
+    the others stay in `s`. At the end of a run the group that waited last goes on.
+
+    Args:
+        stack: of states; level: that of `s`; top: topmost level in use.
+        last: end of the group's ids before the split.
+        found: result of `advance`.
+
+    Returns:
+        (level, NONE if none goes on; topmost level in use).
     """
     if found != PARTED:
         if found != CUT:
@@ -178,12 +193,12 @@ def go_on_with(t, s, c, stack, level, ids, singles, how, top, last, found):
         # Its ids are counted: the level is empty.
         s.marks.last = s.marks.first
         return (top - 1, top - 1) if how.aside == 0 else (NONE, top)
-    # Who passed keeps the level and waits; who was hit goes on first, so levels never outnumber the robots.
+    # Survivors keep the level and wait; the others go on first, so levels never outnumber the robots.
     s.marks.verdict, top = PASSED, top + 1
-    hit = hand(level_of(stack, top))
-    copy_state(t, s, hit)
+    lost = hand(level_of(stack, top))
+    copy_state(t, s, lost)
     stack.marks[top] = stack.marks[level]
-    hit.marks.first, hit.marks.last, hit.marks.verdict = s.marks.last, last, HIT
+    lost.marks.first, lost.marks.last, lost.marks.verdict = s.marks.last, last, HIT
     if how.aside == 0:
         return top, top
     return 0 if top < how.aside and s.marks.last > s.marks.first else NONE, top
@@ -191,22 +206,30 @@ def go_on_with(t, s, c, stack, level, ids, singles, how, top, last, found):
 
 @program
 def run_set(t, p, c, waiting, tasks, taken, stack, w, log, how, ids, singles):
-    """Rollouts `ids`, uint32 `[B]`, which become disordered, with a stack of `planner.simulator.state.State`.
+    """Run rollouts, with a stack of states.
 
-    `tasks`, int64 `[N, 3]`: a level of the stack `waiting` to go on from, and which of the ids do; `taken`, int64
-    `[1]`: how many of them some thread has begun with. `how.aside`: 0, or of one task, how many sets of those who are
-    the first to be hit are put aside at most: in levels 1, 2, .. of the stack, whoever is left then in level 0.
-    `p`: the policy, None: the paper's rule. `singles`: what is kept of each rollout. Returns how many sets were put
-    aside, NONE if a rollout needed more areas than the state has room for (the counts are then void).
+    Args:
+        p: the policy, None for the paper's rule.
+        waiting: stack of states to start from.
+        tasks: int64 `[N, 3]`, a level of `waiting`, and the begin and end of its rollouts in `ids`.
+        taken: int64 `[1]`, tasks taken so far by all threads.
+        stack: scratch stack of `planner.simulator.state.State`.
+        ids: uint32 `[B]`, rollouts; reordered.
+        singles: results of single rollouts.
+
+    Returns:
+        0, or with `how.aside` the number of groups deferred: those that lose their first robot, in levels 1, 2, ... of
+        the stack; level 0 keeps the rest. NONE if a rollout needed more areas than the state has room for; then the
+        counts are void.
     """
     tables, counts, work, logged, options = hand(t), hand(c), hand(w), hand(log), hand(how)
     policy = hand(p)
     top = 0
-    # Threads share `taken`, which they raise atomically: no task is run twice.
+    # Threads raise `taken` atomically: no task is run twice.
     while begin_next(tables, stack, waiting, tasks, taken, work):
         level = top = 0
         while level >= 0:
-            # By address: fifty arrays by value would cost more than most kernels do.
+            # By address: passing fifty arrays by value would take longer than most kernels.
             s = hand(level_of(stack, level))
             last = s.marks.last
             found = advance(tables, policy, s, counts, work, logged, options, ids)

@@ -1,6 +1,6 @@
-"""Safest paths with their ties on a grid, by a search for each question or from tables, and coverage paths.
+"""Safest paths on a grid with their ties, by searches, and coverage paths.
 
-A path's cost is the sum of the entry costs of its cells, the first one left out.
+The cost of a path is the sum of the entry costs of its cells, the first cell excluded.
 """
 
 from __future__ import annotations
@@ -15,11 +15,19 @@ from planner.simulator.codes import BLOCKED
 from .codes import NO_CELL
 from .jit import host_search, kernel, threaded
 
-# Eq. (3) made exact: integer entry costs, and the grid's neighbours that safest paths run over (SPEC section 3).
+# Eq. (3) with integer entry costs, and the neighbours in the grid of safest paths (SPEC section 3).
 
 
 def neighbour_table(shape: tuple[int, int], passable: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """The neighbours of each cell that are `passable` `[N]`, int32 `[N, 4]` in the order N, W, E, S; NO_CELL: none."""
+    """The passable neighbours of each cell.
+
+    Args:
+        shape: (H, W).
+        passable: bool `[N]`.
+
+    Returns:
+        int32 `[N, 4]` in the order N, W, E, S; NO_CELL where there is none.
+    """
     height, width = shape
     padded = np.full((height + 2, width + 2), NO_CELL, dtype=np.int32)
     padded[1:-1, 1:-1] = np.where(passable, np.arange(height * width), NO_CELL).reshape(shape)
@@ -27,12 +35,12 @@ def neighbour_table(shape: tuple[int, int], passable: NDArray[np.bool_]) -> NDAr
     return np.stack(sides, axis=2).reshape(-1, 4)
 
 
-# A binary heap of (cost, cell) in two arrays, for the compiled searches.
+# A binary heap of (cost, cell) in two arrays, for compiled searches.
 
 
 @kernel
 def push(heap_cost, heap_cell, size, cost, cell):  # type: ignore[no-untyped-def]
-    """Add a cell to a heap of `size`; returns the new size."""
+    """Add a cell to a heap of `size` elements; returns the new size."""
     child = size
     while child > 0:
         parent = (child - 1) >> 1
@@ -46,7 +54,7 @@ def push(heap_cost, heap_cell, size, cost, cell):  # type: ignore[no-untyped-def
 
 @kernel
 def pop(heap_cost, heap_cell, size):  # type: ignore[no-untyped-def]
-    """Take the first off a heap of `size`, having read it; returns the new size."""
+    """Remove the first element of a heap of `size` elements; returns the new size."""
     size -= 1
     cost, cell = heap_cost[size], heap_cell[size]
     parent = 0
@@ -64,26 +72,39 @@ def pop(heap_cost, heap_cell, size):  # type: ignore[no-untyped-def]
     return size
 
 
-# The search for safest paths, compiled, for `SafestPaths`.
+# The compiled search for safest paths of `SafestPaths`.
 #
-# Among targets of equal cost the one of least rank, then of lowest index, is nearest; among equal-cost paths to one
-# target, walking back from the target, the predecessor of lowest index is taken (SPEC section 3).
+# Of targets of equal cost the one of least rank, then of lowest index, is nearest. Of paths of equal cost to one target
+# the predecessor of lowest index is taken at each cell, backwards from the target (SPEC section 3).
 
 NOT_WANTED = -1
-"""Rank of a cell that is no target."""
+"""Rank of a cell that is not a target."""
 UNREACHED = -1
 """Cost of a cell that cannot be reached."""
 TOO_FAR = -2
-"""In the place of a nearest target: none was certain within the cells that a search was allowed."""
+"""Result instead of a nearest target: none was certain within the allowed number of cells."""
 
 
 @host_search
 def search_within(source, rank, inside, neighbours, costs, distance, seen, stamp, queue, heap_cost, heap_cell, most):  # type: ignore[no-untyped-def]
-    """Dijkstra from `source` until the nearest target is certain; `distance[v]` is final where `seen[v] == stamp`.
+    """Dijkstra's algorithm from `source` until the nearest target is certain.
 
-    Costs sit on the cells entered, so the first time a cell is met its distance is final: each is queued once. Cells
-    one unit away (safe ones) go through a queue in layers, the others through a heap. TOO_FAR as soon as more
-    than `most` cells have gone through the queue.
+    Costs belong to the cell entered, so the distance of a cell is final when it is first met: each is queued once.
+    Cells of cost 1 (safe ones) go through a layered queue, the others through a heap.
+
+    Args:
+        source: a cell.
+        rank: int32 `[N]`, NOT_WANTED for cells that are not targets.
+        inside: bool `[N]`, cells that may be entered.
+        neighbours: int32 `[N, 4]`, NO_CELL if none.
+        costs: int64 `[N]`, entry costs.
+        distance: int64 `[N]`, results: final where `seen` is `stamp`.
+        seen: int64 `[N]`; stamp: the number of this search.
+        queue, heap_cost, heap_cell: `[N]`, scratch.
+        most: cells that may go through the queue.
+
+    Returns:
+        (cell, cost) of the nearest target; NO_CELL if none is reachable, TOO_FAR if more than `most` cells were needed.
     """
     distance[source], seen[source] = 0, stamp
     if rank[source] != NOT_WANTED:
@@ -135,7 +156,7 @@ def search_within(source, rank, inside, neighbours, costs, distance, seen, stamp
 
 @host_search
 def walk_back(source, target, distance, seen, stamp, neighbours, costs):  # type: ignore[no-untyped-def]
-    """The cells of the safest path after `source`, in driving order, by the lowest-index predecessor."""
+    """The cells of the safest path after `source`, in order, by predecessors of lowest index; int64 `[steps]`."""
     length, here = 0, target
     path = np.empty(64, dtype=np.int64)
     while here != source:
@@ -152,23 +173,23 @@ def walk_back(source, target, distance, seen, stamp, neighbours, costs):  # type
     return path[:length][::-1].copy()
 
 
-# The nearest target when it is far: a search that knows how much danger still lies ahead.
+# The nearest target if it is far: a search that knows how much danger still lies ahead.
 #
-# A dangerous cell costs more than every safe one, so a plain search explores the whole safe part of the map around it
-# before it goes through a second dangerous cell. Here a search backwards from the targets, in which every component of
-# safe cells is one node (safe cells cost nothing there), finds the danger still to go; A* with it as its potential then
-# spends time on safe steps alone. Where that search was ended early, its last cost is the potential: a lower bound that
-# keeps A* exact. Answers, ties and paths are those of `SafestPaths`.
+# A dangerous cell costs more than all safe ones, so a plain search explores the whole safe part of the map around it
+# before it passes a second dangerous cell. Here a search backwards from the targets, with every component of safe cells
+# as one node of cost 0, finds the danger to go. A* with that as its potential then spends time on safe steps only. If
+# the backward search is ended early, its last cost is the potential: a lower bound that keeps A* exact. Results, ties
+# and paths equal those of `SafestPaths`.
 
 
 class SafeParts(NamedTuple):
-    """The map with every connected component of safe cells as one node. Axes: `N` cells, `B` cells at borders.
+    """The map with each connected component of safe cells as one node. Axes: `N` cells, `B` cells at borders.
 
     Attributes:
-        node: int32 `[N]`, the lowest cell of a safe cell's component; of a dangerous cell the cell itself.
-        begin, border: int32 `[N + 1]`, `[B]`: beside component v are the dangerous cells
+        node: int32 `[N]`, the lowest cell of a safe cell's component; for a dangerous cell the cell itself.
+        begin, border: int32 `[N + 1]`, `[B]`: the dangerous cells next to component v are
             `border[begin[v] : begin[v + 1]]`.
-        wide: dangerous cells around a component that are worth a visit when the robot itself stands in danger.
+        wide: number of dangerous cells around a component from which on a search from danger ends there.
         to_go, touched: int64 `[N]`, of each node: least danger to a target, and the search that found it.
     """
 
@@ -181,13 +202,19 @@ class SafeParts(NamedTuple):
 
 
 def find_safe_parts(neighbours: NDArray[np.int32], costs: NDArray[np.int64], wide: int = 1_000) -> SafeParts:
-    """The safe components of a map with these `neighbours` `[N, 4]` and entry costs `[N]`."""
+    """Find the safe components of a map.
+
+    Args:
+        neighbours: int32 `[N, 4]`, NO_CELL if none.
+        costs: int64 `[N]`, entry costs.
+        wide: as in `SafeParts`.
+    """
     n = len(costs)
     node = _label(neighbours, costs)
-    beside = node[neighbours]
+    nodes_around = node[neighbours]
     counts = (costs[:, None] > 1) & (neighbours >= 0) & (costs[neighbours] == 1)
     cell = np.broadcast_to(np.arange(n)[:, None], counts.shape)[counts]
-    pairs = np.unique(beside[counts].astype(np.int64) * n + cell)
+    pairs = np.unique(nodes_around[counts].astype(np.int64) * n + cell)
     begin = np.searchsorted(pairs, np.arange(n + 1) * n).astype(np.int32)
     return SafeParts(node, begin, (pairs % n).astype(np.int32), wide, np.zeros(n, np.int64), np.zeros(n, np.int64))
 
@@ -218,11 +245,20 @@ def _label(neighbours, costs):  # type: ignore[no-untyped-def]
 
 @threaded
 def danger_ahead(source, rank, among, neighbours, costs, stamp, heap_cost, heap_cell, parts):  # type: ignore[no-untyped-def]
-    """Search backwards from the targets, all of them `among` these cells, until the source, itself none, is touched.
+    """Search backwards from the targets until the source is met.
 
-    The danger to go from any node not touched is at least the result, UNREACHED if no target can be reached. A node is
-    queued by what it hands on to those before it, its own danger included, so that the first touch is final. From a
-    dangerous source it ends at the first wide component.
+    A node is queued by the danger that it adds for the nodes before it, so its value is final when it is first met.
+    From a dangerous source the search ends at the first wide component.
+
+    Args:
+        source: a cell, no target.
+        rank: int32 `[N]`, NOT_WANTED for cells that are not targets.
+        among: cells that include all targets.
+        neighbours, costs, stamp, heap_cost, heap_cell: as in `search_within`.
+        parts: SafeParts; `to_go` and `touched` are results.
+
+    Returns:
+        A lower bound on the danger to go from any node not met; UNREACHED if no target can be reached.
     """
     node, begin, border, wide, to_go, touched = parts
     size, start = 0, node[source]
@@ -255,12 +291,12 @@ def danger_ahead(source, rank, among, neighbours, costs, stamp, heap_cost, heap_
 def far_search(  # type: ignore[no-untyped-def]
     source, rank, inside, neighbours, costs, distance, seen, stamp, heap_cost, heap_cell, layer, later, parts, ahead
 ):
-    """The nearest target and its cost, as `search_within` finds them, NO_CELL if there is none, after `danger_ahead`.
+    """The nearest target and its cost as by `search_within`, NO_CELL if there is none, after `danger_ahead`.
 
-    A* with the danger to go, at most `ahead`, as its potential, until all that costs as little as the answer is
-    settled. Costs with what is to go never fall on a way, and mostly rise by 0 or 1: what comes `now` and what comes
-    next are lists, all else is in a heap. Of `distance` only what lies on safest paths to the answer is final.
-    TOO_FAR where a cell that was queued again found no room in `layer`, `later` or the heap.
+    A* with the danger to go, at most `ahead`, as its potential, until all cells as cheap as the answer are settled.
+    Cost plus potential never falls along a path and mostly rises by 0 or 1. So the cells of the present and the next
+    value are lists, all others are in a heap. `distance` is final only on safest paths to the answer. TOO_FAR if a cell
+    that was queued again found no room in `layer`, `later` or the heap.
     """
     node, to_go, touched = parts.node, parts.to_go, parts.touched
     distance[source], seen[source] = 0, stamp
@@ -273,7 +309,7 @@ def far_search(  # type: ignore[no-untyped-def]
             place += 1
             at = node[here]
             if now != distance[here] + (to_go[at] if touched[at] == stamp else ahead):
-                continue  # queued before a cheaper way was found
+                continue  # queued before a cheaper path was found
             if rank[here] != NOT_WANTED:
                 if best == NO_CELL or rank[here] < rank[best] or (rank[here] == rank[best] and here < best):
                     best, best_cost = here, distance[here]
@@ -315,7 +351,7 @@ def far_search(  # type: ignore[no-untyped-def]
 
 
 NEAR = 4_000
-"""Cells that a search for a target takes before it turns to `far_search`; small maps have fewer."""
+"""Cells that a search for a target may pass before `far_search` takes over; small maps have fewer."""
 
 
 class Target(NamedTuple):
@@ -326,10 +362,15 @@ class Target(NamedTuple):
 
 
 class SafestPaths:
-    """Safest paths by a search for each question. Memory: about 84 bytes a cell.
+    """Safest paths by searches. Memory: about 84 bytes per cell.
 
-    Cells are indices; `[N]` arrays run over the whole grid. `inside` `[N]` limits the cells that a path may enter.
-    `near`: cells that a search for a target may take; a target farther off is looked for by `far_search`.
+    Cells are indices; `[N]` arrays run over the whole grid. `inside`, bool `[N]`, limits the cells that a path may
+    enter.
+
+    Args:
+        neighbours: int32 `[N, 4]`, NO_CELL if none.
+        costs: int64 `[N]`, entry costs.
+        near: cells that a search may pass before `far_search` takes over.
     """
 
     def __init__(self, neighbours: NDArray[np.int32], costs: NDArray[np.int64], near: int = NEAR) -> None:
@@ -348,7 +389,7 @@ class SafestPaths:
     def _search(
         self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None, most: int
     ) -> tuple[int, int]:
-        """`search_within`; afterwards the way to any cell met is known."""
+        """`search_within`; afterwards the path to each cell met is known."""
         self._stamp += 1
         self._last, self._found = (source, inside), None
         return search_within(
@@ -369,7 +410,7 @@ class SafestPaths:
     def _search_far(
         self, source: int, rank: NDArray[np.int32], inside: NDArray[np.bool_] | None, among: NDArray[np.int64]
     ) -> tuple[int, int]:
-        """`far_search`; afterwards the way to what it found is known."""
+        """`far_search`; afterwards the path to its result is known."""
         if self._parts is None:
             self._parts = find_safe_parts(self.neighbours, self.costs)
         self._stamp += 1
@@ -389,7 +430,12 @@ class SafestPaths:
         return self._search(source, rank, inside, len(self.costs))
 
     def to_all(self, source: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
-        """Cost of the safest path from `source` to every cell, int64 `[N]`; UNREACHED where it is."""
+        """Cost of the safest path from `source` to every cell, int64 `[N]`; UNREACHED where there is none.
+
+        Args:
+            source: a cell.
+            inside: bool `[N]`, cells that may be entered; None: all.
+        """
         self._search(source, self._no_target, inside, len(self.costs))
         return np.where(self._seen == self._stamp, self._distance, UNREACHED)
 
@@ -407,9 +453,13 @@ class SafestPaths:
         inside: NDArray[np.bool_] | None = None,
         among: NDArray[np.int64] | None = None,
     ) -> Target | None:
-        """The cheapest target from `source`, or None. Targets have a rank and are all of one level.
+        """The cheapest target, or None. All targets have one level; ties go to the least rank, then the lowest index.
 
-        Ties go to the least rank, then the lowest index. `among`: cells that hold every target, if that is known.
+        Args:
+            source: a cell.
+            rank: int32 `[N]`, NOT_WANTED for cells that are not targets.
+            inside: bool `[N]`, cells that may be entered; None: all.
+            among: cells that include all targets, if known.
         """
         cell, cost = self._search(source, rank, inside, self.near)
         if cell == TOO_FAR:
@@ -418,7 +468,15 @@ class SafestPaths:
         return None if cell == NO_CELL else Target(int(cell), int(cost))
 
     def path(self, source: int, target: int, inside: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
-        """The cells entered on the safest path from `source` (left out) to `target`; it must be reachable."""
+        """The cells entered on the safest path from `source` (excluded) to `target`, int64 `[steps]`.
+
+        Args:
+            source, target: cells; the target must be reachable.
+            inside: bool `[N]`, cells that may be entered; None: all.
+
+        Raises:
+            ValueError: the target cannot be reached.
+        """
         searched = self._last[0] == source and self._last[1] is inside and self._seen[target] == self._stamp
         if not searched or self._found not in (None, target):
             self._find(source, target, inside)
@@ -432,11 +490,16 @@ class SafestPaths:
 
 
 def safest_paths(shape: tuple[int, int], costs: NDArray[np.int64]) -> SafestPaths:
-    """Safest paths over a grid with these entry costs `[N]`."""
+    """Safest paths over a grid.
+
+    Args:
+        shape: (H, W).
+        costs: int64 `[N]`, entry costs; BLOCKED for cells that cannot be entered.
+    """
     return SafestPaths(neighbour_table(shape, costs != BLOCKED), costs)
 
 
-# Algorithm 3, the modified GAC: cover what is left of an area, nearest cell first.
+# Algorithm 3, the modified GAC: cover the rest of an area, nearest cell first.
 
 
 def coverage_path(
@@ -446,17 +509,21 @@ def coverage_path(
     inside: NDArray[np.bool_] | None,
     sides: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """The cells entered, in order, to visit every cell of `to_do` from `here` (left out).
+    """The cells entered, in order, to visit every cell of `to_do` from `here` (excluded).
 
-    Repeatedly the cheapest cell to do from where the last leg ended, by the safest path (paper, Algorithm 3, with
-    SPEC's ties).
+    Repeatedly takes the cheapest cell to do from the end of the last leg, by the safest path.
 
     Args:
         paths: the safest paths of the world.
-        here: where the robot stands.
-        to_do: the unvisited cells of the area at this moment, reachable from `here`.
-        inside: bool `[N]`, the cells that legs may enter (`transit="area"`), or None for all.
-        sides: int64 `[N, 4]`, of each cell its sides in their order (`planner.mrac.areas`).
+        here: the robot's cell.
+        to_do: int64 `[cells]`, the area's unvisited cells, reachable from `here`.
+        inside: bool `[N]`, cells that legs may enter (`transit="area"`), or None for all.
+        sides: int64 `[N, 4]`, the priority of each cell's sides (`planner.mrac.areas`).
+
+    Returns:
+        int64 `[steps]`.
+
+    Source: paper, Algorithm 3; ties of SPEC sections 3 and 5.
     """
     rank = np.full(len(paths.neighbours), NOT_WANTED, dtype=np.int32)
     rank[to_do] = 0
@@ -480,9 +547,9 @@ def _cheapest_legs(
     to_do: NDArray[np.int64],
     sides: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """The cheapest cell first: legs to adjacent cells; if there is none, one leg by a search.
+    """Legs to the cheapest cells: adjacent ones as long as there are any; if there is none, one leg by a search.
 
-    The cells are of one level, so an adjacent one is always cheapest.
+    The cells are of one level, so an adjacent cell is always cheapest.
     """
     adjacent = _adjacent_run(here, rank, paths.neighbours, sides, len(to_do))
     if len(adjacent):
@@ -495,7 +562,7 @@ def _cheapest_legs(
 
 @host_search
 def _adjacent_run(here, rank, neighbours, sides, most):  # type: ignore[no-untyped-def]
-    """From cell to adjacent cell of rank 0, by `sides`, until there is none or it is `most`; int64 `[legs]`."""
+    """From cell to adjacent cell of rank 0, by `sides`, until there is none or after `most`; int64 `[legs]`."""
     run, length = np.empty(most, dtype=np.int64), 0
     while length < most:
         after = NO_CELL
@@ -515,7 +582,7 @@ def _adjacent_run(here, rank, neighbours, sides, most):  # type: ignore[no-untyp
     return run
 
 
-# Which of the cells next to a robot goes first where all of them are to do: what makes coverage paths go straight.
+# Priority of the cells next to a robot if all of them are to do: it makes coverage paths straight.
 
 BY_INDEX, BY_ROW, BY_COLUMN = (0, 1, 2, 3), (1, 2, 0, 3), (0, 3, 1, 2)
-"""Sides in their order: 0 north, 1 west, 2 east, 3 south."""
+"""Orders of sides: 0 north, 1 west, 2 east, 3 south."""

@@ -1,7 +1,7 @@
-"""Steps in which one robot alone can do something: most rollouts end with many of them.
+"""Steps in which only one robot can act: most rollouts end with many of them.
 
-The general loop (`planner.simulator.step`) takes every decision. Here a robot only moves, until one is due: a possible
-loss, the end of an area, of a leg or of its range.
+The general loop (`planner.simulator.step`) takes every decision. These loops only move the robot until a decision is
+due: a possible loss, or the end of an area, a leg or the robot's range.
 """
 
 from __future__ import annotations
@@ -22,30 +22,29 @@ from .visits import count_new
 def only_mover(t, p, s, log):
     """The only robot that can act until the next loss; NONE if several can, or none.
 
-    Also NONE where every step matters: robots differ in speed or type, a trace or survived visits are kept, threats
-    move or change, robots learn or return to base.
+    Also NONE where the general loop has to see every step: several speeds or types, a trace, counted survived visits,
+    moving or changing threats, online map updates, return to base.
     """
     bits = s.movers[0]
-    # bits & (bits - 1) takes the lowest bit away: 0 if it was the only one. One word of robots is enough for most
-    # teams.
+    # bits & (bits - 1) removes the lowest bit: 0 if it was the only one. One word of robots serves most teams.
     alone = bits != 0 and bits & (bits - ONE) == 0 and (s.marks.open == 0 or s.waiting[0] == 0)
     noted = len(log.frames) > 0 or len(s.passes) > 0 or t.moving or t.learns
     differ = t.paced or t.mixed or t.phased
     if not alone or len(s.movers) != 1 or noted or t.returns or differ:
         return np.int64(NONE)
-    if p is not None and len(p.most) > 0 and s.waiting[0] != 0:  # a robot that is held asks in every step
+    if p is not None and len(p.most) > 0 and s.waiting[0] != 0:  # a held robot asks again in every step
         return np.int64(NONE)
     robot = np.int64(lowest_bit(bits))
     return robot if s.robots[robot].doing != FOLLOWING else np.int64(NONE)
 
 
 @kernel
-def bears(t, s, how, robot, cell):
-    """Whether no rollout of the group loses the robot in the dangerous cell; its hazard then includes the visit."""
-    # Where only robots that were lost have been, a further visit may be the first that a robot survives.
+def survives_visit(t, s, how, robot, cell):
+    """Whether the robot survives the dangerous cell in the whole group; then its hazard includes the visit."""
+    # A cell visited but not survived may be survived for the first time: the general loop counts that.
     if t.doubtful or how.first_only or s.home[cell] & (VISITED | SURVIVED) == VISITED:
         return False
-    # The cumulative hazard decides, not this visit: below the lowest threshold of the group no word is drawn.
+    # The cumulative hazard decides: below the lowest threshold of the group no word is drawn.
     borne = s.robots[robot].borne + t.exposure[own(t, robot, cell)]
     if fresh(t, robot, borne) >= s.robots[robot].bears:
         return False
@@ -55,11 +54,16 @@ def bears(t, s, how, robot, cell):
 
 @kernel
 def walk_path(t, s, c, w, how, robot, step, size):
-    """The last of the steps after `step` in which the robot only moves, and no other robot acts.
+    """Move the robot under the paper's rule until something else can happen.
 
-    It stops before anything else can happen: a loss, the end of an area or of a path.
+    Args:
+        step: the last step that is over.
+        size: rollouts of the group.
+
+    Returns:
+        The last step that is over: the next may bring a loss, or the end of an area or of a path.
     """
-    # What changes at every step is kept in registers, and written back where somebody else reads it.
+    # Values that change in every step are kept in registers, and written back before they are read elsewhere.
     me = s.robots[robot]
     covering, left, wanted = me.doing == COVERING, np.int64(me.left), to_do_in(me.area)
     here, cell, target = np.int64(me.cell), np.int64(me.next), np.int64(me.target)
@@ -69,10 +73,10 @@ def walk_path(t, s, c, w, how, robot, step, size):
         home = np.int64(s.home[cell])
         arrives = cell == target
         fresh = home & VISITED == 0
-        # The end of a path, of an area or of a range is a decision: the full loop takes it.
+        # The end of a path, an area or a range is a decision: the general loop takes it.
         if (arrives and (not covering or left == 1)) or (fresh and s.areas[home >> AREA_BITS].left == 1):
             break
-        if t.bound[own(t, robot, cell)] > 0 and not bears(t, s, how, robot, cell):
+        if t.bound[own(t, robot, cell)] > 0 and not survives_visit(t, s, how, robot, cell):
             break
         if fresh:
             s.areas[home >> AREA_BITS].left -= 1
@@ -107,9 +111,10 @@ def walk_path(t, s, c, w, how, robot, step, size):
 
 @kernel
 def walk_watching(t, p, s, c, w, how, robot, step, size):
-    """The last of the steps after `step` in which the robot only moves over safe cells, and no other robot acts.
+    """Move the robot under a rule that re-evaluates, over safe cells, until something else can happen.
 
-    It stops before anything else can happen, or has to be noticed.
+    Returns:
+        The last step that is over: the next may bring a danger, the end of an area, or a re-evaluation.
     """
     me, stop = s.robots[robot], min(how.max_steps, s.robots[robot].until)
     while step + 1 < stop and not notices(t, p, s, robot):
@@ -136,7 +141,7 @@ def walk_watching(t, p, s, c, w, how, robot, step, size):
 
 @kernel
 def walk_alone(t, p, s, c, w, how, robot):
-    """Let the only robot that can do something move until a decision is due; the last step that is over by then."""
+    """Move the only robot that can act until a decision is due; returns the last step that is over."""
     step, size = s.marks.step, s.marks.last - s.marks.first
     if p is None:
         return walk_path(t, s, c, w, how, robot, step, size)

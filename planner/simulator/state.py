@@ -1,9 +1,7 @@
-"""The compiled simulator's data: what every rollout reads, the state that it keeps, and what it is counted into.
+"""The compiled simulator's data: tables, the state of a group of rollouts, scratch arrays, and counts.
 
-Part of `planner.simulator.rollouts`, which see. Axis letters: `A` accessible cells, `K` robots, `M` areas, `T` steps,
-`L`
-levels of the state: sets of rollouts that wait for others which were hit. Arrays that a way of running does without
-are empty; from where on they may be is told by `planner.rollouts.loop`.
+Axis letters: `A` accessible cells, `K` robots, `M` areas, `T` steps, `L` levels of the stack of states (groups that
+wait for groups that split off). Arrays of features that a mission does not use are empty.
 """
 
 from __future__ import annotations
@@ -21,17 +19,21 @@ from .codes import NONE, Doing, Outcome
 from .jit import kernel
 from .thresholds import LEAST
 
-# Bits of sets of robots and of areas, and where a set of rollouts parts.
-#
-# Part of `planner.simulator.rollouts`, which see. A set is uint64 `[words]`, member i in bit i % 64 of word i / 64.
+# Sets of robots and of areas as bits: uint64 `[words]`, member i in bit i % 64 of word i / 64.
 
 ONE = np.uint64(1)
 NOT_ZERO = ir.Constant(ir.IntType(1), 1)
-"""Said of a word whose zeros are counted, so that the machine need not ask."""
+"""Operand of a zero count: the word is not 0, so that the machine need not test it."""
 
 
 def instruction(result: types.Type, of: types.Type, emit: Callable[[Any, Any], Any]) -> Callable[[Any], Any]:
-    """A function of one word that is an instruction or two of the machine, for compiled code alone."""
+    """A function of one word that is one or two machine instructions; in compiled code only.
+
+    Args:
+        result: Numba type of the result.
+        of: Numba type of the word.
+        emit: makes the instruction from an IR builder and the word.
+    """
 
     @intrinsic
     def one(typing_context: Any, word: Any) -> Any:
@@ -49,12 +51,12 @@ _zeros_above = instruction(types.int64, types.uint64, lambda builder, word: buil
 
 
 def lowest_bit(word):
-    """The number of the lowest bit of a word that is not 0."""
+    """Index of the lowest bit of a word that is not 0."""
     return (int(word) & -int(word)).bit_length() - 1
 
 
 def highest_bit(word):
-    """The number of the highest bit of a word that is not 0."""
+    """Index of the highest bit of a word that is not 0."""
     return int(word).bit_length() - 1
 
 
@@ -69,7 +71,12 @@ def _compiled_highest_bit(word):
 
 
 def fill(bits: NDArray[np.uint64], members: NDArray[np.int64] | list[int] | slice) -> None:
-    """Make `members`, numbers `[M]` or a range of them, those of the set `bits` `[W]`, and no others; not compiled."""
+    """Make `bits` the set of these members; not compiled.
+
+    Args:
+        bits: uint64 `[W]`, changed in place.
+        members: int64 `[M]`, or a range of them.
+    """
     flags = np.zeros(64 * len(bits), dtype=np.bool_)
     flags[members] = True
     bits[:] = np.packbits(flags, bitorder="little").view("<u8")
@@ -77,119 +84,117 @@ def fill(bits: NDArray[np.uint64], members: NDArray[np.int64] | list[int] | slic
 
 @kernel
 def put(bits, member):
-    """Add a member."""
+    """Add a member to a set."""
     bits[member >> 6] |= ONE << np.uint64(member & 63)
 
 
 @kernel
 def drop(bits, member):
-    """Take a member out."""
+    """Remove a member from a set."""
     bits[member >> 6] &= ~(ONE << np.uint64(member & 63))
 
 
 @kernel
 def holds(bits, member):
-    """Whether it is one of them."""
+    """Whether a set holds the member."""
     return bits[member >> 6] >> np.uint64(member & 63) & ONE != 0
 
 
 IDLE, TRAVELING, COVERING, DONE, DEAD, FOLLOWING, RETURNING, CHARGING = map(int, Doing)
 LANDING, STARTING = range(len(Doing), len(Doing) + 2)
-"""What a robot does besides: it has not entered its start yet, and has no area, or has one."""
+"""States of a robot that has not entered its start yet: without an area, and with one."""
 COMPLETE, ALL_ROBOTS_LOST, NO_PROGRESS, STEP_LIMIT, _, NOT_WORTH_THE_RISK, _, _ = map(int, Outcome)
 PARTED, CUT, AREAS_FULL = -2, -3, -4  # none of them is NONE
-"""Why a run stops before its end: its group splits; all of its mass is below the cut; there is no room for areas."""
+"""Why `advance` returns before the end of a run: the group splits; all its mass is below the cut; no room for areas."""
 FAR = 2**63 - 1
 NO_LEVEL = 2**31 - 1
-"""The level of `State.lowest` where no area is unassigned."""
+"""The level of `State.lowest` if no area is unassigned."""
 NOWHERE_LEVEL = 2**16 - 1
-"""The level of cells that are in no area."""
+"""The level of the cells that are in no area."""
 
 RANKED = 128
-"""Cells that `Tables.ranked` holds for each cell: a robot in a safe area mostly finds its next cell among them; and
-areas that `Tables.foremost` does."""
+"""Cells that `Tables.ranked` holds for each cell (a robot in a safe area mostly finds its next cell among them), and
+areas that `Tables.foremost` holds."""
 STATE_BYTES = 2**28
-"""What a thread's levels may take up, about: large maps with many robots have room for smaller sets."""
+"""Approximate limit on the levels of one thread: large maps with many robots have room for smaller groups."""
 MOST_NARROW = 2**13
-"""Areas, and MOST_CELLS cells, that the 16 bits of a narrow state can tell apart."""
+"""Areas, and MOST_CELLS cells, that 16 bits of a narrow state can number."""
 MOST_CELLS = 2**16 - 1
 MOST_PASSES = 8
-"""Survived visits of a cell that are told apart; what further ones add to a chance to detect is bounded
+"""Survived visits of a cell that are counted apart; the effect of more on the chance to detect is bounded
 (`analysis.evaluation.outputs.value`)."""
 MOST_COUNTED = 2**16 - 1
 """Survived visits of a cell that a state counts."""
 
 
 class Tables(NamedTuple):
-    """What every rollout reads.
+    """Arrays and numbers that every rollout reads.
 
     Attributes:
-        near: uint16 or uint32 `[A, 4]`, neighbours N, W, E, S; A if blocked. sweep: the same, first the one that
-            goes first on coverage paths (`Problem.sides`).
+        near: uint16 or uint32 `[A, 4]`, neighbours N, W, E, S; A if blocked. sweep: the same, ordered by the sides'
+            priority on coverage paths (`Problem.sides`).
         cost_to: int32 or int64 `[A, A]`, safest-path cost from row to column; NONE if unreachable.
-        hop_to: like near `[A, A]`, first cell of the path to the row from the column: a leg stays in one row.
+        hop_to: like near `[A, A]`, first cell of the path to the row from the column. By target: a leg reads one row.
         ranked: like near `[A, RANKED]`, the cells of least cost from each, by (cost, index); A after the last.
         area_cost: like cost_to `[A, M]`, cost from each cell to each area of t = 0 (its cheapest cell, visited or not);
             area_entry: like near `[A, M]`, that cell.
-        foremost: like near `[A, min(M, RANKED)]`, the areas of t = 0 from each cell by the least that they ever cost
-            per cell to do, or by value; M after the last. Empty where no rule asks. counted: int64 `[M]`, cells of each
-            of them, or as many times the value of its best.
-        entry: int64 `[A]`, cost of entering each cell (eq. (3)); empty where nothing is searched for.
-        node, beside, border: the safe components, as `planner.simulator.searches.SafeParts` has them; node has no
-            component at its end, `[A + 1]`. kind: like near `[A]`; cells of one kind cost the same to enter,
-            `kind_cost` `[C]`, and there are `kind_begin` `[C]` cells of the kinds before it, both int64. All empty
-            where there are tables.
-        nearby: cells that a search passes before it is one for what is far. wide: as of `SafeParts`. patience: searches
-            from a cell before its costs to all are kept. goal: cells that count. last_step: by which robots that return
-            to base are to be there. recharge: steps until they have their range again, 0: they do not. quiet_steps:
-            steps in a row without progress after which a run ends, unless an announced phase that changes the map
-            begins later: last_update is the step of the last one, 0: none.
-        truths: int16 `[M, A]`, level of each cell in each map that may be true, NONE of an obstacle, of robots that
-            learn it; belief: int16 `[A]`, what they believe before the first step; price: int64 `[L]`, cost of entering
-            a cell of each level; in_view: like near, what is seen from each cell, from `view_begin` int64 `[A + 1]` on
-            (`planner.simulator.map_belief`). Cells that they come to believe to be within reach are accessible here,
-            and `entry` is of before the first step. All empty where the map is known.
+        foremost: like near `[A, min(M, RANKED)]`, areas of t = 0 for each cell in increasing order of the lower bound
+            on their cost per cell to do, or per value; M after the last. Empty where no rule uses it. counted: int64
+            `[M]`, cells of each area, or the number of cells times the largest value in it.
+        entry: int64 `[A]`, cost of entering each cell (eq. (3)); empty where distances are in tables.
+        node, beside, border: the safe components, as in `planner.simulator.searches.SafeParts`; node ends with no
+            component, `[A + 1]`. kind: like near `[A]`; cells of one kind cost the same to enter: `kind_cost` `[C]`.
+            `kind_begin` `[C]` counts the cells of the kinds before it; both int64. All empty where there are tables.
+        nearby: cells that a search passes before the long-range search takes over. wide: as in `SafeParts`. patience:
+            searches from a cell before its costs to all cells are kept. goal: cells that count. last_step: step by
+            which robots that return to base have to be there. recharge: steps of a recharge, 0: none. quiet_steps:
+            steps in a row without progress after which a run ends, unless a phase is announced for later. last_update:
+            the step of the last announced phase, 0: none.
+        truths: int16 `[M, A]`, level of each cell in each candidate of the true map, NONE for an obstacle; of online
+            missions. belief: int16 `[A]`, the prior map. price: int64 `[L]`, cost of entering a cell of each level.
+            in_view: like near, the cells within sensor range of each cell, from `view_begin` int64 `[A + 1]` on
+            (`planner.simulator.map_belief`). Cells that may turn out to be reachable are accessible here, and `entry`
+            is that of the prior map. All empty for a known map.
         odds, survival, step: int64 `[A]`, evidence on latent hazards (`planner.world.map_knowledge`), whose classes are
-            `truths`; lessons: int64 `[LESSONS]`, the rest of it. Else empty.
-        phases: int64 `[P]`, the step at which each phase of changing threats begins (`planner.simulator.map_belief`):
-            then bound, exposure and chance are `[P A]`, phase by phase, and truths the levels of each; else empty.
-        bound: uint32 `[A]`, 0 where no visit destroys a robot, in any rollout. own_counter, there and column `[A]` say
-            how an uncertain cell is drawn, as `planner.world.uncertain_maps.Draws` does; else they are empty. spent:
-            uint64 `[A / 64]`, no bits, where the first loss makes a cell harmless; else empty.
-        exposure: int64 `[A]`, what a visit adds to a robot's cumulative hazard (`planner.failure_model`), the most
-            where the cell is uncertain; doses: int64 `[M, C]`, that of every chance in the table of `Draws`.
-        chance: float64 `[A]`, p, by which a tree parts.
-        nodes, times, begun: what robots bear, if that is not plain (`planner.failure_model`), else empty: `wear_nodes`;
-            int64 `[K]`, susceptibilities; int64 `[K]`, what each has borne before, to a fresh robot.
-        movers: int64 `[M, MOVER_WORDS]`, threats that move, none in most worlds (`planner.simulator.moving_threats`);
-        routes:
-            int64, the cells of their routes, one route after the other.
-        type_of: int64 `[K]`, own_level: int64 `[Y, L]`, as of `planner.mrac.home_paths.OwnMaps`; empty where robots are
-            alike. Else the tables by cell `[A]` above, of costs, hops, ranks and luck, are `[Y A]`: type after type.
-        pace: int64 `[K]`, steps that a move takes, empty where all have one speed; ticks: int64 `[C]`, the different
-            ones; clock: uint64 `[C, K / 64]`, bits of the robots of each.
-        place: int64 `[A, 2]`, (row, col) of cells; bases: int64 `[B, 2]`; reach: int64 `[1]`, squared distance over
+            `truths`. lessons: int64 `[LESSONS]`, the other numbers of it. Else empty.
+        phases: int64 `[P]`, first step of each phase of changing threats (`planner.simulator.map_belief`). Then bound,
+            exposure and chance are `[P A]`, phase by phase, and truths holds the levels of each; else empty.
+        bound: uint32 `[A]`, 0 where no visit destroys a robot in any rollout. own_counter, there, column: `[A]`, how an
+            uncertain cell is drawn (`planner.world.uncertain_maps.Draws`); else empty. spent: uint64 `[A / 64]`, no
+            bits set, where the first loss makes a cell harmless; else empty.
+        exposure: int64 `[A]`, hazard that a visit adds to a robot's cumulative hazard (`planner.failure_model`), the
+            largest where the cell is uncertain. doses: int64 `[M, C]`, that of every probability in `Draws`.
+        chance: float64 `[A]`, p; a tree splits by it.
+        nodes, times, begun: the failure model where it is not Exp(1) for all (`planner.failure_model`), else empty:
+            `wear_nodes`; int64 `[K]`, hazard multipliers; int64 `[K]`, the Exp(1) hazard of earlier use.
+        movers: int64 `[M, MOVER_WORDS]`, moving threats, usually none (`planner.simulator.moving_threats`).
+        routes: int64, the cells of their routes, one route after the other.
+        type_of: int64 `[K]`, own_level: int64 `[Y, L]`, as in `planner.mrac.home_paths.OwnMaps`; empty for one robot
+            type. Otherwise the tables by cell `[A]` of costs, hops, ranks and hazards are `[Y A]`: type after type.
+        pace: int64 `[K]`, steps that a move takes, empty where all robots have one speed. ticks: int64 `[C]`, the
+            different ones. clock: uint64 `[C, K / 64]`, the robots of each as bits.
+        place: int64 `[A, 2]`, (row, col) of cells. bases: int64 `[B, 2]`. reach: int64 `[1]`, squared radio range
+            between robots, and to bases; empty where radio has no limit (`planner.simulator.robot_types`).
             which robots hear each other, and bases: empty where all do (`planner.simulator.robot_types`).
         starts: int32 `[K]`. range: int64 `[K]`, moves that each robot can make.
         order: int32 `[A]`, the cells area by area; begin: int32 `[M + 1]`, where each area begins in it.
         level, owner: int32 `[M]`, the allocation at t = 0.
-        given: like near `[K, steps + 1]`, the paths that robots follow first, the last cell of each repeated to the
-            end; length: int32 `[K]`, steps of each; both empty where there are none.
-        home_of: int64 `[K]`, the bases of each robot, of B sets, home_bases bool `[B, A]`; home_steps: int32 `[B, A]`,
-            moves of the way home from each cell, NONE where it is cut off; home_cost: int64 `[B, A]`, its cost; onward:
-            like near `[B, A]`, what is entered next on it, at a base that itself. As robots believe the map before the
-            first step (`planner.simulator.range_budget.find_ways_home`). All empty where robots stay where they end
-            (`planner.simulator.return_home`), but for home_of and onward where they drive back
+        given: like near `[K, steps + 1]`, external paths that robots follow first, the last cell repeated to the end.
+            length: int32 `[K]`, steps of each. Both empty where there are none.
+        home_of: int64 `[K]`, the set of bases of each robot, of B sets. home_bases: bool `[B, A]`. home_steps: int32
+            `[B, A]`, moves of the way to base from each cell, NONE where there is none. home_cost: int64 `[B, A]`, its
+            cost. onward: like near `[B, A]`, its next cell; at a base that cell. Of the prior map
+            (`planner.simulator.range_budget.find_ways_home`). All empty where robots do not return to base
+            (`planner.simulator.return_home`), except home_of and onward where robots drive back into radio range
             (`planner.simulator.robot_types`).
-        follows .. phased: the features of a mission, None where a program does without one: none of its code is
-            compiled (`jit_features.FoldAbsent`). Robots follow external paths; legs are searched for; there are no
-            tables of distances; the map is uncertain; a loss makes a cell harmless; robots wear or differ in
-            susceptibility; threats move; robots differ in type; in speed; radio has a range; robots return to base;
-            they learn the map; they estimate hazards; threats change by phases. scores: the sums of
-            `planner.rollouts.coverage_gradient` are counted.
-        asks, notes, loses: None in compiled programs; choose areas in the place of the rule
-            (`planner.mission.external_allocation`), note moves and areas that are made, and say which visits destroy a
-            robot (`planner.rollouts.single_run`).
+        follows .. phased: the features of a mission, None where it does not use one: no code of it is compiled
+            (`jit_features.FoldAbsent`). In this order: robots follow external paths; legs are found by searches;
+            distances are (no tables); the map is uncertain; a loss makes a cell harmless; Weibull shape or hazard
+            multipliers; moving threats; several robot types; several speeds; radio range; return to base; online map
+            updates; hazard estimates; phases. scores: sums of `planner.rollouts.coverage_gradient` are counted.
+        asks, notes, loses: None in compiled programs. Callbacks that choose areas in place of the rule
+            (`planner.mission.external_allocation`), record moves and new areas, and say which visits destroy a robot
+            (`planner.rollouts.single_run`).
     """
 
     near: NDArray
@@ -281,16 +286,17 @@ class Tables(NamedTuple):
 
 
 class How(NamedTuple):
-    """What else a call depends on: the halves of luck's key, those of the key for what is in doubt, T_max, two options.
+    """Options of a call: keys of the random numbers, limits, and callbacks.
 
-    `move0` .. `read1`: those of the keys of movers' moves, of meetings, and of readings.
-
-    `aside`: 0, or how many sets of those who are hit the call puts aside, at most
-    (`planner.simulator.rollouts.run_set`).
-    `pause`, `in_area`: None in compiled programs; of a rollout that runs as Python (`planner.rollouts.single_run`),
-    whether it stops after each step, and a user's own order of the cells of an area.
-    `cut`: 0, or the mass below which a branch of a tree is left (`planner.rollouts.exact_tree`); `most`: histories of
-    it.
+    Attributes:
+        key0, key1: halves of the key of failure thresholds. own0, own1: of uncertain cells. move0, move1: of moves of
+            threats. meet0, meet1: of encounters. read0, read1: of detector readings.
+        max_steps: T_max. first_only: only the first visit of a cell is checked. stay_inside: legs stay in their area.
+        aside: 0, or the largest number of groups that the call defers (`planner.simulator.rollouts.run_set`).
+        cut: 0, or the mass below which a branch of a tree is left (`planner.rollouts.exact_tree`). most: its largest
+            number of histories.
+        pause, in_area: None in compiled programs. Of a rollout that runs as Python (`planner.rollouts.single_run`):
+            whether it returns after each step, and a user's order of the cells of an area.
     """
 
     key0: np.uint32
@@ -314,24 +320,24 @@ class How(NamedTuple):
 
 
 VISITED, SURVIVED, TO_DO, AREA_BITS = 1, 2, 4, 3
-"""`home`: the area of a cell above AREA_BITS flags, the last of which is of the path that covers the area."""
+"""`State.home` holds the area of a cell above AREA_BITS flags. TO_DO marks a cell of its robot's coverage path."""
 WHOLE, LONG = np.int32, np.int64
 ROBOT = np.dtype(
     [
-        ("cell", WHOLE),  # where it is
+        ("cell", WHOLE),  # index of its cell
         ("next", WHOLE),  # the cell that it enters next
         ("target", WHOLE),  # the end of the current leg
         ("doing", WHOLE),
         ("area", WHOLE),  # its area, if it has one
         ("left", WHOLE),  # cells still to do on its coverage path
-        ("ahead", WHOLE),  # cells of `legs`, or of path `path`, after `next`; 0: one move, or in `hop_to`
+        ("ahead", WHOLE),  # cells of `legs`, or of path `path`, after `next`; 0: one move, or the leg is in `hop_to`
         ("held", WHOLE),  # whether the cap on robots at risk keeps it from dangerous areas
-        ("sure", WHOLE),  # it need not compare its area with others again until there are more `arrivals` than this
-        ("path", WHOLE),  # number of its remembered coverage path, 0: none
-        ("until", LONG),  # turn (`own_turn`) of the last move of a robot that moves; of one that waits, moves left
+        ("sure", WHOLE),  # it need not compare its area with others again until `arrivals` exceeds this
+        ("path", WHOLE),  # index of its cached coverage path, 0: none
+        ("until", LONG),  # turn (`own_turn`) of the last move of a moving robot; moves left of a waiting one
         ("borne", LONG),  # its cumulative hazard
         ("bears", LONG),  # no rollout of the group has a lower failure threshold
-        ("ready", LONG),  # step in which it has its range again; FAR before it is at a base; 0: it is not recharged
+        ("ready", LONG),  # step at which its recharge ends; FAR before it is at a base; 0: no recharge
     ],
     align=True,
 )
@@ -351,10 +357,10 @@ GROUP = np.dtype(
         for name in (
             "step",
             "robot",  # that acts in this step
-            "verdict",  # what became of it: ACTS, HIT or PASSED
+            "verdict",  # of its visit: ACTS, HIT or PASSED
             "quiet",  # steps in a row without progress
             "progress",  # whether this step has made any
-            "first",  # the group's part of the ids
+            "first",  # the group's segment of the ids
             "last",
             "areas",  # so far
             "open",  # unassigned areas
@@ -362,56 +368,56 @@ GROUP = np.dtype(
             "unfinished",  # areas with unvisited cells
             "alive",
             "bisected",  # areas shared by bisection
-            "divided",  # areas shared that lay in several components already
+            "divided",  # areas shared that were in several components already
             "changes",  # of the unassigned areas
             "arrivals",  # areas that became unassigned
             "covered",  # cells visited
-            "unsurvived",  # those of them in which no robot has survived yet
-            "roamed",  # steps that moving threats have made
+            "unsurvived",  # visited cells in which no robot has survived yet
+            "roamed",  # steps in which threats have moved
             "over",  # 0, or the outcome plus 1 once all robots return to base
             "at_home",  # robots at base at the end
             "now",  # 1 while a robot decides that moves in the same step
-            "unlimited",  # 1 while a robot may choose what is out of its range
+            "unlimited",  # 1 while areas out of a robot's range may be chosen
         )
     ],
     align=True,
 )
 STAYS, HITS, ROUTE, ROUTE_LENGTH, MOVER_WORDS = range(5)
-"""`Tables.movers`: of 24 bits that are below, one that walks stays, and who is met is stopped; where its route begins
-in `routes`, and how many cells it has, 0: it walks."""
+"""Columns of `Tables.movers`: chances, of 2**24, that a walking threat stays and that it destroys a robot it meets; the
+begin of its route in `routes`; cells of the route, 0: it walks at random."""
 AT_STOP, MORE, LESS, ALARM, SILENCE, DETECTS, ERRS, LESSONS = range(8)
-"""`Tables.lessons`: log odds after a stop, classes above and below the first; with a detector what an alarm adds and
-silence takes, and of how many of 2**24 readings the alarms are, where a hazard is and where none is; else 0."""
+"""`Tables.lessons`: log odds after a loss; classes above and below the first; with a detector the log odds that an
+alarm adds and silence subtracts, and the alarms of 2**24 readings at a hazard and elsewhere; else 0."""
 SEEN, LOOKED, OUT = 1, 2, 4
 TRUTH, BELIEF, MIND = range(3)
-"""`mind`: which of the maps is true; the number of the belief, of which a thread has kept its rows."""
+"""`State.mind`: index of the true map; index of the team's map, to which cached rows of costs belong."""
 RESTS, GAINS, MOVES, NO_ROOM = 0, 1, 2, -1
-"""The turn of a robot: it stays, gets an area and stays, or moves; or there is no room for areas."""
+"""Results of a turn: no move; an area and no move; a move; the area registry is full."""
 ACTS, HIT, PASSED = range(3)
-"""VERDICT: the next robot acts; the robot is hit in the cell that it has entered; it is not."""
+"""Verdicts: the next robot acts; the robot is lost in the cell that it entered; it survived there."""
 WORD = 64
 
 
 class State(NamedTuple):
-    """A set's state; in the stack of all levels with the leading axis `L`.
+    """State of a group of rollouts; in the stack of states with the leading axis `L`.
 
     Attributes:
-        home: uint16 or uint32 `[A + 1]`, each cell's area and flags; the last one stands for what is blocked.
-        order: like home `[A]`, the cells area by area; what is completed is not kept in order.
+        home: uint16 or uint32 `[A + 1]`, each cell's area and flags; the last element stands for blocked neighbours.
+        order: like home `[A]`, the cells area by area; completed areas are not kept in order.
         areas: AREA `[room]`. robots: ROBOT `[K]`. marks: GROUP.
         legs: like home `[K, A]`, the cells of legs that were searched for, last first; else empty.
         movers, waiting: uint64 `[K / 64]`, bits of the robots that move, and of those that could take an area.
-        open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area hold anything.
+        open: uint64 `[room / 64]`, bits of the unassigned areas; words beyond the last area are undefined.
         lowest: like open, those of level `marks.lowest`; no unassigned area has a lower one.
-        spent: uint64 `[A / 64]`, bits of the cells that a hit made harmless, or empty.
-        passes: uint16 `[A]`, survived visits of each cell, MOST_COUNTED for more; empty where nobody asks. With
-            `Tables.scores` `[2 A]`: behind them the robots lost in each cell.
-        entered: uint64 `[K / 64]`, bits of the robots that have entered a cell in this step; empty where nothing moves
-            but robots: only then it is not said by the end of their turns whether they survive there.
-        heard: uint64 `[K / 64]`, scratch; empty where robots hear each other everywhere.
-        near, entry, level: like `Tables.near`, `entry` and `truths[m]`, as robots that learn believe it; known: uint8
-            `[A]`, SEEN, LOOKED from, OUT of every area and not visited; fate: like home `[room]`, scratch; mind: int64
-            `[MIND]`. All empty where they are told. odds: like `Tables.odds`, by now.
+        spent: uint64 `[A / 64]`, bits of the cells that a loss made harmless, or empty.
+        passes: uint16 `[A]`, survived visits of each cell, MOST_COUNTED for more; empty where they are not counted.
+            With `Tables.scores` `[2 A]`: followed by the robots lost in each cell.
+        entered: uint64 `[K / 64]`, bits of the robots that have entered a cell in this step. Only with moving threats,
+            which decide at the end of the step whether a robot survives; else empty.
+        heard: uint64 `[K / 64]`, scratch; empty where radio has no limit.
+        near, entry, level: like `Tables.near`, `entry` and `truths[m]`, as the team's map has them. known: uint8 `[A]`,
+            flags: SEEN by a sensor, LOOKED from, OUT of every area and not visited. fate: like home `[room]`, scratch.
+            mind: int64 `[MIND]`. All empty for a known map. odds: like `Tables.odds`, updated.
     """
 
     home: NDArray
@@ -438,29 +444,30 @@ class State(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Scratch of one thread.
+    """Scratch arrays of one thread.
 
     Attributes:
-        seen: int64 `[A + 1]`, cells met in the search of this number; stamp: int64 `[1]`, searches so far.
-        stack, listed: uint32 `[A]`, cells. words: uint32 `[B]`, random words and ids of a set.
-        left: int64 `[B, K]`, what is left of tolerances where the map is in doubt, of ids from `begin` int64 `[1]` on.
-        at: int64 `[B, M]`, where movers are in each rollout, a cell (A: out of reach) or a place on the route; met:
-            int64 `[B]`, the robot that is met next; both of ids from `begin` on. here: int64 `[A + 1]`, zeros.
-        moves: uint32 `[2, M]`, words of one rollout's moves.
-        kept: int64 `[K, 5]`, of a robot that waits: what its first area was at so many changes, seen from which cell.
-        rows: like cost_to `[R, A + 1]` or empty, from some cells to every one, NONE if unreachable, and at the end;
+        seen: int64 `[A + 1]`, number of the last search that met each cell. stamp: int64 `[1]`, searches so far.
+        stack, listed: uint32 `[A]`, cells. words: uint32 `[B]`, random words and ids of a group.
+        left: int64 `[B, K]`, remaining thresholds on an uncertain map, of ids from `begin` int64 `[1]` on.
+        at: int64 `[B, M]`, the cell of each threat in each rollout (A: out of reach), or its index on the route. met:
+            int64 `[B]`, the robot that is met next. Both of ids from `begin` on. here: int64 `[A + 1]`, zeros.
+        moves: uint32 `[2, M]`, random words of one rollout's moves of threats.
+        kept: int64 `[K, 5]`, cached first area of a robot that waits: `changes` and cell for which it is valid; area,
+            target, cost.
+        rows: like cost_to `[R, A + 1]` or empty, costs from some cells to all, NONE if unreachable and at the end.
             row_costs, row_entries: like area_cost and area_entry `[R, M]`, from the same cells. row_of: int32 `[A]`,
-            the row from a cell, NONE if there is none; source_of: int32 `[R]`, the other way round; asked: uint8
-            `[A]`, searches from each cell; oldest: int64 `[1]`, the row that is the next to go; last: int64 `[1]`, the
-            row that gave the last answer, NONE if a search did; heads, tails: int64 `[C]` (`planner.simulator.paths`).
-        paths: uint32 `[P]`, coverage paths that are remembered, each behind its key (`planner.simulator.return_home`);
-        ends:
-            int64 `[P / 32]`, where path n = 1, 2, .. ends; slots: uint16 `[P / 16]`, a path by its key's hash, 0: none.
-            Empty where none are remembered. remembered: int64 `[1]`, the number of the next one.
-        everywhere: bool `[A + 1]`, all cells but the last one. The others are `[A]` (distance with NONE at its end), or
-            empty, as of `SafestPaths` and `far_search`.
-        part: int64 `[A + 1]`, gone: uint8 `[A]`, news: uint32 `[A]`, minds: int64 `[2]`, the beliefs so far, and the
-            one that rows are of (`planner.simulator.map_belief`); the first three are empty where robots are told.
+            the row from a cell, NONE if there is none. source_of: int32 `[R]`, its inverse. asked: uint8 `[A]`,
+            searches from each cell. oldest: int64 `[1]`, the row to replace next. last: int64 `[1]`, the row that gave
+            the last answer, NONE if a search did. heads, tails: int64 `[C]` (`planner.simulator.paths`).
+        paths: uint32 `[P]`, cached coverage paths, each after its key (`planner.simulator.return_home`). ends: int64
+            `[P / 32]`, end of path n = 1, 2, ... slots: uint16 `[P / 16]`, a path by the hash of its key, 0: none.
+            Empty where no paths are cached. remembered: int64 `[1]`, the index of the next path.
+        everywhere: bool `[A + 1]`, all cells, the last element excluded. rank, distance, queue, heap_cost, heap_cell,
+            to_go, touched: `[A]` (distance with NONE at its end) or empty, as in `SafestPaths` and `far_search`.
+        part: int64 `[A + 1]`, gone: uint8 `[A]`, news: uint32 `[A]`: cells of a map update
+            (`planner.simulator.map_belief`); empty for a known map. minds: int64 `[2]`, beliefs so far, and the one
+            that `rows` belongs to.
     """
 
     seen: NDArray
@@ -504,19 +511,20 @@ class Work(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """What rollouts are counted into, int64; see planner.tally.Tally.
+    """Counts over rollouts, int64; see planner.tally.Tally.
 
     Attributes:
-        visits, stops, covered: `[A]`, entries, robots stopped, rollouts that visited the cell; unsurvived: `[A]`, those
-            of them in which nobody survived there.
-        time: `[T + 1]`; new: `[T + 1]`, cells new at each step; late: `[T + 1]`, what more of them was survived then.
-        visited, survived: `[GOAL + 1]`; alive: `[K + 1]`; outcomes: `[len(Outcome)]`.
-        left_visited, left_survived, left_alive: as those, the mass of a tree that was left, by what it had come to;
-            histories: `[3]`, ends of a tree, branches left, visits at which it may part. Zeros but for trees.
-        home: `[K + 1]`, rollouts by robots at home at the end; empty where they do not come home.
-        passes: `[A, MOST_PASSES]`, rollouts with 1, 2, ... or more survived visits of the cell; no rows: not asked for.
+        visits, stops, covered: `[A]`, entries, robots lost, rollouts that visited the cell. unsurvived: `[A]`, those of
+            them in which no robot survived there.
+        time: `[T + 1]`, ends of runs. new: `[T + 1]`, cells visited first at each step. late: `[T + 1]`, first
+            survivals at each step less first visits.
+        visited, survived: `[GOAL + 1]`; alive: `[K + 1]`; outcomes: `[len(Outcome)]`: rollouts by their number.
+        left_visited, left_survived, left_alive: like these, the mass of a tree's branches that were left.
+        histories: `[3]`, ends of a tree, branches left, visits at which it may split. Zeros unless for trees.
+        home: `[K + 1]`, rollouts by robots at base at the end; empty where robots do not return.
+        passes: `[A, MOST_PASSES]`, rollouts with at least 1, 2, ... survived visits of the cell; no rows: not counted.
             With `Tables.scores`: float64 `[A, 2]`, sums over rollouts of the cells covered times the robots lost in the
-            cell, and times its survived visits. Of rollouts they are whole numbers, exact below 2**53.
+            cell, and times its survived visits. For rollouts they are integers, exact below 2**53.
     """
 
     visits: NDArray
@@ -539,13 +547,13 @@ class Counts(NamedTuple):
 
 
 class Singles(NamedTuple):
-    """What is kept of single rollouts; arrays without rows: nothing.
+    """Results of single rollouts; arrays without rows: not kept.
 
     Attributes:
-        numbers: int32 `[B, SINGLES]`. worth: int64 `[B, 2]`, the sums over cells of the two tables below.
-        covered: int64 `[A]`, what a cell that is visited adds.
-        found: int64 `[A, MOST_PASSES + 1]`, what one adds by its survived visits.
-        start: the id of the first one, in row 0.
+        numbers: int32 `[B, SINGLES]`. worth: int64 `[B, 2]`, sums over cells of the two tables below.
+        covered: int64 `[A]`, value of a cell that is visited.
+        found: int64 `[A, MOST_PASSES + 1]`, value of a cell by its survived visits.
+        start: the id of the rollout in row 0.
     """
 
     numbers: NDArray
@@ -556,21 +564,28 @@ class Singles(NamedTuple):
 
 
 REMEMBERED, MOST_PATHS = 2**24, 2**16
-"""Most words of `Work.paths`, 64 MB, and paths that 16 bits tell apart; maps have 256 to 512 words for each cell.
-Thousands of words that were filled: 113 by 4,096 rollouts of the terrain, 98 by 16,384 on 64x64 with 25 % of threats,
-168 by 262,144 on 20x20."""
+"""Most words of `Work.paths`, 64 MB, and most paths that 16 bits can number; a map gets 256 to 512 words for each cell.
+Thousands of words filled: 113 by 4,096 rollouts of the terrain, 98 by 16,384 on 64x64 with 25 % of threats, 168 by
+262,144 on 20x20."""
 SINGLES = 8
-"""Numbers kept of a single rollout: visited, survived, time, alive, outcome, bisected, divided, home."""
+"""Numbers kept of a single rollout: visited, survived, time, alive, outcome, bisected, divided, at home."""
 ROWS_BYTES = 2**28
-"""What a thread's rows of costs may take up, about; two of them there are always."""
+"""Approximate limit on the rows of costs of one thread; there are always two."""
 
 
 def make_counts(
     cells: int, goal: int, robots: int, steps: int, passes: bool = False, home: bool = False, scores: bool = False
 ) -> Counts:
-    """Empty counts for rollouts of at most `steps` steps, in which `goal` of the cells can be visited.
+    """Empty counts.
 
-    `passes`: survived visits are counted too; `home`: robots at home; `scores`: see `Tables`.
+    Args:
+        cells: A.
+        goal: cells that can be visited.
+        robots: K.
+        steps: T, the most steps of a rollout.
+        passes: whether survived visits are counted.
+        home: whether robots at base are.
+        scores: whether the sums of `Tables.scores` are.
     """
     figures = (goal + 1, goal + 1, robots + 1)
     sizes = (*[cells] * 4, *[steps + 1] * 3, *figures, len(Outcome), *figures, 3, home * (robots + 1))
@@ -579,21 +594,27 @@ def make_counts(
 
 
 def first_room(tables: Tables) -> int:
-    """Areas that a rollout hardly ever exceeds, in 16 bits if those of t = 0 take up at most half of them."""
+    """Room for areas that a rollout hardly ever exceeds; in 16 bits if the areas of t = 0 take at most half of it."""
     given = len(tables.level)
     room = given + 4 * len(tables.near)
     return min(room, MOST_NARROW) if 2 * given <= MOST_NARROW else room
 
 
 def fits_narrow(tables: Tables, room: int) -> bool:
-    """Whether 16 bits hold the state of so many areas."""
+    """Whether 16 bits hold the state with room for so many areas."""
     return room <= MOST_NARROW and len(tables.near) < MOST_CELLS
 
 
 def first_state(tables: Tables, room: int, passes: bool = False) -> State:
-    """t = 0, before any robot has entered its start, with room for `room` areas; `passes`: they are counted."""
+    """The state before any robot has entered its start.
+
+    Args:
+        tables: of the mission.
+        room: areas that there is room for.
+        passes: whether survived visits are counted.
+    """
     size, team = len(tables.near), len(tables.starts)
-    # Half the bytes: copying states is a good part of what parting costs.
+    # Half the bytes: copying the state is a large share of the cost of a split.
     kind: DTypeLike = np.uint16 if fits_narrow(tables, room) else np.uint32
     searching = team if len(tables.entry) else 0
     words = (-(-team // WORD), -(-team // WORD), -(-room // WORD), -(-room // WORD))
@@ -610,7 +631,7 @@ def first_state(tables: Tables, room: int, passes: bool = False) -> State:
 
 
 def _first_mind(tables: Tables, room: int, kind: DTypeLike) -> Iterator[NDArray]:
-    """What robots that learn believe at first: the last fields of a `State`."""
+    """The prior map of an online mission: the last fields of a `State`."""
     learning, size = bool(len(tables.truths)), len(tables.belief)
     free = np.append(tables.belief >= 0, False)
     near = tables.near[:size]
@@ -626,34 +647,34 @@ def _first_mind(tables: Tables, room: int, kind: DTypeLike) -> Iterator[NDArray]
 
 
 def make_state(first: State, levels: int) -> State:
-    """A stack of so many levels, fewer where they would not fit in STATE_BYTES; `first`: what sets begin with."""
+    """An empty stack of states like `first`, of at most `levels` levels, fewer where STATE_BYTES would be exceeded."""
     a_level = sum(row[:1].nbytes for row in first)
     levels = min(levels, max(1, STATE_BYTES // a_level))
     return State._make(np.empty((levels, *row.shape[1:]), dtype=row.dtype) for row in first)
 
 
 def largest_set(state: State, most: int) -> int:
-    """Rollouts that a set with such a stack may have, at most `most`.
+    """Largest group, of at most `most` rollouts, that the stack of states can run.
 
-    A level for each robot and one more serve any set. With fewer it may have no more rollouts than there are levels,
-    since whoever waits leaves at least one rollout behind.
+    K + 1 levels serve a group of any size. With fewer levels a group may have no more rollouts than levels, since each
+    waiting level holds at least one rollout.
     """
     levels, robots = state.robots.shape
     return most if levels > robots else min(levels, most)
 
 
 def _begin(state: State, tables: Tables) -> None:
-    """Write t = 0, before any robot has entered its start."""
+    """Write the state before any robot has entered its start."""
     given = len(tables.level)
     sizes = np.diff(tables.begin)
-    if len(state.mind):  # what is in no area: an obstacle, or out of reach
+    if len(state.mind):  # cells in no area: obstacles, or out of reach
         state.home[:] = len(state.areas) - 1 << AREA_BITS | VISITED | SURVIVED
         state.known[:], state.known[tables.order] = OUT, 0
         state.areas["level"][-1] = NOWHERE_LEVEL
         for cell in tables.starts if len(tables.truths) == 1 else ():
             state.known[tables.in_view[tables.view_begin[cell] : tables.view_begin[cell + 1]]] |= SEEN
     state.home[tables.order] = np.repeat(np.arange(given), sizes) << AREA_BITS
-    # What is blocked looks visited and belongs to no area: no neighbour has to be asked whether it is a cell.
+    # Blocked cells look visited and belong to no area: the kernels need no test for them.
     state.home[-1] = VISITED | SURVIVED
     state.order[: len(tables.order)] = tables.order
     rows = (tables.begin[:-1], tables.begin[1:], tables.level, sizes, np.arange(given))
@@ -683,7 +704,14 @@ def _begin(state: State, tables: Tables) -> None:
 
 
 def make_work(tables: Tables, most: int, remembers: bool, known: Work | None = None) -> Work:
-    """Scratch for sets of at most `most` rollouts; `remembers`: with room for paths; `known`: of an earlier call."""
+    """Scratch arrays of a thread for groups of at most `most` rollouts.
+
+    Args:
+        tables: of the mission.
+        most: B.
+        remembers: whether coverage paths are cached.
+        known: the arrays of an earlier call, reused but for those by rollout.
+    """
     kept = most if len(tables.exposure) and len(tables.own_counter) else 0
     words, left = np.zeros(most, dtype=np.uint32), np.zeros((kept, len(tables.starts)), dtype=np.int64)
     at = np.zeros((most if len(tables.movers) else 0, len(tables.movers)), dtype=np.int64)

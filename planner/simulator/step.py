@@ -1,13 +1,13 @@
-"""One step of Algorithm 2 for a group of rollouts that have the same history.
+"""One step of Algorithm 2 for a group of rollouts with the same history.
 
-In each step the robots act one after the other, by number: a robot decides, enters its next cell, and is lost there or
-goes on. Then moving threats move, robots learn, and the run may end. A rollout is a function of its failure
-thresholds: as long as they have the same robots lost in the same cells, a group of rollouts is one run. Where only some
-of them lose a robot the group splits: `advance` returns, and goes on with either part from where it stopped.
+In each step the robots act in index order: a robot decides, enters its next cell, and survives or is lost. Then threats
+move, the map is updated, and the run may end. A rollout is a function of its failure thresholds. Rollouts that lose the
+same robots at the same visits are one run, so they are simulated as one group. `advance` returns where a visit
+destroys a robot in some of them and not in others: the group splits, and each part continues from there.
 
-Arguments, in all modules of this package: `t` tables (what every rollout reads), `p` policy (None: the paper's rule),
-`s` state of the group, `c` counts, `w` scratch of the thread, `log` trace, `how` options, `ids` rollouts. Features that
-a mission does without are None in `t`; no code is compiled for them.
+Arguments, in all modules of this package: `t` tables (read by every rollout), `p` policy (None: the rule of the paper),
+`s` state of the group, `c` counts, `w` scratch arrays of the thread, `log` trace, `how` options, `ids` rollouts,
+`robot` and `cell` indices. A feature that the mission does not use is None in `t`: no code is compiled for it.
 """
 
 from __future__ import annotations
@@ -51,7 +51,11 @@ from .visits import enter, is_complete, lose, survive
 
 @rare_kernel
 def advance(t, p, s, c, w, log, how, ids):
-    """Run the group until its end, an Outcome, or until it splits: PARTED. CUT, AREAS_FULL: as they say."""
+    """Run the group until it ends (an Outcome) or splits (PARTED).
+
+    Returns:
+        The Outcome, PARTED, CUT (all of a tree's mass is below the cut) or AREAS_FULL (the area registry is full).
+    """
     group, robots, verdict = s.marks, s.robots, s.marks.verdict
     robot, cell = np.int64(group.robot), np.int64(robots[group.robot].cell)
     # Bits of the robots of this word that still act in this step.
@@ -60,7 +64,7 @@ def advance(t, p, s, c, w, log, how, ids):
     if verdict == ACTS and p is not None:
         begin(t, s, w)
     forget(t, p, s, w)
-    if t.moving and is_meeting(s):  # robots have had their turns
+    if t.moving and is_meeting(s):  # the robots have acted in this step already
         word, left, verdict = len(s.movers) - 1, np.uint64(0), ACTS if verdict == PASSED else verdict
     while True:
         if verdict == ACTS:
@@ -130,7 +134,7 @@ def advance(t, p, s, c, w, log, how, ids):
 
 @kernel
 def forget(t, p, s, w):
-    """Make the scratch of the thread, which may be of another group, that of this one."""
+    """Reset the scratch arrays, which another group may have used."""
     if p is not None:
         for robot in range(len(s.robots)):
             w.kept[robot, 0] = NONE
@@ -140,9 +144,9 @@ def forget(t, p, s, w):
 
 @kernel
 def acting(t, p, s, word, after):
-    """Bits of the robots of a word, after this one, that act in this step: they move, or may take an area."""
+    """Bits of the robots of a word, with index above `after`, that act in this step: they move or may take an area."""
     robots = s.movers[word]
-    if s.marks.open > 0 or (p is not None and len(p.most) > 0):  # a robot that is held asks in every step
+    if s.marks.open > 0 or (p is not None and len(p.most) > 0):  # a held robot asks again in every step
         robots |= s.waiting[word]
     robots = on_turn(t, s.marks.step, word, robots)
     return robots & (~np.uint64(1) << np.uint64(after)) if after >= 0 else robots
@@ -150,11 +154,11 @@ def acting(t, p, s, word, after):
 
 @rare_kernel
 def decide(t, p, s, w, log, how, robot):
-    """The turn of a robot by a rule that re-evaluates, up to its move: as `replanning.act`."""
+    """The turn of a robot of a rule that re-evaluates, up to its move; returns as `replanning.act`."""
     turn = replanning.act(t, p, s, w, log, how, robot)
     if turn == MOVES:
         cell = np.int64(s.robots[robot].next if s.marks.step > 0 else s.robots[robot].cell)
-        # A visit of another robot's cell makes that area a worse offer: what is kept of offers is void.
+        # A visit in another robot's area makes that area a worse offer: cached offers are void.
         s.marks.changes += is_news(s, robot, cell)
         s.home[cell] = np.int64(s.home[cell]) & ~TO_DO
     return turn
@@ -162,13 +166,13 @@ def decide(t, p, s, w, log, how, robot):
 
 @rare_kernel
 def arrive_called(t, p, s, w, log, how, robot, cell):
-    """`arrive`, not inlined."""
+    """`arrive` as a call that is not inlined."""
     return arrive(t, p, s, w, log, how, robot, cell)
 
 
 @kernel
 def arrive(t, p, s, w, log, how, robot, cell):
-    """What follows from the robot's move into the cell, which it survived: MOVES on, or it has decided; NO_ROOM."""
+    """Act on the cell that the robot entered and survived: MOVES on, or another result of a turn; NO_ROOM."""
     if t.returns and s.robots[robot].doing == RETURNING:
         go_home(t, s, log, robot)
         return RESTS
@@ -183,7 +187,7 @@ def arrive(t, p, s, w, log, how, robot, cell):
 
 @rare_kernel
 def encounter(t, s, c, w, how, ids):
-    """After the robots' turns: `meet`; at the end of it robots have survived where they are."""
+    """Let moving threats move and meet robots (`meet`); robots that are not lost survive in their cells."""
     verdict = meet(t, s, w, how, ids)
     if verdict == ACTS:
         for robot in range(len(s.robots)):
@@ -195,7 +199,11 @@ def encounter(t, s, c, w, how, ids):
 
 @rare_kernel
 def end_step(t, p, s, c, w, log, how, ids):
-    """The end of a step: robots learn, and the run may end: an Outcome, else NONE. AREAS_FULL: no room for areas."""
+    """End the step: the map is updated, and the run may end.
+
+    Returns:
+        The Outcome, NONE to go on, or AREAS_FULL.
+    """
     group = s.marks
     if t.learns:
         got = learn(t, p, s, w, log, how, ids)
@@ -220,13 +228,13 @@ def end_step(t, p, s, c, w, log, how, ids):
 
 @rare_kernel
 def call_back(t, p, s, w, log):
-    """Robots return to base that are due, all once the mission is over. False: no room for areas."""
+    """Send robots back to base that would be late, and all robots once the mission is over. False: no room."""
     return call_home(t, s, w, log, over_by(t, p, s, w, np.int64(is_over(t, s))))
 
 
 @kernel
 def over_by(t, p, s, w, outcome):
-    """The outcome; of no progress, NOT_WORTH_THE_RISK where robots refuse an area that they could reach."""
+    """The outcome; NOT_WORTH_THE_RISK for no progress where robots refuse an area within reach."""
     if p is not None and outcome == NO_PROGRESS and could_go_on(t, p, s, w):
         return np.int64(NOT_WORTH_THE_RISK)
     return outcome
@@ -234,13 +242,13 @@ def over_by(t, p, s, w, outcome):
 
 @rare_kernel
 def learn(t, p, s, w, log, how, ids):
-    """What robots learn at the end of a step; GAINS if the map changed, else RESTS; NO_ROOM.
+    """Update the map at the end of a step: GAINS if it changed, else RESTS; NO_ROOM.
 
-    A map update is progress (SPEC section 15): robots without an area look again in the next step.
+    A map update is progress (SPEC section 15): robots without an area ask again in the next step.
     """
     count, fresh = learns_of(t, s, w, how, ids)
     if p is not None and fresh and len(p.view_begin) > 0:
-        s.marks.changes += 1  # areas would show less: what is kept of offers is void
+        s.marks.changes += 1  # areas would reveal fewer cells: cached offers are void
     if count == 0:
         return RESTS
     got = GAINS if revise(t, s, w, log, count) else NO_ROOM
@@ -258,7 +266,7 @@ def learn(t, p, s, w, log, how, ids):
 
 @kernel
 def is_over(t, s):
-    """The outcome if nothing is left to be done, in the order of SPEC section 5; else NONE."""
+    """The outcome if nothing is left to do, in the order of SPEC section 5; else NONE."""
     if is_complete(t, s):
         return COMPLETE
     if s.marks.alive == 0:
@@ -288,9 +296,9 @@ def end_of(t, s, how):
 
 @rare_kernel
 def end_at_home(t, s, how):
-    """`end_of` where robots return to base."""
+    """`end_of` for a mission in which robots return to base."""
     over = s.marks.over - 1
-    if s.marks.alive == 0:  # on the way home too, whatever ended the mission
+    if s.marks.alive == 0:  # also on the way to base, whatever ended the mission
         over = ALL_ROBOTS_LOST
     elif over == NONE or is_away(s):
         over = STEP_LIMIT if s.marks.step >= how.max_steps else NONE

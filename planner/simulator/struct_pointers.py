@@ -1,9 +1,8 @@
-"""Tuples of arrays handed from kernel to kernel by their address: a call that is not inlined passes one word of each.
+"""Tuples of arrays passed between kernels by address: a call that is not inlined passes one word for each tuple.
 
-Part of `planner.simulator.rollouts`, which see. By value an array is seven words, and what a rollout reads and writes
-is
-fifty arrays: a call took longer than most of the kernels do. Of a contiguous array only where it is and how long are
-kept, from which the rest follows: beyond so many words LLVM loses sight of what it has stored.
+By value an array is seven words, and a rollout uses fifty arrays: a call took longer than most kernels. Of a contiguous
+array only its address and shape are stored, which determine the rest: with more words LLVM no longer tracks the values
+that it has stored.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ LENGTHS = {
     (Tables, "near"): 4,
     (State, "near"): 4,
 }
-"""How long the rows of a matrix are, where that is known: a row is found without a look at the matrix's shape."""
+"""Row lengths of matrices, where they are constant: a row is found without loading the matrix's shape."""
 
 
 class Handed(types.Type):
-    """The type of the address of a named tuple, as it is kept."""
+    """Numba type of the address of a named tuple."""
 
     def __init__(self, of: Any) -> None:
         self.of, self.types = of, (of,)
@@ -40,7 +39,7 @@ class Handed(types.Type):
 
 
 def _follows(kind: types.Type) -> bool:
-    """Whether what it is follows from where its values are and how many: a contiguous array."""
+    """Whether address and shape determine the value: a contiguous array."""
     return isinstance(kind, types.Array) and kind.layout == "C"
 
 
@@ -77,14 +76,14 @@ def _load_field(context: Any, builder: Any, kind: Handed, address: Any, name: st
     data = builder.load(cgutils.gep_inbounds(builder, stored, 0, 0))
     shape = [builder.load(cgutils.gep_inbounds(builder, stored, 0, 1, axis)) for axis in range(field.ndim)]
     length = LENGTHS.get((kind.of.instance_class, name))
-    # Known when compiling: rows are found by a shift instead of a multiplication by what was loaded.
+    # Constant when compiling: rows are found by a shift instead of a multiplication with a loaded value.
     if length is not None:
         shape[1] = ir.Constant(ir.IntType(64), length)
     return _array(context, builder, field, data, shape)
 
 
 def _array(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
-    """A contiguous array whose references are not counted."""
+    """A contiguous array without reference counting."""
     itemsize = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
     strides = [itemsize]
     for count in shape[:0:-1]:
@@ -102,7 +101,7 @@ def _hand(typing_context: Any, values: Any) -> Any:
     kind = Handed(values)
 
     def keep(context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        # On the stack of the caller, once: nothing to free, and good until it returns.
+        # In the caller's stack frame, once: nothing to free, and valid until the caller returns.
         address = cgutils.alloca_once(builder, context.get_value_type(kind).pointee)
         for place, field in enumerate(values.types):
             value, to = builder.extract_value(args[0], place), cgutils.gep_inbounds(builder, address, 0, place)
@@ -119,9 +118,9 @@ def _hand(typing_context: Any, values: Any) -> Any:
 
 
 class Records(dict[int, Any]):
-    """A structured array whose elements are as compiled code sees them: their fields are attributes.
+    """A structured array for code that is not compiled: elements have their fields as attributes.
 
-    Through memory views: NumPy's own records take microseconds for a field. Elements are made when first asked for.
+    Fields are read through memory views: NumPy's records take microseconds per field. Elements are made on first use.
     """
 
     def __init__(self, array: NDArray[np.void]) -> None:
@@ -132,6 +131,7 @@ class Records(dict[int, Any]):
 
     def __missing__(self, place: int) -> Any:
         self_place = int(place)
+        # Kept for the next access: a rollout reads the same few records millions of times.
         record = self._kind(self._views, self_place)
         super().__setitem__(self_place, record)
         return record
@@ -165,19 +165,20 @@ def _record_kind(names: tuple[str, ...]) -> type:
 
 
 def with_records(values: Any) -> Any:
-    """The same named tuple for code that is not compiled."""
-    if getattr(values, "_fields", ()) != State._fields:  # of either load
+    """The named tuple with structured arrays as `Records`, for code that is not compiled."""
+    if getattr(values, "_fields", ()) != State._fields:  # by name: the class may be of either load
         return values
     marks = values.marks if isinstance(values.marks, np.ndarray) else np.asarray(values.marks.base).reshape(-1)
     place = 0
     if not isinstance(values.marks, np.ndarray):
+        # A single record does not know its index in the array that it views: the address tells it.
         offset = values.marks.__array_interface__["data"][0] - marks.__array_interface__["data"][0]
         place = offset // marks.itemsize
     return values._replace(robots=Records(values.robots), areas=Records(values.areas), marks=Records(marks)[place])
 
 
 hand: Callable[[Any], Any] = with_records if INTERPRETED else _hand
-"""The address of a copy of a named tuple, good until the caller returns or comes here again."""
+"""Address of a copy of a named tuple, valid until the caller returns or reaches this call again."""
 
 
 @intrinsic
@@ -193,4 +194,4 @@ def _flat(typing_context: Any, array: Any) -> Any:
 
 
 flat: Callable[[Any], Any] = (lambda array: array.reshape(-1)) if INTERPRETED else _flat
-"""A contiguous array's values as one row."""
+"""The values of a contiguous array as one row."""

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Threefry-2x32 with 20 rounds (Salmon et al. 2011), the project's one source of randomness, in NumPy.
+# Threefry-2x32 with 20 rounds (Salmon et al. 2011), the only source of randomness, in NumPy.
 #
-# A draw is addressed by (seed, rollout, robot), so it never depends on what was drawn before (SPEC section 6).
+# A draw is addressed by (seed, rollout, robot), so it never depends on earlier draws (SPEC section 6).
 
 ROTATIONS = (13, 15, 26, 6, 17, 29, 16, 24)
 KEY_PARITY = 0x1BD11BDA
@@ -19,7 +19,17 @@ KEY_PARITY = 0x1BD11BDA
 def threefry2x32(
     key: tuple[int, int], counter0: ArrayLike, counter1: ArrayLike
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Words (x0, x1), uint32, of the counters (uint32, broadcast together) under `key` (two 32-bit halves)."""
+    """Words of Threefry-2x32 with 20 rounds.
+
+    Args:
+        key: two 32-bit halves.
+        counter0, counter1: uint32, broadcast together.
+
+    Returns:
+        (x0, x1), uint32.
+
+    Source: Salmon et al. (2011); SPEC section 6.
+    """
     key0, key1 = np.uint32(key[0]), np.uint32(key[1])
     schedule = (key0, key1, key0 ^ key1 ^ np.uint32(KEY_PARITY))
     with np.errstate(over="ignore"):
@@ -36,14 +46,14 @@ def threefry2x32(
 
 
 UNIT = 2**32
-"""Units in a nat."""
+"""Hazard units per nat."""
 CERTAIN = 2**62
-"""What a visit adds that stops every robot."""
+"""Hazard of a visit that destroys every robot."""
 LEAST, MOST = 1, 98_242_467_570
-"""The tolerances that there are."""
+"""Smallest and largest failure threshold."""
 DIGITS = Context(prec=40)
 SCALE = 2**16
-"""Susceptibilities are whole numbers of 1 / SCALE."""
+"""Hazard multipliers are whole numbers of 1 / SCALE."""
 
 _LN2 = int((DIGITS.ln(Decimal(2)) * 2**58).to_integral_value())
 LOGARITHMS = np.array(
@@ -52,10 +62,17 @@ LOGARITHMS = np.array(
 
 
 def log_units(odd: Any, top: Any, logarithms: Any) -> Any:
-    """-ln(odd / 2**33) in units, within .52, of odd numbers below 2**33 whose highest bit is `top`.
+    """-ln(odd / 2**33) in hazard units, within 0.52.
 
-    Plain int64 arithmetic (floor division and shifts), of arrays or numbers: kernels and JAX take it as it stands.
-    `logarithms`: LOGARITHMS, as an array of theirs.
+    Plain int64 arithmetic (floor division and shifts) on arrays or numbers, so that kernels and JAX can use it
+    unchanged.
+
+    Args:
+        odd: int64, odd numbers below 2**33.
+        top: index of the highest bit of each.
+        logarithms: LOGARITHMS, as an array of the caller's library.
+
+    Source: SPEC section 14.
     """
     m = odd << (40 - top)
     i = (m - 2**40 + 2**32) >> 33
@@ -70,18 +87,30 @@ def log_units(odd: Any, top: Any, logarithms: Any) -> Any:
 
 
 def tolerance_of(word: ArrayLike) -> NDArray[np.int64]:
-    """T, int64, of random words (uint32): -ln((x + 1/2) / 2**32), falling in x."""
+    """Failure thresholds of random words: -ln((x + 1/2) / 2**32) in hazard units, decreasing in x.
+
+    Args:
+        word: uint32.
+
+    Returns:
+        int64, of the same shape.
+    """
     odd = 2 * np.asarray(word, dtype=np.int64) + 1
     return log_units(odd, np.frexp(odd.astype(np.float64))[1].astype(np.int64) - 1, LOGARITHMS)
 
 
 def unworn(exposure: Any, nodes: NDArray[np.int64], times: Any) -> Any:
-    """The largest Exp(1) tolerance that becomes no more than the exposure by `worn`, then by `susceptible`; 0: none.
+    """The largest Exp(1) threshold that a cumulative hazard reaches, under a Weibull shape and a hazard multiplier.
 
-    So a robot is stopped by an exposure just when this reaches the tolerance it had been drawn with. Plain int64
-    arithmetic, of arrays or numbers, as `log_units`.
+    0 if there is none. A robot is lost exactly if this value reaches the threshold that was drawn for it. Plain int64
+    arithmetic on arrays or numbers, as in `log_units`.
 
-    nodes: of `wear_nodes`, none for shape 1; times: susceptibility in units of 1 / SCALE.
+    Args:
+        exposure: int64, cumulative hazard.
+        nodes: int64, of `wear_nodes`; empty for shape 1.
+        times: hazard multiplier in units of 1 / SCALE.
+
+    Source: SPEC section 14.
     """
     some = np.int64(1) * (exposure > 0)
     after = np.minimum(exposure, (2**62 // np.maximum(times, SCALE)) << 16) + some

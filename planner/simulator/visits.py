@@ -1,7 +1,4 @@
-"""What a visit changes: cells covered and survived, areas completed, a robot lost.
-
-Part of `planner.simulator.rollouts`, which see.
-"""
+"""Effects of a visit: cells covered and survived, areas completed, a robot lost."""
 
 from __future__ import annotations
 
@@ -37,7 +34,7 @@ from .state import (
 
 @kernel
 def count_new(s, c, step, cell, size):
-    """The cell has not been visited before this step."""
+    """Count a cell that has not been visited before this step, in `size` rollouts."""
     c.new[step] += size
     c.covered[cell] += size
     s.marks.covered += 1
@@ -45,7 +42,7 @@ def count_new(s, c, step, cell, size):
 
 @kernel
 def visit(s, c, log, step, robot, cell, size, flags):
-    """The cell, which was not visited, is; the last one of an area completes it."""
+    """Mark a cell visited for the first time; the last cell of an area completes the area."""
     home = np.int64(s.home[cell])
     s.home[cell] = home | flags
     count_new(s, c, step, cell, size)
@@ -60,20 +57,20 @@ def visit(s, c, log, step, robot, cell, size, flags):
 
 @kernel
 def count_pass(s, cell):
-    """A robot was in the cell and was not stopped."""
+    """Count a visit of the cell that a robot survived."""
     if len(s.passes) > 0 and s.passes[cell] < MOST_COUNTED:
         s.passes[cell] += np.uint16(1)
 
 
 @kernel
 def is_complete(t, s):
-    """Whether every cell that can truly be reached is visited."""
+    """Whether every cell that is reachable on the true map is visited."""
     return s.marks.covered == t.goal if t.learns else s.marks.unfinished == 0
 
 
 @rare_kernel
 def count_scores(s, c, covered, size):
-    """Add the cells covered by a history of so many rollouts, times its losses and its passes, by cell."""
+    """Add a history's covered cells, times its losses and its survived visits, by cell; for `size` rollouts."""
     weight, cells = float(covered) * size, len(c.passes)
     for cell in range(cells):
         c.passes[cell, 0] += weight * s.passes[cells + cell]
@@ -82,7 +79,7 @@ def count_scores(s, c, covered, size):
 
 @kernel
 def count_last(t, s, c, cell, mass):
-    """Add so much of a tree's branch at the stop of the last robot alive."""
+    """Count the mass of a tree's branch in which the last robot alive is lost."""
     marks = s.marks
     covered, safely = marks.covered, marks.covered - marks.unsurvived
     c.stops[cell] += mass
@@ -100,7 +97,7 @@ def count_last(t, s, c, cell, mass):
 
 @kernel
 def leave_branch(s, c, mass, alive):
-    """Leave so much of a tree's branch: what it has come to by now is certain, and no more."""
+    """Leave a branch of a tree: its present state is counted as a lower bound."""
     c.left_visited[s.marks.covered] += mass
     c.left_survived[s.marks.covered - s.marks.unsurvived] += mass
     c.left_alive[alive] += mass
@@ -108,44 +105,52 @@ def leave_branch(s, c, mass, alive):
 
 
 @rare_kernel
-def prune(t, s, c, how, cell, hit_from):
-    """A tree's branch of which as much as is behind `hit_from` is stopped: PARTED, or what goes on of it: PASSED, HIT.
+def prune(t, s, c, how, cell, lost_from):
+    """Decide which parts of a tree's branch are followed at a visit.
 
-    CUT: nothing does. What is left of the branch stays at the end of its mass.
+    Args:
+        lost_from: begin of the part of the mass that loses the robot.
+
+    Returns:
+        PARTED: both; PASSED, HIT: one, at the end of the branch's mass; CUT: none.
     """
     marks = s.marks
-    stopped, rest = marks.last - hit_from, hit_from - marks.first
+    lost, rest = marks.last - lost_from, lost_from - marks.first
     least = how.cut if c.histories[0] + c.histories[1] < how.most else FAR
     if marks.alive == 1:
-        # Nobody is left whom it would matter to: the one path goes on, with what is left of the mass.
-        count_last(t, s, c, cell, stopped)
-        stopped = 0
-    elif stopped < least:
-        leave_branch(s, c, stopped, marks.alive - 1)
-        stopped = 0
+        # No robot is left whose decisions a loss could change: the path goes on with the remaining mass.
+        count_last(t, s, c, cell, lost)
+        lost = 0
+    elif lost < least:
+        leave_branch(s, c, lost, marks.alive - 1)
+        lost = 0
     if rest < least:
         leave_branch(s, c, rest, marks.alive)
         rest = 0
-    if stopped > 0 and rest > 0:
+    if lost > 0 and rest > 0:
         return PARTED
-    marks.first = marks.last - stopped - rest
-    if stopped == rest:
+    marks.first = marks.last - lost - rest
+    if lost == rest:
         return CUT
     return PASSED if rest > 0 else HIT
 
 
 @kernel
 def enter(t, s, c, w, log, how, ids, robot, cell):
-    """Move into the cell: HIT or PASSED, ACTS if there is no danger; PARTED, since some of the set are hit; or CUT."""
+    """Move into the cell.
+
+    Returns:
+        ACTS if there is no danger, PASSED or HIT for all rollouts, PARTED if the group splits, or CUT.
+    """
     marks, step = s.marks, s.marks.step
     size = marks.last - marks.first
     s.robots[robot].cell = cell
-    # The set is one run for all its rollouts: what one of them does is done `size` times.
+    # The group is one run: each event counts for all of its rollouts.
     c.visits[cell] += size
     fresh = s.home[cell] & VISITED == 0
     place = visit_of(t, s, robot, cell)
     safe = t.bound[place] == 0
-    # Where threats change, a robot may have been stopped in what is safe by now.
+    # Where threats change, a robot may have been lost earlier in a cell that is safe by now.
     verdict = ACTS if safe and not t.phased else PASSED
     survives = verdict == ACTS and not t.moving
     if survives:
@@ -155,29 +160,29 @@ def enter(t, s, c, w, log, how, ids, robot, cell):
     if fresh:
         visit(s, c, log, step, robot, cell, size, VISITED | SURVIVED if survives else VISITED)
         if not survives:
-            # Marked before the check, as Algorithm 2 does: visited at once, survived only if it is (`survive`).
+            # Algorithm 2 marks before it checks: visited at once, survived only after the check (`survive`).
             c.late[step] -= size
             c.unsurvived[cell] += size
             marks.unsurvived += 1
-    elif survives and s.home[cell] & SURVIVED == 0:  # a robot of another type was stopped there
+    elif survives and s.home[cell] & SURVIVED == 0:  # a robot of another type was lost there
         mark_survived(s, c, cell)
     if not safe and (fresh or not how.first_only) and not (t.spends and holds(s.spent, cell)):
-        hit_from = stopped_from(t, s, c, w, how, ids, robot, cell, place)
-        # All of them are hit alike: still one run, so nothing has to be copied.
-        if hit_from == marks.first and how.aside == 0:
+        lost_from = stopped_from(t, s, c, w, how, ids, robot, cell, place)
+        # All rollouts lose the robot: still one run, so no state is copied.
+        if lost_from == marks.first and how.aside == 0:
             verdict = HIT
-        elif hit_from < marks.last:
-            verdict = PARTED if how.cut == 0 else prune(t, s, c, how, cell, hit_from)
+        elif lost_from < marks.last:
+            verdict = PARTED if how.cut == 0 else prune(t, s, c, how, cell, lost_from)
             if verdict == PARTED:
-                marks.robot, marks.last, marks.progress = robot, hit_from, 1
+                marks.robot, marks.last, marks.progress = robot, lost_from, 1
     return verdict
 
 
 @rare_kernel
 def lose(t, s, c, w, log, robot):
-    """The robot is stopped in its cell, and what it leaves unvisited of its area becomes areas. False: no room.
+    """Remove a lost robot; the unvisited cells of its area become areas. False: the area registry is full.
 
-    If it is the last one nobody will take them: they are only made to be written down.
+    After the last robot's loss no robot takes them: they are made for the trace only.
     """
     cell, area = s.robots[robot].cell, np.int64(s.robots[robot].area)
     owns, followed = has_area(s.robots, robot), s.robots[robot].doing == FOLLOWING
@@ -195,11 +200,11 @@ def lose(t, s, c, w, log, robot):
     if t.mixed:
         s.marks.changes += 1  # prices depend on the types of the robots alive
     note(log, s, robot, HIT_EVENT, area if owns else NONE, cell)
-    # Nobody is left to take what it leaves.
+    # No robot is left to take the cells.
     if s.marks.alive == 0 and len(log.events) == 0:
         return True
     if followed:
-        # Another planner's robot owns all areas of its path, not only the one that it is in.
+        # A robot on an external path owns all areas of its path, not only the current one.
         for left in range(len(t.owner)):
             unfinished = t.owner[left] == robot and s.areas[left].left > 0
             if unfinished and not leave(t, s, w, log, robot, left):
@@ -209,7 +214,7 @@ def lose(t, s, c, w, log, robot):
 
 @kernel
 def mark_survived(s, c, cell):
-    """The cell, which was visited, is survived for the first time."""
+    """Mark a visited cell as survived for the first time."""
     size = s.marks.last - s.marks.first
     s.home[cell] |= SURVIVED
     c.late[s.marks.step] += size
@@ -219,7 +224,7 @@ def mark_survived(s, c, cell):
 
 @kernel
 def survive(s, c, cell):
-    """A dangerous cell has been entered by a robot that was not stopped."""
+    """Count that a robot entered a dangerous cell and survived."""
     count_pass(s, cell)
     if s.home[cell] & SURVIVED == 0:
         mark_survived(s, c, cell)

@@ -1,5 +1,4 @@
-"""Worlds with threats that change, made from arrays, or from a scenario's key `phases`
-(`planner.world.moving_threats`)."""
+"""Worlds with phases, latent hazards, or an uncertain map: from arrays or the keys of a scenario (SPEC 13, 16)."""
 
 from __future__ import annotations
 
@@ -37,15 +36,17 @@ FIRST = PLAN_ON[0]
 
 
 def with_phases(world: World, phases: Sequence[tuple[Any, World | ArrayLike]], plan_on: Foresight = FIRST) -> World:
-    """The world with threats that change with time, beginning with its own.
+    """A world with threats that change by phases, beginning with its own.
 
     Args:
+        world: the map.
         phases: pairs `(begin, threats)`, in order of time: from step `begin` on p of a visit is that of `threats`, an
-            array `[H, W]` (NaN = obstacle, as in the world) or a world. One of step 0 takes the place of the world's.
-        plan_on: "now": robots are told of a change as it comes; "first": they go by the first map for good; "worst":
-            by the cell-wise maximum.
+            array `[H, W]` (NaN = obstacle, as in the world) or a world. A pair with step 0 replaces the world's own.
+        plan_on: "now": changes become known as they come; "first": robots use the first map throughout; "worst": the
+            cell-wise maximum.
 
-    Raises WorldError for phases that are none, for a world that is not known, or has types of robots.
+    Raises:
+        WorldError: invalid phases, an uncertain or unknown map, or robot types.
     """
     check_alone(world, "phases")
     check_word("plan_on", plan_on, PLAN_ON, WorldError, world.source)
@@ -61,6 +62,7 @@ def with_phases(world: World, phases: Sequence[tuple[Any, World | ArrayLike]], p
             problem = f"phases[{number}] has shape {list(maps[-1].shape)}"
             raise WorldError(problem, source=world.source, expected=f"that of the map, {list(world.shape)}")
     check_phases(begins, np.stack(maps or [world.threat]), world.free, world.source)
+    # The world's own threats hold until the first phase.
     if begins[0] != 0:
         begins, maps = [0, *begins], [world.threat, *maps]
     if len(begins) == 1:
@@ -70,9 +72,17 @@ def with_phases(world: World, phases: Sequence[tuple[Any, World | ArrayLike]], p
 
 
 def read_phases(keys: dict[str, Key], world: World, ground: Ground) -> World:
-    """The world of a scenario with `phases: [{from: t, threats: [...]}, ...]`, `plan_on`.
+    """The world of a scenario with `phases: [{from: t, threats: [...]}, ...]` and `plan_on`.
 
-    A phase's threats stand where those of the scenario do at first: they combine with the map's own.
+    The threats of a phase replace those of the scenario; they are combined with the map's own.
+
+    Args:
+        keys: of the scenario.
+        world: its map.
+        ground: its cells.
+
+    Raises:
+        ScenarioError, MapError: a key or file is invalid.
     """
     pairs, combine, notes = [], keys["combine"].choice(COMBINE), list(world.notes)
     for item in keys["phases"].items("a list of phases, each {from: a step, threats: [...]}"):
@@ -90,34 +100,32 @@ def read_phases(keys: dict[str, Key], world: World, ground: Ground) -> World:
         return with_phases(replace(world, notes=tuple(notes)), pairs, plan_on)
 
 
-# Worlds whose maps may be wrong, made from arrays, or from a scenario's keys `latent_hazard` and `map_uncertainty`.
-#
-# Each is a world whose `threat` is what robots plan on, and whose `doubt` says what is drawn
-# (`planner.world.uncertain_maps`).
+# Uncertain worlds: `threat` is the robots' map, and `doubt` is the source of draws (`planner.world.uncertain_maps`).
 
 FROM_SOURCES = "threats"
-"""Instead of a number or a raster: the chances that the scenario's `threats` give."""
+"""Instead of a number or a raster: the probabilities of the scenario's `threats`."""
 AMOUNT = {"lognormal": "sigma", "beta": "sample_size"}
-"""The key that says how wide each kind of spread is."""
+"""Key for the width of each kind of spread."""
 PLANNED_QUANTILE = Numbers(0, 1, above=True, below=True, said="mean, or a number between 0 and 1")
 PRIOR_LAST = "; a prior is given after the maps"
 
 
 def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn: bool = False) -> World:
-    """The world with hazards that are there or not for a whole run, in the place of its threats; robots plan on q * h.
+    """A world with latent hazards instead of its threats; robots plan on q * h.
 
     Args:
-        kind: "persistent"; "consumed": the first hit removes it; "independent": every visit is drawn, from q * h.
-        q: chance that the hazard is there; h: chance that a visit to one that is there stops the robot. Numbers, or
-            arrays `[H, W]`.
-        learn: robots learn from what happens to them; `with_sense` gives them detectors too.
+        world: the map; other latent hazards are replaced.
+        kind: "persistent"; "consumed": the first loss removes it; "independent": every visit is a draw from q * h.
+        q: probability that the hazard exists; a number or `[H, W]`.
+        h: probability that a visit to it destroys the robot; a number or `[H, W]`.
+        learn: whether robots estimate hazards; `with_sense` adds detectors.
 
-    Other hazards are replaced. Raises WorldError for chances that are none, and beside all else that is not known, or
-    types of robots.
+    Raises:
+        WorldError: invalid probabilities, another uncertainty, or robot types.
     """
     check_alone(world, "latent_hazard", over=Hazard)
     if learn and kind == "independent":
-        problem = "robots learn nothing of hazards that are drawn anew for every visit"
+        problem = "hazards drawn independently for every visit cannot be estimated"
         raise WorldError(problem, source=world.source, expected="persistent or consumed ones", fix="leave `learn` out")
     hazard = make_hazard("persistent" if kind == "independent" else kind, q, h, world.free, world.source)
     hazard = replace(hazard, learn=bool(learn))
@@ -125,11 +133,15 @@ def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn
 
 
 def with_maps(world: World, maps: Sequence[ArrayLike] | NDArray, plan_on: float | None = None) -> World:
-    """The world with equally likely maps `[M, H, W]` of p, one of which is true in each run, for its threats.
+    """A world with equally likely maps instead of its threats; one of them is true in each rollout.
 
-    `plan_on`: None: robots plan on the mean of the maps, cell by cell; 0.9: on the value that 90 % of them stay below.
-    Other maps are replaced. Raises WorldError for a map of other obstacles or another shape, for chances that are none,
-    and beside all else that is not known, or types of robots.
+    Args:
+        world: the map; other candidate maps are replaced.
+        maps: `[M, H, W]`, p, with the obstacles of the world.
+        plan_on: None: robots plan on the cell-wise mean; 0.9: on the 90 % quantile.
+
+    Raises:
+        WorldError: invalid maps, another uncertainty, or robot types.
     """
     check_alone(world, "maps", Uncertain, PRIOR_LAST)
     if len(maps) == 0:
@@ -146,20 +158,24 @@ def with_maps(world: World, maps: Sequence[ArrayLike] | NDArray, plan_on: float 
 
 
 def with_spread(world: World, kind: str, amount: float, by: str = "common", plan_on: float | None = None) -> World:
-    """The world with a spread on its threats: each run's true p is drawn around them.
+    """A world with a spread on its threats: the true p of each rollout is drawn around them.
 
     Args:
+        world: the map.
         kind: "lognormal", `amount` the standard deviation of log p; or "beta", `amount` an effective sample size.
-        by: "common": one number for the whole map; "level": one for each of its threat levels, at most 16.
-        plan_on: as of `with_maps`; the mean is the world's own threat.
+        amount: see `kind`.
+        by: "common": one number for the whole map; "level": one for each threat level, at most 16.
+        plan_on: as in `with_maps`; the mean is the world's own threat.
 
-    Raises WorldError for words and numbers that are none, and beside all else that is not known, or types of robots.
+    Raises:
+        WorldError: an invalid argument, another uncertainty, or robot types.
     """
     check_alone(world, "spread", or_else=PRIOR_LAST)
     levels = find_levels(world, world.free, MOST_LEVELS).of_cell.reshape(world.shape)
     uncertain, cut = spread_of(world.threat, levels, kind, amount, by, world.source)
     notes = (f"the spread on p is cut off below 1 in {cut} cells: their mean is lower than the map's",) if cut else ()
     found = _uncertain_world(world, uncertain, plan_on)
+    # The mean of the spread is p up to rounding: the map's own values keep its levels exact.
     return replace(found, threat=world.threat if plan_on is None else found.threat, notes=(*world.notes, *notes))
 
 
@@ -174,7 +190,16 @@ def _frozen(threat: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def read_hazard(key: Key, world: World, ground: Ground) -> World:
-    """The world of a scenario with `latent_hazard: {kind, q, h, learn}`; default: q by `threats`, h 1."""
+    """The world of a scenario with `latent_hazard: {kind, q, h, learn}`; default: q by `threats`, h 1.
+
+    Args:
+        key: of the hazard.
+        world: the scenario's map.
+        ground: its cells.
+
+    Raises:
+        ScenarioError, MapError: a key or file is invalid.
+    """
     keys = key.mapping(("kind",), optional=("q", "h", "learn"))
     kind = keys["kind"].choice(("independent", *HAZARDS))
     learn = keys["learn"].value if "learn" in keys else False
@@ -183,7 +208,9 @@ def read_hazard(key: Key, world: World, ground: Ground) -> World:
     named = [name for name in ("q", "h") if name in keys]
     if kind == "independent":
         if learn:
-            raise keys["learn"].wrong("false: every visit is drawn anew, and nothing can be learned", "leave it out")
+            raise keys["learn"].wrong(
+                "false: every visit is an independent draw: nothing can be estimated", "leave it out"
+            )
         if named:
             raise keys[named[0]].wrong("none: independent hazards are the `threats` themselves", "leave it out")
         return world
@@ -199,7 +226,7 @@ def read_hazard(key: Key, world: World, ground: Ground) -> World:
 
 
 def _chances(key: Key, world: World, ground: Ground) -> tuple[ArrayLike, tuple[str, ...]]:
-    """A number, or an array `[H, W]` of chances 0..1: of the scenario's sources, or of a raster; notes."""
+    """A number, or an array `[H, W]` of probabilities: of the scenario's sources, or of a raster; notes."""
     expected = f"a chance 0..1, a raster file, or {FROM_SOURCES}"
     if key.value == FROM_SOURCES:
         return np.where(world.free, world.threat, 0.0), ()
@@ -210,7 +237,17 @@ def _chances(key: Key, world: World, ground: Ground) -> tuple[ArrayLike, tuple[s
 
 
 def read_uncertain(key: Key, world: World, ground: Ground, combine: str) -> World:
-    """The world of a scenario with `map_uncertainty: {maps or spread, plan_on}`; maps combine with the `threats`."""
+    """The world of a scenario with `map_uncertainty: {maps or spread, plan_on}`.
+
+    Args:
+        key: of the uncertainty.
+        world: the scenario's map.
+        ground: its cells.
+        combine: how maps combine with the scenario's `threats`, key of `COMBINE`.
+
+    Raises:
+        ScenarioError, MapError: a key or file is invalid.
+    """
     keys = key.mapping(optional=("maps", "rule", "spread", "plan_on"))
     if ("maps" in keys) == ("spread" in keys):
         raise key.wrong("either maps or spread")

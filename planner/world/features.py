@@ -1,4 +1,4 @@
-"""Worlds whose robots do not know the map, from arrays or a scenario's `true_map`, `prior_map`, `sensor_range`."""
+"""Worlds with an unknown map or moving threats: from arrays, or from the keys of a scenario (SPEC sections 15, 16)."""
 
 from __future__ import annotations
 
@@ -25,15 +25,21 @@ Obstacles = Literal["unknown", "known"]
 OBSTACLES: tuple[Obstacles, ...] = ("unknown", "known")
 KEYS = ("true_map", "prior_map", "sensor_range")
 DETECTS = ("detect", "false_alarm")
-"""What a `sensor_range` says besides where robots learn about hazards."""
+"""Further keys of `sensor_range` for robots that estimate hazards."""
 Given = float | Sense | Mapping[str, Any]
 """A range in cells, or `{range, sight}`."""
 
 
 def with_truth(world: World, truth: World | ArrayLike, sense: Given = 0) -> World:
-    """The world as robots believe it, but what they meet is the truth: p `[H, W]`, NaN = obstacle, or a world.
+    """A world whose map is the prior map, and whose true map is another.
 
-    `sense`: how many cells they see, 0: they learn nothing, and the obstacles must be the same. Raises WorldError.
+    Args:
+        world: the prior map.
+        truth: `[H, W]`, p with NaN = obstacle, or a world.
+        sense: sensor range in cells, or `{range, sight}`; 0: no sensor, and the obstacles must be the same.
+
+    Raises:
+        WorldError: the maps do not fit together, or are uncertain.
     """
     _check_plain(world)
     true = truth if isinstance(truth, World) else World.create(truth, source=f"{world.source}: truth")
@@ -42,10 +48,16 @@ def with_truth(world: World, truth: World | ArrayLike, sense: Given = 0) -> Worl
 
 
 def with_prior(world: World, p: float, obstacles: Obstacles = "unknown", sense: Given = 0) -> World:
-    """The world as the truth of robots that know nothing of it: they believe every cell free, with threat p.
+    """A world whose robots know nothing of the map: on the prior map every cell is free, with threat p.
 
-    `obstacles="known"`: but for its obstacles, which they are told. Where maps are in doubt the truth is the one that
-    is drawn. Raises WorldError.
+    Args:
+        world: the true map; for an uncertain map the true one is drawn.
+        p: threat of every cell of the prior map.
+        obstacles: "known": the prior map has the true obstacles; "unknown": it has none.
+        sense: sensor range in cells, or `{range, sight}`.
+
+    Raises:
+        WorldError: an invalid argument, or a world with other uncertainties.
     """
     check_word("obstacles", obstacles, OBSTACLES, WorldError, world.source)
     PROBABILITY.check("prior_map", p, WorldError, world.source)
@@ -55,14 +67,20 @@ def with_prior(world: World, p: float, obstacles: Obstacles = "unknown", sense: 
 
 
 def with_sense(world: World, sense: Given) -> World:
-    """The same with other sensors: of robots that are not told the map, or whose map is in doubt. Raises WorldError.
+    """A copy with another sensor, for an unknown or uncertain map.
 
-    Of robots that learn about hazards: a detector, `{range, sight, detect, false_alarm}`.
+    Args:
+        world: the map.
+        sense: range in cells, or `{range, sight}`; for hazard estimates a detector, `{range, sight, detect,
+            false_alarm}`.
+
+    Raises:
+        WorldError: the map is known, or the sensor is invalid.
     """
     if world.learned_hazard is not None:
         return replace(world, doubt=replace(world.learned_hazard, detector=make_detector(sense, world.source)))
     if world.knowledge is None and not isinstance(world.doubt, Uncertain):
-        problem = "robots are told the map, and there is nothing to sense"
+        problem = "the map is known: a sensor range has no effect"
         hazard = "give `latent_hazard` the key `learn: true`" if isinstance(world.doubt, Hazard) else ""
         fix = hazard or "give a `true_map`, a `prior_map`, or `map_uncertainty`"
         raise WorldError(problem, source=world.source, fix=fix)
@@ -70,7 +88,11 @@ def with_sense(world: World, sense: Given) -> World:
 
 
 def seeing(world: World, far: float) -> World:
-    """The same whose robots see so many cells far, as sharply as before: past obstacles or not. Raises WorldError."""
+    """A copy with another sensor range in cells; obstacles block the view as before.
+
+    Raises:
+        WorldError: the map is known.
+    """
     sight = world.knowledge is not None and world.knowledge.sense.sight and far < inf
     return with_sense(world, Sense(far, sight))
 
@@ -78,19 +100,20 @@ def seeing(world: World, far: float) -> World:
 def _check_plain(world: World) -> None:
     for of in (world.doubt, world.knowledge):
         if of is not None:
-            raise WorldError(f"a truth beside a map that is in doubt itself: {of.said}", source=world.source)
+            raise WorldError(f"a true map together with another uncertainty: {of.said}", source=world.source)
 
 
 def _knowing(world: World, belief: NDArray[np.float32], truth: NDArray[np.float32], sense: Given) -> World:
     if world.doubt is not None and not isinstance(world.doubt, Uncertain):
-        problem = f"robots would have to learn from what happens to them; here: {world.doubt.said}"
+        problem = f"map updates do not support this uncertainty: {world.doubt.said}"
         named = "phases" if world.phases is not None else "latent_hazard" if world.movers is None else "moving_threats"
         fix = f"leave out `{named}`, or `true_map`, `prior_map` and `sensor_range`"
         raise WorldError(problem, source=world.source, fix=fix)
     looks = make_sense(sense, world.source)
+    # Sensors compare whole maps: with a quantile per level there would be one map for each combination.
     if isinstance(world.doubt, Uncertain) and not world.doubt.whole and looks.range > 0:
-        problem = "robots that learn which of several maps is true need maps; here a number is drawn for each level"
-        raise WorldError(problem, source=world.source, fix="draw one for the whole map, `by: common`")
+        problem = "sensors need whole maps to choose from; this uncertainty draws one quantile for each level"
+        raise WorldError(problem, source=world.source, fix="draw one for the whole map: `by: common`")
     belief.setflags(write=False)
     knowledge = make_knowledge(belief, truth, looks, world.source)
     starts = None if world.starts is None else check_starts(world.starts, truth, world.source)
@@ -98,7 +121,16 @@ def _knowing(world: World, belief: NDArray[np.float32], truth: NDArray[np.float3
 
 
 def read_knowledge(keys: dict[str, Key], world: World, load: Callable[[Path], World]) -> World:
-    """The world of a scenario with its keys `true_map`, `prior_map`, `sensor_range`; `load`: reads any input file."""
+    """The world of a scenario with the keys `true_map`, `prior_map`, `sensor_range`.
+
+    Args:
+        keys: of the scenario.
+        world: its map.
+        load: reads an input file.
+
+    Raises:
+        ScenarioError: a key is invalid.
+    """
     named = [name for name in KEYS if name in keys]
     if not named:
         return world
@@ -106,8 +138,9 @@ def read_knowledge(keys: dict[str, Key], world: World, load: Callable[[Path], Wo
         truth = load(_plain_input(keys["true_map"]))
         with keys["true_map"].naming():
             belief = world.threat
+            # Unlimited range for now, which accepts any pair of maps; the scenario's range is set last.
             world = with_truth(world, truth, inf)
-            if "prior_map" in keys:  # the scenario's own map is neither believed nor true
+            if "prior_map" in keys:  # the scenario's own map is neither the prior nor the true map
                 world = replace(world, threat=belief)
     if "prior_map" in keys:
         prior = keys["prior_map"].mapping(("p",), optional=("obstacles",))
@@ -121,7 +154,7 @@ def read_knowledge(keys: dict[str, Key], world: World, load: Callable[[Path], Wo
 
 
 def _plain_input(key: Key) -> Path:
-    """The file of a truth: no scenario that names a truth of its own, or it might be this one."""
+    """The file of a true map: not a scenario with a true map, which might be this one."""
     path = key.file("an input file")
     top = read_yaml(path).value if path.suffix.lower() in (".yaml", ".yml") else None
     if isinstance(top, dict) and any(name in top for name in KEYS):
@@ -136,14 +169,18 @@ def _sense(key: Key, more: tuple[str, ...]) -> Given:
 
 
 def as_it_is(world: World) -> World:
-    """The true world, told; the world itself where robots are told it, or it is drawn."""
+    """The true map as a known map; unchanged if the map is known, or if the true map is drawn."""
     return replace(world, threat=world.met, knowledge=None)
 
 
 def as_planned(world: World, starts: ArrayLike) -> World:
-    """The world that robots at `starts` `[K, 2]` plan on, known: what they believe once they have looked about.
+    """The known map that robots plan on: the prior map with the cells in sensor range of the starts updated.
 
-    Where the truth is drawn nobody has looked yet. The world itself where robots are told it.
+    A true map that is drawn updates nothing. A known map is returned unchanged.
+
+    Args:
+        world: the map.
+        starts: `[K, 2]`, (row, col).
     """
     known = world.knowledge
     if known is None:
@@ -154,39 +191,42 @@ def as_planned(world: World, starts: ArrayLike) -> World:
         cells = placed[:, 0] * world.shape[1] + placed[:, 1]
         seen = known.sense.views(known.free, np.unique(cells))[1]
         threat = threat.copy()
+        # Only cells in range of the starts: a plan must not know more than its robots.
         threat.flat[seen] = known.truth.flat[seen]
         threat.setflags(write=False)
     return replace(world, threat=threat, knowledge=None, doubt=None)
 
 
-# Worlds with moving threats, from arrays or a scenario's key `moving_threats` (`planner.world.moving_threats`).
+# Moving threats: from movers, or from a scenario's key `moving_threats` (`planner.world.moving_threats`).
 
 AT, STAYS = "[row, col], whole numbers", "a chance to stay, 0 to 1"
 PlannedOn = Literal["patrols", "joined", "own"]
 PLAN_ON: tuple[PlannedOn, ...] = get_args(PlannedOn)
 PATROLS, JOINED = PLAN_ON[:2]
-"""Robots plan on p joined with where the moving threats that have a route are in the long run, the default; with where
-all moving threats are, the default before release 0.4."""
+"""Robots plan on p joined with the long-run positions of moving threats that have a route, the default; or of all
+moving threats, the default before release 0.4."""
 DEFAULT = (
     "`plan_on` is not given: robots plan on the moving threats that have a route (patrols); before release 0.4 they "
     "planned on all of them, which `plan_on: joined` still does"
 )
 """The note on a scenario that leaves `plan_on` out."""
 THREATS = "threats"
-"""The h of walkers that are the threats of the map itself."""
+"""Value of h for walkers that are the threats of the map."""
 
 
 def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_on: PlannedOn | None = None) -> World:
-    """The world with threats that move beside its own.
+    """A world with moving threats in addition to its own.
 
     Args:
-        movers: each with the keys that a scenario has: `{"walk": 0.2, "h": 0.3, "count": 6}`, or
-            `{"patrol": [[0, 0], [0, 1]], "h": 1}`; `{"walk": 0.5, "h": "threats"}`: a walker of each dangerous
-            cell, with its p, which leaves it.
-        plan_on: "patrols": robots plan on p joined with where movers that have a route are in the long run; "joined":
-            with where all movers are; "own": on p alone. None: "patrols" ("joined" before release 0.4).
+        world: the map.
+        movers: each with the keys of a scenario: `{"walk": 0.2, "h": 0.3, "count": 6}`, or
+            `{"patrol": [[0, 0], [0, 1]], "h": 1}`; `{"walk": 0.5, "h": "threats"}`: each dangerous cell becomes a
+            walker with its p.
+        plan_on: "patrols": robots plan on p joined with the long-run positions of movers that have a route; "joined":
+            of all movers; "own": on p only. None: "patrols" ("joined" before release 0.4).
 
-    Raises WorldError for movers that are none, for a world that is not known, or has types of robots.
+    Raises:
+        WorldError: invalid movers, an uncertain or unknown map, or robot types.
     """
     chosen = PATROLS if plan_on is None else plan_on
     check_word("plan_on", chosen, PLAN_ON, WorldError, world.source)
@@ -199,9 +239,11 @@ def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_
             members.append(one)
         elif _is_of_the_map(given):
             members += _threats_that_walk(given, world)
+            # The threats move away from their cells, which are safe from then on.
             own = np.where(world.free, np.float32(0), np.float32(np.nan))
         else:
             members += _read_each(given, world)
+    # Without free walkers both defaults give the same map.
     by_default = plan_on is None and not all(one.patrols for one in members)
     found = checked(Movers(own, tuple(members), by_default), world.source)
     return _planned_on(replace(world, doubt=found), found, chosen)
@@ -213,9 +255,9 @@ def _planned_on(world: World, movers: Movers, plan_on: PlannedOn) -> World:
 
 
 def as_before(world: World) -> World:
-    """The world as releases before 0.4 made it: where nobody said what robots plan on, with `plan_on` "joined".
+    """The world as releases before 0.4 made it: with `plan_on` "joined" if it was not given.
 
-    The world itself where they made the same, or refused it (p of 1).
+    Unchanged if they made the same world, or rejected it (p = 1).
     """
     if world.movers is None or not world.movers.by_default:
         return world
@@ -226,9 +268,17 @@ def as_before(world: World) -> World:
 
 
 def read_movers(key: Key, plan_on: Key | None, world: World) -> World:
-    """The world of a scenario with `moving_threats: [{walk: s | patrol: [[r, c], ...], start, h, count}, ...]`,
-    `plan_on`."""
-    items = key.items("a list of movers, each {walk or patrol, h}")
+    """The world of a scenario with `moving_threats: [{walk: s | patrol: [[r, c], ...], start, h, count}, ...]`.
+
+    Args:
+        key: of the moving threats.
+        plan_on: of the scenario, or None.
+        world: its map.
+
+    Raises:
+        ScenarioError: a key is invalid.
+    """
+    items = key.items("a list of moving threats, each {walk or patrol, h}")
     members = [one for item in items for one in ([item.value] if _is_of_the_map(item) else _read_each(item, world))]
     chosen: Any = None if plan_on is None else plan_on.choice(PLAN_ON)
     with key.naming():
@@ -250,7 +300,7 @@ def _threats_that_walk(key: Key, world: World) -> list[Mover]:
 
 
 def _read_each(key: Key, world: World) -> list[Mover]:
-    """A mover, as many times as its `count` says."""
+    """A mover, repeated `count` times."""
     keys = key.mapping(("h",), optional=("walk", "patrol", "start", "count"))
     if ("walk" in keys) == ("patrol" in keys):
         raise key.wrong("either walk or patrol")
@@ -277,23 +327,29 @@ def _cell(key: Key, world: World) -> int:
     return int(row * width + col)
 
 
-# Which release's rules a team's closed loop follows: rollouts of different rules are never added up.
+# Version of the closed loop's rules: rollouts under different rules are never added up.
 #
-# Release 0.4 changed (docs/spec.md, sections 15, 16, 19, 22): how a run ends with phases and detectors, and where all
-# robots are lost on the way home; ties between areas for robots of several types; what robots plan on by default among
-# moving threats. All else is as in release 0.3, and results of it go on to be used.
+# Release 0.4 changed (docs/spec.md, sections 15, 16, 19, 22): the end of a run with phases and detectors, and with all
+# robots lost on the way to base; ties between areas for several robot types; the default of `plan_on` for moving
+# threats. All else is as in release 0.3, and its results remain usable.
 
 BEFORE, NOW = 1, 2
-"""Versions of the rules: those of releases before 0.4, and those of release 0.4."""
+"""Versions of the rules: of releases before 0.4, and of release 0.4."""
 RELEASES = {BEFORE: "before 0.4", NOW: "0.4"}
 
 
 def rules_of(world: World, settings: Settings, *, closed: bool = True) -> int:
-    """The last version that changed a rule that the team's rollouts follow. `closed`: of the closed loop."""
+    """The last version that changed a rule used by the team's rollouts.
+
+    Args:
+        world: the map.
+        settings: of the plan.
+        closed: for the closed loop.
+    """
     told = world.phases is not None and world.phases.told
     mixed = settings.types is not None and not isinstance(settings.types, str) and len(set(settings.types)) > 1
     by_default = world.movers is not None and world.movers.by_default
     detects = world.learned_hazard is not None and world.learned_hazard.detector is not None
-    # The run without losses is a closed loop too, whose paths the open loop follows.
+    # The nominal run is a closed loop too, and the open loop follows its paths.
     ends_otherwise = closed and (detects or settings.return_to is not None)
     return NOW if told or mixed or by_default or ends_otherwise else BEFORE

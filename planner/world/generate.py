@@ -1,8 +1,8 @@
 """The paper's random worlds (SPEC section 8), contiguous and scattered, and random threats on a given map.
 
-Randomness is Threefry's, addressed by a key that no rollout uses: the two words of Threefry under the seed's own key at
-counter (WORLD_TAG, purpose), one purpose each for obstacles, contiguous and scattered threats. So worlds and rollouts
-of one seed share no stream, and the contiguous and the scattered world of one seed have the same obstacles.
+Random numbers are Threefry words under keys that no rollout uses: the two words under the seed's own key at counter
+(WORLD_TAG, purpose), with one purpose each for obstacles, contiguous and scattered threats. So worlds and rollouts of
+one seed share no stream, and the contiguous and the scattered world of one seed have the same obstacles.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from planner.world.world import FOUR_NEIGHBOURS, MAX_CELLS, World
 PAPER_LEVELS = (0.04, 0.08, 0.12, 0.16, 0.20)
 """The paper's threat levels."""
 LEAST_LEVEL = 1e-30
-"""Smallest threat level: below it 32-bit numbers, and paths' costs, can no longer tell a threat from safety."""
+"""Smallest threat level: below it 32-bit numbers and path costs cannot distinguish a threat from safety."""
 LEVEL = Numbers(LEAST_LEVEL, PROBABILITY.most, below=True, said=f"probabilities {LEAST_LEVEL:g} <= p < 1")
 WORLD_TAG = 0x574F524C
 """First counter word of the key derivation ("WORL" in ASCII)."""
 OBSTACLES, CONTIGUOUS, SCATTERED = 0, 1, 2
 """Purposes: second counter word of the key derivation."""
 DRAWS = 1024
-"""Numbers that a stream draws at a time."""
+"""Numbers drawn at a time."""
 
 Kind = Literal["contiguous", "scattered"]
 
 
 @dataclass(frozen=True)
 class ThreatPattern:
-    """How random threats are laid out.
+    """Layout of random threats.
 
     Attributes:
         kind: "contiguous" areas, or "scattered" over single cells.
-        areas: number of contiguous areas, of equal size (where there are fewer dangerous cells than areas, each is an
-            area); at most one a cell of the map, though always up to the default; unused when scattered.
+        areas: number of contiguous areas of equal size (with fewer dangerous cells than areas each is an area); at
+            most one per cell of the map, but always up to the default; unused for scattered threats.
         levels: probabilities, taken in turn by area or cell.
         seed: 0 <= seed < 2**64.
     """
@@ -55,7 +55,12 @@ class ThreatPattern:
 
 
 class Stream:
-    """Whole numbers in order from Threefry: the n-th draw is the words of counter (n, 0) under the stream's key."""
+    """Stream of whole numbers from Threefry: the n-th draw is the words of counter (n, 0) under the stream's key.
+
+    Args:
+        seed: 0 <= seed < 2**64.
+        purpose: second counter word of the key derivation.
+    """
 
     def __init__(self, seed: int, purpose: int) -> None:
         words = threefry2x32(key_of(seed), WORLD_TAG, purpose)
@@ -65,18 +70,21 @@ class Stream:
 
     def words(self, count: int) -> NDArray[np.uint64]:
         """The next `count` draws, uint64 `[count]`: x1 above x0."""
+        # Counters continue: the draws do not depend on how many are taken at a time.
         x0, x1 = threefry2x32(self._key, np.arange(self._next, self._next + count, dtype=np.uint32), 0)
         self._next += count
         return (x1.astype(np.uint64) << np.uint64(32)) | x0.astype(np.uint64)
 
     def below(self, bound: int) -> int:
-        """A whole number in [0, bound), each as likely as the others to within bound / 2**64."""
+        """A whole number in [0, bound), uniform to within bound / 2**64."""
         if not self._buffer:
             self._buffer = self.words(DRAWS)[::-1].tolist()
+        # A multiplication instead of a remainder: no rejection, and the same on every platform.
         return (self._buffer.pop() * bound) >> 64
 
     def sample(self, count: int, size: int) -> NDArray[np.int64]:
         """`count` different numbers of [0, size) in random order, int64 `[count]`."""
+        # Stable, so that equal words (improbable) have a defined order.
         return np.argsort(self.words(size), kind="stable")[:count]
 
 
@@ -88,12 +96,20 @@ def random_world(
     obstacles: float = 0.25,
     threats: float = 0.25,
 ) -> World:
-    """A world of the paper's experiments: `round(ratio * H * W)` obstacles and as many dangerous cells, exactly.
+    """A random world of the paper's experiments: exactly `round(ratio * H * W)` obstacles, and dangerous cells.
 
-    Obstacles first, on random cells (they may cut the map into parts); then the threats of `pattern` (default: the
-    paper's 10 contiguous areas) on free cells. Both ratios are of *all* cells, as in the paper.
+    Obstacles are random cells (they may disconnect the map); then the threats of `pattern` are placed on free cells.
+    Both ratios are of *all* cells, as in the paper.
 
-    Raises WorldError for sizes, ratios and patterns that no world can have.
+    Args:
+        height, width: H, W.
+        pattern: None: the paper's 10 contiguous areas.
+        obstacles, threats: ratios.
+
+    Raises:
+        WorldError: invalid sizes, ratios or pattern.
+
+    Source: paper, section 5; SPEC section 8.
     """
     pattern = ThreatPattern() if pattern is None else pattern
     _check_size(height, width)
@@ -108,6 +124,7 @@ def random_world(
         )
     check_pattern(pattern)
     free = np.ones(height * width, dtype=bool)
+    # A separate stream: the same obstacles for contiguous and scattered threats.
     free[Stream(pattern.seed, OBSTACLES).sample(blocked, height * width)] = False
     threat = random_threats(free.reshape(height, width), dangerous, pattern)
     name = f"{pattern.kind}-{height}x{width}-seed{pattern.seed}"
@@ -115,14 +132,23 @@ def random_world(
 
 
 def random_threats(free: NDArray[np.bool_], count: int, pattern: ThreatPattern) -> NDArray[np.float32]:
-    """`count` dangerous cells on the free cells of `[H, W]`; float32 `[H, W]`, 0 elsewhere.
+    """Random dangerous cells on the free cells.
 
-    Contiguous: `pattern.areas` areas of equal size (they differ by one cell at most), levels in turn, each grown from
-    a random seed cell by a random frontier cell. An area keeps apart from others of its level (not 4-adjacent) and
-    starts where it fits in one piece; where nothing is large enough it goes on from another seed cell when enclosed,
-    and only where nothing else is left it may touch areas of its level.
-    Scattered: random free cells, levels in turn. Cost: O(areas * H * W + count). Raises WorldError if `count` exceeds
-    the free cells.
+    Contiguous: `pattern.areas` areas of equal size (up to one cell), levels in turn, each grown from a random seed cell
+    by a random frontier cell. An area keeps apart from others of its level (not 4-adjacent) and starts where it fits in
+    one piece. If no place is large enough, it continues from another seed cell when enclosed; if no cells are left, it
+    may touch areas of its level. Scattered: random free cells, levels in turn. Cost: O(areas * H * W + count).
+
+    Args:
+        free: bool `[H, W]`.
+        count: dangerous cells.
+        pattern: the layout.
+
+    Returns:
+        float32 `[H, W]`, 0 in other cells.
+
+    Raises:
+        WorldError: `count` exceeds the free cells, or the pattern is invalid.
     """
     check_pattern(pattern)
     cells = np.flatnonzero(free)
@@ -151,13 +177,14 @@ def random_threats(free: NDArray[np.bool_], count: int, pattern: ThreatPattern) 
 
 
 def _grow(size: int, level: int, taken: NDArray[np.int64], free: NDArray[np.bool_], stream: Stream) -> list[int]:
-    """`size` cells for one area; `taken` `[H, W]` holds the level index of areas before it, -1 elsewhere."""
+    """Cells of one area, `size` of them; `taken` `[H, W]` holds the level index of earlier areas, -1 elsewhere."""
     same, untaken = taken == level, free & (taken < 0)
     touching = np.zeros_like(same)
     for one, other in ((touching, same), (touching.T, same.T)):
         one[1:] |= other[:-1]
         one[:-1] |= other[1:]
     grown: list[int] = []
+    # First apart from areas of the same level, which would merge with this one; then anywhere.
     for open_cells in (untaken & ~touching, untaken):
         if len(grown) < size:
             _spread(grown, size, open_cells, stream)
@@ -165,7 +192,7 @@ def _grow(size: int, level: int, taken: NDArray[np.int64], free: NDArray[np.bool
 
 
 def _spread(grown: list[int], size: int, open_cells: NDArray[np.bool_], stream: Stream) -> None:
-    """Grow `grown` over the open cells `[H, W]` until it has `size` cells or none is left; seed anew when enclosed."""
+    """Grow `grown` over the open cells `[H, W]` up to `size` cells, with a new seed cell whenever it is enclosed."""
     width = open_cells.shape[1] + 1
     closed = np.zeros((len(open_cells) + 2, width), dtype=np.bool_)  # a closed border: no edge tests below
     closed[1:-1, :-1] = open_cells
@@ -193,7 +220,7 @@ def _spread(grown: list[int], size: int, open_cells: NDArray[np.bool_], stream: 
 
 
 def _roomy(open_cells: NDArray[np.bool_], size: int) -> NDArray[np.int64]:
-    """Open cells from which an area of `size` cells can grow in one piece, or all of them where none can; int64."""
+    """Open cells from which an area of `size` cells can grow in one piece, or all of them if there are none; int64."""
     labels, _ = ndimage.label(open_cells, structure=FOUR_NEIGHBOURS)
     fits = (np.bincount(labels.reshape(-1)) >= size)[labels] & open_cells
     return np.flatnonzero(fits if fits.any() else open_cells)
@@ -207,7 +234,11 @@ def _take(cells: list[int], stream: Stream) -> int:
 
 
 def check_pattern(pattern: ThreatPattern) -> None:
-    """WorldError unless kind, areas, levels and seed make sense."""
+    """Check a pattern.
+
+    Raises:
+        WorldError: kind, areas, levels or seed are invalid.
+    """
     check_word("kind", pattern.kind, ("contiguous", "scattered"), WorldError, "generate")
     whole(1, MAX_CELLS).check("areas", pattern.areas, WorldError, "generate")
     if not pattern.levels or not all(map(LEVEL.accepts, pattern.levels)):
@@ -216,7 +247,7 @@ def check_pattern(pattern: ThreatPattern) -> None:
 
 
 def most_areas(cells: int) -> int:
-    """Most contiguous areas on a map of so many cells: one a cell, and never fewer than the default."""
+    """Most contiguous areas on a map: one per cell, and at least the default."""
     return max(cells, ThreatPattern.areas)
 
 

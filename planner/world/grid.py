@@ -1,4 +1,4 @@
-"""Maps as pixels, before they become a world: what is free, where it lies, and how pixels become cells."""
+"""Maps as pixels, before they become a world: free pixels, position, and cells of several pixels."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from planner.world.moving_threats import Movers, Phases
 from planner.world.robot_types import RobotTypes
 from planner.world.uncertain_maps import Hazard, Uncertain
 
-# Where a map lies on the Earth: its coordinate reference system, and how the map's own metres sit in it.
+# Position of a map on the Earth: its coordinate reference system, and the map's metres in it.
 
 WGS84 = "EPSG:4326"
-"""Longitude and latitude, in this order everywhere in this program: GeoJSON, KML, GPS."""
+"""Longitude and latitude, always in this order: GeoJSON, KML, GPS."""
 PLAIN_DEGREES = re.compile(r"CRS:?84$|EPSG:.*\b4326$", re.IGNORECASE)
 """Names of WGS 84."""
 TURN = 360.0
-"""Degrees of longitude in a turn of the Earth: places a whole turn apart are one."""
+"""Degrees of longitude around the Earth: places that differ by a multiple are the same."""
 RANGE = np.array([TURN, 90.0])
-"""Largest longitude and latitude that are read: 181 and -181 are places too, and some files count from 0 to 360."""
+"""Largest longitude and latitude accepted: 181 and -181 are valid, and some files count from 0 to 360."""
 UTM_LATITUDES, UTM_REACH = (-80.0, 84.0), 6.0
-"""Where UTM holds, and how many degrees from its central meridian a zone is used here: metres are 0.5 % off there."""
+"""Latitudes of UTM, and the largest distance in degrees from a zone's central meridian: metres are 0.5 % off there."""
 LONGEST = 2**14
-"""Most characters of a CRS: WKT takes some two thousand."""
+"""Most characters of a CRS: WKT takes about two thousand."""
 HOW_TO_GIVE_ONE = (
     "give a GeoTIFF with a CRS, or `datum: {latitude: ..., longitude: ...}`, the place of the map's (0, 0), "
     "in the ROS map or the scenario"
@@ -41,12 +41,12 @@ HOW_TO_GIVE_ONE = (
 
 @dataclass(frozen=True)
 class Georeference:
-    """How metres of the map's frame become coordinates: crs = origin + metres * scale, x (or longitude) first.
+    """Map from metres of the map's frame to coordinates: crs = origin + metres * scale, x (or longitude) first.
 
     Attributes:
-        crs: the coordinate reference system as text: "EPSG:32633", PROJ's words or WKT.
+        crs: the coordinate reference system as text: "EPSG:32633", a PROJ string or WKT.
         origin: the frame's (0, 0) in the CRS, in its units.
-        scale: units of the CRS a metre of the frame, along x and y: (1, 1) where the CRS is in metres.
+        scale: units of the CRS per metre of the frame, along x and y: (1, 1) if the CRS is in metres.
     """
 
     crs: str
@@ -58,20 +58,32 @@ class Georeference:
         return np.asarray(points, dtype=np.float64) * self.scale + self.origin
 
     def to_lonlat(self, points: ArrayLike, file: str = "", about: float | None = None) -> NDArray[np.float64]:
-        """Points (x, y) `[..., 2]` of the map's frame as (longitude, latitude) in degrees, WGS 84. Raises MapError.
+        """Points of the map's frame as (longitude, latitude) in degrees, WGS 84.
 
-        Longitudes are within half a turn of the longitude `about`, by default the first point's, so that neighbours
-        stay neighbours: across longitude 180 they go on with 180.1. `principal` brings them back.
+        Longitudes are within half a turn of `about`, so that neighbours stay neighbours: across longitude 180 they
+        continue with 180.1. `principal` maps them back.
+
+        Args:
+            points: (x, y) `[..., 2]`, metres.
+            file: for messages.
+            about: longitude; None: that of the first point.
+
+        Raises:
+            MapError: the CRS or a point cannot be transformed.
         """
         found = reproject(self.to_crs(points), self.crs, WGS84, file)
         if found.size:
+            # PROJ returns -180..180: without this a map across longitude 180 would be torn apart.
             found[..., 0] = near(found[..., 0], found.flat[0] if about is None else about, TURN)
         return found
 
     def from_crs(self, points: ArrayLike, crs: str) -> NDArray[np.float64]:
-        """Coordinates `[..., 2]` of any CRS as metres of the map's frame. Raises MapError.
+        """Coordinates `[..., 2]` of the CRS `crs` as metres of the map's frame.
 
-        Where x comes round, longitudes that go on across 180 lead to x that goes on.
+        Where x wraps around the Earth, longitudes that continue across 180 give x that continues.
+
+        Raises:
+            MapError: the CRS or a point cannot be transformed.
         """
         found, (turn, start) = reproject(points, crs, self.crs), turn_of(self.crs)
         if turn and is_degrees(crs) and crs != self.crs:
@@ -81,7 +93,7 @@ class Georeference:
 
 
 def near(values: ArrayLike, middle: float | NDArray[np.float64], turn: float) -> NDArray[np.float64]:
-    """The values moved by whole turns to within half a turn of `middle`; those half a turn away stay."""
+    """The values shifted by whole turns to within half a turn of `middle`; values exactly half a turn away stay."""
     given = np.asarray(values, dtype=np.float64)
     return given - turn * np.round((given - middle) / turn)
 
@@ -92,44 +104,58 @@ def principal(places: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def is_degrees(crs: str) -> bool:
-    """True for the name or the text of a CRS of longitudes and latitudes."""
+    """True for the name or text of a CRS of longitudes and latitudes."""
     if PLAIN_DEGREES.search(crs):
         return True
     try:
         rasterio = rasterio_for("a CRS", crs)
-        with rasterio.Env():  # which keeps GDAL's errors off the screen
+        with rasterio.Env():  # keeps GDAL's errors off the screen
             return bool(rasterio.crs.CRS.from_user_input(crs).is_geographic)
-    except Exception:  # rasterio is missing, or PROJ does not know the CRS: what needs it says so
+    except Exception:  # rasterio is missing, or PROJ does not know the CRS: its users report that
         names = r"EPSG:.*\b(4258|4269|4979|4230)$|GEOG(CS|CRS)"
         return bool(re.search(names, crs, re.IGNORECASE))
 
 
 @cache
 def turn_of(crs: str) -> tuple[float, float]:
-    """(units of x in a turn of the Earth, x at longitude 0) of a CRS whose x comes round as longitudes do; else (0, 0).
+    """(units of x around the Earth, x at longitude 0) of a CRS whose x wraps as longitudes do; else (0, 0).
 
-    So do degrees, and the cylindrical projections, as Mercator's.
+    It wraps for degrees, and for cylindrical projections such as Mercator's.
     """
     if is_degrees(crs):
         return TURN, 0.0
     try:
+        # x is periodic if a degree of longitude is as long at 60 degrees north as at the equator.
         (start, _), (one, _), (north, _) = reproject([(0, 0), (1, 0), (1, 60)], WGS84, crs).tolist()
-    except MapError:  # it does not reach there
+    except MapError:  # the CRS does not cover these points
         return 0.0, 0.0
     return (TURN * (one - start), start) if abs(north - one) <= 1e-9 * abs(one - start) else (0.0, 0.0)
 
 
 def around(latitude: float, longitude: float) -> Georeference:
-    """Metres east and north of a place, by a transverse Mercator projection about it (true to 1e-6 within 9 km)."""
+    """Metres east and north of a place, by a transverse Mercator projection around it (error 1e-6 within 9 km).
+
+    Args:
+        latitude, longitude: degrees, WGS 84.
+    """
     longitude = float(near(longitude, 0.0, TURN))
     words = f"+proj=tmerc +lat_0={latitude!r} +lon_0={longitude!r} +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
     return Georeference(words)
 
 
 def reproject(points: ArrayLike, source: str, target: str, file: str = "") -> NDArray[np.float64]:
-    """Coordinates float64 `[..., 2]` of the CRS `source` in the CRS `target`, x or longitude first.
+    """Transform coordinates between CRSs, x or longitude first.
 
-    Raises MapError for a CRS that PROJ does not know, for points outside of it, and without rasterio.
+    Args:
+        points: `[..., 2]`, in the CRS `source`.
+        source, target: CRSs as text.
+        file: for messages.
+
+    Returns:
+        float64 `[..., 2]`, in the CRS `target`.
+
+    Raises:
+        MapError: PROJ does not know a CRS, a point lies outside of it, or rasterio is missing.
     """
     given = np.asarray(points, dtype=np.float64)
     if source == target or not given.size:
@@ -147,13 +173,13 @@ def reproject(points: ArrayLike, source: str, target: str, file: str = "") -> ND
 
 
 def no_way(source: object, target: str, file: str = "") -> AbstractContextManager[None]:
-    """PROJ's errors on the way from a CRS to another as MapErrors; `file`: what they are about."""
+    """Context in which PROJ's errors about a transformation become MapErrors; `file`: for messages."""
     problem = f"no way from the CRS {str(source)[:60]!r} to {target[:60]!r}"
     return foreign_errors(problem, file, "a CRS that PROJ knows, and places where it holds")
 
 
 def degree_sides(latitude: float) -> tuple[float, float]:
-    """Metres that a degree of latitude and one of longitude span at `latitude` degrees (WGS 84, within 1 m)."""
+    """Metres per degree of latitude and of longitude at `latitude` degrees (WGS 84, within 1 m)."""
     angle = math.radians(latitude)
     north = 111132.954 - 559.822 * math.cos(2 * angle) + 1.175 * math.cos(4 * angle)
     east = 111412.84 * math.cos(angle) - 93.5 * math.cos(3 * angle) + 0.118 * math.cos(5 * angle)
@@ -161,9 +187,10 @@ def degree_sides(latitude: float) -> tuple[float, float]:
 
 
 def utm_zone(west: float, south: float, east: float, north: float) -> tuple[str, str] | None:
-    """The UTM zone (WGS 84) of the middle of these degrees, in words and as its CRS; None if they reach out of it."""
+    """The UTM zone (WGS 84) of the middle of a box in degrees: (name, CRS); None if the box reaches out of it."""
     longitude = ((west + east) / 2 + 180) % 360
     zone = int(longitude // 6)
+    # By the far edge: metres get wrong with the distance from the central meridian.
     off_centre = abs(longitude - 6 * zone - 3) + (east - west) / 2
     if south < UTM_LATITUDES[0] or north > UTM_LATITUDES[1] or off_centre > UTM_REACH:
         return None
@@ -173,7 +200,7 @@ def utm_zone(west: float, south: float, east: float, north: float) -> tuple[str,
 
 
 def same_crs(one: str, other: str) -> bool:
-    """True if both texts name one CRS."""
+    """True if both texts name the same CRS."""
     if one == other:
         return True
     crs = rasterio_for("a CRS", one).crs.CRS
@@ -181,7 +208,16 @@ def same_crs(one: str, other: str) -> bool:
 
 
 def rasterio_for(what: str, source: object, fix: str = "") -> Any:
-    """The module rasterio with its parts; a MapError that says what to install where it is missing."""
+    """The module rasterio with its parts.
+
+    Args:
+        what: subject of the message.
+        source: for the message.
+        fix: further text of the fix.
+
+    Raises:
+        MapError: rasterio is not installed.
+    """
     try:
         import rasterio
         import rasterio.crs
@@ -195,7 +231,7 @@ def rasterio_for(what: str, source: object, fix: str = "") -> Any:
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 """States of a pixel."""
 WHOLE = 1e-6
-"""How far `cell_size / resolution` may be from a whole number (SPEC section 9)."""
+"""Largest distance of `cell_size / resolution` from a whole number (SPEC section 9)."""
 
 Pose = tuple[float, float, float]
 Bounds = tuple[float, float, float, float]
@@ -203,7 +239,7 @@ Bounds = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Frame:
-    """Where a grid lies on the ground.
+    """Position of a grid on the ground.
 
     Attributes:
         shape: (H, W); row 0 is at the top, the far end of the y axis.
@@ -221,14 +257,21 @@ class Frame:
         return self.at(*np.meshgrid(np.arange(height) + 0.5, np.arange(width) + 0.5, indexing="ij"))
 
     def at(self, rows: ArrayLike, cols: ArrayLike) -> NDArray[np.float64]:
-        """(x, y) `[..., 2]` in metres, map frame, of places in pixels from the upper-left corner; centres are at .5."""
+        """(x, y) in metres, map frame, of positions in pixels from the upper-left corner; centres are at .5.
+
+        Args:
+            rows, cols: `[...]`, down and to the right.
+
+        Returns:
+            float64 `[..., 2]`.
+        """
         across, up = np.asarray(cols) * self.size, (self.shape[0] - np.asarray(rows)) * self.size
         east, north, yaw = self.origin
         cos, sin = math.cos(yaw), math.sin(yaw)
         return np.stack([east + cos * across - sin * up, north + sin * across + cos * up], axis=-1)
 
     def local(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Points (x, y) `[..., 2]` of the map's frame as metres (to the right of, up from) the lower-left corner."""
+        """Points (x, y) `[..., 2]` of the map's frame as metres (to the right, up) from the lower-left corner."""
         east, north, yaw = self.origin
         moved = np.asarray(points, dtype=np.float64) - (east, north)
         cos, sin = math.cos(yaw), math.sin(yaw)
@@ -237,35 +280,36 @@ class Frame:
         )
 
     def pixels(self, points: ArrayLike) -> NDArray[np.int64]:
-        """(row, col) int64 `[..., 2]` of the pixels that hold points (x, y) in metres; they may lie off the grid."""
+        """(row, col) int64 `[..., 2]` of the pixels that hold points (x, y) in metres; possibly off the grid."""
+        # Clipped: points far off would overflow the conversion to integers.
         local = np.clip(np.floor(self.local(points) / self.size), -(2.0**53), 2.0**53)
         return np.stack([self.shape[0] - 1 - local[..., 1], local[..., 0]], axis=-1).astype(np.int64)
 
     def holds(self, pixels: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """bool `[...]`: which (row, col) `[..., 2]` lie on the grid."""
+        """bool `[...]`: whether (row, col) `[..., 2]` are on the grid."""
         return np.all((pixels >= 0) & (pixels < self.shape), axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """A map as it was read, `[H, W]` pixels.
+    """A map as read, `[H, W]` pixels.
 
     Attributes:
         state: uint8 `[H, W]`: FREE, OCCUPIED or UNKNOWN.
-        frame: where the pixels lie.
+        frame: position of the pixels.
         source: the file.
-        threat: float32 `[H, W]`, the probabilities that a world file brings along (NaN = obstacle), or None.
+        threat: float32 `[H, W]`, probabilities of a world file (NaN = obstacle), or None.
         elevation: float64 `[H, W]` in metres (NaN = no data), or None.
         starts: int64 `[K, 2]`, pixels that a world file names as starts, or None.
         bounds: (left, bottom, right, top) in the units of the file's own georeference, or None.
-        notes: what reading did that a user should know.
-        georeference: where the frame lies on the Earth, or None.
-        value, detect: float64 `[H, W]`, what pixels are worth, and how well a visit detects, or None.
-        doubt: what a world file says is in doubt about its threats, or moves, or None.
-        knowledge: what it says is true beside them, or None.
-        measured: the file says how large a pixel is; else it is presumed.
-        types: of robots, that a world file brings along, or None.
-        swath: metres, the side of the cells that a visit covers, where that is more than a pixel; else None.
+        notes: effects of reading that a user should know.
+        georeference: position of the frame on the Earth, or None.
+        value, detect: float64 `[H, W]`, values and detection probabilities of pixels, or None.
+        doubt: uncertainty or movement of threats in a world file, or None.
+        knowledge: the true map in a world file, or None.
+        measured: whether the file gives the size of a pixel; else it is assumed.
+        types: robot types in a world file, or None.
+        swath: metres, the side of the cells that a visit covers, if larger than a pixel; else None.
     """
 
     state: NDArray[np.uint8]
@@ -293,9 +337,9 @@ class Ground:
     Attributes:
         grid: the map as read.
         free_pixels: bool `[H0, W0]`: free pixels, unknown ones decided.
-        ratio: pixels a cell has a side.
-        frame: where the cells lie; their `shape` is (H, W).
-        notes: what coarsening did that a user should know.
+        ratio: pixels per side of a cell.
+        frame: position of the cells; its `shape` is (H, W).
+        notes: effects of coarsening that a user should know.
     """
 
     grid: Grid
@@ -306,7 +350,7 @@ class Ground:
 
     @cached_property
     def free(self) -> NDArray[np.bool_]:
-        """bool `[H, W]`: cells all of whose pixels are free; by swaths, at least half of them."""
+        """bool `[H, W]`: cells with only free pixels; with a swath, with at least half of them free."""
         share = self.blocks(self.free_pixels).mean(axis=2)
         return share == 1 if self.grid.swath is None else share >= 0.5
 
@@ -317,7 +361,8 @@ class Ground:
         return kept.swapaxes(1, 2).reshape(height, width, ratio * ratio)
 
     def largest(self, values: NDArray) -> NDArray[np.float64]:
-        """The largest value of every cell's free pixels, float64 `[H, W]`; 0 where none is free."""
+        """The largest value of every cell's free pixels, float64 `[H, W]`; 0 if none is free."""
+        # Pixels that are not free must not decide: a cell's threat is that of where robots can be.
         filled = np.where(self.free_pixels, values, -np.inf)
         most = self.blocks(filled).max(axis=2).astype(np.float64)
         return np.where(np.isneginf(most), 0.0, most)
@@ -327,11 +372,11 @@ class Ground:
         return self.blocks(np.where(self.free_pixels, values, 0.0)).sum(axis=2)
 
     def mean(self, values: NDArray) -> NDArray[np.float64]:
-        """The mean over every cell's free pixels, float64 `[H, W]`; 0 where none is free."""
+        """The mean over every cell's free pixels, float64 `[H, W]`; 0 if none is free."""
         return self.total(values) / np.maximum(self.blocks(self.free_pixels).sum(axis=2), 1)
 
     def elevation(self) -> NDArray[np.float64] | None:
-        """Mean elevation of every cell's pixels in metres, float64 `[H, W]` (NaN = no data at all), or None."""
+        """Mean elevation of every cell's pixels in metres, float64 `[H, W]` (NaN = no data), or None."""
         if self.grid.elevation is None:
             return None
         blocks = self.blocks(self.grid.elevation)
@@ -341,11 +386,20 @@ class Ground:
 
 
 def coarsen(grid: Grid, cell_size: float | None = None, unknown_free: bool = False) -> Ground:
-    """The map in cells of `cell_size` metres (None: its pixels), as SPEC section 9 decides.
+    """Coarsen a map to cells.
 
-    Blocks start at row 0, col 0; partial blocks at the far edges are dropped and counted in the notes; a cell is an
-    obstacle as soon as one of its pixels is; the origin moves up by the rows dropped at the bottom, along the grid's
-    own axes. Raises MapError when a cell is no whole number of pixels, or no whole cell fits.
+    Blocks start at row 0, col 0. Partial blocks at the far edges are dropped and counted in the notes. A cell is an
+    obstacle if one of its pixels is. The origin moves up by the rows dropped at the bottom, along the grid's own axes.
+
+    Args:
+        grid: the map.
+        cell_size: metres; None: one pixel.
+        unknown_free: whether unknown pixels count as free.
+
+    Raises:
+        MapError: a cell is not a whole number of pixels, or no whole cell fits.
+
+    Source: SPEC section 9.
     """
     (height, width), size = grid.frame.shape, grid.frame.size
     cell_size = cell_size if grid.swath is None else grid.swath
@@ -358,6 +412,7 @@ def coarsen(grid: Grid, cell_size: float | None = None, unknown_free: bool = Fal
             source=grid.source,
             fix="choose a smaller cell_size",
         )
+    # Rows are counted from the top, the origin is at the bottom: dropped rows move it up.
     left_over = (height - rows * ratio) * size
     x, y, yaw = grid.frame.origin
     origin = (x - math.sin(yaw) * left_over, y + math.cos(yaw) * left_over, yaw)
@@ -368,11 +423,11 @@ def coarsen(grid: Grid, cell_size: float | None = None, unknown_free: bool = Fal
 
 
 def _edge(ground: Ground) -> str:
-    """What of a field no swath covers."""
+    """A note on the part of a field that no swath covers."""
     kept = np.where(ground.free, ground.blocks(ground.free_pixels).sum(axis=2), 0).sum() / ground.free_pixels.sum()
     return (
         f"swaths of {ground.frame.size:g} m hold {100 * kept:.2f} % of the field's cells of {ground.grid.frame.size:g} "
-        "m, the rest lies along the edge and is not counted; `value` is what is covered of those held"
+        "m, the rest lies along the edge and is not counted; `value` counts the covered ones of those held"
     )
 
 

@@ -1,4 +1,4 @@
-"""Map images, read safely: how dark each pixel is, and nothing that a header merely claims."""
+"""Map images: brightness of each pixel, read safely whatever a header claims; and ROS map_server maps."""
 
 from __future__ import annotations
 
@@ -20,18 +20,22 @@ from planner.world.keys import CELL_SIZE, COORDINATE, POSE, SHARE, Key, read_yam
 from planner.world.world import MAX_CELLS
 
 FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF")
-"""Pillow's names of the formats that are opened."""
+"""Pillow's names of the accepted formats."""
 SUFFIXES = (".png", ".pgm", ".ppm", ".pbm", ".pnm", ".bmp", ".gif", ".jpg", ".jpeg")
-"""File names that are taken for map images."""
+"""Suffixes of map images."""
 COLOURED = 48
-"""Difference of the strongest and the weakest of red, green and blue (0..255) above which a pixel counts as coloured:
-more than JPEG makes of greys."""
+"""Difference of the largest and the least of red, green and blue (0..255) above which a pixel counts as coloured: more
+than JPEG adds to greys."""
 SPARE_PIXELS, PIXELS_PER_BYTE = 2**20, 20_000
-"""A compressed file of n bytes may claim this many pixels at most: SPARE_PIXELS + n * PIXELS_PER_BYTE."""
+"""A compressed file of n bytes may claim at most SPARE_PIXELS + n * PIXELS_PER_BYTE pixels."""
 
 
 def plausible(pixels: int, path: Path) -> None:
-    """MapError unless a file of this length can hold so many pixels; called before memory is taken."""
+    """Check, before memory is allocated, that a file of this length can hold this many pixels.
+
+    Raises:
+        MapError: it cannot.
+    """
     size = path.stat().st_size
     most = min(MAX_CELLS, SPARE_PIXELS + size * PIXELS_PER_BYTE)
     if pixels > most:
@@ -40,13 +44,13 @@ def plausible(pixels: int, path: Path) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture's pixels, row 0 at the top.
+    """Pixels of a picture, row 0 at the top.
 
     Attributes:
         bright: float64 `[H, W]`, 0 black .. 1 white, mean of red, green, blue.
         alpha: float64 `[H, W]`, 0 transparent .. 1 opaque; None: the picture has no transparency.
-        coloured: bool `[H, W]`, neither black, grey, white nor wholly transparent.
-        lossy: its values are not exactly those that were written.
+        coloured: bool `[H, W]`, neither black, grey, white nor fully transparent.
+        lossy: whether compression may have changed the values.
     """
 
     bright: NDArray[np.float64]
@@ -56,28 +60,33 @@ class Picture:
 
     @property
     def grey(self) -> NDArray[np.int64]:
-        """The grey value 0..255 of every pixel, int64 `[H, W]`; -1 where it is coloured."""
+        """Grey value 0..255 of every pixel, int64 `[H, W]`; -1 for coloured ones."""
         return np.where(self.coloured, -1, np.rint(self.bright * 255).astype(np.int64))
 
     def colours(self, readings: dict[str, NDArray[np.bool_]]) -> tuple[str, ...]:
-        """A note on the coloured pixels, if there are any: what they are taken for.
+        """A note on how coloured pixels are read, if there are any.
 
-        `readings`: bool `[H, W]` by name, for example "obstacle"; each pixel is of one.
+        Args:
+            readings: bool `[H, W]` by meaning, for example "obstacle"; each pixel has one.
         """
         counts = {name: int((self.coloured & taken).sum()) for name, taken in readings.items()}
         said = ", ".join(f"{count} as {name}" for name, count in counts.items() if count)
-        notes = f"coloured pixels are read by their brightness alone: {said}; threats are given in a scenario"
+        notes = f"coloured pixels are read by their brightness only: {said}; threats belong in a scenario"
         return (notes,) if said else ()
 
 
 def read_image(path: Path) -> Picture:
-    """The picture in a file. Raises MapError for a file that is missing, no image, truncated or too large."""
+    """Read a picture.
+
+    Raises:
+        MapError: the file is missing, no image, truncated or too large.
+    """
     check_file(path, "a map image")
     with foreign_errors("cannot be read as an image", path, "a complete PNG, PGM, BMP, GIF or JPEG"):
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         with Image.open(path, formats=FORMATS) as whole:
             plausible(whole.width * whole.height, path)
-            whole.verify()  # to the end of a PNG, which decoding never reaches; it spoils the handle
+            whole.verify()  # to the end of a PNG, which decoding never reaches; it invalidates the handle
         with Image.open(path, formats=FORMATS) as image:
             plausible(image.width * image.height, path)
             _check_raw(image, path)
@@ -85,7 +94,7 @@ def read_image(path: Path) -> Picture:
 
 
 def _check_raw(image: Image.Image, path: Path) -> None:
-    """An uncompressed file must be about as long as its header claims: a byte a pixel, or a bit if it is bilevel."""
+    """Check that an uncompressed file is as long as its header claims: a byte per pixel, or a bit if bilevel."""
     with path.open("rb") as stream:
         text = stream.read(2) in (b"P1", b"P2", b"P3")
     raw = image.format == "PPM" or (image.format == "BMP" and not image.info.get("compression"))
@@ -95,7 +104,7 @@ def _check_raw(image: Image.Image, path: Path) -> None:
 
 
 def _picture(image: Image.Image) -> Picture:
-    if image.mode.startswith("I"):  # 16 bits a pixel
+    if image.mode.startswith("I"):  # 16 bits per pixel
         wide = np.asarray(image, dtype=np.float64) / 65535
         return Picture(np.clip(wide, 0, 1), None, np.zeros(wide.shape, dtype=bool))
     pixels = np.asarray(image.convert("RGBA"))
@@ -105,20 +114,20 @@ def _picture(image: Image.Image) -> Picture:
     return Picture(bright, pixels[..., 3] / 255 if image.has_transparency_data else None, coloured, lossy)
 
 
-# ROS map_server maps (a YAML file beside an image), after nav2's rules.
+# ROS map_server maps (a YAML file and an image), by nav2's rules.
 
 REQUIRED = ("image", "resolution", "origin", "occupied_thresh")
 USUAL_FREE = 0.196
-"""The `free_thresh` that map_saver writes: taken, with a note, where a file names none."""
+"""The `free_thresh` that map_saver writes: the default, with a note."""
 DEFAULTS: Json = {"mode": "trinary", "negate": 0, "free_thresh": USUAL_FREE}
 OPTIONAL = ("datum",)
-"""Keys that a map's YAML file must have, and may have; `datum` is ours: where the map frame's (0, 0) lies."""
+"""Required and optional keys of a map's YAML file; `datum`, the position of the frame's (0, 0), is ours."""
 FULL, NO_VALUE = 100, -1
-"""Value of an occupied pixel, and of an unknown one."""
+"""Values of an occupied and of an unknown pixel."""
 UNKNOWN_GREYS = {205: "map_saver", 128: "cartographer"}
-"""Greys that programs write for unknown ground, of black = occupied."""
+"""Greys that programs write for unknown ground, with black = occupied."""
 LOSSY = 2
-"""How far from that grey a pixel of a picture under lossy compression may be."""
+"""Largest difference of a pixel from that grey under lossy compression."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +138,8 @@ class RosMap:
         values: int16 `[H, W]`, row 0 at the top (largest y): 0 free .. 100 occupied, -1 unknown.
         frame: resolution in metres and the pose of the lower-left corner.
         source: the YAML file. mode: of its values.
-        notes: what reading did that a user should know.
-        georeference: where the frame lies on the Earth, if its `datum` says so.
+        notes: effects of reading that a user should know.
+        georeference: position of the frame on the Earth, if `datum` gives it.
     """
 
     values: NDArray[np.int16]
@@ -141,7 +150,7 @@ class RosMap:
     georeference: Georeference | None = None
 
     def grid(self) -> Grid:
-        """Its pixels as obstacles (value 100), unknown (-1) and free (all else, as nav2's static layer takes it)."""
+        """Pixels as obstacles (value 100), unknown (-1) and free (all others, as in nav2's static layer)."""
         state = np.full(self.values.shape, FREE, dtype=np.uint8)
         state[self.values >= FULL] = OCCUPIED
         state[self.values == NO_VALUE] = UNKNOWN
@@ -156,14 +165,20 @@ class RosMap:
 
 
 def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
-    """The map that a map_server YAML file describes; keys that map_server does not know are ignored, as it does.
+    """Read the map of a map_server YAML file; unknown keys are ignored, as map_server does.
 
-    With brightness b of 0..1 (16 bits as well), p = 1 - b, or b if `negate`. Modes: `trinary` (the default): occupied
+    With brightness b in 0..1 (16 bits as well), p = 1 - b, or b if `negate`. Modes: `trinary` (the default): occupied
     if p >= occupied_thresh, free if p <= free_thresh, else unknown; `scale`: the same, and between the thresholds
-    round(100 * (p - free) / (occupied - free)); `raw`: the bytes 0..100 themselves, above unknown, `negate` without
-    effect. Transparency is read as map_server reads it: `trinary` averages alpha into the brightness as a fourth
-    channel, in `scale` a pixel that is not wholly opaque is unknown, in `raw` alpha has no effect. Raises MapError
-    naming key, value and what was expected.
+    round(100 * (p - free) / (occupied - free)); `raw`: the bytes 0..100, larger ones unknown, without effect of
+    `negate`. Transparency is read as map_server reads it: `trinary` averages alpha into the brightness as a fourth
+    channel; in `scale` a pixel that is not fully opaque is unknown; in `raw` alpha has no effect.
+
+    Args:
+        path: the YAML file.
+        top: its content, if already read.
+
+    Raises:
+        MapError: names key, value and expectation.
     """
     top = read_yaml(path, MapError) if top is None else Key(top.value, "", path, MapError)
     keys = top.mapping(REQUIRED, OPTIONAL, DEFAULTS, strict=False)
@@ -177,7 +192,7 @@ def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
     picture = read_image(keys["image"].file("the map's image"))
     values, notes = _values(mode, picture, negate, occupied, free)
     if mode != "raw" and "free_thresh" not in top.value:
-        notes += (f"names no free_thresh: {USUAL_FREE} is taken, as map_saver writes it",)
+        notes += (f"names no free_thresh: {USUAL_FREE} is used, as map_saver writes it",)
     height, width = values.shape
     frame = Frame((height, width), resolution, (x, y, math.remainder(yaw, 2 * math.pi)))
     place = read_datum(keys["datum"]) if "datum" in keys else None
@@ -185,7 +200,11 @@ def read_ros_map(path: Path, top: Key | None = None) -> RosMap:
 
 
 def read_datum(key: Key) -> Georeference:
-    """`{latitude, longitude}` of the map frame's (0, 0), in degrees of WGS 84; x points east there, y north."""
+    """`{latitude, longitude}` of the frame's (0, 0), in degrees of WGS 84; x points east there, y north.
+
+    Raises:
+        ScenarioError, MapError: of the key, for an invalid value.
+    """
     keys = key.mapping(("latitude", "longitude"))
     latitudes, longitudes = Numbers(-89, 89, "degrees"), Numbers(-TURN, TURN, said="degrees, -180 to 180")
     given = [keys[name].value for name in ("latitude", "longitude")]
@@ -199,7 +218,7 @@ def read_datum(key: Key) -> Georeference:
 def _values(
     mode: str, picture: Picture, negate: bool, occupied: float, free: float
 ) -> tuple[NDArray[np.int16], tuple[str, ...]]:
-    """`RosMap.values`, and notes on colours, transparency, and unknown ground that is read as something else."""
+    """`RosMap.values`, and notes on colours, transparency, and unknown ground that is read as free or occupied."""
     notes: list[str] = []
     if mode == "raw":
         raw = np.rint(picture.bright * 255)
@@ -216,7 +235,7 @@ def _values(
                 how = "mode: trinary averages alpha into the brightness, as map_server does"
             else:
                 values = np.where(alpha < 1, NO_VALUE, plain).astype(np.int16)
-                how = "mode: scale takes what is not wholly opaque for unknown, as map_server does"
+                how = "mode: scale reads pixels that are not fully opaque as unknown, as map_server does"
             notes += _changed(plain, values, how)
         notes += _unknown_greys(mode, picture, values, p, negate)
     readings = {"obstacle": values >= FULL, "free": values == 0, "unknown": values == NO_VALUE}
@@ -225,13 +244,13 @@ def _values(
 
 
 def _by_thresholds(mode: str, p: NDArray[np.float64], occupied: float, free: float) -> NDArray[np.int16]:
-    """Values of how occupied pixels are, p `[H, W]` in 0..1."""
+    """Values from p `[H, W]`, the occupancy in 0..1."""
     between = np.rint((p - free) / (occupied - free) * FULL) if mode == "scale" else np.full(p.shape, NO_VALUE)
     return np.where(p >= occupied, FULL, np.where(p <= free, 0, between)).astype(np.int16)
 
 
 def _changed(plain: NDArray[np.int16], values: NDArray[np.int16], how: str) -> list[str]:
-    """A note on pixels that transparency makes something else; `plain`: values by brightness alone."""
+    """A note on pixels that transparency changes; `plain`: values by brightness only."""
     names = {NO_VALUE: "unknown", 0: "free", FULL: "obstacles"}
     counts = {name: int(((values == value) & (plain != value)).sum()) for value, name in names.items()}
     said = ", ".join(f"{counted(count, 'pixel')} {name} by it" for name, count in counts.items() if count)
@@ -266,15 +285,18 @@ def _flag(key: Key) -> bool:
 
 
 def image_grid(path: Path) -> Grid:
-    """A plain picture as a map, one metre a pixel: dark is an obstacle.
+    """Read a plain picture as a map, one metre per pixel: dark pixels are obstacles.
 
-    It is read as a trinary map with map_server's usual thresholds (0.65 and 0.25): p = 1 - brightness >= 0.65 is an
-    obstacle, p <= 0.25 free, between unknown. What is wholly transparent shows nothing, and is unknown.
+    It is read as a trinary map with map_server's usual thresholds: p = 1 - brightness >= 0.65 is an obstacle, p <= 0.25
+    free, between them unknown. Fully transparent pixels are unknown.
+
+    Raises:
+        MapError: the file is no picture.
     """
     picture = read_image(path)
     values, notes = _values("trinary", picture, False, 0.65, 0.25)
     if picture.alpha is not None and (hidden := picture.alpha == 0).any():
         values[hidden] = NO_VALUE
-        notes += (f"{counted(int(hidden.sum()), 'pixel')} wholly transparent: unknown",)
+        notes += (f"{counted(int(hidden.sum()), 'pixel')} fully transparent: unknown",)
     height, width = values.shape
     return replace(RosMap(values, Frame((height, width), 1.0), str(path), notes=notes).grid(), measured=False)

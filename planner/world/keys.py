@@ -1,4 +1,4 @@
-"""Checked reading of YAML files: every value keeps its key path, so that an error can name `threats[1].rule.kind`."""
+"""Checked reading of YAML files: every value keeps its key path, so that errors can name `threats[1].rule.kind`."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from planner.renamed import warn_renamed, with_new_names
 from planner.settings import Setting
 
 MAX_YAML_BYTES = 2**18
-"""Largest YAML file that is parsed: some 25,000 starts."""
+"""Largest YAML file that is parsed: about 25,000 starts."""
 MAX_NODES = 20_000
-"""Most keys and values in one YAML file, each counted as often as aliases and merge keys repeat it."""
+"""Most keys and values in one YAML file, counted as often as aliases and merge keys repeat them."""
 MAX_ALIASES = 50
 """Most aliases (`*name`) in one YAML file."""
 PLACE = whole(-(2**31) + 1, 2**31 - 1)
-"""A row or column that somebody wrote, which can be one of some map."""
+"""A row or column in a file that can belong to some map."""
 
 
 @dataclass(frozen=True)
 class Key:
-    """One value of a YAML or JSON file and where it stands.
+    """A value of a YAML or JSON file and its place.
 
     Attributes:
-        value: what the loader made of it.
+        value: as loaded.
         path: key path, for example `threats[1].rule.kind`; "" at the top.
         source: the file.
-        error: the exception that a wrong value raises. fix: what to do, where a fault does not say it.
+        error: the exception for a wrong value. fix: default fix in messages.
     """
 
     value: Any
@@ -51,17 +51,17 @@ class Key:
     fix: str = ""
 
     def wrong(self, expected: str, fix: str = "") -> InputError:
-        """The error for this value: names key path, value, what was expected."""
+        """The error for this value; it names key path, value and expectation."""
         return self.fault(f"is {reprlib.repr(self.value)}", expected, fix)
 
     def fault(self, problem: str, expected: str = "", fix: str = "") -> InputError:
-        """The error for another fault of it: "`threats[0].raster` gives ..."."""
+        """The error for another problem with it: "`threats[0].raster` gives ..."."""
         where = f"`{self.path}`" if self.path else "the file"
         return self.error(f"{where} {problem}", source=self.source, expected=expected, fix=fix or self.fix)
 
     @contextmanager
     def naming(self) -> Iterator[None]:
-        """A WorldError about what is made of this value names it."""
+        """Context in which a WorldError about this value names it."""
         try:
             yield
         except WorldError as error:
@@ -75,12 +75,23 @@ class Key:
         defaults: Mapping[str, Any] | None = None,
         strict: bool = True,
     ) -> dict[str, Key]:
-        """The value's keys; those in `defaults` are always there. Missing and (if `strict`) unknown ones are errors."""
+        """The keys of the value.
+
+        Args:
+            required: names that must be there.
+            optional: further names.
+            defaults: names that are always there, with their defaults.
+            strict: whether unknown keys are errors.
+
+        Raises:
+            InputError: of `error`, for a missing or unknown key.
+        """
         defaults = {} if defaults is None else defaults
         required = list(required)
         allowed = [*required, *optional, *defaults]
         if not isinstance(self.value, dict):
             raise self.wrong(f"keys ({', '.join(allowed)})")
+        # Names of release 0.3 are read first, so that errors name today's keys.
         given = with_new_names(self.value, allowed, self.source)
         unknown = [name for name in given if name not in allowed]
         dot = f"{self.path}." if self.path else ""
@@ -96,23 +107,32 @@ class Key:
         return {name: self._child(values[name], f"{dot}{name}") for name in allowed if name in values}
 
     def items(self, expected: str, least: int = 1, exactly: int = 0) -> list[Key]:
-        """The value's elements; an error unless it is a list of at least `least`, or (above 0) `exactly` so many."""
+        """The elements of a list.
+
+        Args:
+            expected: for messages.
+            least: fewest elements.
+            exactly: number of elements, 0: any.
+
+        Raises:
+            InputError: of `error`, for another value.
+        """
         if not isinstance(self.value, list) or len(self.value) < least or exactly not in (0, len(self.value)):
             raise self.wrong(expected)
         return [self._child(value, f"{self.path}[{index}]") for index, value in enumerate(self.value)]
 
     def number(self, of: Numbers = ANY, expected: str = "") -> Any:
-        """One of these numbers, int if they are whole, else float; `expected`: where more than that is."""
+        """A checked number, int if `of` is whole, else float; `expected`: for messages, instead of `of`'s."""
         if not of.accepts(self.value):
             raise self.wrong(expected or of.expected, of.meant(self.value))
         return int(self.value) if of.whole else float(self.value)
 
     def numbers(self, of: Numbers, expected: str, count: int = 0) -> list[Any]:
-        """A list of these numbers; exactly `count` of them unless that is 0."""
+        """A list of checked numbers, `count` of them unless 0."""
         return [item.number(of, expected) for item in self.items(expected, exactly=count)]
 
     def setting(self, setting: Setting) -> Any:
-        """A value of one of the planner's settings: of one a robot a list too, of a step a time as `45min` too."""
+        """A checked value of a planner setting: also a list by robot, or a duration such as `45min`."""
         if setting.words and not setting.places:
             word = self.choice(setting.words, setting.before)
             if word != self.value:
@@ -136,7 +156,7 @@ class Key:
         return self.value
 
     def choice(self, options: Iterable[str], before: Mapping[str, str] | None = None) -> str:
-        """One of `options`; `before`: words of earlier releases that are read too, with what they are now."""
+        """One of `options`; `before`: words of earlier releases, with today's words."""
         options = list(options)
         value = self.value
         if before and isinstance(value, str) and value in before:
@@ -146,9 +166,14 @@ class Key:
         return value
 
     def file(self, expected: str, folder: Callable[[Path], bool] = lambda path: False) -> Path:
-        """A path, relative to the file that names it; the error names key and file when there is none.
+        """A path relative to the file that names it.
 
-        `folder`: says whether a folder stands for the files in it.
+        Args:
+            expected: for messages.
+            folder: whether a folder is accepted in place of a file.
+
+        Raises:
+            InputError: of `error`, if there is no such file.
         """
         path = Path(self.source).parent / self.text(expected)
         problem = why_no_file(path)
@@ -163,13 +188,15 @@ class Key:
 
 INTEGER, FLOAT = r"[-+]?[0-9]+", r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
 INFINITE = r"[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
-"""Numbers of YAML 1.2's core schema: `1e-3` is one, `1:30`, `0x1F` and `1_000` are text, `017` is seventeen."""
+"""Numbers of YAML 1.2's core schema: `1e-3` is a number, `1:30`, `0x1F` and `1_000` are text, `017` is 17."""
 TAG = "tag:yaml.org,2002:"
 
 
 class _Loader(yaml.SafeLoader):
-    """The safe loader with YAML 1.2's numbers, without dates, duplicate keys and sets, and bounded: reading takes time
-    and memory in proportion to the file, whatever its anchors, aliases and merge keys claim."""
+    """The safe loader with YAML 1.2's numbers, without dates, duplicate keys and sets.
+
+    Time and memory are proportional to the file, whatever its anchors, aliases and merge keys expand to.
+    """
 
     yaml_constructors: ClassVar[dict[str | None, Any]] = {
         tag: make
@@ -179,6 +206,7 @@ class _Loader(yaml.SafeLoader):
     aliases = nodes = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """The next node, counted; an error beyond MAX_NODES nodes or MAX_ALIASES aliases."""
         self.nodes += 1
         self.aliases += self.check_event(yaml.AliasEvent)
         for count, most, what in (self.nodes, MAX_NODES, "keys and values"), (self.aliases, MAX_ALIASES, "aliases"):
@@ -188,15 +216,16 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
     def get_single_node(self) -> yaml.Node | None:
-        """The top node, refused if it holds itself, or more than MAX_NODES once aliases and merges are followed."""
+        """The top node; an error if it contains itself, or exceeds MAX_NODES with aliases and merges expanded."""
         top = super().get_single_node()
         if top is not None:
             self._expanded(top, {})
         return top
 
     def _expanded(self, node: yaml.Node, known: dict[yaml.Node, int]) -> int:
-        """How many nodes `node` and all under it are, aliases followed; `known`: 0 while one is being counted."""
+        """Number of nodes of `node` with aliases expanded; `known`: results, 0 while a node is being counted."""
         if node not in known:
+            # 0 marks a node in progress: meeting it again means a cycle.
             known[node] = 0
             parts = node.value if isinstance(node, yaml.CollectionNode) else ()
             parts = itertools.chain.from_iterable(parts) if isinstance(node, yaml.MappingNode) else parts
@@ -207,6 +236,7 @@ class _Loader(yaml.SafeLoader):
         return known[node]
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """The mapping of a node; an error if it has a key twice, which YAML itself accepts."""
         if not isinstance(node, yaml.MappingNode):
             raise yaml.MarkedYAMLError(problem="expected keys and values", problem_mark=node.start_mark)
         seen: set[str] = set()
@@ -218,7 +248,7 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def scalar(self, node: yaml.Node) -> bool | int | float:
-        """A boolean or a number; an error for one that only its tag calls so."""
+        """A boolean or a number; an error if the text does not match the tag."""
         text, kind = str(node.value), node.tag.removeprefix(TAG)
         if kind == "bool" and text.lower() in self.bool_values:
             return self.bool_values[text.lower()]
@@ -243,12 +273,18 @@ for _kind in ("bool", "int", "float"):
 
 
 def read_yaml(path: Path, error: type[InputError] = ScenarioError) -> Key:
-    """The top of a YAML file, numbers by YAML 1.2's core rules. Malformed text is an `error` naming file and line."""
+    """Read a YAML file, with numbers by YAML 1.2's core rules.
+
+    Args:
+        path: the file.
+        error: exception for malformed text, which names file and line.
+    """
     problem = why_no_file(path)
     if problem:
         raise error(problem, source=printable(path), expected="a YAML file")
     try:
         with path.open("rb") as stream:
+            # One byte more than allowed is enough to detect a larger file.
             data = stream.read(MAX_YAML_BYTES + 1)
         if len(data) > MAX_YAML_BYTES:
             raise error(f"more than {MAX_YAML_BYTES} bytes", source=path, expected="a small YAML file")
@@ -265,7 +301,7 @@ def read_yaml(path: Path, error: type[InputError] = ScenarioError) -> Key:
 
 
 def named_files(value: Any, folder: Path) -> Iterator[Path]:
-    """Files in the `folder` that texts in a value, as YAML has it, name."""
+    """Files in `folder` that are named by texts in a YAML value."""
     if isinstance(value, str):
         if value and why_no_file(folder / value) == "":
             yield folder / value
@@ -274,18 +310,18 @@ def named_files(value: Any, folder: Path) -> Iterator[Path]:
             yield from named_files(item, folder)
 
 
-# What a cell, a point or a polygon may say a number of: its threat, its value, the chance that a visit detects.
+# Numbers of a cell, a point or a polygon: its threat, its value, its detection probability.
 
 LARGEST_VALUE = 1e9
-"""Of a cell."""
+"""Largest value of a cell."""
 
 
 class Quantity(NamedTuple):
-    """A number that files may state.
+    """A number in files.
 
     Attributes:
-        name: of the property of a feature, and of the column of a points file (besides `strength`).
-        numbers: that it may be.
+        name: property of a feature, and column of a points file (besides `strength`).
+        numbers: valid numbers.
     """
 
     name: str
@@ -293,27 +329,34 @@ class Quantity(NamedTuple):
 
 
 PROBABILITY = Numbers(0, 1 - 2**-25, below=True, said="a probability 0 <= p < 1")
-"""Of float64, which as float32 is below 1 too."""
+"""Valid float64 numbers are also below 1 as float32."""
 CHANCE = Numbers(0, 1, "a chance")
 CELL_SIZE = Numbers(1e-5, 1e6, "a number of metres")
-"""Side of a cell: centres differ in the micrometres that waypoints are written in."""
+"""Side of a cell: centres stay distinct in micrometres, the resolution of waypoints."""
 FARTHEST = 1e9
-"""Largest coordinate accepted, in metres: beyond it float64 no longer tells the smallest cells apart."""
+"""Largest coordinate accepted, in metres: beyond it float64 cannot distinguish the smallest cells."""
 DISTANCE = Numbers(CELL_SIZE.least, FARTHEST, "a number of metres")
 COORDINATE = Numbers(-FARTHEST, FARTHEST, said=f"metres, none beyond {FARTHEST:g}")
 POSE = f"three numbers [x, y, yaw], none beyond {FARTHEST:g}"
 SCALE = Numbers(1e-7, 1e4)
-"""Units of a CRS a metre: a degree has 1e5 metres, a foot 0.3."""
+"""Units of a CRS per metre: a degree has 1e5 metres, a foot 0.3."""
 SHARE = Numbers(0, 1, above=True)
 THREAT = Quantity("p", PROBABILITY)
 VALUE = Quantity("value", Numbers(0, LARGEST_VALUE))
 DETECT = Quantity("detect", CHANCE)
 SAMPLE = Quantity("value", ANY)
-"""What was measured at a place, before a rule makes p of it."""
+"""A measured value, before a rule turns it into p."""
 
 
 def first_of(wrong: NDArray[np.bool_]) -> tuple[tuple[int, int], str]:
-    """The first of some wrong cells `[H, W]`, for messages: (row, col), and "at [0, 3] (2 such cells)"."""
+    """The first wrong cell, for messages.
+
+    Args:
+        wrong: bool `[H, W]`.
+
+    Returns:
+        ((row, col), text as "at [0, 3] (2 such cells)").
+    """
     row, col = np.argwhere(wrong)[0].tolist()
     return (row, col), f"at [{row}, {col}] ({counted(int(wrong.sum()), 'such cell')})"
 
@@ -321,9 +364,19 @@ def first_of(wrong: NDArray[np.bool_]) -> tuple[tuple[int, int], str]:
 def checked_layer(
     given: ArrayLike | None, of: Quantity, free: NDArray[np.bool_], source: str
 ) -> NDArray[np.float64] | None:
-    """A number a free cell, float64 `[H, W]`, 0 on obstacles; None where nobody said. Raises WorldError.
+    """A checked number for each free cell.
 
-    `given`: `[H, W]`, or one number for all; `free`: bool `[H, W]`.
+    Args:
+        given: `[H, W]`, or one number for all cells; None: not given.
+        of: the quantity.
+        free: bool `[H, W]`.
+        source: for messages.
+
+    Returns:
+        float64 `[H, W]`, 0 on obstacles, or None.
+
+    Raises:
+        WorldError: names the first invalid cell.
     """
     if given is None:
         return None
@@ -336,6 +389,7 @@ def checked_layer(
     if array.ndim and array.shape != free.shape:
         expected = f"the map's, {list(free.shape)}"
         raise WorldError(f"{of.name} has shape {list(array.shape)}", source=source, expected=expected)
+    # A masked value would otherwise count as the number under the mask.
     unsaid = free & np.ma.getmaskarray(given) if isinstance(given, np.ma.MaskedArray) else np.zeros_like(free)
     if unsaid.any():
         where = first_of(unsaid)[1]
@@ -349,6 +403,6 @@ def checked_layer(
         at, where = first_of(wrong)
         raise WorldError(f"{of.name} is {layer[at]:g} {where}", source=source, expected=of.numbers.expected)
     if of is VALUE and not layer.any():
-        raise WorldError("value is 0 in every free cell", source=source, expected="a cell that is worth something")
+        raise WorldError("value is 0 in every free cell", source=source, expected="a cell with a value above 0")
     layer.setflags(write=False)
     return layer

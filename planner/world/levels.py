@@ -1,4 +1,4 @@
-"""Threat levels: the distinct probabilities of a map, quantised when there are too many (SPEC section 1)."""
+"""Threat levels (distinct probabilities, quantised if there are too many), start rules, entry costs (SPEC 1, 3, 8)."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ NO_LEVEL = -1
 
 @dataclass(frozen=True, eq=False)
 class ThreatLevels:
-    """The levels that the planner sees. Axis `N` = H * W cells.
+    """Levels of the planner. Axis `N` = H * W cells.
 
     Attributes:
-        values: float64 `[L]`, increasing, `values[0] = 0` (level 0 exists even when it is empty).
+        values: float64 `[L]`, increasing, `values[0] = 0` (level 0 exists even if it is empty).
         of_cell: int16 `[N]`, level index of every accessible cell, NO_LEVEL elsewhere.
-        quantised: True if several probabilities share a level; stops and formulas keep each cell's own p.
+        quantised: True if several probabilities share a level; losses and formulas use each cell's own p.
     """
 
     values: NDArray[np.float64]
@@ -42,7 +42,15 @@ class ThreatLevels:
 
 
 def find_levels(world: World, accessible: NDArray[np.bool_], most: int) -> ThreatLevels:
-    """The levels of the accessible cells `[H, W]`; at most `most`, `p = 0` counted and always its own."""
+    """Find the levels of a world.
+
+    Args:
+        world: the map.
+        accessible: bool `[H, W]`, cells that count.
+        most: levels, at most; `p = 0` counts and is always its own.
+
+    Source: SPEC section 1.
+    """
     values, (of_cell,), quantised = levels_of_maps(world.threat.reshape(1, -1), accessible.ravel(), most)
     return ThreatLevels(values, np.where(accessible.ravel(), of_cell, NO_LEVEL).astype(np.int16), quantised)
 
@@ -50,13 +58,20 @@ def find_levels(world: World, accessible: NDArray[np.bool_], most: int) -> Threa
 def levels_of_maps(
     threats: NDArray[np.float32], within: NDArray[np.bool_], most: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int16], bool]:
-    """The levels of several maps `[M, N]` of the same cells together, on one scale; those of no cell `within` left out.
+    """Common levels of several maps of the same cells. Levels of no cell in `within` are omitted.
 
-    Returns their values `[L]`, the level of every free cell of each map `[M, N]` (NO_LEVEL: an obstacle, or a level
-    left out), and whether they are quantised.
+    Args:
+        threats: float32 `[M, N]`.
+        within: bool `[N]`.
+        most: levels, at most.
+
+    Returns:
+        (values float64 `[L]`; level of every free cell of each map int16 `[M, N]`, NO_LEVEL for obstacles and omitted
+        levels; whether levels are quantised).
     """
     threat = threats.astype(np.float64)
     free = ~np.isnan(threat)
+    # Over all maps together, so that a level means the same p on each of them.
     positive, group, sizes = np.unique(threat[free & (threat > 0)], return_inverse=True, return_counts=True)
     quantised = len(positive) + 1 > most
     values = positive
@@ -68,6 +83,7 @@ def levels_of_maps(
     of_cell = np.full(threat.shape, NO_LEVEL, dtype=np.int64)
     of_cell[free] = 0
     of_cell[free & (threat > 0)] = group + 1
+    # Level 0 is always used; levels of no cell are closed up.
     used = np.unique(np.append(of_cell[:, within][free[:, within]], 0))
     place = np.full(len(values) + 1, NO_LEVEL)
     place[used] = np.arange(len(used))
@@ -76,27 +92,42 @@ def levels_of_maps(
 
 
 def _equal_count_bins(sizes: NDArray[np.int64], bins: int) -> NDArray[np.int64]:
-    """Bin of each value (given in increasing order with its count): equal counts, equal values never split.
+    """Bin of each value: equal counts, equal values never split. A value belongs to the bin of its middle cell.
 
-    A value goes where the middle of its cells falls.
+    Args:
+        sizes: int64, counts of the values in increasing order.
+        bins: number of bins.
     """
     middle = np.cumsum(sizes) - sizes / 2
     return np.minimum((middle * bins / sizes.sum()).astype(np.int64), bins - 1)
 
 
-# Where the robots start when nobody says so: the rule `upper-left` (SPEC section 8).
+# Start rule `upper-left` (SPEC section 8), for inputs without starts.
 
 RULES = ("upper-left",)
 """Start rules by name."""
 
 
 def check_robots(robots: int | None) -> None:
-    """Raise UsageError for a number of robots, as asked for by a user, that is none; None: nothing is asked."""
+    """Check a user's number of robots; None is valid.
+
+    Raises:
+        UsageError: it is out of range.
+    """
     whole(1, MAX_ROBOTS).check("robots", robots, optional=True)
 
 
 def check_same_team(robots: int | None, starts: NDArray[np.int64], where: str) -> None:
-    """Raise UsageError if so many robots, as asked for by a user, contradict the starts `[K, 2]` that `where` names."""
+    """Check that a user's number of robots agrees with starts.
+
+    Args:
+        robots: or None.
+        starts: int64 `[K, 2]`.
+        where: source of the starts, for the message.
+
+    Raises:
+        UsageError: they contradict each other.
+    """
     check_robots(robots)
     if robots is not None and robots != len(starts):
         raise UsageError(
@@ -106,7 +137,20 @@ def check_same_team(robots: int | None, starts: NDArray[np.int64], where: str) -
 
 
 def starts_of(world: World, robots: int | None, starts: ArrayLike | None) -> NDArray[np.int64]:
-    """Starts int64 `[K, 2]` of what a user asked for: if nothing, or as many as it has, the world's own, else one."""
+    """Starts for a user's request.
+
+    Args:
+        world: the map.
+        robots: number of robots, or None.
+        starts: `[K, 2]`, or None.
+
+    Returns:
+        int64 `[K, 2]`: the given starts; else the world's own, if `robots` agrees; else by the start rule, by default
+        for one robot.
+
+    Raises:
+        UsageError, WorldError: an invalid or contradictory request.
+    """
     check_robots(robots)
     if starts is not None:
         placed = check_starts(starts, world.met, argument("starts"))
@@ -118,12 +162,25 @@ def starts_of(world: World, robots: int | None, starts: ArrayLike | None) -> NDA
 
 
 def place_starts(world: World, robots: int, rule: str = "upper-left") -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    """Starts (row, col), int64 `[K, 2]`, and notes.
+    """Place robots by a start rule.
 
-    In the largest free component (of equal ones, that with the lowest cell index) the safe cell of least row + col
-    (then index); from it breadth-first through free cells by (distance, index): the safe cells among them, one robot
-    each, and from the first again when there are fewer than robots. Without a safe cell in that component: the same
-    order over its cells of least p, with a note. Cost O(cells). Raises UsageError for a count or rule that is none.
+    In the largest free component (on a tie that with the lowest cell index) the first start is the safe cell of least
+    row + col (then index). From it a breadth-first search through free cells gives the safe cells by (distance, index),
+    one robot each, and from the first again if there are fewer cells than robots. Without a safe cell in the component:
+    the same over its cells of least p, with a note. Cost: O(cells).
+
+    Args:
+        world: the map.
+        robots: K.
+        rule: name of the rule.
+
+    Returns:
+        (starts int64 `[K, 2]`, notes).
+
+    Raises:
+        UsageError: an invalid number or rule.
+
+    Source: SPEC section 8.
     """
     check_robots(robots)
     if rule not in RULES:
@@ -145,12 +202,13 @@ def place_starts(world: World, robots: int, rule: str = "upper-left") -> tuple[N
 def _largest_component(world: World) -> NDArray[np.bool_]:
     labels = world.components
     names, lowest, sizes = np.unique(labels[labels > 0], return_index=True, return_counts=True)
+    # On a tie the component with the lowest cell: the same on every platform.
     best = np.lexsort((lowest, -sizes))[0]
     return labels == names[best]
 
 
 def _breadth_first(free: NDArray[np.bool_], source: int, wanted: NDArray[np.bool_], enough: int) -> NDArray[np.int64]:
-    """The wanted cells in order of (distance from `source`, index), int64; at least `enough` unless there are fewer."""
+    """The wanted cells by (distance from `source`, index), int64; at least `enough` unless there are fewer."""
     width = free.shape[1] + 2  # a closed border on every side
     framed = np.zeros((2, len(free) + 2, width), dtype=np.bool_)
     framed[:, 1:-1, 1:-1] = free, wanted
@@ -169,34 +227,53 @@ def _breadth_first(free: NDArray[np.bool_], source: int, wanted: NDArray[np.bool
     return (cells // width - 1) * free.shape[1] + cells % width - 1
 
 
-# What else stops robots, beside which nothing can be said of a map (SPEC sections 13, 15, 16, 22).
+# Features that exclude each other (SPEC sections 13, 15, 16, 22).
 
 
 def check_alone(world: World, what: str, over: type[Hazard | Uncertain] | None = None, or_else: str = "") -> None:
-    """Raise WorldError for `what` beside another thing that is not known, or beside types of robots.
+    """Check that a feature is the only uncertainty of a world.
 
-    `over`: the kind of doubt that it takes the place of. `or_else`: what else may be done, in words.
+    Args:
+        world: the map.
+        what: name of the feature.
+        over: kind of uncertainty that it replaces.
+        or_else: further text of the fix.
+
+    Raises:
+        WorldError: the world has another uncertainty, or robot types.
     """
     doubt = None if over is not None and isinstance(world.doubt, over) else world.doubt
     for other in (doubt, world.knowledge):
         if other is not None:
-            problem, fix = f"`{what}` beside another thing that is not known: {other.said}", "leave one of the two out"
+            problem, fix = f"`{what}` together with another uncertainty: {other.said}", "leave one of the two out"
             raise WorldError(problem, source=world.source, expected="one known map", fix=fix + or_else)
     if world.types is not None:
-        problem, fix = f"`{what}` beside {world.types.said}", "leave one of the two out"
+        problem, fix = f"`{what}` together with {world.types.said}", "leave one of the two out"
         raise WorldError(problem, source=world.source, expected="one known map for all robots", fix=fix)
 
 
-# Eq. (3) made exact: whole-number entry costs of safest paths (SPEC section 3), and the world as a NetworkX graph.
+# Eq. (3) with whole-number entry costs of safest paths (SPEC section 3), and the world as a NetworkX graph.
 
 
 def entry_costs(levels: ThreatLevels, risk: Literal["paper", "log"], source: str = "") -> NDArray[np.int64]:
-    """Cost of entering each cell, int64 `[N]`, BLOCKED where not accessible (eq. (3) times n, rounded).
+    """Entry cost of each cell: eq. (3) times n, rounded.
 
-    Raises WorldError, of `source`, if the sum over all cells, which no path can exceed, might not fit in 62 bits.
+    Args:
+        levels: of the map.
+        risk: "paper" or "log".
+        source: for messages.
+
+    Returns:
+        int64 `[N]`, BLOCKED for cells that are not accessible.
+
+    Raises:
+        WorldError: the sum over all cells, which bounds all paths, might not fit in 62 bits.
+
+    Source: paper, eq. (3); SPEC section 3.
     """
     of_level = level_costs(levels.values, levels.of_cell.size, risk)
     counts = np.bincount(levels.of_cell[levels.accessible], minlength=len(of_level))
+    # No path can cost more than the sum of all cells.
     if float(of_level @ counts) >= 2.0**62:
         raise WorldError(
             f"threat levels from {levels.values[1]:g} to {levels.values[-1]:g} make path costs too large for 64 bits",
@@ -209,9 +286,16 @@ def entry_costs(levels: ThreatLevels, risk: Literal["paper", "log"], source: str
 
 
 def level_costs(values: NDArray[np.float64], n: int, risk: Literal["paper", "log"]) -> NDArray[np.float64]:
-    """Cost of entering a cell of each level `[L]`, whole numbers.
+    """Entry cost of a cell of each level, whole numbers.
 
-    Safe 1; dangerous `floor(n * p / p_min + 0.5)`, or with logarithms of survival for `risk="log"`.
+    Safe 1; dangerous `floor(n * p / p_min + 0.5)`, or for `risk="log"` with log(1 - p) in place of p.
+
+    Args:
+        values: float64 `[L]`.
+        n: cells of the map.
+        risk: "paper" or "log".
+
+    Source: paper, eq. (3); SPEC section 3.
     """
     check_word("risk", risk, ("paper", "log"))
     of_level = np.ones(len(values), dtype=np.float64)
@@ -221,17 +305,18 @@ def level_costs(values: NDArray[np.float64], n: int, risk: Literal["paper", "log
     return of_level
 
 
-# The world as a NetworkX graph, for people who go on from there and as the reference for the cost tables.
+# The world as a NetworkX graph, for users and as the reference for the cost tables.
 
 
 def to_networkx(world: World) -> nx.DiGraph:
     """The free cells as a directed graph: nodes (row, col) with `threat` and `pos` (metres).
 
-    An edge into a cell has `cost` after eq. (3), in the integers of SPEC section 3 (no quantisation), and
-    `hazard = -log(1 - p)`, the additive form of the survival probability.
+    An edge into a cell has `cost` (eq. (3) in the integers of SPEC section 3, without quantisation) and
+    `hazard = -log(1 - p)`, which adds up along paths.
     """
     import networkx as nx
 
+    # Imported here: only this function needs the searches, and NetworkX is slow to load.
     from planner.simulator.searches import neighbour_table
 
     levels = find_levels(world, world.free, most=world.threat.size + 1)

@@ -1,4 +1,4 @@
-"""Every kind of map file as a Grid: world files, ROS maps and logs, MovingAI maps, pictures, GeoTIFF, peers' maps."""
+"""All kinds of map files as a Grid: world files, ROS maps and logs, MovingAI maps, pictures, GeoTIFF, and others."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from planner.world.vector_files import SUFFIXES as FIELDS
 from planner.world.vector_files import read_field
 from planner.world.world import MAX_CELLS, MAX_ROBOTS, WORLD_FILES, World, check_starts, load_world_file
 
-# The latest `nav_msgs/OccupancyGrid` of a ROS 2 log (MCAP, or a rosbag2 folder of it) as a map.
+# ROS 2 logs (MCAP, or a rosbag2 folder): the latest `nav_msgs/OccupancyGrid` as a map.
 
 SCHEMA, ENCODING, TOPIC = "nav_msgs/msg/OccupancyGrid", "cdr", "/map"
 MAX_BYTES = 2**30
 """Largest log that is read."""
 OCCUPIED_PERCENT, FREE_PERCENT = 65, 25
-"""Values from and up to which a pixel is occupied and free: nav2's map_saver cuts there when it saves such a map."""
+"""Values from and up to which a pixel is occupied and free: the thresholds of nav2's map_saver."""
 LEVEL = 1e-3
-"""Largest x and y of a quaternion that still only turns a map about the vertical."""
+"""Largest x and y of a quaternion that only turns a map about the vertical."""
 RECOVERED = ".recovered.mcap"
-"""End of the name that `recover` gives what it saved of a log."""
+"""Suffix of the file into which `recover` saves messages of a log."""
 MOST_LISTED, MOST_TOPICS = 12, 1000
 """Topics that an error lists, and that are kept for it."""
 OTHER_STORAGE = {
@@ -47,24 +47,32 @@ OTHER_STORAGE = {
     "`output_bags: [{{uri: out, storage_id: mcap, all: true}}]`",
     ".zstd": "unpack it: `unzstd {log}`",
 }
-"""Ends of the names of logs that are not read, and what makes an MCAP log of one."""
+"""Suffixes of logs that are not read, and how to convert them to MCAP."""
 
 
 def is_bag(path: Path) -> bool:
-    """Whether this is a rosbag2 folder: one that holds logs."""
+    """Whether this is a rosbag2 folder: one with logs."""
     return why_no_file(path) == "is a folder" and bool(_logs_in(path))
 
 
 def _logs_in(folder: Path) -> list[Path]:
-    """Files of a rosbag2 folder that hold messages, in the order of their names, whatever their storage."""
+    """Log files of a rosbag2 folder in the order of their names, in any storage format."""
     return sorted(one for one in folder.glob("*") if one.name.endswith((".mcap", *OTHER_STORAGE)))
 
 
 def log_files(path: Path) -> tuple[list[Path], tuple[str, ...]]:
-    """The MCAP file itself, or those of a rosbag2 folder, and notes on those that others stand for.
+    """MCAP files of a log.
 
-    Where what `recover` saved of a log lies beside it, that is read in its place; so is the log that a packed one was
-    unpacked to. Raises MapError for a log of another storage: the latest map may be in it.
+    A recovered or unpacked copy of a log in the same folder is read instead of it.
+
+    Args:
+        path: an MCAP file, or a rosbag2 folder.
+
+    Returns:
+        (files, notes on replaced files).
+
+    Raises:
+        MapError: the folder has a log in another storage format, which may hold the latest map.
     """
     if not is_bag(path):
         return [path], ()
@@ -79,21 +87,24 @@ def log_files(path: Path) -> tuple[list[Path], tuple[str, ...]]:
 
 
 def other_storage(path: Path, log: Path) -> MapError:
-    """The error for a log that is no MCAP file; `path`: the same, or its rosbag2 folder."""
+    """The error for a log that is no MCAP file; `path`: the log, or its rosbag2 folder."""
     fix = next(fix for end, fix in OTHER_STORAGE.items() if log.name.endswith(end))
     problem = f"is a log that is not MCAP: {log.name}"
     return MapError(problem, source=path, expected="an MCAP log (.mcap)", fix=fix.format(bag=path, log=log))
 
 
 def read_logged_map(path: Path, topic: str | None = None, choose: str = "") -> RosMap:
-    """The latest grid, by log time, of a log or a rosbag2 folder; raises MapError.
+    """Read the latest grid, by log time, of a log or a rosbag2 folder.
 
-    Values are cut as nav2's map_saver does: occupied from 65, free up to 25, else unknown.
+    Thresholds as in nav2's map_saver: occupied from 65, free up to 25, else unknown.
 
     Args:
         path: an MCAP file, or a rosbag2 folder of them.
-        topic: of the map; None: `/map`, or the one topic that has grids.
-        choose: what the error of a log with several maps says of how to choose one.
+        topic: of the map; None: `/map`, or the only topic with grids.
+        choose: how to choose a map, for the error about a log with several.
+
+    Raises:
+        MapError: there is no such map, or the log cannot be read.
     """
     grids: dict[str, tuple[int, bytes]] = {}
     others: dict[str, str] = {}
@@ -113,7 +124,7 @@ def read_logged_map(path: Path, topic: str | None = None, choose: str = "") -> R
     with foreign_errors(f"the map on {taken} is cut short", path, SCHEMA):
         found = _decode(grids[taken][1], path)
     if topic is None and len(grids) > 1:
-        notes += (f"{taken} is taken of the maps {maps}; {choose}".rstrip("; "),)
+        notes += (f"{taken} is used of the maps {maps}; {choose}".rstrip("; "),)
     return replace(found, notes=(*found.notes, *notes))
 
 
@@ -125,7 +136,7 @@ def _listed(topics: dict[str, str]) -> str:
 
 
 def _add_grids(path: Path, grids: dict[str, tuple[int, bytes]], others: dict[str, str]) -> None:
-    """Add log time and data of the latest grid of each topic of a file, and the types of topics that have none."""
+    """Add log time and data of the latest grid of each topic of a file, and the types of topics without grids."""
     check_size(path, MAX_BYTES, MapError, "a log", "cut the map's topic out")
     data = mapped(path, MapError)
     if data[: len(MAGIC)] != MAGIC:
@@ -145,9 +156,9 @@ def _add_grids(path: Path, grids: dict[str, tuple[int, bytes]], others: dict[str
 
 
 def _decode(data: bytes, path: Path) -> RosMap:
-    """The map in a message (CDR): each value is aligned to its size, from the end of the 4 bytes of the head."""
+    """The map in a message (CDR): each value is aligned to its size, counted from the end of the 4-byte header."""
     order, data = "<" if data[1:2] == b"\x01" else ">", data[4:]
-    at = 12 + struct.unpack_from(f"{order}iII", data)[2]  # after the stamp and the name of the frame
+    at = 12 + struct.unpack_from(f"{order}iII", data)[2]  # after the stamp and the frame's name
     at += -at % 4
     *_, resolution, width, height = struct.unpack_from(f"{order}iIfII", data, at)
     at += 20 + -(at + 20) % 8
@@ -156,7 +167,7 @@ def _decode(data: bytes, path: Path) -> RosMap:
     if not 0 < height * width <= MAX_CELLS or len(values) != height * width:
         problem = f"its map claims {height} x {width} pixels and holds {len(values)}"
         raise MapError(problem, source=path, expected=f"1 to {MAX_CELLS} pixels")
-    size = float(f"{resolution:.7g}")  # what was meant by a number of 32 bits
+    size = float(f"{resolution:.7g}")  # the decimal number that a 32-bit float stands for
     if not CELL_SIZE.accepts(size) or not all(map(COORDINATE.accepts, (x, y, *turn))):
         problem = f"its map has pixels of {size:g} m from ({x:g}, {y:g})"
         raise MapError(problem, source=path, expected=f"{CELL_SIZE.expected}; an origin, nothing beyond {FARTHEST:g}")
@@ -179,7 +190,7 @@ def _decode(data: bytes, path: Path) -> RosMap:
 # Instances of other planners as worlds: MAPS (YAML), LS-MCPP (`.mcpp`) and DORA-Explorer (`.json`).
 
 MAPS_KEY = "world_shape"
-"""The key that a MAPS file is known by."""
+"""Key that identifies a MAPS file."""
 MAPS_DEFAULTS: Json = {
     "obstacles_location": [], "threat_location": [], "agents_placement": [], "torodial": False,
     "random_placement": False,
@@ -187,19 +198,25 @@ MAPS_DEFAULTS: Json = {
 MAX_SOURCES_BYTES = 2**20
 """Largest file of radiation sources."""
 ARENA = Frame((17, 17), 1.0, (-8.5, -8.5, 0.0))
-"""Where DORA-Explorer's robots look: cells centred on whole metres, -8 to 8."""
+"""Arena of DORA-Explorer's robots: cells centred on whole metres, -8 to 8."""
 CHECKS_A_METRE = 0.9 / (0.8 * 0.2)
-"""They drive 0.8 m/s, a step has 0.2 s, and in nine of ten steps a robot may fail."""
+"""Robots drive 0.8 m/s, a step is 0.2 s, and in nine of ten steps a robot may fail."""
 METRES, INTENSITY = Numbers(-1e6, 1e6, "metres"), Numbers(0, 1e6, "an intensity")
 
 
 def read_maps(path: Path, top: Key) -> World:
-    """A map of YairKorn/MAPS: `world_shape`, and obstacles, threats and robots in places [row, col]; cells of 1 m.
+    """Read a map of YairKorn/MAPS: `world_shape`, obstacles, threats and robots at [row, col]; cells of 1 m.
 
-    With a `types_matrix` threats are [row, col, p, type], and its rows are types of robots, "0", "1", ..., by their
-    number; `agents_type` says which each robot is of. Robots are the first `n_agents` of `agents_placement`, unless
-    their placement is random. A cell with p = 1, which no world here can have, is an obstacle. Raises MapError,
-    WorldError.
+    With a `types_matrix` threats are [row, col, p, type], and its rows are robot types "0", "1", ...; `agents_type`
+    gives the type of each robot. Robots are the first `n_agents` of `agents_placement`, unless they are placed at
+    random. A cell with p = 1, which a world cannot have, becomes an obstacle.
+
+    Args:
+        path: the file.
+        top: its content.
+
+    Raises:
+        MapError, WorldError: a key is invalid.
     """
     top = Key(top.value, "", path, MapError)
     keys = top.mapping((MAPS_KEY,), ("n_agents", "types_matrix", "agents_type"), MAPS_DEFAULTS, strict=False)
@@ -239,7 +256,7 @@ def read_maps(path: Path, top: Key) -> World:
 
 
 def _types_matrix(key: Key) -> NDArray[np.float64]:
-    """Factors of p by type of robot and of threat, `[robots, threats]`."""
+    """Factors of p by robot type and threat type, float64 `[robots, threats]`."""
     rows = [row.numbers(FACTOR, "factors of p") for row in key.items("a list of rows of factors")]
     if len({len(row) for row in rows}) > 1:
         raise key.wrong("rows of one length")
@@ -247,7 +264,7 @@ def _types_matrix(key: Key) -> NDArray[np.float64]:
 
 
 def _types(agents: Key | None, threat: NDArray[np.float64], world: World) -> RobotTypes:
-    """The types of robots with these threats `[types, H, W]`, and of which each robot of the file is."""
+    """The robot types with these threats `[types, H, W]`, and the type of each robot of the file."""
     names = tuple(map(str, range(len(threat))))
     found = checked_types(names, threat, world.free, world.source)
     if agents is None:
@@ -257,7 +274,7 @@ def _types(agents: Key | None, threat: NDArray[np.float64], world: World) -> Rob
 
 
 def _cell(key: Key, height: int, width: int, *more: str) -> tuple[int, int]:
-    """Two whole numbers (MAPS writes 1.0 as well), a cell of the map where `key` names one; `more` values follow."""
+    """A cell of the map, from two whole numbers (MAPS also writes 1.0); `more` values follow."""
     expected = f"[{', '.join(('row', 'col', *more))}], row 0..{height - 1} and col 0..{width - 1}"
     parts = key.items(expected)
     if len(parts) != 2 + len(more):
@@ -270,10 +287,16 @@ def _cell(key: Key, height: int, width: int, *more: str) -> tuple[int, int]:
 
 
 def read_mcpp(path: Path, read_map: Any) -> Grid:
-    """An instance of reso1/LS-MCPP: the map that it names, and a robot at each `root` (column, row).
+    """Read an instance of reso1/LS-MCPP: the map that it names, and a robot at each `root` (column, row).
 
-    The map is `gridmaps/NAME.map` where the instance lies in `instances/NAME.mcpp`, else NAME.map beside it. Raises
-    MapError, WorldError.
+    The map is `gridmaps/NAME.map` if the instance is in `instances/`, else NAME.map in its folder.
+
+    Args:
+        path: the instance.
+        read_map: reads a MovingAI map.
+
+    Raises:
+        MapError, WorldError: a key is invalid, or the map is missing.
     """
     keys = read_yaml(path, MapError).mapping(("map", "root"), strict=False)
     name = keys["map"].text("the name of a map")
@@ -284,7 +307,7 @@ def read_mcpp(path: Path, read_map: Any) -> Grid:
             places = [folder.joinpath(*path.parts[number + 1 :]).with_suffix(".map"), folder / f"{name}.map", *places]
     found = next((place for place in places if place.is_file()), None)
     if found is None:
-        raise keys["map"].wrong(f"a map {name[:60]}.map beside it, or in gridmaps where it is in instances")
+        raise keys["map"].wrong(f"a map {name[:60]}.map in its folder, or in gridmaps if it is in instances")
     grid: Grid = read_map(found)
     height, width = grid.frame.shape
     starts = []
@@ -301,14 +324,17 @@ def read_mcpp(path: Path, read_map: Any) -> Grid:
 
 
 def read_sources(path: Path) -> World:
-    """A map of MISTLab/DORA-Explorer: `sources: [{x, y, intensity}, ...]`, x and y in metres.
+    """Read a map of MISTLab/DORA-Explorer: `sources: [{x, y, intensity}, ...]`, x and y in metres.
 
     As in the logs of its ten maps, I = sum of intensity / (1 + d**2 / 5), at most 1, at a cell's centre, and a robot
-    fails in a check with (I - 0.2) / 0.8; p is of as many checks as a robot has that drives 1 m. Raises MapError.
+    fails in a check with probability (I - 0.2) / 0.8. p is that of the checks during 1 m of driving.
+
+    Raises:
+        MapError: the file is invalid.
     """
     top = Key(read_json(path, MAX_SOURCES_BYTES, MapError, "radiation sources"), "", path, MapError)
     if not isinstance(top.value, dict) or "sources" not in top.value:
-        fix = "a plan or a state holds no map: name the map, and this beside it"
+        fix = "a plan or a state holds no map: name the map, and this file in addition"
         raise MapError("holds no map", source=path, expected="DORA-Explorer's `sources: [{x, y, intensity}]`", fix=fix)
     intensity = np.zeros(ARENA.shape)
     for key in top.mapping(("sources",), strict=False)["sources"].items("a list of {x, y, intensity}"):
@@ -327,14 +353,19 @@ MOVINGAI_FREE = b".GS"
 
 CHOOSE_TOPIC = "choose one in a scenario: `map: {file: ..., topic: ...}`"
 CORNERS = "octile-corner"
-"""A type of MovingAI maps that is not read."""
+"""A type of MovingAI maps that is not supported."""
 
 
 def load_map(path: Path, cell_size: float | None = None, top: Key | None = None) -> Grid:
-    """The map in any file but a scenario, chosen by the file's name (`top`: its YAML, if already read).
+    """Read the map in any file except a scenario, chosen by the file's name. A rosbag2 folder is read as its logs.
 
-    `cell_size` in metres only matters where pixels must be resampled (see `rasters.read_raster`). A rosbag2 folder is
-    read as the logs in it. Raises MapError or WorldError naming the file, the value and what was expected.
+    Args:
+        path: the file.
+        cell_size: metres, used if pixels have to be resampled (`raster_files.read_raster`).
+        top: content of a YAML file, if already read.
+
+    Raises:
+        MapError, WorldError: name file, value and expectation.
     """
     if is_bag(path):
         return read_logged_map(path, choose=CHOOSE_TOPIC).grid()
@@ -348,7 +379,7 @@ def load_map(path: Path, cell_size: float | None = None, top: Key | None = None)
 
 
 def world_grid(world: World) -> Grid:
-    """A world as a map that brings its threats and starts along."""
+    """A world as a map with its threats and starts."""
     state = np.where(world.free, FREE, OCCUPIED).astype(np.uint8)
     return Grid(
         state, world.frame, world.source, threat=world.threat, starts=world.starts, notes=world.notes,
@@ -374,11 +405,11 @@ def _threat_raster(path: Path, cell_size: float | None) -> Grid:
 
 
 def _picture(path: Path) -> Grid:
-    """A picture as a map; a world file beside it is not read, which a note says."""
+    """A picture as a map; a note says that a world file next to it is not read."""
     grid, suffix = image_grid(path), path.suffix
     beside = (path.with_suffix(end) for end in (f".{suffix[1]}{suffix[-1]}w", f"{suffix}w", ".wld"))
     notes = (
-        f"{one.name} beside it is not read: give `map: {{file: ..., resolution: ...}}`, or a GeoTIFF"
+        f"its world file {one.name} is not read: give `map: {{file: ..., resolution: ...}}`, or a GeoTIFF"
         for one in beside
         if one.is_file()
     )
@@ -393,11 +424,13 @@ def _field(path: Path, cell_size: float | None) -> Grid:
 
 
 def read_movingai(path: Path) -> Grid:
-    """A MovingAI `.map`: lines `type`, `height H`, `width W`, `map`, then H rows of W characters; 1 m a pixel.
+    """Read a MovingAI `.map`: lines `type`, `height H`, `width W`, `map`, then H rows of W characters; 1 m per pixel.
 
-    Free are `.`, `G` and `S`; all else is blocked. Lines end in LF, CRLF or CR; a byte order mark is skipped. Raises
-    MapError for a header that claims more than the file holds (before memory is taken), and for missing, short and
-    long rows.
+    `.`, `G` and `S` are free, all other characters blocked. Lines end in LF, CRLF or CR; a byte order mark is skipped.
+
+    Raises:
+        MapError: the header claims more than the file holds (checked before memory is allocated), or rows are missing,
+            short or long.
     """
     check_file(path, "a MovingAI map")
     size = path.stat().st_size
@@ -427,7 +460,7 @@ def read_movingai(path: Path) -> Grid:
 
 
 def _movingai_header(lines: list[bytes], path: Path) -> tuple[int, dict[str, int]]:
-    """Index of the first row, and height and width, named in any order."""
+    """Index of the first row, and height and width, given in any order."""
     header: dict[str, int] = {}
     for number, line in enumerate(lines[:10]):
         text = line.decode("latin-1")
@@ -463,4 +496,4 @@ FORMATS: dict[str, Reader] = {
     **dict.fromkeys(IMAGES, lambda path, cell_size, top: _picture(path)),
     **dict.fromkeys(FIELDS, lambda path, cell_size, top: _field(path, cell_size)),
 }
-"""What reads a map, by the end of its file's name: of (path, cell size in metres or None, its YAML if already read)."""
+"""Readers by file suffix, with arguments (path, cell size in metres or None, YAML content if already read)."""

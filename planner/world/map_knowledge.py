@@ -1,7 +1,7 @@
-"""Robots that are not told the map: what is true, and how far they see (SPEC section 15).
+"""Unknown maps: the true map, the sensor range, and hazard estimates (SPEC section 15).
 
-A world's `threat` is what its robots believe, and plan on; its `knowledge` is what they meet. What is drawn for each
-rollout (`World.doubt`) may be their truth too: then its obstacles are those of `Knowledge.truth`.
+A world's `threat` is the prior map, on which robots plan; its `knowledge` holds the true map. The true map may also be
+drawn for each rollout (`World.doubt`); then its obstacles are those of `Knowledge.truth`.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from planner.files import Json
 from planner.simulator.codes import ALWAYS, NEVER, NO_STEP
 from planner.world.keys import CHANCE
 
-# What is seen from where: cells within a range, and with `sight` only past no obstacle; in integers, exact.
+# Sensor range: cells within a distance and, with `sight`, not behind obstacles; in integers, exact.
 
 RANGE = Numbers(0, inf, said="0, or a number of cells from 1 on")
 FARTHEST = 2**20
-"""Cells; nothing is farther on the largest map."""
+"""Cells; more than the size of the largest map."""
 MOST_SEEN = 2**26
-"""Most cells that may be within range of all cells of a map, one after the other: 0.3 GB."""
+"""Most cells within range, summed over all cells of a map: 0.3 GB."""
 
 
 @dataclass(frozen=True)
 class Sense:
-    """What a robot that is alive sees: every cell whose centre lies within `range` cells of its own, Euclidean.
+    """Sensor of a robot: it sees every cell whose centre is within `range` cells of its own (Euclidean distance).
 
-    `sight`: only where the segment of the two centres crosses the inside of no other cell that is an obstacle.
+    With `sight`, only if the segment between the centres crosses the inside of no other obstacle cell.
     """
 
     range: float = 0.0
@@ -43,21 +43,29 @@ class Sense:
 
     @property
     def square(self) -> int:
-        """The largest squared distance, in cells, that is seen."""
+        """The largest squared distance that is seen, in cells."""
         return int(min(self.range, FARTHEST) ** 2)
 
     @property
     def said(self) -> str:
-        """It in words."""
+        """Description for messages."""
         if self.range == 0:
             return "robots see nothing"
         far = "everything" if self.range == inf else f"{self.range:g} cell{'s' * (self.range != 1)} far"
         return f"robots see {far}{', not past obstacles' if self.sight else ''}"
 
     def views(self, free: NDArray[np.bool_], cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-        """(begin `[C + 1]`, seen): `seen[begin[i]:begin[i + 1]]`, rising, is seen from `cells[i]`; indices of cells.
+        """Cells in range of given cells.
 
-        `free`: bool `[H, W]`, truly. `cells`: int64 `[C]`. Raises WorldError for too many.
+        Args:
+            free: bool `[H, W]`, of the true map.
+            cells: int64 `[C]`, indices.
+
+        Returns:
+            (begin int64 `[C + 1]`, seen int32): `seen[begin[i]:begin[i + 1]]`, increasing, is seen from `cells[i]`.
+
+        Raises:
+            WorldError: too many cells in range.
         """
         if len(cells) * min(4 * self.square + 1, free.size) > MOST_SEEN:
             problem = f"{len(cells)} cells from which {self.said.removeprefix('robots see ')} is seen"
@@ -67,7 +75,7 @@ class Sense:
         height, width = free.shape
         rows, cols = np.divmod(cells, width)
         who, what = [], []
-        # Offsets rise as the cells do that they lead to, so what is seen from a cell rises too.
+        # Offsets are in the order of cell indices, so the cells seen from a cell increase too.
         for down, right in self._offsets(height, width):
             inside = (rows + down >= 0) & (rows + down < height) & (cols + right >= 0) & (cols + right < width)
             seers = np.flatnonzero(inside)
@@ -89,10 +97,10 @@ class Sense:
 
 
 def _between(down: int, right: int) -> Iterator[tuple[int, int]]:
-    """The cells other than the two whose inside the segment crosses to the cell so far `down` and `right`.
+    """Cells between two cells, `down` and `right` apart, whose inside the segment of the centres crosses.
 
-    That of the cell (i, j) is crossed iff 2 |down j - right i| < |down| + |right|: no side of it, and not the segment's
-    line, keeps the two apart. A corner that is touched does not count.
+    The cell (i, j) is crossed iff 2 |down j - right i| < |down| + |right|: neither its sides nor the segment's line
+    separate the two. Touching a corner does not count.
     """
     wide = abs(down) + abs(right)
     for i in range(min(down, 0), max(down, 0) + 1):
@@ -103,11 +111,11 @@ def _between(down: int, right: int) -> Iterator[tuple[int, int]]:
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """What is true while robots believe `World.threat`.
+    """The true map of robots that plan on `World.threat`.
 
     Attributes:
-        truth: float32 `[H, W]`, NaN = obstacle; where maps are in doubt the one that stands for them all.
-        sense: what robots see of it.
+        truth: float32 `[H, W]`, NaN = obstacle; for an uncertain map the one that gives the obstacles.
+        sense: the robots' sensor.
     """
 
     truth: NDArray[np.float32]
@@ -115,45 +123,55 @@ class Knowledge:
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """bool `[H, W]`: cells that truly are no obstacles."""
+        """bool `[H, W]`: cells that are free on the true map."""
         return ~np.isnan(self.truth)
 
     def may_be_blind(self, told: NDArray[np.bool_]) -> bool:
-        """Whether they are told all obstacles, `told` `[H, W]` being free: else who does not look may run into one."""
+        """Whether robots without sensor are safe from collisions: the free cells `told` `[H, W]` are the true ones."""
         return bool((self.free == told).all())
 
     @property
     def said(self) -> str:
-        """It in words."""
-        return f"robots are not told the map; {self.sense.said}"
+        """Description for messages."""
+        return f"robots do not know the map; {self.sense.said}"
 
     @property
     def sha256(self) -> str:
-        """Hash of all of it."""
+        """Hash of the true map and the sensor."""
         digest = hashlib.sha256(np.ascontiguousarray(self.truth, dtype="<f4").tobytes())
         digest.update(repr((float(self.sense.range), self.sense.sight)).encode())
         return digest.hexdigest()
 
     def first_seen(self, cells: NDArray[np.integer], alive: NDArray[np.bool_]) -> NDArray[np.int32]:
-        """int32 `[N]`: the step at which each cell is first seen, NO_STEP if never.
+        """The step at which each cell is first seen, int32 `[N]`, NO_STEP if never.
 
-        `cells`, `alive`: `[T, K]`, where each robot is at the end of each step, and whether it still looks.
+        Args:
+            cells: `[T, K]`, cell of each robot at the end of each step.
+            alive: bool `[T, K]`, whether it still uses its sensor.
         """
         when = np.full(self.truth.size, NO_STEP, dtype=np.int32)
         places, first = np.unique(cells[alive], return_index=True)
         steps = np.nonzero(alive)[0][first]
         begin, seen = self.sense.views(self.free, places.astype(np.int64))
-        for number in np.argsort(-steps, kind="stable"):  # who came first is written last
+        for number in np.argsort(-steps, kind="stable"):  # the earliest step is written last
             when[seen[begin[number] : begin[number + 1]]] = steps[number]
         return when
 
     def arrays(self) -> dict[str, Any]:
-        """What the world file holds of it."""
+        """Arrays of the world file, by name."""
         return {"truth": self.truth, "sense": np.array([self.sense.range, self.sense.sight], dtype=np.float64)}
 
 
 def make_sense(given: float | Sense | Mapping[str, Any], source: str) -> Sense:
-    """A checked sense from a range, or `{range, sight}`. Raises WorldError."""
+    """A checked sensor.
+
+    Args:
+        given: a range in cells, or `{range, sight}`.
+        source: for messages.
+
+    Raises:
+        WorldError: it is invalid.
+    """
     if isinstance(given, Sense):
         given = {"range": given.range, "sight": given.sight}
     keys: Json = dict(given) if isinstance(given, Mapping) else {"range": given}
@@ -168,10 +186,21 @@ def make_sense(given: float | Sense | Mapping[str, Any], source: str) -> Sense:
 
 
 def make_knowledge(belief: NDArray[np.float32], truth: NDArray[np.float32], sense: Sense, source: str) -> Knowledge:
-    """What is true `[H, W]` beside a belief `[H, W]`. Raises WorldError for another shape, and who would bump."""
+    """The true map of a prior map.
+
+    Args:
+        belief: float32 `[H, W]`, the prior map.
+        truth: float32 `[H, W]`, the true map.
+        sense: the robots' sensor.
+        source: for messages.
+
+    Raises:
+        WorldError: another shape, or robots without sensor that could collide with an obstacle.
+    """
     if belief.shape != truth.shape:
-        problem = f"the truth has shape {list(truth.shape)}"
-        raise WorldError(problem, source=source, expected=f"the cells that robots are told of, {list(belief.shape)}")
+        problem = f"the true map has shape {list(truth.shape)}"
+        raise WorldError(problem, source=source, expected=f"the cells of the prior map, {list(belief.shape)}")
+    # Without sensor a robot finds an obstacle only by a collision.
     differ = np.isnan(belief) != np.isnan(truth)
     if sense.range == 0 and differ.any():
         row, col = np.argwhere(differ)[0].tolist()
@@ -183,7 +212,16 @@ def make_knowledge(belief: NDArray[np.float32], truth: NDArray[np.float32], sens
 
 
 def knowledge_in(arrays: Mapping[str, NDArray], belief: NDArray[np.float32], source: str) -> Knowledge | None:
-    """What the arrays of a world file say is true beside its threats; its chances are checked. Raises WorldError."""
+    """The true map in the arrays of a world file, or None; its probabilities are checked before.
+
+    Args:
+        arrays: of the file.
+        belief: float32 `[H, W]`, its threats.
+        source: for messages.
+
+    Raises:
+        WorldError: it is invalid.
+    """
     if "truth" not in arrays:
         return None
     said = arrays.get("sense", np.zeros(2))
@@ -193,26 +231,26 @@ def knowledge_in(arrays: Mapping[str, NDArray], belief: NDArray[np.float32], sou
     return make_knowledge(belief, arrays["truth"], sense, source)
 
 
-# What robots learn of hazards from what happens to them, and from a detector: log odds, added up in whole numbers.
+# Hazard estimates from losses, survived visits and detectors: log odds, added up in whole numbers.
 #
-# Bayes' rule, cell by cell: a hazard is there or not, independently of all others (SPEC section 15). Axis `N` = H * W.
+# Bayes' rule, cell by cell: hazards are independent of each other (SPEC section 15). Axis `N` = H * W.
 
 NAT = 2**20
 """Log odds are whole numbers of 1 / NAT."""
 VISITS, NATS = 3, 4
-"""Classes that plans tell apart: survived visits; with a detector, nats less and more than at first."""
+"""Classes of estimates that plans distinguish: survived visits; with a detector, nats below and above the prior."""
 READING_DRAW = 5
-"""Second word of the counter under which readings have their key."""
+"""Second counter word from which readings get their key."""
 Readings = Callable[[int, int, NDArray[np.integer]], NDArray[np.bool_]]
-"""`readings(robot, step, cells)`: for which of the cells its detector gives an alarm, bool `[n]`."""
+"""`readings(robot, step, cells)`: bool `[n]`, for which of the cells the robot's detector gives an alarm."""
 
 
 @dataclass(frozen=True)
 class Detector:
-    """Read by every live robot at the end of each step, for each cell in range, every time by itself.
+    """Detector, read by every robot alive at the end of each step, independently for each cell in range.
 
     Attributes:
-        sense: which cells those are. detect: chance of an alarm where a hazard is; false_alarm: where none is.
+        sense: range of the detector. detect: probability of an alarm at a hazard; false_alarm: elsewhere.
     """
 
     sense: Sense
@@ -221,42 +259,54 @@ class Detector:
 
     @property
     def said(self) -> str:
-        """It in words."""
+        """Description for messages."""
         far = self.sense.said.removeprefix("robots see ")
         return f"a detector, {far}, that finds {self.detect:g} of them and gives {self.false_alarm:g} false alarms"
 
     @property
     def alarm(self) -> int:
-        """What an alarm adds to the log odds; ALWAYS where it is never a false one."""
+        """Log odds that an alarm adds; ALWAYS without false alarms."""
         return ALWAYS if self.false_alarm == 0 else round(log(self.detect / self.false_alarm) * NAT)
 
     @property
     def silence(self) -> int:
-        """What silence takes from them; ALWAYS where nothing is ever missed."""
+        """Log odds that silence subtracts; ALWAYS if no hazard is missed."""
         return ALWAYS if self.detect == 1 else round(log((1 - self.false_alarm) / (1 - self.detect)) * NAT)
 
     def array(self) -> NDArray[np.float64]:
-        """What the world file holds of it."""
+        """Array of the world file."""
         return np.array([self.sense.range, self.sense.sight, self.detect, self.false_alarm], dtype=np.float64)
 
 
 def make_detector(given: object, source: str) -> Detector:
-    """A checked detector from `{range, sight, detect, false_alarm}`. Raises WorldError."""
+    """A checked detector.
+
+    Args:
+        given: `{range, sight, detect, false_alarm}`.
+        source: for messages.
+
+    Raises:
+        WorldError: it is invalid.
+    """
     if not isinstance(given, Mapping) or not {"detect", "false_alarm"} <= given.keys():
-        expected = "{range, detect, false_alarm}: hazards are not seen, detectors tell of them"
+        expected = "{range, detect, false_alarm}: hazards are found by detectors, not seen"
         raise WorldError(f"sensor_range is {given!r:.60}", source=source, expected=expected)
     detect, false_alarm = given["detect"], given["false_alarm"]
     sense = make_sense({name: given[name] for name in given if name not in ("detect", "false_alarm")}, source)
     CHANCE.check("detect", detect, WorldError, source)
     CHANCE.check("false_alarm", false_alarm, WorldError, source)
     if sense.range == 0 or detect <= false_alarm:
-        problem = f"a detector with range {sense.range:g}, detect {detect:g}, false_alarm {false_alarm:g} tells nothing"
+        problem = f"a detector with range {sense.range:g}, detect {detect:g}, false_alarm {false_alarm:g} has no effect"
         raise WorldError(problem, source=source, expected="a range of 1 or more, and more alarms where a hazard is")
     return Detector(sense, float(detect), float(false_alarm))
 
 
 def detector_in(arrays: Mapping[str, NDArray], source: str) -> Detector | None:
-    """That of a world file's arrays. Raises WorldError."""
+    """The detector in the arrays of a world file, or None.
+
+    Raises:
+        WorldError: it is invalid.
+    """
     if "hazard_detector" not in arrays:
         return None
     said = arrays["hazard_detector"]
@@ -270,12 +320,13 @@ def detector_in(arrays: Mapping[str, NDArray], source: str) -> Detector | None:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What each happening says of the hazard in a cell.
+    """Evidence on the hazard in each cell.
 
     Attributes:
-        prior: int64 `[N]`, log odds at first. survival: int64 `[N]`, what a survived visit takes from them.
-        stop: what they are after a stop. detector: or None.
-        chances: float32 `[C, N]`, p that robots plan on, by class; NaN: an obstacle, or a sure stop, which is one.
+        prior: int64 `[N]`, log odds before the mission.
+        survival: int64 `[N]`, log odds that a survived visit subtracts.
+        stop: log odds after a loss. detector: or None.
+        chances: float32 `[C, N]`, p of robots' plans, by class; NaN: an obstacle, or a certain loss, treated as one.
     """
 
     prior: NDArray[np.int64]
@@ -286,35 +337,51 @@ class Evidence:
 
     @cached_property
     def step(self) -> NDArray[np.int64]:
-        """int64 `[N]`: log odds from one class to the next."""
+        """int64 `[N]`: difference in log odds between classes."""
         return np.full_like(self.prior, NAT) if self.detector else np.maximum(self.survival, 1)
 
     @property
     def less(self) -> int:
-        """Classes of fewer odds than at first."""
+        """Number of classes with lower odds than the prior."""
         return NATS if self.detector else VISITS
 
     @property
     def more(self) -> int:
-        """Classes of more."""
+        """Number of classes with higher odds than the prior."""
         return NATS if self.detector else 0
 
     def class_of(self, odds: NDArray[np.int64], cells: NDArray[np.integer]) -> NDArray[np.int64]:
-        """int64 `[n]`, the class of each of these cells by the log odds of all, int64 `[N]`."""
+        """Class of each of some cells.
+
+        Args:
+            odds: int64 `[N]`, log odds.
+            cells: int `[n]`.
+
+        Returns:
+            int64 `[n]`.
+        """
         now = odds[cells]
+        # Rounded towards the prior: a class is reached only by evidence of its full size.
         lost, step = self.prior[cells] - now, self.step[cells]
         steps = np.clip(np.sign(lost) * (np.abs(lost) // step), -self.more, self.less)
         return np.where(now == NEVER, 0, np.where(now == ALWAYS, 1, 2 + self.more + steps))
 
     def read(self, odds: NDArray[np.int64], cells: NDArray[np.integer], alarms: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """The log odds `[n]` of these cells after one reading each."""
+        """Log odds int64 `[n]` of these cells after one reading each.
+
+        Args:
+            odds: int64 `[N]`.
+            cells: int `[n]`.
+            alarms: bool `[n]`.
+        """
         assert self.detector is not None
         said = np.where(alarms, self.detector.alarm, -self.detector.silence)
         return added(odds[cells], said)
 
 
 def added(odds: NDArray[np.int64], said: Any) -> NDArray[np.int64]:
-    """Log odds and what was said, int64: what is certain stays so."""
+    """Log odds plus evidence, int64; certain states stay."""
+    # Certain evidence would overflow a sum: it replaces the log odds instead.
     sure = np.abs(said) == ALWAYS
     return np.where(np.abs(odds) == ALWAYS, odds, np.where(sure, said, odds + np.where(sure, 0, said)))
 
@@ -323,19 +390,33 @@ Chances = NDArray[np.float32]
 
 
 def evidence_of(q: Chances, h: Chances, threat: Chances, consumed: bool, detector: Detector | None) -> Evidence:
-    """Of hazards that are there with q, and stop a visit with h, all `[H, W]`; `threat`: q h, that robots plan on."""
+    """Evidence of latent hazards.
+
+    Args:
+        q: float32 `[H, W]`, probability that the hazard exists.
+        h: float32 `[H, W]`, probability that a visit to it destroys the robot.
+        threat: float32 `[H, W]`, q h, the robots' prior map.
+        consumed: whether the first loss removes a hazard.
+        detector: or None.
+
+    Source: Bayes' rule; SPEC section 15.
+    """
     there, hits = (np.nan_to_num(one.ravel().astype(np.float64)) for one in (q, h))
     with np.errstate(divide="ignore"):
         first, passed = np.log(there) - np.log1p(-there), -np.log1p(-hits)
     prior = _whole(first)
+    # After a loss a consumed hazard is gone, a persistent one is certain.
     made = Evidence(prior, _whole(passed), NEVER if consumed else ALWAYS, detector, threat.reshape(1, -1))
     steps = np.arange(-made.more, made.less + 1)
+    # Other cells never change their class: no evidence can change their estimate.
     doubtful = (there > 0) & (there < 1) & (hits > 0)
     odds = np.where(doubtful, prior, 0) - steps[:, None] * np.where(made.step == ALWAYS, 0, made.step)
     some = np.minimum(hits / (1 + np.exp(-odds / NAT)), np.nextafter(np.float32(1), np.float32(0)))
+    # The prior class keeps the map's p exactly, without rounding of the log odds.
     some[steps == 0] = threat.ravel()
     own = np.where(np.isnan(threat.ravel()), np.nan, threat.ravel().astype(np.float64))
     never = np.where((there > 0) & (doubtful | consumed), 0.0, own)
+    # A certain loss is treated as an obstacle: p = 1 has no finite cost.
     always = np.where(doubtful, np.where(hits == 1, np.nan, hits), own)
     reached = not consumed or (detector is not None and detector.alarm == ALWAYS)
     rows = [never, always if reached else own, *np.where(doubtful, some, own)]
@@ -344,12 +425,12 @@ def evidence_of(q: Chances, h: Chances, threat: Chances, consumed: bool, detecto
 
 
 def _whole(nats: NDArray[np.float64]) -> NDArray[np.int64]:
-    """In units of 1 / NAT; infinite: certain."""
+    """In units of 1 / NAT; infinite log odds are certain."""
     finite = np.isfinite(nats)
     return np.where(finite, np.rint(np.where(finite, nats, 0) * NAT), np.sign(nats) * 2.0**62).astype(np.int64)
 
 
 def chance_of(odds: NDArray[np.int64]) -> NDArray[np.float64]:
-    """The chance that a hazard is there, by its log odds."""
+    """Probability of a hazard from its log odds."""
     with np.errstate(over="ignore"):
         return np.where(odds == NEVER, 0.0, np.where(odds == ALWAYS, 1.0, 1 / (1 + np.exp(-odds / NAT))))

@@ -1,7 +1,7 @@
-"""Threats that move: walkers and patrols, which stop robots that they meet (SPEC section 16).
+"""Moving threats, walkers and patrols, and threats that change by phases (SPEC section 16).
 
-Robots plan on one map, the world's `threat`: that of the cells themselves joined with where movers are in the long run.
-Where they go does not depend on robots. Axis letters: `M` movers, `N` = H * W cells.
+Robots plan on one map, the world's `threat`: that of the cells joined with long-run positions of moving threats, which
+do not depend on robots. Axis letters: `M` moving threats, `N` = H * W cells.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from planner.formatting import counted
 from planner.world.keys import CHANCE, first_of
 
 ANYWHERE = -1
-"""The start of a mover that is nowhere in particular at first."""
+"""Start of a moving threat whose first cell is drawn."""
 MOST_MOVERS = 1024
 BESIDE = [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
 
 
 @dataclass(frozen=True)
 class Mover:
-    """One of them.
+    """A moving threat.
 
     Attributes:
-        hit: chance h that a robot which it meets is stopped. stay: of one that walks, chance to stay where it is.
-        start: the cell index where it is at first, or ANYWHERE.
-        route: of one that patrols, the cells of its closed route; else none.
+        hit: probability h that it destroys a robot that it meets. stay: for a walker, probability to stay in its cell.
+        start: cell index of its start, or ANYWHERE.
+        route: for a patrol, the cells of its closed route; else empty.
     """
 
     hit: float
@@ -44,22 +44,22 @@ class Mover:
 
     @property
     def patrols(self) -> bool:
-        """Whether it has a route."""
+        """Whether it follows a route."""
         return len(self.route) > 0
 
     @property
     def place(self) -> int:
-        """Where it is at first: a cell, or its place on the route; ANYWHERE if that is drawn."""
+        """Its start: a cell, or an index on the route; ANYWHERE if that is drawn."""
         return self.route.index(self.start) if self.patrols and self.start != ANYWHERE else self.start
 
 
 @dataclass(frozen=True, eq=False)
 class Movers:
-    """All of them, and the map that they move on.
+    """All moving threats, and the map that they move on.
 
     Attributes:
-        own: float32 `[H, W]`, what the cells themselves stop a robot with; NaN = obstacle. members: the movers.
-        by_default: nobody said which of them robots plan on (`plan_on`), and the choice matters: some have no route.
+        own: float32 `[H, W]`, threat of the cells themselves; NaN = obstacle. members: the moving threats.
+        by_default: whether `plan_on` was not given although it matters: some have no route.
     """
 
     own: NDArray[np.float32]
@@ -68,17 +68,17 @@ class Movers:
 
     @property
     def said(self) -> str:
-        """They in words."""
+        """Description for messages."""
         kinds = {"walks": "walk", "patrols": "patrol"}
         counts = (sum(one.patrols == of for one in self.members) for of in (False, True))
         words = [f"{n} {one if n == 1 else many}" for n, (one, many) in zip(counts, kinds.items(), strict=True) if n]
         hits = sorted({one.hit for one in self.members})
         stop = f"{hits[0]:g}" if len(hits) == 1 else f"{hits[0]:g} to {hits[-1]:g}"
-        does = "stops a robot that it meets" if len(self.members) == 1 else "stop a robot that they meet"
-        return f"threats that move: {' and '.join(words)}, and {does} with chance {stop}"
+        does = "destroys a robot that it meets" if len(self.members) == 1 else "destroy a robot that they meet"
+        return f"moving threats: {' and '.join(words)}, and {does} with probability {stop}"
 
     def to_json(self) -> list[dict[str, Any]]:
-        """They with the keys that a scenario has."""
+        """List of the moving threats with the keys of a scenario."""
 
         def at(cell: int) -> list[int]:
             return list(divmod(cell, self.own.shape[1]))
@@ -93,7 +93,7 @@ class Movers:
 
     @property
     def sha256(self) -> str:
-        """Hash of all that is drawn of them."""
+        """Hash of all data of the draws."""
         digest = hashlib.sha256(np.ascontiguousarray(self.own, dtype="<f4").tobytes())
         for name, array in self.arrays().items():
             if name != "movers_own":
@@ -102,13 +102,14 @@ class Movers:
 
     @cached_property
     def weight(self) -> NDArray[np.int64]:
-        """int64 `[H, W]`: how often a walker is in each cell in the long run, to scale: free neighbours, at least 1."""
+        """int64 `[H, W]`: long-run frequency of a walker in each cell, unscaled: its free neighbours, at least 1."""
         free = ~np.isnan(self.own)
         around = ndimage.correlate(free.astype(np.int64), BESIDE, mode="constant")
+        # The stationary distribution of a random walk is proportional to the number of neighbours.
         return np.where(free, np.maximum(around, 1), 0)
 
     def chances(self, mover: Mover) -> NDArray[np.float64]:
-        """float64 `[H, W]`: the share of all steps that it is in each cell, in the long run."""
+        """float64 `[H, W]`: long-run share of steps that a moving threat is in each cell."""
         if mover.patrols:
             often = np.bincount(mover.route, minlength=self.own.size)
             return often.reshape(self.own.shape) / len(mover.route)
@@ -119,24 +120,34 @@ class Movers:
         return weight / weight.sum()
 
     def joined(self, told: Iterable[Mover], source: str) -> NDArray[np.float32]:
-        """float32 `[H, W]`: p of a visit, these movers where they are in the long run. Raises WorldError for 1."""
+        """p of a visit with moving threats at their long-run positions, float32 `[H, W]`.
+
+        Args:
+            told: the moving threats to include.
+            source: for messages.
+
+        Raises:
+            WorldError: p is 1 in some cell.
+        """
+        # Independent threats: the probabilities to survive them multiply.
         passed = 1.0 - self.own.astype(np.float64)
         for mover in told:
             passed *= 1.0 - mover.hit * self.chances(mover)
         threat = (1.0 - passed).astype(np.float32)
         if (threat >= 1).any():
-            problem = f"the movers' h makes p 1 {first_of(threat >= 1)[1]}"
+            problem = f"h of the moving threats makes p 1 {first_of(threat >= 1)[1]}"
             raise WorldError(problem, source=source, expected="below 1", fix="make it an obstacle, or h smaller")
+        # Cells that no threat reaches keep p to the last bit, and so their level.
         threat = np.where(threat == self.own.astype(np.float64), self.own, threat)
         threat.setflags(write=False)
         return threat
 
     def draws(self) -> None:
-        """Nothing is in doubt about the cells themselves."""
+        """None: the cells themselves are certain."""
         return
 
     def arrays(self) -> dict[str, NDArray]:
-        """What the world file holds of them."""
+        """Arrays of the world file, by name."""
         each = self.members
         routes = [cell for one in each for cell in one.route]
         numbers = {"hit": [one.hit for one in each], "stay": [one.stay for one in each]}
@@ -149,7 +160,11 @@ class Movers:
 
 
 def movers_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source: str) -> Movers | None:
-    """The movers in the arrays of a world file; None if it names none. Raises WorldError."""
+    """The moving threats in the arrays of a world file, or None.
+
+    Raises:
+        WorldError: they are invalid.
+    """
     if "movers_own" not in arrays:
         return None
     free, own = ~np.isnan(threat), arrays["movers_own"]
@@ -169,10 +184,19 @@ def movers_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source
 
 
 def checked(movers: Movers, source: str, *, named: bool = True) -> Movers:
-    """The same movers, if each of them can be. `named`: errors say which one. Raises WorldError."""
+    """The same moving threats, checked.
+
+    Args:
+        movers: to check.
+        source: for messages.
+        named: whether errors name the number of the moving threat.
+
+    Raises:
+        WorldError: one of them is invalid.
+    """
     if not 0 < len(movers.members) <= MOST_MOVERS:
         expected = f"1 to {MOST_MOVERS}"
-        raise WorldError(counted(len(movers.members), "mover"), source=source, expected=expected)
+        raise WorldError(counted(len(movers.members), "moving threat"), source=source, expected=expected)
     for number, mover in enumerate(movers.members):
         name = f"moving_threats[{number}]"
         for chance, value in (("h", mover.hit), ("walk", mover.stay)):
@@ -184,7 +208,7 @@ def checked(movers: Movers, source: str, *, named: bool = True) -> Movers:
 
 
 def _misplaced(movers: Movers, mover: Mover) -> tuple[str, str] | None:
-    """What is wrong with where a mover is, and what was expected; None: nothing."""
+    """(problem, expectation) if the position of a moving threat is invalid; else None."""
     shape, free = movers.own.shape, ~np.isnan(movers.own.ravel())
 
     def at(cell: int) -> str:
@@ -196,7 +220,7 @@ def _misplaced(movers: Movers, mover: Mover) -> tuple[str, str] | None:
             return f"its route has {at(blocked[0])}, which is no free cell", "free cells"
         for one, other in zip(mover.route, (*mover.route[1:], mover.route[0]), strict=True):
             if sum(abs(a - b) for a, b in zip(divmod(one, shape[1]), divmod(other, shape[1]), strict=True)) != 1:
-                return f"its route goes from {at(one)} to {at(other)}", "a closed route: each cell beside the next"
+                return f"its route goes from {at(one)} to {at(other)}", "a closed route of adjacent cells"
         if mover.start not in (ANYWHERE, *mover.route):
             return f"it starts at {at(mover.start)}, off its route", "a cell of the route"
         return None
@@ -205,7 +229,7 @@ def _misplaced(movers: Movers, mover: Mover) -> tuple[str, str] | None:
     return None
 
 
-# Threats that change with time: p of a visit is that of the phase that its step is in (SPEC section 16).
+# Threats that change by phases: p of a visit is that of the phase of its step (SPEC section 16).
 #
 # Axis letters: `P` phases, `N` = H * W cells.
 
@@ -214,20 +238,20 @@ PLAN_ON: tuple[Foresight, ...] = get_args(Foresight)
 MOST_PHASES = 1024
 SAID = {
     "now": "all robots know of a change as it comes",
-    "first": "robots plan on the first map alone",
-    "worst": "robots plan on the worst of each cell",
+    "first": "robots plan on the first map only",
+    "worst": "robots plan on the cell-wise maximum",
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Phases:
-    """The maps, and from when on each holds.
+    """Maps and the steps from which they hold.
 
     Attributes:
-        begins: int64 `[P]`, the step at which each phase begins, rising, the first 0.
+        begins: int64 `[P]`, the step at which each phase begins, increasing, the first 0.
         threats: float32 `[P, H, W]`, p of a visit in each; NaN = obstacle, the same in all.
-        plan_on: "now": at the end of the step before a phase begins all robots believe its map; "first", "worst": they
-            go by the first map, or by the cell-wise maximum, for good.
+        plan_on: "now": at the end of the step before a phase begins its map becomes the robots'; "first", "worst":
+            robots use the first map, or the cell-wise maximum, throughout.
     """
 
     begins: NDArray[np.int64]
@@ -236,18 +260,18 @@ class Phases:
 
     @property
     def said(self) -> str:
-        """They in words."""
+        """Description for messages."""
         steps = ", ".join(map(str, self.begins[1:5].tolist())) + ", ..." * (len(self.begins) > 5)
         return f"threats that change at step {steps}; {SAID[self.plan_on]}"
 
     @property
     def told(self) -> bool:
-        """Whether robots are told of changes as they come."""
+        """Whether changes become known as they come."""
         return self.plan_on == "now"
 
     @property
     def planned(self) -> NDArray[np.float32]:
-        """float32 `[H, W]`: what robots plan on at first."""
+        """float32 `[H, W]`: the robots' first map."""
         threat = self.most if self.plan_on == "worst" else self.threats[0].copy()
         threat.setflags(write=False)
         return threat
@@ -258,27 +282,27 @@ class Phases:
         return np.asarray(self.threats.max(axis=0))
 
     def number_at(self, steps: ArrayLike) -> NDArray[np.int64]:
-        """int64: the phase that each of these steps is in."""
+        """int64: the phase of each of these steps."""
         return np.asarray(np.searchsorted(self.begins, steps, side="right") - 1, dtype=np.int64)
 
     def to_json(self) -> dict[str, Any]:
-        """When they begin, and what robots plan on."""
+        """Begins, and `plan_on`."""
         return {"from": self.begins.tolist(), "plan_on": self.plan_on}
 
     @property
     def sha256(self) -> str:
-        """Hash of all of it."""
+        """Hash of all data."""
         digest = hashlib.sha256(self.plan_on.encode())
         for array in (self.begins.astype("<i8"), self.threats.astype("<f4")):
             digest.update(f"{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
 
     def draws(self) -> None:
-        """Nothing is in doubt."""
+        """None: nothing is uncertain."""
         return
 
     def arrays(self) -> dict[str, NDArray]:
-        """What the world file holds of them."""
+        """Arrays of the world file, by name."""
         return {
             "phases_from": self.begins.astype("<i8"),
             "phases_threat": self.threats,
@@ -287,7 +311,17 @@ class Phases:
 
 
 def check_phases(begins: Sequence[Any], threats: NDArray[np.float32], free: NDArray[np.bool_], source: str) -> None:
-    """Raise WorldError unless phases can begin at these steps; `threats` `[P, H, W]` are maps of worlds."""
+    """Check phases.
+
+    Args:
+        begins: steps at which they begin.
+        threats: float32 `[P, H, W]`, maps of worlds.
+        free: bool `[H, W]`, of the map.
+        source: for messages.
+
+    Raises:
+        WorldError: the steps do not increase from 0, or obstacles differ.
+    """
     if not 0 < len(begins) <= MOST_PHASES:
         raise WorldError(f"{len(begins)} phases", source=source, expected=f"1 to {MOST_PHASES}")
     for number, begin in enumerate(begins):
@@ -299,11 +333,15 @@ def check_phases(begins: Sequence[Any], threats: NDArray[np.float32], free: NDAr
         if differ.any():
             row, col = np.argwhere(differ)[0].tolist()
             problem = f"{name} has {'an obstacle' if free[row, col] else 'none'} at [{row}, {col}]"
-            raise WorldError(problem, source=source, expected="the obstacles of the map: threats alone change")
+            raise WorldError(problem, source=source, expected="the obstacles of the map: only threats change")
 
 
 def phases_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source: str) -> Phases | None:
-    """The phases in the arrays of a world file; None if it names none. Raises WorldError."""
+    """The phases in the arrays of a world file, or None.
+
+    Raises:
+        WorldError: they are invalid.
+    """
     if "phases_threat" not in arrays:
         return None
     maps, begins = arrays["phases_threat"], arrays.get("phases_from", np.zeros(0))
@@ -314,8 +352,9 @@ def phases_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source
         raise WorldError("phases_* do not fit the map", source=source, expected="arrays as World.save writes them")
     check_phases(begins.tolist(), maps, ~np.isnan(threat), source)
     found = Phases(begins.astype(np.int64), maps, next(word for word in PLAN_ON if word == plan_on))
+    # The stored map of the plan has to follow from the phases: else plans and rollouts would disagree.
     if not np.array_equal(found.planned, threat, equal_nan=True):
         raise WorldError(
-            "`threat` is not what its phases say", source=source, expected="arrays as World.save writes them"
+            "`threat` does not agree with its phases", source=source, expected="arrays as World.save writes them"
         )
     return found

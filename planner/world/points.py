@@ -1,4 +1,4 @@
-"""Places by their coordinates: CSV files of points, columns by name; and longitudes that come round."""
+"""CSV files of points and corners, shapes on pixels, interpolation, and coordinates that wrap around the Earth."""
 
 from __future__ import annotations
 
@@ -32,28 +32,27 @@ from planner.world.keys import FARTHEST, THREAT, Key, Quantity
 from planner.world.raster_files import describe
 from planner.world.robot_types import short_name
 
-# Coordinates that come round: which order longitude and latitude are in, and shapes across longitude 180.
+# Coordinates that wrap: the order of longitude and latitude, and shapes across longitude 180.
 #
-# RFC 7946, 3.1.9, cuts shapes there: the two parts of one polygon lie a whole turn apart, and are brought together
-# here.
+# RFC 7946, 3.1.9, cuts shapes there: the two parts of a polygon lie a whole turn apart, and are joined again here.
 
 Rings = list[NDArray[np.float64]]
-"""A polygon: rings `[points, 2]`, x or longitude first, the holes among them."""
+"""A polygon: rings `[points, 2]`, x or longitude first, holes included."""
 Boxes = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Least and largest coordinates `[boxes, 2]`; of a point both are the point."""
+"""Least and largest coordinates `[boxes, 2]`; for a point both are the point."""
 NEAR = 0.01
-"""Degrees around a map, or the map's own size, within which shapes are taken to be meant for it."""
+"""Degrees around a map, or the map's own size, within which shapes are assumed to belong to it."""
 SEAM = 1e-9
-"""Of a turn: edges that lie so near each other on both sides of a cut are one (4 cm at the equator)."""
+"""Of a turn: edges this close on both sides of a cut are the same (4 cm at the equator)."""
 WIDE = 10
-"""Cells that the sides of a cut at longitude 180 lie apart at most to be told of."""
+"""Largest gap, in cells, between the sides of a cut at longitude 180 that is reported."""
 SAMPLES = 9
-"""Places along each side of a map whose longitudes and latitudes are looked at."""
+"""Places along each side of a map at which longitude and latitude are evaluated."""
 Edge = tuple[tuple[float, float], tuple[float, float]]
 
 
 def in_range(places: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """bool `[...]`: which (x, y) `[..., 2]` can be longitude and latitude."""
+    """bool `[...]`: whether (x, y) `[..., 2]` can be longitude and latitude."""
     return np.asarray((np.abs(places) <= RANGE).all(axis=-1))
 
 
@@ -63,17 +62,29 @@ def fine(places: NDArray[np.float64]) -> bool:
 
 
 def latitude_first(place: Sequence[float], where: str, source: object, why: str) -> MapError:
-    """The error for coordinates in the wrong order, of which `place` is one."""
+    """The error for coordinates in the wrong order.
+
+    Args:
+        place: an example, (latitude, longitude).
+        where: place in the file, for the message.
+        source: the file.
+        why: reason, for the message.
+    """
     problem = f"{where}latitude stands first, as in {place[0]:.10g}, {place[1]:.10g}: {why}"
     return MapError(problem, source=source, expected="longitude, then latitude", fix="swap the two everywhere in it")
 
 
 def check_range(places: NDArray[np.float64], where: str, source: object) -> None:
-    """Raise MapError for (longitude, latitude) `[n, 2]` out of range; it says so if latitude stands first."""
+    """Check that (longitude, latitude) `[n, 2]` are in range; the error says so if latitude stands first.
+
+    Raises:
+        MapError: one of them is out of range.
+    """
     wrong = ~in_range(places)
     if not wrong.any():
         return
     x, y = places[wrong][0].tolist()
+    # Swapped, all of them would be in range: then the order is the likely mistake.
     if in_range(places[:, ::-1]).all():
         raise latitude_first((x, y), where, source, f"{y:.6g} is no latitude")
     problem = f"{where}a point at longitude {x:g}, latitude {y:g}"
@@ -81,29 +92,30 @@ def check_range(places: NDArray[np.float64], where: str, source: object) -> None
 
 
 def boxes_of(rings: Rings) -> Boxes:
-    """Least and largest longitude and latitude of each ring, and of those that may cross 180 read so too."""
+    """Least and largest longitude and latitude of each ring; rings that may cross 180 count in both readings."""
     short = [_unwrapped(ring, TURN) for ring in rings if _is_wide(ring, TURN)]
+    # Both readings count: a ring across 180 and one around the Earth have the same coordinates.
     both = [*rings, *(np.subtract(ring, (TURN * np.round(ring[0, 0] / TURN), 0)) for ring in short)]
     return np.array([ring.min(axis=0) for ring in both]), np.array([ring.max(axis=0) for ring in both])
 
 
 def _is_wide(ring: NDArray[np.float64], turn: float) -> bool:
-    """True if a step of the ring goes round by more than half a turn, and less than a whole one."""
+    """True if a step of the ring is longer than half a turn, and shorter than a whole one."""
     step = np.abs(np.diff(ring[:, 0], append=ring[:1, 0]))
     return bool(((step > turn / 2) & (step < turn)).any())
 
 
 def _unwrapped(ring: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
-    """The ring with every step the short way round."""
+    """The ring with every step taken the short way around."""
     return np.column_stack([np.unwrap(ring[:, 0], period=turn), ring[:, 1]])
 
 
 @dataclass(frozen=True)
 class Patch:
-    """Where on the Earth a map lies.
+    """Area of a map on the Earth.
 
     Attributes:
-        low, high: its least and largest longitude and latitude, `[2]`; longitudes go on across 180.
+        low, high: float64 `[2]`, its least and largest longitude and latitude; longitudes continue across 180.
     """
 
     low: NDArray[np.float64]
@@ -111,9 +123,15 @@ class Patch:
 
     @classmethod
     def of(cls, frame: Frame, georeference: Georeference) -> Patch:
-        """That of a map's frame. Raises MapError."""
+        """The area of a map's frame.
+
+        Raises:
+            MapError: its CRS is not known.
+        """
         height, width = frame.shape
+        # Longitudes are taken near that of the middle, so that a map across 180 is one interval.
         middle = georeference.to_lonlat(frame.at(height / 2, width / 2))
+        # A lattice, not only the corners: sides of the map are curved in degrees.
         rows, cols = np.meshgrid(np.linspace(0, height, SAMPLES), np.linspace(0, width, SAMPLES))
         places = georeference.to_lonlat(frame.at(rows, cols), about=middle[0]).reshape(-1, 2)
         return cls(places.min(axis=0), places.max(axis=0))
@@ -125,11 +143,11 @@ class Patch:
 
     @property
     def words(self) -> str:
-        """Its middle in words: `46.95 N 9.001 E`."""
+        """Its middle as text: `46.95 N 9.001 E`."""
         return describe(*principal(self.middle).tolist())
 
     def meets(self, boxes: Boxes, margin: float = 0.0) -> NDArray[np.bool_]:
-        """bool `[boxes]`: which of these boxes in degrees reach to within `margin` degrees of the map."""
+        """bool `[boxes]`: whether boxes in degrees come within `margin` degrees of the map."""
         low, high = boxes
         middle, half = (low + high) / 2, (high - low) / 2
         middle = np.stack([near(middle[:, 0], float(self.middle[0]), TURN), middle[:, 1]], axis=1)
@@ -138,15 +156,19 @@ class Patch:
 
     @property
     def margin(self) -> float:
-        """Degrees from the map within which places are taken to be meant for it."""
+        """Degrees from the map within which places are assumed to belong to it."""
         return max(NEAR, float((self.high - self.low).max()))
 
     def is_near(self, places: NDArray[np.float64]) -> bool:
-        """True if one of (longitude, latitude) `[n, 2]` is meant for the map."""
+        """True if one of (longitude, latitude) `[n, 2]` is within the margin."""
         return bool(self.meets((places, places), self.margin).any())
 
     def check_order(self, boxes: Boxes, source: object) -> None:
-        """Raise MapError for boxes none of which lies near the map, if they do with latitude and longitude swapped."""
+        """Check the order of longitude and latitude.
+
+        Raises:
+            MapError: no box is near the map, but one is with both swapped.
+        """
         low, high = boxes
         swapped = self.meets((low[:, ::-1], high[:, ::-1]), self.margin)
         if swapped.any() and not self.meets(boxes, self.margin).any():
@@ -157,7 +179,11 @@ class Patch:
 def on_map(
     places: NDArray[np.float64], frame: Frame, georeference: Georeference, source: object
 ) -> NDArray[np.float64]:
-    """(longitude, latitude) `[n, 2]` as metres of the map's frame. Raises MapError, also if latitude stands first."""
+    """(longitude, latitude) `[n, 2]` as metres of the map's frame.
+
+    Raises:
+        MapError: they cannot be transformed, or latitude stands first.
+    """
     patch = Patch.of(frame, georeference)
     patch.check_order((places, places), source)
     longitudes = near(places[:, 0], float(patch.middle[0]), TURN)
@@ -165,26 +191,40 @@ def on_map(
 
 
 def extent(values: NDArray[np.float64], turn: float) -> tuple[float, float]:
-    """Least and largest x of the shortest stretch that holds all `values`, where x comes round after `turn` (0: never).
+    """Least and largest x of the shortest interval with all `values`.
 
-    The first lies within half a turn of 0, the second may lie beyond.
+    The least lies within half a turn of 0, the largest may lie beyond.
+
+    Args:
+        values: float64 `[n]`.
+        turn: period of x, 0: none.
     """
     x = np.unique(values)
     if not turn or (x[-1] - x[0] <= turn / 2 and np.abs(x).max() <= turn / 2):
         return float(x[0]), float(x[-1])
     x = np.unique(x % turn)
+    # The shortest interval is the complement of the largest gap.
     gaps = np.append(x[1:], x[0] + turn) - x
     last = int(np.argmax(gaps))
     high = float(x[last])
     low = high - (turn - float(gaps[last]))
+    # The same interval, moved by whole turns to where its begin is in -turn / 2 .. turn / 2.
     back = turn * np.floor(low / turn + 0.5)
     return float(low - back), float(high - back)
 
 
 def closed(polygons: list[Rings], turn: float, cell: float) -> tuple[list[Rings], float]:
-    """The polygons with the sides of a cut, at most a cell apart, moved to where x comes round; how far apart they lie.
+    """Close a cut: move its sides to where x wraps, if they are at most a cell apart.
 
-    That is at half a turn, or at 0 where x counts to a whole one. Sides up to WIDE cells apart are told of; beyond: 0.
+    x wraps at half a turn, or at 0 if it counts to a whole turn.
+
+    Args:
+        polygons: of one shape.
+        turn: period of x, 0: none.
+        cell: size of a cell.
+
+    Returns:
+        (polygons, distance between the sides; 0 beyond WIDE cells).
     """
     x = np.concatenate([ring[:, 0] for rings in polygons for ring in rings])
     for west, east in ((-turn / 2, turn / 2), (0.0, turn)):
@@ -192,6 +232,7 @@ def closed(polygons: list[Rings], turn: float, cell: float) -> tuple[list[Rings]
         width = sum(short)
         if not turn or width > WIDE * cell:
             continue
+        # Both sides are moved, by at most a cell in all.
         for side, other in ((west, short[1]), (east, short[0])) if width <= cell else ():
             polygons = [[_moved_to(side, ring, cell - other) for ring in rings] for rings in polygons]
         return polygons, width
@@ -204,9 +245,9 @@ def _moved_to(side: float, ring: NDArray[np.float64], tolerance: float) -> NDArr
 
 
 class Unrolled(NamedTuple):
-    """Polygons where x comes round: `areas`, which together are the shape, and the `borders` around it.
+    """Polygons with a periodic x: `areas`, whose union is the shape, and its `borders`.
 
-    They are the same but where the shape was cut: there areas share an edge, and borders do not have it.
+    They differ only if the shape was cut: there areas share an edge that borders do not have.
     """
 
     areas: list[Rings]
@@ -214,10 +255,15 @@ class Unrolled(NamedTuple):
 
 
 def unrolled(polygons: list[Rings], low: float, high: float, turn: float) -> Unrolled:
-    """Polygons of one shape where they lie about x = low .. high, where x comes round after `turn` (0: never).
+    """Polygons of one shape, moved near x = low .. high.
 
-    A ring with a step of more than half a turn goes the short way if it holds their middle no other way. A polygon
-    comes as often as it lies there, at least once.
+    A ring with a step of more than half a turn goes the short way if only then it holds their middle. A polygon is
+    repeated as often as it lies there, at least once.
+
+    Args:
+        polygons: of the shape.
+        low, high: interval of x.
+        turn: period of x, 0: none.
     """
     if not turn:
         return Unrolled(polygons, polygons)
@@ -227,6 +273,7 @@ def unrolled(polygons: list[Rings], low: float, high: float, turn: float) -> Unr
         rings = _short_way(rings, low, high, turn)
         x = np.concatenate([ring[:, 0] for ring in rings])
         nearest = round(((low + high) - (x.min() + x.max())) / 2 / turn)
+        # The polygon may lie on the interval in more than one turn if it goes around the Earth.
         there = [n for n in range(nearest - 1, nearest + 2) if x.min() + n * turn < high and x.max() + n * turn > low]
         for number in there or [nearest]:
             moved.append([np.add(ring, (number * turn, 0.0)) for ring in rings] if number else rings)
@@ -235,12 +282,12 @@ def unrolled(polygons: list[Rings], low: float, high: float, turn: float) -> Unr
 
 
 def _short_way(rings: Rings, low: float, high: float, turn: float) -> Rings:
-    """The polygon with every step the short way round, if it has longer ones and is about x = low .. high only so."""
+    """The polygon with every step taken the short way, if it has longer ones and only then covers x = low .. high."""
     if not any(_is_wide(ring, turn) for ring in rings):
         return rings
 
     def away(ring: NDArray[np.float64]) -> float:
-        """From the middle of low .. high to the nearest x of the ring; below 0 within it."""
+        """Distance from the middle of low .. high to the nearest x of the ring; negative inside it."""
         middle, half = (low + high) / 2, float(np.ptp(ring[:, 0])) / 2
         return abs(float(near(ring[:, 0].min() + half, middle, turn)) - middle) - half
 
@@ -255,9 +302,9 @@ def _short_way(rings: Rings, low: float, high: float, turn: float) -> Rings:
 
 
 def _joined(polygons: list[Rings], turns: list[int], tolerance: float) -> list[Rings]:
-    """The borders of polygons, without those that they share after they were moved by different numbers of turns.
+    """The borders of polygons without those that they share after moves by different numbers of turns.
 
-    Where an even number of edges runs along such a border it is none; what is left is walked round anew.
+    A border with an even number of edges along it is none; the remaining edges are joined to rings again.
     """
     owners, edges = [], []
     for number, rings in enumerate(polygons):
@@ -265,22 +312,26 @@ def _joined(polygons: list[Rings], turns: list[int], tolerance: float) -> list[R
             edges.append(np.concatenate([ring, np.roll(ring, -1, axis=0)], axis=1))
             owners.append(np.full(len(ring), number))
     edge, owner = np.concatenate(edges), np.concatenate(owners)  # (x0, y0, x1, y1) of each
+    # Only edges along a meridian can be the sides of a cut.
     upright = np.flatnonzero((np.abs(edge[:, 0] - edge[:, 2]) <= tolerance) & (edge[:, 1] != edge[:, 3]))
     upright = upright[np.argsort(edge[upright, 0])]
     groups = np.split(upright, np.flatnonzero(np.diff(edge[upright, 0]) > tolerance) + 1)
     seams = [group for group in groups if len({turns[number] for number in owner[group]}) > 1]
     if not seams:
         return polygons
+    # Polygons without an edge on a seam keep their rings as they are.
     involved = np.isin(owner, owner[np.concatenate(seams)])
     borders: list[Edge] = []
     for seam in seams:
         x = edge[seam[0], 0]
         for column in (0, 2):
+            # Exactly equal x, so that corners of both sides match as keys in `_walked`.
             edge[np.abs(edge[:, column] - x) <= tolerance, column] = x
         levels, ends = np.unique(edge[seam][:, [1, 3]], return_inverse=True)
         counts = np.zeros(len(levels), dtype=np.int64)
         np.add.at(counts, ends.reshape(-1, 2).min(axis=1), 1)
         np.add.at(counts, ends.reshape(-1, 2).max(axis=1), -1)
+        # An even number of edges along a stretch cancels: it is inside the joined shape.
         odd = np.flatnonzero(np.cumsum(counts) % 2)
         borders += [((x, levels[n]), (x, levels[n + 1])) for n in odd]
     involved[np.concatenate(seams)] = False
@@ -291,7 +342,7 @@ def _joined(polygons: list[Rings], turns: list[int], tolerance: float) -> list[R
 
 
 def _walked(edges: list[Edge]) -> Rings:
-    """Closed rings of the edges: from every corner an even number of them leads on."""
+    """Closed rings of the edges; an even number of them meets at every corner."""
     ends: dict[tuple[float, float], list[int]] = defaultdict(list)
     for number, edge in enumerate(edges):
         for corner in edge:
@@ -316,22 +367,20 @@ def _walked(edges: list[Edge]) -> Rings:
     return rings
 
 
-# CSV files of places, their columns by name: points with a number each, the corners of an area one after the other.
-
 # Shapes on the pixels of a map: points with a falloff, the inside of polygons, a map laid over another.
 
 CUT_OFF = 3.0
-"""Radii after which a Gaussian falloff ends: far cells stay safe (p = 0) instead of nearly so."""
+"""Radii after which a Gaussian falloff ends: far cells are safe (p = 0), not nearly safe."""
 MAX_BYTES = 2**24
 """Largest CSV or GeoJSON file that is read (16 MiB)."""
 MAX_CORNERS = 2**18
-"""Most corners of all polygons in a file: each edge is drawn on its own."""
+"""Most corners of all polygons in a file: each edge is rasterised separately."""
 IN_METRES = "reproject it into metres of the map's frame (ogr2ogr -t_srs, or QGIS: export in the map's CRS)"
 Merge = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
 
 def point_threat(points: NDArray[np.float64], kind: str, radius: float, frame: Frame, merge: Merge) -> NDArray:
-    """Threat float64 `[H, W]` of points (x, y, strength) `[points, 3]`, as of `point_spreads`."""
+    """Threat float64 `[H, W]` of points; arguments as in `point_spreads`, `merge` combines threats of a pixel."""
     threat = np.zeros(frame.shape[0] * frame.shape[1])
     for at, own in point_spreads(points, kind, radius, frame):
         threat[at] = merge(threat[at], own)
@@ -341,11 +390,21 @@ def point_threat(points: NDArray[np.float64], kind: str, radius: float, frame: F
 def point_spreads(
     points: NDArray[np.float64], kind: str, radius: float, frame: Frame
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    """Of every point (x, y, strength) `[points, 3]`: pixels that it reaches, int64 `[n]`, and p at their centres.
+    """Pixels that points affect.
 
     disc: strength within `radius` metres; gaussian: strength * exp(-d**2 / (2 * radius**2)), 0 beyond CUT_OFF radii.
+
+    Args:
+        points: float64 `[points, 3]`, (x, y, strength).
+        kind: "disc" or "gaussian".
+        radius: metres.
+        frame: of the pixels.
+
+    Yields:
+        For each point (pixel indices int64 `[n]`, p at their centres float64 `[n]`).
     """
     height, width = frame.shape
+    # Only pixels of the square around a point are computed: a map may have thousands of points.
     reach = radius if kind == "disc" else CUT_OFF * radius
     for (across, up), strength in zip(frame.local(points[:, :2]) / frame.size, points[:, 2], strict=True):
         row, col, span = height - up - 0.5, across - 0.5, reach / frame.size
@@ -360,9 +419,17 @@ def point_spreads(
 def misplaced(
     points: NDArray[np.float64], frame: Frame, georeference: Georeference | None = None
 ) -> tuple[str, str] | None:
-    """Why shapes at `points` (x, y) `[points, 2]` that threaten no pixel are no mistake (None), or which, and the fix.
+    """Whether shapes that affect no pixel are a mistake: off the map, or degrees instead of metres.
 
-    It is one if they lie off the map, and if they look like degrees: within their range, to tenths of a millimetre.
+    Coordinates look like degrees within their range and with more digits than millimetres.
+
+    Args:
+        points: float64 `[points, 2]`, (x, y).
+        frame: of the map.
+        georeference: of the map.
+
+    Returns:
+        (problem, fix), or None.
     """
     height, width = frame.shape
     local = frame.local(points) / frame.size
@@ -375,7 +442,7 @@ def misplaced(
     problem = f"x {west:.10g} .. {east:.10g}, y {south:.10g} .. {north:.10g} "
     if not any(orders):
         problem += f"lie off the map, {width * frame.size:g} x {height * frame.size:g} m from ({x:.10g}, {y:.10g})"
-        return problem, "give metres in the map's frame (its origin says where it lies)"
+        return problem, "give metres in the map's frame (see its origin)"
     problem += f"look like {'longitude and latitude' if orders[0] else 'latitude and longitude, latitude first'}"
     if georeference is None:
         problem += f", {width * frame.size:g} x {height * frame.size:g} m from ({x:.10g}, {y:.10g})"
@@ -389,10 +456,16 @@ def misplaced(
 
 
 def values_over(layer: RosMap, frame: Frame) -> NDArray[np.int16]:
-    """Values of a ROS map laid over the pixels of `frame` by both origins and resolutions, int16 `[H, W]`.
+    """Values of a ROS map laid over the pixels of a frame by both origins and resolutions.
 
-    A pixel takes the layer's pixel under its centre, or the largest of those whose centre it holds; -1 (unknown) where
-    the layer does not reach.
+    A pixel takes the layer's value at its centre, or the largest of those whose centre it holds.
+
+    Args:
+        layer: the ROS map.
+        frame: of the pixels.
+
+    Returns:
+        int16 `[H, W]`; -1 (unknown) outside of the layer.
     """
     at = layer.frame.pixels(frame.centres())
     held = layer.frame.holds(at)
@@ -406,9 +479,13 @@ def values_over(layer: RosMap, frame: Frame) -> NDArray[np.int16]:
 
 
 def inside(rings: list[NDArray[np.float64]], frame: Frame) -> NDArray[np.bool_]:
-    """bool `[H, W]`: pixels whose centre lies in the polygon of `rings` (even-odd rule, so holes are out).
+    """bool `[H, W]`: pixels whose centre is in a polygon (even-odd rule, so holes are outside).
 
-    Row by row, every edge flips all pixels to the right of where it crosses the row. Cost O(edges * H + H * W).
+    Row by row, every edge flips all pixels to the right of its crossing. Cost: O(edges * H + H * W).
+
+    Args:
+        rings: `[points, 2]` each, metres.
+        frame: of the pixels.
     """
     height, width = frame.shape
     flips = np.zeros((height, width + 1), dtype=np.uint8)
@@ -419,6 +496,7 @@ def inside(rings: list[NDArray[np.float64]], frame: Frame) -> NDArray[np.bool_]:
             first, last = (int(np.clip(math.ceil(y - 0.5), 0, height)) for y in sorted((y0, y1)))
             rows = np.arange(first, last)
             crossing = x0 + (rows + 0.5 - y0) * (x1 - x0) / (y1 - y0) if len(rows) else rows
+            # Parity of crossings to the left of a pixel's centre, computed by a cumulative XOR below.
             flips[rows, np.clip(np.ceil(crossing - 0.5), 0, width).astype(int)] ^= 1
     return (np.bitwise_xor.accumulate(flips, axis=1)[:, :width]).astype(bool)
 
@@ -426,20 +504,25 @@ def inside(rings: list[NDArray[np.float64]], frame: Frame) -> NDArray[np.bool_]:
 MAX_POINTS = 2**17
 """Most lines of a file."""
 X, Y, STRENGTH = ("x", "x_m"), ("y", "y_m"), "strength"
-"""Column names of a points file; the third may also be the name of what it says."""
+"""Column names of a points file; the third may also be the name of the quantity."""
 NAMES = ("name", "id")
 LONGITUDE, LATITUDE = ("lon", "lng", "long", "longitude"), ("lat", "latitude")
-"""Those of one in degrees, for maps that know where they lie."""
+"""Column names of points in degrees, for georeferenced maps."""
 COLUMNS = ("x", "y", STRENGTH)
-"""Keys by which a scenario may say which columns those are."""
+"""Keys of a scenario that name these columns."""
 AS_SAID: Mapping[str, str] = {}
-"""Nobody says which column is which."""
+"""No columns are named in the scenario."""
 
 
 class Table(NamedTuple):
-    """A file's lines: the names of its columns in small letters ([]: it has no header), and (line, fields) of each.
+    """Lines of a CSV file.
 
-    `signs`: the decimal sign of each column. `separator`: between them.
+    Attributes:
+        path: the file.
+        names: names of its columns in lower case; [] without a header.
+        rows: (line number, fields) of each line.
+        signs: decimal sign of each column.
+        separator: between fields.
     """
 
     path: Path
@@ -450,15 +533,25 @@ class Table(NamedTuple):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know of how it was read."""
+        """Notes on how it was read."""
         return layout_note(self.separator, "," if any(sign.decimal == "," for sign in self.signs) else ".")
 
     def column(self, *options: str) -> int | None:
-        """Where the first of these names stands."""
+        """Index of the column with the first of these names that exists, or None."""
         return next((self.names.index(name) for name in options if name in self.names), None)
 
     def number(self, row: tuple[int, list[str]], column: int, name: str, far: float = math.inf) -> float:
-        """A finite number in a field, called `name`, of metres up to `far`. Raises MapError naming line and value."""
+        """A finite number in a field.
+
+        Args:
+            row: line.
+            column: index.
+            name: for messages.
+            far: largest magnitude.
+
+        Raises:
+            MapError: names line and value.
+        """
         text, sign = row[1][column], self.signs[column]
         if sign.problem:
             fix = "write all numbers with decimal points, and none with marks between thousands"
@@ -475,12 +568,12 @@ class Table(NamedTuple):
         return value
 
     def places(self, columns: Sequence[int]) -> NDArray[np.float64]:
-        """Two coordinates a line, float64 `[lines, 2]`."""
+        """Two coordinates per line, float64 `[lines, 2]`."""
         both = list(zip(columns, ("x", "y"), strict=True))
         return np.array([[self.number(row, at, name, FARTHEST) for at, name in both] for row in self.rows])
 
     def lonlat(self, columns: Sequence[int]) -> NDArray[np.float64]:
-        """Longitude and latitude of every line, float64 `[lines, 2]`."""
+        """Longitude and latitude of every line, float64 `[lines, 2]`, checked."""
         found = self.places(columns)
         wrong = ~in_range(found)
         check_range(found, f"line {self.rows[int(np.argmax(wrong))][0]}: ", self.path)
@@ -488,10 +581,16 @@ class Table(NamedTuple):
 
 
 def read_table(path: Path, holds: str) -> Table:
-    """The lines of a CSV file that are not empty, all as long as the first; a first one without numbers is a header.
+    """Read the non-empty lines of a CSV file; all have as many fields as the first. A first line of text is a header.
 
-    Columns are separated by commas, semicolons, tabs, bars or spaces; numbers have decimal points or commas. `holds`:
-    in words, for errors. Raises MapError.
+    Columns are separated by commas, semicolons, tabs, bars or spaces; numbers have decimal points or commas.
+
+    Args:
+        path: the file.
+        holds: expected content, for messages.
+
+    Raises:
+        MapError: names the first invalid line.
     """
     check_size(path, MAX_BYTES, MapError, holds)
     separator, rows = read_rows(path, holds)
@@ -504,6 +603,7 @@ def read_table(path: Path, holds: str) -> Table:
     if not body:
         raise MapError("has a header and no points", source=path, expected=holds)
     for number, row in body:
+        # A decimal comma in a file separated by commas makes rows of different lengths: the fix says so.
         if len(row) != len(rows[0][1]):
             other = next((words for mark, words in SEPARATORS.items() if mark in STRONG and mark in "".join(row)), "")
             problem = f"line {number} has {len(row)} values" + f", and {other}" * bool(other)
@@ -514,12 +614,12 @@ def read_table(path: Path, holds: str) -> Table:
 
 
 class Points(NamedTuple):
-    """What a file of points says.
+    """Points of a file.
 
     Attributes:
-        places: (x, y, strength) of every point, float64 `[points, 3]`: metres, metres, and p (or another quantity).
-        names: of each its name, in a column `name` or `id` if there is one, and where it stands.
-        notes: what reading did that a user should know.
+        places: float64 `[points, 3]`, (x, y, strength) of every point: metres, metres, and p (or another quantity).
+        names: (name, or "" without a column `name` or `id`; place in the file) of every point.
+        notes: effects of reading that a user should know.
     """
 
     places: NDArray[np.float64]
@@ -534,12 +634,21 @@ def read_points(
     of: Quantity = THREAT,
     said: Mapping[str, str] = AS_SAID,
 ) -> Points:
-    """The points of a CSV file on a map.
+    """Read the points of a CSV file on a map.
 
     A header may name the columns x (or x_m), y (or y_m) and strength (or p), in any order and among others; on a
-    georeferenced map also longitude and latitude (lon, lat). `said`: which columns they are, by x, y and strength.
-    Without those names, or without a header, the file has exactly the three columns x, y, strength. MapError names line
-    and value.
+    georeferenced map also longitude and latitude (lon, lat). Without these names, or without a header, the file has
+    exactly the three columns x, y, strength.
+
+    Args:
+        path: the file.
+        frame: of the map.
+        georeference: of the map.
+        of: quantity of the strength.
+        said: names of the columns x, y and strength, where the scenario gives them.
+
+    Raises:
+        MapError: names line and value.
     """
     table = read_table(path, "lines x, y, strength")
     columns, degrees = _columns(table, georeference is not None, of, said)
@@ -556,7 +665,7 @@ def read_points(
 
 
 class Corners(NamedTuple):
-    """(x, y) of every line of a file, float64 `[lines, 2]`, whether they are longitude and latitude, and notes."""
+    """Corners of a file: (x, y) of every line, float64 `[lines, 2]`; whether they are degrees; notes."""
 
     places: NDArray[np.float64]
     degrees: bool
@@ -564,7 +673,11 @@ class Corners(NamedTuple):
 
 
 def read_corners(path: Path) -> Corners:
-    """The corners of an area, one after the other. Raises MapError."""
+    """Read the corners of an area, in order.
+
+    Raises:
+        MapError: the file is invalid.
+    """
     table = read_table(path, "lines x, y")
     for options, degrees in (((X, Y), False), ((LONGITUDE, LATITUDE), True)):
         columns = [table.column(*names) for names in options]
@@ -577,7 +690,7 @@ def read_corners(path: Path) -> Corners:
 
 
 def _columns(table: Table, georeferenced: bool, of: Quantity, said: Mapping[str, str]) -> tuple[list[int], bool]:
-    """Where x, y and strength stand, and whether the first two are longitude and latitude."""
+    """Indices of the columns x, y and strength, and whether the first two are longitude and latitude."""
     names, has = table.names, f"has the columns {', '.join(table.names)[:80]}"
     if not names:
         width = len(table.rows[0][1])
@@ -596,32 +709,45 @@ def _columns(table: Table, georeferenced: bool, of: Quantity, said: Mapping[str,
     options = dict(zip(("x", "y"), (LONGITUDE, LATITUDE) if on_earth else (X, Y), strict=True))
     options |= {"strength": (STRENGTH, of.name)} | {what: (name.lower(),) for what, name in said.items()}
     found = {what: table.column(*known) for what, known in options.items()}
+    # Three columns with other names are read in order, as without a header.
     if not said and len(names) == 3 and set(found.values()) == {None}:
         return [0, 1, 2], False
     missing = [what for what, at in found.items() if at is None]
     if missing:
+        # Columns that are not used yet are suggested.
         spare = [name for at, name in enumerate(names) if at not in found.values() and name not in NAMES]
-        fix = f"say which it is, beside the file: `{missing[0]}: {' | '.join(spare)[:80]}`" if spare else ""
+        fix = f"name it in the scenario: `{missing[0]}: {' | '.join(spare)[:80]}`" if spare else ""
         expected = "longitude, latitude and strength" if on_earth else "x, y and strength"
         raise MapError(has, source=table.path, expected=expected, fix=fix)
     return [at for at in found.values() if at is not None], on_earth
 
 
-# Samples of a survey, spread over the cells of a map: by inverse distances, or by ordinary kriging.
+# Interpolation of samples at the cells of a map: by inverse distance, or by ordinary kriging.
 
 KINDS = ("idw", "kriging")
 MOST_KRIGED = 2**11
-"""Samples that are kriged together: the cost grows with their cube."""
+"""Most samples for kriging: the cost grows with their cube."""
 POWER, NEIGHBOURS = 2.0, 12
-"""Of inverse distances, where nobody says otherwise."""
+"""Defaults of inverse-distance weighting."""
 
 
 def interpolated(key: Key, samples: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values at `places` (x, y) `[m, 2]`, float64 `[m]`, from samples (x, y, value) `[n, 3]`, as `key` says.
+    """Interpolate samples.
 
-    idw: the mean of the nearest `neighbours`, weighted by distance ** -power; a place with a sample has its value.
-    kriging: ordinary, with a linear variogram, in which a sample's own error is worth `nugget` metres of distance. No
-    value leaves the range of the samples, of which those at one place count as one, their mean. Raises ScenarioError.
+    idw: the mean of the nearest `neighbours`, weighted by distance ** -power; a place with a sample gets its value.
+    kriging: ordinary, with a linear variogram; `nugget` is a sample's own error in metres of distance. No value leaves
+    the range of the samples. Samples at one place count as one, their mean.
+
+    Args:
+        key: `interpolate` of a scenario.
+        samples: float64 `[n, 3]`, (x, y, value).
+        places: float64 `[m, 2]`, (x, y).
+
+    Returns:
+        float64 `[m]`.
+
+    Raises:
+        ScenarioError: the key is invalid, or there are too many samples.
     """
     kind = key.mapping(("kind",), optional=("power", "neighbours", "nugget"))["kind"].choice(KINDS)
     at, which = np.unique(samples[:, :2], axis=0, return_inverse=True)
@@ -654,5 +780,10 @@ def _by_distance(
 
 
 def farthest(samples: NDArray[np.float64], places: NDArray[np.float64]) -> float:
-    """Metres from the place that is farthest from all samples to the nearest of them."""
+    """Largest distance of the places from their nearest sample, metres.
+
+    Args:
+        samples: float64 `[n, 3]`, (x, y, value).
+        places: float64 `[m, 2]`, (x, y).
+    """
     return float(KDTree(samples[:, :2]).query(places)[0].max())

@@ -1,4 +1,4 @@
-"""The one band of a raster file: its numbers as physical values, and all the ways in which a file gives their place."""
+"""The band of a raster file: its numbers as physical values, and the ways in which files give its position."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ from planner.world.grid import (
 )
 from planner.world.image_files import plausible
 
-# What the numbers of a raster mean: its scale, offset and unit, and numbers that stand for no data undeclared.
+# Meaning of the numbers of a raster: scale, offset and unit, and undeclared no-data values.
 
 LOWEST, HIGHEST = -12_000.0, 9_000.0
-"""Metres: no ground on Earth lies below or above."""
+"""Metres: all ground on Earth lies between them."""
 FILL = (-9999, -99999, -999999, -32767, -32768, -(2**31), -(2**63))
-"""Numbers that files hold where nothing is known, whatever the type of their numbers."""
+"""Numbers that files use for no data, in any type of number."""
 OWN_FILL = {True: -10_000, False: -999}
-"""One more where none is declared: of heights (True), and of all else; a sea may be 999 m deep."""
+"""One more if none is declared: for heights (True), and for all else; a sea may be 999 m deep."""
 NEAR = 1.0
-"""How far from the first of FILL a number may be: -9999.9 and -9999.25 are in use."""
+"""Largest distance of a number from the first of FILL: -9999.9 and -9999.25 are in use."""
 HUGE = 1e20
-"""Magnitude from which a finite number stands for no data: 1e20, 9.97e36, and the largest float32 and float64."""
+"""Magnitude from which on a finite number means no data: 1e20, 9.97e36, the largest float32 and float64."""
 MOST_NAMED = 2
-"""Different numbers that a note names one by one."""
+"""Different numbers that a note names."""
 SAME_UNIT = 1e-5
-"""Relative difference of two units up to which they count as one: a foot and a US survey foot differ by 2e-6."""
+"""Relative difference of two units up to which they are the same: a foot and a US survey foot differ by 2e-6."""
 NO_UNIT = ("", "none", "unknown", "n a")
 
 METRE = {"": 1.0, "deci": 0.1, "centi": 0.01, "milli": 0.001, "kilo": 1000.0}
@@ -64,7 +64,7 @@ LENGTHS = {
     **dict.fromkeys(("yd", "yard", "yards"), 0.9144),
     **dict.fromkeys(("fathom", "fathoms"), 1.8288),
 }  # fmt: skip
-"""Metres of each unit of height, by its name in small letters without punctuation (`plain`)."""
+"""Metres of each unit of height, by its name in lower case without punctuation (`plain`)."""
 SHARES = {
     **dict.fromkeys(NO_UNIT, 1.0),
     **dict.fromkeys(("1", "0 1", "unity", "unitless", "dimensionless", "fraction", "ratio"), 1.0),
@@ -73,16 +73,16 @@ SHARES = {
     **dict.fromkeys(("‰", "per mille", "permille", "promille", "per mil", "permil", "per thousand"), 0.001),
     **dict.fromkeys(("ppm", "parts per million"), 1e-6),
 }
-"""Of each unit of a probability, likewise."""
+"""Size of each unit of probability, by its name in the same form."""
 
 
 class Meaning(NamedTuple):
-    """What the numbers of a raster are taken for.
+    """Kind of quantity in a raster.
 
     Attributes:
-        name: in words.
-        units: factor of each unit that is understood, by its plain name; None: any unit will do.
-        expected, fix: for the error on another unit.
+        name: for messages.
+        units: factor of each accepted unit, by its plain name; None: any unit.
+        expected, fix: for the error about another unit.
     """
 
     name: str
@@ -99,23 +99,23 @@ HEIGHTS = Meaning(
     "heights", LENGTHS, "m, dm, cm, mm, km, ft, US survey foot, yard or fathom", "convert it, or correct its unit"
 )
 AMOUNTS = Meaning("amounts")
-"""Measured values, which a rule makes probabilities of, and values of cells: in any unit."""
+"""Measured values, which a rule turns into probabilities, and values of cells: in any unit."""
 
 
 class Unit(NamedTuple):
-    """The unit of heights that a coordinate reference system names: metres of one; negative: depths, downwards."""
+    """Unit of heights of a coordinate reference system: metres per unit; negative: depths, downwards."""
 
     name: str
     size: float
 
 
 class Said(NamedTuple):
-    """What a file says about its numbers: value = scale * number + offset, in `unit`.
+    """Metadata on a file's numbers: value = scale * number + offset, in `unit`.
 
     Attributes:
         vertical: the unit of heights of its coordinate reference system, or None.
-        fill: numbers that its metadata name as no data, but no reader masks.
-        declared: whether it declares no data in a way that readers know.
+        fill: numbers that the metadata name as no data, but that readers do not mask.
+        declared: whether no data is declared in a way that readers know.
     """
 
     scale: float = 1.0
@@ -127,7 +127,7 @@ class Said(NamedTuple):
 
 
 class Physical(NamedTuple):
-    """Values float64 `[H, W]` (NaN = no data), notes, and what undeclared voids there are, in words ("": none)."""
+    """Values float64 `[H, W]` (NaN = no data), notes, and a description of undeclared voids ("": none)."""
 
     values: NDArray[np.float64]
     notes: tuple[str, ...]
@@ -135,40 +135,49 @@ class Physical(NamedTuple):
 
 
 def plain(unit: str) -> str:
-    """A unit's name in small letters, without punctuation: `U.S. survey foot` and `us-survey-foot` are one."""
+    """A unit's name in lower case without punctuation: `U.S. survey foot` and `us-survey-foot` are the same."""
     words = re.sub(r"[\s._()\[\]-]+", " ", unit.casefold()).strip()
     return re.sub(r" (above|asl|a s l|amsl|msl|over)( .*)?$", "", re.sub(r"\bu s\b", "us", words))
 
 
 def physical(raw: NDArray, known: NDArray[np.bool_], said: Said, of: Meaning, source: str) -> Physical:
-    """The numbers `raw` `[H, W]` of a file, where they are `known`, as values: probabilities 0..1, metres, amounts.
+    """Physical values of a file's numbers: probabilities 0..1, metres, amounts.
 
-    Numbers that look like no data but are not declared so are NaN too (`Physical.voids`). Raises MapError for a unit
-    that is not understood, and a scale that is no number.
+    Numbers that look like no data, but are not declared as such, become NaN too (`Physical.voids`).
+
+    Args:
+        raw: `[H, W]`, the numbers.
+        known: bool `[H, W]`, numbers that are not masked.
+        said: metadata.
+        of: kind of quantity.
+        source: for messages.
+
+    Raises:
+        MapError: an unknown unit, or an invalid scale.
     """
     if not (math.isfinite(said.scale) and math.isfinite(said.offset) and said.scale != 0):
-        problem = f"says that its values are {said.scale:g} * number + {said.offset:g}"
+        problem = f"declares values {said.scale:g} * number + {said.offset:g}"
         raise MapError(problem, source=source, expected="a finite scale other than 0, and a finite offset")
     factor, unit_notes = _factor(said, of, source)
     is_scaled = (said.scale, said.offset) != (1, 0)
     with np.errstate(over="ignore", invalid="ignore"):  # long doubles; infinite numbers
         numbers = raw.astype(np.float64)
         scaled = numbers * said.scale + said.offset if is_scaled else numbers
-        values = scaled / (1 / factor) if factor != 1 else scaled  # by 100 if percent: 7 % are 0.07 to the last bit
+        values = scaled / (1 / factor) if factor != 1 else scaled  # divided by 100 for percent: 7 % are exactly 0.07
     void = known & _voids(raw, (numbers, scaled, values), said, of)
     notes = unit_notes
     if is_scaled:
         added = f" + {said.offset:g}" if said.offset else ""
-        notes = (f"as the file says, its values are {said.scale:g} * number{added}", *notes)
+        notes = (f"by its metadata, its values are {said.scale:g} * number{added}", *notes)
     return Physical(np.where(known & ~void, values, np.nan), notes, _describe(numbers[void], of, source))
 
 
 def _factor(said: Said, of: Meaning, source: str) -> tuple[float, tuple[str, ...]]:
-    """What the values are multiplied by, and notes."""
+    """The factor of the values, and notes."""
     name, vertical = plain(said.unit), said.vertical
     own = None if vertical is None else plain(vertical.name)
     if of is not HEIGHTS and name == own:
-        name = ""  # GDAL passes the vertical unit of the CRS on as that of every band
+        name = ""  # GDAL reports the vertical unit of the CRS as that of every band
     if of.units is None:
         return 1.0, () if name in NO_UNIT else (f"its values are in {said.unit}",)
     if of is HEIGHTS and vertical is not None:
@@ -181,7 +190,7 @@ def _factor(said: Said, of: Meaning, source: str) -> tuple[float, tuple[str, ...
     if factor is None and of is PROBABILITIES and re.fullmatch(r"[0-9.]+(e-?[0-9]+)?", said.unit.strip().casefold()):
         factor = float(said.unit)  # as UDUNITS writes percent: 0.01
     if not factor:
-        problem = f"its values are in {said.unit!r}, taken for {of.name}"
+        problem = f"its values are in {said.unit!r}, read as {of.name}"
         raise MapError(problem, source=source, expected=of.expected, fix=of.fix)
     return factor, _unit_note(said.unit, factor) if of is HEIGHTS else ()
 
@@ -193,7 +202,7 @@ def _unit_note(unit: str, size: float) -> tuple[str, ...]:
 
 
 def _voids(raw: NDArray, stages: tuple[NDArray[np.float64], ...], said: Said, of: Meaning) -> NDArray[np.bool_]:
-    """bool `[H, W]`: numbers that stand for no data. `stages`: the file's numbers, scaled, and in the unit of `of`."""
+    """bool `[H, W]`: no-data numbers. `stages`: the file's numbers, scaled, and in the unit of `of`."""
     numbers, scaled, values = stages
     void = (np.abs(numbers) >= HUGE) & np.isfinite(numbers)
     fill = FILL if said.declared else (*FILL, OWN_FILL[of is HEIGHTS])
@@ -211,7 +220,7 @@ def _voids(raw: NDArray, stages: tuple[NDArray[np.float64], ...], said: Said, of
 
 
 def _describe(numbers: NDArray[np.float64], of: Meaning, source: str) -> str:
-    """Voids in words, by their numbers in the file; "" where there are none."""
+    """Description of voids by their numbers in the file; "" if there are none."""
     if not numbers.size:
         return ""
     which = np.unique(numbers)
@@ -229,34 +238,34 @@ def _describe(numbers: NDArray[np.float64], of: Meaning, source: str) -> str:
 
 
 def edited(source: str, option: str, value: str) -> str:
-    """The command of rasterio that sets what a GeoTIFF says of itself."""
+    """The rasterio command that sets metadata of a GeoTIFF."""
     name = re.split(r"[\\/]", source)[-1]
     return f"`rio edit-info {option} {value} {name}`"
 
 
-# Rasters laid over other grids by their places on the Earth, as GDAL warps them.
+# Rasters laid over other grids by their positions on the Earth, as GDAL warps them.
 
 How = Literal["average", "sum", "bilinear", "nearest"]
-"""What a new pixel takes: the mean of all that it covers (probabilities), their sum, of each the part that it covers
-(amounts), the linear value at its centre (elevations), or the pixel under its centre (classes). What has no data is
-always the nearest's to say."""
+"""Value of a new pixel: the mean over its area (probabilities), the sum over its area, by the share of each pixel
+(amounts), the linear value at its centre (elevations), or the pixel under its centre (classes). No data is always
+decided by the nearest pixel."""
 WORDS: dict[How, str] = {"average": "averaged", "sum": "summed up", "bilinear": "linear", "nearest": "nearest"}
 STRIP = 32
-"""Columns that are warped at a time: GDAL takes a stretch of a row for straight, up to an eighth of a pixel off."""
+"""Columns warped at a time: GDAL approximates a stretch of a row as straight, up to an eighth of a pixel off."""
 LATTICE = 21
-"""Places a side of a raster that control points place, by which its edges are found."""
+"""Places per side at which the edges of a raster with control points are evaluated."""
 SQUARE = 1e-6
-"""Relative difference of a pixel's sides up to which it counts as square."""
+"""Relative difference of a pixel's sides up to which it is square."""
 
 
 class Band(NamedTuple):
-    """A raster as it is in its file, north up.
+    """A raster as in its file, north up.
 
     Attributes:
         values: float64 `[H, W]`, physical values; NaN = no data.
-        bounds: its edges in its CRS; None where the file does not say. crs: None where it names none.
-        points: ground control points that its pixels are placed by; (): they fill the bounds evenly.
-        notes: what reading did that a user should know. voids: undeclared ones, in words.
+        bounds: its edges in its CRS, or None if not given. crs: or None.
+        points: ground control points that place its pixels; (): pixels fill the bounds evenly.
+        notes: effects of reading that a user should know. voids: description of undeclared voids.
     """
 
     values: NDArray[np.float64]
@@ -268,21 +277,25 @@ class Band(NamedTuple):
 
 
 def side_of_pixels(shortest: float, cell_size: float | None) -> float:
-    """The largest part of `cell_size` that does not exceed the `shortest` side of a pixel; metres."""
+    """The largest whole part of `cell_size` that does not exceed the `shortest` side of a pixel; metres."""
     if cell_size is None or cell_size <= shortest:
         return shortest
     return cell_size / math.ceil(cell_size / shortest - SQUARE)
 
 
 def affine(frame: Frame, place: Georeference) -> tuple[float, ...]:
-    """(a, b, c, d, e, f): a pixel's (col, row) becomes x = a col + b row + c, y = d col + e row + f, in the CRS."""
+    """(a, b, c, d, e, f): pixel (col, row) is at x = a col + b row + c, y = d col + e row + f in the CRS."""
     corner, right, down = place.to_crs(frame.at([0, 0, 1], [0, 1, 0]))
     (a, d), (b, e) = right - corner, down - corner
     return tuple(map(float, (a, b, corner[0], d, e, corner[1])))
 
 
 def edges_in(bounds: Bounds, crs: Any, target: str, source: str) -> Bounds:
-    """The rectangle (left, bottom, right, top) of the CRS `target` around `bounds`. Raises MapError."""
+    """The rectangle (left, bottom, right, top) in the CRS `target` around `bounds`.
+
+    Raises:
+        MapError: the edges cannot be transformed.
+    """
     rasterio = rasterio_for("another coordinate reference system", source)
     with no_way(crs, target, source):
         edges: Bounds = rasterio.warp.transform_bounds(crs, target, *bounds)
@@ -294,9 +307,20 @@ def edges_in(bounds: Bounds, crs: Any, target: str, source: str) -> Bounds:
 def span(
     points: Sequence[Any], shape: tuple[int, int], crs: Any, target: str, source: str
 ) -> tuple[Bounds, tuple[float, float]]:
-    """Where a raster `shape` that ground control points place lies in the CRS `target`, in its units.
+    """Position of a raster with ground control points in another CRS.
 
-    Returns its edges (left, bottom, right, top), and the mean sides of a pixel (height, width). Raises MapError.
+    Args:
+        points: ground control points.
+        shape: (H, W).
+        crs: of the points.
+        target: the other CRS.
+        source: for messages.
+
+    Returns:
+        (edges (left, bottom, right, top), mean sides of a pixel (height, width)), in units of `target`.
+
+    Raises:
+        MapError: the points cannot be transformed.
     """
     rasterio = rasterio_for("another coordinate reference system", source)
     rows, cols = (ends.ravel() for ends in np.meshgrid(*(np.linspace(0, n, LATTICE) for n in shape), indexing="ij"))
@@ -309,9 +333,9 @@ def span(
 
 
 def _off_the_seam(band: Band, place: Georeference, source: str) -> Band:
-    """A raster whose x goes on where that of its CRS comes round, in a CRS that comes round elsewhere; else itself.
+    """A raster whose x continues across the seam of its CRS, in a CRS with the seam elsewhere; unchanged otherwise.
 
-    GDAL asks such a raster for places on the other side alone, but where it is one of degrees without control points.
+    GDAL requests places only on the other side of the seam, except for degrees without control points.
     """
     assert band.bounds is not None
     crs, points = band.crs, band.points
@@ -346,10 +370,23 @@ def _off_the_seam(band: Band, place: Georeference, source: str) -> Band:
 
 
 def lay_over(band: Band, frame: Frame, place: Georeference, how: How, source: str) -> NDArray[np.float64]:
-    """The raster on the pixels of `frame`, float64 `[H, W]`; NaN where it does not reach, or has no data.
+    """Resample a raster on the pixels of a frame.
 
-    Places are PROJ's own within 0.02 pixels of the file (0.06 where those have kilometres). XSCALE: GDAL would
-    guess how much coarser the new pixels are, strip by strip, and blur. Raises MapError for a CRS with no way from it.
+    Positions are PROJ's within 0.02 pixels of the file (0.06 for pixels of kilometres). XSCALE is given, since GDAL
+    would estimate the ratio of pixels strip by strip, and blur.
+
+    Args:
+        band: the raster.
+        frame: of the new pixels.
+        place: position of the frame on the Earth.
+        how: resampling.
+        source: for messages.
+
+    Returns:
+        float64 `[H, W]`; NaN outside of the raster, or for no data.
+
+    Raises:
+        MapError: its CRS cannot be transformed.
     """
     rasterio = rasterio_for("another coordinate reference system", source)
     band = _off_the_seam(band, place, source)
@@ -379,26 +416,34 @@ def lay_over(band: Band, frame: Frame, place: Georeference, how: How, source: st
 
 
 EXACT = 0.1
-"""Pixels that control points may lie off a north-up grid that is then taken for their place, without resampling."""
+"""Largest distance, in pixels, of control points from a north-up grid that replaces them, without resampling."""
 PACKED = {"scale_factor": "scale", "add_offset": "offset"}
-"""Items of metadata that NetCDF packs numbers by, and what a band calls them."""
+"""NetCDF metadata of packed numbers, and the names that a band has for them."""
 FILL_TAGS = ("_fillvalue", "missing_value")
-"""Items of metadata that name a number for no data."""
+"""Metadata that name a number for no data."""
 UNIT_TAGS = ("units", "unit", "vertical_units", "vertical_unit", "z_units")
-"""Items of metadata that name the unit; from the third on, of heights alone."""
+"""Metadata that name the unit; from the third on, of heights only."""
 UNPLACED = {
     "RPC": ("rational polynomials (RPCs)", "gdalwarp -rpc -to RPC_DEM=dem.tif"),
     "GEOLOCATION": ("a geolocation array", "gdalwarp -geoloc"),
 }
-"""Domains of metadata that give a place which is not read: in words, and the command that warps such a raster."""
+"""Metadata of positions that are not supported: description, and a command that warps such a raster."""
 FINE, DEGREES = 0.005, 180.0
-"""Pixels below so many metres, within so many of (0, 0), are taken for degrees where the file names no CRS."""
+"""Pixels smaller than FINE metres within DEGREES of (0, 0) are assumed to be degrees if the file names no CRS."""
 Place = tuple[Bounds | None, tuple[Any, ...], tuple[str, ...]]
-"""Bounds, control points (none: the bounds say it all), notes."""
+"""Bounds, control points (none: the bounds suffice), notes."""
 
 
 def read_band(path: Path, of: Meaning) -> Band:
-    """The band of a GeoTIFF or an Arc/Info ASCII grid. Raises MapError, also for a unit or a place that is not read."""
+    """Read the band of a GeoTIFF or an Arc/Info ASCII grid.
+
+    Args:
+        path: the file.
+        of: kind of quantity.
+
+    Raises:
+        MapError: it cannot be read, or its unit or position is not supported.
+    """
     rasterio = rasterio_for(f"reading {path.suffix}", path, fix=", or convert to .npy")
     driver = "AAIGrid" if path.suffix.lower() == ".asc" else "GTiff"
     with foreign_errors("cannot be read as a raster", path, "GeoTIFF"), rasterio.open(path, driver=driver) as data:
@@ -416,14 +461,12 @@ def read_band(path: Path, of: Meaning) -> Band:
     feet = crs is not None and crs.is_projected and crs.linear_units_factor[1] != 1
     if of is HEIGHTS and feet and said.vertical is None and plain(said.unit) in NO_UNIT:
         unit, command = crs.linear_units_factor[0], edited(str(path), "--units", "ft")
-        more += (
-            f"its heights are taken for metres: they name no unit, though its CRS is in {unit} (if not: {command})",
-        )
+        more += (f"its heights are read as metres: they name no unit, though its CRS is in {unit} (if not: {command})",)
     return Band(values, bounds, crs, points, (*notes, *more), voids)
 
 
 def _said(data: Any, vertical: Unit | None, of: Meaning, path: Path) -> Said:
-    """What the file says about its numbers. Raises MapError where the band and its metadata contradict each other."""
+    """Metadata on the file's numbers. Raises MapError if band and metadata contradict each other."""
     tags = {name.casefold(): text for name, text in {**data.tags(), **data.tags(1)}.items()}
     own = {"scale": data.scales[0], "offset": data.offsets[0]}
     for tag, name in PACKED.items():
@@ -439,9 +482,9 @@ def _said(data: Any, vertical: Unit | None, of: Meaning, path: Path) -> Said:
 
 
 def _unit(data: Any, tags: dict[str, str], of: Meaning, path: Path) -> str:
-    """The unit that a band, its metadata or its description name; "": none. Raises MapError where two of them differ.
+    """The unit in a band's metadata or description; "": none. Raises MapError if two of them differ.
 
-    A description ends in it, in brackets: `Elevation (feet)`. What is no unit there is a remark.
+    A description ends in it, in brackets: `Elevation (feet)`. Other text in brackets is a remark.
     """
     last = re.search(r"[(\[]([^()\[\]]+)[)\]]\s*$", data.descriptions[0] or "")
     remark = last[1] if last and plain(last[1]) in {**LENGTHS, **(of.units or {})} else ""
@@ -463,9 +506,9 @@ def _number(text: str, otherwise: float) -> float:
 
 
 def _split(crs: Any, path: Path, rasterio: Any) -> tuple[Any, Unit | None]:
-    """The horizontal part of a CRS, and the unit that its heights are in, if it names one.
+    """The horizontal part of a CRS, and its unit of heights, if any.
 
-    Vertical axes are found in PROJJSON: rasterio tells of horizontal ones alone.
+    Vertical axes are read from PROJJSON: rasterio reports horizontal ones only.
     """
     if crs is None:
         return None, _vertical_beside(path)
@@ -482,13 +525,13 @@ def _split(crs: Any, path: Path, rasterio: Any) -> tuple[Any, Unit | None]:
 
 
 def _bare(part: dict[str, Any]) -> dict[str, Any]:
-    """A CRS in PROJJSON, without the transformation that it may be bound to."""
+    """A CRS in PROJJSON, without a bound transformation."""
     bare: dict[str, Any] = part.get("source_crs", part)
     return bare
 
 
 def _beside(path: Path) -> str:
-    """The text of the `.prj` beside a raster; "" where there is none, or it is a shapefile's."""
+    """Text of the `.prj` file of a raster; "" if there is none, or if it belongs to a shapefile."""
     for suffix in (".prj", ".PRJ"):
         beside = path.with_suffix(suffix)
         if beside.is_file() and not path.with_suffix(".shp").exists():
@@ -497,29 +540,29 @@ def _beside(path: Path) -> str:
 
 
 def _crs_beside(path: Path, data: Any, rasterio: Any) -> Any:
-    """The CRS in the `.prj` beside a raster that is placed but names none: GDAL reads those of `.asc` alone."""
+    """The CRS in the `.prj` file of a raster without one: GDAL only reads those of `.asc` files."""
     text = "" if data.transform.is_identity or path.suffix.lower() == ".asc" else _beside(path)
     if not text:
         return None
-    with foreign_errors("the .prj beside it cannot be read", path, "a CRS in WKT"):
+    with foreign_errors("its .prj file cannot be read", path, "a CRS in WKT"):
         return rasterio.crs.CRS.from_wkt(text, morph_from_esri_dialect=True)
 
 
 def _vertical_beside(path: Path) -> Unit | None:
-    """The unit of heights that the old kind of `.prj` names: `Zunits FEET`, or how many make a metre."""
+    """The unit of heights in the old form of `.prj`: `Zunits FEET`, or units per metre."""
     found = re.search(r"^\s*zunits\s+(\S+)", _beside(path), re.IGNORECASE | re.MULTILINE)
     if found is None or found[1].casefold() == "no":
         return None
     named = {"meters": ("metre", 1.0), "feet": ("foot", 0.3048)}.get(found[1].casefold())
     many = _number(found[1], 0.0)
     if named is None and not many > 0:
-        problem = f"the .prj beside it names Zunits {found[1][:20]}"
+        problem = f"its .prj file names Zunits {found[1][:20]}"
         raise MapError(problem, source=path, expected="METERS, FEET, NO, or how many make a metre")
     return Unit(*named) if named else Unit(f"1 / {many:g} m", 1 / many)
 
 
 def _place(data: Any, crs: Any, path: Path) -> Place:
-    """Where the band lies. Raises MapError for a place that is given in a way that is not read."""
+    """Position of the band. Raises MapError for a form that is not supported."""
     transform, (points, _) = data.transform, data.gcps
     if not transform.is_identity:
         if transform.b or transform.d or not transform.a > 0 or not np.isfinite(transform).all():
@@ -529,7 +572,7 @@ def _place(data: Any, crs: Any, path: Path) -> Place:
         bounds = (transform.c, bottom, right, top)
         if crs is None:
             return bounds, (), _without_crs(bounds, transform.a, path)
-        elsewhere = "its CRS names no place on the Earth: its coordinates are taken for those of a frame of its own"
+        elsewhere = "its CRS names no place on the Earth: its coordinates are read as those of a local frame"
         return bounds, (), () if crs.is_projected or crs.is_geographic else (elsewhere,)
     if points:
         return _by_points(points, crs, data.shape, path)
@@ -540,16 +583,16 @@ def _place(data: Any, crs: Any, path: Path) -> Place:
 
 
 def _without_crs(bounds: Bounds, side: float, path: Path) -> tuple[str, ...]:
-    """A note on a place in nobody's CRS. Raises MapError where it looks like degrees."""
+    """A note on a position without CRS. Raises MapError if it looks like degrees."""
     if side < FINE and max(map(abs, bounds)) <= DEGREES:
         fix = f"say it: {edited(str(path), '--crs', 'EPSG:4326')}"
         problem = f"names no CRS, and pixels of {side:g} at {bounds[0]:g}, {bounds[1]:g} look like degrees"
         raise MapError(problem, source=path, expected="a CRS", fix=fix)
-    return ("its coordinates are taken for metres of a frame of its own: it names no CRS",)
+    return ("its coordinates are read as metres of a local frame: it names no CRS",)
 
 
 def _by_points(points: list[Any], crs: Any, shape: tuple[int, int], path: Path) -> Place:
-    """The place that ground control points give: a north-up grid if they lie on one, else they are warped by."""
+    """Position by ground control points: a north-up grid if they lie on one, else the points for a warp."""
     at = np.array([[point.col, point.row, 1.0] for point in points])
     if crs is not None and (turn := turn_of(crs.to_string())[0]):
         x = near([point.x for point in points], points[0].x, turn)  # across 180 neighbours stay neighbours

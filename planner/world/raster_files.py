@@ -1,4 +1,4 @@
-"""Rasters of numbers: NumPy and text arrays, GeoTIFF; degrees become UTM, pixels that are not square are made so."""
+"""Rasters of numbers: NumPy and text arrays, GeoTIFF. Degrees become UTM, and pixels become square."""
 
 from __future__ import annotations
 
@@ -51,10 +51,10 @@ GEO_SUFFIXES = (".tif", ".tiff", ".asc")
 SUFFIXES = (".npy", ".csv", *GEO_SUFFIXES)
 """Rasters that can be read."""
 TRUE = 0.01
-"""Relative difference of a CRS's metre from one on the ground up to which nobody is told."""
+"""Relative difference between a CRS's metre and a metre on the ground from which on a note is made."""
 
-NO_PLACE = "gives no place: a pixel is 1 m, unless `resolution:` in `map:` says otherwise"
-CELL_ON_CELL = "{} gives no place: it is laid on the map cell on cell, its row 0 on the map's"
+NO_PLACE = "has no position: a pixel is 1 m, unless `resolution:` in `map:` gives another size"
+CELL_ON_CELL = "{} has no position: it is laid on the map cell on cell, its row 0 on the map's"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +63,11 @@ class Raster:
 
     Attributes:
         values: float64 `[H, W]`; NaN = no data.
-        frame: where its square pixels lie in metres, or None when the file does not say.
+        frame: position of its square pixels in metres, or None if the file has none.
         bounds: (left, bottom, right, top) in the units of its own georeference, or None.
-        source: the file. notes: what reading did that a user should know.
-        voids: numbers that hold no data though the file does not say so, in words ("": there are none).
-        georeference: where the frame lies on the Earth, or None when the file does not say.
+        source: the file. notes: effects of reading that a user should know.
+        voids: description of undeclared no-data numbers ("": none).
+        georeference: position of the frame on the Earth, or None if the file has none.
     """
 
     values: NDArray[np.float64]
@@ -86,15 +86,23 @@ def read_raster(
     over: Ground | None = None,
     of: Meaning = PROBABILITIES,
 ) -> Raster:
-    """The raster in a `.npy`, `.csv`, `.tif` or `.asc` file, as values of what it is taken for (`of`).
+    """Read the raster in a `.npy`, `.csv`, `.tif` or `.asc` file.
 
-    Scale, offset and unit of a file are applied before all else, and voids that it does not declare hold no data. One
-    in degrees is warped to the UTM zone of its middle, as `how` says; where it reaches out of a zone it stays in
-    rows and columns of its degrees (`degree_raster`). Pixels that are not square become so: the nearest value, or
-    linear. The new pixel is the largest part of `cell_size` that does not exceed the shorter side of the old one (or
-    that side). A raster on other ground than the map `over` which it is laid, or on other pixels, is warped to the
-    map's pixels, where both say where they lie; one placed by ground control points too, or to a UTM zone. Raises
-    MapError for what cannot be read, a unit that is not understood, and when rasterio is needed and not installed.
+    Scale, offset and unit of a file are applied first; undeclared voids become no data. A raster in degrees is warped
+    to the UTM zone of its middle; if it reaches out of a zone it keeps its rows and columns (`degree_raster`). Pixels
+    become square by the nearest or the linear value. With `over`, a raster with other pixels than the map's is warped
+    to the map's, if both have positions.
+
+    Args:
+        path: the file.
+        cell_size: metres; new pixels are its largest whole part up to the shorter side of the old ones. None: that
+            side.
+        how: resampling.
+        over: the map that it is laid over.
+        of: kind of quantity.
+
+    Raises:
+        MapError: the file cannot be read, a unit is unknown, or rasterio is needed and not installed.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -114,7 +122,7 @@ def read_raster(
 
 
 def _placed(band: Band, source: str, cell_size: float | None, how: How, over: Ground | None) -> Raster:
-    """The band on pixels of its own, or on the map's where it lies on other ground or other pixels."""
+    """The band on pixels of its own, or on the map's if its position or pixels differ."""
     grid = None if over is None else over.grid
     if over is None or grid is None or grid.georeference is None or not _says_where(band) or _same(band, over):
         return _on_the_ground(band, source, cell_size, how)
@@ -128,7 +136,7 @@ def _says_where(band: Band) -> bool:
 
 
 def _same(band: Band, over: Ground) -> bool:
-    """True for a raster of the map's own pixels or cells: its CRS, in metres, its edges within half a pixel."""
+    """True for a raster with the map's pixels or cells: same CRS, in metres, edges within half a pixel."""
     ours, place = over.grid.bounds, over.grid.georeference
     if (
         ours is None
@@ -147,10 +155,20 @@ def _same(band: Band, over: Ground) -> bool:
 def square_metres(
     values: NDArray[np.float64], sides: tuple[float, float], cell_size: float | None, smooth: bool, source: str = ""
 ) -> tuple[NDArray[np.float64], float]:
-    """Pixels of `sides` (height, width) metres as square ones: values float64 `[H', W']` and the new side in metres.
+    """Resample pixels to squares. The upper-left corner stays; incomplete pixels at the far edges are dropped.
 
-    The upper-left corner stays; what does not fill a pixel at the far edges is dropped. Linear interpolation gives
-    NaN wherever a neighbour is NaN. A MapError if the result would be too large.
+    Args:
+        values: float64 `[H, W]`.
+        sides: (height, width) of a pixel, metres.
+        cell_size: as in `read_raster`.
+        smooth: linear interpolation, with NaN next to NaN; else the nearest value.
+        source: for messages.
+
+    Returns:
+        (values float64 `[H', W']`, side in metres).
+
+    Raises:
+        MapError: the result would be too large.
     """
     side = side_of_pixels(min(sides), cell_size)
     height, width = (math.floor(n * length / side + SQUARE) for n, length in zip(values.shape, sides, strict=True))
@@ -224,16 +242,17 @@ def _warped(
     how: How,
     spans: tuple[Bounds, tuple[float, float]] | None = None,
 ) -> Raster:
-    """A raster on square pixels of a CRS, in metres, their edges whole multiples of their side.
+    """A raster on square pixels of a CRS, in metres, with edges at whole multiples of their side.
 
-    `where`: the CRS in words. `spans`: the raster's edges there and the sides of its pixels (height, width), both in
-    units of the CRS; None: as its control points have them.
+    `where`: name of the CRS. `spans`: the raster's edges there and the sides of its pixels (height, width), both in
+    units of the CRS; None: from its control points.
     """
     unit = 1 / place.scale[0]
     found = span(band.points, band.values.shape, band.crs, place.crs, source) if spans is None else spans
     edges, sides = unit * np.array(found[0]), (unit * found[1][0], unit * found[1][1])
     _check_sides(sides, source)
     side = side_of_pixels(min(sides), cell_size)
+    # Edges at whole multiples of the side: rasters of one zone and side then share their pixels.
     near = edges / side
     left, bottom, right, top = *np.floor(near[:2] + SQUARE), *np.ceil(near[2:] - SQUARE)
     height, width = int(top - bottom), int(right - left)
@@ -253,9 +272,13 @@ def _size(values: NDArray) -> str:
 
 
 def true_metres(frame: Frame, place: Georeference, source: str, command: str) -> tuple[str, ...]:
-    """A note where a metre of the CRS is more than 1 % off on the ground in the middle of the map, as in EPSG:3857.
+    """A note if a metre of the CRS is more than 1 % off on the ground in the middle of the map, as in EPSG:3857.
 
-    `command`: the one that brings a file of this kind into another CRS.
+    Args:
+        frame: of the map.
+        place: its position on the Earth.
+        source: for messages.
+        command: that brings such a file into another CRS.
     """
     rows, cols = np.array(frame.shape) / 2
     (west, south), (east, north) = place.to_lonlat(frame.at([rows, rows], [cols - 0.5, cols + 0.5]), source)
@@ -269,10 +292,20 @@ def true_metres(frame: Frame, place: Georeference, source: str, command: str) ->
 def degree_raster(
     values: NDArray[np.float64], bounds: Bounds, crs: str, source: str, cell_size: float | None, how: How
 ) -> Raster:
-    """A raster of degrees, within `bounds`, in metres east and north of its lower-left corner.
+    """A raster of degrees in metres east and north of its lower-left corner.
 
-    East is to scale on the middle latitude; a note says how far off it is at the edges. Every metre has its exact
-    longitude and latitude, so what goes back to degrees lies where it came from.
+    East is to scale at the middle latitude; a note gives the error at the edges. Every metre has exact longitude and
+    latitude, so coordinates transformed back to degrees are exact.
+
+    Args:
+        values: float64 `[H, W]`.
+        bounds: (west, south, east, north), degrees.
+        crs: of the degrees.
+        source: for messages.
+        cell_size, how: as in `read_raster`.
+
+    Raises:
+        MapError: a latitude beyond 89 degrees, or too many pixels.
     """
     west, south, east, north = bounds
     if south < -89 or north > 89:
@@ -287,7 +320,7 @@ def degree_raster(
 
 
 def describe(longitude: float, latitude: float) -> str:
-    """A place on the Earth in words: `36.6 N 84.4 W`."""
+    """A place on the Earth as text: `36.6 N 84.4 W`."""
     return f"{abs(latitude):.6g} {'NS'[latitude < 0]} {abs(longitude):.6g} {'EW'[longitude < 0]}"
 
 
@@ -301,7 +334,18 @@ def ground_raster(
     how: How,
     georeference: Georeference | None = None,
 ) -> Raster:
-    """A raster with pixels of `sides` (height, width) metres and its lower-left `corner`, made square if need be."""
+    """A raster in metres, made square if necessary.
+
+    Args:
+        values: float64 `[H, W]`.
+        sides: (height, width) of a pixel, metres.
+        corner: (x, y) of its lower-left corner, metres.
+        bounds, source, georeference: of the result.
+        cell_size, how: as in `read_raster`.
+
+    Raises:
+        MapError: sides, corner or the number of pixels are out of range.
+    """
     _check_sides(sides, source)
     if not all(map(COORDINATE.accepts, corner)):
         problem = f"its lower-left corner is {corner[0]:g}, {corner[1]:g}"
@@ -311,6 +355,7 @@ def ground_raster(
     if abs(sides[1] / sides[0] - 1) > SQUARE:
         old, top = values.shape, corner[1] + values.shape[0] * sides[0]
         values, side = square_metres(values, sides, cell_size, how == "bilinear", source)
+        # Amounts are per pixel: the sum is kept when pixels change their area.
         values = values * (side * side / (sides[0] * sides[1])) if how == "sum" else values
         corner = (corner[0], top - values.shape[0] * side)
         notes = (
@@ -326,21 +371,27 @@ def _check_sides(sides: tuple[float, float], source: str) -> None:
         raise MapError(f"pixels of {sides[0]:g} x {sides[1]:g} m", source=source, expected=CELL_SIZE.expected)
 
 
-# Elevation models as maps: obstacles where it is too steep, and what a threat sees from where it stands.
+# Elevation models as maps: obstacles on steep ground, and the view from a site.
 
 BUILTIN = "builtin:"
 JACKSBORO = "jacksboro"
-"""The one elevation model that comes along, inside matplotlib: Jacksboro fault, Tennessee, about 32 x 30 km."""
+"""The elevation model shipped with matplotlib: Jacksboro fault, Tennessee, about 32 x 30 km."""
 TALLEST = 1e6
-"""Metres above the ground that a threat may look from, at most."""
+"""Largest height of a site above the ground, metres."""
 SIGHT_SLACK = 1e-9
-"""Slope by which a ridge must rise above the line of sight to block it: rounding on level ground must not."""
+"""Slope by which a ridge must rise above the line of sight to block it: larger than rounding on level ground."""
 
 
 def elevation_grid(raster: Raster, resolution: float, max_slope_deg: float | None = None) -> Grid:
-    """An elevation raster as a map: pixels without data, or steeper than `max_slope_deg`, are obstacles.
+    """An elevation raster as a map: pixels without data, or steeper than a limit, are obstacles.
 
-    `resolution`: metres a pixel of a file that does not say.
+    Args:
+        raster: elevation, metres.
+        resolution: metres per pixel, for a file without it.
+        max_slope_deg: the limit, degrees; None: no limit.
+
+    Raises:
+        MapError: no pixel is free.
     """
     height, width = raster.values.shape
     frame = Frame((height, width), resolution) if raster.frame is None else raster.frame
@@ -360,7 +411,12 @@ def elevation_grid(raster: Raster, resolution: float, max_slope_deg: float | Non
 
 
 def read_elevation(path: Path, cell_size: float | None = None) -> Raster:
-    """The elevation in a raster file, in metres; degrees and oblong pixels resampled linearly to square metres."""
+    """Read the elevation in a raster file, in metres; degrees and oblong pixels are resampled linearly.
+
+    Args:
+        path: the file.
+        cell_size: as in `read_raster`.
+    """
     return read_raster(path, cell_size, "bilinear", of=HEIGHTS)
 
 
@@ -372,19 +428,27 @@ def jacksboro(cell_size: float | None = None) -> Raster:
     with archive as data:
         values = data["elevation"].astype(np.float64)
         west, step_east, step_north = (float(data[name]) for name in ("xmin", "dx", "dy"))
-        south = min(float(data["ymin"]), float(data["ymax"]))  # stored the wrong way round; row 0 is north
+        south = min(float(data["ymin"]), float(data["ymax"]))  # stored in reverse; row 0 is north
     bounds = (west, south, west + values.shape[1] * step_east, south + values.shape[0] * step_north)
     return degree_raster(values, bounds, WGS84, BUILTIN + JACKSBORO, cell_size, "bilinear")
 
 
 def slope_degrees(elevation: NDArray[np.float64], size: float) -> NDArray[np.float64]:
-    """Slope float64 `[H, W]` in degrees, from central differences over pixels of `size` metres (one-sided at edges).
+    """Slope in degrees, from central differences (one-sided at edges).
 
-    A pixel without data takes the elevation of the nearest one that has some, for its neighbours' sake.
+    A pixel without data takes the elevation of the nearest one with data, for its neighbours.
+
+    Args:
+        elevation: float64 `[H, W]`, metres.
+        size: of a pixel, metres.
+
+    Returns:
+        float64 `[H, W]`.
     """
     unknown = np.isnan(elevation)
     if unknown.any():
         nearest = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
+        # Else the gradient of every neighbour of a pixel without data would be NaN too.
         elevation = elevation[tuple(nearest)]
     rise = [np.gradient(elevation, size, axis=axis) for axis in (0, 1) if elevation.shape[axis] > 1]
     return np.degrees(np.arctan(np.hypot(*rise) if len(rise) == 2 else np.abs(sum(rise) + np.zeros(elevation.shape))))
@@ -393,23 +457,36 @@ def slope_degrees(elevation: NDArray[np.float64], size: float) -> NDArray[np.flo
 def visible(
     elevation: NDArray[np.float64], site: tuple[int, int], height: float, reach: float, size: float
 ) -> NDArray[np.float64]:
-    """Metres from `site` (row, col) to every cell that it sees, float64 `[H, W]`; inf: hidden or beyond `reach` metres.
+    """Distance from a site to every cell that it sees.
 
-    The eye is `height` metres above the site's cell of `size` metres; a cell is seen if the straight line to the
-    ground at its centre passes no higher ground, taken from the elevation `[H, W]` (linear between centres) at every
-    row or column it crosses, whichever are more. Ground without data (NaN) hides nothing. Cost O(cells in reach *
-    reach / size).
+    A cell is seen if the straight line from the eye to the ground at its centre passes no higher ground. The elevation
+    along the line is linear between centres, at every row or column crossed, whichever are more. Ground without data
+    hides nothing. Cost: O(cells in reach * reach / size).
+
+    Args:
+        elevation: float64 `[H, W]`, metres; NaN = no data.
+        site: (row, col).
+        height: of the eye above the ground of its cell, metres.
+        reach: largest distance, metres.
+        size: of a cell, metres.
+
+    Returns:
+        float64 `[H, W]`, metres; inf: hidden or out of reach.
     """
+    # Ground without data lies below every line of sight.
     ground = np.where(np.isnan(elevation), -1e6, elevation)
     eye = float(ground[site]) + height
     rows, cols = np.indices(ground.shape).reshape(2, -1) - np.array(site)[:, None]
     distance = np.hypot(rows, cols) * size
     aims = np.flatnonzero(distance <= reach)
     rows, cols, away = rows[aims], cols[aims], distance[aims]
+    # One sample for each row or column that the line crosses, whichever are more.
     steps = np.maximum(np.abs(rows), np.abs(cols))
+    # The site's own cell has distance 0: half a cell avoids a division by zero.
     slope = (ground.reshape(-1)[aims] - eye) / np.maximum(away, size / 2)
     seen = np.ones(len(aims), dtype=bool)
     for step in range(1, int(steps.max())):
+        # Cells that are hidden already, or whose line has ended, are not computed again.
         on = np.flatnonzero(seen & (steps > step))
         part = step / steps[on]
         at = np.stack([site[0] + rows[on] * part, site[1] + cols[on] * part])
@@ -421,7 +498,12 @@ def visible(
 
 
 def band_threat(distance: NDArray[np.float64], bands: Iterable[tuple[float, float]]) -> NDArray[np.float64]:
-    """p of every cell by its distance in metres: of `bands` (range, p), ranges rising, the first that reaches it."""
+    """p of every cell by its distance.
+
+    Args:
+        distance: float64 `[H, W]`, metres.
+        bands: (range, p), ranges increasing; the first that includes the distance counts.
+    """
     threat = np.zeros(distance.shape)
     for reach, p in reversed(list(bands)):
         threat[distance <= reach] = p

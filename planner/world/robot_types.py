@@ -1,4 +1,4 @@
-"""Types of robots and threats: p of a visit is a matrix's factor, for the two types, times the map's p (SPEC 22)."""
+"""Types of robots and threats: p of a visit is the matrix's factor for both types times the map's p (SPEC 22)."""
 
 from __future__ import annotations
 
@@ -19,9 +19,12 @@ from planner.world.keys import Key, first_of
 
 @dataclass(frozen=True, eq=False)
 class RobotTypes:
-    """What stops robots of each type: float32 `[Y, H, W]`, NaN = obstacle, in the order of `names`.
+    """Threats of each robot type.
 
-    `team`: of which type the robots are that the input places, all or each; none: it does not say.
+    Attributes:
+        names: of the types.
+        threat: float32 `[Y, H, W]`, in the order of `names`; NaN = obstacle.
+        team: types of the robots that the input places, one for all or one each; (): not given.
     """
 
     names: tuple[str, ...]
@@ -37,24 +40,41 @@ class RobotTypes:
 
     @property
     def said(self) -> str:
-        """Which there are, in words."""
+        """Description for messages."""
         return f"robots of the types {', '.join(self.names)}"
 
     def number(self, name: str, source: str) -> int:
-        """The place of a type. Raises PlanError, naming `source`."""
+        """Index of a type.
+
+        Args:
+            name: of the type.
+            source: for the message.
+
+        Raises:
+            PlanError: there is no such type.
+        """
         if name not in self.names:
             expected, fix = "one of " + ", ".join(self.names), did_you_mean(name, self.names)
             raise PlanError(argument("types", name), source=source, expected=expected, fix=fix)
         return self.names.index(name)
 
     def arrays(self) -> dict[str, Any]:
-        """What a world file holds of them."""
+        """Arrays of the world file, by name."""
         team = {"types_team": np.array(self.team)} if self.team else {}
         return {"types": np.array(self.names), "types_threat": self.threat} | team
 
 
 def types_in(arrays: Mapping[str, NDArray], free: NDArray[np.bool_], source: str) -> RobotTypes | None:
-    """The types in the arrays of a world file whose free cells are `free` `[H, W]`. Raises WorldError."""
+    """The types in the arrays of a world file, or None.
+
+    Args:
+        arrays: of the file.
+        free: bool `[H, W]`.
+        source: for messages.
+
+    Raises:
+        WorldError: they are invalid.
+    """
     if "types" not in arrays:
         return None
     names, threat = arrays["types"], arrays.get("types_threat")
@@ -76,29 +96,39 @@ def types_in(arrays: Mapping[str, NDArray], free: NDArray[np.bool_], source: str
 def checked_types(
     names: tuple[str, ...], threat: NDArray[np.float64], free: NDArray[np.bool_], source: str
 ) -> RobotTypes:
-    """Types with these threats `[Y, H, W]`, each below 1 in free cells. Raises WorldError."""
+    """Make checked types.
+
+    Args:
+        names: of the types.
+        threat: float64 `[Y, H, W]`, below 1 in free cells.
+        free: bool `[H, W]`.
+        source: for messages.
+
+    Raises:
+        WorldError: names the first invalid cell.
+    """
     rounded = np.where(free, threat, np.nan).astype(np.float32)
     for name, one in zip(names, rounded, strict=True):
         wrong = free & ~((one >= 0) & (one < 1))
         if wrong.any():
             at, where = first_of(wrong)
-            problem = f"a robot of type {name} is stopped with p = {one[at]:g} {where}"
+            problem = f"p = {one[at]:g} for a robot of type {name} {where}"
             raise WorldError(problem, source=source, expected="0 <= p < 1", fix="give a smaller factor")
     rounded.setflags(write=False)
     return RobotTypes(names, rounded)
 
 
-# How a scenario says what types of robots and threats there are: a threat's `type`, `robots: {matrix: ...}`.
+# Types in a scenario: a threat's `type`, and `robots: {matrix: ...}`.
 
 FACTOR = Numbers(0, 1e6, "a factor of p")
 TYPE = "type"
-"""The key of a source of threats that says of which type it is."""
+"""Key of a source of threats: its type."""
 Matrix = Mapping[str, Mapping[str, float]]
-"""Factor of p by type of robot and type of threat; what it does not name has 1."""
+"""Factor of p by robot type and threat type; types that are not named have 1."""
 
 
 def read_matrix(robots: Key | None) -> dict[str, dict[str, float]]:
-    """The factors under `robots: {matrix: ...}` of a scenario, by type of robot; none: there are no types."""
+    """The factors in `robots: {matrix: ...}` of a scenario, by robot type; empty without types."""
     if robots is None or not isinstance(robots.value, dict) or "matrix" not in robots.value:
         return {}
     top = Key(robots.value["matrix"], f"{robots.path}.matrix", robots.source)
@@ -110,7 +140,7 @@ def read_matrix(robots: Key | None) -> dict[str, dict[str, float]]:
 
 
 def _names(key: Key, what: str) -> list[str]:
-    """The names that a mapping has for keys."""
+    """The keys of a mapping, which have to be names."""
     names = list(key.value) if isinstance(key.value, dict) else []
     if not names or not all(isinstance(name, str) and name for name in names):
         raise key.wrong(f"types {what} by name, as {{drone: {{mine: 0, radiation: 1}}, rover: {{radiation: 0.2}}}}")
@@ -118,7 +148,11 @@ def _names(key: Key, what: str) -> list[str]:
 
 
 def check_types(keys: list[Key], matrix: Matrix) -> list[str]:
-    """The type of each source of threats, "" of none. Raises ScenarioError for one that the matrix does not know."""
+    """The type of each source of threats, "" for none.
+
+    Raises:
+        ScenarioError: a type that is not in the matrix.
+    """
     known = {name for row in matrix.values() for name in row}
     found = []
     for key in keys:
@@ -131,17 +165,17 @@ def check_types(keys: list[Key], matrix: Matrix) -> list[str]:
     return found
 
 
-# A world's threats source by source, so that a polygon, a point or a site of a scenario can be left out.
+# A world's threats source by source, so that single polygons, points or sites of a scenario can be removed.
 
 MOST_PLACES = 2**22
-"""Places that the things of a source may threaten, one by one; one with more is a field, of which nothing is left out.
+"""Most places that the objects of a source may threaten; a source with more has no objects that can be removed.
 """
 
 LONGEST_NAME = 40
 
 
 def independent(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The chance that at least one of two independent threats hits: 1 - (1-p)(1-q); exact where one of them is 0."""
+    """Probability that at least one of two independent threats destroys: 1 - (1-p)(1-q); exact if one of them is 0."""
     return np.where(one == 0, other, np.where(other == 0, one, 1 - (1 - one) * (1 - other)))
 
 
@@ -149,11 +183,11 @@ COMBINE: dict[str, Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[
     "product": independent,
     "max": np.maximum,
 }
-"""How threats combine: `product` (the default), 1 - prod(1 - p), or the largest."""
+"""Combinations of threats: `product` (the default), 1 - prod(1 - p), or the largest."""
 
 
 class Thing(NamedTuple):
-    """One polygon, point or site: its `name` ("": none), `where` its file says it, p float64 `[n]` at places `[n]`."""
+    """A polygon, point or site: `name` or "", `where` in its file, p float64 `[n]` at places int64 `[n]`."""
 
     name: str
     where: str
@@ -162,37 +196,44 @@ class Thing(NamedTuple):
 
 
 class Things(NamedTuple):
-    """The things of one source; `cells` int64 `[m]`: the cell that each of its places lies in."""
+    """The objects of one source; `cells` int64 `[m]`: the cell of each place."""
 
     of: tuple[Thing, ...]
     cells: NDArray[np.int64]
 
     @classmethod
     def on(cls, things: Sequence[Thing], cell_of: Callable[[NDArray[np.int64]], NDArray[np.int64]]) -> Self | None:
-        """Of things at pixels; None if those are too many. `cell_of`: the free cell of each, -1 where there is none."""
+        """Objects on cells, from objects at pixels; None if there are too many places.
+
+        Args:
+            things: at pixels.
+            cell_of: the free cell of each pixel, -1 if there is none.
+        """
         if sum(len(thing.at) for thing in things) > MOST_PLACES:
             return None
+        # Objects over obstacles threaten no robot: their places are dropped before they are counted.
         free = [thing._replace(at=thing.at[held], p=thing.p[held])
                 for thing in things for held in (cell_of(thing.at) >= 0,)]  # fmt: skip
         places = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(thing.at for thing in free)]))
         return cls(tuple(one._replace(at=np.searchsorted(places, one.at)) for one in free), cell_of(places))
 
     def threat(self, things: Iterable[Thing], combine: str, size: int) -> NDArray[np.float64]:
-        """What some of them make of so many cells: the largest p of the places in each, float64 `[size]`."""
+        """Threat of some of the objects: float64 `[size]`, the largest p of the places in each cell."""
         threat = np.zeros(size)
+        # Combined at the places first, then the largest per cell: the order of `all_threats`.
         np.maximum.at(threat, self.cells, combined(things, combine, len(self.cells)))
         return threat
 
 
 def short_name(said: object) -> str:
-    """What a file calls a thing, on one line; "" where it is no text and no number."""
+    """Name of an object in a file, on one line; "" if it is neither text nor a number."""
     if isinstance(said, bool) or not isinstance(said, str | int | float):
         return ""
     return " ".join(str(said).split())[:LONGEST_NAME]
 
 
 def combined(things: Iterable[Thing], combine: str, places: int) -> NDArray[np.float64]:
-    """p of things together, float64 `[places]`."""
+    """Combined p of objects, float64 `[places]`."""
     threat = np.zeros(places)
     for thing in things:
         threat[thing.at] = COMBINE[combine](threat[thing.at], thing.p)
@@ -201,12 +242,12 @@ def combined(things: Iterable[Thing], combine: str, places: int) -> NDArray[np.f
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """What the threats of a world were combined from.
+    """Sources that the threats of a world were combined from.
 
     Attributes:
-        combine: how. free: bool `[H, W]`.
-        layers: the map's own and every source, in order: things, or p float64 `[H, W]` of one that has none.
-        out: things that are left out, by their place in `things`.
+        combine: key of `COMBINE`. free: bool `[H, W]`.
+        layers: the map's own threat and every source, in order: objects, or p float64 `[H, W]` without objects.
+        out: objects that are removed, as indices of `things`.
     """
 
     combine: str
@@ -216,14 +257,15 @@ class Sources:
 
     @cached_property
     def things(self) -> tuple[tuple[int, Thing], ...]:
-        """(layer, thing), left out or not."""
+        """(layer, object) of all objects, removed or not."""
         layers = enumerate(self.layers)
         return tuple((number, thing) for number, layer in layers if isinstance(layer, Things) for thing in layer.of)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of all things, each another: as their files say, with the place in the file where there is no such name."""
+        """Unique names of all objects: as in their files, with the place in the file where a name is not unique."""
         names = [thing.name or thing.where for _, thing in self.things]
+        # First the place in the file, then the number of the source, as far as names are still ambiguous.
         for add in (lambda thing, layer: thing.where, lambda thing, layer: f"threats[{layer - 1}]"):
             often = Counter(names)
             names = [
@@ -233,18 +275,18 @@ class Sources:
         return tuple(names)
 
     def alone(self, thing: int) -> NDArray[np.float64]:
-        """p of one thing by itself, float64 `[H * W]`."""
+        """p of one object, without all others, float64 `[H * W]`."""
         layer, own = self.things[thing]
         things = self.layers[layer]
         assert isinstance(things, Things)
         return np.where(self.free.reshape(-1), things.threat([own], self.combine, self.free.size), 0.0)
 
     def without(self, thing: int) -> Self:
-        """One more left out."""
+        """A copy with one more object removed."""
         return replace(self, out=self.out | {thing})
 
     def threat(self) -> NDArray[np.float32]:
-        """As of `World.threat`, with what is left out: `all_threats` again."""
+        """`World.threat` without the removed objects, float32 `[H, W]`."""
         threat, first = np.zeros(self.free.size), 0
         for layer in self.layers:
             if isinstance(layer, Things):

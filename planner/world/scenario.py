@@ -1,4 +1,4 @@
-"""Every input of the program as a world: scenario files (SPEC section 9) and all kinds of maps."""
+"""All inputs of the program as a world: scenario files (SPEC section 9) and all kinds of maps."""
 
 from __future__ import annotations
 
@@ -36,17 +36,25 @@ from planner.world.threats import all_threats, layers, one_source
 from planner.world.vector_files import BOUNDARIES, keep_out, read_field
 from planner.world.world import MAX_ROBOTS, Team, World, check_starts
 
-# In whose words a scenario wants its answer, and the route that is to be safe: `metrics`, `route`, `route_xy`.
+# Terms of a scenario's report, and the route to make safe: `metrics`, `route`, `route_xy`.
 
 METRICS = ("coverage", "search", "clearance")
-"""Whose words: of coverage planners, of search and rescue, of mine clearance."""
+"""Terms of coverage planning, of search and rescue, of mine clearance."""
 METRICS_KEYS = ("metrics", "route", "route_xy")
 SAMPLES = 16
-"""Places looked at in each cell's length of a route."""
+"""Points sampled per cell length of a route."""
 
 
 def reported(keys: dict[str, Key], world: World) -> Json:
-    """`metrics` and `route` of `planner.world.world.Team`, those that the keys name."""
+    """`metrics` and `route` of `planner.world.world.Team`, where the keys name them.
+
+    Args:
+        keys: of the scenario.
+        world: its map.
+
+    Raises:
+        ScenarioError: a key is invalid.
+    """
     found: Json = {}
     if "metrics" in keys:
         found["metrics"] = keys["metrics"].choice(METRICS)
@@ -65,18 +73,28 @@ def reported(keys: dict[str, Key], world: World) -> Json:
 
 
 def route_over(world: World, corners: ArrayLike) -> NDArray[np.int64]:
-    """The cells (row, col) int64 `[R, 2]` of a line through places in cells `[corners, 2]` (a centre is at .5).
+    """The cells of a polyline.
 
-    Raises WorldError where it leaves the map or meets an obstacle.
+    Args:
+        world: the map.
+        corners: `[corners, 2]`, positions in cells (a centre is at .5).
+
+    Returns:
+        (row, col) int64 `[R, 2]`.
+
+    Raises:
+        WorldError: it leaves the map or meets an obstacle.
     """
     places = np.asarray(corners, dtype=np.float64)
     parts = []
     for start, stop in itertools.pairwise(places):
+        # Sampled densely enough that no cell with a noticeable part of the line is missed.
         count = SAMPLES * int(np.ceil(np.abs(stop - start).max())) + 1
         if count > SAMPLES * (sum(world.shape) + 2):
             raise WorldError("leaves the map", expected=f"places on the {world.shape[0]} x {world.shape[1]} cells")
         parts.append(np.linspace(start, stop, count))
     cells = np.floor(np.concatenate(parts)).astype(np.int64)
+    # Consecutive samples in one cell count once.
     cells = cells[np.append(True, (np.diff(cells, axis=0) != 0).any(axis=1))]
     off = ~((cells >= 0) & (cells < world.shape)).all(axis=1)
     if off.any():
@@ -88,7 +106,15 @@ def route_over(world: World, corners: ArrayLike) -> NDArray[np.int64]:
 
 
 def with_route(world: World, route: ArrayLike) -> World:
-    """The same world with a route that is to be safe, by (row, col) `[corners, 2]`. Raises WorldError."""
+    """A copy with a route to make safe.
+
+    Args:
+        world: the map.
+        route: `[corners, 2]`, (row, col).
+
+    Raises:
+        WorldError: as in `route_over`.
+    """
     corners = np.asarray(route)
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 2 or corners.dtype.kind not in "iuf":
         raise WorldError(f"route has shape {list(corners.shape)}", expected="two [row, col] or more")
@@ -99,22 +125,30 @@ def with_route(world: World, route: ArrayLike) -> World:
     return replace(world, team=replace(world.team, route=cells))
 
 
-# How long a scenario says that a step takes: `step: {seconds: 2}`, or `speed: 0.5`, metres a second; and a `turn`.
+# Duration of a step: `step: {seconds: 2}`, or `speed: 0.5` in metres per second; and a `turn`.
 
 TIME_KEYS = ("step", "speed", "turn")
 CELLS_A_STEP = Numbers(0, 1, above=True)
 NEARLY = 0.02
-"""How far 1 / speed may be from a whole number of steps, of itself: 0.33 is a third."""
+"""Largest relative distance of 1 / speed from a whole number of steps: 0.33 counts as a third."""
 
 
 def pace_in(keys: dict[str, Key], world: World) -> Pace:
-    """The pace that the keys name. Raises ScenarioError, also for a speed where nobody says how large cells are."""
+    """The pace of a scenario.
+
+    Raises:
+        ScenarioError: a key is invalid, or a speed is given without a cell size.
+    """
     turn = keys["turn"].number(TURNS) if "turn" in keys else 0.0
     return Pace(_seconds_in(keys, world), turn)
 
 
 def steps_per_move(key: Key) -> Key:
-    """Cells a step, one number for all robots or one each, as whole steps a move. Raises ScenarioError."""
+    """Speed in cells per step, one number for all robots or one each, as whole steps per move.
+
+    Raises:
+        ScenarioError: it is not 1 over a whole number.
+    """
     several = isinstance(key.value, list)
     steps = []
     for item in key.items("cells a step, one a robot") if several else [key]:
@@ -126,16 +160,16 @@ def steps_per_move(key: Key) -> Key:
 
 
 def _seconds_in(keys: dict[str, Key], world: World) -> float | None:
-    """Seconds a step; None: nobody says."""
+    """Seconds per step; None: not given."""
     if "step" in keys:
         if "speed" in keys:
-            raise keys["speed"].wrong("none beside step", "leave one of the two out")
+            raise keys["speed"].wrong("none together with step", "leave one of the two out")
         return keys["step"].mapping(("seconds",))["seconds"].number(STEP_SECONDS)
     if "speed" not in keys:
         return None
     seconds = world.cell_size / keys["speed"].number(SPEEDS)
     if not world.measured:
-        problem = "is given, but nobody says how many metres a cell has"
+        problem = "is given without a cell size in metres"
         raise keys["speed"].fault(
             problem, fix="give the metres of a pixel, `map: {file: ..., resolution: 0.5}`, or `step: {seconds: ...}`"
         )
@@ -147,50 +181,57 @@ def _seconds_in(keys: dict[str, Key], world: World) -> float | None:
 DEFAULTS = {"unknown": "obstacle", "threats": [], "combine": "product"}
 """Keys of a scenario file that are always there."""
 IN_DOUBT = ("latent_hazard", "map_uncertainty", "moving_threats", "phases")
-"""Keys that say by what else than the threats robots are stopped, one of them at most."""
+"""Keys of uncertain or changing threats, of which a scenario may have one."""
 SETTINGS = ("levels", "policy", "risk_cap", "robot_value", "plan_for", "weibull_shape", "deadline", "in_area")
 OF_ROBOTS = ("range", "hazard_multiplier", "return_to", "recharge", "types", "steps_per_move", "radio")
-"""Settings of the planner that a scenario file may name, and those that stand under its key `robots`."""
+"""Planner settings as keys of a scenario, and those under its key `robots`."""
 OPTIONAL = (
     "cell_size", "datum", "keepout", "robots", *IN_DOUBT, "plan_on", "value", "detect", *KNOWLEDGE,
     *METRICS_KEYS, *TIME_KEYS, *SETTINGS,
 )  # fmt: skip
-"""Keys that may be there."""
+"""Optional keys."""
 OF_FIELDS = ("boundary", "direction", "swath")
-"""What may stand beside the polygons of a field."""
+"""Further keys with the polygons of a field."""
 OF_MAP = ("file", "elevation", "max_slope_deg", "resolution", "topic", "polygons", *OF_FIELDS)
-"""Keys that may stand under `map`."""
+"""Keys under `map`."""
 DEGREES_ROUND = Numbers(-180, 180, "degrees")
 SMALL_ROBOT = 0.2
-"""Metres: a cell is a robot's footprint, and few are smaller."""
+"""Metres: a cell is a robot's footprint, and few robots are smaller."""
 USUAL_CELL = 0.5
-"""Metres: the side of a cell that is suggested where pixels are smaller than SMALL_ROBOT."""
+"""Metres: suggested side of a cell if pixels are smaller than SMALL_ROBOT."""
 MANY_CELLS = 10_000
-"""Cells of a map, of a size that nobody gave, above which a note suggests larger ones."""
+"""Cells of a map without given cell size above which a note suggests larger cells."""
 ROBOT_IS = "so a robot is"
-"""Words of that note, and of no other."""
-CELLS_OF_A_MAP = "give `cell_size:` beside `map:`, the side of a cell in metres"
+"""Words that identify that note."""
+CELLS_OF_A_MAP = "give `cell_size:` next to `map:`, the side of a cell in metres"
 
 
 def load_input(path: str | Path, cell_size: float | None = None) -> World:
-    """The world in any input file, with what it says of the team (`World.team`) and of the loading (`World.notes`).
+    """Load any input file as a world, with requests about the team (`World.team`) and notes (`World.notes`).
 
     Accepted are a scenario (a YAML file with the key `map`), a ROS map (a YAML file with the key `image`), world files
     (.npz, .npy, .csv), MovingAI .map, pictures (dark = obstacle), GeoTIFF (threat probabilities, no data = obstacle).
-    A scenario's relative paths start from the folder of the name it was given by: for a symbolic link, the link's.
-    Raises InputError: one line naming the file, the value, what was expected, the fix.
+    Relative paths in a scenario start from the folder of the given name: for a symbolic link, the link's folder.
+
+    Args:
+        path: the file.
+        cell_size: metres, for a map that is no scenario.
+
+    Raises:
+        InputError: the file or a value in it is invalid.
     """
     path = Path(path)
     if not is_bag(path):
         check_file(path, "a scenario, a map or a world file")
     top = read_yaml(path) if path.suffix.lower() in YAML else None
+    # A map without scenario is read as a scenario with defaults only: one path for both.
     if top is None or _is_map(top):
         keys = Key({}, "", path).mapping(defaults=DEFAULTS)
         world = _scenario(coarsen(load_map(path, cell_size, top), cell_size), keys, path)
         return world if cell_size is not None else _with_size_note(world, bare=True)
     if cell_size is not None:
         raise ScenarioError(
-            "the scenario says what its cell_size is", source=path, fix=f"leave {argument('cell_size')} out"
+            "the scenario determines its cell_size", source=path, fix=f"leave {argument('cell_size')} out"
         )
     world = read_scenario(top, path)
     return world if "cell_size" in top.value else _with_size_note(world, bare=False)
@@ -202,9 +243,9 @@ def _with_size_note(world: World, bare: bool) -> World:
 
 
 def _size_note(world: World, bare: bool) -> str:
-    """What the cells of a map take a robot for, where they are smaller than most robots, or many; else "".
+    """A note on the size of cells if they are smaller than most robots, or many; else "".
 
-    `bare`: the map is no part of a scenario, which would say how large its cells are.
+    `bare`: the map is not part of a scenario, which could give the size.
     """
     (height, width), side, count = world.shape, world.cell_size, world.threat.size
     if side >= SMALL_ROBOT and count <= MANY_CELLS:
@@ -221,14 +262,22 @@ def _size_note(world: World, bare: bool) -> str:
 
 
 def place_of(name: str) -> str:
-    """How a scenario says what this key of one does, "" for no key of one."""
+    """Where a scenario has this key, for messages; "" if it has none of this name."""
     if name in OF_MAP:
         return f"`map: {{file: ..., {name}: ...}}`"
-    return f"`{name}: ...` beside `map: ...`" if name in (*OPTIONAL, *DEFAULTS) else ""
+    return f"`{name}: ...` next to `map: ...`" if name in (*OPTIONAL, *DEFAULTS) else ""
 
 
 def read_scenario(top: Key, path: Path) -> World:
-    """What the keys of a scenario file say; relative paths start from its folder. Raises InputError."""
+    """The world of a scenario file; relative paths start from its folder.
+
+    Args:
+        top: content of the file.
+        path: the file.
+
+    Raises:
+        InputError: a key or file is invalid.
+    """
     if isinstance(top.value, dict) and "map" not in top.value:
         raise _no_map(top)
     keys = top.mapping(("map",), optional=OPTIONAL, defaults=DEFAULTS)
@@ -237,7 +286,7 @@ def read_scenario(top: Key, path: Path) -> World:
     grid = _map(keys["map"], cell_size)
     if "datum" in keys:
         if grid.georeference is not None:
-            raise keys["datum"].wrong("none: the map says where it lies", "leave it out")
+            raise keys["datum"].wrong("none: the map has a georeference", "leave it out")
         grid = replace(grid, georeference=read_datum(keys["datum"]))
     if "keepout" in keys:
         grid = keep_out(keys["keepout"], grid)
@@ -245,7 +294,15 @@ def read_scenario(top: Key, path: Path) -> World:
 
 
 def read_on(world: World, top: Key) -> World:
-    """The world with what these keys of a scenario say of its threats and its robots. Raises InputError."""
+    """A world with the threats and robots of a scenario's keys.
+
+    Args:
+        world: the map.
+        top: the keys.
+
+    Raises:
+        InputError: a key or file is invalid.
+    """
     keys = top.mapping(optional=OPTIONAL, defaults=DEFAULTS)
     return _scenario(coarsen(world_grid(world), None), keys, Path(top.source))
 
@@ -261,12 +318,13 @@ def _no_map(top: Key) -> InputError:
 
 
 def _is_map(top: Key) -> bool:
-    """True for the YAML of a map by itself: of ROS, or of MAPS."""
+    """True for the YAML of a map without scenario: of ROS, or of MAPS."""
     return isinstance(top.value, dict) and bool({"image", MAPS_KEY} & top.value.keys()) and "map" not in top.value
 
 
 def _map(key: Key, cell_size: float | None) -> Grid:
     """The map of a scenario: `{file: ...}` (or just the name), or `{elevation: ..., max_slope_deg: ...}`."""
+    # A file name alone is short for `{file: ...}`.
     if isinstance(key.value, str):
         key = Key({"file": key.value}, key.path, key.source)
     keys = key.mapping(optional=OF_MAP)
@@ -278,13 +336,15 @@ def _map(key: Key, cell_size: float | None) -> Grid:
     path = key.mapping(("file",), optional=("resolution", "topic"))["file"].file("a map file", folder=is_bag)
     top = read_yaml(path, MapError) if path.suffix.lower() in YAML else None
     if top is not None and isinstance(top.value, dict) and "map" in top.value and not _is_map(top):
-        raise keys["file"].wrong("a map", "this is a scenario: run it itself")
+        # A scenario within a scenario would have two sets of threats and robots.
+        raise keys["file"].wrong("a map", "this is a scenario: run it directly")
     grid = _logged(path, keys["topic"]) if "topic" in keys else load_map(path, cell_size, top)
     if "resolution" not in keys:
         return grid
     resolution = keys["resolution"].number(CELL_SIZE)
+    # The file's own cell size is not overridden: a contradiction is an error, not a choice.
     if grid.measured:
-        raise keys["resolution"].wrong(f"none: the file says that a pixel has {grid.frame.size:g} m", CELLS_OF_A_MAP)
+        raise keys["resolution"].wrong(f"none: in the file a pixel has {grid.frame.size:g} m", CELLS_OF_A_MAP)
     return replace(grid, frame=replace(grid.frame, size=resolution), measured=True)
 
 
@@ -298,7 +358,7 @@ def _logged(path: Path, topic: Key) -> Grid:
 def _field(keys: dict[str, Key], cell_size: float | None) -> Grid:
     key = keys["polygons"]
     if cell_size is None:
-        raise key.fault("has no pixels", fix="give `cell_size:`, metres, beside `map:`")
+        raise key.fault("has no pixels", fix="give `cell_size:`, metres, next to `map:`")
     boundary = keys["boundary"].choice(BOUNDARIES) if "boundary" in keys else BOUNDARIES[0]
     direction = math.radians(keys["direction"].number(DEGREES_ROUND)) if "direction" in keys else 0.0
     swath = keys["swath"].number(CELL_SIZE) if "swath" in keys else None
@@ -321,7 +381,7 @@ def _elevation(keys: dict[str, Key], cell_size: float | None) -> Grid:
     if "resolution" in keys:
         resolution = keys["resolution"].number(CELL_SIZE)
         if raster.frame is not None:
-            raise keys["resolution"].wrong(f"none: the file says that a pixel has {raster.frame.size:g} m")
+            raise keys["resolution"].wrong(f"none: in the file a pixel has {raster.frame.size:g} m")
     grid = elevation_grid(raster, resolution, steepest)
     return replace(grid, measured=raster.frame is not None or "resolution" in keys)
 
@@ -331,7 +391,7 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
     matrix = read_matrix(keys.get("robots"))
     threat, notes, apart, by_type = all_threats(sources, keys["combine"].choice(COMBINE), ground, matrix)
     frame = ground.frame
-    if not ground.free.any():  # what reading the map noted is why
+    if not ground.free.any():  # the notes on reading the map give the reason
         raise WorldError("every cell is an obstacle", source=source, fix="; ".join(ground.notes))
     cells = np.where(ground.free, threat, np.nan)
     of_cells, more = layers(keys, ground)
@@ -340,30 +400,33 @@ def _scenario(ground: Ground, keys: dict[str, Key], source: Path) -> World:
         **of_cells,
     )  # fmt: skip
     world = replace(world, sources=apart, measured=ground.grid.measured)
+    # Order: uncertainty before the unknown map, since sensors may choose among its candidates.
     world = _in_doubt(replace(world, pace=pace_in(keys, world)), ground, keys)
     if "weibull_shape" in keys and isinstance(keys["weibull_shape"].value, dict):  # 0.3's `wear: {shape: 2}`
         keys["weibull_shape"] = keys["weibull_shape"].mapping(("shape",))["shape"]
     asked = _settings(SETTINGS, keys)
     world = replace(world, team=Team(settings=asked, **reported(keys, world)))
     world = _of_types(_in_the_dark(world, ground, keys), ground, matrix, by_type)
+    # Starts of a world file are pixels: the cell that contains them is the start.
     own = None if ground.grid.starts is None else ground.grid.starts // ground.ratio
     return _with_robots(world, keys["robots"], own) if "robots" in keys else world.with_starts(own)
 
 
 def _in_doubt(world: World, ground: Ground, keys: dict[str, Key]) -> World:
-    """The world with what the scenario, or its map's world file, says is in doubt about its threats."""
+    """The world with the uncertainty or change of threats in the scenario, or in its map's world file."""
     named = [name for name in IN_DOUBT if name in keys]
+    # Draws of a world file belong to exactly its threats: any other threat would contradict them.
     if ground.grid.doubt is not None:
         if named or keys["threats"].value or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
-            problem = "brings hazards, uncertain maps, movers or phases along, which nothing can be added to"
-            raise MapError(problem, source=ground.grid.source, fix="use the world file by itself, as it is")
+            problem = "has latent hazards, uncertain maps, moving threats or phases: nothing can be added to them"
+            raise MapError(problem, source=ground.grid.source, fix="use the world file without a scenario")
         return replace(world, doubt=ground.grid.doubt)
     if "plan_on" in keys and not {"moving_threats", "phases"} & keys.keys():
         raise keys["plan_on"].wrong(
             "none without moving_threats or phases", "of uncertain maps it is a key of `map_uncertainty`"
         )
     if len(named) > 1:
-        raise keys[named[1]].wrong(f"none beside {named[0]}", "leave one of the two out")
+        raise keys[named[1]].wrong(f"none together with {named[0]}", "leave one of the two out")
     if "moving_threats" in keys:
         return read_movers(keys["moving_threats"], keys.get("plan_on"), world)
     if "phases" in keys:
@@ -374,24 +437,25 @@ def _in_doubt(world: World, ground: Ground, keys: dict[str, Key]) -> World:
 
 
 def _in_the_dark(world: World, ground: Ground, keys: dict[str, Key]) -> World:
-    """The world with what the scenario, or its map's world file, does not tell the robots."""
+    """The world with the unknown map in the scenario, or in its map's world file."""
     if ground.grid.knowledge is None:
         return read_knowledge(keys, world, load_input)
     named = [name for name in KNOWLEDGE if name in keys]
     if named or keys["threats"].value or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
-        problem = "brings a truth along that its robots are not told, which nothing can be added to"
-        raise MapError(problem, source=ground.grid.source, fix="use the world file by itself, as it is")
+        problem = "has a true map that its robots do not know: nothing can be added to it"
+        raise MapError(problem, source=ground.grid.source, fix="use the world file without a scenario")
     return replace(world, knowledge=ground.grid.knowledge)
 
 
 def _of_types(world: World, ground: Ground, matrix: Matrix, by_type: NDArray[np.float64]) -> World:
-    """The world with the types of robots that the scenario's matrix names, or its map's world file."""
+    """The world with the robot types of the scenario's matrix, or of its map's world file."""
     if not matrix and ground.grid.types is None:
         return world
     if ground.grid.types is not None:
         if matrix or ground.grid.threat is None or not _same(world.threat, ground.grid.threat):
-            problem = "brings types of robots along, which nothing can be added to"
-            raise MapError(problem, source=ground.grid.source, fix="use the world file by itself, as it is")
+            problem = "has robot types: nothing can be added to them"
+            raise MapError(problem, source=ground.grid.source, fix="use the world file without a scenario")
+        # Keys of the scenario have priority over the assignment in the world file.
         given = ground.grid.types.team
         team = replace(world.team, settings={"types": given, **world.team.settings}) if given else world.team
         return replace(world, types=ground.grid.types, team=team)
@@ -403,14 +467,14 @@ def _same(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
 
 
 def _with_robots(world: World, key: Key, own: NDArray[np.int64] | None) -> World:
-    """The world with the robots that its file names; `own`: the starts in its map's world file.
+    """The world with the robots of its file; `own`: the starts in its map's world file.
 
-    A `start` rule, or starts, replace those of the world file; a `count` alone must agree with them.
+    A `start` rule, or starts, replace those of the world file; a `count` without them must agree with it.
     """
     keys = key.mapping(optional=("count", "start", "starts", "starts_xy", "matrix", "speed", *OF_ROBOTS))
     if "speed" in keys:
         if "steps_per_move" in keys:
-            raise keys["speed"].wrong("none beside steps_per_move", "leave one of the two out")
+            raise keys["speed"].wrong("none together with steps_per_move", "leave one of the two out")
         keys["steps_per_move"] = steps_per_move(keys["speed"])
     named = [name for name in ("start", "starts", "starts_xy") if name in keys]
     if len(named) > 1:
@@ -427,13 +491,13 @@ def _with_robots(world: World, key: Key, own: NDArray[np.int64] | None) -> World
     starts = _starts(keys[named[0]], world) if named else own
     assert starts is not None
     if count not in (None, len(starts)):
-        fix = "leave out one of them" if named else f"or give start: {RULES[0]} to place the robots anew"
+        fix = "leave out one of them" if named else f"or give start: {RULES[0]} to place the robots again"
         raise keys["count"].wrong(f"{len(starts)}, as there are {len(starts)} starts", fix)
     return world.with_starts(starts)
 
 
 def _settings(names: Iterable[str], keys: dict[str, Key]) -> dict[str, Any]:
-    """Those of these settings of the planner that the keys name."""
+    """The values of these planner settings that the keys name."""
     return {name: keys[name].setting(KNOWN[name]) for name in names if name in keys}
 
 
@@ -444,17 +508,24 @@ def _starts(key: Key, world: World) -> NDArray[np.int64]:
     of = ANY if metres else PLACE
     values = [item.numbers(of, expected, 2) for item in key.items(f"a list of {expected}")]
     with key.naming():
+        # Clipped, since the conversion of huge numbers to integers is undefined.
         return check_starts(world.to_cells(np.clip(values, -1e12, 1e12)) if metres else values, world.met, key.path)
 
 
-# What is written as a scenario file: one anew with other starts (`starts --scenario-out`), and a team's settings.
+# Writing scenario files: with other starts (`starts --scenario-out`), and a team's settings.
 
 PLACED = ("count", "start", "starts", "starts_xy")
-"""Keys of `robots` that say how many there are, and where."""
+"""Keys of `robots` for number and starts."""
 
 
 def said(team: dict[str, Any], settings: Settings, pace: Pace) -> dict[str, Any]:
-    """The keys of a scenario that name these settings and this pace, and a `team`, keys of `robots`."""
+    """Keys of a scenario for a team.
+
+    Args:
+        team: keys of `robots`.
+        settings: planner settings; defaults are left out.
+        pace: duration of a step.
+    """
     usual = Settings()
     given = {name: value for name, value in vars(settings).items() if value != getattr(usual, name)}
     keys = {name: given[name] for name in SETTINGS if name in given}
@@ -471,10 +542,18 @@ def write_scenario(
     pace: Pace,
     cell_size: float | None = None,
 ) -> None:
-    """Write the scenario `source`, or one of the bare map `source`, to `out` with `starts` `[K, 2]`, whole or not.
+    """Write a scenario with other starts, atomically; comments are lost.
 
-    Files that it names are named from where `out` lies; comments are lost. Of the `settings` those that a scenario can
-    name are in it, and the pace. cell_size: of a bare map. Raises InputError.
+    Args:
+        out: the file to write; paths in it are relative to its folder.
+        source: a scenario, or a map without scenario.
+        starts: int64 `[K, 2]`, (row, col).
+        settings: of the planner; those with a scenario key are written.
+        pace: duration of a step.
+        cell_size: metres, for a map without scenario.
+
+    Raises:
+        InputError: a file cannot be read or written.
     """
     top = read_yaml(source).value if source.suffix.lower() in YAML else None
     if isinstance(top, dict) and "map" in top:
@@ -491,7 +570,7 @@ def write_scenario(
 
 
 def _moved(value: Any, before: Path, after: Path) -> Any:
-    """A value with the names of files in it as they are seen from the folder `after` instead of `before`."""
+    """A value in which paths of files relative to `before` become relative to `after`."""
     if isinstance(value, dict):
         return {name: _moved(item, before, after) for name, item in value.items()}
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""A scenario's sources of threat, each made into a probability a cell, and combined."""
+"""A scenario's sources of threat: each gives a probability per cell, and they are combined."""
 
 from __future__ import annotations
 
@@ -32,14 +32,25 @@ from planner.world.raster_files import TALLEST, Raster, band_threat, read_raster
 from planner.world.robot_types import COMBINE, TYPE, Matrix, Sources, Thing, Things, check_types, combined
 from planner.world.vector_files import read_polygons, rings_of
 
-# From measured values to p: the `rule` of a threat's raster, and of its samples.
+# From measured values to p: the `rule` of a raster of threats, and of samples.
 
 RULES = ("linear", "exposure", "classes")
 """`scale * value`, `1 - exp(-rate * value)`, or p by class."""
 
 
 def check_p(p: NDArray[np.float64], values: NDArray[np.float64], key: Key, fix: str) -> None:
-    """An error that names `key`, the first p `[H, W]` that is no probability, and the value that it comes from."""
+    """Check that rule values are probabilities.
+
+    Args:
+        p: float64 `[H, W]`, results of the rule.
+        values: float64 `[H, W]`, its inputs.
+        key: named in the error.
+        fix: of the error.
+
+    Raises:
+        ScenarioError: names the first cell with an invalid p.
+    """
+    # As float32, which engines use: 0.99999999 is 1 there.
     with np.errstate(over="ignore", under="ignore"):
         wrong = ~((p >= 0) & (p.astype(np.float32) < 1))
     if wrong.any():
@@ -48,12 +59,23 @@ def check_p(p: NDArray[np.float64], values: NDArray[np.float64], key: Key, fix: 
 
 
 def has_classes(rule: Key | None) -> bool:
-    """Whether values are classes, which are never averaged."""
+    """Whether values are classes, which must not be averaged."""
     return rule is not None and isinstance(rule.value, dict) and rule.value.get("kind") == "classes"
 
 
 def by_rule(key: Key | None, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
-    """p of the values, and what to change where it is no probability."""
+    """Apply a rule to values.
+
+    Args:
+        key: the rule of a scenario; None: values are p.
+        values: float64.
+
+    Returns:
+        (p, fix for an invalid p).
+
+    Raises:
+        ScenarioError: the rule is invalid.
+    """
     if key is None:
         return values, "give a rule: {kind: linear, scale: ...}"
     kind = key.mapping(("kind",), optional=("scale", "rate", "edges", "p"))["kind"].choice(RULES)
@@ -66,14 +88,14 @@ def by_rule(key: Key | None, values: NDArray[np.float64]) -> tuple[NDArray[np.fl
     keys = key.mapping(("kind", "edges", "p"))
     edges = keys["edges"].numbers(ANY, "a list of numbers")
     if any(low >= high for low, high in itertools.pairwise(edges)):
-        raise keys["edges"].wrong("rising numbers")
+        raise keys["edges"].wrong("increasing numbers")
     expected = f"{len(edges) + 1} probabilities 0 <= p < 1 for {len(edges)} edges: below the first, ..., above the last"
     p = keys["p"].numbers(PROBABILITY, expected, len(edges) + 1)
     return np.array(p)[np.searchsorted(edges, values, side="right")], "change p"
 
 
 class Threat(NamedTuple):
-    """What a source gives: p float64 `[H, W]` on the cells (any value on obstacles), notes, and its things."""
+    """Threat of a source: p float64 `[H, W]` on the cells (any value on obstacles), notes, and its objects."""
 
     p: NDArray[np.float64]
     notes: tuple[str, ...] = ()
@@ -83,14 +105,27 @@ class Threat(NamedTuple):
 def all_threats(
     keys: list[Key], combine: str, ground: Ground, matrix: Matrix
 ) -> tuple[NDArray[np.float64], tuple[str, ...], Sources | None, NDArray[np.float64]]:
-    """Threat of every cell, float64 `[H, W]` (0 on obstacles), from the map's own and every source; notes; both apart;
-    and that of each type of robot in the matrix, float64 `[Y, H, W]`, for which each source's p has its factor.
+    """Combine the map's own threat with every source.
 
-    Every source is first brought to the cells (the largest of a cell's free pixels), then they combine. Points,
-    polygons and sites of one source combine in the same way. Raises ScenarioError or MapError.
+    Every source is first brought to the cells (the largest p of a cell's free pixels), then they are combined. Points,
+    polygons and sites of one source are combined in the same way.
+
+    Args:
+        keys: sources of the scenario.
+        combine: key of `COMBINE`.
+        ground: the cells.
+        matrix: factors by robot type.
+
+    Returns:
+        (threat float64 `[H, W]`, 0 on obstacles; notes; the sources, None if they have no objects; threat of each robot
+        type, float64 `[Y, H, W]`, with the factors of the matrix).
+
+    Raises:
+        ScenarioError, MapError: an invalid source or file.
     """
     shape, types = ground.frame.shape, check_types(keys, matrix)
     threat = np.zeros(shape) if ground.grid.threat is None else ground.largest(ground.grid.threat)
+    # The map's own threat has no type: its factor is 1 for all robots.
     by_type = np.repeat(np.where(ground.free, threat, 0.0)[None], len(matrix), axis=0)
     notes: list[str] = []
     layers: list[Things | NDArray[np.float64]] = [threat]
@@ -108,7 +143,7 @@ def all_threats(
 
 
 def _of_things(things: Sequence[Thing], combine: str, ground: Ground, notes: tuple[str, ...]) -> Threat:
-    """Of things at the map's pixels."""
+    """The threat of objects at the map's pixels."""
     frame, (height, width) = ground.grid.frame, ground.frame.shape
 
     def cell_of(pixels: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -128,7 +163,11 @@ def _source(key: Key, combine: str, ground: Ground) -> Threat:
 
 
 def one_source(key: Key, sources: Collection[str]) -> str:
-    """The one kind of these `sources` that a list item names. Raises ScenarioError for none or several."""
+    """The only kind in `sources` that a list item names.
+
+    Raises:
+        ScenarioError: it names none or several.
+    """
     given = [kind for kind in sources if isinstance(key.value, dict) and kind in key.value]
     if len(given) > 1:
         raise key.wrong(f"one of them: not both {given[0]} and {given[1]}")
@@ -139,8 +178,9 @@ def one_source(key: Key, sources: Collection[str]) -> str:
 
 
 def raster_threat(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
-    """A raster on the map's pixels, or on the cells, through a rule from values to p (none: they are p themselves)."""
+    """Threat of a raster on the map's pixels or on the cells, through a rule from values to p (none: values are p)."""
     rule = keys.get("rule")
+    # The mean of two classes is no class.
     how: How = "nearest" if has_classes(rule) else "average"
     raster, free, pixels = raster_on(keys["raster"], ground, how, PROBABILITIES if rule is None else AMOUNTS)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -150,14 +190,32 @@ def raster_threat(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
 
 
 def raster_values(key: Key, ground: Ground) -> Threat:
-    """A raster of chances on the cells, finite wherever they are free; that they lie in 0..1 is not checked."""
+    """A raster of probabilities on the cells, finite in free cells; not checked to be in 0..1.
+
+    Args:
+        key: names the raster file.
+        ground: the cells.
+    """
     raster, free, pixels = raster_on(key, ground, "average", PROBABILITIES)
     values = np.where(free, raster.values, 0.0)
     return Threat(ground.largest(values) if pixels else values, raster.notes)
 
 
 def raster_on(key: Key, ground: Ground, how: How, of: Meaning) -> tuple[Raster, NDArray[np.bool_], bool]:
-    """(raster, which of its places are free, whether they are the map's pixels)."""
+    """Read a raster for the map.
+
+    Args:
+        key: names the file.
+        ground: the cells.
+        how: resampling.
+        of: kind of values.
+
+    Returns:
+        (raster, bool mask of its free places, whether they are the map's pixels).
+
+    Raises:
+        ScenarioError: another shape or place than the map's, or missing values.
+    """
     raster = read_raster(key.file("a raster file"), ground.frame.size, how, ground, of)
     _check_ground(key, ground.grid, raster)
     pixels = raster.values.shape == ground.grid.frame.shape
@@ -172,7 +230,7 @@ def raster_on(key: Key, ground: Ground, how: How, of: Meaning) -> tuple[Raster, 
 
 
 def _check_ground(key: Key, grid: Grid, raster: Raster) -> None:
-    """An error for a raster that lies elsewhere than the map, where both say where."""
+    """Raise an error for a raster at another place than the map, if both have one."""
     if grid.georeference is not None and raster.georeference is not None:
         if np.isnan(raster.values).all():
             raise key.wrong("data on the ground of the map", "it has none there: does it lie elsewhere?")
@@ -197,7 +255,7 @@ def _check_values(raster: Raster, free: NDArray[np.bool_], key: Key) -> None:
 def _layer(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     """p = scale * value / 100 of a ROS map laid over this one (`values_over`).
 
-    Where the layer is unknown or does not reach: p = 0, counted in the notes.
+    p = 0 where the layer is unknown or has no pixel, counted in the notes.
     """
     path = keys["layer"].file("a map_server YAML file")
     scale = keys["scale"].number(SHARE) if "scale" in keys else 1.0
@@ -206,7 +264,7 @@ def _layer(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     missing = int((ground.free_pixels & (value < 0)).sum())
     p, said = scale * np.maximum(value, 0) / 100.0, keys.get("scale", keys["layer"])
     check_p(np.where(ground.free_pixels, p, 0.0), value.astype(np.float64), said, "give a lower scale")
-    notes = (f"{missing} free pixels lie where the layer is unknown or does not reach: no threat from it",)
+    notes = (f"the layer is unknown or missing at {missing} free pixels: no threat from it there",)
     return Threat(ground.largest(p), (*layer.notes, *(notes if missing else ())))
 
 
@@ -214,10 +272,10 @@ def _points(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     if "interpolate" in keys:
         return _samples(keys, ground)
     if "falloff" not in keys:
-        spread = "falloff: {kind: gaussian | disc, radius: metres} beside it"
+        spread = "falloff: {kind: gaussian | disc, radius: metres} with it"
         raise keys["points"].wrong(f"{spread} (or of samples interpolate: {{kind: {' | '.join(KINDS)}}})")
     if "rule" in keys:
-        raise keys["rule"].wrong("none beside falloff: there strength is p itself", "leave it out")
+        raise keys["rule"].wrong("none with falloff: strength is p", "leave it out")
     kind, radius = read_falloff(keys["falloff"])
     path = keys["points"].file("a CSV file with x, y, strength")
     frame, place = ground.grid.frame, ground.grid.georeference
@@ -229,21 +287,22 @@ def _points(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
     if points[:, 2].any() and not any(thing.p.any() for thing in things):
         check_place(keys["points"], points[:, :2], frame, place, "threatens nothing")
     notes += (f"{outside} of {len(points)} points lie off the map",) if outside else ()
+    # Degrees read as metres put all points into one pixel.
     if len(np.unique(points[:, :2], axis=0)) > 1 and len(np.unique(at, axis=0)) == 1:
         notes += (f"all {len(points)} points lie in one pixel: are x and y in metres?",)
     return _of_things(things, combine, ground, notes)
 
 
 def _samples(keys: dict[str, Key], ground: Ground) -> Threat:
-    """Measured values, interpolated at the cells' centres, through a rule from values to p (none: they are p)."""
+    """Samples, interpolated at the cells' centres, through a rule from values to p (none: values are p)."""
     key, free = keys["points"], ground.free
     if "falloff" in keys:
-        raise keys["falloff"].wrong("none beside interpolate: samples are of a field, not of points", "leave one out")
+        raise keys["falloff"].wrong("none with interpolate: samples describe a field, not points", "leave one out")
     path = key.file("a CSV file with x, y, strength")
     frame, place = ground.grid.frame, ground.grid.georeference
     samples, _, notes = read_points(path, frame, place, SAMPLE, columns_said(keys))
     if not frame.holds(frame.pixels(samples[:, :2])).any():
-        check_place(key, samples[:, :2], frame, place, "says nothing of the map")
+        check_place(key, samples[:, :2], frame, place, "has no sample on the map")
     values = np.zeros(free.shape)
     if free.any():
         centres = ground.frame.centres()[free]
@@ -257,18 +316,29 @@ def _samples(keys: dict[str, Key], ground: Ground) -> Threat:
 
 
 def columns_said(keys: dict[str, Key]) -> dict[str, str]:
-    """Which columns of a points file a scenario says are x, y and strength."""
+    """Names of the columns x, y and strength of a points file, where a scenario gives them."""
     return {what: keys[what].text("the name of a column") for what in COLUMNS if what in keys}
 
 
 def read_falloff(key: Key) -> tuple[str, float]:
-    """Kind and radius in metres of what points spread over."""
+    """Kind and radius in metres of the area that points affect."""
     falloff = key.mapping(("kind", "radius"))
     return falloff["kind"].choice(("gaussian", "disc")), falloff["radius"].number(DISTANCE)
 
 
 def check_place(key: Key, points: NDArray[np.float64], frame: Frame, place: Georeference | None, what: str) -> None:
-    """An error for shapes at `points` `[points, 2]` that touch no pixel and lie off the map, as degrees do."""
+    """Check that shapes at `points` touch the map; degrees instead of metres usually do not.
+
+    Args:
+        key: named in the error.
+        points: float64 `[points, 2]`, (x, y) in metres.
+        frame: of the map.
+        place: georeference of the map.
+        what: text of the error.
+
+    Raises:
+        ScenarioError: they lie off the map.
+    """
     wrong = misplaced(points, frame, place)
     if wrong is not None:
         raise key.fault(f"names {key.value}, which {what}: {wrong[0]}", "metres on the map", wrong[1])
@@ -292,7 +362,7 @@ def _polygon(keys: dict[str, Key], combine: str, ground: Ground) -> Threat:
 
 
 def _viewshed(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
-    """p (or p by bands of range) wherever one of the sites sees the ground; sites are cells of the final grid."""
+    """p (or p by bands of range) in cells that one of the sites sees; sites are cells of the final grid."""
     key = source["viewshed"]
     keys = key.mapping(("sites",), optional=("range", "p", "bands"), defaults={"height": 2.0})
     elevation = ground.elevation()
@@ -305,6 +375,7 @@ def _viewshed(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
         site = _site(key, ground)
         if np.isnan(elevation[site]):
             raise key.wrong("a cell whose elevation is known")
+        # One search with the longest range; bands are applied to its distances.
         seen = visible(elevation, site, height, bands[-1][0], ground.frame.size)
         p = band_threat(seen, bands).reshape(-1)
         at = np.flatnonzero(p)
@@ -326,7 +397,7 @@ def _bands(key: Key, keys: dict[str, Key]) -> list[tuple[float, float]]:
     for band in keys["bands"].items("a list of [range, p]"):
         reach, p = band.items("[range in metres, p]", exactly=2)
         if bands and reach.number(DISTANCE) <= bands[-1][0]:
-            raise band.wrong("[range in metres, p], ranges rising")
+            raise band.wrong("[range in metres, p], ranges increasing")
         bands.append((reach.number(DISTANCE), p.number(PROBABILITY)))
     return bands
 
@@ -340,7 +411,7 @@ def _site(key: Key, ground: Ground) -> tuple[int, int]:
 def _generate(source: dict[str, Key], combine: str, ground: Ground) -> Threat:
     """Random threats on `ratio` of the *free* cells (the paper's worlds count all cells).
 
-    Contiguous areas have a cell at least: where more are asked for than there are dangerous cells, a note says so.
+    Contiguous areas have at least one cell: if there are fewer dangerous cells than areas, a note says so.
     """
     key = source["generate"]
     defaults = {"areas": 10, "levels": list(PAPER_LEVELS), "seed": 0}
@@ -368,21 +439,21 @@ SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], str, Ground]
     "viewshed": ((), _viewshed),
     "generate": ((), _generate),
 }
-"""Every kind of source: the keys that may stand beside it, and what reads it."""
+"""Kinds of sources: further keys, and reader."""
 
 
 def _shape(shape: tuple[int, ...]) -> str:
     return " x ".join(str(n) for n in shape)
 
 
-# What cells are worth and how well a visit detects: the keys `value` and `detect` of a scenario (SPEC section 13).
+# Values and detection probabilities of cells: the keys `value` and `detect` of a scenario (SPEC section 13).
 
 Layer = NDArray[np.float64]
-NOWHERE = "is said of no cell"
+NOWHERE = "covers no cell"
 
 
 class Says(NamedTuple):
-    """What a source says, float64 `[H, W]`, and of which cells, bool `[H, W]`; notes."""
+    """Layer of a source: numbers float64 `[H, W]`, cells that it covers bool `[H, W]`, notes."""
 
     layer: Layer
     where: NDArray[np.bool_]
@@ -390,20 +461,31 @@ class Says(NamedTuple):
 
 
 def layers(keys: dict[str, Key], ground: Ground) -> tuple[dict[str, Layer | None], tuple[str, ...]]:
-    """The arguments `value` and `detect` of `World.create`, float64 `[H, W]`, None if nothing is said; notes."""
+    """Layers of a scenario.
+
+    Args:
+        keys: of the scenario.
+        ground: the cells.
+
+    Returns:
+        (arguments `value` and `detect` of `World.create`, float64 `[H, W]` or None; notes).
+
+    Raises:
+        ScenarioError, MapError: an invalid source or file.
+    """
     found = {of.name: _value_layer(keys.get(of.name), of, ground) for of in (VALUE, DETECT)}
     return {name: layer for name, (layer, _) in found.items()}, sum((notes for _, notes in found.values()), ())
 
 
 def _value_layer(key: Key | None, of: Quantity, ground: Ground) -> tuple[Layer | None, tuple[str, ...]]:
-    """The map's own layer, else 1 everywhere; then source by source, of which the last one counts in a cell; notes."""
+    """The map's own layer, else 1 everywhere, overwritten by one source after the other; notes."""
     own = getattr(ground.grid, of.name)
     own = None if own is None else _over_pixels(of, ground)(own)
     notes: tuple[str, ...] = ()
     if key is None:
         return own, notes
     if of is VALUE and ground.grid.swath is not None:
-        raise key.wrong("none of a map with a swath, where it counts the field's cells", "leave one of the two out")
+        raise key.wrong("none for a map with a swath, where it counts the field's cells", "leave one of the two out")
     if not isinstance(key.value, list):
         return np.full(
             ground.frame.shape, key.number(of.numbers, f"{of.numbers.expected}, or a list of sources")
@@ -411,13 +493,14 @@ def _value_layer(key: Key | None, of: Quantity, ground: Ground) -> tuple[Layer |
     layer = np.ones(ground.frame.shape) if own is None else own
     for source in key.items("a list of sources"):
         says = _value_source(source, of, ground)
+        # Later sources overwrite earlier ones where they cover a cell.
         layer = np.where(says.where, says.layer, layer)
         notes += tuple(f"{source.path}: {note}" for note in says.notes)
     return layer, notes
 
 
 def _over_pixels(of: Quantity, ground: Ground) -> Callable[[Layer], Layer]:
-    """What a cell has of its pixels: the sum of their values, the mean of their chances."""
+    """Number of a cell from its pixels: the sum of values, the mean of probabilities."""
     return ground.total if of is VALUE else ground.mean
 
 
@@ -433,7 +516,7 @@ def _everywhere(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
 
 
 def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
-    """A raster on the map's pixels, or on the cells, of the numbers themselves: values are amounts, and add up."""
+    """A raster of the numbers themselves, on the map's pixels or on the cells: values are amounts and add up."""
     key = keys["raster"]
     how: How = "sum" if of is VALUE else "average"
     raster, free, pixels = raster_on(key, ground, how, AMOUNTS if of is VALUE else PROBABILITIES)
@@ -441,8 +524,8 @@ def _raster(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     wrong = ~((values >= 0) & (values <= of.numbers.most))
     if wrong.any():
         at, where = first_of(wrong)
-        problem = f"names {key.value}, which says {of.name} = {values[at]:g} {where}"
-        raise key.fault(problem, of.numbers.expected, "mend the raster")
+        problem = f"names {key.value}, with {of.name} = {values[at]:g} {where}"
+        raise key.fault(problem, of.numbers.expected, "fix the raster")
     return Says(_over_pixels(of, ground)(values) if pixels else values, ground.free, raster.notes)
 
 
@@ -461,9 +544,9 @@ def _polygons(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
 
 
 def _value_points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
-    """Points with a strength each, over what `falloff` says, else in the cell that holds them.
+    """Points with a strength each, over the area of `falloff`, else in the cell that holds them.
 
-    Where several reach a cell their values add up, and of the chances to detect the best one counts.
+    If several affect a cell, values add up, and the largest detection probability counts.
     """
     key, frame, place = keys["points"], ground.frame, ground.grid.georeference
     path = key.file("a CSV file with x, y, strength")
@@ -472,6 +555,7 @@ def _value_points(keys: dict[str, Key], of: Quantity, ground: Ground) -> Says:
     if "falloff" in keys:
         kind, radius = read_falloff(keys["falloff"])
         says = point_threat(points, kind, radius, frame, merge)
+        # With strength 1, so that points of strength 0 count as covering their cells too.
         touched = np.column_stack([points[:, :2], np.ones(len(points))])
         where = point_threat(touched, "disc", radius if kind == "disc" else CUT_OFF * radius, frame, np.maximum) > 0
     else:
@@ -491,4 +575,4 @@ VALUE_SOURCES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, Key], Quanti
     "polygons": (("",), _polygons),
     "points": (("falloff", *COLUMNS), _value_points),
 }
-"""Every kind of source: the keys that may stand beside it ("": the quantity's own name), and what reads it."""
+"""Kinds of sources: further keys ("": the name of the layer), and reader."""

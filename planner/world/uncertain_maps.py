@@ -1,7 +1,7 @@
-"""Maps that may be wrong: hazards that are there or not, and several maps one of which is true (SPEC section 13).
+"""Uncertain maps: latent hazards, and several candidate maps of which one is true (SPEC section 13).
 
-Robots plan on one map, the world's `threat`; what a rollout meets is drawn once, by numbers of its own, and then visit
-by visit. Axis letters: `M` maps, `C` columns of their chances, `N` = H * W cells.
+Robots plan on one map, the world's `threat`. The true map of a rollout is drawn once, with separate random numbers, and
+then each visit. Axis letters: `M` maps, `C` columns of their probabilities, `N` = H * W cells.
 """
 
 from __future__ import annotations
@@ -29,31 +29,31 @@ HAZARDS: tuple[HazardKind, ...] = get_args(HazardKind)
 SPREADS: tuple[SpreadKind, ...] = get_args(SpreadKind)
 SHARED: tuple[Shared, ...] = get_args(Shared)
 HAZARD_DRAW, MAP_DRAW = 0, 1
-"""Second words of the counters under which the two kinds of numbers have their keys."""
+"""Second counter words from which the two kinds of draws get their keys."""
 UNIT = 2**24
-"""A random number is a whole number of 1 / UNIT."""
+"""Random numbers are whole numbers of 1 / UNIT."""
 QUANTILES = 256
-"""Equally likely values that a spread is drawn from, each the mean of its part: so the mean over them is p itself."""
+"""Equally likely values of a spread, each the mean over its part, so that the mean over all is p."""
 MOST_CHANCES = 2**27
-"""Most chances that all maps together may hold."""
+"""Most probabilities of all maps together."""
 AMOUNTS = Numbers(0, 1e6, "a standard deviation, or effective sample size,", above=True, below=True)
 MOST_LEVELS = 16
-"""Levels of a spread `by: level`: as many as the planner sees unless it is told otherwise, p = 0 counted."""
+"""Levels of a spread `by: level`: the planner's default, p = 0 counted."""
 LARGEST = float(np.nextafter(np.float32(1), np.float32(0)))
 
 
 class Draws(NamedTuple):
-    """What the engines need to draw a rollout's truth, in integers of 1 / UNIT. Axis `N`.
+    """Draws of a rollout's true map, in integers of 1 / UNIT. Axis `N`.
 
-    A visit's number u1 stops the robot iff it is below the bound that the rollout's number u2 of the cell allows:
-    with a `table` `table[u2 * M >> 24, column]`, else `bound` if u2 is below `there` and 0 if not.
+    A visit's number u1 destroys the robot iff it is below a bound given by the rollout's number u2 of the cell: with a
+    `table`, `table[u2 * M >> 24, column]`; else `bound` if u2 is below `there`, and 0 if not.
 
     Attributes:
-        purpose: of the key that u2 is drawn under (`planner.failure_model.own_key`).
+        purpose: of the key of u2 (`planner.failure_model.own_key`).
         counter: uint32 `[N]`, second counter word of u2; the first is the rollout's id.
-        there: uint32 `[N]`. bound: uint32 `[N]`, the largest that there may be.
+        there: uint32 `[N]`. bound: uint32 `[N]`, the largest possible bound.
         table: uint32 `[M, C]`, no rows for hazards. column: int32 `[N]`.
-        spends: the first hit in a cell makes it harmless for the rest of the rollout.
+        spends: whether the first loss in a cell makes it harmless for the rest of the rollout.
     """
 
     purpose: int
@@ -66,7 +66,7 @@ class Draws(NamedTuple):
 
     @property
     def sha256(self) -> str:
-        """Hash of all of it."""
+        """Hash of all data."""
         digest = hashlib.sha256(bytes((self.purpose, self.spends)))
         for array in (self.counter, self.there, self.bound, self.table, self.column):
             digest.update(np.ascontiguousarray(array, dtype="<u4").tobytes())
@@ -75,12 +75,12 @@ class Draws(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Hazard:
-    """Whether a hazard is there is drawn once a rollout and cell; every visit to one that is stops the robot with h.
+    """Latent hazards: each exists or not for a whole rollout; a visit to one destroys the robot with probability h.
 
     Attributes:
-        kind: "persistent", or "consumed": the first hit removes it.
-        q: float32 `[H, W]`, chance that it is there. h: float32 `[H, W]`, chance that a visit to it stops the robot.
-        learn: robots learn from what happens to them. detector: what else they learn from, or None.
+        kind: "persistent", or "consumed": the first loss removes it.
+        q: float32 `[H, W]`, probability that it exists. h: float32 `[H, W]`, that a visit to it destroys the robot.
+        learn: whether robots estimate hazards from losses and survived visits. detector: also from readings, or None.
     """
 
     kind: HazardKind
@@ -91,30 +91,30 @@ class Hazard:
 
     @property
     def said(self) -> str:
-        """It in words."""
-        removed = ", removed by the first hit" if self.kind == "consumed" else ""
-        return f"{self.kind} hazards: there or not for a whole run{removed}{self.learning}"
+        """Description for messages."""
+        removed = ", removed by the first loss" if self.kind == "consumed" else ""
+        return f"{self.kind} hazards: each exists or not for a whole run{removed}{self.learning}"
 
     @property
     def learning(self) -> str:
-        """What robots learn from, in words; "" where they learn nothing."""
+        """Description of the estimates; "" without."""
         has = "" if self.detector is None else f", and have {self.detector.said}"
-        return f"; robots learn from what happens to them{has}" if self.learn else ""
+        return f"; robots estimate them{has}" if self.learn else ""
 
     @property
     def taught(self) -> str:
-        """What of it robots' decisions depend on besides `threat`: "" where they learn nothing."""
+        """Identity of the data, besides `threat`, that decisions depend on: "" without estimates."""
         detector = [] if self.detector is None else self.detector.array().tolist()
         return f"~{self.draws().sha256}{detector}" if self.learn else ""
 
     @cached_property
     def evidence(self) -> Evidence:
-        """What each happening says of a cell."""
+        """Evidence of losses, survived visits and readings in each cell."""
         return evidence_of(self.q, self.h, self.threat, self.kind == "consumed", self.detector)
 
     @property
     def threat(self) -> NDArray[np.float32]:
-        """float32 `[H, W]`, p = q * h, what the robots plan on."""
+        """float32 `[H, W]`, p = q * h, the robots' prior map."""
         return (self.q.astype(np.float64) * self.h).astype(np.float32)
 
     def draws(self) -> Draws:
@@ -132,11 +132,11 @@ class Hazard:
         )
 
     def exposures(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """What a visit of each cell `[N]` adds if the hazard is there, and no table (`planner.failure_model`)."""
+        """(hazard of a visit to each cell, int64 `[N]`, if the latent hazard exists; empty table)."""
         return exposure_of(np.where(self.q > 0, self.h, 0)).ravel(), np.zeros((0, 0), dtype=np.int64)
 
     def arrays(self) -> dict[str, NDArray]:
-        """What the world file holds of it."""
+        """Arrays of the world file, by name."""
         found: dict[str, NDArray] = {"hazard_kind": np.array(self.kind), "hazard_q": self.q, "hazard_h": self.h}
         found |= {"hazard_learn": np.array(True)} if self.learn else {}
         return found | ({} if self.detector is None else {"hazard_detector": self.detector.array()})
@@ -144,12 +144,12 @@ class Hazard:
 
 @dataclass(frozen=True, eq=False)
 class Uncertain:
-    """Equally likely maps of one ground. A rollout's number picks the row; `by: level`, a number for each level.
+    """Equally likely candidates of the true map. A rollout's number selects the row; with `by: level` one per level.
 
     Attributes:
-        chances: float32 `[M, C]`, p. column: int32 `[H, W]`, each cell's; NO_COLUMN on obstacles.
-        number: int32 `[H, W]`, which of the rollout's numbers picks the row for the cell: 0, or its level + 1.
-        said: where the maps are from, in words.
+        chances: float32 `[M, C]`, p. column: int32 `[H, W]`, of each cell; NO_COLUMN on obstacles.
+        number: int32 `[H, W]`, which of the rollout's numbers selects the row for the cell: 0, or its level + 1.
+        said: description for messages.
     """
 
     chances: NDArray[np.float32]
@@ -164,37 +164,39 @@ class Uncertain:
 
     @property
     def whole(self) -> bool:
-        """True if one number picks the whole map: then there are M maps and no more."""
+        """True if one number selects the whole map: then there are exactly M maps."""
         return not self.number.any()
 
     def threat_at(self, rows: ArrayLike) -> NDArray[np.float32]:
-        """float32 `[H, W]`: the map of these rows `[numbers]`, one for each of a rollout's numbers; NaN: obstacle."""
+        """float32 `[H, W]`: the map of these rows `[numbers]`, one for each number of a rollout; NaN: obstacle."""
         row = np.atleast_1d(np.asarray(rows, dtype=np.int64))[self.number]
         return np.where(self.column == NO_COLUMN, np.float32(np.nan), self.chances[row, self.column])
 
     def plan_on(self, how: float | None) -> NDArray[np.float32]:
-        """float32 `[H, W]`: the mean of the maps, cell by cell; `how`: the value that this share of them stay below."""
+        """float32 `[H, W]`: cell-wise mean of the maps, or (`how`) their quantile at this share."""
         if how is None:
             each = self.chances.astype(np.float64).mean(axis=0).astype(np.float32)
         else:
+            # A value that occurs: an interpolated quantile would be a level of no map.
             each = np.quantile(self.chances, how, axis=0, method="inverted_cdf")
         return np.where(self.column == NO_COLUMN, np.float32(np.nan), each[self.column])
 
     def draws(self) -> Draws:
         """The draws of every cell."""
         table, column = bounds_of(self.chances), np.maximum(self.column, 0).ravel()
+        # The largest bound of any map: 0 tells kernels that no visit can destroy a robot.
         bound = np.where(self.column.ravel() == NO_COLUMN, np.uint32(0), table.max(axis=0)[column])
         nothing = np.zeros(column.size, dtype=np.uint32)
         number = self.number.ravel().astype(np.uint32)
         return Draws(MAP_DRAW, number, nothing, bound, table, column.astype(np.int32), spends=False)
 
     def exposures(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """The most that a visit of each cell `[N]` may add, and what each of the chances `[M, C]` does."""
+        """(largest hazard of a visit to each cell, int64 `[N]`; hazard of each probability, int64 `[M, C]`)."""
         doses = exposure_of(self.chances)
         return np.where(self.column == NO_COLUMN, 0, doses.max(axis=0)[self.column]).ravel(), doses
 
     def arrays(self) -> dict[str, NDArray]:
-        """What the world file holds of it."""
+        """Arrays of the world file, by name."""
         names = ("chances", "column", "number")
         return {f"uncertain_{name}": getattr(self, name) for name in names} | {"uncertain_said": np.array(self.said)}
 
@@ -203,16 +205,28 @@ NO_COLUMN = -1
 
 
 def bounds_of(chance: NDArray[np.float32]) -> NDArray[np.uint32]:
-    """uint32: a number of 24 bits is below it iff that many 1 / UNIT are below the chance; 0 for NaN."""
+    """Bounds uint32: a 24-bit number n is below the bound iff n / UNIT is below the probability; 0 for NaN."""
     return np.ceil(np.nan_to_num(chance.astype(np.float64)) * UNIT).astype(np.uint32)
 
 
 def make_hazard(kind: str, q: ArrayLike, h: ArrayLike, free: NDArray[np.bool_], source: str) -> Hazard:
-    """A checked hazard on the free cells `[H, W]`; q and h are numbers or arrays like it. Raises WorldError."""
+    """Checked latent hazards.
+
+    Args:
+        kind: "persistent" or "consumed".
+        q: probability of existence, a number or `[H, W]`.
+        h: probability that a visit destroys the robot, a number or `[H, W]`.
+        free: bool `[H, W]`.
+        source: for messages.
+
+    Raises:
+        WorldError: names the first invalid cell.
+    """
     if kind not in HAZARDS:
         raise WorldError(f"hazard kind is {kind!r}", source=source, expected=" or ".join(("independent", *HAZARDS)))
     there, hit = (_chances(name, value, free, source) for name, value in (("q", q), ("h", h)))
     with np.errstate(invalid="ignore"):
+        # A product of 1 would destroy every robot at every visit.
         certain = (there * hit.astype(np.float64)).astype(np.float32) >= 1
     if certain.any():
         problem = f"hazard q * h is 1 {first_of(certain)[1]}"
@@ -221,7 +235,7 @@ def make_hazard(kind: str, q: ArrayLike, h: ArrayLike, free: NDArray[np.bool_], 
 
 
 def _chances(name: str, value: ArrayLike, free: NDArray[np.bool_], source: str) -> NDArray[np.float32]:
-    """float32 `[H, W]`, NaN on obstacles: a chance 0 <= value <= 1 on every free cell, else a WorldError."""
+    """float32 `[H, W]`, NaN on obstacles: probabilities in 0..1 on every free cell, else a WorldError."""
     layer = checked_layer(value, Quantity(f"hazard {name}", CHANCE), free, source)
     chances = np.where(free, layer, np.nan).astype(np.float32)  # type: ignore[arg-type]
     chances.setflags(write=False)
@@ -229,7 +243,16 @@ def _chances(name: str, value: ArrayLike, free: NDArray[np.bool_], source: str) 
 
 
 def doubt_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source: str) -> Hazard | Uncertain | None:
-    """What the arrays of a world file say is in doubt about its map. Raises WorldError."""
+    """The uncertainty in the arrays of a world file, or None.
+
+    Args:
+        arrays: of the file.
+        threat: float32 `[H, W]`, NaN = obstacle.
+        source: for messages.
+
+    Raises:
+        WorldError: it is invalid.
+    """
     free = ~np.isnan(threat)
     if "hazard_kind" in arrays:
         q, h = (arrays.get(f"hazard_{name}", np.array("missing")) for name in ("q", "h"))
@@ -256,7 +279,12 @@ def doubt_in(arrays: Mapping[str, NDArray], threat: NDArray[np.float32], source:
 
 
 def maps_of(maps: NDArray[np.float32], said: str) -> Uncertain:
-    """Equally likely maps float32 `[M, H, W]` of one ground, each with the obstacles of the first."""
+    """Equally likely maps of the same cells.
+
+    Args:
+        maps: float32 `[M, H, W]`, all with the obstacles of the first.
+        said: description for messages.
+    """
     free = ~np.isnan(maps[0])
     column = np.full(free.shape, NO_COLUMN, dtype=np.int32)
     column[free] = np.arange(int(free.sum()))
@@ -266,19 +294,28 @@ def maps_of(maps: NDArray[np.float32], said: str) -> Uncertain:
 def spread_of(
     threat: NDArray[np.float32], levels: NDArray[np.integer], kind: str, amount: float, by: str, source: str
 ) -> tuple[Uncertain, int]:
-    """The maps of a spread on p, float32 `[H, W]`, and how many cells have values cut off below 1.
+    """A spread of p as equally likely maps.
 
     Args:
-        levels: int `[H, W]`, level of each free cell. by: "common", one number for the whole map, or "level".
+        threat: float32 `[H, W]`, means; NaN = obstacle.
+        levels: int `[H, W]`, level of each free cell.
         kind: "lognormal", p times a factor of mean 1 whose logarithm has the standard deviation `amount`; or "beta",
             of mean p and with an effective sample size of `amount`.
+        amount: see `kind`.
+        by: "common", one number for the whole map, or "level".
+        source: for messages.
 
-    Raises WorldError for words and numbers that are none, or too many distinct chances.
+    Returns:
+        (maps, number of cells with values cut off below 1).
+
+    Raises:
+        WorldError: an invalid argument, or too many distinct threats.
     """
     check_word("kind", kind, SPREADS, WorldError, source)
     check_word("by", by, SHARED, WorldError, source)
     AMOUNTS.check("amount", amount, WorldError, source)
     free = ~np.isnan(threat)
+    # One column for each distinct p instead of one for each cell.
     values, places = np.unique(threat[free], return_inverse=True)
     if len(values) * QUANTILES > MOST_CHANCES:
         most = MOST_CHANCES // QUANTILES
@@ -289,19 +326,21 @@ def spread_of(
     number = np.where(free, levels + 1, 0) if by == "level" else np.zeros(free.shape)
     cut = int(np.isin(column, np.flatnonzero((chances > LARGEST).any(axis=0))).sum())
     said = f"{QUANTILES} equally likely values of a {kind} spread of {amount:g}, {by}"
+    # p = 1 is not representable: the largest float32 below it takes its place.
     table = np.minimum(chances, LARGEST).astype(np.float32)
     return Uncertain(table, column, number.astype(np.int32), said), cut
 
 
 def _lognormal(p: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
     """float64 `[QUANTILES, C]`: means of p * exp(sigma * z - sigma**2 / 2) over equally likely parts of z."""
+    # Means over parts of equal probability, in closed form: their mean is exactly p.
     edges = ndtri(np.arange(QUANTILES + 1) / QUANTILES)
     factor = QUANTILES * np.diff(ndtr(edges - sigma))
     return factor[:, None] * p[None, :]
 
 
 def _beta(p: NDArray[np.float64], size: float) -> NDArray[np.float64]:
-    """float64 `[QUANTILES, C]`: means of Beta(p * size, (1 - p) * size) over equally likely parts; 0 where p is 0."""
+    """float64 `[QUANTILES, C]`: means of Beta(p * size, (1 - p) * size) over equally likely parts; 0 for p = 0."""
     safe, edges = p == 0, np.arange(QUANTILES + 1)[:, None] / QUANTILES
     a = np.where(safe, 0.5, p) * size
     b = size - a

@@ -1,4 +1,4 @@
-"""Shapefiles and GeoPackages as GeoJSON's objects, through pyogrio (GDAL); and polygons cut into cells, as a map."""
+"""Polygons in GeoJSON, KML, GPX, shapefiles and GeoPackages, and fields of polygons as maps."""
 
 from __future__ import annotations
 
@@ -62,32 +62,44 @@ from planner.world.raster_files import describe, true_metres
 from planner.world.robot_types import short_name
 from planner.world.world import MAX_CELLS
 
-# Shapefiles and GeoPackages as GeoJSON's objects, through pyogrio (GDAL): whole ones only, and none that computes.
+# Shapefiles and GeoPackages as GeoJSON objects, by pyogrio (GDAL): only complete files without computed content.
 
 MOST_BYTES = 2**26
-"""Largest file of the two kinds, and of those beside a shapefile (64 MiB)."""
+"""Largest file of the two kinds, and of the parts of a shapefile (64 MiB)."""
 KINDS = {".shp": "a shapefile", ".gpkg": "a GeoPackage"}
-"""Files that are read here, by the end of their names."""
+"""Suffixes of these files."""
 POLYGON, MULTIPOLYGON, POINT_BYTES = 3, 6, 16
-"""Of WKB: types of geometries, and what two float64 take."""
+"""WKB: types of geometries, and the bytes of two float64."""
 OTHERS = {1: "Point", 2: "LineString", 4: "MultiPoint", 5: "MultiLineString", 7: "GeometryCollection", 16: "TIN"}
 WHOLE_FILE = "a file that was copied as a whole"
 
 
 def read_vectors(path: Path, number: str) -> tuple[list[Json], str | None]:
-    """(features as GeoJSON has them, with the field of that name and "name"; the CRS, None where the file names none).
+    """Read the features of a shapefile or GeoPackage.
 
-    Of a GeoPackage its one layer that may hold polygons; curves come as short straight lines. Raises MapError for
-    what is not whole, not of its kind, or too large, and without pyogrio.
+    From a GeoPackage the only layer that may hold polygons; curves become short straight lines.
+
+    Args:
+        path: the file.
+        number: name of the field with numbers.
+
+    Returns:
+        (features as in GeoJSON, with that field and "name"; the CRS, None if the file names none).
+
+    Raises:
+        MapError: the file is incomplete, of another kind or too large, or pyogrio is missing.
     """
     pyogrio = _pyogrio(path)
     check_size(path, MOST_BYTES, MapError, KINDS[path.suffix.lower()])
+    # GDAL would read an incomplete file as far as it goes, and polygons would be missing without an error.
     (_check_shapefile if path.suffix.lower() == ".shp" else _check_geopackage)(path)
     with foreign_errors("cannot be read", path, KINDS[path.suffix.lower()]):
         layer = _layer(pyogrio.list_layers(path), path)
+        # Before GDAL reads the numbers, since it turns text into 0.
         _check_numbers(_stored(path, layer, number), number, path)
         fields = pyogrio.read_info(path, layer=layer)["fields"].tolist()
         named = [field for field in fields if field.lower() in (number, "name")]
+        # Heights of the corners are not used, and a limit of features bounds the memory.
         meta, _, shapes, columns = pyogrio.raw.read(
             path, layer=layer, columns=named, force_2d=True, max_features=MAX_CORNERS
         )
@@ -97,6 +109,7 @@ def read_vectors(path: Path, number: str) -> tuple[list[Json], str | None]:
     said = {str(field).lower(): column.tolist() for field, column in zip(meta["fields"], columns, strict=True)}
     features = [
         {
+            # Only NaN differs from itself: that is how pyogrio returns an empty field.
             "properties": {key: None if values[n] != values[n] else values[n] for key, values in said.items()},
             "geometry": _geometry(shape),
         }
@@ -115,7 +128,7 @@ def _pyogrio(path: Path) -> Any:
 
 
 def _layer(layers: Any, path: Path) -> str:
-    """The one layer of polygons; layers of points and lines are passed over where there is one."""
+    """The only layer of polygons; layers of points and lines are ignored if there is one."""
     names = [(str(name), str(kind)) for name, kind in layers if kind is not None and kind != "None"]
     held = [name for name, kind in names if "Polygon" in kind or kind in ("Unknown", "GeometryCollection")]
     if len(held) == 1 or (not held and len(names) == 1):
@@ -123,26 +136,28 @@ def _layer(layers: Any, path: Path) -> str:
     if not names:
         raise MapError("has no layer with places", source=path, expected="one layer of polygons")
     said = ", ".join(printable(f"{name} ({kind})")[:40] for name, kind in names[:5])
-    fix = "copy the one that is meant into a file of its own (ogr2ogr one.gpkg all.gpkg LAYER)"
+    fix = "copy the intended one into a separate file (ogr2ogr one.gpkg all.gpkg LAYER)"
     raise MapError(f"its layers are {said}", source=path, expected="one layer of polygons", fix=fix)
 
 
 def _check_shapefile(path: Path) -> None:
-    """An error unless the file, its index and its table are there and as long as their heads say."""
+    """Raise an error unless the file, its index and its table exist and are as long as their headers say."""
     for suffix in (".shp", ".shx", ".dbf"):
         part = path if suffix == ".shp" else _beside(path, suffix)
         if part is None:
             if suffix == ".dbf":
-                continue  # only its numbers are missing
-            raise MapError(f"there is no {path.stem}{suffix} beside it", source=path, expected="all of a shapefile")
+                continue  # without it only the numbers are missing
+            raise MapError(f"there is no {path.stem}{suffix} in its folder", source=path, expected="all of a shapefile")
         check_size(part, MOST_BYTES, MapError, "a part of a shapefile")
         with part.open("rb") as file:
             head = file.read(100)
+        # 9994, big-endian, begins both the file and its index.
         if suffix != ".dbf" and (len(head) < 100 or head[:4] != b"\x00\x00\x27\x0a"):
             raise MapError(f"{part.name} is no part of a shapefile", source=path, expected=KINDS[".shp"])
         if len(head) < 32:
             raise MapError(f"{part.name} is cut off", source=path, expected=WHOLE_FILE)
         records, skip, each = struct.unpack_from("<IHH", head, 4)
+        # A table counts bytes, the other two 16-bit words.
         claimed = records * each + skip if suffix == ".dbf" else 2 * struct.unpack_from(">i", head, 24)[0]
         if claimed > part.stat().st_size:
             problem = f"{part.name} claims {claimed} bytes and has {part.stat().st_size}"
@@ -150,18 +165,20 @@ def _check_shapefile(path: Path) -> None:
 
 
 def _beside(path: Path, suffix: str) -> Path | None:
-    """The part of a shapefile that ends so, in small letters or capitals."""
+    """The part of a shapefile with this suffix, in lower or upper case."""
     return next((part for end in (suffix, suffix.upper()) if (part := path.with_suffix(end)).exists()), None)
 
 
 def _check_geopackage(path: Path) -> None:
-    """An error unless it is a whole database whose tables hold what they show: a view may never end."""
+    """Raise an error unless it is a complete database with stored tables: a view may run forever."""
     try:
         with path.open("rb") as file:
             if file.read(16) != b"SQLite format 3\0":
                 raise MapError("is no database of SQLite", source=path, expected=KINDS[".gpkg"])
+        # Read-only and immutable: SQLite then creates no journal in the user's folder.
         uri = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
         with contextlib.closing(sqlite3.connect(uri, uri=True)) as database:
+            # Opening a database does not check its pages.
             (state,) = database.execute("PRAGMA quick_check(1)").fetchone()
             if state != "ok":
                 raise MapError(f"is damaged ({printable(state)[:80]})", source=path, expected=WHOLE_FILE)
@@ -174,17 +191,18 @@ def _check_tables(database: sqlite3.Connection, path: Path) -> None:
     kinds = dict(database.execute("SELECT name, type FROM sqlite_master"))
     if kinds.get("gpkg_contents") != "table":
         raise MapError("has no table gpkg_contents", source=path, expected=KINDS[".gpkg"])
+    # The limit bounds the work on a hostile file.
     shown = {str(name) for (name,) in database.execute("SELECT table_name FROM gpkg_contents LIMIT 1000")}
     for name in sorted((shown | {name for name in kinds if name.startswith("gpkg_")}) & kinds.keys()):
         computed = database.execute("SELECT count(*) FROM pragma_table_xinfo(?) WHERE hidden > 1", (name,))
         if kinds[name] == "view" or computed.fetchone()[0]:
             problem = f"{printable(name)[:60]!r} is a view, or has computed columns"
-            fix = "copy it into a file of its own (ogr2ogr)"
+            fix = "copy it into a separate file (ogr2ogr)"
             raise MapError(problem, source=path, expected="plain tables", fix=fix)
 
 
 def _check_numbers(stored: Iterable[object], number: str, path: Path) -> None:
-    """An error for text where a number should be: GDAL reads it as 0, and a threat would be none."""
+    """Raise an error for text instead of a number: GDAL reads it as 0, so that a threat would be lost."""
     for index, value in enumerate(stored):
         if isinstance(value, str | bytes):
             text = value.decode("latin-1") if isinstance(value, bytes) else value
@@ -194,10 +212,12 @@ def _check_numbers(stored: Iterable[object], number: str, path: Path) -> None:
 
 
 def _stored(path: Path, layer: str, number: str) -> Iterable[object]:
-    """What a file holds in the field of that name, feature by feature, before GDAL makes numbers of it."""
+    """Content of a field, feature by feature, before GDAL converts it to numbers."""
     if path.suffix.lower() == ".shp":
         table = _beside(path, ".dbf")
+        # Shapefiles keep their numbers in the table, as text of fixed width.
         return () if table is None else _dbf_numbers(table.read_bytes(), number)
+    # The layer's name comes from the file: quotes in it are doubled.
     uri, quoted = f"{path.resolve().as_uri()}?mode=ro&immutable=1", layer.replace('"', '""')
     with contextlib.closing(sqlite3.connect(uri, uri=True)) as database:
         names = [str(name) for (name,) in database.execute("SELECT name FROM pragma_table_info(?)", (layer,))]
@@ -208,13 +228,15 @@ def _stored(path: Path, layer: str, number: str) -> Iterable[object]:
 
 
 def _dbf_numbers(table: bytes, number: str) -> Iterator[object]:
-    """The numeric field of that name in every record that is not deleted: None, a float, or bytes that are none."""
+    """A numeric field in every record that is not deleted: None, a float, or bytes that are no number."""
     records, skip, each = struct.unpack_from("<IHH", table, 4)
     start = 1
+    # Descriptions of fields: 32 bytes each, after a header of 32 bytes.
     for at in range(32, skip - 31, 32):
         name, kind, width = table[at : at + 11].split(b"\0")[0], table[at + 11 : at + 12], table[at + 16]
         if name.decode("latin-1").lower() == number and kind in (b"N", b"F"):
             for record in range(skip, skip + records * each, each):
+                # An asterisk marks a deleted record; GDAL skips it too, so features and numbers stay aligned.
                 if table[record : record + 1] != b"*":
                     yield _dbf_number(table[record + start : record + start + width].strip(b" \0"))
             return
@@ -223,14 +245,15 @@ def _dbf_numbers(table: bytes, number: str) -> Iterator[object]:
 
 def _dbf_number(text: bytes) -> float | bytes | None:
     if not text or text.startswith(b"*"):
-        return None  # what could not be written within the field's width
+        return None  # a number that did not fit into the field's width
     return float(text) if re.fullmatch(rb"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text) else text
 
 
 def _geometry(shape: bytes | None) -> Json:
-    """A geometry in WKB (GDAL's: little-endian) as GeoJSON has it; of others than polygons the type alone."""
+    """A WKB geometry (little-endian, as GDAL's) as in GeoJSON; of other kinds than polygons the type only."""
     if not shape:
         return {"type": "none"}
+    # The first byte is the byte order, and then comes the type.
     (kind,) = struct.unpack_from("<I", shape, 1)
     if kind not in (POLYGON, MULTIPOLYGON):
         return {"type": OTHERS.get(kind, f"number {kind} of WKB")}
@@ -244,7 +267,7 @@ def _geometry(shape: bytes | None) -> Json:
 
 
 def _rings(shape: bytes, at: int) -> tuple[list[list[list[float]]], int]:
-    """Rings of the polygon at that place, and where it ends."""
+    """Rings of the polygon at that position, and its end."""
     (count,), at, rings = struct.unpack_from("<I", shape, at + 5), at + 9, []
     for _ in range(count):
         (points,) = struct.unpack_from("<I", shape, at)
@@ -253,17 +276,26 @@ def _rings(shape: bytes, at: int) -> tuple[list[list[list[float]]], int]:
     return rings, at
 
 
-# Polygons in KML and GPX. No entity is ever followed: a document type is refused as soon as it is met.
+# Polygons in KML and GPX. Entities are never expanded: a document type is rejected at once.
 
 Places = NDArray[np.float64]
 Placemark = tuple[float | str | None, list[list[Places]], str]
-"""(its number, its rings, where it stands)."""
+"""(number, rings, place in the file)."""
 
 
 def read_kml(path: Path, most_bytes: int, name: str = "p") -> list[Placemark]:
-    """(number or None, polygons, name) of every Placemark with polygons; rings `[points, 2]`, longitude and latitude.
+    """Read the Placemarks with polygons.
 
-    The number is that of a Data or SimpleData element of this name, its text if it is none. Raises MapError.
+    Args:
+        path: the file.
+        most_bytes: largest file.
+        name: of the Data or SimpleData element with the number.
+
+    Returns:
+        (number, its text if invalid, or None; polygons with rings `[points, 2]` of longitude and latitude; name).
+
+    Raises:
+        MapError: the file is invalid.
     """
     found: list[Placemark] = []
     for index, place in enumerate(_named(read_xml(path, most_bytes, "kml"), "Placemark")):
@@ -280,22 +312,43 @@ def read_kml(path: Path, most_bytes: int, name: str = "p") -> list[Placemark]:
 
 
 def read_gpx(path: Path, most_bytes: int) -> list[Placemark]:
-    """(None, polygons, name) of every track and route, the line around an area, closed; raises MapError.
+    """Read every track and route as the closed line around an area: (None, polygons, name).
 
-    Those of fewer than three points, of which receivers' logs are full, enclose nothing and are left out.
+    Those of fewer than three points, which are frequent in receivers' logs, enclose nothing and are left out.
+
+    Args:
+        path: the file.
+        most_bytes: largest file.
+
+    Raises:
+        MapError: the file is invalid.
     """
     found: list[Placemark] = []
     for index, line in enumerate(_named(read_xml(path, most_bytes, "gpx"), "trk", "rte")):
         points = [(point.get("lon"), point.get("lat")) for point in _named(line, "trkpt", "rtept")]
+        # Fewer than three points enclose no area.
         if len(points) > 2:
             found.append((None, [[_markup_ring(points, f"line {index}", path)]], _own_name(line)))
     return found
 
 
 def read_xml(path: Path, most_bytes: int, root: str) -> Element:
-    """The top element of an XML file of this kind; names without their namespaces. Raises MapError."""
+    """Read an XML file of a kind.
+
+    Args:
+        path: the file.
+        most_bytes: largest file.
+        root: name of the top element.
+
+    Returns:
+        The top element; names without namespaces.
+
+    Raises:
+        MapError: the file is invalid, or has a document type.
+    """
     check_size(path, most_bytes, MapError, f"{root.upper()} (XML)")
 
+    # Entities are declared in a document type: without one, no entity can expand to gigabytes.
     def refuse(*given: object) -> None:
         raise MapError("has a document type (DOCTYPE)", source=path, expected="plain XML", fix="delete that line")
 
@@ -308,9 +361,9 @@ def read_xml(path: Path, most_bytes: int, root: str) -> Element:
         parser.Parse(path.read_bytes(), True)
     except expat.ExpatError as error:
         raise MapError(f"no XML ({error})", source=path, expected=f"{root.upper()}, whole") from error
-    except MapError:  # refused
+    except MapError:  # from `refuse`
         raise
-    except (OSError, ValueError, LookupError) as error:  # not readable; an encoding that nobody knows
+    except (OSError, ValueError, LookupError) as error:  # not readable; an unknown encoding
         raise MapError(f"cannot be read as XML ({error})", source=path, expected=root.upper()) from error
     top = builder.close()
     if top.tag.lower() != root:
@@ -354,31 +407,30 @@ def _markup_ring(points: list[tuple[str | None, str | None]], where: str, path: 
     return ring
 
 
-# Polygons in files, as metres of the map's frame: GeoJSON, KML, GPX, shapefiles, GeoPackages.
+# Polygons in metres of the map's frame: GeoJSON, KML, GPX, shapefiles, GeoPackages.
 
 
 class Feature(NamedTuple):
-    """What a file says is the number of a feature (its p), its polygons, lists of rings `[points, 2]`, and its name."""
+    """A feature of a file: its number (p), its polygons as lists of rings `[points, 2]`, and its name."""
 
     number: Any
     polygons: list[Rings]
     name: str = ""
 
     def mask(self, frame: Frame) -> NDArray[np.bool_]:
-        """bool `[H, W]`: pixels whose centre it holds."""
+        """bool `[H, W]`: pixels whose centre is in the feature."""
         return np.logical_or.reduce([inside(rings, frame) for rings in self.polygons] or [np.zeros(frame.shape, bool)])
 
 
 def rings_of(features: Iterable[Feature]) -> Rings:
-    """All of theirs."""
+    """All rings of the features."""
     return [ring for feature in features for rings in feature.polygons for ring in rings]
 
 
 class Shapes(NamedTuple):
-    """The features of a file in its own coordinates, and the name of their CRS.
+    """Features of a file in its own coordinates, the name of their CRS, and notes.
 
-    crs "": the file does not say, and need not (GeoJSON); None: it does not say, and should. `notes`: what reading did
-    that a user should know.
+    crs "": not given, and not required (GeoJSON); None: not given, but required.
     """
 
     features: list[Feature]
@@ -389,12 +441,24 @@ class Shapes(NamedTuple):
 def read_polygons(
     path: Path, default: float | None, frame: Frame, georeference: Georeference | None, of: Quantity = THREAT
 ) -> Shapes:
-    """Every feature of a file, its number float; a polygon is a list of rings, float64 `[points, 2]` in metres.
+    """Read every feature of a file on a map.
 
-    Polygons with holes; the number is the feature's property of that name, or `default`. On a map without georeference
-    coordinates are metres of its frame. On one that has it they are those of the file's `crs`; where it names none,
-    longitude and latitude if they lie on the map as such (RFC 7946, section 4), else metres. Raises MapError naming the
-    feature.
+    Polygons may have holes. On a map without georeference coordinates are metres of its frame. On a georeferenced map
+    they are in the file's `crs`; without one they are longitude and latitude if they lie on the map as such (RFC 7946,
+    section 4), else metres.
+
+    Args:
+        path: the file.
+        default: number of features without one; None: required.
+        frame: of the map.
+        georeference: of the map, or None.
+        of: quantity of the number, and name of its property.
+
+    Returns:
+        The features, with rings float64 `[points, 2]` in metres.
+
+    Raises:
+        MapError: names the feature.
     """
     shapes = read_shapes(path, of)
     found = [
@@ -414,12 +478,13 @@ def read_polygons(
 
 
 def _on_map(features: list[Feature], crs: str, frame: Frame, georeference: Georeference, path: Path) -> list[Feature]:
-    """Features in metres of the map's frame, brought together where they were cut at longitude 180."""
+    """Features in metres of the map's frame, joined where they were cut at longitude 180."""
     if is_degrees(crs):
         rings = rings_of(features)
         check_range(np.concatenate(rings), "", path)
         Patch.of(frame, georeference).check_order(boxes_of(rings), path)
     corners = frame.at([0, 0, *frame.shape[:1] * 2], [0, frame.shape[1]] * 2)[:, 0]
+    # A turn in metres of the frame: the interval of x in which polygons are looked for.
     place = float(corners.min()), float(corners.max()), turn_of(georeference.crs)[0] / georeference.scale[0]
     return [
         feature._replace(
@@ -432,7 +497,15 @@ def _on_map(features: list[Feature], crs: str, frame: Frame, georeference: Geore
 
 
 def read_shapes(path: Path, of: Quantity = THREAT) -> Shapes:
-    """The features of a file with polygons, in its own coordinates. Raises MapError."""
+    """Read the features of a file with polygons, in its own coordinates.
+
+    Args:
+        path: the file.
+        of: quantity of their number.
+
+    Raises:
+        MapError: the file is invalid, or of another kind.
+    """
     if path.suffix.lower() not in READERS:
         raise MapError(f"no polygons are read from {path.suffix!r}", source=path, expected=" ".join(READERS))
     shapes = READERS[path.suffix.lower()](path, of.name)
@@ -454,15 +527,16 @@ def _number(value: object, default: float | None, index: int, path: Path, of: Qu
 
 
 def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -> str:
-    """The CRS of the coordinates, "" for metres of the frame; MapError where a file mixes both."""
+    """The CRS of the coordinates, "" for metres of the frame; MapError if a file mixes both."""
     if shapes.crs is None:
-        fix = "say it in QGIS, or ogr2ogr -a_srs; a shapefile's is in the .prj beside it"
+        fix = "set it in QGIS, or with ogr2ogr -a_srs; a shapefile's is in its .prj file"
         raise MapError(
             "names no coordinate reference system", source=path, expected="one, on a map that has one", fix=fix
         )
     if shapes.crs:
         return shapes.crs
     rings, patch = rings_of(shapes.features), Patch.of(frame, georeference)
+    # Without a CRS, coordinates are degrees only if they lie on the map as such.
     if not patch.meets(boxes_of(rings)).any():
         metres = frame.local(np.concatenate(rings)) / frame.size
         off = (metres.max(axis=0) < 0).any() or (metres.min(axis=0) > frame.shape[::-1]).any()
@@ -472,7 +546,7 @@ def _crs(shapes: Shapes, frame: Frame, georeference: Georeference, path: Path) -
     degrees = [bool(in_range(ring).all()) for ring in rings]
     if not all(degrees):
         wrong = rings[degrees.index(False)][0].tolist()
-        problem = f"mixes longitude and latitude with coordinates that are none, as {wrong}"
+        problem = f"mixes longitude and latitude with other coordinates, as {wrong}"
         raise MapError(problem, source=path, expected="one kind of coordinates", fix="or a `crs` that names it")
     return WGS84
 
@@ -533,7 +607,7 @@ def _polygons(geometry: Any, where: str, path: Path) -> Iterator[Rings]:
 
 
 def _polygons_ring(path: Path) -> Shapes:
-    """One polygon from the lines of a CSV file, corner after corner."""
+    """One polygon from the lines of a CSV file, one corner per line."""
     corners, degrees, notes = read_corners(path)
     if len(corners) < 3:
         raise MapError(f"{len(corners)} corners", source=path, expected="three around an area, or more")
@@ -541,7 +615,7 @@ def _polygons_ring(path: Path) -> Shapes:
 
 
 def _corner(point: Any) -> list[float]:
-    """x and y of a GeoJSON position; ValueError for anything but plausible numbers."""
+    """x and y of a GeoJSON position; ValueError unless they are plausible numbers."""
     ok = isinstance(point, list) and len(point) >= 2
     if not ok or not all(COORDINATE.accepts(value) for value in point[:2]):
         raise ValueError(f"a point is {reprlib.repr(point)}")
@@ -555,30 +629,38 @@ READERS: dict[str, Callable[[Path, str], Shapes]] = {
     ".csv": lambda path, number: _polygons_ring(path),
     **dict.fromkeys(KINDS, _vectors),
 }
-"""What reads polygons with their numbers of that name, by the end of the file's name."""
+"""Readers of polygons by file suffix; the second argument is the name of their number."""
 
 
-# A field as a map: polygons, cut into square cells, are what robots may drive on; all around them is obstacle.
+# A field as a map: cells inside polygons are free, all others obstacles.
 
 SUFFIXES = (".geojson", ".kml", ".gpx", ".shp", ".gpkg")
-"""Files that are a field when they are given as a map; `map: {polygons: ...}` takes all that hold polygons."""
+"""Suffixes of files that are read as a field if given as a map; `map: {polygons: ...}` accepts all polygon files."""
 BOUNDARIES = ("whole", "centre")
-"""Which cells are free: those that lie whole within the field, or those whose centre does."""
+"""Which cells are free: those that are completely inside the field, or those whose centre is."""
 WIDEST = 3.0
-"""Degrees that a field spans at most: coordinates that span more are metres of a frame of their own."""
+"""Largest extent of a field in degrees: larger coordinates are metres of a local frame."""
 
 
 def read_field(
     path: Path, cell_size: float, boundary: str = BOUNDARIES[0], direction: float = 0.0, swath: float | None = None
 ) -> Grid:
-    """The polygons of a file, all together, in cells of `cell_size` metres from their upper-left corner.
+    """Read the polygons of a file as a map, in cells counted from their upper-left corner.
 
-    `direction`: of the rows, radians counter-clockwise from x (east). `swath`: side of the squares of cells that a
-    visit covers, a whole number of cells; each cell is then worth 1, so that what is covered is counted on them.
+    In degrees the frame is metres east and north of the lower-left corner, to scale at the middle latitude; in another
+    CRS its own metres.
 
-    `boundary` "whole": a cell is free if it lies within a polygon and no edge of any runs through it, as a cell is an
-    obstacle as soon as one pixel is; "centre": if its centre lies within one. In degrees the frame is metres east and
-    north of their lower-left corner, to scale on the middle latitude; in another CRS its own metres. Raises MapError.
+    Args:
+        path: the file.
+        cell_size: metres.
+        boundary: "whole": a cell is free if it is inside a polygon and no edge runs through it; "centre": if its centre
+            is inside one.
+        direction: of the rows, radians counter-clockwise from x (east).
+        swath: side of the squares of cells that a visit covers, a whole number of cells; each cell then has value 1,
+            so that coverage is counted in cells.
+
+    Raises:
+        MapError: the file is invalid, or no cell is free.
     """
     shapes = read_shapes(path)
     (polygons, borders), place, notes = _in_metres(shapes, path, cell_size)
@@ -590,6 +672,7 @@ def read_field(
     held, crossed = np.zeros(frame.shape, dtype=bool), np.zeros(frame.shape, dtype=bool)
     for rings in polygons:
         held |= inside(rings, frame)
+    # Borders, not areas: the edge at which a shape was cut at longitude 180 is inside the field.
     for rings in borders if boundary == "whole" else ():
         crossed |= touched(rings, frame)
     free = held & ~crossed
@@ -609,15 +692,20 @@ def read_field(
 
 
 def touched(rings: Rings, frame: Frame) -> NDArray[np.bool_]:
-    """bool `[H, W]`: cells through whose inside an edge of the rings `[points, 2]` runs.
+    """bool `[H, W]`: cells with an edge of the rings through their inside.
 
-    Edges within 1e-6 of a cell's side run along it. Cost O(edges * H + H * W).
+    Edges within 1e-6 of a cell's side run along it. Cost: O(edges * H + H * W).
+
+    Args:
+        rings: `[points, 2]`, metres.
+        frame: of the cells.
     """
     height, width = frame.shape
     counts = np.zeros((height, width + 1), dtype=np.int64)
     for ring in rings:
         corners = frame.local(ring) / frame.size
         corners[:, 1] = height - corners[:, 1]
+        # Snapped to the sides of cells: an edge along a side touches no cell.
         corners = np.where(np.abs(corners - np.rint(corners)) < WHOLE, np.rint(corners), corners)
         for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             low, high = sorted((y0, y1))
@@ -626,6 +714,7 @@ def touched(rings: Rings, frame: Frame) -> NDArray[np.bool_]:
                 continue  # along a side, or off the grid
             slope = (x1 - x0) / (y1 - y0) if y1 != y0 else 0.0
             at = [x0 + (np.clip(edge, low, high) - y0) * slope for edge in (rows, rows + 1)]
+            # A horizontal edge covers all columns between its ends.
             at = at if slope or x0 == x1 else [np.array([x0]), np.array([x1])]
             first = np.clip(np.floor(np.minimum(*at) + WHOLE), 0, width).astype(int)
             after = np.clip(np.ceil(np.maximum(*at) - WHOLE), 0, width).astype(int)
@@ -637,7 +726,7 @@ def touched(rings: Rings, frame: Frame) -> NDArray[np.bool_]:
 def _no_cell(
     polygons: list[Rings], place: Georeference | None, cell_size: float, boundary: str, path: Path
 ) -> MapError:
-    """The error for a field without a free cell: it says how large the field is, and where a file in degrees lies."""
+    """The error for a field without free cells: it gives the size of the field, and its position if in degrees."""
     corners = np.concatenate([ring for rings in polygons for ring in rings])
     across, up = np.ptp(corners, axis=0).tolist()
     problem = f"no cell of {cell_size:g} m lies {'whole' if boundary == 'whole' else 'with its centre'} in the field"
@@ -653,9 +742,10 @@ def _no_cell(
 def _frame(polygons: list[Rings], cell_size: float, path: Path, yaw: float, blocks: int) -> Frame:
     """Cells from the upper-left corner of all polygons, where blocks of pixels begin too, to beyond the lower-right.
 
-    Corners, rows and columns are those of a frame that is turned by `yaw`; `blocks` x `blocks` cells are not cut.
+    Corners, rows and columns are those of a frame turned by `yaw`; blocks of `blocks` x `blocks` cells are complete.
     """
     cos, sin = math.cos(yaw), math.sin(yaw)
+    # Rotated by -yaw, so that rows and columns are parallel to the axes.
     turned = np.concatenate([ring for rings in polygons for ring in rings]) @ [[cos, -sin], [sin, cos]]
     low, high = turned.min(axis=0), turned.max(axis=0)
     side = blocks * cell_size
@@ -668,24 +758,25 @@ def _frame(polygons: list[Rings], cell_size: float, path: Path, yaw: float, bloc
 
 
 def _in_metres(shapes: Shapes, path: Path, cell_size: float) -> tuple[Unrolled, Georeference | None, tuple[str, ...]]:
-    """The polygons in metres of the map's frame, where that lies on the Earth, and notes."""
+    """The polygons in metres of the map's frame, its position on the Earth, and notes."""
     polygons = [rings for feature in shapes.features for rings in feature.polygons]
     if not polygons:
         raise MapError("holds no polygon", source=path, expected="the boundary of a field")
     corners = np.concatenate([ring for rings in polygons for ring in rings])
+    # A field is small: only then can coordinates without a CRS be degrees.
     small, swapped = _spans_a_field(corners), _spans_a_field(corners[:, ::-1])
     tiny = bool((np.ptp(corners, axis=0) < cell_size).all())
     if not shapes.crs and swapped and not small and (tiny or fine(corners)):
         check_range(corners, "", path)
     if shapes.crs is None and small:
-        fix = "say it in QGIS, or ogr2ogr -a_srs; a shapefile's is in the .prj beside it"
+        fix = "set it in QGIS, or with ogr2ogr -a_srs; a shapefile's is in its .prj file"
         raise MapError("names no CRS, and looks like degrees", source=path, expected="a CRS", fix=fix)
     crs = shapes.crs or (WGS84 if shapes.crs == "" and small else "")
     if not crs:
         return (
             Unrolled(polygons, polygons),
             None,
-            ("its coordinates are taken for metres of a frame of its own: it names no CRS",),
+            ("its coordinates are read as metres of a local frame: it names no CRS",),
         )
     if crs == WGS84:
         return _degrees(polygons, path, cell_size)
@@ -705,7 +796,7 @@ def _in_metres(shapes: Shapes, path: Path, cell_size: float) -> tuple[Unrolled, 
 
 
 def _spans_a_field(corners: NDArray[np.float64]) -> bool:
-    """True for (longitude, latitude) `[n, 2]` of a field; where they lie a turn apart, of one about 180 alone."""
+    """True if (longitude, latitude) `[n, 2]` can be a field's; with a whole turn between them, only one around 180."""
     longitudes = corners[:, 0]
     about = np.ptp(longitudes) <= WIDEST or (np.abs(longitudes) >= TURN / 2 - WIDEST).all()
     west, east = extent(longitudes, TURN)
@@ -713,13 +804,13 @@ def _spans_a_field(corners: NDArray[np.float64]) -> bool:
 
 
 def _moved(shape: Unrolled, to: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Unrolled:
-    """The shape with its rings in other coordinates."""
+    """The shape with transformed rings."""
     areas, borders = ([[to(ring) for ring in rings] for rings in part] for part in shape)
     return Unrolled(areas, borders)
 
 
 def _of_the_cut(width: float, cell_size: float) -> tuple[str, ...]:
-    """A note on parts that do not touch where longitudes come round, from 1 cm on."""
+    """A note on parts with a gap of at least 1 cm where longitudes wrap."""
     if width < 0.01:
         return ()
     what = "are joined there" if width <= cell_size else "stay apart: what lies between, more than a cell, is obstacle"
@@ -748,15 +839,21 @@ def _degrees(polygons: list[Rings], path: Path, cell_size: float) -> tuple[Unrol
     )
 
 
-# What a scenario keeps robots out of, put on the map as obstacles: polygons, and occupied pixels of another map.
+# Keep-out areas of a scenario as obstacles of the map: polygons, and occupied pixels of another map.
 
 FIELD_KEYS = ("polygons", "layer")
 
 
 def keep_out(key: Key, grid: Grid) -> Grid:
-    """The map with obstacles where a polygon holds a pixel's centre, or a ROS map laid over it is occupied (100).
+    """A map with the keep-out areas as obstacles: pixels whose centre a polygon holds, or that a ROS map occupies.
 
-    Raises ScenarioError for what names neither or keeps out nothing, MapError for a file that cannot be read.
+    Args:
+        key: `keepout` of a scenario.
+        grid: the map.
+
+    Raises:
+        ScenarioError: an invalid key, or an area without pixels.
+        MapError: a file is invalid.
     """
     state, notes = grid.state.copy(), list(grid.notes)
     for item in key.items("a list of {polygons: ...} and {layer: ...}"):

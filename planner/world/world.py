@@ -1,4 +1,4 @@
-"""The world: a grid of threat probabilities, where it lies on the ground, and the world file that holds it."""
+"""The world: a grid of threat probabilities, its place on the ground, and the world file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from planner.world.robot_types import RobotTypes, Sources, types_in
 from planner.world.uncertain_maps import Draws, Hazard, Uncertain, doubt_in
 
 MAX_CELLS = 2**26
-"""Largest grid accepted, in cells; a header that claims more is refused before memory is taken."""
+"""Largest grid accepted, in cells; a file header that claims more is rejected before memory is allocated."""
 MAX_ROBOTS = 1024
 """Most robots that the random-number counter can address (SPEC section 6)."""
 WORLD_FILES = (".npz", ".npy", ".csv")
@@ -38,10 +38,14 @@ FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
 
 @dataclass(frozen=True)
 class Team:
-    """What an input asks besides starts: how many robots, the rule that places them, planner settings, figures.
+    """Requests of an input about the team.
 
-    `metrics`: in which field's words it is answered, "" where it does not say; `route`: int64 `[R, 2]`, (row, col) of
-    the cells of the route that is to be safe, in order, or None.
+    Attributes:
+        robots: number of robots, or None.
+        start: the rule that places them.
+        settings: planner settings.
+        metrics: the field whose terms the report uses, "" if not given.
+        route: int64 `[R, 2]`, (row, col) of the cells of the route to make safe, in order, or None.
     """
 
     robots: int | None = None
@@ -56,22 +60,22 @@ class World:
     """A grid world `[H, W]`, row 0 at the top (largest y). Build it with `World.create`, which checks it.
 
     Attributes:
-        threat: float32 `[H, W]`; NaN = obstacle, else the probability `0 <= p < 1` that one visit stops the robot.
-        starts: int64 `[K, 2]`, (row, col) of each robot, or None when the input names none.
+        threat: float32 `[H, W]`; NaN = obstacle, else the probability `0 <= p < 1` that one visit destroys the robot.
+        starts: int64 `[K, 2]`, (row, col) of each robot, or None if the input names none.
         cell_size: side of a cell in metres.
         origin: (x, y, yaw) in metres and radians: the pose of the grid's lower-left corner in the map's frame.
-        source: where the world came from, for messages and plan files: a file, `example:NAME`, or a word.
-        notes: what loading did that a user should know (cells dropped, values clipped, ...).
-        team: what the input asks of the team.
-        georeference: where the map's frame lies on the Earth, or None when nobody said.
-        value: float64 `[H, W]`, what each cell is worth (0 on obstacles), or None: 1 each.
-        detect: float64 `[H, W]`, chance that a visit which the robot survives finds what is there, or None: 1 each.
-        doubt: hazards that are there or not, maps one of which is true, movers, or phases; robots plan on `threat`, and
-            what stops them is drawn from these. None: every visit is drawn for itself, from `threat`.
-        sources: what `threat` was combined from, where a scenario names polygons, points or sites.
-        knowledge: what is true, where robots are not told it: `threat` is then what they believe. None: they are.
-        types: what stops robots of each type, if there are types: `threat` is then the map's own p, all factors 1.
-        measured: somebody said what `cell_size` is; else it is presumed. pace: how long a step takes, if that was said.
+        source: origin of the world, for messages and plan files: a file, `example:NAME`, or a word.
+        notes: effects of loading that a user should know (cells dropped, values clipped, ...).
+        team: requests of the input about the team.
+        georeference: position of the map's frame on the Earth, or None if not given.
+        value: float64 `[H, W]`, value of each cell (0 on obstacles), or None: 1 each.
+        detect: float64 `[H, W]`, probability that a survived visit detects what is in the cell, or None: 1 each.
+        doubt: latent hazards, candidates of the true map, moving threats, or phases; robots plan on `threat`, and
+            losses are drawn from these. None: every visit is an independent draw from `threat`.
+        sources: the threats that `threat` was combined from, if a scenario names polygons, points or sites.
+        knowledge: the true map, if it differs from the prior map `threat`. None: the map is known.
+        types: threats of each robot type, if there are types; `threat` is then the map's own p, all factors 1.
+        measured: whether `cell_size` was given; else it is assumed. pace: duration of a step, if given.
     """
 
     threat: NDArray[np.float32]
@@ -103,10 +107,21 @@ class World:
         value: ArrayLike | None = None,
         detect: ArrayLike | None = None,
     ) -> World:
-        """A checked world. Raises WorldError naming the first offending cell, start or number.
+        """Make a checked world.
 
-        Threats that are 0 as float32 count as safe, with a note. Masked cells (`numpy.ma`) are obstacles. `value` and
-        `detect` are `[H, W]` or one number for all cells; on obstacles they may hold anything.
+        Args:
+            threat: `[H, W]`, probabilities; NaN or masked (`numpy.ma`): obstacle. Threats that are 0 as float32 count
+                as safe, with a note.
+            starts: `[K, 2]`, (row, col).
+            cell_size: metres.
+            origin: (x, y, yaw), see `World`.
+            source: for messages.
+            notes: kept in the world.
+            georeference: of the map's frame.
+            value, detect: `[H, W]`, or one number for all cells; ignored on obstacles.
+
+        Raises:
+            WorldError: names the first invalid cell, start or number.
         """
         array, vanished = _checked_threat(threat, source)
         (size,) = _reals("cell_size", cell_size, 1, CELL_SIZE, CELL_SIZE.expected, source)
@@ -119,7 +134,7 @@ class World:
 
     @property
     def name(self) -> str:
-        """The file's name alone: a report is passed on, and whose folder it lay in is nobody's business."""
+        """File name without its folder: reports are passed on, and folder names may be private."""
         return Path(self.source).name or self.source
 
     @property
@@ -129,7 +144,7 @@ class World:
 
     @property
     def frame(self) -> Frame:
-        """Where its cells lie."""
+        """Position of the cells on the ground."""
         return Frame(self.shape, self.cell_size, self.origin)
 
     @property
@@ -139,7 +154,7 @@ class World:
 
     @property
     def met(self) -> NDArray[np.float32]:
-        """float32 `[H, W]`, like `threat`: what robots meet in the cells at first, whatever they plan on."""
+        """float32 `[H, W]`, like `threat`: the true threats of the first step, whatever robots plan on."""
         if self.movers is not None:
             return self.movers.own
         if self.phases is not None:
@@ -153,43 +168,49 @@ class World:
 
     @property
     def movers(self) -> Movers | None:
-        """Threats that move; None where there are none."""
+        """Moving threats, or None."""
         return self.doubt if isinstance(self.doubt, Movers) else None
 
     @property
     def phases(self) -> Phases | None:
-        """Threats that change with time; None where they stay as they are."""
+        """Threats that change by phases, or None."""
         return self.doubt if isinstance(self.doubt, Phases) else None
 
     @property
     def by_phase(self) -> NDArray[np.float32]:
-        """float32 `[P, N]`: `met` in each phase; one where threats do not change."""
+        """float32 `[P, N]`: `met` in each phase; one phase if threats do not change."""
         return (self.met if self.phases is None else self.phases.threats).reshape(-1, self.threat.size)
 
     def visits(self, cells: NDArray[np.integer], steps: ArrayLike) -> NDArray[np.int64]:
-        """Where `by_phase` and `exposures`, flat, have visits of these cells (indices) at these steps."""
+        """Indices of visits in `by_phase` and `exposures`, flattened.
+
+        Args:
+            cells: int `[n]`, cell indices.
+            steps: int `[n]`, or one step.
+        """
         phase = 0 if self.phases is None else self.phases.number_at(steps)
         return np.asarray(cells + phase * self.threat.size, dtype=np.int64)
 
     @cached_property
     def draws(self) -> Draws | None:
-        """How the engines draw what is true in a rollout; None where every visit is drawn from `threat`."""
+        """Draws of an uncertain map, or None if every visit is an independent draw from `threat`."""
         return None if self.doubt is None else self.doubt.draws()
 
     @cached_property
     def exposures(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """What a visit of each cell `[N]`, in phases `[P N]`, adds to a robot's exposure; where maps differ the most,
-        and all of it."""
+        """(hazards, table): hazard of a visit to each cell, int64 `[N]` or by phase `[P N]`, the largest one if maps
+        differ; and the table of all, int64 `[M, C]` (`Draws`).
+        """
         if self.doubt is None or isinstance(self.doubt, Movers | Phases):
             return exposure_of(self.by_phase).ravel(), np.zeros((0, 0), dtype=np.int64)
         return self.doubt.exposures()
 
     @property
     def luck_sha256(self) -> str:
-        """The identity of what robots meet: of the map, of what is in doubt about it or moves on it, and of what they
-        are not told."""
+        """Hash of the true threats: map, uncertainty, movement, robot types, and the true map if it is not known."""
         of = self.draws or self.movers or self.phases
         drawn = "" if of is None else f"?{of.sha256}"
+        # Estimates change decisions, so they are part of the identity.
         drawn += self.doubt.taught if isinstance(self.doubt, Hazard) else ""
         drawn += "" if self.types is None else f"&{self.types.sha256}"
         return self.sha256 + drawn + ("" if self.knowledge is None else f"!{self.knowledge.sha256}")
@@ -200,122 +221,161 @@ class World:
 
     @cached_property
     def _of_types(self) -> tuple[World, ...]:
-        """The world as it is to robots of each type."""
+        """The world as robots of each type meet it."""
         assert self.types is not None
         return tuple(replace(self, threat=threat, types=None) for threat in self.types.threat)
 
     def of_robots(self, types: str | tuple[str, ...] | None, robots: int) -> tuple[World, ...]:
-        """The world as it is to each robot of a team, by their types: one for all, or one each. Raises PlanError."""
+        """The world as each robot of a team meets it.
+
+        Args:
+            types: one type for all, one for each robot, or None.
+            robots: K.
+
+        Raises:
+            PlanError: the world has no types, or not these.
+            WorldError: types together with an uncertain or unknown map.
+        """
         if types is None:
             return (self if self.types is None else self._of_no_type,) * robots
         if self.types is None:
-            problem = f"{argument('types')} of a world that knows no types of robots"
+            problem = f"{argument('types')} for a world without robot types"
             raise PlanError(problem, source=self.source, fix="give the scenario `robots: {matrix: ...}`")
         if self.doubt is not None or self.knowledge is not None:
-            problem = "robots of types presume one known map, every visit drawn for itself"
+            problem = "robot types require one known map"
             raise WorldError(problem, source=self.source, fix=f"leave {argument('types')} out")
+        # One name stands for the whole team.
         names = (types,) * robots if isinstance(types, str) else types
         check_each("types", names, robots, self.source, "type")
         return tuple(self._of_types[self.types.number(name, self.source)] for name in names)
 
     @property
     def enterable(self) -> NDArray[np.bool_]:
-        """bool `[H, W]`: cells that are free in truth, or to robots that have seen nothing yet."""
+        """bool `[H, W]`: cells that are free on the true map or on the prior map."""
         return self.free | ~np.isnan(self.met)
 
     @property
     def learned_hazard(self) -> Hazard | None:
-        """The hazard that robots learn about, if they do."""
+        """The latent hazard that robots estimate, or None."""
         return self.doubt if isinstance(self.doubt, Hazard) and self.doubt.learn else None
 
     @property
     def is_learned(self) -> bool:
-        """Whether robots may come to believe another map on their way: they look about, or learn about a hazard."""
+        """Whether the robots' map may change during a mission: by sensors or by hazard estimates."""
         looks = self.knowledge is not None and self.knowledge.sense.range > 0
         return looks or self.learned_hazard is not None
 
     def check_settled(self, what: str, or_else: str = "") -> None:
-        """Raise WorldError if the map is in doubt: `what` presumes one known map, every visit drawn for itself.
+        """Check that the map is known, certain and the same for all robots.
 
-        `or_else`: what else may be left out, in words.
+        Args:
+            what: subject of the message: the function that requires it.
+            or_else: further text of the fix.
+
+        Raises:
+            WorldError: it is not.
         """
         if self.doubt is not None:
-            problem = f"{what} presumes one known map, every visit drawn for itself; here: {self.doubt.said}"
-            named = {Movers: "`moving_threats`", Phases: "`phases`"}.get(
-                type(self.doubt), "`latent_hazard` and `map_uncertainty`"
-            )
-            raise WorldError(problem, source=self.source, fix=f"leave {named} out{or_else}")
+            # The message names the scenario key to leave out, which depends on the kind of uncertainty.
+            problem = f"{what} requires one known map; here: {self.doubt.said}"
+            named = {Movers: "`moving_threats`", Phases: "`phases`"}.get(type(self.doubt))
+            fix = f"leave {named or '`latent_hazard` and `map_uncertainty`'} out{or_else}"
+            raise WorldError(problem, source=self.source, fix=fix)
         self.check_told(what, or_else)
         if self.types is not None:
-            problem = f"{what} presumes that a visit stops every robot with the same p; here: {self.types.said}"
+            problem = f"{what} requires the same p for every robot; here: {self.types.said}"
             raise WorldError(problem, source=self.source, fix="leave `matrix` and `types` out" + or_else)
 
     def check_told(self, what: str, or_else: str = "") -> None:
-        """Raise WorldError if robots are not told the map, or learn about it; arguments as of `check_settled`."""
+        """Check that the map is known: robots neither update nor estimate it. Args and errors as in `check_settled`."""
         if self.learned_hazard is not None:
-            problem = f"{what} presumes robots that learn nothing; here: {self.learned_hazard.said}"
+            problem = f"{what} does not support hazard estimates; here: {self.learned_hazard.said}"
             raise WorldError(problem, source=self.source, fix="leave `learn` out" + or_else)
         if self.phases is not None and self.phases.told:
-            problem = f"{what} presumes threats that robots know beforehand; here: {self.phases.said}"
-            raise WorldError(problem, source=self.source, fix="give `plan_on: first` or `worst`" + or_else)
+            problem = f"{what} requires threats known in advance; here: {self.phases.said}"
+            raise WorldError(problem, source=self.source, fix="use `plan_on: first` or `worst`" + or_else)
         if self.knowledge is not None:
-            problem = f"{what} presumes a map that robots are told; here: {self.knowledge.said}"
+            problem = f"{what} requires a known map; here: {self.knowledge.said}"
             raise WorldError(
                 problem, source=self.source, fix="leave `true_map`, `prior_map` and `sensor_range` out" + or_else
             )
 
     def check_alike(self, what: str) -> None:
-        """Raise WorldError if the map says what its cells are worth, or show: to `what` they are all alike."""
+        """Check that all cells count the same: no values and no detection probabilities.
+
+        Args:
+            what: subject of the message.
+
+        Raises:
+            WorldError: they differ.
+        """
         named = [of.name for of in (VALUE, DETECT) if getattr(self, of.name) is not None]
         if named:
             said = " and ".join(f"`{name}`" for name in named)
-            problem = f"{what} counts cells, which are all alike to it; here: {said}"
-            raise WorldError(problem, source=self.source, fix=f"leave {said} out; evaluate, size and front tell value")
+            problem = f"{what} counts all cells alike; here: {said}"
+            fix = f"leave {said} out; evaluate, size and front report value"
+            raise WorldError(problem, source=self.source, fix=fix)
 
     @cached_property
     def components(self) -> NDArray[np.int32]:
-        """int32 `[H, W]`: 4-connected components of the cells that truly are free, numbered from 1; 0 = obstacle."""
+        """int32 `[H, W]`: 4-connected components of the free cells of the true map, from 1; 0 = obstacle."""
         labels, _ = ndimage.label(~np.isnan(self.met), structure=FOUR_NEIGHBOURS)
         return labels.astype(np.int32)
 
     def accessible(self, starts: ArrayLike) -> NDArray[np.bool_]:
-        """bool `[H, W]`: truly free cells that some robot can reach from its start `[K, 2]`."""
+        """bool `[H, W]`: free cells of the true map that some robot can reach from its start `[K, 2]`."""
         rows, cols = check_starts(starts, self.met, self.source).T
+        # By component: one lookup per cell instead of a search per robot.
+        # Component 0 are the obstacles, which no start can be in.
         reached = np.zeros(self.components.max() + 1, dtype=np.bool_)
         reached[self.components[rows, cols]] = True
         return reached[self.components]
 
     def with_starts(self, starts: ArrayLike | None) -> World:
-        """The same world with other starts, checked."""
+        """A copy with other starts `[K, 2]`, checked."""
         checked = None if starts is None else check_starts(starts, self.met, self.source)
         return replace(self, starts=checked)
 
     def to_xy(self, cells: ArrayLike) -> NDArray[np.float64]:
-        """Centres in metres, map frame, float64 `[..., 2]`, of cell indices `row * W + col`."""
+        """Centres of cells (indices `row * W + col`) in metres, map frame, float64 `[..., 2]`."""
         rows, cols = np.divmod(np.asarray(cells, dtype=np.int64), self.shape[1])
         return self.at(rows + 0.5, cols + 0.5)
 
     def at(self, rows: ArrayLike, cols: ArrayLike) -> NDArray[np.float64]:
-        """(x, y) `[..., 2]` in metres, map frame, of places in cells from the upper-left corner; centres are at .5."""
+        """(x, y) in metres, map frame, of positions in cells from the upper-left corner; centres are at .5.
+
+        Args:
+            rows, cols: `[...]`, down and to the right.
+
+        Returns:
+            float64 `[..., 2]`.
+        """
         return self.frame.at(rows, cols)
 
     def to_lonlat(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Points (x, y) `[..., 2]` of the map's frame as (longitude, latitude) in degrees, WGS 84. Raises MapError.
+        """(longitude, latitude) in degrees, WGS 84, of points (x, y) `[..., 2]` of the map's frame.
 
         Longitudes are in -180..180.
+
+        Raises:
+            MapError: the map has no georeference.
         """
         if self.georeference is None:
-            problem = "nobody says where the map lies on the Earth"
+            problem = "the map has no georeference"
             raise MapError(problem, source=self.source, expected="a georeferenced map", fix=HOW_TO_GIVE_ONE)
         return principal(self.georeference.to_lonlat(points))
 
     def places(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Places in cells (down, right) `[..., 2]` from the upper-left corner, of points (x, y) in metres."""
+        """Positions in cells (down, right) `[..., 2]` from the upper-left corner, of points (x, y) in metres."""
         local = self.frame.local(points) / self.cell_size
         return np.stack([self.shape[0] - local[..., 1], local[..., 0]], axis=-1)
 
     def with_values(self, value: ArrayLike | None = None, detect: ArrayLike | None = None) -> World:
-        """The same world with other values and chances to detect, checked; `[H, W]` or one number, None = 1 each."""
+        """A copy with other values and detection probabilities, checked.
+
+        Args:
+            value, detect: `[H, W]` or one number; None: 1 each.
+        """
         free = self.free
         worth = checked_layer(value, VALUE, free, self.source)
         return replace(self, value=worth, detect=checked_layer(detect, DETECT, free, self.source))
@@ -323,10 +383,15 @@ class World:
     def with_pace(
         self, step_seconds: float | None = None, speed: float | None = None, turn: float | None = None
     ) -> World:
-        """The same world, a step of which takes so many seconds, or as long as a cell at so many metres a second.
+        """A copy with another duration of a step. Arguments not given keep their value.
 
-        `turn`: steps that a quarter turn costs. What is not given is as it was. Raises UsageError, also for a speed
-        where nobody said how large cells are.
+        Args:
+            step_seconds: seconds per step.
+            speed: metres per second: a step lasts as long as a cell takes.
+            turn: steps that a quarter turn costs.
+
+        Raises:
+            UsageError: a number out of range, or a speed without a given cell size.
         """
         found = pace_of(step_seconds, speed, self.cell_size if self.measured else None)
         TURNS.check("turn", turn, optional=True)
@@ -334,7 +399,7 @@ class World:
         return replace(self, pace=replace(pace, turn=self.pace.turn if turn is None else float(turn)))
 
     def to_cells(self, points: ArrayLike) -> NDArray[np.int64]:
-        """(row, col) int64 `[..., 2]` of the cells that hold points (x, y) in metres; they may lie off the map."""
+        """(row, col) int64 `[..., 2]` of the cells that hold points (x, y) in metres; possibly off the map."""
         return self.frame.pixels(points)
 
     def _rows(self) -> list[tuple[str, str]]:
@@ -345,7 +410,7 @@ class World:
             ("cells", f"{self.shape[0]} x {self.shape[1]} of {self.cell_size:g} m, {int(free.sum()):,} of them free"),
             ("threats", f"{int(dangerous.sum()):,} dangerous cells{worst}"),
             (
-                "worth",
+                "value",
                 "" if self.value is None else f"{self.value.sum():g} in all, at most {self.value.max():g} a cell",
             ),
             ("detect", "" if self.detect is None else f"{self.detect[free].mean():.3g} a visit, on average"),
@@ -356,7 +421,7 @@ class World:
                 "" if self.doubt is None else self.doubt.said,
             ),
             ("types", "" if self.types is None else ", ".join(self.types.names)),
-            ("told", "" if self.knowledge is None else self.knowledge.said),
+            ("knowledge", "" if self.knowledge is None else self.knowledge.said),
             ("robots", team if self.starts is None else f"{len(self.starts)}, starts {self.starts[:8].tolist()}"),
             *(("note", note) for note in self.notes[:4]),
         ]
@@ -369,17 +434,17 @@ class World:
         return html_of(f"World {self.source}", self._rows())
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write the world file (`.npz`) of SPEC section 9, whole or not at all; `force`: as of `Plan.save`."""
+        """Write the world file (`.npz`) of SPEC section 9 atomically; `force` as in `Plan.save`."""
         check_new(path, force=force)
         with atomic_write(Path(path), "wb") as out:
             out.write(self.to_bytes())
 
     def to_bytes(self) -> bytes:
-        """The world file itself, the same for the same world."""
+        """Content of the world file; equal for equal worlds."""
         return npz_bytes(**self.arrays())
 
     def arrays(self) -> dict[str, Any]:
-        """What the world file holds."""
+        """Arrays of the world file, by name."""
         starts = {} if self.starts is None else {"starts": self.starts}
         origin = np.array(self.origin, dtype=np.float64)
         place = {} if self.georeference is None else {f"crs{end}": np.array(v) for end, v in _place(self.georeference)}
@@ -393,7 +458,19 @@ class World:
 
 
 def check_starts(starts: ArrayLike, threat: NDArray[np.float32], source: str) -> NDArray[np.int64]:
-    """Starts as int64 `[K, 2]`, each on a free cell of `threat`; WorldError names the robot that is not."""
+    """Check starts.
+
+    Args:
+        starts: `[K, 2]`, (row, col).
+        threat: float32 `[H, W]`, NaN = obstacle.
+        source: for messages.
+
+    Returns:
+        int64 `[K, 2]`.
+
+    Raises:
+        WorldError: names the first robot that does not start on a free cell.
+    """
     given = np.asarray(starts)
     if np.ma.is_masked(starts):
         raise WorldError("starts hold masked values", source=source, expected="[row, col] of every robot")
@@ -416,13 +493,13 @@ def check_starts(starts: ArrayLike, threat: NDArray[np.float32], source: str) ->
                 f"robot {robot} starts at [{int(row)}, {int(col)}], an obstacle",
                 source=source,
                 expected="a free cell",
-                fix=f"move the start, or leave {argument('starts')} out and use {argument('robots')}",
+                fix=f"move the start, or use {argument('robots')} instead of {argument('starts')}",
             )
     return given.astype(np.int64)
 
 
 def _reals(name: str, value: ArrayLike, count: int, of: Numbers, expected: str, source: str) -> list[float]:
-    """`count` of these numbers (no strings, booleans or complex ones) as floats, else a WorldError."""
+    """`count` real numbers (no strings, booleans or complex ones) as floats, else a WorldError."""
     try:
         given = np.asarray(value)
     except ValueError:  # lists of unequal length
@@ -438,16 +515,16 @@ def _shown(value: ArrayLike) -> str:
 
 
 def _fix_of(threat: float) -> str:
-    """What to write instead of a threat that is none."""
+    """A fix for an invalid threat."""
     if threat == 1:
         return "p = 1 is an obstacle: write NaN"
     if threat == -1:
-        return "-1 is an obstacle in .csv files alone: write NaN"
+        return "-1 is an obstacle in .csv files only: write NaN"
     return "it rounds to 1: write at most 0.9999999" if 0.9 < threat < 1 else ""
 
 
 def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32], int]:
-    """The threat array, and how many of its threats are too small for float32."""
+    """The threat array, and the number of its threats that are too small for float32."""
     try:
         array = np.asarray(threat)
     except ValueError:
@@ -462,6 +539,7 @@ def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32]
         raise WorldError(f"threat holds {array.dtype}", source=source, expected="numbers")
     with np.errstate(over="ignore", under="ignore"):
         values = array.astype(np.float32)
+    # Checked as float32, in which 0.99999999 is 1: engines compare float32 values.
     wrong = ~np.isnan(values) & ~((values >= 0) & (values < 1))
     if wrong.any():
         at, where = first_of(wrong)
@@ -469,6 +547,7 @@ def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32]
         raise WorldError(f"threat is {exactly(p)} {where}", source=source, expected=expected, fix=_fix_of(p))
     if np.isnan(values).all():
         raise WorldError("every cell is an obstacle", source=source, expected="at least one free cell")
+    # One bit pattern for NaN and no negative zero: equal maps have equal hashes.
     canonical = np.where(np.isnan(values), np.float32(np.nan), values + np.float32(0.0)).astype(np.float32)
     canonical.setflags(write=False)
     return canonical, int(((canonical == 0) & (array != 0)).sum())
@@ -477,7 +556,9 @@ def _checked_threat(threat: ArrayLike, source: str) -> tuple[NDArray[np.float32]
 def load_world_file(path: str | Path) -> World:
     """Read a world file: `.npz` (SPEC section 9), a bare `.npy` threat array, or a `.csv` of it (-1 or nan = obstacle).
 
-    Raises MapError if the file cannot be read, WorldError if what it holds is no world.
+    Raises:
+        MapError: the file cannot be read.
+        WorldError: its content is no world.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -494,12 +575,17 @@ def load_world_file(path: str | Path) -> World:
 
 
 def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
-    """The world in the arrays of a world file. Raises MapError or WorldError."""
+    """The world in the arrays of a world file.
+
+    Raises:
+        MapError, WorldError: as in `load_world_file`.
+    """
     if "threat" not in arrays:
         raise MapError(f"holds {sorted(arrays)}", source=source, expected="an array named 'threat'")
     size, origin = arrays.get("cell_size", 1.0), arrays.get("origin", np.zeros(3))
     place = _georeference(arrays, source) if "crs" in arrays else None
     world = World.create(arrays["threat"], None, size, origin, source, georeference=place)
+    # The true map first: starts, phases and uncertainty are checked against it.
     if "truth" in arrays:
         truth = _checked_threat(arrays["truth"], f"{source}: truth")[0]
         world = replace(world, knowledge=knowledge_in({**arrays, "truth": truth}, world.threat, source))
@@ -512,7 +598,7 @@ def world_of(arrays: Mapping[str, NDArray], source: str) -> World:
 
 
 def _place(georeference: Georeference) -> tuple[tuple[str, Any], ...]:
-    """What the world file holds of a georeference: the ends of the names `crs`, `crs_origin`, `crs_scale`."""
+    """World-file entries of a georeference: suffixes of the names `crs`, `crs_origin`, `crs_scale`, and values."""
     return ("", georeference.crs), ("_origin", georeference.origin), ("_scale", georeference.scale)
 
 
