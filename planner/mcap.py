@@ -44,7 +44,7 @@ _WINDOW = 2**27
 _CHUNK_START, _CHUNK_CRC = struct.Struct("<Q"), slice(24, 28)
 """The first field of a chunk, its first log time, and where its checksum stands."""
 UNCHECKED = "its messages are under no checksums: try `mcap recover` of the MCAP command line tools"
-"""What to do with a damaged log of which `mrac-jax recover` saves nothing."""
+"""What to do with a damaged log of which `mrac-jax inspect --repair` saves nothing."""
 
 
 class Damaged(ValueError):
@@ -76,7 +76,7 @@ def mapped(path: Path, error: type[InputError] = InputError) -> memoryview:
 
 def refusal(path: Path, problem: str, data: memoryview, error: type[InputError] = InputError) -> InputError:
     """What every reader says of a log that is cut or damaged, with what helps."""
-    fix = UNCHECKED if unchecked(data) else f"try `mrac-jax recover {shlex.quote(printable(path))}`"
+    fix = UNCHECKED if unchecked(data) else f"try `mrac-jax inspect {shlex.quote(printable(path))} --repair OUT`"
     return error(f"truncated or damaged: {problem}", source=path, fix=fix)
 
 
