@@ -652,7 +652,7 @@ def evaluate(
         deadline: a step at which coverage is reported too; robots that come home know it, and are home by then.
         first_visit: only the first visit of a cell by anybody can stop a robot.
         threat_scale: also if all threats are so many times the map's.
-        sensor_range: also if robots that are not told the map see so many cells far, on the same random numbers; 0: blind.
+        sensor_range: also with sensors of these ranges, in cells, common random numbers; 0: no sensor.
         bound: whether the bound for every strategy is worked out; None: on up to 500 accessible cells.
         band: also sample how coverage grows over time, for `plots`.
         advice: also a quick front: what other settings cover and lose.

@@ -183,7 +183,7 @@ class Settings:
         in_area: which cell of an area is next: one of `planner.policies.rules.ORDERS`; or a user's own, a function of
             a `CellOffer`, which is not saved.
         priority: by how much each cell counts when areas are compared, one number a cell of the map, row by row; as
-            `--policy best` finds it. None: alike. With `per_cell`, without `worth`.
+            `--policy best` finds it. None: alike. With `per_cell`, without `robot_value`.
     """
 
     levels: int = _setting(
@@ -376,8 +376,8 @@ class Settings:
                     fix=f"leave {called(name)} out, or choose that policy",
                 )
         if self.priority is not None and self.robot_value is not None:
-            fix = f"leave one of {called('priority')} and {called('worth')} out"
-            raise PlanError(f"{called('priority')} with {called('worth')}", source=source, fix=fix)
+            fix = f"leave one of {called('priority')} and {called('robot_value')} out"
+            raise PlanError(f"{called('priority')} with {called('robot_value')}", source=source, fix=fix)
         if self.effort is not None and self.plan_for != "open_loop":
             problem = f"{said('effort', str(self.effort))} with {called('plan_for')} {self.plan_for}"
             expected, fix = f"{called('plan_for')} open_loop", f"leave {called('effort')} out"

@@ -71,9 +71,12 @@ VALID = {
     "--state": "run.state.json", "--waypoints": "new.csv", "--animation": "new.gif", "--picture": "new.png",
     "--plan-out": "new.json", "--scenario-out": "new.yaml", "--plot": "new.png", "--csv": "new.csv",
     "--parquet": "new.parquet", "--merge": "kept.store", "--where": "robots=1", "--by": "robots", "--to": "kml",
-    "--levels": "4", "--seconds": "2", "--size": "6x7", "--exact": "never", "--threat-scale": "0.5,2", "--sensor-range": "1",
-    "--risk-caps": "0,0.5", "--robot-values": "1,2", "--pick": "best", "--density": "0.5", "--risk-cap": "0.2", "--p": "0.1",
-    "--target": "0.5", "--confidence": "0.9", "--weibull-shape": "1.5", "--gain": "0.5", "--precision": "0.2", "--ratio": "0.2",
+    "--levels": "4", "--seconds": "2", "--size": "6x7", "--exact": "never", "--threat-scale": "0.5,2",
+    "--sensor-range": "1",
+    "--risk-caps": "0,0.5", "--robot-values": "1,2", "--pick": "best", "--density": "0.5", "--risk-cap": "0.2",
+    "--p": "0.1",
+    "--target": "0.5", "--confidence": "0.9", "--weibull-shape": "1.5", "--gain": "0.5", "--precision": "0.2",
+    "--ratio": "0.2",
     "--obstacles": "0.1", "--losses": "0.5", "--map": "world.npz", "--max-steps": "99", "--worlds": "2",
 }  # fmt: skip
 """What an option takes, where it has no choices and "2" will not do."""

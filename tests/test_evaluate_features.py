@@ -194,7 +194,7 @@ COUNT, SENSED = 600, (0, 1, 3)
 
 @pytest.fixture(scope="module")
 def answer() -> Evaluation:
-    return mrac.evaluate(DARK, sense=SENSED, rollouts=COUNT, exact="never", advice=False, band=False)
+    return mrac.evaluate(DARK, sensor_range=SENSED, rollouts=COUNT, exact="never", advice=False, band=False)
 
 
 def visited(world: World, plan: Plan, count: int) -> np.ndarray:
@@ -359,7 +359,7 @@ def test_no_range_is_no_list_of_ranges() -> None:
 )
 def test_what_cannot_be_sensed_is_said(world: World, sensor_range: tuple[float, ...], words: str) -> None:
     with pytest.raises(InputError, match=words):
-        mrac.evaluate(world, sense=sense, rollouts=10)
+        mrac.evaluate(world, sensor_range=sensor_range, rollouts=10)
 
 
 # `evaluate` of robots that learn about hazards: beside told and blind ones on the same luck, and what they know.

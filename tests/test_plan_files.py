@@ -30,6 +30,7 @@ from analysis.recording.container import open_log
 from analysis.recording.contents import read_rollouts
 from analysis.report.answer import with_minutes
 from analysis.sampling import RolloutChoices
+from analysis.sweeps.cases import Team, run_key
 from analysis.sweeps.results import outcomes_of, select
 from analysis.sweeps.spec import PLANNER
 from analysis.sweeps.store import Store
@@ -41,6 +42,7 @@ from planner.make_plan import confirm_plan, make_plan
 from planner.plan.plan import Area, Leg, Plan, RobotPlan, headings, waypoints_csv
 from planner.plan.plan_file import count_shares
 from planner.plan_team import plan_team, read_plan
+from planner.renamed import RenamedWarning
 from planner.settings import SETTINGS, Choices, Settings
 from planner.simulator.codes import Outcome
 from planner.world.changing_maps import with_phases
@@ -914,3 +916,47 @@ def test_what_nobody_says_is_asked_for(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="how many metres a cell has"):
         mrac.load(CELLS, speed=1)
     assert mrac.load(CELLS, speed=4, cell_size=2).pace == Pace(0.5)
+
+
+# Names of release 0.3: read for one release, each with one warning, and hashed as before.
+
+OLD = {"policy": "per_cell", "reserve": 0.5, "worth": 7.5}
+NEW = {"policy": "per_cell", "risk_cap": 0.5, "robot_value": 7.5}
+
+
+def test_names_of_0_3_are_read_with_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.save(tmp_path / "cells.npy", WORLD.threat)
+    new = make_plan(WORLD, [[0, 0]], Settings(**NEW))
+    file = tmp_path / "plan.json"
+    file.write_text(json.dumps(new.to_json() | {"settings": new.settings.to_json() | {"plan_for": "closed"}}))
+    text = file.read_text()
+    for name, old in {"risk_cap": "reserve", "robot_value": "worth"}.items():
+        text = text.replace(f'"{name}"', f'"{old}"')
+    file.write_text(text)
+    with pytest.warns(RenamedWarning, match="plan.json: `.*` is now `.*`; release 0.5") as said:
+        assert load_plan(file, WORLD).settings == new.settings
+    assert len(said) == 3
+    with pytest.warns(RenamedWarning):
+        assert mrac.plan(WORLD, 1, **OLD).settings == new.settings
+    scenario = tmp_path / "old.yaml"
+    scenario.write_text("map: cells.npy\nrobots: {count: 1, susceptibility: 2}\nwear: {shape: 3}\nplan_for: open\n")
+    with pytest.warns(RenamedWarning):
+        asked = load_input(scenario).team.settings
+    assert asked == {"weibull_shape": 3, "hazard_multiplier": 2, "plan_for": "open_loop"}
+    assert run(["plan", str(tmp_path / "cells.npy"), "--policy", "per_cell", "--worth=7.5", "--reserve", "0.5"]) == 0
+    assert "note: --worth is now --robot-value; release 0.5 no longer reads --worth\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("settings", "key"),
+    [
+        ({}, "5239310a3d1b307e"), (NEW, "40085361c4841d18"),
+        ({"plan_for": "open_loop", "effort": 9}, "b083ceac958a2ca2"),
+        ({"weibull_shape": 2.0, "hazard_multiplier": (1.0, 3.0)}, "42063f4ad679392e"),
+    ],
+)  # fmt: skip
+def test_identities_hash_the_names_of_0_3(settings: dict[str, Any], key: str) -> None:
+    """Keys of runs as the commit before the new names computed them: stores go on without a new rollout."""
+    world = World.create([[0, 0.1, 0], [0.2, 0, 0.3]])
+    team = Team(world, np.array([[0, 0], [0, 2]]), Settings(**settings))
+    assert run_key(team, RolloutChoices(seed=3)).startswith(key)

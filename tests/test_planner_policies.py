@@ -63,8 +63,8 @@ FEW = 1
 LIMITED: list[dict[str, Any]] = [
     {"policy": "per_cell", **limits}
     for limits in (
-        {}, {"risk_cap": 0.25}, {"risk_cap": 1.0}, {"robot_value": 4.0}, {"robot_value": 40.0}, {"risk_cap": 0.5, "robot_value": 9.0},
-        {"policy": "watchful"}, {"policy": "watchful", "risk_cap": 0.1},
+        {}, {"risk_cap": 0.25}, {"risk_cap": 1.0}, {"robot_value": 4.0}, {"robot_value": 40.0},
+        {"risk_cap": 0.5, "robot_value": 9.0}, {"policy": "watchful"}, {"policy": "watchful", "risk_cap": 0.1},
         {"policy": "watchful", "risk_cap": 0.5, "robot_value": 9.0},
     )
 ]  # fmt: skip

@@ -430,8 +430,9 @@ def test_functions_take_every_option_of_their_commands() -> None:
 def test_searches_pass_every_option_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is given arrives: settings in Settings, rollouts in RolloutChoices; an unknown name is refused."""
     world = small_world()
-    settings = {"levels": 3, "density": 5.0, "risk": "log", "max_steps": 900, "range": 700, "weibull_shape": 2.0, "recharge": 4,
-                "hazard_multiplier": 0.5, "return_to": [[0, 0]], "radio": 30.0, "in_area": "rows"}  # fmt: skip
+    settings = {"levels": 3, "density": 5.0, "risk": "log", "max_steps": 900, "range": 700, "weibull_shape": 2.0,
+                "recharge": 4, "hazard_multiplier": 0.5, "return_to": [[0, 0]], "radio": 30.0,
+                "in_area": "rows"}  # fmt: skip
     policy = {"policy": "per_cell", "risk_cap": 0.5, "robot_value": 40.0}
     rolled = {
         "rollouts": 77,

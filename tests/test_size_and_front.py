@@ -909,8 +909,8 @@ def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
     assert set(advice) == keys and advice["policy"] == "per_cell" and advice["rollouts"] == 1024
     assert any(point["robot_value"] == advice["robot_value"] for point in advice["front"])
     world = mrac.load(world_file)
-    pair = [(world, mrac.plan(world, policy=policy, robot_value=advice["robot_value"] if policy == "per_cell" else None))
-            for policy in ("mrac", "per_cell")]  # fmt: skip
+    values = {"mrac": None, "per_cell": advice["robot_value"]}
+    pair = [(world, mrac.plan(world, policy=policy, robot_value=value)) for policy, value in values.items()]
     fair = mrac.compare(*pair, rollouts=1024).difference("visited").estimate
     assert advice["difference"] == fair.to_json()
     other = mrac.evaluate(*pair[1], rollouts=1024, advice=False, band=False)

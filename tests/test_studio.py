@@ -115,8 +115,9 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 EVERY_KEY: dict[str, Any] = {
-    "levels": 4, "weibull_shape": 2.0, "deadline": 90, "in_area": "rows", "range": (20, 30), "hazard_multiplier": (1.0, 3.0),
-    "return_to": ((0, 0), (2, 1)), "recharge": 3, "steps_per_move": (1, 2), "radio": 3.5,
+    "levels": 4, "weibull_shape": 2.0, "deadline": 90, "in_area": "rows", "range": (20, 30),
+    "hazard_multiplier": (1.0, 3.0), "return_to": ((0, 0), (2, 1)), "recharge": 3, "steps_per_move": (1, 2),
+    "radio": 3.5,
 }  # fmt: skip
 """Settings that a scenario can name, but for a policy's and types; not all of them together make a plan."""
 

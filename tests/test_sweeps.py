@@ -854,7 +854,8 @@ SWEEPS = {
     f"base: {{input: true.npz, robots: 1, moving_threats: [{GUARD}]}}\nsweep: {{'movers[0].h': [0.1, 0.3]}}": [
         mrac.with_movers(TRUE, [{"patrol": [[1, 2], [1, 3], [2, 3], [2, 2]], "h": h}]) for h in (0.1, 0.3)
     ],
-    f"base: {{input: true.npz, robots: 2, latent_hazard: {LEARN % 'persistent'}}}\nsweep: {{latent_hazard.learn: [true, false]}}": [
+    f"base: {{input: true.npz, robots: 2, latent_hazard: {LEARN % 'persistent'}}}\n"
+    "sweep: {latent_hazard.learn: [true, false]}": [
         mined(TRUE), mined(TRUE, learn=False)
     ],
     "base: {input: true.npz, robots: 2, sensor_range: {range: 1, detect: 0.8, false_alarm: 0.1}}\n"

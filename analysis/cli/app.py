@@ -146,19 +146,23 @@ def _new_option(word: str) -> str:
     return "=".join([option, *value])
 
 
-def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-    """`warnings.showwarning` of the command line: a renamed option or key is one line on standard error."""
-    if issubclass(category, RenamedWarning):
-        say([f"note: {message}"])
-    else:
-        _SHOW(message, category, *where, **more)
-
-
-_SHOW = warnings.showwarning
-
-
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run one command line; returns the exit status."""
+    """Run one command line; returns the exit status. A name of release 0.3 is one line on standard error."""
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+
+        def show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, RenamedWarning):
+                say([f"note: {message}"])
+            else:
+                usual(message, category, *where, **more)
+
+        warnings.showwarning = show_warning
+        warnings.simplefilter("default", RenamedWarning)
+        return _run(arguments)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if NO_CACHE_OPTION in words:
         words = [word for word in words if word != NO_CACHE_OPTION]
@@ -169,7 +173,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
         say([f"error: {old}: {LEFT[old]}"])
         return BAD_INPUT
     told, named = COMMAND.set(tuple(words)), COMMAND_LINE.set(True)
-    warnings.showwarning = _show_warning
     try:
         words = [_new_option(word) for word in _new_command(words)]
         check_streams()
@@ -195,7 +198,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         line = f"{error.filename or 'output'}: {error.strerror}; expected a file or folder that can be used"
     finally:
-        warnings.showwarning = _SHOW
         COMMAND.reset(told)
         COMMAND_LINE.reset(named)
     say([f"error: {line}"])

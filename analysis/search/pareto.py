@@ -41,13 +41,14 @@ LANDMARKS = (*(tenth / 10 for tenth in range(1, 10)), 0.95, 0.99)
 """Coverage, fractions of the accessible cells, that prices are named for; missions are cut where they reach it."""
 RESERVES = (0.1, 0.25, 0.5)
 MOST_WORTHS = 16
-"""Steps of the ladder of `worth`, each twice the one before."""
+"""Steps of the ladder of `robot_value`, each twice the one before."""
 NEXT_TO_NONE = 0.02
 """Robots lost on average below which the ladder ends."""
 USUAL, CELLS = 4096, 2**23
 """Rollouts of a setting where nobody says how many, and the cells that they cover together at most."""
 HALVINGS = 3
-"""Values of `worth` tried between the two that a goal lies between; and missions ended between those that are left."""
+"""Values of `robot_value` tried between the two that a goal lies between; and missions ended between those that are
+left."""
 KNEE = 0.1
 """How far above the straight price between two settings a third has to be to be named: a share of what it costs."""
 FAMILIES = ("mrac", "per_cell", "risk_cap", "robot_value")
@@ -188,7 +189,7 @@ def first_worth(largest_threat: float) -> float:
 
 
 def careful_first(largest_threat: float, smallest_threat: float, cells: int) -> list[float]:
-    """The whole ladder of `worth` from its end, with which every danger is refused, down to `first_worth`."""
+    """The whole ladder of `robot_value` from its end, with which every danger is refused, down to `first_worth`."""
     first, ladder = first_worth(largest_threat), list[float]()
     for step in range(MOST_WORTHS):
         ladder.insert(0, first * 2**step)
@@ -371,9 +372,11 @@ def find_front(
     progress: ProgressCallback | None = None,
     doing: Doing | None = None,
 ) -> Front:
-    """Look at `mrac` and `per_cell`, whole and ended early, and at `per_cell` over ladders of `reserve` and `worth`.
+    """Look at `mrac` and `per_cell`, whole and ended early, and at `per_cell` over ladders of `risk_cap` and
+    `robot_value`.
 
-    All are rolled out with the same ids and seed; the ladder of `worth` doubles from 1 / p of the worst cell until next
+    All are rolled out with the same ids and seed; the ladder of `robot_value` doubles from 1 / p of the worst cell
+    until next
     to no robot is lost, and is refined around a goal. With `choices.deadline` every mission ends there. Nothing is
     rolled out of settings whose trees end in time (`analysis.estimators.trial`). The pick is chosen and told on other
     ids:
@@ -429,7 +432,8 @@ def quick_points(
     doing: Doing,
     clock: Callable[[], float] = time.process_time,
 ) -> tuple[Point, ...]:
-    """A few settings in a moment: `per_cell` from the most careful `worth` down to where so many `losses` are reached,
+    """A few settings in a moment: `per_cell` from the most careful `robot_value` down to where so many `losses` are
+    reached,
     then the policies as they are.
 
     The careful ones come first, as they are cheap and say what costs no robot. None is begun after `seconds` of work;
@@ -534,7 +538,7 @@ class _Search:
             self.look_at(setting._replace(deadline=step))
 
     def _up_the_ladder(self) -> None:
-        """The values of `worth` that were named; or each twice the one before, until next to no robot is lost."""
+        """The values of `robot_value` that were named; or each twice the one before, until next to no robot is lost."""
         if self.ladders.robot_values is not None:
             for robot_value in self.ladders.robot_values:
                 self.look_at(Setting("per_cell", robot_value=robot_value))
@@ -547,9 +551,10 @@ class _Search:
                     return
 
     def _refine(self) -> None:
-        """Further values of `worth` between two neighbours of which one meets the goal; then the lower one ended early.
+        """Further values of `robot_value` between two neighbours of which one meets the goal; then the lower one
+        ended early.
 
-        A small change of `worth` may refuse a large area, so that nothing lies between; a step can be any.
+        A small change of `robot_value` may refuse a large area, so that nothing lies between; a step can be any.
         """
         if not self.goal or self.ladders.robot_values is not None:
             return
@@ -564,7 +569,7 @@ class _Search:
             self._cut(setting, [*marks, *self._target(setting)])
 
     def _parted(self) -> tuple[float, float] | None:
-        """The first two neighbours of the ladder of `worth` of which one meets the goal."""
+        """The first two neighbours of the ladder of `robot_value` of which one meets the goal."""
         known = [(s.robot_value, self.goal.allows(p.sure)) for s, p in self.points.items() if s.robot_value is not None]
         return next(((a, b) for (a, met), (b, other) in pairwise(sorted(known)) if met != other), None)
 

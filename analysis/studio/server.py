@@ -194,7 +194,8 @@ def read_sketch(body: bytes, first: Sketch) -> tuple[Sketch, Mapping[str, Key]]:
     """The board that a request's JSON holds, on the ground of the `first` one, and all keys of the request.
 
     `cells`: base64 of little-endian float32 `[H, W]`, NaN = obstacle. `starts`: `[[row, col], ...]`, or null for so
-    many `robots` placed by the rule. `policy`, `reserve`, `worth`, `deadline` as the options of `evaluate`, null: none.
+    many `robots` placed by the rule. `policy`, `risk_cap`, `robot_value`, `deadline` as the options of `evaluate`,
+    null: none.
     `unknown`: base64 of a byte a cell, 1: robots do not know it, believe it free with the chance `believed`, and see
     `sensor_range` cells far, null: everything. Raises InputError.
     """

@@ -242,7 +242,7 @@ class CoverageEnv:
         """One step of the team: observations, state, rewards, dones (`__all__` too), infos; `key` is not needed.
 
         A robot's reward is the cells that it was the first to enter (of robots that enter one cell in one step the
-        first by number), minus `worth` when it is lost; then it is done, may only stay, and has reward 0. infos:
+        first by number), minus `robot_value` when it is lost; then it is done, may only stay, and has reward 0. infos:
         `covered`, a fraction of the accessible cells, `lost` robots, `truncated`.
 
         Raises UsageError for other agents, and for an action outside the space. Under `jit`, `vmap` or `scan` values

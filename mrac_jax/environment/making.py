@@ -40,7 +40,7 @@ def env(
 
     Every robot is an agent. Each step it stays or moves to a neighbour; what it enters is visited and may stop it, by
     the rules and the luck of `evaluate`. It observes float32 planes `[6, h, w]` (threat, obstacles, visited, itself,
-    others, share of the team alive); its reward is the cells it visits first, less `worth` when it is lost.
+    others, share of the team alive); its reward is the cells it visits first, less `robot_value` when it is lost.
 
     Args:
         robots, starts: as of `plan`.

@@ -437,7 +437,8 @@ def _outcome(key: Key, settings: Settings) -> str:
     """The outcome that a file names.
 
     Up to release 0.3 files did not say whether an operator had ended a mission or the rule, or whether a deadline cut
-    it off: the settings tell, but for a mission with a `worth` that ended on the way home, which counts as the rule's.
+    it off: the settings tell, but for a mission with a `robot_value` that ended on the way home, which counts as the
+    rule's.
     """
     if key.value == "called_off" and settings.robot_value is None:
         return Outcome.ENDED_BY_OPERATOR.word

@@ -130,7 +130,8 @@ class Plan:
         return self.settings.bearing(begun)
 
     def of_robots(self, **what: Any) -> Plan:
-        """The same plan with another `wear` or `susceptibility`, which no decision knows. Raises PlanError."""
+        """The same plan with another `weibull_shape` or `hazard_multiplier`, which no decision knows. Raises
+        PlanError."""
         settings = replace(self.settings or self._own, **what)
         settings.check()
         settings.check_team(len(self.robots))

@@ -45,7 +45,8 @@ InAreaOrder = str | Callable[[CellOffer], Any]
 as Python alone follows."""
 
 
-# The limits on a team: how many may be at risk (`reserve`), and what a robot is worth (`worth`) (SPEC section 11).
+# The limits on a team: how many may be at risk (`risk_cap`), and what a robot is worth (`robot_value`) (SPEC section
+# 11).
 
 
 def most_at_risk(risk_cap: float, alive: int) -> int:

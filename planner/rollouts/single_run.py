@@ -453,7 +453,7 @@ class RobotNow:
 
     @property
     def held(self) -> bool:
-        """True if the cap on robots at risk (`reserve`) keeps it from areas with threats, until it gets an area."""
+        """True if the cap on robots at risk (`risk_cap`) keeps it from areas with threats, until it gets an area."""
         return bool(self._me["held"])
 
     @property

@@ -115,7 +115,7 @@ def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn
     Other hazards are replaced. Raises WorldError for chances that are none, and beside all else that is not known, or
     types of robots.
     """
-    check_alone(world, "hazard", over=Hazard)
+    check_alone(world, "latent_hazard", over=Hazard)
     if learn and kind == "independent":
         problem = "robots learn nothing of hazards that are drawn anew for every visit"
         raise WorldError(problem, source=world.source, expected="persistent or consumed ones", fix="leave `learn` out")
@@ -174,7 +174,7 @@ def _frozen(threat: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def read_hazard(key: Key, world: World, ground: Ground) -> World:
-    """The world of a scenario with `latent_hazard: {kind, q, h, learn}`; by default q is what `threats` say, and h is 1."""
+    """The world of a scenario with `latent_hazard: {kind, q, h, learn}`; default: q by `threats`, h 1."""
     keys = key.mapping(("kind",), optional=("q", "h", "learn"))
     kind = keys["kind"].choice(("independent", *HAZARDS))
     learn = keys["learn"].value if "learn" in keys else False

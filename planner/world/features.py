@@ -1,4 +1,4 @@
-"""Worlds whose robots are not told the map, made from arrays, or from a scenario's keys `true_map`, `prior_map`, `sensor_range`."""
+"""Worlds whose robots do not know the map, from arrays or a scenario's `true_map`, `prior_map`, `sensor_range`."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ def as_planned(world: World, starts: ArrayLike) -> World:
     return replace(world, threat=threat, knowledge=None, doubt=None)
 
 
-# Worlds with threats that move, made from movers, or from a scenario's key `moving_threats` (`planner.world.moving_threats`).
+# Worlds with moving threats, from arrays or a scenario's key `moving_threats` (`planner.world.moving_threats`).
 
 AT, STAYS = "[row, col], whole numbers", "a chance to stay, 0 to 1"
 PlannedOn = Literal["patrols", "joined", "own"]
@@ -190,7 +190,7 @@ def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_
     """
     chosen = PATROLS if plan_on is None else plan_on
     check_word("plan_on", chosen, PLAN_ON, WorldError, world.source)
-    check_alone(world, "movers")
+    check_alone(world, "moving_threats")
     members: list[Mover] = []
     own = world.threat
     for number, one in enumerate(movers):
@@ -226,7 +226,8 @@ def as_before(world: World) -> World:
 
 
 def read_movers(key: Key, plan_on: Key | None, world: World) -> World:
-    """The world of a scenario with `movers: [{walk: s | patrol: [[r, c], ...], start, h, count}, ...]`, `plan_on`."""
+    """The world of a scenario with `moving_threats: [{walk: s | patrol: [[r, c], ...], start, h, count}, ...]`,
+    `plan_on`."""
     items = key.items("a list of movers, each {walk or patrol, h}")
     members = [one for item in items for one in ([item.value] if _is_of_the_map(item) else _read_each(item, world))]
     chosen: Any = None if plan_on is None else plan_on.choice(PLAN_ON)
