@@ -34,6 +34,10 @@ def with_new_names(given: Mapping[Any, Any], allowed: Collection[str], source: o
         if (new := RENAMED[old]) in allowed and new not in found:
             warn_renamed(f"`{old}`", f"`{new}`", source)
             found = {new if name == old else name: value for name, value in found.items()}
+    for old in [name for name in found if name in ("first_visit", "first_visit_b") and name not in allowed]:
+        if (new := f"threat_checks{old.removeprefix('first_visit')}") in allowed:
+            warn_renamed(f"`{old}`", f"`{new}`", source)
+            found[new] = "first_visit" if found.pop(old) else "every_visit"
     return found
 
 

@@ -208,12 +208,12 @@ class Settings:
     )  # fmt: skip
     policy: Policy = _setting(  # noqa: RUF009
         DEFAULT, "policy",
-        "Choice of the next area: mrac, the nearest; per_cell, the least cost per new cell; watchful, re-evaluated before "
-        "every dangerous cell; frontier, for robots without a known map (default: mrac).",
+        "Next area: mrac, the nearest; per_cell, the least cost per new cell; watchful, re-evaluated before every "
+        "dangerous cell; frontier, for robots without a known map (default: mrac).",
         words=tuple(RULES), later=True, rare=False,
     )  # fmt: skip
     risk_cap: float | None = _setting(
-        None, "risk cap", "Largest share of the surviving robots that may be at risk at once, with per_cell (default: 1).",
+        None, "risk cap", "Largest share of the surviving robots at risk at once, with per_cell (default: 1).",
         Numbers(0, 1, above=True), unset="none", later=True,
     )  # fmt: skip
     robot_value: float | None = _setting(
@@ -227,7 +227,7 @@ class Settings:
         words=("closed_loop", "open_loop"), later=True, before=LOOPS,
     )  # fmt: skip
     effort: int | None = _setting(
-        None, "effort of the search", "Number of paths that the search evaluates, with --plan-for open_loop (default: 200000).",
+        None, "effort of the search", "Paths that the search of --plan-for open_loop evaluates (default: 200000).",
         whole(0, MOST_EFFORT), unset="200,000 evaluations", later=True,
     )  # fmt: skip
     range: int | tuple[int, ...] | None = _setting(
@@ -247,7 +247,7 @@ class Settings:
         Numbers(LEAST_SUSCEPTIBILITY, MOST_SUSCEPTIBILITY), each=True, later=True,
     )  # fmt: skip
     return_to: str | tuple[tuple[int, int], ...] | None = _setting(
-        None, "return to", 'Return at the end: home, to the own start; nearest, to any start; or to bases, "row,col;row,col;...".',
+        None, "return to", 'Return to: home (the own start), nearest (any start) or bases "row,col;row,col;...".',
         words=("home", "nearest"), unset="nowhere", places=True, later=True, rare=False,
     )  # fmt: skip
     recharge: int | None = _setting(
@@ -425,7 +425,7 @@ TEAM, GOAL, ROLLOUTS, SURVEY, TIMELINE, OUTPUT = "Team", "Goal", "Rollouts", "Ma
 def _option(
     group: str, name: str, text: str, form: str = "", numbers: Numbers = ANY, default: Any = None, **more: Any
 ) -> tuple[str, Setting]:
-    more = {"unset": "unset", "rare": False} | more
+    more = dict[str, Any]({"unset": "unset", "rare": False}) | more
     return name, Setting(name.replace("_", " "), text, numbers, group=group, form=form, default=default, **more)
 
 
@@ -439,7 +439,7 @@ OPTIONS: dict[str, Setting] = SETTINGS | dict([
     _option(TEAM, "sensor_range", "Sensor range in cells of robots without a known map; inf: the whole map.", "reach",
             rare=True),
     _option("Planning", "plan", "Plan file to use instead of planning.", "path"),
-    _option("Planning", "state", "Start from a mission state: JSON, tracks or visited cells (.csv), mask (.npy, .png) or "
+    _option("Planning", "state", "Start from a mission state: JSON, tracks or visited cells (.csv), mask (.npy, .png), "
             "OccupancyGrid (.yaml, .mcap); --starts gives the robots' cells if the file does not.", "path"),
     _option(ROLLOUTS, "loop", "closed: survivors take over the work of lost robots (default); open: fixed paths.",
             words=LOOP_WORDS),
@@ -447,7 +447,7 @@ OPTIONS: dict[str, Setting] = SETTINGS | dict([
     _option(ROLLOUTS, "precision", "Stop at this half-width of the 95 % interval of mean coverage, a fraction.",
             numbers=Numbers(0, 1, above=True, below=True, said="a fraction of the accessible cells in (0, 1)")),
     _option(ROLLOUTS, "seed", "Seed of the rollouts; the map and the plan do not depend on it (default: 0).",
-            numbers=SEED),
+            numbers=SEED, default=0),
     _option(ROLLOUTS, "engine", "Simulator; results do not depend on it. auto: numba, or jax on a GPU (default).",
             words=ENGINES, default="auto", rare=True),
     _option(ROLLOUTS, "exact", "Compute exact closed-loop values of small teams: auto (about 2 s), never, or seconds "
@@ -460,7 +460,7 @@ OPTIONS: dict[str, Setting] = SETTINGS | dict([
     _option(GOAL, "target", "Fraction of the accessible cells to cover, above 0, at most 1."),
     _option(SURVEY, "processes", "Number of processes; results do not depend on it (default: one per core).",
             numbers=whole(1)),
-    _option(SURVEY, "scheduler", "Address of a dask.distributed scheduler: tls://host:8786 or tcp://host:8786.", "text"),
+    _option(SURVEY, "scheduler", "A dask.distributed scheduler, tls://host:8786 or tcp://host:8786.", "text"),
     _option(SURVEY, "store", "Keep results in this file, and reuse those that it has.", "path"),
     _option(OUTPUT, "bound", "Compute the upper bound on maps with more than 1,000 dangerous cells too.", "flag",
             default=False, rare=True),

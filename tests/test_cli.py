@@ -300,7 +300,7 @@ def test_generate_makes_the_paper_s_world(tmp_path: Path, capsys: pytest.Capture
         ("evaluate WORLD --xyzzy", "Unknown option: --xyzzy; `mrac-jax evaluate --help` lists its options"),
         ("evaluate WORLD --policy percell", "or best; did you mean 'per_cell'?"),
         ("evaluate WORLD --engine nunba", "did you mean 'numba'?"),
-        ("evaluate WORLD --metrics coverag", "did you mean 'coverage'?"),
+        ("evaluate WORLD --metrics coverage", "--metrics: left with release 0.4; docs/value.md"),
         ("evaluate WORLD --precision 5", "in (0, 1); did you mean 0.05?"),
         ("size WORLD --target 0.9 --confidence 95", "did you mean 0.95?"),
         ("plan WORLD --policy per_cell --risk-cap 20", "did you mean 0.2?"),
@@ -512,7 +512,7 @@ def test_a_folder_keeps_what_was_read_from_it(tmp_path: Path, monkeypatch: pytes
     World.create([[0.0, 0.1, 0.1]], [[0, 0]]).save("known.npz")
     few = ["--rollouts", "64", "--out", "."]
     before = {name: Path(name).read_bytes() for name in ("world.png", "known.npz")}
-    assert run(["attack", "known.npz", *few]) == 0
+    assert run(["threats", "known.npz", "--add", "1", *few]) == 0
     assert run(["evaluate", "s.yaml", "--no-advice", *few]) == 0
     assert Path("world.png").read_bytes() == before["world.png"] != Path("evaluation/world.png").read_bytes()
     assert Path("known.npz").read_bytes() == before["known.npz"] != Path("attack/known.npz").read_bytes()
@@ -532,8 +532,10 @@ def test_a_folder_keeps_what_was_read_from_it(tmp_path: Path, monkeypatch: pytes
     [
         ("plan example:paper --altitude 3", "--altitude without --waypoints"),
         ("plan p.json --seconds 5", "--seconds 5"),
-        ("suite --plans A=x --plans A=y", "'A' is named twice"),
-        ("suite --actions areas", "--actions areas without --policy"),
+        ("threats example:paper", "threats needs --remove or --add"),
+        ("threats example:paper --remove 1 --p 0.3", "--p 0.3 with --remove"),
+        ("threats example:paper --add --unit areas", "--unit areas with --add"),
+        ("inspect p.json --all", "--all without --replay"),
     ],
 )
 def test_an_option_that_would_do_nothing_is_refused(
@@ -616,7 +618,7 @@ CLOSED, FRONT = ["evaluate", "map.npz", *TEAM, *FEW], ["--robot-values", "12.5",
 COMMANDS = {
     "evaluate": [*CLOSED, "--threat-scale", "0.5,2", "--deadline", "40", "--theory"],
     "open loop": [*CLOSED, "--loop", "open", "--theory"],
-    "value": ["evaluate", "valued.yaml", *FEW, "--metrics", "search"],
+    "value": ["evaluate", "valued.yaml", *FEW],
     "in doubt": ["evaluate", "doubtful.yaml", *FEW],
     "size": ["size", "map.npz", "--target", "0.9", "--most", "4", *FEW],
     "size of value": ["size", "valued.yaml", "--target", "0.9", "--most", "4", *FEW],
@@ -624,9 +626,9 @@ COMMANDS = {
     "front with a goal": ["front", "valued.yaml", "--target", "0.5", *FRONT],
     "starts": ["starts", "map.npz", *TEAM, *FEW],
     "starts of value": ["starts", "valued.yaml", "--depot", *FEW],
-    "clear": ["clear", "map.npz", *TEAM, *FEW],
-    "attack": ["attack", "map.npz", *TEAM, *FEW],
-    "attack on value": ["attack", "valued.yaml", "--count", "2", "--p", "0.4", *FEW],
+    "threats to remove": ["threats", "map.npz", "--remove", "1", *TEAM, *FEW],
+    "threats to add": ["threats", "map.npz", "--add", "1", *TEAM, *FEW],
+    "threats to add on value": ["threats", "valued.yaml", "--add", "2", "--p", "0.4", *FEW],
     "compare": ["compare", "map.npz", *TEAM, "--b.policy", "per_cell", "--b.robot-value", "12.5", *FEW],
     "check": ["check", "map.npz", *TEAM, *FEW],
     "check of many": ["check", "--worlds", "2", "--robots", "1,2,3,4,12", "--size", "6x6", "--processes", "1", *FEW],
@@ -803,7 +805,7 @@ def test_help_is_still_drawn(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def help_of(command: str, capsys: pytest.CaptureFixture[str]) -> str:
-    assert run([command, "--help"]) == 0
+    assert run([command, "--help-all"]) == 0
     return re.sub(r"[\s│]+", " ", capsys.readouterr().out)
 
 

@@ -430,7 +430,7 @@ except mrac.InputError as error:
 else:
     raise AssertionError("no error")
 assert run(["evaluate", "example:paper", "--rollouts", "100", "--json"]) == 0
-assert run(["clear", sys.argv[1], "--rollouts", "16", "--out", sys.argv[2]]) == 0
+assert run(["threats", sys.argv[1], "--remove", "1", "--rollouts", "16", "--out", sys.argv[2]]) == 0
 assert "jax" not in sys.modules
 """
 

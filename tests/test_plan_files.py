@@ -552,7 +552,7 @@ def test_plan_record_and_export_take_it_and_their_paths_end_there(
     assert told["outcome"] == "deadline" and f"rollout 3 ends: deadline at step {ENDS}" in told["text"]
     assert json.loads(open_log(log).attachment("tally.json"))["outcomes"]["deadline"] == 1
     assert next(read_rollouts(log)).trace.outcome is Outcome.STEP_LIMIT
-    assert run(["replay", str(log)]) == 0
+    assert run(["inspect", str(log), "--replay"]) == 0
     capsys.readouterr()
     assert run(["export", WORLD_DEADLINE, "--plan", str(made), "--out", str(out)]) == 0
     longest = max(len(robot["path"]) for robot in json.loads(made.read_text())["robots"])

@@ -325,7 +325,7 @@ def test_processes_change_no_figure() -> None:
 @pytest.mark.parametrize("kind", ["persistent", "consumed"])
 def test_hazards_are_those_of_plans(kind: str, tmp_path: Path) -> None:
     """Robots side by side in a corridor, so that a consumed hazard is gone for who comes after in the same step."""
-    world = mrac.with_hazard(CORRIDOR, kind, np.array([[0.0, 0.0, *[0.5] * 10]]), 0.4).with_starts([[0, 0]] * 3)
+    world = CORRIDOR.with_latent_hazard(kind, np.array([[0.0, 0.0, *[0.5] * 10]]), 0.4).with_starts([[0, 0]] * 3)
     (tmp_path / "paths.json").write_text(str([[[0, col] for col in range(12)]] * 3))
     plan = mrac.read_plan(tmp_path / "paths.json", world)
     choices = RolloutChoices(loop="open", rollouts=400, seed=3)
@@ -345,7 +345,7 @@ def test_what_is_for_plans_alone_is_refused_of_a_policy() -> None:
         mrac.evaluate(CORRIDOR, mrac.plan(CORRIDOR), policy=mostly_east)  # type: ignore[call-overload]
 
 
-# `mrac-jax reproduce policies`: the right maps, the same luck, what is worse, and its faces.
+# `python docs/examples/experiments.py policies`: the right maps, the same luck, what is worse, and its faces.
 
 FEW = (
     Setting("contiguous", 2), Setting("contiguous", 2, "per_cell", 0.25), Setting("contiguous", 2, cut=20),

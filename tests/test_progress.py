@@ -275,12 +275,12 @@ def jobs(folder: Path) -> dict[str, tuple[int, Callable[..., Any]]]:
         "size": (2, lambda **how: mrac.size(world, target=0.99, most=9, exact="never", **how)),
         "front": (3, lambda **how: mrac.front(world, 2, **how)),
         "starts": (2, lambda **how: mrac.starts(world, 1, **how)),
-        "clear": (2, lambda **how: mrac.clear(world, 2, **how)),
-        "attack": (2, lambda **how: mrac.attack(world, 2, **how)),
+        "remove": (2, lambda **how: mrac.threats(world, 2, remove=1, **how)),
+        "add": (2, lambda **how: mrac.threats(world, 2, add=1, **how)),
         "check": (2, lambda **how: mrac.check(world, plan, **how)),
         "record": (2, lambda **how: mrac.record(world, plan, folder / "a.mcap", ids=range(9), **how)),
         "sweep": (2, lambda **how: mrac.sweep(folder / "a.yaml", folder / "a.store", processes=1, **how)),
-        "reproduce": (2, lambda **how: mrac.reproduce("fig4", maps=5, rollouts=8, processes=1, **how)),
+        "paper": (2, lambda **how: mrac.check(paper="fig4", maps=5, rollouts=8, processes=1, **how)),
     }
 
 
@@ -485,7 +485,7 @@ SAVED = {
     "plan": lambda world, file, **how: mrac.plan(world, 2).save(file / "p.json", **how),
     "world": lambda world, file, **how: world.save(file / "w.npz", **how),
     "state": lambda world, file, **how: state_of(world).save(file / "s.json", **how),
-    "mission": lambda world, file, **how: mrac.mission(world, 2).save(file / "m.json", **how),
+    "mission": lambda world, file, **how: mrac.drive(world, 2).save(file / "m.json", **how),
     "answer": lambda world, file, **how: mrac.check(world, 1, rollouts=64, progress=False).save(file / "a", **how),
     "comparison": lambda world, file, **how: mrac.compare((world, 1), (world, 2), rollouts=64, progress=False).save(
         file / "c", **how
@@ -497,7 +497,7 @@ SAVED = {
 
 
 def state_of(world: mrac.World) -> Any:
-    mission = mrac.mission(world, 2)
+    mission = mrac.drive(world, 2)
     mission.advance()
     return mission.state
 
@@ -520,14 +520,14 @@ def test_nothing_is_replaced_unasked(name: str, tmp_path: Path) -> None:
 
 def test_a_mission_replaces_its_own_file(tmp_path: Path) -> None:
     world, file = small_world(), tmp_path / "now.json"
-    mission = mrac.mission(world, 2)
+    mission = mrac.drive(world, 2)
     for _ in range(2):
         mission.save(file)
         mission.advance()
-    again = mrac.mission(world, 2, state=file)
+    again = mrac.drive(world, 2, state=file)
     again.save(file)
     with pytest.raises(mrac.InputError, match="is there already"):
-        mrac.mission(world, 2).save(file)
+        mrac.drive(world, 2).save(file)
 
 
 @pytest.mark.parametrize(

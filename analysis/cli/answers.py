@@ -117,7 +117,7 @@ def evaluate(source: INPUT, /, given: Given) -> int:
     )  # fmt: skip
 
 
-OF_B = {
+OF_B: dict[str, Any] = {
     f"b_{name}": of(name, group=SECOND, default=None, rare=name not in ("robots", "starts", "policy", "plan", "loop"))
     for name in ("robots", "starts", "sensor_range", *PLANNING.split(), "plan", "loop", "threat_checks")
 }
@@ -384,16 +384,9 @@ def threats(source: INPUT, /, given: Given) -> int:
     --remove gives the gain with a new plan and with the old one. --add gives the cost if the robots know the new
     threats and if they do not. Candidates are compared on common random numbers and confirmed by other rollouts.
     """
-    from analysis.search.threats import find_attack, find_clearing
+    from analysis.search.threats import threats_search
 
-    if (given.remove is None) == (given.add is None):
-        raise UsageError("threats needs --remove or --add", expected="one of them")
-    unused = {"--p": given.p} if given.add is None else {"--unit": given.unit}
-    for name in (name for name, value in unused.items() if value is not None):
-        raise UsageError(f"{name} with {'--remove' if given.add is None else '--add'}", fix="leave it out")
-    search: Any = partial(find_attack, count=given.add, p=0.2 if given.p is None else given.p)
-    if given.add is None:
-        search = partial(find_clearing, count=given.remove, remove=given.unit)
+    search: Any = threats_search(given.remove, given.add, given.unit, given.p)
     choices = given.rolled()
     check_folder(given.out)
     task = _task(given, source)

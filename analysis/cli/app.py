@@ -39,7 +39,7 @@ def make_app(everything: bool) -> App:
     made = App(
         name="mrac-jax",
         help="How much of a dangerous area will a team of robots cover before it is lost, and how sure are we?",
-        help_epilogue=f"{ALL} lists every option of a command. With {NO_CACHE_OPTION} no compiled code is kept on disk.",
+        help_epilogue=f"{ALL} lists every option. {NO_CACHE_OPTION} keeps no compiled code on disk.",
         help_flags=("--help", "-h", ALL),
         group_commands=Group("Commands", sort_key=len(SECTIONS)),
         version=lambda: version("mrac-jax"),
@@ -172,9 +172,9 @@ def _run(arguments: Sequence[str] | None) -> int:
     for old in (name for name in (" ".join(words[:1]), " ".join(words[:2])) if name in LEFT):
         say([f"error: {old}: {LEFT[old]}"])
         return BAD_INPUT
+    words = [_new_option(word) for word in _new_command(words)]
     told, named = COMMAND.set(tuple(words)), COMMAND_LINE.set(True)
     try:
-        words = [_new_option(word) for word in _new_command(words)]
         check_streams()
         asked = app if ALL in words or not {"--help", "-h"} & set(words) else make_app(False)
         status: Any = asked(words, exit_on_error=False, print_error=False, console=output_console())

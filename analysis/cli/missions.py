@@ -1,4 +1,4 @@
-"""The commands that write plans and drive them: `plan`, `export`, `drive`; and those of recordings: `record`, `inspect`."""
+"""The commands that make and drive plans, `plan`, `export`, `drive`, and those of recordings, `record`, `inspect`."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ ALTITUDE = option(OUTPUT, "qgc: metres above take-off, 0 for ground robots (defa
     waypoints=option(OUTPUT, "Write paths: .csv .plan .yaml .geojson .kml .gpx .tif, as `export` does.", "path"),
     altitude=ALTITUDE,
     seconds=of(
-        "seconds", group="Planning", help="End the search after this many seconds (--plan-for open_loop, --policy best)."
+        "seconds", group="Planning", help="End the search (--plan-for open_loop, --policy best) after this time."
     ),
     force=OPTIONS["force"],
     json="Print the plan file's JSON object.",
@@ -196,7 +196,7 @@ EVALUATED = 4096
     RECORD, THE_TEAM, PLANNING, "deadline plan state",
     ids=option(RECORDING, 'Record these rollouts: "0,5,7-9".', "text"),
     pick=option(
-        RECORDING, "Record the worst, median, best, random or quantile:0.05 rollout by coverage; several between commas "
+        RECORDING, "Record the worst, median, best, random or quantile:0.05 rollout by coverage; several by commas "
         "(default: median; not with --ids).", "text",
     ),
     rollouts=of(
@@ -296,7 +296,7 @@ def nothing_recorded(out: Path) -> str:
     """The note on an interruption before a rollout is complete; a second one can leave the growing file."""
     growing = growing_name(out)
     if growing.exists():
-        return f"interrupted: {growing} holds the rollouts so far; save them with `mrac-jax inspect {growing} --repair OUT`"
+        return f"interrupted: {growing} holds the rollouts so far; `mrac-jax inspect {growing} --repair OUT` saves them"
     return "interrupted: nothing was recorded"
 
 
@@ -309,9 +309,9 @@ def check_outputs(
     cut_to: Path | None,
 ) -> None:
     """Refuse files that cannot be written, have other names than they should, or are an input, before any work."""
-    for file, suffix in ((out, SUFFIX), (picture, ".png"), (animation, ".gif")):
-        if file is not None:
-            check_name(file, suffix)
+    for one, suffix in ((out, SUFFIX), (picture, ".png"), (animation, ".gif")):
+        if one is not None:
+            check_name(one, suffix)
     check_files(source, out, layout_name(out), picture, animation, cut_to, beside=beside)
     growing = growing_name(out)
     if growing.is_symlink() or growing.exists():
@@ -329,8 +329,8 @@ def check_outputs(
         "flag", default=False,
     ),
     engine=of("engine", rare=False, help="With --replay: simulator to use (default: auto)."),
-    all=option(ROLLOUTS, "With --replay: run every evaluated rollout, not only the recorded ones.", "flag", default=False),
-    repair=option(OUTPUT, "Save the intact part of a damaged recording to this file (exit status 1 if some is lost).", "path"),
+    all=option(ROLLOUTS, "With --replay: run every evaluated rollout.", "flag", default=False),
+    repair=option(OUTPUT, "Save the intact part of a recording to this file (exit status 1 if some is lost).", "path"),
     json=OPTIONS["json"],
 )  # fmt: skip
 def inspect(path: file("FILE", "A recording (.mcap)."), /, given: Given) -> int:  # type: ignore[valid-type]

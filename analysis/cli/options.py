@@ -148,7 +148,8 @@ def _name(tokens: Sequence[Token]) -> str:
 
 KINDS: dict[str, tuple[Any, Any]] = {
     "whole": (int, whole), "number": (float, number), "wholes": (str, wholes), "numbers": (str, numbers),
-    "time": (str, deadline), "places": (str, places), "names": (str, names), "text": (str, verbatim), "path": (Path, path),
+    "time": (str, deadline), "places": (str, places), "names": (str, names), "text": (str, verbatim),
+    "path": (Path, path),
     "texts": (list[str], verbatims), "effort": (str, exactness), "reach": (float, how_far),
 }  # fmt: skip
 INPUT = Annotated[
@@ -185,7 +186,8 @@ def _annotation(setting: Setting, spelt: str, shown: bool) -> Any:
     place = ORDER.index(setting.group) if setting.group in ORDER else len(ORDER)
     more["group"] = _group(setting.group, place)
     if setting.kind in ("flag", "switch"):
-        return Annotated[bool, Parameter(**more, **({"negative": ""} if setting.kind == "flag" else {}))]
+        more |= {"negative": ""} if setting.kind == "flag" else {}
+        return Annotated[bool, Parameter(**more)]
     if setting.kind == "word":
         return Annotated[Literal[setting.words] | None, Parameter(converter=one_of(*setting.words), **more)]
     kind, converter = KINDS[setting.kind]
@@ -305,7 +307,7 @@ class Command:
 COMMANDS: list[Command] = []
 
 
-def command(section: str, *names: str, name: str = "", **own: str | Setting) -> Callable[[Any], Any]:
+def command(section: str, *names: str, name: str = "", **own: Any) -> Callable[[Any], Any]:
     """A decorator: the function is a command. `names`: of options, between spaces. `own`: help or option by name."""
 
     def register(function: Callable[..., int]) -> Callable[..., int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -26,7 +26,7 @@ FIGURES = ("visited", "survived", "visited_of_free", "survived_of_free", "comple
     "store",
     store="Keep results in this file, and reuse those that it has (default: NAME.store).",
     precision=of(
-        "precision", group=SURVEY, help="Add maps until every 95 % interval of mean coverage is within this of its mean."
+        "precision", group=SURVEY, help="Add maps until every 95 % interval of mean coverage is this narrow."
     ),
     processes=OPTIONS["processes"],
     scheduler=OPTIONS["scheduler"],
@@ -119,10 +119,6 @@ PAPER = ("fig4", "fig5", "fig6", "fig7", "all")
 MAPS, ROLLOUTS_OF_A_MAP = 500, 20
 KIND = option(SURVEY, "Pattern of the threats (default: contiguous).", "", "contiguous", "scattered")
 SIZE = option(SURVEY, "Size of a map, HxW in cells (default: 20x20).", "text")
-OF_WORLDS = ("worlds", "kind", "size", "processes")
-OF_THE_PAPER = ("paper", "maps", "processes", "scheduler", "store")
-OF_AN_INPUT = ("starts", "cell_size", "plan", "theory")
-ROLLED = ("rollouts", "seed", "out", "json")
 
 
 @command(
@@ -144,7 +140,7 @@ ROLLED = ("rollouts", "seed", "out", "json")
     scheduler=OPTIONS["scheduler"],
     bound=OPTIONS["bound"],
     theory=option(
-        OUTPUT, "Table of an INPUT: one row per formula (main), or every reading and meaning (all) (default: main).", "",
+        OUTPUT, "Table of an INPUT: main, a row per formula, or all readings and meanings (default: main).", "",
         "main", "all", default="main",
     ),
     out="Write pictures, JSON, and with --worlds the worst maps, to this folder.",
@@ -162,13 +158,14 @@ def check(
     the experiments of the paper in some minutes on two cores.
     """
     from analysis.checking.check import check_input, check_world
+    from analysis.inputs import check_mode
     from analysis.utils.progress import show_progress
 
-    _refuse(source, given)
+    mode = check_mode(given.values | {"world": source})
     check_folder(given.out)
-    if given.paper is not None:
+    if mode == "paper":
         return _check_paper(given)
-    if source is None:
+    if mode == "worlds" or source is None:
         return _check_worlds(given)
     robots = None if given.robots is None else parse_whole(given.robots, "--robots")
     choices = given.rolled(20_000)
@@ -178,32 +175,6 @@ def check(
     with show_progress() as progress:
         answer = check_input(world, made, choices, progress, given.bound or None, given.theory)
     return deliver(answer, out=given.out, as_json=given.json, source=source, beside=(given.plan,))
-
-
-def _refuse(source: str | None, given: Given) -> None:
-    """Raise UsageError for options that do not belong to an INPUT, to --worlds or to --paper."""
-    asked = {"an INPUT": source, "--worlds": given.worlds, "--paper": given.paper}
-    modes = [mode for mode, value in asked.items() if value is not None]
-    if not modes:
-        raise UsageError("nothing to check", expected="an INPUT, --worlds N or --paper FIGURE")
-    if len(modes) > 1:
-        raise UsageError(f"both {modes[0]} and {modes[1]} are given", expected="one of them")
-    if modes[0] == "--worlds" and given.engine == "jax":
-        raise UsageError("--engine jax is for an INPUT", fix="leave it out: --worlds takes numba")
-    groups = {"an INPUT": OF_AN_INPUT, "--worlds": OF_WORLDS, "--paper": OF_THE_PAPER}
-    said = [name for name, value in given.values.items() if value is not None and value != _default(name)]
-    if modes[0] == "--paper":
-        other = [name for name in said if name not in (*OF_THE_PAPER, *ROLLED)]
-    else:
-        other = [name for name in said if name in sum(groups.values(), ()) and name not in groups[modes[0]]]
-    if other:
-        mode = next((mode for mode, names in groups.items() if other[0] in names), "an INPUT or --worlds")
-        named, one = " and ".join(f"--{name.replace('_', '-')}" for name in other), len(other) == 1
-        raise UsageError(f"{named} {'is' if one else 'are'} for {mode}", fix=f"leave {'it' if one else 'them'} out")
-
-
-def _default(name: str) -> Any:
-    return "main" if name == "theory" else OPTIONS[name].default if name in OPTIONS else None
 
 
 def _check_worlds(given: Given) -> int:
@@ -253,7 +224,7 @@ def _check_paper(given: Given) -> int:
     kind=KIND,
     size=SIZE,
     obstacles=option(SURVEY, "Fraction of the cells that are obstacles (default: 0.25).", "number"),
-    ratio=option(SURVEY, "Fraction of the cells that are dangerous; with --map, of its free cells (default: 0.25).", "number"),
+    ratio=option(SURVEY, "Fraction of dangerous cells; with --map, of its free cells (default: 0.25).", "number"),
     areas=option(SURVEY, "Number of contiguous areas of threats (default: 10).", "whole"),
     levels=option(SURVEY, "Threat levels, in turn (default: 0.04,0.08,0.12,0.16,0.20).", "text"),
     seed=of("seed", group=SURVEY, help="Seed of the map (default: 0)."),

@@ -598,6 +598,21 @@ class _Adversary:
         return self.make(threat.placed(world))
 
 
+def threats_search(
+    remove: int | None, add: int | None, unit: Remove | None, p: float | None
+) -> Callable[..., Clearing | Attack]:
+    """The search of `threats`: `find_clearing` of `remove` threats, or `find_attack` of `add`. Raises UsageError."""
+    if (remove is None) == (add is None):
+        raise UsageError(f"threats needs {argument('remove')} or {argument('add')}", expected="one of them")
+    name, unused = ("p", p) if add is None else ("unit", unit)
+    if unused is not None:
+        problem = f"{argument(name, unused)} with {argument('remove' if add is None else 'add')}"
+        raise UsageError(problem, fix="leave it out")
+    if add is None:
+        return partial(find_clearing, count=remove or 0, remove=unit)
+    return partial(find_attack, count=add, p=0.2 if p is None else p)
+
+
 def find_attack(
     world: World,
     starts: NDArray[np.int64],

@@ -37,16 +37,7 @@ FIRST = PLAN_ON[0]
 
 
 def with_phases(world: World, phases: Sequence[tuple[Any, World | ArrayLike]], plan_on: Foresight = FIRST) -> World:
-    """The world with threats that change with time, beginning with its own.
-
-    Args:
-        phases: pairs `(begin, threats)`, in order of time: from step `begin` on p of a visit is that of `threats`, an
-            array `[H, W]` (NaN = obstacle, as in the world) or a world. One of step 0 takes the place of the world's.
-        plan_on: "now": robots are told of a change as it comes; "first": they go by the first map for good; "worst":
-            by the cell-wise maximum.
-
-    Raises WorldError for phases that are none, for a world that is not known, or has types of robots.
-    """
+    """`World.with_phases`."""
     check_alone(world, "phases")
     check_word("plan_on", plan_on, PLAN_ON, WorldError, world.source)
     for number, pair in enumerate(phases):
@@ -104,17 +95,7 @@ PRIOR_LAST = "; a prior is given after the maps"
 
 
 def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn: bool = False) -> World:
-    """The world with hazards that are there or not for a whole run, in the place of its threats; robots plan on q * h.
-
-    Args:
-        kind: "persistent"; "consumed": the first hit removes it; "independent": every visit is drawn, from q * h.
-        q: chance that the hazard is there; h: chance that a visit to one that is there stops the robot. Numbers, or
-            arrays `[H, W]`.
-        learn: robots learn from what happens to them; `with_sense` gives them detectors too.
-
-    Other hazards are replaced. Raises WorldError for chances that are none, and beside all else that is not known, or
-    types of robots.
-    """
+    """`World.with_latent_hazard`."""
     check_alone(world, "latent_hazard", over=Hazard)
     if learn and kind == "independent":
         problem = "robots learn nothing of hazards that are drawn anew for every visit"
@@ -125,12 +106,7 @@ def with_hazard(world: World, kind: str, q: ArrayLike, h: ArrayLike = 1.0, learn
 
 
 def with_maps(world: World, maps: Sequence[ArrayLike] | NDArray, plan_on: float | None = None) -> World:
-    """The world with equally likely maps `[M, H, W]` of p, one of which is true in each run, for its threats.
-
-    `plan_on`: None: robots plan on the mean of the maps, cell by cell; 0.9: on the value that 90 % of them stay below.
-    Other maps are replaced. Raises WorldError for a map of other obstacles or another shape, for chances that are none,
-    and beside all else that is not known, or types of robots.
-    """
+    """`World.with_maps`."""
     check_alone(world, "maps", Uncertain, PRIOR_LAST)
     if len(maps) == 0:
         raise WorldError("uncertain maps is empty", source=world.source, expected="a map or more")
@@ -146,15 +122,7 @@ def with_maps(world: World, maps: Sequence[ArrayLike] | NDArray, plan_on: float 
 
 
 def with_spread(world: World, kind: str, amount: float, by: str = "common", plan_on: float | None = None) -> World:
-    """The world with a spread on its threats: each run's true p is drawn around them.
-
-    Args:
-        kind: "lognormal", `amount` the standard deviation of log p; or "beta", `amount` an effective sample size.
-        by: "common": one number for the whole map; "level": one for each of its threat levels, at most 16.
-        plan_on: as of `with_maps`; the mean is the world's own threat.
-
-    Raises WorldError for words and numbers that are none, and beside all else that is not known, or types of robots.
-    """
+    """`World.with_spread`."""
     check_alone(world, "spread", or_else=PRIOR_LAST)
     levels = find_levels(world, world.free, MOST_LEVELS).of_cell.reshape(world.shape)
     uncertain, cut = spread_of(world.threat, levels, kind, amount, by, world.source)

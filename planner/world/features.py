@@ -31,10 +31,7 @@ Given = float | Sense | Mapping[str, Any]
 
 
 def with_truth(world: World, truth: World | ArrayLike, sense: Given = 0) -> World:
-    """The world as robots believe it, but what they meet is the truth: p `[H, W]`, NaN = obstacle, or a world.
-
-    `sense`: how many cells they see, 0: they learn nothing, and the obstacles must be the same. Raises WorldError.
-    """
+    """`World.with_true_map`."""
     _check_plain(world)
     true = truth if isinstance(truth, World) else World.create(truth, source=f"{world.source}: truth")
     _check_plain(true)
@@ -42,11 +39,7 @@ def with_truth(world: World, truth: World | ArrayLike, sense: Given = 0) -> Worl
 
 
 def with_prior(world: World, p: float, obstacles: Obstacles = "unknown", sense: Given = 0) -> World:
-    """The world as the truth of robots that know nothing of it: they believe every cell free, with threat p.
-
-    `obstacles="known"`: but for its obstacles, which they are told. Where maps are in doubt the truth is the one that
-    is drawn. Raises WorldError.
-    """
+    """`World.with_prior_map`."""
     check_word("obstacles", obstacles, OBSTACLES, WorldError, world.source)
     PROBABILITY.check("prior_map", p, WorldError, world.source)
     truth, nowhere = world.met, np.zeros(world.shape, dtype=np.bool_)
@@ -55,10 +48,7 @@ def with_prior(world: World, p: float, obstacles: Obstacles = "unknown", sense: 
 
 
 def with_sense(world: World, sense: Given) -> World:
-    """The same with other sensors: of robots that are not told the map, or whose map is in doubt. Raises WorldError.
-
-    Of robots that learn about hazards: a detector, `{range, sight, detect, false_alarm}`.
-    """
+    """`World.with_sensor_range`."""
     if world.learned_hazard is not None:
         return replace(world, doubt=replace(world.learned_hazard, detector=make_detector(sense, world.source)))
     if world.knowledge is None and not isinstance(world.doubt, Uncertain):
@@ -177,17 +167,7 @@ THREATS = "threats"
 
 
 def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_on: PlannedOn | None = None) -> World:
-    """The world with threats that move beside its own.
-
-    Args:
-        movers: each with the keys that a scenario has: `{"walk": 0.2, "h": 0.3, "count": 6}`, or
-            `{"patrol": [[0, 0], [0, 1]], "h": 1}`; `{"walk": 0.5, "h": "threats"}`: a walker of each dangerous
-            cell, with its p, which leaves it.
-        plan_on: "patrols": robots plan on p joined with where movers that have a route are in the long run; "joined":
-            with where all movers are; "own": on p alone. None: "patrols" ("joined" before release 0.4).
-
-    Raises WorldError for movers that are none, for a world that is not known, or has types of robots.
-    """
+    """`World.with_moving_threats`."""
     chosen = PATROLS if plan_on is None else plan_on
     check_word("plan_on", chosen, PLAN_ON, WorldError, world.source)
     check_alone(world, "moving_threats")

@@ -225,11 +225,7 @@ def level_costs(values: NDArray[np.float64], n: int, risk: Literal["paper", "log
 
 
 def to_networkx(world: World) -> nx.DiGraph:
-    """The free cells as a directed graph: nodes (row, col) with `threat` and `pos` (metres).
-
-    An edge into a cell has `cost` after eq. (3), in the integers of SPEC section 3 (no quantisation), and
-    `hazard = -log(1 - p)`, the additive form of the survival probability.
-    """
+    """`World.to_networkx`."""
     import networkx as nx
 
     from planner.simulator.searches import neighbour_table
