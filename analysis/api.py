@@ -798,6 +798,9 @@ def check(  # type: ignore[misc]
     """
     check_word("theory", theory, ("main", "all"))
     mode = check_mode({name: value for name, value in locals().items() if name in signature(check).parameters})
+    if mode == "world" and robots is not None:
+        known = [name for name in signature(check).parameters if name != "robots"]
+        raise UnknownArgument.of(check, "robots", robots, known)
     if mode == "paper":
         return _paper(paper or "all", maps, rollouts, seed, store, locals())
     from analysis.checking.check import check_input, make_survey, run_survey

@@ -8,6 +8,7 @@ import re
 import shlex
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -597,6 +598,56 @@ def test_interrupted_prints_what_was_done(capsys: pytest.CaptureFixture[str], mo
     found = answer_of(capsys, "evaluate", WORLD, "--robots", "3", "--rollouts", "10000000", status=130)
     assert found["partial"] is True
     assert 1024 <= found["rollouts"] < 10_000_000
+
+
+RENAMED = {
+    "clear a.npz --count 2 --remove areas": "threats a.npz --remove 2 --unit areas",
+    "clear a.npz --rollouts 9": "threats a.npz --rollouts 9 --remove 1",
+    "attack a.npz --count=2 --p 0.3": "threats a.npz --add 2 --p 0.3",
+    "replay a.mcap --all": "inspect a.mcap --all --replay",
+    "recover a.mcap --out b.mcap": "inspect a.mcap --repair b.mcap",
+    "recover a.mcap": "inspect a.mcap --repair a.recovered.mcap",
+    "reproduce fig4 --maps 2": "check --paper fig4 --maps 2",
+}
+
+
+@pytest.mark.parametrize("old", RENAMED)
+def test_commands_of_release_0_3_run_the_new_ones_after_one_line(
+    old: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    seen: list[list[str]] = []
+    monkeypatch.setattr("analysis.cli.app.app", lambda words, **how: seen.append(words))
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        assert run(old.split()) == 0
+    assert seen == [RENAMED[old].split()]
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"note: `{old.split()[0]}` is now `{seen[0][0]} --")
+
+
+@pytest.mark.parametrize("words", ["graph x", "suite --only x", "reproduce policies", "reproduce moving --maps 2"])
+def test_commands_that_are_gone_print_one_line(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(words.split()) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("words", ["threats a.npz --remove", "threats --add a.npz", "threats a.npz --add --seed 2"])
+def test_a_number_of_threats_is_one_by_default(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[str] = []
+    monkeypatch.setattr("analysis.cli.app.app", lambda given, **how: seen.extend(given))
+    assert run(words.split()) == 0
+    assert re.search(r"--(add|remove) 1\b", " ".join(seen))
+
+
+def test_help_lists_commands_in_five_groups(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["--help"]) == 0
+    listed = re.findall(r"^(?:╭─|│) (\w+) ", capsys.readouterr().out, re.MULTILINE)
+    assert listed == [
+        "Answer", "evaluate", "compare", "front", "size", "studio", "Place", "starts", "threats", "Drive", "plan",
+        "export", "drive", "Record", "record", "inspect", "Research", "sweep", "results", "check", "generate",
+        "Commands",
+    ]  # fmt: skip
 
 
 def test_help_is_quick_to_import() -> None:

@@ -8,7 +8,7 @@ import math
 import re
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np

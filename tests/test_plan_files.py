@@ -23,7 +23,7 @@ from validate import validate
 import mrac_jax as mrac
 import planner.plan.plan_file
 from analysis.cli.app import run
-from analysis.cli.options import Planning, PlanningToTheEnd, Second
+from analysis.cli.options import COMMANDS, Given
 from analysis.comparison import compare, make_side
 from analysis.evaluation.evaluate import evaluate
 from analysis.recording.container import open_log
@@ -694,11 +694,13 @@ def test_everything_that_speaks_of_settings_follows_from_the_table() -> None:
     assert set(SETTINGS) == {field.name for field in fields(Settings)} == set(OTHER) == set(WRONG)
     found = {name for name, setting in SETTINGS.items() if setting.found}
     assert set(SETTINGS) <= {field.name for field in fields(Choices)}
-    for group, without in ((PlanningToTheEnd, found), (Planning, found | {"deadline"}), (Second, found | {"deadline"})):
-        assert set(SETTINGS) - {field.name for field in fields(group)} == without
+    options = {one.name: set(one.options) for one in COMMANDS}
+    for command in ("plan", "record", "evaluate", "compare"):
+        assert set(SETTINGS) - options[command] == found
+    assert {f"b_{name}" for name in set(SETTINGS) - found - {"deadline"}} <= options["compare"]
     assert set(PLANNER) == set(SETTINGS)
     typed = {name: value for name, value in OTHER.items() if name not in found}
-    assert PlanningToTheEnd(**typed).choices().given() == typed
+    assert Given(typed).choices.given() == typed
     assert Settings(**Choices().given()) == Settings()
     assert len(Settings().shown()) == len(SETTINGS)
 

@@ -406,5 +406,8 @@ def test_a_file_left_by_a_killed_run_is_not_lost(tmp_path: Path, capsys: pytest.
     left = tmp_path / "run.mcap.partial"
     left.write_bytes(b"precious")
     said = refused(capsys, "record", WORLD, "--ids", "0", "--out", str(tmp_path / "run.mcap"))
-    assert f"{left} is left from an earlier run; recover it with `mrac-jax inspect {left} --repair OUT.mcap` or remove it" in said
+    assert (
+        f"{left} is left from an earlier run; recover it with `mrac-jax inspect {left} --repair OUT.mcap` or remove it"
+        in said
+    )
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [(left.name, b"precious")]

@@ -126,7 +126,8 @@ def test_no_point_depends_on_how_it_was_run(tmp_path: Path, processes: int) -> N
 
 def test_the_command_prints_saves_and_is_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [
-        "check", "--paper",
+        "check",
+        "--paper",
         "fig6",
         "--maps",
         "2",
@@ -150,7 +151,19 @@ def test_the_command_prints_saves_and_is_json(tmp_path: Path, capsys: pytest.Cap
     assert "statements of the paper" in out and "256 from the store" in out
     assert (
         run(
-            ["check", "--paper", "fig4", "--maps", "1", "--rollouts", "4", "--processes", "1", "--out", str(tmp_path / "four")]
+            [
+                "check",
+                "--paper",
+                "fig4",
+                "--maps",
+                "1",
+                "--rollouts",
+                "4",
+                "--processes",
+                "1",
+                "--out",
+                str(tmp_path / "four"),
+            ]
         )
         == 0
     )
@@ -169,7 +182,9 @@ def test_interrupted_leaves_whole_maps(monkeypatch: pytest.MonkeyPatch, capsys: 
             raise KeyboardInterrupt
 
     monkeypatch.setattr(module._Collected, "take", stop_in_the_third_map)
-    found = answer_of(capsys, "check", "--paper", "fig4", "--maps", "9", "--rollouts", "4", "--processes", "1", status=130)
+    found = answer_of(
+        capsys, "check", "--paper", "fig4", "--maps", "9", "--rollouts", "4", "--processes", "1", status=130
+    )
     assert (found["maps"], found["partial"]) == (2, True)
 
 
