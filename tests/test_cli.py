@@ -404,8 +404,8 @@ def test_a_plan_made_for_other_robots_than_the_scenario_s_is_noted(
 ) -> None:
     World.create([[0.0, 0.1, 0.0], [0.0, 0.2, 0.1]]).save(tmp_path / "w.npz")
     file, scenario = tmp_path / "plan.json", tmp_path / "s.yaml"
-    scenario.write_text("map: w.npz\nrobots: {count: 1, hazard_multiplier: 3, return_to: home}\nwear: {shape: 2}\n")
-    other = "wear and susceptibility and return_to"
+    scenario.write_text("map: w.npz\nrobots: {count: 1, hazard_multiplier: 3, return_to: home}\nweibull_shape: 2\n")
+    other = "weibull_shape and hazard_multiplier and return_to"
     said = f"{file} was made for another {other} than {scenario} says: its own count"
     for made_for, note in (("w.npz", said), ("s.yaml", "")):
         assert run(["plan", str(tmp_path / made_for), "--robots", "1", "--out", str(file), "--force"]) == 0

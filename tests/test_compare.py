@@ -121,7 +121,7 @@ def test_the_sentence_says_what_differs(capsys: pytest.CaptureFixture[str], tmp_
 
     limited = ("--policy", "per_cell", "--robot-value", "30.5")
     found = answer(capsys, WORLD, *limited, "--b.policy", "mrac", "--rollouts", "64")
-    assert found["differing"] == {"a": ["policy per_cell", "worth 30.5"], "b": ["policy mrac", "no worth"]}
+    assert found["differing"] == {"a": ["policy per_cell", "robot value 30.5"], "b": ["policy mrac", "no robot value"]}
 
     found = answer(capsys, WORLD, "--deadline", "90", "--b.return-to", "home", "--rollouts", "64")
     assert found["differing"] == {"a": ["no return to"], "b": ["return to home"]}  # the deadline is both sides'

@@ -81,7 +81,7 @@ def test_names_of_release_0_3_work_with_one_warning_and_are_not_listed() -> None
             old = getattr(mrac, name)
         assert call(old), name
     with pytest.warns(RenamedWarning, match="`first_visit` is now `threat_checks`"):
-        assert mrac.check(world, 1, rollouts=16, first_visit=True, progress=False).choices.first_only
+        assert mrac.check(world, 1, rollouts=16, threat_checks="first_visit", progress=False).choices.first_only
 
 
 def test_the_door_imports_nothing_until_it_is_asked() -> None:

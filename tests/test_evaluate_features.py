@@ -418,7 +418,7 @@ def test_who_hears_nothing_may_take_what_the_plan_left_out():
     q = np.array([[0, 0, 0], [0, 0, 0.5]])
     world = mrac.load(np.zeros((2, 3))).with_latent_hazard("persistent", q, 0.5, learn=True)
     world = world.with_sensor_range({"range": 2, "detect": 0.9, "false_alarm": 0.1})
-    plan = mrac.plan(world, starts=[[0, 0]], policy="per_cell", worth=20)
+    plan = mrac.plan(world, starts=[[0, 0]], policy="per_cell", robot_value=20)
     assert is_certain(world, plan, "open") and not is_certain(world, plan)
     answer = mrac.evaluate(world, plan, rollouts=300, **QUIET_EXPERIENCE)
     assert answer.tally.rollouts == 300 and 50 < answer.tally.visited[6] < 250

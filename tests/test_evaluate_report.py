@@ -424,7 +424,7 @@ def test_a_plan_says_its_policy_and_whether_robots_come_home() -> None:
     settings = Settings(policy="watchful", risk_cap=0.5, return_to="home", range=4)
     plan = make_plan(world, [[0, 0]], settings)
     ended = f"the mission {NO_MORE}"
-    assert plan_words(plan) == f"watchful, reserve 0.5; 3 areas; if nobody is lost, {ended}"
+    assert plan_words(plan) == f"watchful, risk cap 0.5; 3 areas; if nobody is lost, {ended}"
     (table, *_) = answer_tables(mrac.evaluate(world, plan, rollouts=64, advice=False))
     assert f"chance that it {NO_MORE}" in list(table.columns[0].cells)
 

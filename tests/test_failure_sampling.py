@@ -418,14 +418,14 @@ def test_plan_files_and_paths_of_others_keep_what_robots_bear(tmp_path: Path) ->
 
 def test_a_scenario_says_what_its_robots_bear(tmp_path: Path) -> None:
     (tmp_path / "map.csv").write_text("0,0.2,0.3\n")
-    text = "map: map.csv\nwear: {{shape: {}}}\nrobots: {{count: 2, hazard_multiplier: {}}}\n"
+    text = "map: map.csv\nweibull_shape: {}\nrobots: {{count: 2, hazard_multiplier: {}}}\n"
     file = tmp_path / "scenario.yaml"
     file.write_text(text.format(2, "[1, 0.5]"))
     world = load_input(file)
     assert world.team.settings == {"weibull_shape": 2.0, "hazard_multiplier": (1.0, 0.5)}
     for shape, times in ((0.1, "1"), (17, "1"), (2, "0"), (2, "[1, 65]"), (2, "high")):
         file.write_text(text.format(shape, times))
-        with pytest.raises(ScenarioError, match=r"wear.shape|robots.susceptibility"):
+        with pytest.raises(ScenarioError, match=r"weibull_shape|robots.hazard_multiplier"):
             load_input(file)
 
 

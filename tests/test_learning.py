@@ -791,7 +791,7 @@ def test_scenarios_and_world_files_keep_it(tmp_path):
     assert load_input(tmp_path / "s.yaml").luck_sha256 == world.luck_sha256
     for wrong in ("detect: 0.8", "detect: 2, false_alarm: 0"):
         (tmp_path / "s.yaml").write_text(text % wrong)
-        with pytest.raises(InputError, match="sense"):
+        with pytest.raises(InputError, match="sensor_range"):
             load_input(tmp_path / "s.yaml")
 
 

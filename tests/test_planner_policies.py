@@ -415,12 +415,12 @@ LINE = [[0.0, 0.0, 0.1, 0.1, 0.3]]
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ({"risk_cap": 0.25}, "reserve is 0.25 with policy mrac; expected policy per_cell"),
-        ({"robot_value": 40.0}, "worth is 40 with policy mrac; expected policy per_cell"),
-        ({"policy": "per_cell", "risk_cap": 0.0}, "reserve is 0; expected a number above 0, at most 1"),
-        ({"policy": "per_cell", "risk_cap": float("nan")}, "reserve is nan"),
-        ({"policy": "per_cell", "robot_value": float("inf")}, "worth is inf; expected a number above 0"),
-        ({"policy": "per_cell", "robot_value": float("nan")}, "worth is nan"),
+        ({"risk_cap": 0.25}, "risk_cap is 0.25 with policy mrac; expected policy per_cell"),
+        ({"robot_value": 40.0}, "robot_value is 40 with policy mrac; expected policy per_cell"),
+        ({"policy": "per_cell", "risk_cap": 0.0}, "risk_cap is 0; expected a number above 0, at most 1"),
+        ({"policy": "per_cell", "risk_cap": float("nan")}, "risk_cap is nan"),
+        ({"policy": "per_cell", "robot_value": float("inf")}, "robot_value is inf; expected a number above 0"),
+        ({"policy": "per_cell", "robot_value": float("nan")}, "robot_value is nan"),
         ({"policy": "percell"}, "did you mean 'per_cell'"),
         ({"policy": 3}, "policy"),
         ({"in_area": "spiral"}, "in_area='spiral'; expected 'nearest' or"),
@@ -441,7 +441,7 @@ def test_plan_files_know_policies_and_old_ones_are_mrac(tmp_path: Path) -> None:
     assert (read.settings, read.outcome) == (Settings(policy="per_cell", robot_value=4.0), "not_worth_the_risk")
     said = plan.to_json()
     said["settings"] = {"robot_value": 4}
-    with pytest.raises(PlanError, match="worth is 4 with policy mrac"):
+    with pytest.raises(PlanError, match="robot_value is 4 with policy mrac"):
         parse_plan(said, world, "p.json")
     with pytest.raises(PlanError, match="`policy` is 'per_cell'; expected paths alone"):
         parse_plan({"paths": [[[0, 0]]], "policy": "per_cell"}, world, "p.json")
@@ -450,7 +450,7 @@ def test_plan_files_know_policies_and_old_ones_are_mrac(tmp_path: Path) -> None:
 def test_scenarios_name_a_policy(tmp_path: Path) -> None:
     np.save(tmp_path / "m.npy", np.array(LINE, dtype=np.float32))
     scenario = tmp_path / "s.yaml"
-    scenario.write_text("map: m.npy\npolicy: per_cell\nreserve: 0.5\nworth: 40\n")
+    scenario.write_text("map: m.npy\npolicy: per_cell\nrisk_cap: 0.5\nrobot_value: 40\n")
     assert mrac.plan(mrac.load(scenario)).settings == Settings(policy="per_cell", risk_cap=0.5, robot_value=40.0)
     assert mrac.plan(mrac.load(scenario), policy="mrac").settings == Settings()
     for line, words in (("policy: bold", "policy"), ("risk_cap: 2", "risk_cap"), ("robot_value: .nan", "robot_value")):

@@ -235,7 +235,9 @@ def test_the_scenario_asks_for_what_was_searched(
     """Range, home and a shape of wear too, of the input or of an option; another policy leaves its limits behind."""
     source, wanted = tmp_path / "s.yaml", tmp_path / "best.yaml"
     team = "{count: 2, range: 20, return_to: home, hazard_multiplier: 2}"
-    source.write_text(f"map: world.npz\nrobots: {team}\npolicy: per_cell\nworth: 9\nturn: 2\nwear: {{shape: 1.5}}\n")
+    source.write_text(
+        f"map: world.npz\nrobots: {team}\npolicy: per_cell\nrobot_value: 9\nturn: 2\nweibull_shape: 1.5\n"
+    )
     found = answer_of(capsys, "starts", str(source), *option, "--rollouts", "32", "--scenario-out", str(wanted))
     again = answer_of(capsys, "evaluate", str(wanted), "--rollouts", "32", "--seed", "1")
     place = ",".join(map(str, found["starts"][0])) + ";" + ",".join(map(str, found["starts"][1]))
@@ -309,7 +311,7 @@ def test_starts_that_reach_little_of_the_map_are_told(tmp_path: Path) -> None:
         (["--plan-for", "open_loop"], "Unknown option: --plan-for"),
         (["--scenario-out", "best.json"], "does not end in .yaml"),
         (["--rollouts", "4294967296"], "expected at most 2147483648"),
-        (["--robot-value", "5"], "robot_value"),
+        (["--robot-value", "5"], "--robot-value 5 with --policy mrac"),
     ],
 )
 def test_bad_options_are_told(capsys: pytest.CaptureFixture[str], world_file: str, words: list[str], said: str) -> None:

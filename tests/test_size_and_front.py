@@ -632,7 +632,7 @@ def test_the_ladder_of_worth() -> None:
     assert Setting("per_cell", robot_value=0.1, deadline=7).options() == shlex.split(
         "--policy per_cell --robot-value 0.1 --deadline 7"
     )
-    assert str(Setting("per_cell", 0.25, 12)) == "per_cell, reserve 0.25, worth 12"
+    assert str(Setting("per_cell", 0.25, 12)) == "per_cell, risk cap 0.25, robot value 12"
 
 
 def test_around_a_goal_worths_are_tried_between() -> None:
@@ -858,7 +858,7 @@ def test_the_front_prints_and_saves_itself(small: Front, tmp_path: Path) -> None
     assert 2 <= len(repr(small).splitlines()) <= 24 and small._repr_html_().startswith("<b>")
     told = json.loads((tmp_path / "out" / "front.json").read_text())
     assert told["points"][told["pick"]]["losses"]["mean"] <= told["confirmed"]["bound"] <= 0.8
-    with pytest.raises(InputError, match="worths=-5"):
+    with pytest.raises(InputError, match="robot_values=-5"):
         mrac.front(WORLD_FRONT, robot_values=[-5])
     with pytest.raises(UsageError, match="losses=nan"):
         make_front_goal(float("nan"), None)
@@ -920,11 +920,11 @@ def test_evaluate_says_what_costs_no_robot_and_what_the_rest_costs(
     assert answer_of(capsys, *words[:3], "63")["advice"] is None
     assert run(words) == 0
     shown = capsys.readouterr().out
-    line = f"`--policy per_cell --robot-value {advice['worth']:g}`"
+    line = f"`--policy per_cell --robot-value {advice['robot_value']:g}`"
     assert line in " ".join(shown.split()) and shown.index("--robot-value") > shown.index("Coverage, %")
     told = mrac.evaluate(world, rollouts=8192, band=False)
     (lead,) = told.outputs["advice"].blocks().alternatives
-    assert re.match(r"To cover [\d.]+ % and lose .*: `policy='per_cell', worth=\d+`[;.]", lead)
+    assert re.match(r"To cover [\d.]+ % and lose .*: `policy='per_cell', robot_value=\d+`[;.]", lead)
     assert lead in str(told).splitlines() and str(told).index(lead) < str(told).index("visited on average")
     assert escape(lead) in told._repr_html_()
 
@@ -992,11 +992,13 @@ def test_a_setting_that_covers_more_for_no_more_robots_is_advised() -> None:
     found = Advice((now, exactly(0.8), exactly(0.2)), 5, (point,), 64, point, exactly(0.1))
     assert not found.saves(point) and found.better() is point
     (said,) = found.blocks().alternatives
-    assert said == ("To cover 90.0 % (10.00 points more) without losing more robots: `policy='per_cell', worth=40`.")
+    assert said == (
+        "To cover 90.0 % (10.00 points more) without losing more robots: `policy='per_cell', robot_value=40`."
+    )
     assert Advice((now, exactly(0.95), exactly(0.2)), 5, (point,), 64).better() is None
     costly = Advice((now, exactly(0.95), exactly(5.0)), 5, (point,), 64, point, exactly(-0.05))
     assert list(costly.blocks().alternatives) == [
-        "To cover 90.0 % and lose 0.10 robots on average: `policy='per_cell', worth=40`."
+        "To cover 90.0 % and lose 0.10 robots on average: `policy='per_cell', robot_value=40`."
     ]
 
 
@@ -1016,7 +1018,7 @@ def test_what_hardly_covers_anything_is_not_advised_because_it_is_free() -> None
     whole = replace(found, points=(*points, best), advised=points[1], difference=exactly(-0.1))
     (said,) = whole.blocks().alternatives
     assert said == (
-        "To cover 50.0 % and lose 1.00 robots on average: `policy='per_cell', worth=20`; "
+        "To cover 50.0 % and lose 1.00 robots on average: `policy='per_cell', robot_value=20`; "
         "to cover 70.0 % with the same losses: `policy='per_cell'`."
     )
     fewer = replace(best, losses=exactly(2.5))
@@ -1040,7 +1042,7 @@ def test_the_knee_is_the_best_bargain_between_two_settings() -> None:
         "2 robots can cover 30.0 % and lose no robot, 99.0 % and lose 0.05 robots, or 100 % and lose both robots, "
         "on average."
     )
-    assert pick_lines(bent)[1] == "per_cell, worth 7: 99.00 % covered, 0.05 robots lost."
+    assert pick_lines(bent)[1] == "per_cell, robot value 7: 99.00 % covered, 0.05 robots lost."
     assert any(line.startswith("run it: ") and "--robot-value 7 " in line for line in pick_lines(bent)), "the bargain"
 
 

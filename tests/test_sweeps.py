@@ -377,7 +377,7 @@ def test_plans_for_the_open_loop_are_swept_in_both_loops(tmp_path: Path) -> None
     world = random_world(6, 8, ThreatPattern(seed=4, levels=(0.3, 0.5)))
     world.save(tmp_path / "world.npz")
     text = """
-base: {input: world.npz, robots: 2, plan_for: open, effort: 200}
+base: {input: world.npz, robots: 2, plan_for: open_loop, effort: 200}
 rollouts: 200
 sweep: {loop: [open, closed]}
 """
@@ -922,7 +922,7 @@ REFUSED = {
     "count: 2, steps_per_move: [1, 2]": "a sweep with steps_per_move",
     "count: 2, matrix: {a: {x: 2}}, types: a": "a sweep with types",
     "count: 2, range: [9, 8]": "range of 2 robots for a team of 3; expected one number",
-    "count: 2, hazard_multiplier: [1, 3]": "susceptibility of 2 robots for a team of 3; expected one number",
+    "count: 2, hazard_multiplier: [1, 3]": "hazard_multiplier of 2 robots for a team of 3; expected one number",
     "starts: [[0, 3], [4, 0]]": "robots=3 contradicts the 2 starts of .*team.yaml; leave robots out",
 }
 
@@ -958,7 +958,7 @@ def shifted(world: World) -> World:
 @pytest.mark.parametrize(
     ("key", "value", "made"),
     [
-        ("hazard", "{kind: persistent, h: 0.5, learn: true}", mined),
+        ("latent_hazard", "{kind: persistent, h: 0.5, learn: true}", mined),
         ("phases", "[{from: 9, threats: [{raster: %s}]}]", shifted),
     ],
 )
@@ -985,8 +985,8 @@ def test_null_leaves_a_key_out_and_names_are_shown(tmp_path: Path) -> None:
     told, among = swept_unsaid(tmp_path, text, 10).rows
     assert told.estimate("visited").mean == pytest.approx(covered(small(0), 1, "mrac", 0, 10))
     assert told.known("ideal") is not None and among.known("ideal") is None
-    assert among.labels == {"movers": '[{"h":"threats","walk":1}]'}
-    assert read_spec(tmp_path / "try.yaml").labels(0, 0) == {"movers": "null"}
+    assert among.labels == {"moving_threats": '[{"h":"threats","walk":1}]'}
+    assert read_spec(tmp_path / "try.yaml").labels(0, 0) == {"moving_threats": "null"}
 
 
 @pytest.mark.parametrize(
@@ -995,8 +995,8 @@ def test_null_leaves_a_key_out_and_names_are_shown(tmp_path: Path) -> None:
         ("sweep: {sensor_range: [1]}", "sweep.sensor_range: .*random map: .*nothing to sense"),
         ("base: {prior_map: {p: 0.04}}\nsweep: {sensor_range: [1, 0.5]}", "sweep.sensor_range: .*from 1 on"),
         ("base: {sensor_range: 0}\nsweep: {prior_map: [{p: 0.04}]}", "wrong about an obstacle"),
-        ("sweep: {plan_on: [own]}", "none without movers"),
-        ("sweep: {prior.p: [0.1]}", "there is no prior.p to sweep"),
+        ("sweep: {plan_on: [own]}", "none without moving_threats"),
+        ("sweep: {prior_map.p: [0.1]}", "there is no prior_map.p to sweep"),
         ("sweep: {moving_threats: [[{walk: 0.5, h: often}]]}", "threats"),
         ("sweep: {moving_threats: [[{walk: 0.5, h: threats, count: 2}]]}", "count"),
         ("sweep: {latent_hazard: [{kind: consumed, learn: often}]}", "learn` is 'often'"),

@@ -334,7 +334,7 @@ def test_a_plan_of_an_earlier_release_keeps_its_reading(tmp_path: Path) -> None:
             "moving_threats: [{walk: 0.5, h: 0.5}]\nlatent_hazard: {kind: consumed, q: 0.1}\n",
             r"`moving_threats` is .*none beside latent_hazard",
         ),
-        ("plan_on: own\n", r"`plan_on` is 'own'; expected none without movers"),
+        ("plan_on: own\n", r"`plan_on` is 'own'; expected none without moving_threats"),
         (
             "moving_threats: [{walk: 0.5, h: 0.5}]\nplan_on: last\n",
             r"`plan_on` is 'last'; expected patrols or joined or own",

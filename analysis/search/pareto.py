@@ -92,15 +92,15 @@ class Setting(NamedTuple):
         return self.said(UNPACED)
 
     def said(self, pace: Pace) -> str:
-        """In words: "per_cell, worth 40, ended at step 120"."""
+        """In words: "per_cell, robot value 40, ended at step 120"."""
         cut = "" if self.deadline is None else f", ended at {pace.step(self.deadline)}"
-        return self.policy + "".join(f", {name} {value:g}" for name, value in self.limits.items()) + cut
+        return self.policy + "".join(f", {SETTINGS[name].title} {value:g}" for name, value in self.limits.items()) + cut
 
     def options(self) -> list[str]:
         """The options of `evaluate` that ask for it."""
         words = ["--policy", self.policy]
         for name, value in self.limits.items():
-            words += [f"--{name}", exactly(value)]
+            words += [f"--{name.replace('_', '-')}", exactly(value)]
         return words if self.deadline is None else [*words, "--deadline", str(self.deadline)]
 
 

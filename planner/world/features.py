@@ -174,7 +174,7 @@ def with_movers(world: World, movers: Iterable[Mover | Mapping[str, Any]], plan_
     members: list[Mover] = []
     own = world.threat
     for number, one in enumerate(movers):
-        given = Key(one, f"movers[{number}]", world.source, WorldError)
+        given = Key(one, f"moving_threats[{number}]", world.source, WorldError)
         if isinstance(one, Mover):
             members.append(one)
         elif _is_of_the_map(given):

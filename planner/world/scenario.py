@@ -19,6 +19,7 @@ from planner.arguments import ANY, Numbers, argument, whole
 from planner.errors import InputError, MapError, ScenarioError, WorldError
 from planner.files import Json, atomic_write, check_file
 from planner.formatting import SPEEDS, STEP_SECONDS, TURNS, Pace
+from planner.renamed import with_new_names
 from planner.settings import SETTINGS as KNOWN
 from planner.settings import Settings
 from planner.world.changing_maps import read_hazard, read_phases, read_uncertain
@@ -477,11 +478,12 @@ def write_scenario(
     """
     top = read_yaml(source).value if source.suffix.lower() in YAML else None
     if isinstance(top, dict) and "map" in top:
-        keys = _moved(top, source.parent, out.parent)
+        keys = _moved(with_new_names(top, OPTIONAL, source), source.parent, out.parent)
     else:
         keys = {"map": {"file": _moved(source.name, source.parent, out.parent)}}
         keys |= {} if cell_size is None else {"cell_size": cell_size}
-    team = {name: key for name, key in keys.pop("robots", {}).items() if name not in (*PLACED, *OF_ROBOTS, "speed")}
+    robots = with_new_names(keys.pop("robots", {}), OF_ROBOTS, source)
+    team = {name: key for name, key in robots.items() if name not in (*PLACED, *OF_ROBOTS, "speed")}
     keys = {name: key for name, key in keys.items() if name not in (*SETTINGS, *TIME_KEYS)}
     keys |= said({"starts": starts.tolist()} | team, settings, pace)
     with atomic_write(out) as stream:

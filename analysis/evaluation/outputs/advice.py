@@ -157,7 +157,7 @@ class Advice(Output):
         kept = [point for point, is_best in zip(self.points, best, strict=True) if is_best]
         kept.sort(key=lambda point: (point.losses.mean, point.coverage.mean))
         lost, covered = [point.losses.mean for point in kept], [point.coverage for point in kept]
-        curve = Series.of("per_cell by worth, and the policies", lost, covered)
+        curve = Series.of("per_cell by robot value, and the policies", lost, covered)
         mark = Series.of(f"this plan ({setting})", [losses.mean], [coverage], kind="points", colour=3)
         return Chart(
             "What coverage costs", (curve, mark), "robots lost on average", "visited, % of the accessible cells",
