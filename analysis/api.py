@@ -168,7 +168,7 @@ OF_CALLS = {
     "answer is returned, `answer.partial` true.",
 }
 """Help of the arguments that are no options of a command."""
-REPORTED = "Also report coverage at this step or time, as 450 or \"45min\"."
+REPORTED = 'Also report coverage at this step or time, as 450 or "45min".'
 """Help of a deadline that does not end the mission."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
         threats,
     )
     from mrac_jax import functional
-    from mrac_jax.environment.making import env
+    from mrac_jax.env.making import env
     from planner.errors import InputError
     from planner.plan.plan import Plan
     from planner.plan_team import read_plan
@@ -61,7 +61,7 @@ ELSEWHERE = {
     "Settings": "planner.settings",
     "World": "planner.world.world",
     "closed_loop_gradient": "planner.rollouts.coverage_gradient",
-    "env": "mrac_jax.environment.making",
+    "env": "mrac_jax.env.making",
     "functional": "mrac_jax.functional",
     "plots": "analysis.plots",
     "read_plan": "planner.plan_team",

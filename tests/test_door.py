@@ -96,9 +96,14 @@ def test_the_door_imports_nothing_until_it_is_asked() -> None:
 
 def test_no_room_hides_a_function_of_the_door() -> None:
     rooms = {found.name for found in pkgutil.iter_modules(mrac.__path__)}
-    assert rooms & set(mrac.__all__) == {"functional"}  # a module by either name
+    assert rooms & set(mrac.__all__) == {"functional", "env"}  # a module by either name; a package that is called
     assert mrac.functional.__name__ == "mrac_jax.functional"
     assert mrac.plots.__name__ == "analysis.plots"
+    from mrac_jax.env import making
+
+    assert making.__name__ == "mrac_jax.env.making" and mrac.env is sys.modules["mrac_jax.env"]
+    with pytest.raises(UsageError, match="did you mean 'actions'"):
+        mrac.env(mrac.load([[0.0, 0.1]]), actionz="areas")
 
 
 def test_five_jobs_with_one_import(tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ from helpers import error_of, mostly_east
 
 import analysis.experiments.policies
 import mrac_jax as mrac
-from analysis.cli.app import run
 from analysis.experiments.policies import (
     FRONT_TEAMS,
     KINDS,
@@ -39,7 +38,8 @@ from analysis.sweeps.engine import Finished
 from analysis.sweeps.store import Store
 from analysis.theory.upper_bound import any_strategy
 from analysis.utils.tables import as_text
-from mrac_jax.environment.coverage_env import ACTIONS, CoverageEnv
+from mrac_jax.env.coverage_env import ACTIONS, CoverageEnv
+from mrac_jax.env.suite import main as suite_main
 from planner.errors import UsageError
 from planner.make_plan import make_plan
 from planner.policies.rule import Rule
@@ -205,7 +205,7 @@ def test_what_is_wrong_is_said_in_a_line(
     Path("my.py").write_text(text)
     words = ["--only", "contiguous-10-05-k1", "--policy", "my.py", "--rollouts", "2", "--processes", "1"]
     kept = [word for place in range(0, len(words), 2) if words[place] not in more for word in words[place : place + 2]]
-    assert run(["suite", *kept, *more, "--out", "out"]) == 2
+    assert suite_main([*kept, *more, "--out", "out"]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
     assert len(lines) == 1 and said in lines[0] and not Path("out").exists()
 
@@ -452,4 +452,4 @@ def test_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
         study_policies(maps=0, rollouts=1)
     with pytest.raises(UsageError, match="seed=-1"):
         study_policies(maps=1, rollouts=1, seed=-1)
-    assert "expected fig4 or fig5 or fig6 or fig7 or all or policies" in error_of(capsys, "reproduce", "policy")
+    assert "reproduce policies: is now docs/examples/experiments.py" in error_of(capsys, "reproduce", "policies")

@@ -56,7 +56,7 @@ app = make_app(True)
 
 LEFT = {
     "graph": "orienteering on graphs left with release 0.4; use release 0.3",
-    "suite": "is now `python -m mrac_jax.environment.suite`",
+    "suite": "is now `python -m mrac_jax.env.suite`",
     "reproduce policies": "is now docs/examples/experiments.py policies",
     "reproduce online": "is now docs/examples/experiments.py online",
     "reproduce moving": "is now docs/examples/experiments.py moving",
@@ -146,8 +146,11 @@ def _new_option(word: str) -> str:
     return "=".join([option, *value])
 
 
-def run(arguments: Sequence[str] | None = None) -> int:
-    """Run one command line; returns the exit status. A name of release 0.3 is one line on standard error."""
+def run(arguments: Sequence[str] | None = None, other: App | None = None) -> int:
+    """Run one command line, of `mrac-jax` or of an `other` program; returns the exit status.
+
+    A name of release 0.3 is one line on standard error.
+    """
     with warnings.catch_warnings():
         usual = warnings.showwarning
 
@@ -159,24 +162,24 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
         warnings.showwarning = show_warning
         warnings.simplefilter("default", RenamedWarning)
-        return _run(arguments)
+        return _run(arguments, other)
 
 
-def _run(arguments: Sequence[str] | None) -> int:
+def _run(arguments: Sequence[str] | None, other: App | None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if NO_CACHE_OPTION in words:
         words = [word for word in words if word != NO_CACHE_OPTION]
         from planner.simulator.jit import NO_CACHE
 
         os.environ[NO_CACHE] = "1"
-    for old in (name for name in (" ".join(words[:1]), " ".join(words[:2])) if name in LEFT):
+    for old in (name for name in (" ".join(words[:1]), " ".join(words[:2])) if name in LEFT and other is None):
         say([f"error: {old}: {LEFT[old]}"])
         return BAD_INPUT
     words = [_new_option(word) for word in _new_command(words)]
     told, named = COMMAND.set(tuple(words)), COMMAND_LINE.set(True)
     try:
         check_streams()
-        asked = app if ALL in words or not {"--help", "-h"} & set(words) else make_app(False)
+        asked = other or (app if ALL in words or not {"--help", "-h"} & set(words) else make_app(False))
         status: Any = asked(words, exit_on_error=False, print_error=False, console=output_console())
         return status if isinstance(status, int) else DONE
     except MissingArgumentError as error:

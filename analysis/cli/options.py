@@ -286,8 +286,8 @@ class Command:
     section: str
     options: dict[str, Setting]
 
-    def register(self, app: App, section: int, place: int, everything: bool) -> None:
-        """Add it to `app`, at its place in `--help`; `everything`: its help lists the rare options too."""
+    def bound(self, everything: bool) -> Callable[..., int]:
+        """The function with its options as keyword arguments, for cyclopts; `everything`: help has the rare ones too."""
 
         def call(*positional: Any, **given: Any) -> int:
             defaults = {name: option.default for name, option in self.options.items()}
@@ -301,7 +301,11 @@ class Command:
             arguments.append(Argument(name, Argument.KEYWORD_ONLY, default=default, annotation=shown))
         call.__signature__ = Signature(arguments, return_annotation=int)  # type: ignore[attr-defined]
         call.__doc__, call.__module__ = self.function.__doc__, self.function.__module__
-        app.command(call, name=self.name, group=_group(self.section, section), sort_key=place)
+        return call
+
+    def register(self, app: App, section: int, place: int, everything: bool) -> None:
+        """Add it to `app`, at its place in `--help`."""
+        app.command(self.bound(everything), name=self.name, group=_group(self.section, section), sort_key=place)
 
 
 COMMANDS: list[Command] = []

@@ -16,8 +16,8 @@ ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 OF_JAX = {
     "open loop": "mrac_jax.open_loop:JaxOpenLoop",
     "closed loop": "mrac_jax.closed_loop.engine:JaxClosedLoop",
-    "environment": "mrac_jax.environment.area_env:make_env",
-    "policy": "mrac_jax.environment.area_env:PolicyRollouts",
+    "environment": "mrac_jax.env.area_env:make_env",
+    "policy": "mrac_jax.env.area_env:PolicyRollouts",
     "accelerator": "mrac_jax.runtime:accelerator",
 }
 """What the engines and the environment in JAX are asked for: their package stands above, and is known by name alone."""
