@@ -376,7 +376,7 @@ def _left_out(world: World, robots: int | None) -> tuple[str, ...]:
     team, pace = world.team, world.pace
     keys = ["robots.count"] * (team.robots is not None and robots is None) + list(team.settings)
     keys += [name for name, given in (("step", pace.seconds), ("turn", pace.turn)) if given]
-    keys += [name for name, given in (("metrics", team.metrics), ("route", team.route is not None)) if given]
+    keys += ["route"] * (team.route is not None)
     return (f"left out, since a world file holds the map alone: {', '.join(keys)}",) if keys else ()
 
 

@@ -96,7 +96,7 @@ def __getattr__(name: str) -> Any:
         _check_is_ours(neighbour)
     if name in OF_0_3:
         module, new = OF_0_3[name]
-        import_module("planner.renamed").warn_renamed(f"mrac_jax.{name}", f"mrac_jax.{new}")
+        import_module("planner.errors").warn_renamed(f"mrac_jax.{name}", f"mrac_jax.{new}")
         home = import_module(module)
         return getattr(home, name, None) or home.OF_0_3[name]
     home = import_module(ELSEWHERE.get(name, "analysis.api"))

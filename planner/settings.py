@@ -27,11 +27,10 @@ from planner.arguments import (
     is_real,
     whole,
 )
-from planner.errors import PlanError
+from planner.errors import LOOPS, PlanError, warn_renamed
 from planner.formatting import TIMES, UNPACED, Pace
 from planner.policies import DEFAULT, RULES, Rule, rule_of
 from planner.policies.rules import NEAREST, ORDERS, InAreaOrder
-from planner.renamed import LOOPS, warn_renamed
 from planner.rollouts.names import ENGINES
 from planner.simulator.offers import Offer
 

@@ -22,9 +22,8 @@ from analysis.inputs import Asked, load_task, parse_starts
 from analysis.sampling import RolloutChoices
 from analysis.search.team_size import make_goal
 from planner.arguments import COMMAND_LINE, Numbers, argument, is_real, is_whole, nearest
-from planner.errors import InputError, PlanError, UsageError, WorldError
+from planner.errors import InputError, PlanError, RenamedWarning, UsageError, WorldError
 from planner.make_plan import make_plan
-from planner.renamed import RenamedWarning
 from planner.settings import Choices, Settings
 from planner.world.generate import ThreatPattern, random_world
 from planner.world.levels import place_starts

@@ -173,7 +173,7 @@ def test_what_presumes_one_known_map_is_refused(refused: str) -> None:
         ask[refused]()
 
 
-@pytest.mark.parametrize("asked", [{"metrics": "search"}, {"threat_scale": [2.0]}, {}])
+@pytest.mark.parametrize("asked", [{"value": True}, {"threat_scale": [2.0]}, {}])
 def test_what_is_refused_is_refused_before_anything_is_planned(asked: dict, monkeypatch: pytest.MonkeyPatch) -> None:
     def plan(*given: object, **more: object) -> None:
         raise AssertionError("planned")

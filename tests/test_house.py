@@ -199,7 +199,7 @@ def test_a_report_loads_no_pictures() -> None:
 FACES = ("cli", "studio", "bench", "page")
 """Rooms whose words are those of the command line, or of style sheets."""
 PRINTED = re.compile(
-    r"tables?|\w*reports?|page|comparison|threats|leaderboard|policy_evaluation|policies|information_value"
+    r"tables?|\w*reports?|page|comparison|threats|leaderboard|policy_evaluation"
     r"|reproduction|replay|model|answer|document"
 )
 """Files that say what a command prints."""

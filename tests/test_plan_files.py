@@ -35,14 +35,13 @@ from analysis.sweeps.results import outcomes_of, select
 from analysis.sweeps.spec import PLANNER
 from analysis.sweeps.store import Store
 from planner.arguments import COMMAND_LINE
-from planner.errors import InputError, MapError, PlanError, UsageError
+from planner.errors import InputError, MapError, PlanError, RenamedWarning, UsageError
 from planner.files import LONG_BYTES, read_csv_grid
 from planner.formatting import UNITS, UNPACED, Pace, seconds_of
 from planner.make_plan import confirm_plan, make_plan
 from planner.plan.plan import Area, Leg, Plan, RobotPlan, headings, waypoints_csv
 from planner.plan.plan_file import count_shares
 from planner.plan_team import plan_team, read_plan
-from planner.renamed import RenamedWarning
 from planner.settings import SETTINGS, Choices, Settings
 from planner.simulator.codes import Outcome
 from planner.world.changing_maps import with_phases

@@ -11,12 +11,10 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import policies_study
 import pytest
 from helpers import error_of, mostly_east
-
-import analysis.experiments.policies
-import mrac_jax as mrac
-from analysis.experiments.policies import (
+from policies_study import (
     FRONT_TEAMS,
     KINDS,
     ON_LARGE,
@@ -28,7 +26,9 @@ from analysis.experiments.policies import (
     study_json,
     study_policies,
 )
-from analysis.experiments.policies import headline as study_headline
+from policies_study import headline as study_headline
+
+import mrac_jax as mrac
 from analysis.policy_evaluation.leaderboard import RANDOM, Played, Rolled, Standing
 from analysis.policy_evaluation.policy_evaluation import estimate_of, headline, roll_policy, scores_of
 from analysis.report.answer import print_report
@@ -356,7 +356,7 @@ FEW = (
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three settings, none on large maps, bounds of one team."""
-    room = analysis.experiments.policies
+    room = policies_study
     for name, value in {"SMALL": FEW, "ON_LARGE": (), "KINDS": ("contiguous",), "TEAMS": (2,)}.items():
         monkeypatch.setattr(room, name, value)
 
@@ -443,7 +443,7 @@ def test_its_faces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "What policies bring" in page
     alone = made_up(maps=1)
     assert json.loads(json.dumps(study_json(alone)))["points"][0]["visited"]["ci95"] is None
-    monkeypatch.setattr("analysis.experiments.policies.FRONT_TEAMS", FRONT_TEAMS[:1])
+    monkeypatch.setattr("policies_study.FRONT_TEAMS", FRONT_TEAMS[:1])
     assert alone.save(tmp_path / "alone")
 
 

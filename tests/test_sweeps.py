@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import yaml
 from helpers import answer_of
+from information_value import Team, study_knowing
 from page_reader import refused
 from scipy import stats
 
@@ -23,7 +24,6 @@ import mrac_jax as mrac
 from analysis.cli import research as commands
 from analysis.cli.app import run
 from analysis.evaluation.evaluate import Evaluation
-from analysis.experiments.information_value import Team, study_knowing
 from analysis.sampling import RolloutChoices
 from analysis.statistics.estimates import Estimate
 from analysis.statistics.variance_reduction import BESIDE, expected_pieces, pieces
@@ -842,7 +842,7 @@ SWEEPS = {
     "base: {input: dark.yaml}\nsweep: {sensor_range: [1, 2, .inf]}": [dark(1), dark(2), dark(inf)],
     "base: {input: true.npz, robots: 2, sensor_range: {range: 2, sight: true}}\n"
     "sweep: {prior_map: [{p: 0.04}, {p: 0.04, obstacles: known}]}": [
-        TRUE.with_prior_map(0.04, obstacles, sensor_range={"range": 2, "sight": True}) for obstacles in ("unknown", "known")
+        TRUE.with_prior_map(0.04, obstacles, {"range": 2, "sight": True}) for obstacles in ("unknown", "known")
     ],
     "base: {input: dark.yaml, sensor_range: 0, prior_map: {p: 0.04, obstacles: known}}\nsweep: {prior.p: [0.04]}": [
         dark(0, "known")

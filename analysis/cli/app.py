@@ -21,8 +21,7 @@ from analysis.cli.console import BAD_INPUT, COMMAND, DONE, INTERRUPTED, check_st
 from analysis.cli.options import COMMANDS
 from analysis.utils.notes import elsewhere, say
 from planner.arguments import COMMAND_LINE
-from planner.errors import PER_VISIT, InputError
-from planner.renamed import RENAMED, RenamedWarning, warn_renamed
+from planner.errors import PER_VISIT, RENAMED, InputError, RenamedWarning, warn_renamed
 
 SECTIONS = (answers.ANSWER, answers.PLACE, missions.DRIVE, missions.RECORD, research.RESEARCH)
 IN_ORDER = (

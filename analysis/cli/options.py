@@ -287,7 +287,7 @@ class Command:
     options: dict[str, Setting]
 
     def bound(self, everything: bool) -> Callable[..., int]:
-        """The function with its options as keyword arguments, for cyclopts; `everything`: help has the rare ones too."""
+        """The function with its options as arguments, for cyclopts; `everything`: its help has the rare ones too."""
 
         def call(*positional: Any, **given: Any) -> int:
             defaults = {name: option.default for name, option in self.options.items()}

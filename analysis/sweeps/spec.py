@@ -30,10 +30,9 @@ from analysis.sampling import RolloutChoices
 from analysis.sweeps.cases import BESIDE, MOST_MAPS, Case, Generated, Label, Places, Written, canonical
 from analysis.sweeps.engine import Job
 from planner.arguments import ANY, FRACTION, MOST_ROLLOUTS, SEED, Numbers, did_you_mean, whole
-from planner.errors import PER_VISIT, InputError, ScenarioError, UsageError
+from planner.errors import PER_VISIT, RENAMED, InputError, ScenarioError, UsageError, with_new_names
 from planner.files import Json
 from planner.policies import DEFAULT
-from planner.renamed import RENAMED, with_new_names
 from planner.rollouts.engine import MOST_SEED
 from planner.settings import SETTINGS as PLANNER_SETTINGS
 from planner.settings import Choices, Setting

@@ -7,10 +7,15 @@ of an hour each on two cores; fewer `--maps` and `--rollouts` are faster.
 from __future__ import annotations
 
 import argparse
+import sys
+from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
-from analysis.experiments.information_value import study_knowing
-from analysis.experiments.policies import study_policies
+from information_value import study_knowing
+from policies_study import study_policies
+
+from analysis.sweeps.store import Store
 
 ROLLOUTS = {"policies": 200, "online": 10, "moving": 40}
 
@@ -23,11 +28,16 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the first map and its rollouts")
     parser.add_argument("--processes", type=int, help="default: one per core")
     parser.add_argument("--out", type=Path, help="folder for the page, pictures, JSON and CSV")
+    parser.add_argument("--store", type=Path, help="keep results in this file, and reuse those that it has")
     asked = parser.parse_args()
-    how = {"maps": asked.maps, "rollouts": asked.rollouts or ROLLOUTS[asked.experiment], "seed": asked.seed}
-    how["processes"] = asked.processes
-    answer = study_policies(**how) if asked.experiment == "policies" else study_knowing(asked.experiment, **how)
-    print(answer)
+    how: dict[str, Any] = {"maps": asked.maps, "seed": asked.seed, "processes": asked.processes}
+    how["rollouts"] = asked.rollouts or ROLLOUTS[asked.experiment]
+    with nullcontext() if asked.store is None else Store.open(asked.store) as store:
+        if asked.experiment == "policies":
+            answer = study_policies(**how, store=store)
+        else:
+            answer = study_knowing(asked.experiment, **how, store=store)
+    sys.stdout.write(f"{answer}\n")
     if asked.out is not None:
         answer.save(asked.out, force=True)
 

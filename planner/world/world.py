@@ -41,14 +41,12 @@ FOUR_NEIGHBOURS = ndimage.generate_binary_structure(2, 1)
 class Team:
     """What an input asks besides starts: how many robots, the rule that places them, planner settings, figures.
 
-    `metrics`: in which field's words it is answered, "" where it does not say; `route`: int64 `[R, 2]`, (row, col) of
-    the cells of the route that is to be safe, in order, or None.
+    `route`: int64 `[R, 2]`, (row, col) of the cells of the route that is to be safe, in order, or None.
     """
 
     robots: int | None = None
     start: str = "upper-left"
     settings: Mapping[str, Any] = field(default_factory=dict)
-    metrics: str = ""
     route: NDArray[np.int64] | None = None
 
 

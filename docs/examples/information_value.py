@@ -136,7 +136,7 @@ class Study(Swept):
         rollouts: of each map and setting. seed: of the first map. finished: how the run ended.
     """
 
-    reported_by = "analysis.experiments.information_value:report"
+    reported_by = "information_value:report"
 
     question: Question
     teams: tuple[Team, ...]
@@ -197,7 +197,7 @@ def study_knowing(
     return Study(asked, teams, columns, rollouts, seed, finished)
 
 
-# What `mrac-jax reproduce online` and `moving` say: coverage by way, what lies between ways, over the team.
+# The report: coverage by way, what lies between ways, over the team.
 
 NOTE = (
     "Visited, % of the accessible cells, and differences in points on the same maps and luck; ± half the 95 % interval "
