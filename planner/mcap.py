@@ -76,7 +76,7 @@ def mapped(path: Path, error: type[InputError] = InputError) -> memoryview:
 
 def refusal(path: Path, problem: str, data: memoryview, error: type[InputError] = InputError) -> InputError:
     """What every reader says of a log that is cut or damaged, with what helps."""
-    fix = UNCHECKED if unchecked(data) else f"try `mrac-jax inspect {shlex.quote(printable(path))} --repair OUT`"
+    fix = UNCHECKED if unchecked(data) else f"try `mrac-jax inspect --repair OUT {shlex.quote(printable(path))}`"
     return error(f"truncated or damaged: {problem}", source=path, fix=fix)
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from planner.arguments import (
     ANY,
     COMMAND_LINE,
+    ENGINES,
     LEAST_SHAPE,
     LEAST_SUSCEPTIBILITY,
     MAX_STEP,
@@ -31,7 +32,6 @@ from planner.errors import LOOPS, PlanError, warn_renamed
 from planner.formatting import TIMES, UNPACED, Pace
 from planner.policies import DEFAULT, RULES, Rule, rule_of
 from planner.policies.rules import NEAREST, ORDERS, InAreaOrder
-from planner.rollouts.names import ENGINES
 from planner.simulator.offers import Offer
 
 if TYPE_CHECKING:

@@ -51,7 +51,7 @@ def test_every_name_is_there_and_documented() -> None:
     assert set(mrac.__all__) <= set(dir(mrac))
     for name in mrac.__all__:
         assert getattr(mrac, name).__doc__, name
-        assert re.search(rf"auto\w+:: {name}\n|`mrac.{name}`", REFERENCE), name
+        assert re.search(rf"auto\w+:: (mrac_jax\.env\.making\.)?{name}\n|`mrac.{name}`", REFERENCE), name
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = mrac.nothing
 
@@ -80,7 +80,8 @@ def test_names_of_release_0_3_work_with_one_warning_and_are_not_listed() -> None
             old = getattr(mrac, name)
         assert call(old), name
     with pytest.warns(RenamedWarning, match="`first_visit` is now `threat_checks`"):
-        assert mrac.check(world, 1, rollouts=16, threat_checks="first_visit", progress=False).choices.first_only
+        answer = mrac.evaluate(world, 1, rollouts=16, advice=False, band=False, first_visit=True)
+    assert answer.choices.first_only
 
 
 def test_the_door_imports_nothing_until_it_is_asked() -> None:

@@ -655,7 +655,7 @@ def test_logs_that_are_refused(tmp_path: Path) -> None:
         words = (
             r"is empty|cannot be read as MCAP"
             if size < 8
-            else r"truncated.*try `mrac-jax inspect .*/a\.mcap --repair OUT.mcap`"
+            else r"truncated.*try `mrac-jax inspect --repair OUT .*/a\.mcap`"
         )
         with pytest.raises(MapError, match=words):
             load_input(tmp_path / "a.mcap")
@@ -802,7 +802,7 @@ def test_a_cut_log_names_what_saves_its_maps(tmp_path: Path) -> None:
     cut.write_bytes(data[: len(data) // 2])
     for read in (load_input, lambda path: read_state(path, World.create(np.zeros((3, 4))), [[1, 1]]), inspect):
         with pytest.raises(
-            InputError, match=r"truncated or damaged: .*; try `mrac-jax inspect .*/cut\.mcap --repair OUT.mcap`"
+            InputError, match=r"truncated or damaged: .*; try `mrac-jax inspect --repair OUT .*/cut\.mcap`"
         ):
             read(cut)
     recover(cut, tmp_path / "new.mcap")

@@ -128,7 +128,7 @@ def test_recover_tells_what_is_lost(
     data = out.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: len(data) * 2 // 3])
-    assert "try `mrac-jax recover" in refused_after(capsys, "inspect", str(cut))
+    assert "try `mrac-jax inspect --repair OUT" in refused_after(capsys, "inspect", str(cut))
     assert run(["inspect", str(cut), "--repair", str(tmp_path / "cut.recovered.mcap")]) == 1
     told = capsys.readouterr()
     assert "lost" in told.out
@@ -407,7 +407,7 @@ def test_a_file_left_by_a_killed_run_is_not_lost(tmp_path: Path, capsys: pytest.
     left.write_bytes(b"precious")
     said = refused(capsys, "record", WORLD, "--ids", "0", "--out", str(tmp_path / "run.mcap"))
     assert (
-        f"{left} is left from an earlier run; recover it with `mrac-jax inspect {left} --repair OUT.mcap` or remove it"
+        f"{left} is left from an earlier run; recover it with `mrac-jax inspect --repair OUT {left}` or remove it"
         in said
     )
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [(left.name, b"precious")]

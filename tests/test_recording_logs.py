@@ -413,7 +413,7 @@ def refused(data: bytes, folder: Path) -> None:
     """The ordinary reader tells what to do about a damaged log."""
     put(data, folder)
     with pytest.raises(
-        InputError, match=r"(truncated.*try `mrac-jax inspect .*in\.mcap --repair OUT.mcap`|not an MCAP file)"
+        InputError, match=r"(truncated.*try `mrac-jax inspect --repair OUT .*in\.mcap`|not an MCAP file)"
     ):
         list(open_log(folder / "in.mcap").messages())
 

@@ -296,7 +296,7 @@ def nothing_recorded(out: Path) -> str:
     """The note on an interruption before a rollout is complete; a second one can leave the growing file."""
     growing = growing_name(out)
     if growing.exists():
-        return f"interrupted: {growing} holds the rollouts so far; `mrac-jax inspect {growing} --repair OUT` saves them"
+        return f"interrupted: {growing} holds the rollouts so far; `mrac-jax inspect --repair OUT {growing}` saves them"
     return "interrupted: nothing was recorded"
 
 

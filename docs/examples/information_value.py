@@ -8,6 +8,7 @@ from functools import partial
 from itertools import product
 from typing import Any, get_args
 
+from by_map import MAP_FIGURES, ByMap, Columns
 from rich.table import Table
 
 from analysis.page.document import Chart, Series
@@ -16,7 +17,6 @@ from analysis.report.model import Part, Report
 from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import Case, Generated, canonical, check_maps
 from analysis.sweeps.engine import Finished, Swept
-from analysis.sweeps.results import MAP_FIGURES, ByMap, Columns
 from analysis.sweeps.store import Store
 from analysis.utils.notes import ProgressCallback
 from analysis.utils.tables import csv_text, make_table

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
+from by_map import MAP_FIGURES, ByMap, Columns
 from numpy.typing import NDArray
 from rich.table import Table
 
@@ -19,7 +20,6 @@ from analysis.report.model import Part, Report
 from analysis.statistics.estimates import Estimate, over_maps
 from analysis.sweeps.cases import Case, check_maps, generated_case
 from analysis.sweeps.engine import Finished, Swept
-from analysis.sweeps.results import MAP_FIGURES, ByMap, Columns
 from analysis.sweeps.store import Store
 from analysis.theory.upper_bound import any_strategy
 from analysis.utils.notes import ProgressCallback

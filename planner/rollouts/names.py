@@ -6,13 +6,13 @@ import os
 from importlib import import_module
 from importlib.util import find_spec
 from pkgutil import resolve_name
-from typing import Any, Literal, get_args
+from typing import Any
 
+from planner.arguments import ENGINES as ENGINES
+from planner.arguments import EngineName as EngineName
 from planner.arguments import argument
 from planner.errors import UsageError
 
-EngineName = Literal["auto", "jax", "numba"]
-ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 OF_JAX = {
     "open loop": "mrac_jax.open_loop:JaxOpenLoop",
     "closed loop": "mrac_jax.closed_loop.engine:JaxClosedLoop",
