@@ -213,6 +213,10 @@ def strings_of(tree: ast.AST) -> Iterator[str]:
             yield node.value
 
 
+OF_OPTIONS = {"planner.arguments", "planner.settings", "mrac_jax.env.suite"}
+"""Modules with the names and the help of options."""
+
+
 def test_errors_name_arguments_not_options() -> None:
     """`planner.arguments.argument` says an argument as its reader knows it, in Python or on the command line."""
     checked = 0

@@ -531,7 +531,7 @@ class Attack(Weighing):
 
     @property
     def hidden_world(self) -> World:
-        """What robots meet that do not know: `mrac.with_truth(world, answer.hidden_world)`."""
+        """What robots meet that do not know: `world.with_true_map(answer.hidden_world)`."""
         return with_all(self.world, self.hidden.threats)
 
 
