@@ -62,6 +62,7 @@ if TYPE_CHECKING:
 # gains their help, and other names are refused.
 
 Loop = Literal["closed", "open"]
+PlanFor = Literal["closed_loop", "open_loop"]
 ThreatChecks = Literal["every_visit", "first_visit"]
 PlanSource = Plan | str | Path | int | None
 """A Plan, a plan file, the number of robots to plan for, or None: the world's own team."""
@@ -99,7 +100,7 @@ class PolicyOptions(PlannerOptions, total=False):
 class PlanOptions(PolicyOptions, total=False):
     """Every setting of `plan`."""
 
-    plan_for: Loop | None
+    plan_for: PlanFor | None
     effort: int | None
     deadline: int | str | None
 
@@ -141,7 +142,7 @@ class SearchOptions(PolicyOptions, RolledOptions, total=False):
 class SizeOptions(SearchOptions, total=False):
     """Of `size`, which also plans for the open loop."""
 
-    plan_for: Loop | None
+    plan_for: PlanFor | None
     effort: int | None
 
 
